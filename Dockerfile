@@ -1,0 +1,44 @@
+# The service and the simulator in one image. Debian's own Python: `make test-image` runs these very steps without an engine.
+
+FROM debian:bookworm-slim AS build
+RUN apt-get update \
+ && apt-get install --yes --no-install-recommends python3 python3-venv
+WORKDIR /src
+COPY requirements requirements
+RUN python3 -m venv /opt/build \
+ && /opt/build/bin/pip install --no-cache-dir --require-hashes -r requirements/build.txt \
+ && python3 -m venv /opt/decklander \
+ && /opt/decklander/bin/pip install --no-cache-dir --require-hashes -r requirements/runtime.txt
+COPY pyproject.toml README.md LICENSE ./
+COPY companion companion
+COPY drivers drivers
+COPY estimator estimator
+COPY sitl sitl
+COPY configs configs
+RUN /opt/build/bin/pip wheel --no-cache-dir --no-deps --no-build-isolation --wheel-dir /wheels . \
+ && /opt/decklander/bin/pip install --no-cache-dir --no-deps /wheels/decklander-*.whl
+# What nobody here imports: tests of libraries, dialects of MAVLink for other vehicles, the installer itself.
+RUN find /opt/decklander/lib -type d -name tests -prune -exec rm -r {} + \
+ && find /opt/decklander/lib -type f -path '*/pymavlink/dialects/*' ! -name '__init__*' ! -name 'all*' ! -name 'common*' -delete \
+ && /opt/decklander/bin/pip uninstall --yes setuptools pip \
+ && for command in demo run record replay doctor soak; do /opt/decklander/bin/decklander $command --help > /dev/null || exit 1; done
+
+FROM debian:bookworm-slim
+RUN apt-get update \
+ && apt-get install --yes --no-install-recommends python3 \
+ && rm -rf /var/lib/apt/lists/* /var/cache/apt/*.bin /usr/share/doc/* /usr/share/man/*
+RUN useradd --uid 10001 --no-create-home --home-dir /var/lib/decklander --shell /usr/sbin/nologin decklander \
+ && install --directory --owner decklander --group decklander --mode 0700 /var/lib/decklander
+COPY --from=build /opt/decklander /opt/decklander
+ENV PATH=/opt/decklander/bin:/usr/bin:/bin
+ENV PYTHONDONTWRITEBYTECODE=1
+ENV PYTHONUNBUFFERED=1
+ENV MPLCONFIGDIR=/tmp
+ENV STATE_DIRECTORY=/var/lib/decklander
+WORKDIR /var/lib/decklander
+USER decklander
+# Asks the metrics endpoint of the settings, which must be on, at its usual port.
+HEALTHCHECK --interval=10s --timeout=3s --start-period=20s --retries=3 \
+  CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:9464/health', timeout=2)"]
+ENTRYPOINT ["decklander"]
+CMD ["--help"]

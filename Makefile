@@ -1,0 +1,59 @@
+# demo: see it fly.  test: prove it.  lint: read it.  bench: time it.  Each makes .venv itself when there is none.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
+
+.PHONY: demo test test-image test-v4l2 lint bench pins
+
+demo: $(VENV)/.runtime
+	$(BIN)/decklander demo
+
+test: lint
+	$(BIN)/pytest
+
+# The V4L2 driver on the kernel's own test camera, in a virtual machine by software emulation.
+test-v4l2: $(VENV)/.dev
+	@$(BIN)/python -c 'import sys; from tests.v4l2_vm.machine import missing; sys.exit(missing())'
+	$(BIN)/pytest tests/v4l2_vm
+
+# The images' own steps without an engine, up to a landing in them. As root, with debootstrap and a Debian mirror in reach.
+test-image: $(VENV)/.dev
+	$(BIN)/python -m tests.packaging.image
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.dev
+	@for bench in $(subst /,.,$(BENCHES)); do echo "== $$bench"; $(BIN)/python -m $$bench || exit 1; done
+
+$(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt | $(BIN)/python
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip --upgrade >/dev/null
+	$(PIP) install --require-hashes -r requirements/build.txt -r requirements/runtime.txt
+	$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.dev: requirements/dev.txt $(VENV)/.runtime
+	$(PIP) install --require-hashes -r requirements/dev.txt
+	@touch $@
+
+$(BIN)/python:
+	@command -v $(PYTHON) >/dev/null || { echo "Decklander needs Python 3.11 or newer, and there is no $(PYTHON) here; see 'make PYTHON=...'" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Decklander needs Python 3.11 or newer, and $(PYTHON) is older; say which to use: make PYTHON=python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+	  { echo "$(PYTHON) cannot make virtual environments; on Debian: apt install python3-venv" >&2; exit 1; }
+	@echo "making $(VENV) (once)"
+	@$(PYTHON) -m venv $(VENV)
+
+# Pins every dependency again, by name, version and hash, for all platforms. Needs pip-tools (pipx install pip-tools).
+PIN := pip-compile --quiet --upgrade --generate-hashes --allow-unsafe --strip-extras --no-annotate --no-header --no-config --no-emit-options
+pins:
+	$(PIN) --only-build-deps --build-deps-for=editable -o requirements/build.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/runtime.txt --extra dev -o requirements/dev.txt pyproject.toml

@@ -1,0 +1,185 @@
+"""How often the pad is found in a whole picture, by height and condition, how calibrated the score is, and how long it takes.
+
+`python benches/acquisition.py [--frames N] [--seed S] [--failures DIR]` from the repository's root. A pad is found when the best
+candidate keeps the judge's claim (centre, range, heading) with a score of 0.5 or more. Times are processor time on one thread,
+beside a floor measured in between: one BGR to HSV conversion and one inRange of a picture of the same size.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import math
+import sys
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benches.pad_scenes import (  # noqa: E402
+    CONDITIONS,
+    DATA,
+    Scene,
+    empty_scene,
+    load_camera,
+    load_pad,
+    pad_scene,
+    photo_pose,
+    visible_share,
+)
+from estimator.vision.acquire import Candidate, acquire  # noqa: E402
+from estimator.vision.camera import Camera  # noqa: E402
+from estimator.vision.judge import keeps_claim  # noqa: E402
+from estimator.vision.pad import Pad  # noqa: E402
+from estimator.vision.pad_pose import PadPose  # noqa: E402
+
+HEIGHTS_M = (0.2, 0.3, 0.5, 0.8, 1.5, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0)
+BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.001)
+
+
+def floor_ms(px: np.ndarray) -> float:
+    """One conversion to HSV and one mask."""
+    began = time.process_time_ns()
+    cv2.inRange(cv2.cvtColor(px, cv2.COLOR_BGR2HSV), (52, 217, 38), (68, 255, 153))
+    return (time.process_time_ns() - began) * 1e-6
+
+
+def picture_of(px: np.ndarray, camera: Camera, pad: Pad, truth: PadPose | None, best: Candidate | None, text: str) -> np.ndarray:
+    """The frame with the candidate's drawing in magenta; a far pad enlarged."""
+    im = px.copy()
+    if best is not None:
+        for points in (pad.circle(pad.disc_radius_m), pad.circle(pad.ring_radius_m), pad.h_corners(), pad.arrowhead()):
+            uv = camera.project(best.pose.points(points))
+            if np.isfinite(uv).all():
+                cv2.polylines(im, [np.clip(uv, -4000, 4000).astype(np.int32)], True, (255, 0, 255), 1)
+    if truth is not None and truth.t_cam_pad[2] > 4.0:
+        uv = camera.project(truth.t_cam_pad[None])[0]
+        half = int(12 + 700 / truth.t_cam_pad[2])
+        im = cv2.getRectSubPix(im, (2 * half, round(1.125 * half)), (float(uv[0]), float(uv[1])))
+    im = cv2.resize(im, (480, 270), interpolation=cv2.INTER_NEAREST if im.shape[1] < 480 else cv2.INTER_AREA)
+    cv2.putText(im, text, (3, 14), 0, 0.45, (0, 0, 255), 1)
+    return im
+
+
+def sheet(pictures: list[np.ndarray], path: Path) -> None:
+    pictures = pictures[:40]
+    while len(pictures) % 4:
+        pictures.append(np.zeros_like(pictures[0]))
+    cv2.imwrite(str(path), np.vstack([np.hstack(pictures[i : i + 4]) for i in range(0, len(pictures), 4)]))
+
+
+def photographs(failures: Path | None) -> None:
+    folder = DATA / "pad_photos"
+    if not folder.exists():
+        print("photographs: not here")
+        return
+    camera, pad = load_camera("photos"), load_pad("printed")
+    found = half_in_view = 0
+    took, bad = [], []
+    with (folder / "pose.csv").open() as file:
+        for row in csv.DictReader(file):
+            truth = photo_pose(row)
+            px = np.asarray(cv2.imread(str(folder / "images" / row["frame"])), np.uint8)
+            began = time.process_time_ns()
+            candidates = acquire(px, camera, pad)
+            took.append((time.process_time_ns() - began) * 1e-6)
+            best = candidates[0] if candidates else None
+            if visible_share(truth, camera, pad) < 0.5:
+                continue
+            half_in_view += 1
+            good = best is not None and best.score >= 0.5 and keeps_claim(best.pose, truth, camera, pad, best.yaw_ambiguous)
+            found += good
+            if not good:
+                bad.append(picture_of(px, camera, pad, None, best, row["frame"]))
+    print(
+        f"photographs with half of the pad in view: {found} of {half_in_view} found, median {np.median(took):.1f} ms, no attitude"
+    )
+    if failures is not None and bad:
+        sheet(bad, failures / "photographs.png")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=5, help="at each height in each condition")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--failures", type=Path, help="write sheets of failed frames into this folder")
+    parser.add_argument("--attitude", choices=("mixed", "known", "none"), default="mixed")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    camera, pad = load_camera("sim"), load_pad("thesis")
+    rng = np.random.default_rng([args.seed, 0xAC0])
+    found: dict[tuple[str, float], list[bool]] = defaultdict(list)
+    took: dict[float, list[float]] = defaultdict(list)
+    floors: list[float] = []
+    called: list[tuple[float, bool]] = []
+    bad: list[np.ndarray] = []
+
+    def look(scene: Scene) -> tuple[Candidate | None, float]:
+        R = scene.R_level_body if args.attitude != "none" else None
+        began = time.process_time_ns()
+        candidates = acquire(scene.px, camera, pad, R)
+        return (candidates[0] if candidates else None), (time.process_time_ns() - began) * 1e-6
+
+    acquire(np.zeros((360, 640, 3), np.uint8), camera, pad)
+    for height in HEIGHTS_M:
+        for condition in CONDITIONS:
+            for _ in range(args.frames):
+                scene = pad_scene(rng, camera, pad, height, condition)
+                while args.attitude == "known" and scene.R_level_body is None:
+                    scene = pad_scene(rng, camera, pad, height, condition)
+                best, ms = look(scene)
+                floors.append(floor_ms(scene.px))
+                right = (
+                    best is not None
+                    and scene.truth is not None
+                    and keeps_claim(best.pose, scene.truth, camera, pad, best.yaw_ambiguous)
+                )
+                if best is not None:
+                    called.append((best.score, right))
+                good = best is not None and right and best.score >= 0.5
+                found[condition, height].append(good)
+                took[height].append(ms)
+                if not good and best is not None:
+                    verdict = "right" if right else "wrong"
+                    told = "" if scene.R_level_body else "no attitude"
+                    text = f"{condition} {height} {best.score:.2f} {verdict} vis {scene.visible:.2f} {told}"
+                    bad.append(picture_of(scene.px, camera, pad, scene.truth, best, text))
+                elif not good:
+                    bad.append(picture_of(scene.px, camera, pad, scene.truth, None, f"{condition} {height} none"))
+    empty_ms = []
+    for _ in range(10 * args.frames):
+        scene = empty_scene(rng, camera, float(np.exp(rng.uniform(math.log(0.3), math.log(30)))))
+        best, ms = look(scene)
+        empty_ms.append(ms)
+        if best is not None:
+            called.append((best.score, False))
+    floor = float(np.median(floors))
+    print("found, %    " + "".join(f"{h:>7g} m" for h in HEIGHTS_M) + "     all")
+    for condition in CONDITIONS:
+        rates = [100 * float(np.mean(found[condition, h])) for h in HEIGHTS_M]
+        print(f"{condition:12s}" + "".join(f"{r:8.0f} " for r in rates) + f"{np.mean(rates):8.1f}")
+    print(
+        "ms, median  " + "".join(f"{np.median(took[h]):8.1f} " for h in HEIGHTS_M) + f"  without a pad {np.median(empty_ms):.1f}"
+    )
+    print("over floor  " + "".join(f"{np.median(took[h]) / floor:8.1f} " for h in HEIGHTS_M) + f"  floor {floor:.2f} ms")
+    score, right_ = (np.array(v) for v in zip(*called, strict=True))
+    print("called      n   right   (best candidate of each frame, with and without a pad)")
+    for low, high in itertools.pairwise(BINS):
+        k = (score >= low) & (score < high)
+        if k.any():
+            print(f"{low:.2f}-{min(high, 1):.2f} {int(k.sum()):6d}  {right_[k].mean():.3f}   (mean called {score[k].mean():.3f})")
+    photographs(args.failures)
+    if args.failures is not None:
+        args.failures.mkdir(parents=True, exist_ok=True)
+        for i in range(0, len(bad), 40):
+            sheet(bad[i : i + 40], args.failures / f"failures_{i // 40}.png")
+
+
+if __name__ == "__main__":
+    main()

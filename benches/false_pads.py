@@ -1,0 +1,118 @@
+"""Pads seen where there are none: `python benches/false_pads.py [--frames N] [--first CHUNK] [--workers K] [--worst DIR]`.
+
+Looks through rendered frames of sea, wake, decks, orange rafts, green awnings, other helipads, an H without a ring, a ring
+without an H (in the pad's own colours too, from 0.25 to 30 m, in all lights, with and without attitude), and through the
+photographs of sea and of other things. Prints how high the best candidate of a frame scores, and how long a frame takes. A chunk
+is 100 frames and draws from its own random numbers, so that a long run can be made in parts (`--first`). Exit code 1 if any frame
+reaches 0.5.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import multiprocessing
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benches.pad_scenes import DATA, Scene, empty_scene, load_camera, load_pad  # noqa: E402
+from estimator.contracts.geometry import Rotation, Transform  # noqa: E402
+from estimator.vision.acquire import acquire  # noqa: E402
+from estimator.vision.camera import Camera  # noqa: E402
+
+CHUNK = 100
+LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9)
+
+
+def scene_of(chunk: int, i: int) -> Scene:
+    rng = np.random.default_rng([chunk, i, 0xFA15E])
+    return empty_scene(rng, load_camera("sim"), float(np.exp(rng.uniform(math.log(0.25), math.log(30.0)))))
+
+
+def best_scores(chunk: int) -> tuple[list[float], float]:
+    """Of the frames of a chunk; and milliseconds of processor time a frame, without rendering."""
+    cv2.setNumThreads(1)
+    camera, pad = load_camera("sim"), load_pad("thesis")
+    scores, took = [], 0
+    for i in range(CHUNK):
+        scene = scene_of(chunk, i)
+        began = time.process_time_ns()
+        candidates = acquire(scene.px, camera, pad, scene.R_level_body)
+        took += time.process_time_ns() - began
+        scores.append(max((c.score for c in candidates), default=0.0))
+    return scores, took * 1e-6 / CHUNK
+
+
+def photographs() -> list[tuple[str, float]]:
+    """(name, best score) at several sizes of the picture."""
+    pad = load_pad("thesis")
+    mount = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
+    out = []
+    for path in sorted([*(DATA / "sea").glob("*.jpg"), *(DATA / "not_pads").glob("*.jpg")]):
+        whole = np.asarray(cv2.imread(str(path)), np.uint8)
+        for width in (320, 640, 960):
+            h = round(width * whole.shape[0] / whole.shape[1])
+            px = np.asarray(cv2.resize(whole, (width, h), interpolation=cv2.INTER_AREA), np.uint8)
+            camera = Camera(width, h, 0.8 * width, 0.8 * width, (width - 1) / 2, (h - 1) / 2, np.zeros(5), mount)
+            for R in (None, Rotation.identity()):
+                score = max((c.score for c in acquire(px, camera, pad, R)), default=0.0)
+                out.append((f"{path.parent.name}/{path.name} at {width} px", score))
+    return out
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=1000)
+    parser.add_argument("--first", type=int, default=0, help="chunk to begin with")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--worst", type=Path, help="write the highest-scoring frames into this folder")
+    args = parser.parse_args()
+    chunks = range(args.first, args.first + max(1, args.frames // CHUNK))
+    scores: list[float] = []
+    took: list[float] = []
+    with multiprocessing.Pool(args.workers) as pool:
+        for part, ms in pool.imap(best_scores, chunks):
+            scores += part
+            took.append(ms)
+            print(f"\r{len(scores)} frames, {sum(s >= 0.5 for s in scores)} at 0.5 or more", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    all_ = np.array(scores)
+    print(
+        f"rendered without a pad: {len(all_)} frames, chunks {chunks.start} to {chunks.stop - 1}, {np.mean(took):.1f} ms a frame"
+    )
+    for level in LEVELS:
+        print(f"  {level:.1f} or more: {int((all_ >= level).sum())}")
+    order = np.argsort(-all_)[:24]
+    print("  highest: " + ", ".join(f"{all_[k]:.2f} (chunk {chunks.start + k // CHUNK}, {k % CHUNK})" for k in order[:8]))
+    seen = photographs()
+    if seen:
+        name, top = max(seen, key=lambda s: s[1])
+        print(
+            f"photographs without a pad: {len(seen)} looks, highest {top:.2f} ({name}), "
+            f"{sum(s >= 0.5 for _, s in seen)} at 0.5 or more"
+        )
+    if args.worst is not None:
+        from benches.acquisition import picture_of, sheet
+
+        args.worst.mkdir(parents=True, exist_ok=True)
+        camera, pad = load_camera("sim"), load_pad("thesis")
+        pictures = []
+        for k in order:
+            scene = scene_of(chunks.start + int(k) // CHUNK, int(k) % CHUNK)
+            best = acquire(scene.px, camera, pad, scene.R_level_body)
+            pictures.append(
+                picture_of(scene.px, camera, pad, None, best[0] if best else None, f"{all_[k]:.2f} {scene.height_m:.1f} m")
+            )
+        sheet(pictures, args.worst / "worst.png")
+    return int((all_ >= 0.5).any() or any(s >= 0.5 for _, s in seen))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,105 @@
+"""Fit the judge's coefficients on rendered frames: `python benches/judge_fit.py [--frames N] [--workers K] [--keep FILE]`.
+
+Half of the frames show a pad (of two kinds, 0.2 to 30 m, all conditions of `pad_scenes`), half show none. Every candidate of
+every stage is an example; it is right when its pose keeps the judge's claim. The fit is logistic regression with a small ridge,
+false candidates that score high counted several times, since a false pad costs more than a missed one. Prints the coefficients as
+they stand in estimator/vision/judge.py, and how the fit does on frames it did not see.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import multiprocessing
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benches.pad_scenes import CONDITIONS, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
+from estimator.vision.acquire import acquire  # noqa: E402
+from estimator.vision.judge import FEATURES, keeps_claim  # noqa: E402
+
+F64 = NDArray[np.float64]
+_CHUNK = 50
+_RIDGE = 1e-3
+
+
+def examples(seed: int) -> F64:
+    """(n, 3 + len(FEATURES)): frame, 1 for a right candidate, 1 for a frame with a pad, features; of one chunk of frames."""
+    cv2.setNumThreads(1)
+    rng = np.random.default_rng([seed, 0x51DE])
+    camera, pads = load_camera("sim"), [load_pad("thesis"), load_pad("printed")]
+    rows = []
+    for i in range(_CHUNK):
+        height = float(np.exp(rng.uniform(math.log(0.2), math.log(30.0))))
+        with_pad, pad = i % 2 == 0, pads[i // 2 % 2]
+        scene = pad_scene(rng, camera, pad, height, str(rng.choice(CONDITIONS))) if with_pad else empty_scene(rng, camera, height)
+        for c in acquire(scene.px, camera, pad, scene.R_level_body, sure=2.0)[:4]:
+            right = scene.truth is not None and keeps_claim(c.pose, scene.truth, camera, pad, c.yaw_ambiguous)
+            rows.append([seed * _CHUNK + i, float(right), float(with_pad), *c.features])
+    return np.array(rows).reshape(-1, 3 + len(FEATURES))
+
+
+def fit(x: F64, y: F64, weight: F64) -> F64:
+    """Newton's method on the penalised likelihood."""
+    b = np.zeros(x.shape[1])
+    for _ in range(50):
+        p = 1.0 / (1.0 + np.exp(-np.clip(x @ b, -30, 30)))
+        g = x.T @ (weight * (y - p)) - _RIDGE * len(x) * b * (np.arange(len(b)) > 0)
+        Hm = (x * (weight * p * (1 - p))[:, None]).T @ x + np.diag(_RIDGE * len(x) * (np.arange(len(b)) > 0) + 1e-9)
+        step = np.linalg.solve(Hm, g)
+        b += step
+        if np.abs(step).max() < 1e-8:
+            break
+    return b
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=6000)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--keep", type=Path, help="write the examples here, or read them if the file is there")
+    args = parser.parse_args()
+    if args.keep is not None and args.keep.exists():
+        data = np.load(args.keep)
+    else:
+        with multiprocessing.Pool(args.workers) as pool:
+            parts = []
+            for i, part in enumerate(pool.imap(examples, range(args.frames // _CHUNK))):
+                parts.append(part)
+                print(f"\r{(i + 1) * _CHUNK} frames", end="", file=sys.stderr, flush=True)
+        print(file=sys.stderr)
+        data = np.concatenate(parts)
+        if args.keep is not None:
+            np.save(args.keep, data)
+    frame, y, with_pad, x = data[:, 0].astype(int), data[:, 1], data[:, 2], data[:, 3:]
+    train = (frame // _CHUNK) % 4 != 0
+    weight = np.ones(len(x))
+    b = fit(x[train], y[train], weight[train])
+    for _ in range(3):
+        p = 1.0 / (1.0 + np.exp(-x @ b))
+        weight = np.where((y == 0) & (with_pad == 0) & (p > 0.25), 8.0, 1.0)
+        b = fit(x[train], y[train], weight[train])
+    print("_COEFFICIENTS = np.array([" + ", ".join(f"{v:.3f}" for v in b) + "])")
+    for name, v, s in zip(FEATURES, b, x.std(axis=0), strict=True):
+        print(f"  {name:16s} {v:8.3f}   times its spread {v * s:7.2f}")
+    p = 1.0 / (1.0 + np.exp(-x @ b))
+    test = ~train
+    print(f"examples {len(x)}, right {int(y.sum())}; held out: {int(test.sum())}")
+    print("called      n   right")
+    for low, high in ((0.0, 0.1), (0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.95), (0.95, 1.001)):
+        k = test & (p >= low) & (p < high)
+        if k.any():
+            print(f"{low:.2f}-{min(high, 1):.2f} {int(k.sum()):6d}  {y[k].mean():.3f}   (mean called {p[k].mean():.3f})")
+    worst = np.argsort(-p * (with_pad == 0))[:8]
+    print("highest scores without a pad:", ", ".join(f"{p[i]:.2f} (frame {frame[i]})" for i in worst))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,302 @@
+"""Our methods beside marker detectors on the same poses, noise and size, by height; the Cramer-Rao bound beside ours.
+
+    python -m benches.vision --frames 40 --write docs
+
+One thread, 640x360, f = 374.67 px, the renderer's sensor noise and blur, an even grey floor, 1.5 degrees of tilt that is known.
+The markers' black squares are inscribed in the pad's disc (552 mm), with a white margin of one cell outside it. Figures are of
+the vector from camera to pad, written with the true attitude; lateral is the root mean square of the two horizontal axes'
+standard deviations, the camera being up to a tenth of its height aside, so that a range error shows there by a tenth. Times are
+processor time, medians, and as ratios to a floor measured in the same run: one BGR to HSV conversion and one inRange of the whole
+picture; the thesis' three share one time. A frame counts as found when the error is below a tenth of the height. An H alone
+leaves its heading open by half a turn, which is not counted as error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+import cv2  # noqa: E402
+import numpy as np  # noqa: E402
+from numpy.typing import NDArray  # noqa: E402
+from pupil_apriltags import Detector  # noqa: E402
+
+from benches.registration import bound, milliseconds_of_floor  # noqa: E402
+from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
+from estimator.contracts.samples import Attitude, Frame  # noqa: E402
+from estimator.vision.acquire import acquire  # noqa: E402
+from estimator.vision.camera import Camera  # noqa: E402
+from estimator.vision.look import look  # noqa: E402
+from estimator.vision.pad_pose import PadPose  # noqa: E402
+from estimator.vision.registration import Options, register  # noqa: E402
+from estimator.vision.segmentation import COLOUR_SETS  # noqa: E402
+from sitl.light import FLAT, Sensor  # noqa: E402
+from tests.estimator.vision.conftest import shipped_camera, shipped_pad  # noqa: E402
+from tests.estimator.vision.picture import STAMP  # noqa: E402
+from tests.estimator.vision.shots import PLAIN, Stage, View  # noqa: E402
+
+U8 = NDArray[np.uint8]
+HEIGHTS_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
+FINE = 6
+"""Subsamples a pixel side for the markers' pictures."""
+FLOOR_LIGHT, WHITE_LIGHT, BLACK_LIGHT = 0.16, 0.8, 0.02
+
+
+APRILTAG = Detector(families="tag36h11", nthreads=1, quad_decimate=1.0)
+"""One for the whole run, and never taken down: its destructor corrupts the heap."""
+
+
+@dataclass
+class Tally:
+    """Errors of one method at one height."""
+
+    tried: int = 0
+    d_m: list[F64] = field(default_factory=list)
+    yaw_rad: list[float] = field(default_factory=list)
+    ms: list[float] = field(default_factory=list)
+
+    def add(self, found: tuple[F64, float | None] | None, view: View, ms: float, either_way: bool = False) -> None:
+        self.tried += 1
+        self.ms.append(ms)
+        if found is None:
+            return
+        d, yaw = found
+        off = d - truth(view)
+        if np.linalg.norm(off) > 0.1 * view.pose.range_m + 0.02:
+            return
+        self.d_m.append(off)
+        if yaw is not None:
+            turned = wrap_pi(yaw - view.yaw_rad)
+            self.yaw_rad.append(math.remainder(turned, math.pi) if either_way else turned)
+
+    def row(self, floor_ms: float) -> list[str]:
+        """found, lateral std, range std, range bias (mm), heading std (deg), ms, ratio."""
+        n = len(self.d_m)
+        share = f"{100 * n / max(1, self.tried):.0f} %"
+        took = float(np.median(self.ms)) if self.ms else math.nan
+        if n < 3:
+            return [share, "", "", "", "", f"{took:.1f}", f"{took / floor_ms:.0f}"]
+        d = 1e3 * np.array(self.d_m)
+        std, mean = d.std(axis=0), d.mean(axis=0)
+        lateral = math.sqrt(0.5 * (std[0] ** 2 + std[1] ** 2))
+        yaw = f"{math.degrees(float(np.std(self.yaw_rad))):.3f}" if len(self.yaw_rad) > 2 else ""
+        return [share, *(f"{x:.3g}" for x in (lateral, std[2], mean[2])), yaw, f"{took:.1f}", f"{took / floor_ms:.0f}"]
+
+
+def R_level_cam(view: View, camera: Camera) -> Rotation:
+    return Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0) @ camera.T_body_cam.R
+
+
+def truth(view: View) -> F64:
+    """(3,) m from the lens to the pad in `level`; the mount is taken off, as it is the same for all."""
+    return in_level(view, shipped_camera("sim"), view.pose.t_cam_pad)
+
+
+def in_level(view: View, camera: Camera, t_cam: F64) -> F64:
+    return np.asarray(R_level_cam(view, camera) @ t_cam)
+
+
+def of_pose(view: View, camera: Camera, pose: PadPose) -> tuple[F64, float]:
+    arrow = (R_level_cam(view, camera) @ pose.R_cam_pad).matrix[:, 0]
+    return in_level(view, camera, pose.t_cam_pad), -math.atan2(arrow[1], arrow[0])
+
+
+class MarkerScene:
+    """Pictures of a square marker where the pad would be."""
+
+    def __init__(self, cells: NDArray[np.uint8], side_m: float, camera: Camera, sensor: Sensor, seed: int) -> None:
+        self.side_m = side_m
+        n = cells.shape[0]
+        sheet = np.full((n + 2, n + 2), WHITE_LIGHT, np.float32)
+        sheet[1:-1, 1:-1] = np.where(cells > 127, WHITE_LIGHT, BLACK_LIGHT)
+        self._sheet = np.kron(sheet, np.ones((32, 32), np.float32))
+        self._half_m = 0.5 * side_m * (n + 2) / n
+        self._camera, self._sensor = camera, sensor
+        self._rng = np.random.default_rng(seed)
+
+    def picture(self, pose: PadPose) -> U8:
+        """(H, W, 3): the marker's top edge toward the arrow."""
+        h = self._half_m
+        corners = np.array([(h, -h, 0.0), (h, h, 0.0), (-h, h, 0.0), (-h, -h, 0.0)])
+        uv = self._camera.project(pose.points(corners))
+        size = self._sheet.shape[0]
+        # Pixel centres are whole numbers: the outer edges of the first and last texel lie half a texel out.
+        sheet = np.array([(-0.5, -0.5), (size - 0.5, -0.5), (size - 0.5, size - 0.5), (-0.5, size - 0.5)])
+        fine = (uv + 0.5) * FINE - 0.5
+        M = cv2.getPerspectiveTransform(sheet.astype(np.float32), fine.astype(np.float32))
+        wide = (self._camera.width * FINE, self._camera.height * FINE)
+        light = np.full(wide[::-1], FLOOR_LIGHT, np.float32)
+        texel_px = float(np.linalg.norm(fine[1] - fine[0])) / size
+        blurred = cv2.GaussianBlur(self._sheet, (0, 0), 0.35 / texel_px) if texel_px < 0.5 else self._sheet
+        cv2.warpPerspective(blurred, M, wide, light, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT)
+        light = cv2.resize(light, (self._camera.width, self._camera.height), interpolation=cv2.INTER_AREA)
+        light = cv2.GaussianBlur(light, (0, 0), self._sensor.psf_sigma_px)
+        sigma = np.sqrt(light / self._sensor.full_well_e + (self._sensor.read_noise_e / self._sensor.full_well_e) ** 2)
+        bgr = light[..., None] + sigma[..., None] * self._rng.standard_normal((*light.shape, 3)).astype(np.float32)
+        bgr = np.clip(bgr, 0.0, 1.0)
+        coded = np.where(bgr <= 0.0031308, 12.92 * bgr, 1.055 * bgr ** (1 / 2.4) - 0.055)
+        return np.round(255 * coded).astype(np.uint8)
+
+
+def pnp(uv: F64, side_m: float, view: View, camera: Camera) -> tuple[F64, float]:
+    """From the four corners, clockwise from the corner at the arrow's port side."""
+    h = side_m / 2
+    square = np.array([(-h, h, 0), (h, h, 0), (h, -h, 0), (-h, -h, 0)])
+    _, rvec, tvec = cv2.solvePnP(square, uv.astype(float), camera.K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+    R = cv2.Rodrigues(rvec)[0]
+    up = R_level_cam(view, camera).matrix @ R[:, 1]
+    return in_level(view, camera, tvec[:, 0]), -math.atan2(up[1], up[0])
+
+
+def timed(work: Callable[[], tuple[F64, float | None] | None]) -> tuple[tuple[F64, float | None] | None, float]:
+    began = time.process_time_ns()
+    found = work()
+    return found, (time.process_time_ns() - began) * 1e-6
+
+
+def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally], float, F64]:
+    """Tallies by method, the floor in ms, and the bound (x, y, range in m, heading in rad)."""
+    camera, pad, sensor = shipped_camera("sim"), shipped_pad("thesis"), Sensor(exposure_s=0.0)
+    stage = Stage(camera, pad, PLAIN, FLAT, sensor, seed)
+    side_m = pad.disc_radius_m * math.sqrt(2)
+    code = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
+    aruco_scene = MarkerScene(cv2.aruco.generateImageMarker(code, 7, 7), side_m, camera, sensor, seed)
+    tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    tag_scene = MarkerScene(cv2.aruco.generateImageMarker(tags, 7, 8), side_m, camera, sensor, seed + 1)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    aruco = cv2.aruco.ArucoDetector(code, parameters)
+    tallies = {name: Tally() for name in ("ellipse", "arrow", "corners", "registration, tracked", "registration, searched")}
+    tallies |= {"ArUco, sub-pixel": Tally(), "AprilTag": Tally()}
+    floor: list[float] = []
+    for _ in range(frames):
+        view = stage.view(height_m)
+        orientation = view.orientation()
+        frame = Frame(STAMP, 0, view.px)
+        attitude = Attitude(STAMP, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), 1e-8 * np.eye(3))
+        seen = look(frame, attitude, camera, pad, COLOUR_SETS["simulator"], sigma_deck_rad=1e-5)
+        began = time.process_time_ns()
+        look(frame, attitude, camera, pad, COLOUR_SETS["simulator"], sigma_deck_rad=1e-5)
+        took = (time.process_time_ns() - began) * 1e-6
+        mount = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0) @ camera.T_body_cam.t
+        for name in ("ellipse", "arrow", "corners"):
+            cue = seen.methods[name]  # type: ignore[index]
+            found = None if cue is None else (cue.d_body_pad_level - mount, cue.yaw_rad)
+            tallies[name].add(found, view, took, either_way=cue is not None and cue.yaw_ambiguous)
+
+        start = stage.start(view, 0.5)
+
+        def tracked(view: View = view, start: PadPose = start, orientation: object = orientation) -> tuple[F64, float] | None:
+            found = register(view.px, camera, pad, start, orientation, Options(coarse=False))  # type: ignore[arg-type]
+            return None if found is None else of_pose(view, camera, found.pose)
+
+        def searched(view: View = view, orientation: object = orientation) -> tuple[F64, float] | None:
+            level = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0)
+            for candidate in acquire(view.px, camera, pad, level)[:1]:
+                found = register(view.px, camera, pad, candidate.pose, orientation)  # type: ignore[arg-type]
+                return None if found is None else of_pose(view, camera, found.pose)
+            return None
+
+        tallies["registration, tracked"].add(*_swap(timed(tracked), view))
+        tallies["registration, searched"].add(*_swap(timed(searched), view))
+
+        px = aruco_scene.picture(view.pose)
+
+        def by_aruco(px: U8 = px, view: View = view) -> tuple[F64, float] | None:
+            corners, ids, _ = aruco.detectMarkers(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
+            return None if ids is None else pnp(corners[0][0], side_m, view, camera)
+
+        tallies["ArUco, sub-pixel"].add(*_swap(timed(by_aruco), view))
+        px = tag_scene.picture(view.pose)
+
+        def by_apriltag(px: U8 = px, view: View = view) -> tuple[F64, float] | None:
+            found = APRILTAG.detect(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
+            if not found:
+                return None
+            # Its corners begin at the lower left and its pixel (0.5, 0.5) is the first one's centre.
+            return pnp(np.roll(found[0].corners[::-1], 2, axis=0) - 0.5, side_m, view, camera)
+
+        tallies["AprilTag"].add(*_swap(timed(by_apriltag), view))
+        floor.append(milliseconds_of_floor(view.px))
+    return tallies, float(np.median(floor)), bound(stage, height_m)
+
+
+def _swap(
+    result: tuple[tuple[F64, float | None] | None, float], view: View
+) -> tuple[tuple[F64, float | None] | None, View, float]:
+    return result[0], view, result[1]
+
+
+HEADER = ["height m", "method", "found", "lateral mm", "range mm", "range bias mm", "heading deg", "ms", "x floor"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=20, help="pictures at each height")
+    parser.add_argument("--heights", default=",".join(map(str, HEIGHTS_M)), help="metres, with commas")
+    parser.add_argument("--write", type=Path, metavar="DIR", help="write benchmarks.md and benchmarks.png there")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    rows: list[list[str]] = []
+    heights = [float(h) for h in args.heights.split(",")]
+    for height_m in heights:
+        tallies, floor_ms, best = at_height(height_m, args.frames, seed=1)
+        for name, tally in tallies.items():
+            rows.append([f"{height_m:g}", name, *tally.row(floor_ms)])
+        lateral = 1e3 * math.hypot(best[0], best[1]) / math.sqrt(2)
+        rows.append(
+            [f"{height_m:g}", "bound", "", f"{lateral:.2g}", f"{1e3 * best[2]:.2g}", "0", f"{math.degrees(best[3]):.2g}", "", ""]
+        )
+        for row in rows[-8:]:
+            print("  ".join(f"{cell:>14}" if i != 1 else f"{cell:<24}" for i, cell in enumerate(row)), flush=True)
+    if args.write is not None:
+        write(args.write, rows, args.frames)
+
+
+def write(folder: Path, rows: list[list[str]], frames: int) -> None:
+    lines = [
+        "# Benchmarks: vision", "", f"Made by `python -m benches.vision --frames {frames} --write docs`.", "",
+        *(__doc__ or "").strip().splitlines()[4:], "", "![by height](benchmarks.png)", "",
+        "| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER),
+        *("| " + " | ".join(row) + " |" for row in rows), "",
+    ]  # fmt: skip
+    (folder / "benchmarks.md").write_text("\n".join(lines), encoding="utf-8")
+    plot(folder / "benchmarks.png", rows)
+
+
+def plot(path: Path, rows: list[list[str]]) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4), constrained_layout=True)
+    for name in dict.fromkeys(row[1] for row in rows):
+        mine = [row for row in rows if row[1] == name]
+        for axis, column in zip(axes, (3, 4, 6), strict=True):
+            points = [(float(r[0]), float(r[column])) for r in mine if r[column]]
+            if points:
+                style = "k--" if name == "bound" else "o-"
+                axis.loglog(*zip(*points, strict=True), style, label=name, lw=1.2, ms=3)
+    for axis, title in zip(axes, ("lateral std, mm", "range std, mm", "heading std, degrees"), strict=True):
+        axis.set_title(title)
+        axis.set_xlabel("height, m")
+        axis.grid(alpha=0.3, which="both")
+    axes[0].legend(fontsize=7)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()
+    sys.stdout.flush()
+    os._exit(0)

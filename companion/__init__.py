@@ -1,0 +1,1 @@
+"""The service: lifetimes, guidance, links, recorder, command line."""

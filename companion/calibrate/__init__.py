@@ -1,0 +1,1 @@
+"""A camera's intrinsics and distortion from pictures of a printed board."""

@@ -1,0 +1,90 @@
+"""Views from pictures, from a video, or from a live camera that a person moves the board before."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from companion.calibrate.judge import missing_before
+from companion.calibrate.views import Collection
+from drivers.clock import SystemClock
+from drivers.video_source import open_camera
+from drivers.video_source_options import CameraOptions
+from estimator.contracts.errors import BadInput, Recoverable
+
+PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
+
+Told = Callable[[Collection], None]
+
+
+def picture_files(paths: Sequence[Path]) -> list[Path]:
+    """The pictures and videos that the paths name; of folders all pictures in them.
+
+    Raises:
+        BadInput: a path that does not exist, or a folder without pictures.
+    """
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURES)
+            if not inside:
+                raise BadInput(f"{path}: no picture in this folder")
+            files += inside
+        elif path.is_file():
+            files.append(path)
+        else:
+            raise BadInput(f"{path}: no such file or folder")
+    return files
+
+
+def look_at(file: Path, collection: Collection, tell: Told) -> None:
+    """Add a picture, or every frame of a video.
+
+    Raises:
+        BadInput: it is neither, or of another size than those before it.
+    """
+    if file.suffix.lower() in PICTURES:
+        px = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_COLOR) if file.stat().st_size else None
+        if px is None:
+            raise BadInput(f"{file}: not a picture that can be read")
+        collection.add(file.name, np.asarray(px, np.uint8))
+        tell(collection)
+        return
+    try:
+        with av.open(str(file)) as container:
+            for i, frame in enumerate(container.decode(video=0)):
+                collection.add(f"{file.name}#{i}", np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
+                tell(collection)
+    except (av.FFmpegError, OSError, IndexError) as why:
+        raise BadInput(f"{file}: neither a picture nor a video that can be read") from why
+
+
+async def watch(options: CameraOptions, collection: Collection, tell: Told, timeout_s: float, first_s: float = 10.0) -> None:
+    """Add what a live camera shows until the views cover the picture, or until `timeout_s`.
+
+    Raises:
+        Recoverable: no picture within `first_s`; the text says why.
+        BadInput, SetupImpossible: as `open_camera`.
+    """
+    loop = asyncio.get_running_loop()
+    async with open_camera(options, SystemClock()) as camera:
+        try:
+            async with asyncio.timeout(first_s):
+                frame = await camera.frames.get()
+        except TimeoutError as why:
+            raise Recoverable(camera.down or f"no picture within {first_s:g} s") from why
+        try:
+            async with asyncio.timeout(timeout_s):
+                while True:
+                    await loop.run_in_executor(None, collection.add, f"frame {frame.seq}", frame.px)
+                    tell(collection)
+                    if collection.size is not None and not missing_before(collection.views, collection.size):
+                        return
+                    frame = await camera.frames.get()
+        except TimeoutError:
+            return

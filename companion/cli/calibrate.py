@@ -1,0 +1,168 @@
+"""`decklander calibrate camera`: a camera file from pictures of a printed board, or what the pictures lack."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import math
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from companion.calibrate import figures, judge
+from companion.calibrate.board import Board
+from companion.calibrate.camera_file import text
+from companion.calibrate.gather import PICTURES, look_at, picture_files, watch
+from companion.calibrate.solve import LEAST_VIEWS, Solution, solve
+from companion.calibrate.views import Collection
+from companion.cli import board_option
+from drivers.video_source_options import FORMATS, CameraOptions, StreamOptions, V4l2Options
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation, Transform
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """`decklander calibrate`."""
+    outer = subparsers.add_parser("calibrate", help="measure a camera", description="Measure a camera.")
+    p = outer.add_subparsers(dest="action", metavar="WHAT", required=True).add_parser(
+        "camera",
+        help="intrinsics and distortion from pictures of a printed board",
+        description="Intrinsics and distortion from pictures of a printed board (print one: decklander pad --board charuco). "
+        "Exit code 1 when the pictures do not pin the camera down; then no file is written and what they lack is listed.",
+    )
+    p.add_argument("paths", nargs="*", metavar="PATH", help="pictures, folders of pictures, or videos")
+    p.add_argument("--device", metavar="NAME", help="a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
+    p.add_argument("--size", metavar="WxH", help="picture of the live V4L2 camera")
+    p.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="its pictures a second (default: %(default)s)")
+    p.add_argument("--format", default="auto", choices=["auto", *FORMATS], help="its pixel format (default: %(default)s)")
+    p.add_argument(
+        "--seconds", type=float, default=120.0, metavar="S", help="look at it no longer than this (default: %(default)s)"
+    )
+    p.add_argument(
+        "--board", default="charuco", choices=["charuco", "chessboard"], help="what was printed (default: %(default)s)"
+    )
+    board_option.add(p)
+    p.add_argument("--out", required=True, metavar="FILE", help="camera file to write")
+    p.add_argument("--figures", metavar="DIR", help="where to put coverage.png and residuals.png")
+    p.add_argument("--position-m", default="0,0,0", metavar="F,R,D", help="camera in the body: forward, right, down")
+    p.add_argument(
+        "--rpy-deg", default="0,0,90", metavar="R,P,Y", help="its mount; 0,0,90 looks down, nose at the picture's top (default)"
+    )
+    p.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when a camera file was written, 1 when the set is too poor.
+
+    Raises:
+        BadInput: an argument, a picture or the board is wrong.
+    """
+    board = board_option.board(args, args.board)
+    position, rpy = _three(args.position_m, "--position-m"), _three(args.rpy_deg, "--rpy-deg")
+    mount = Transform(Rotation.from_rpy(*(math.radians(a) for a in rpy)), np.array(position))
+    out = Path(args.out)
+    if not out.parent.is_dir():
+        raise BadInput(f"--out: there is no folder {str(out.parent)!r}")
+    collection = _gather(args, board)
+    size = collection.size or (0, 0)
+    if len(collection.views) < LEAST_VIEWS:
+        _say(args, collection, None, judge.missing_before(collection.views, size) if collection.views else ["the board"])
+        return 1
+    solution = solve(collection.views, board, size, mount)
+    if args.figures is not None:
+        figures.write_coverage([f.view for f in solution.fits], size, Path(args.figures) / "coverage.png")
+        figures.write_residuals(solution, Path(args.figures) / "residuals.png")
+    lacks = judge.missing(solution, size)
+    if not lacks:
+        source = args.device or f"{len(args.paths)} files or folders"
+        out.write_text(text(solution, f"{source} ({args.board} {args.squares})", rpy), encoding="utf-8")
+    _say(args, collection, solution, lacks)
+    return 1 if lacks else 0
+
+
+def _gather(args: argparse.Namespace, board: Board) -> Collection:
+
+    if bool(args.paths) == (args.device is not None):
+        raise BadInput("give either pictures and videos, or --device")
+    quiet = args.json or not sys.stderr.isatty()
+
+    def tell(collection: Collection) -> None:
+        if not quiet:
+            lacks = judge.missing_before(collection.views, collection.size or (1, 1))
+            line = f"{collection.looked} pictures, {len(collection.views)} views; {lacks[0] if lacks else 'enough'}"
+            sys.stderr.write(f"\r{line[:100]:<100}")
+
+    if args.device is not None:
+        collection = Collection(board, moving=True)
+        asyncio.run(watch(_camera(args), collection, tell, args.seconds))
+    else:
+        files = picture_files([Path(p) for p in args.paths])
+
+        collection = Collection(board, moving=any(f.suffix.lower() not in PICTURES for f in files))
+        for file in files:
+            look_at(file, collection, tell)
+    if not quiet:
+        sys.stderr.write("\n")
+    return collection
+
+
+def _camera(args: argparse.Namespace) -> CameraOptions:
+    if "://" in args.device:
+        return StreamOptions(args.device)
+    match = re.fullmatch(r"(\d+)[xX](\d+)", args.size or "")
+    if match is None:
+        raise BadInput(f"--size must be the picture to calibrate, such as 640x480, got {args.size!r}")
+    try:
+        return V4l2Options(args.device, int(match[1]), int(match[2]), args.rate, args.format)
+    except ValueError as why:
+        raise BadInput(f"the camera: {why}") from why
+
+
+def _three(text: str, name: str) -> tuple[float, float, float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 3 or not all(math.isfinite(v) for v in values):
+        raise BadInput(f"{name} must be three numbers with commas between, got {text!r}")
+    return values[0], values[1], values[2]
+
+
+def _say(args: argparse.Namespace, collection: Collection, solution: Solution | None, lacks: list[str]) -> None:
+    if args.json:
+        sys.stdout.write(json.dumps(_record(args, collection, solution, lacks)) + "\n")
+        return
+    lines = [f"{collection.looked} pictures: {len(collection.views)} views, the board not found in {len(collection.without)}"]
+    if solution is not None:
+        c, s = solution.camera, solution.sigma
+        lines += [
+            f"fx {c.fx:.2f} +- {s[0]:.2f}, fy {c.fy:.2f} +- {s[1]:.2f}, "
+            f"cx {c.cx:.2f} +- {s[2]:.2f}, cy {c.cy:.2f} +- {s[3]:.2f} px",
+            f"error {solution.rms_px:.3f} px rms over {len(solution.fits)} views, {len(solution.left_out)} left out; "
+            f"distortion {solution.model}",
+        ]
+    lines += [f"written to {args.out}"] if not lacks else ["not good enough, nothing written; it lacks:"]
+    lines += [f"  - {lack}" for lack in lacks]
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+def _record(args: argparse.Namespace, collection: Collection, solution: Solution | None, lacks: list[str]) -> dict[str, object]:
+    record: dict[str, object] = {
+        "good": not lacks,
+        "missing": lacks,
+        "file": None if lacks else args.out,
+        "pictures": collection.looked,
+        "views": len(collection.views),
+        "without_board": collection.without,
+    }
+    if solution is not None:
+        c, s = solution.camera, solution.sigma
+        record |= {
+            "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy, "distortion": c.distortion.tolist(),
+            "sigma_fx_fy_cx_cy": s[:4].tolist(),
+            "rms_px": solution.rms_px, "model": solution.model, "left_out": [f.view.name for f in solution.left_out],
+        }  # fmt: skip
+    return record

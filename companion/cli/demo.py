@@ -1,0 +1,179 @@
+"""`decklander demo`: the simulated drone in a process of its own, the daemon in this one, real sockets and real H.264 between."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import math
+import sys
+import tempfile
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from companion.cli import record_option
+from companion.cli.progress import Progress
+from companion.cli.verdict import Contact, Ending
+from companion.cli.version import version
+from companion.observer import Observer
+from companion.pilot import Outcome
+from companion.report.flight_log import FlightLog, TruthSample
+from companion.report.keeper import LogKeeper
+from companion.report.page import PAGE, write_report
+from companion.service import live, make_daemon, make_pilot
+from companion.settings import load, shipped
+from companion.settings_model import CameraSettings, PadSettings, Settings
+from drivers.clock import SystemClock
+from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.estimates import PathName
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.ardrone.truth_log import read as read_truth
+from sitl.scenario import Scenario
+from sitl.scenario import load as load_scenario
+
+SHADOWS: tuple[PathName, ...] = ("median_mean",)
+_READY_S = 30.0
+_SETTLE_S = 0.5
+"""After the landing, so that the record shows the drone standing."""
+_KEEP_EACH = 4
+"""Truth comes at 100 Hz; the report needs a quarter of it."""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "demo",
+        help="the whole loop on this machine",
+        description="A simulated AR.Drone over a simulated sea, in a process of its own, is flown by the daemon through UDP and "
+        "TCP sockets down onto a ship's pad. Exit code 0 when it landed on the pad, 1 when not.",
+    )
+    names = ", ".join(shipped("scenarios"))
+    parser.add_argument("--scenario", default="demo", metavar="FILE", help=f"what to fly (default demo; shipped: {names})")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of everything that is drawn by chance (default 1)")
+    parser.add_argument("--report", type=Path, default=Path("report"), metavar="DIR", help="where the report goes")
+    parser.add_argument("--no-report", action="store_true", help="fly, and write nothing")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the progress")
+    record_option.add_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    if args.seed < 0:
+        raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    scenario = load_scenario(args.scenario)
+    return asyncio.run(_demo(args, scenario))
+
+
+async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
+    clock = SystemClock()
+    with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
+        truth_path = Path(folder) / "truth.jsonl"
+        async with AsyncExitStack() as drone:
+            settings = _rig(scenario, await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path)))
+            pilot = make_pilot(settings, shadows=SHADOWS)
+            log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
+            progress = None if args.json else Progress()
+            observers: list[Observer] = [LogKeeper(log)] if progress is None else [LogKeeper(log), progress]
+            facts = {"kind": "demo", "scenario": args.scenario, "seed": str(args.seed)}
+            with record_option.recording(args, settings, facts, live=True) as recorder:
+                if recorder is not None:
+                    observers.append(recorder)
+                daemon = make_daemon(settings, pilot, clock=clock, observers=observers, once=True)
+                if recorder is not None:
+                    recorder.watch(daemon.health)
+                try:
+                    async with asyncio.timeout(scenario.duration_limit_s):
+                        outcome = await live(daemon, pilot)
+                except TimeoutError:
+                    outcome = None
+                ended = clock.now()
+                if progress is not None:
+                    progress.close()
+                await asyncio.sleep(_SETTLE_S)
+                await drone.aclose()
+                truth = read_truth(truth_path)
+                if recorder is not None:
+                    for line in (*truth[:-1:_KEEP_EACH], *truth[-1:]):
+                        recorder.on_truth(record_option.truth_from_log(line))
+    ending = _ending(args, outcome, seconds_between(log.started, ended), truth, daemon.health.frames)
+    if not args.no_report:
+        _write_report(args, log, ending, truth)
+    if args.json:
+        sys.stdout.write(json.dumps(ending.as_json()) + "\n")
+    else:
+        sys.stdout.write(ending.in_words() + "\n")
+        if not args.no_report:
+            sys.stdout.write(f"report: {args.report / PAGE} (open it in a browser)\n")
+    return 0 if ending.on_pad else 1
+
+
+@asynccontextmanager
+async def _drone(scenario: str, seed: int, truth: Path) -> AsyncIterator[dict[str, int]]:
+    """The simulated drone as a child process; its ports. It ends with us, even if we are killed: its standard input closes."""
+    ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
+    child = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "sitl.ardrone.serve", scenario, f"--seed={seed}", f"--truth={truth}", *ports),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+    )
+    assert child.stdin is not None
+    assert child.stdout is not None
+    try:
+        try:
+            async with asyncio.timeout(_READY_S):
+                line = await child.stdout.readline()
+        except TimeoutError as why:
+            raise Recoverable(f"the simulated drone did not start within {_READY_S:.0f} s") from why
+        if not line:
+            raise Recoverable("the simulated drone ended before it was ready; what it said stands above")
+        yield json.loads(line)["ports"]
+    finally:
+        child.stdin.close()
+        await child.communicate()
+
+
+def _rig(scenario: Scenario, ports: dict[str, int]) -> Settings:
+    """The shipped rig `sim`, at these ports, with the camera and pad of the scenario."""
+    settings = load("sim")
+    vehicle = msgspec.structs.replace(settings.vehicle, **{f"{name}_port": port for name, port in ports.items()})
+    service = msgspec.structs.replace(settings.service, health_period_s=0.0)
+    return msgspec.structs.replace(
+        settings,
+        vehicle=vehicle,
+        camera=CameraSettings(scenario.camera.file),
+        pad=PadSettings(scenario.pad.file),
+        service=service,
+    )
+
+
+def _ending(
+    args: argparse.Namespace, outcome: Outcome | None, duration_s: float, truth: list[dict[str, Any]], frames: Any
+) -> Ending:
+    touched = truth[-1]["touchdown"] if truth else None
+    contact = None
+    if touched is not None:
+        contact = Contact(
+            MonoNs(touched["at"]),
+            touched["surface"],
+            touched["on_pad"],
+            touched["lateral_m"],
+            touched["yaw_rad"],
+            touched["vertical_speed_m_s"],
+            touched["lateral_speed_m_s"],
+        )
+    return Ending(args.scenario, args.seed, outcome, contact, duration_s, frames)
+
+
+def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, truth: list[dict[str, Any]]) -> None:
+    for record in truth[::_KEEP_EACH]:
+        yaw = math.remainder(record["yaw_rad"], math.tau)
+        d, v = np.array(record["d_body_pad_level_m"]), np.array(record["v_pad_level_m_s"])
+        log.truth.append(TruthSample(MonoNs(record["at_ns"]), d, v, yaw))
+    ending.write_into(log)
+    log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("decklander", version())]
+    if not args.json:
+        sys.stderr.write("writing the report ...\n")
+    write_report(log, args.report)

@@ -1,0 +1,355 @@
+"""`decklander detect`: the pad in pictures and videos, one line or one JSON object a frame.
+
+What was asked for is checked before any work: paths, camera, pad, attitudes. A file that turns out not to be a picture is
+named on stderr, the others are still done, and the exit code is 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.settings import find_file, read_toml
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Method, Sighting
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.eyes import Eyes, EyesMemory, see, together
+from estimator.vision.look import Look, look
+from estimator.vision.pad import Pad
+from estimator.vision.segmentation import COLOUR_SETS, ColourSet
+
+U8 = NDArray[np.uint8]
+
+PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm"}
+VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".h264", ".264", ".m4v", ".ts"}
+METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "registration")
+
+_STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
+_INK = {"ellipse": (255, 200, 0), "arrow": (0, 0, 255), "corners": (255, 0, 255), "registration": (0, 255, 255)}
+
+
+@dataclass(frozen=True, slots=True)
+class _Tilt:
+    roll_deg: float
+    pitch_deg: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    source: str
+    index: int
+    px: U8
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """`decklander detect`."""
+    p = subparsers.add_parser(
+        "detect",
+        help="find the pad in images or a video",
+        description="Find the pad in images or a video. Exit code 1 when no frame shows it.",
+        epilog="The position is that of the pad from the body, forward, right, down, in a frame that keeps the body's heading "
+        "but not its tilt; the heading is the body's against the arrow, clockwise from above positive.",
+    )
+    p.add_argument("paths", nargs="+", metavar="PATH", help="a picture, a video, or a folder of them")
+    p.add_argument(
+        "--camera", required=True, metavar="FILE", help="camera file, or the name of a shipped one (sim, ardrone2_bottom)"
+    )
+    p.add_argument(
+        "--pad", default="thesis", metavar="FILE", help="pad file, or the name of a shipped one (default: %(default)s)"
+    )
+    p.add_argument(
+        "--attitude",
+        metavar="FILE",
+        help="CSV with header source,roll_deg,pitch_deg; source is the picture's path or file name, of a video's frame with "
+        "#INDEX after it. A frame without a row counts as level, at the price of a wide covariance",
+    )
+    p.add_argument(
+        "--attitude-sigma-deg",
+        type=_positive,
+        default=0.5,
+        metavar="DEG",
+        help="one standard deviation of them (default: %(default)s)",
+    )
+    p.add_argument(
+        "--colours",
+        choices=["auto", *COLOUR_SETS],
+        default="auto",
+        help="limits of the paints' colours; auto takes each frame's most confident set (default: %(default)s)",
+    )
+    p.add_argument("--annotate", metavar="DIR", help="write each frame as PNG with what was seen drawn in")
+    p.add_argument("--json", action="store_true", help="print JSON Lines")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look at every frame. 0 when one shows the pad, 1 when none does, 2 when a file was no picture.
+
+    Raises:
+        BadInput: a path, the camera, the pad or the attitudes are wrong, or a picture is not of the camera's size.
+    """
+    files = _files(args.paths)
+    camera_file = find_file(args.camera, "cameras", Path(), "--camera")
+    camera = Camera.from_mapping(read_toml(camera_file), str(camera_file))
+    pad_file = find_file(args.pad, "pads", Path(), "--pad")
+    pad = Pad.from_mapping(read_toml(pad_file), str(pad_file))
+    tilts = _attitudes(Path(args.attitude), files) if args.attitude is not None else {}
+    sets = list(COLOUR_SETS.values()) if args.colours == "auto" else [COLOUR_SETS[args.colours]]
+    album = _album(args.annotate)
+    frames = found = unreadable = 0
+    if not args.json:
+        sys.stdout.write(_HEADER)
+    for file in files:
+        try:
+            for picture in _pictures(file):
+                _check_size(picture, camera, camera_file)
+                attitude = _attitude(tilts, picture, math.radians(args.attitude_sigma_deg))
+                frame = Frame(_STAMP, picture.index, picture.px)
+                began = time.perf_counter()
+                seen, colours = _best(frame, attitude, camera, pad, sets)
+                elapsed_ms = (time.perf_counter() - began) * 1e3
+                frames += 1
+                found += seen.selected is not None
+                record = _record(picture, seen, colours, elapsed_ms)
+                sys.stdout.write(json.dumps(record) + "\n" if args.json else _line(picture, seen, elapsed_ms))
+                if album is not None:
+                    _write(album / f"{file.stem}_{picture.index:05d}.png", _drawn(picture, seen, camera))
+        except _NoPictureError as why:
+            unreadable += 1
+            sys.stdout.flush()
+            sys.stderr.write(f"decklander: {why}\n")
+    if not args.json:
+        sys.stdout.write(f"found in {found} of {frames} frames\n")
+    if unreadable:
+        return 2
+    return 0 if found else 1
+
+
+class _NoPictureError(Exception):
+    """One file cannot be decoded; the text names it."""
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value <= 45.0:
+        raise argparse.ArgumentTypeError(f"must be a number of degrees over 0 and up to 45, got {text!r}")
+    return value
+
+
+def _files(paths: Sequence[str]) -> list[Path]:
+    files: list[Path] = []
+    for text in paths:
+        path = Path(text)
+        try:
+            if path.is_dir():
+                inside = sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in PICTURES | VIDEOS)
+                if not inside:
+                    raise BadInput(f"{text}: no picture or video in this folder")
+                files += inside
+            elif path.is_file():
+                files.append(path)
+            else:
+                raise BadInput(f"{text}: no such file or folder")
+        except OSError as why:
+            raise BadInput(f"{text}: {why.strerror or why}") from why
+    return files
+
+
+def _pictures(file: Path) -> Iterator[_Picture]:
+    if file.suffix.lower() not in VIDEOS:
+        try:
+            data = np.fromfile(file, np.uint8)
+        except OSError as why:
+            raise _NoPictureError(f"{file}: {why.strerror or why}") from why
+        px = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+        if px is not None:
+            yield _Picture(str(file), 0, np.asarray(px, np.uint8))
+            return
+        if file.suffix.lower() in PICTURES:
+            raise _NoPictureError(f"{file}: not a picture that can be read")
+    index = 0
+    try:
+        with av.open(str(file)) as container:
+            for frame in container.decode(video=0):
+                yield _Picture(str(file), index, np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
+                index += 1
+    except (av.FFmpegError, OSError, IndexError) as why:
+        raise _NoPictureError(f"{file}: neither a picture nor a video that can be read (stopped at frame {index})") from why
+    if index == 0:
+        raise _NoPictureError(f"{file}: a video without frames")
+
+
+def _check_size(picture: _Picture, camera: Camera, camera_file: Path) -> None:
+    h, w = picture.px.shape[:2]
+    if (w, h) != (camera.width, camera.height):
+        raise BadInput(f"{picture.source}: {w}x{h} px, but {camera_file} is of a camera of {camera.width}x{camera.height} px")
+
+
+def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, _Tilt]:
+    """Tilt by source, as written in the file."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as text:
+            rows = list(csv.reader(text))
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    except (UnicodeDecodeError, csv.Error) as why:
+        raise BadInput(f"{path}: not a CSV file: {why}") from why
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    if any(name not in header for name in ("source", "roll_deg", "pitch_deg")):
+        raise BadInput(f"{path}: the first line must be source,roll_deg,pitch_deg, got {','.join(header)[:80]!r}")
+    at = {name: header.index(name) for name in ("source", "roll_deg", "pitch_deg")}
+    tilts: dict[str, _Tilt] = {}
+    for number, row in enumerate(rows[1:], start=2):
+        if not any(cell.strip() for cell in row):
+            continue
+        where = f"{path} line {number}"
+        if len(row) != len(header):
+            raise BadInput(f"{where}: {len(row)} cells, the header has {len(header)}")
+        source = row[at["source"]].strip()
+        if source in tilts:
+            raise BadInput(f"{where}: {source!r} is there twice")
+        tilts[source] = _Tilt(
+            _degrees(row[at["roll_deg"]], "roll_deg", where), _degrees(row[at["pitch_deg"]], "pitch_deg", where)
+        )
+    known = {Path(source.split("#")[0]).name for source in tilts}
+    if not any(file.name in known for file in files):
+        raise BadInput(f"{path}: no row is of any of the pictures; the first column is their path or file name")
+    return tilts
+
+
+def _degrees(cell: str, name: str, where: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 89.0:
+        raise BadInput(f"{where}: {name} must be a number of degrees within +-89, got {cell.strip()!r}")
+    return value
+
+
+def _attitude(tilts: Mapping[str, _Tilt], picture: _Picture, sigma_rad: float) -> Attitude | None:
+    name = Path(picture.source).name
+    keys = (f"{picture.source}#{picture.index}", f"{name}#{picture.index}", picture.source, name)
+    tilt = next((tilts[key] for key in keys if key in tilts), None)
+    if tilt is None:
+        return None
+    R = Rotation.from_rpy(math.radians(tilt.roll_deg), math.radians(tilt.pitch_deg), 0.0)
+    return Attitude(_STAMP, R, np.eye(3) * sigma_rad**2)
+
+
+def _best(frame: Frame, attitude: Attitude | None, camera: Camera, pad: Pad, sets: Sequence[ColourSet]) -> tuple[Look, str]:
+    """All methods fused, the thesis' with the colour set that gives the most confident result; and that set."""
+    looks = [(look(frame, attitude, camera, pad, colours), colours.name) for colours in sets]
+    thesis, colours = max(looks, key=lambda pair: -1.0 if pair[0].selected is None else pair[0].selected.confidence)
+    registered, _ = see(Eyes(camera, pad, sets[0], "registration"), EyesMemory(), frame, attitude)
+    return together(thesis, registered.selected), colours
+
+
+def _record(picture: _Picture, seen: Look, colours: str, elapsed_ms: float) -> dict[str, object]:
+    """One JSON object: the keys of DESIGN.md section 4, and which colour limits it came from."""
+    names = list(dict.fromkeys((*METHODS, *seen.methods)))
+    return {
+        "source": picture.source,
+        "index": picture.index,
+        "found": seen.selected is not None,
+        **_numbers(seen.selected),
+        "method": seen.chosen,
+        "methods": {
+            name: None if (s := seen.methods.get(name)) is None else {"found": True, **_numbers(s), "method": name}
+            for name in names
+        },
+        "colours": colours if seen.selected is not None else None,
+        "elapsed_ms": round(elapsed_ms, 3),
+    }
+
+
+def _numbers(s: Sighting | None) -> dict[str, object]:
+    if s is None:
+        return {"confidence": 0.0, "d_body_pad_level_m": None, "yaw_deg": None, "yaw_ambiguous": None, "cov": None}
+    return {
+        "confidence": round(s.confidence, 4),
+        "d_body_pad_level_m": [round(v, 6) for v in s.d_body_pad_level.tolist()],
+        "yaw_deg": None if s.yaw_rad is None else round(math.degrees(s.yaw_rad), 5),
+        "yaw_ambiguous": s.yaw_ambiguous,
+        "cov": s.cov.ravel().tolist(),
+    }
+
+
+_HEADER = (
+    f"{'source':<28} {'method':<12} {'forward':>9} {'right':>9} {'down':>9} m {'+-':>7} {'heading':>9} {'conf':>5} {'ms':>6}\n"
+)
+
+
+def _line(picture: _Picture, seen: Look, elapsed_ms: float) -> str:
+    name = Path(picture.source).name
+    name = name if picture.index == 0 and Path(picture.source).suffix.lower() not in VIDEOS else f"{name}#{picture.index}"
+    if seen.selected is None:
+        return f"{name:<28} {'nothing':<12} {'':>49} {'':>5} {elapsed_ms:6.1f}\n"
+    s = seen.selected
+    x, y, z = s.d_body_pad_level.tolist()
+    sigma = math.sqrt(float(np.trace(s.cov[:3, :3])))
+    yaw = "-" if s.yaw_rad is None else f"{math.degrees(s.yaw_rad):.1f}" + ("?" if s.yaw_ambiguous else "")
+    place = f"{x:9.3f} {y:9.3f} {z:9.3f}   {sigma:7.3f}"
+    return f"{name:<28} {seen.chosen or '':<12} {place} {yaw:>9} {s.confidence:5.2f} {elapsed_ms:6.1f}\n"
+
+
+def _album(folder: str | None) -> Path | None:
+    if folder is None:
+        return None
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as why:
+        raise BadInput(f"--annotate {folder}: {why.strerror or why}") from why
+    return path
+
+
+def _write(path: Path, px: U8) -> None:
+    if not cv2.imwrite(str(path), px):
+        raise BadInput(f"--annotate: cannot write {path}")
+
+
+def _drawn(picture: _Picture, seen: Look, camera: Camera) -> U8:
+    """Twice as large, with every method's features and the figures below."""
+    scale = 2 if camera.width <= 1000 else 1
+    h, w = camera.height * scale, camera.width * scale
+    canvas = np.zeros((h + 44, w, 3), np.uint8)
+    canvas[:h] = cv2.resize(picture.px, (w, h), interpolation=cv2.INTER_NEAREST)
+    below = [_line(picture, seen, 0.0).rsplit(None, 1)[0]]
+    shift = 4
+    for name, s in seen.methods.items():
+        if s is None:
+            continue
+        ink = _INK.get(name, (255, 255, 255))
+        for feature in s.features:
+            # Pixel centres stay pixel centres when the picture grows.
+            uv = np.nan_to_num((feature.uv_px + 0.5) * scale - 0.5, nan=-1e4).clip(-1e4, 1e4)
+            fixed = np.rint(uv * (1 << shift)).astype(np.int32)
+            if feature.kind == "point":
+                for u, v in fixed.tolist():
+                    arm = 5 << shift
+                    cv2.line(canvas[:h], (u - arm, v), (u + arm, v), ink, 1, cv2.LINE_AA, shift)
+                    cv2.line(canvas[:h], (u, v - arm), (u, v + arm), ink, 1, cv2.LINE_AA, shift)
+            else:
+                cv2.polylines(canvas[:h], [fixed[:, None]], feature.kind != "line", ink, 1, cv2.LINE_AA, shift)
+        d = np.round(s.d_body_pad_level, 3).tolist()
+        below.append(f"{name} {d} {s.confidence:.2f}")
+    cv2.putText(canvas, below[0], (6, h + 16), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
+    cv2.putText(canvas, "   ".join(below[1:]), (6, h + 36), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (200, 200, 200), 1, cv2.LINE_AA)
+    return canvas

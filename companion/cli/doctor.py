@@ -1,0 +1,127 @@
+"""`decklander doctor`: why nothing happens, and what to do."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import msgspec
+
+from companion.doctor.diagnose import RULES, diagnose
+from companion.doctor.finding import Finding, Gravity
+from companion.doctor.gather import examine, examine_service
+from companion.doctor.picture import Picture, decode, encode
+from companion.settings import load
+from drivers.clock import SystemClock
+from drivers.mavlink.autopilot import AutopilotOptions
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.signing import Signing, SigningTime, load_key
+from estimator.contracts.errors import BadInput
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "doctor",
+        help="why nothing happens: reads autopilot, links and files and names every known trap with its cure",
+        description="Reads firmware, parameters, message rates, links, camera and broker, and names every known trap with its "
+        "cure. It sets no parameter and flies nothing; it asks for message streams. Stop the daemon first where it holds the "
+        "serial port. Exit code 0: nothing found, or advice only; 1: something was.",
+    )
+    parser.add_argument(
+        "--link",
+        action="append",
+        default=[],
+        metavar="URL",
+        help="MAVLink link: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD; may be repeated",
+    )
+    parser.add_argument(
+        "--config", metavar="FILE", help="settings file, or the name of a shipped rig: its files are examined too"
+    )
+    parser.add_argument("--broker", metavar="HOST:PORT", help="MQTT broker that should be there")
+    parser.add_argument("--system", type=int, metavar="N", help="system id of the autopilot that is meant")
+    parser.add_argument("--signing-key", metavar="FILE", help="key file (or credential:NAME) where the links are signed")
+    parser.add_argument("--seconds", type=float, default=4.0, help="how long to listen for each question (default 4)")
+    parser.add_argument("--still-pad", action="store_true", help="the pad does not move: leave out what matters on a ship only")
+    parser.add_argument("--picture", metavar="FILE", help="examine a picture that was saved, not this machine; - for stdin")
+    parser.add_argument("--save", metavar="FILE", help="save what was found out, to examine it elsewhere")
+    parser.add_argument("--json", action="store_true", help="one JSON object a finding")
+
+
+def run(args: argparse.Namespace) -> int:
+    logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
+    picture = _saved(args.picture) if args.picture else asyncio.run(_examined(args))
+    picture = msgspec.structs.replace(picture, moving_pad=picture.moving_pad and not args.still_pad)
+    if args.save:
+        try:
+            Path(args.save).write_bytes(encode(picture))
+        except OSError as why:
+            raise BadInput(f"--save {args.save}: {why.strerror or why}") from why
+    found = diagnose(picture)
+    if args.json:
+        for finding in found:
+            sys.stdout.write(json.dumps(asdict(finding) | {"gravity": finding.gravity.name.lower()}) + "\n")
+    else:
+        sys.stdout.write(_page(picture, found))
+    return 1 if any(f.gravity is not Gravity.ADVICE for f in found) else 0
+
+
+def _saved(where: str) -> Picture:
+    try:
+        data = sys.stdin.buffer.read() if where == "-" else Path(where).read_bytes()
+    except OSError as why:
+        raise BadInput(f"--picture {where}: {why.strerror or why}") from why
+    return decode(data, where)
+
+
+async def _examined(args: argparse.Namespace) -> Picture:
+    if not (args.link or args.config or args.broker):
+        raise BadInput("nothing to examine: give --link URL, --config FILE, --broker HOST:PORT or --picture FILE")
+    if not 0.5 <= args.seconds <= 600:
+        raise BadInput(f"--seconds must lie in 0.5..600, got {args.seconds:g}")
+    if args.broker and ":" in args.broker and not args.broker.rpartition(":")[2].isdigit():
+        raise BadInput(f"--broker {args.broker}: write HOST:PORT")
+    settings = load(args.config) if args.config else None
+    service = await examine_service(settings, args.broker)
+    if not args.link:
+        return Picture(0.0, service=service)
+    picture = await examine(_options(args), SystemClock(), args.seconds, _progress)
+    return msgspec.structs.replace(picture, service=service)
+
+
+def _options(args: argparse.Namespace) -> AutopilotOptions:
+    key = load_key(args.signing_key) if args.signing_key else None
+    time = SigningTime(None)
+    links = tuple(
+        LinkOptions(parse_endpoint(url), signing=None if key is None else Signing(key, time, number))
+        for number, url in enumerate(args.link)
+    )
+    try:
+        return AutopilotOptions(links, system=args.system)
+    except ValueError as why:
+        raise BadInput(f"--system: {why}") from why
+
+
+def _progress(text: str) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"{text} ...\n")
+
+
+def _page(picture: Picture, found: tuple[Finding, ...]) -> str:
+    lines = []
+    if (a := picture.autopilot) is not None:
+        version = "" if a.firmware is None else " " + ".".join(map(str, a.firmware))
+        lines.append(f"{a.stack}{version}, system {a.system}, mode {a.mode}, {len(a.parameters)} parameters read")
+        lines += [f"  {name:<22} {rate:6.1f} Hz" for name, rate in sorted(a.rates_hz.items(), key=lambda i: -i[1])[:8]]
+    if picture.sync is not None and picture.sync.round_trip_s is not None:
+        lines.append(
+            f"clock: round trip {1e3 * picture.sync.round_trip_s:.1f} ms, {'locked' if picture.sync.locked else 'not locked'}"
+        )
+    lines += [f"{f.gravity.name.lower()}: {f.what} [{f.rule}]\n    cure: {f.cure}" for f in found]
+    lines.append(f"{len(found)} of {len(RULES)} known traps found" if found else f"none of {len(RULES)} known traps found")
+    return "\n".join(lines) + "\n"

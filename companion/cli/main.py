@@ -1,0 +1,126 @@
+"""The command `decklander`: finds the subcommand, runs it, and turns what went wrong into one line and an exit code.
+
+Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
+of our output went away.
+
+Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from typing import NoReturn
+
+from estimator.contracts.errors import BadInput, DecklanderError
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("companion.cli.demo", "the whole loop on this machine: sea, AR.Drone on real sockets, daemon, landing, report"),
+    "run": ("companion.cli.run", "the daemon"),
+    "detect": ("companion.cli.detect", "find the pad in images or a video"),
+    "simulate": ("companion.cli.simulate", "one simulated flight"),
+    "soak": ("companion.cli.soak", "flights in a row for hours, and what grows"),
+    "replay": ("companion.cli.replay", "a recording through the estimator again"),
+    "record": ("companion.cli.record", "look into recordings, mend them, make them from others'"),
+    "watch": ("companion.cli.watch", "drones live in the terminal, over MQTT"),
+    "calibrate": ("companion.cli.calibrate", "a camera file from pictures of a printed board"),
+    "pad": ("companion.cli.pad", "print the pad or a calibration board true to scale"),
+    "doctor": ("companion.cli.doctor", "why nothing happens: names every known trap of autopilot and links with its cure"),
+    "config": ("companion.cli.config", "check settings, show them, or explain them"),
+}
+"""Name to (module, help in one line)."""
+
+DONE, FAILED, WRONG, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(WRONG, f"{self.prog}: {_one_line(message)} (see {self.prog} --help)\n")
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help="print the version and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from companion.cli.version import version
+
+        sys.stdout.write(f"decklander {version()}\n")
+        parser.exit()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command line (this process' own when `argv` is None) and return the exit code.
+
+    Raises:
+        SystemExit: help or the version was asked for, or the arguments are wrong.
+    """
+    try:
+        code = _dispatch(list(sys.argv[1:] if argv is None else argv))
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except DecklanderError as why:
+        return _refuse(why)
+    except BaseExceptionGroup as group:
+        causes = list(_leaves(group))
+        if any(isinstance(cause, KeyboardInterrupt) for cause in causes):
+            return INTERRUPTED
+        ours = [cause for cause in causes if isinstance(cause, DecklanderError)]
+        if len(ours) != len(causes):
+            raise
+        return _refuse(ours[0])
+    return code
+
+
+def _dispatch(argv: list[str]) -> int:
+    parser = Parser(prog="decklander", description="Lands a quadcopter on a small helipad on a moving ship.", allow_abbrev=False)
+    parser.add_argument("--version", action=_Version)
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    asked = next((word for word in argv if not word.startswith("-")), None)
+    if asked is not None and asked not in COMMANDS:
+        near = difflib.get_close_matches(asked, COMMANDS, n=1)
+        parser.error(
+            f"unknown command {asked!r}" + (f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(COMMANDS)}")
+        )
+    for name, (_, summary) in COMMANDS.items():
+        if name != asked:
+            subparsers.add_parser(name, help=summary)
+    if asked is None:
+        parser.parse_args(argv)
+        parser.error(f"say which command: {', '.join(COMMANDS)}")
+    module = importlib.import_module(COMMANDS[asked][0])
+    module.add_parser(subparsers)
+    return int(module.run(parser.parse_args(argv)))
+
+
+def _refuse(why: DecklanderError) -> int:
+    sys.stderr.write(f"decklander: {_one_line(str(why))}\n")
+    return WRONG if isinstance(why, BadInput) else FAILED
+
+
+def _leaves(group: BaseExceptionGroup[BaseException]) -> Iterator[BaseException]:
+    for error in group.exceptions:
+        if isinstance(error, BaseExceptionGroup):
+            yield from _leaves(error)
+        else:
+            yield error
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

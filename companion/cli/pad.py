@@ -1,0 +1,73 @@
+"""`decklander pad`: the pad, or a calibration board, on paper and true to scale."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from companion.cli import board_option
+from companion.print_pad.drawing import board_drawing, pad_drawing
+from companion.print_pad.pdf import pdf
+from companion.print_pad.sheets import PAPERS, sheets
+from companion.print_pad.svg import svg
+from companion.settings import find_file, read_toml
+from estimator.contracts.errors import BadInput
+from estimator.vision.pad import Pad
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """`decklander pad`."""
+    p = subparsers.add_parser(
+        "pad",
+        help="print the pad or a calibration board true to scale",
+        description="Print the pad or a calibration board true to scale. Print at 100 % and measure the ruler on each sheet; cut "
+        "at the marks, which lie in the middle of each overlap, and butt the sheets.",
+    )
+    p.add_argument("pad", nargs="?", default="thesis", metavar="PAD", help="pad file, or a shipped one (default: %(default)s)")
+    p.add_argument("--out", required=True, metavar="FILE", help=".pdf (all sheets) or .svg (one file a sheet)")
+    p.add_argument(
+        "--paper", default="a4", choices=[*PAPERS, "full"], help="full is one sheet as large as it takes (default: a4)"
+    )
+    p.add_argument("--margin-mm", type=float, default=10.0, metavar="MM", help="that the printer cannot reach (default: 10)")
+    p.add_argument("--overlap-mm", type=float, default=10.0, metavar="MM", help="of neighbouring sheets (default: 10)")
+    p.add_argument("--board", choices=["charuco", "chessboard"], help="a calibration board instead of the pad")
+    board_option.add(p)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when the files were written.
+
+    Raises:
+        BadInput: the pad, the board, the paper or the file's name is wrong.
+    """
+    if args.board is not None:
+        drawing = board_drawing(board_option.board(args, args.board))
+    else:
+        file = find_file(args.pad, "pads", Path(), "PAD")
+        drawing = pad_drawing(Pad.from_mapping(read_toml(file), str(file)))
+    out = Path(args.out)
+    if out.suffix.lower() not in (".pdf", ".svg"):
+        raise BadInput(f"--out must end in .pdf or .svg, got {args.out!r}")
+    pages = sheets(drawing, args.paper, args.margin_mm, args.overlap_mm)
+    if args.board is not None and len(pages) > 1:
+        raise BadInput(
+            f"the board ({drawing.width_mm:g} x {drawing.height_mm:g} mm) does not fit on one sheet of "
+            f"{args.paper} with its margins, and a glued one is not flat: take smaller squares or larger paper"
+        )
+    try:
+        if out.suffix.lower() == ".pdf":
+            out.write_bytes(pdf(drawing, pages))
+            written = [out]
+        else:
+            alone = len(pages) == 1
+            written = [out if alone else out.with_stem(f"{out.stem}_r{p.row + 1}c{p.column + 1}") for p in pages]
+            for path, page in zip(written, pages, strict=True):
+                path.write_text(svg(drawing, page), encoding="utf-8")
+    except OSError as why:
+        raise BadInput(f"{out}: {why.strerror or why}") from why
+    size = f"{drawing.width_mm:g} x {drawing.height_mm:g} mm"
+    sys.stdout.write(
+        f"{drawing.name}, {size}: {len(pages)} sheet{'s' if len(pages) > 1 else ''} in {', '.join(map(str, written))}\n"
+    )
+    return 0

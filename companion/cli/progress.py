@@ -1,0 +1,69 @@
+"""A flight's progress on the terminal: one line that renews itself there, a line a second elsewhere."""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from typing import TextIO
+
+from companion.observer import Decision, FrameSeen, Silent
+from estimator.contracts.time import MonoNs, seconds_between
+
+
+class Progress(Silent):
+    """Height, lateral distance, phase, frame rate and delay, as the daemon itself believes them.
+
+    Args:
+        period_s: between two lines where the output is no terminal.
+    """
+
+    def __init__(self, out: TextIO | None = None, period_s: float = 1.0) -> None:
+        self._out = out or sys.stderr
+        self._live = self._out.isatty()
+        self._period_s = 0.1 if self._live else period_s
+        self._began: MonoNs | None = None
+        self._said: MonoNs | None = None
+        self._phase = ""
+        self._frames: deque[MonoNs] = deque(maxlen=31)
+        self._delay_s: float | None = None
+        self._verdict = ""
+
+    def on_frame(self, seen: FrameSeen) -> None:
+        self._frames.append(seen.frame.stamp.taken)
+        self._delay_s = seconds_between(seen.frame.stamp.taken, seen.done)
+        self._verdict = seen.verdict.value.replace("_", " ")
+
+    def on_decision(self, decision: Decision) -> None:
+        self._began = decision.at if self._began is None else self._began
+        new_phase = decision.phase != self._phase
+        if self._said is not None and not new_phase and seconds_between(self._said, decision.at) < self._period_s:
+            return
+        if new_phase and self._phase:
+            self._end_line()
+        self._said, self._phase = decision.at, decision.phase
+        line = self._line(decision)
+        self._out.write(f"\r\x1b[2K{line}" if self._live else f"{line}\n")
+        self._out.flush()
+
+    def close(self) -> None:
+        """Leave the terminal on a fresh line."""
+        self._end_line()
+
+    def _end_line(self) -> None:
+        if self._live:
+            self._out.write("\n")
+            self._out.flush()
+
+    def _line(self, decision: Decision) -> str:
+        assert self._began is not None
+        belief = decision.belief
+        where = "pad not seen yet"
+        if belief is not None:
+            seen_s = belief.age_s(decision.at)
+            where = f"height {belief.height_m:5.2f} m   beside {belief.lateral_m:5.2f} m   seen {seen_s:4.1f} s ago"
+        rate = "--"
+        if len(self._frames) > 1:
+            rate = f"{(len(self._frames) - 1) / max(1e-9, seconds_between(self._frames[0], self._frames[-1])):.0f}"
+        delay = "--" if self._delay_s is None else f"{1e3 * self._delay_s:.0f}"
+        time_s = seconds_between(self._began, decision.at)
+        return f"{time_s:5.1f} s  {decision.phase:<22}  {where}   {rate:>2} frames/s  {delay:>3} ms  {self._verdict}"

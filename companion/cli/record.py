@@ -1,0 +1,204 @@
+"""`decklander record`: what is in a recording, a cut one made whole again, and what others recorded made into one of ours."""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from companion.observer import FrameSeen
+from companion.recorder.reading import RecordedFrame, Recording, open_recording
+from companion.recorder.rewriting import Cut, instant, rewrite
+from companion.recorder.setup import about, recorder_to_file
+from companion.settings import Settings, camera_model, load, shipped
+from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.time import MonoNs, Stamp
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "record",
+        help="look into recordings, mend them, make them from others'",
+        description="Look into recordings, mend and shorten them, and make them of what others recorded. (The service records by "
+        "itself where [recorder] is enabled; simulate and demo do with --record.)",
+    )
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    info = actions.add_parser("info", help="say what is in a recording", description="Say what is in a recording.")
+    info.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    info.add_argument("--json", action="store_true", help="print one JSON object")
+    mend = actions.add_parser(
+        "cut",
+        help="write a part of a recording, or a mended one",
+        description="Write a part of a recording, complete and indexed.",
+    )
+    mend.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    mend.add_argument("--output", required=True, type=Path, metavar="FILE")
+    mend.add_argument("--from", dest="from_s", type=float, default=0.0, metavar="S", help="seconds after its beginning")
+    mend.add_argument("--to", dest="to_s", type=float, metavar="S", help="seconds after its beginning")
+    mend.add_argument("--inputs", action="store_true", help="only samples, frames and truth, not what was concluded from them")
+    mend.add_argument("--samples-each", type=int, default=1, metavar="N", help="keep each n-th sample of a kind")
+    mend.add_argument("--frames-each", type=int, default=1, metavar="N", help="keep each n-th frame")
+    mend.add_argument("--no-pictures", action="store_true", help="keep what was seen, not the pictures")
+    foreign = actions.add_parser(
+        "import",
+        help="make a recording of what others recorded",
+        description="Make a recording of videos, attitude tables (CSV: time_s,roll_deg,pitch_deg[,yaw_deg]), PX4 ulogs, "
+        "ArduPilot dataflash logs, and AR.Drone captures (PaVE video, navdata). Each source begins at 0 of its own clock; "
+        "SOURCE@SECONDS puts it that much later.",
+    )
+    foreign.add_argument("sources", nargs="+", metavar="SOURCE[@SECONDS]")
+    foreign.add_argument(
+        "--config", required=True, metavar="FILE", help=f"settings with its camera and pad ({', '.join(shipped())})"
+    )
+    foreign.add_argument("--output", required=True, type=Path, metavar="FILE")
+
+
+def run(args: argparse.Namespace) -> int:
+    if args.action == "info":
+        return _info(args)
+    if args.action == "cut":
+        return _cut(args)
+    return _import(args)
+
+
+def _info(args: argparse.Namespace) -> int:
+    recording = open_recording(args.files)
+    first: int | None = None
+    last = 0
+    pictures = 0
+    verdicts: Counter[str] = Counter()
+    for event in recording.events():
+        at = instant(event)
+        first, last = (at if first is None else min(first, at)), max(last, at)
+        if isinstance(event, RecordedFrame):
+            pictures += event.picture is not None
+            verdicts[event.record.verdict] += 1
+    seconds = 0.0 if first is None else (last - first) * 1e-9
+    if args.json:
+        out: dict[str, Any] = {"seconds": round(seconds, 3), "messages": dict(recording.counts), "pictures": pictures}
+        out |= {"verdicts": dict(verdicts), "cut": {str(p): why for p, why in recording.cut.items()}, **recording.metadata}
+        sys.stdout.write(json.dumps(out) + "\n")
+        return 0
+    sys.stdout.write("\n".join(_described(recording, seconds, pictures, verdicts)) + "\n")
+    return 0
+
+
+def _described(recording: Recording, seconds: float, pictures: int, verdicts: Counter[str]) -> list[str]:
+    out = [f"{path} is cut short ({why})" for path, why in recording.cut.items()]
+    out += [f"{name}: " + ", ".join(f"{k} {v}" for k, v in data.items()) for name, data in recording.metadata.items()]
+    out.append(f"holds {', '.join(recording.attachments) or 'no settings'}")
+    out.append(f"{seconds:.1f} s, {pictures} pictures; frames: " + (", ".join(f"{k} {n}" for k, n in verdicts.items()) or "none"))
+    out += [f"{n:8d}  {topic}" for topic, n in sorted(recording.counts.items())]
+    out += [f"{n:8d}  {topic} not understood by this version" for topic, n in sorted(recording.skipped.items())]
+    return out
+
+
+def _cut(args: argparse.Namespace) -> int:
+    if args.samples_each < 1 or args.frames_each < 1:
+        raise BadInput("--samples-each and --frames-each must be 1 or more")
+    if args.to_s is not None and args.to_s <= args.from_s:
+        raise BadInput(f"--to {args.to_s:g} must be later than --from {args.from_s:g}")
+    if any(path.resolve() == args.output.resolve() for path in args.files):
+        raise BadInput(f"--output {args.output} is one of the files that are read")
+    recording = open_recording(args.files)
+    what = Cut(args.from_s, args.to_s, args.inputs, args.samples_each, args.frames_each, not args.no_pictures)
+    n = _written(args.output, lambda: rewrite(recording, args.output, what))
+    sys.stdout.write(f"{args.output}: {n} events, {args.output.stat().st_size / 1e6:.2f} MB\n")
+    return 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    path: Path
+    offset_ns: int
+
+    def data(self) -> Iterator[Sample | Frame]:
+        """What it holds, in order, on the common clock."""
+        for datum in self._own():
+            s = datum.stamp
+            moved = Stamp(MonoNs(s.taken + self.offset_ns), MonoNs(s.heard + self.offset_ns), s.sigma_s, s.source)
+            yield replace(datum, stamp=moved)
+
+    def _own(self) -> Iterator[Sample | Frame]:
+        path = self.path
+        try:
+            with path.open("rb") as file:
+                head = file.read(8)
+        except OSError as why:
+            raise BadInput(f"{path}: {why.strerror or why}") from why
+        if head.startswith(px4_ulog.MAGIC):
+            return iter(px4_ulog.read(path))
+        if head.startswith(dataflash.MAGIC):
+            return iter(dataflash.read(path))
+        if head.startswith(ardrone_capture.NAVDATA_MAGIC):
+            return iter(ardrone_capture.samples(path))
+        if path.suffix.lower() == ".csv":
+            return iter(attitude_csv.read(path))
+        if head.startswith(b"PaVE") or path.suffix.lower() == ".pave":
+            return ardrone_capture.frames(path)
+        return video.frames(path)
+
+
+def _source(text: str) -> _Source:
+    path, at, offset = text.rpartition("@")
+    if not at or Path(text).exists():
+        return _Source(Path(text), 0)
+    try:
+        return _Source(Path(path), round(float(offset) * 1e9))
+    except (ValueError, OverflowError) as why:
+        raise BadInput(f"{text}: after @ comes a number of seconds") from why
+
+
+def _import(args: argparse.Namespace) -> int:
+    sources = [_source(text) for text in args.sources]
+    # Instants before the common clock's zero would be negative: all are moved by the same amount.
+    lead = max(0, -min(s.offset_ns for s in sources))
+    sources = [replace(s, offset_ns=s.offset_ns + lead) for s in sources]
+    settings = load(args.config)
+    n = _written(args.output, lambda: _import_into(args.output, sources, settings))
+    sys.stdout.write(f"{args.output}: {n['samples']} samples, {n['frames']} frames\n")
+    return 0
+
+
+def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -> Counter[str]:
+    camera = camera_model(settings)
+    described = about(settings, {"kind": "import", "sources": ", ".join(s.path.name for s in sources)})
+    counts: Counter[str] = Counter()
+    with recorder_to_file(output, camera, described) as recorder:
+        for datum in heapq.merge(*(s.data() for s in sources), key=lambda d: d.stamp.heard):
+            if isinstance(datum, Frame):
+                height, width = datum.px.shape[:2]
+                if (width, height) != (camera.width, camera.height):
+                    raise BadInput(
+                        f"pictures are {width}x{height} px, the camera file {settings.camera.file} describes "
+                        f"{camera.width}x{camera.height} px"
+                    )
+                # Nobody looked at it yet: that is what REPLACED means.
+                recorder.on_frame(FrameSeen(datum, None, None, Verdict.REPLACED, datum.stamp.heard, datum.stamp.heard))
+                counts["frames"] += 1
+            else:
+                recorder.on_sample(datum)
+                counts["samples"] += 1
+    if recorder.why:
+        raise BadInput(f"{output}: {recorder.why}")
+    return counts
+
+
+def _written(output: Path, deed: Callable[[], Any]) -> Any:
+    try:
+        output.open("ab").close()
+        return deed()
+    except OSError as why:
+        raise BadInput(f"{output}: {why.strerror or why}") from why
+    except BadInput:
+        output.unlink(missing_ok=True)
+        raise

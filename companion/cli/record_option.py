@@ -1,0 +1,74 @@
+"""`--record FILE` of the commands that fly: one flight into one recording, with the truth that the simulator knows."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from companion.recorder.recorder import Recorder
+from companion.recorder.records import ContactRecord, TruthRecord
+from companion.recorder.setup import about, recorder_to_file, wall_offset_ns
+from companion.settings import Settings, camera_model
+from drivers.clock import SystemClock
+from estimator.contracts.errors import BadInput
+from sitl.world import Touchdown, Truth
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--record", type=Path, metavar="FILE", help="record the flight there (MCAP; see docs/recordings.md)")
+    parser.add_argument(
+        "--record-frames", choices=("jpeg", "png", "none"), default="jpeg", help="how its pictures are kept (default jpeg)"
+    )
+
+
+@contextmanager
+def recording(
+    args: argparse.Namespace, settings: Settings, flight: Mapping[str, str], *, live: bool
+) -> Iterator[Recorder | None]:
+    """The recorder that was asked for, None where none was. `live` flights are placed in wall time and never wait.
+
+    Raises:
+        BadInput: the file cannot be made.
+    """
+    if args.record is None:
+        yield None
+        return
+    try:
+        args.record.open("ab").close()
+    except OSError as why:
+        raise BadInput(f"--record {args.record}: {why.strerror or why}") from why
+    offset_ns = wall_offset_ns(SystemClock()) if live else 0
+    described = about(settings, flight, offset_ns)
+    with recorder_to_file(args.record, camera_model(settings), described, frames=args.record_frames, live=live) as recorder:
+        yield recorder
+    if recorder.why or recorder.faults:
+        sys.stderr.write(f"the recording is not whole: {recorder.why or 'a fault of the recorder'}\n")
+
+
+def truth_record(truth: Truth) -> TruthRecord:
+    """Of the simulator's own truth."""
+    touchdown = None if truth.touchdown is None else _contact(truth.touchdown)
+    d, v = truth.d_body_pad_level.tolist(), truth.v_pad_level.tolist()
+    return TruthRecord(int(truth.at), d, v, truth.yaw_rad, truth.phase.name.lower(), touchdown)
+
+
+def truth_from_log(record: Mapping[str, Any]) -> TruthRecord:
+    """Of one line of the simulated drone's truth log (`sitl.ardrone.truth_log`)."""
+    touched = record["touchdown"]
+    touchdown = None if touched is None else ContactRecord(touched["at"], *(touched[n] for n in _CONTACT))
+    yaw = math.remainder(record["yaw_rad"], math.tau)
+    d, v = ([float(x) for x in record[name]] for name in ("d_body_pad_level_m", "v_pad_level_m_s"))
+    return TruthRecord(record["at_ns"], d, v, yaw, record["phase"], touchdown)
+
+
+_CONTACT = ("surface", "on_pad", "lateral_m", "yaw_rad", "vertical_speed_m_s", "lateral_speed_m_s")
+
+
+def _contact(t: Touchdown) -> ContactRecord:
+    numbers = (float(x) for x in (t.lateral_m, t.yaw_rad, t.vertical_speed_m_s, t.lateral_speed_m_s))
+    return ContactRecord(int(t.at), t.surface, t.on_pad, *(x if math.isfinite(x) else None for x in numbers))

@@ -1,0 +1,211 @@
+"""`decklander replay`: a recording through the estimator again."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from companion.observer import Observer
+from companion.recorder.reading import RecordedFrame, Recording, open_recording
+from companion.recorder.records import TruthRecord
+from companion.recorder.setup import about, recorder_to_file
+from companion.replay.engine import Replay
+from companion.replay.keeping import Difference, Keeper, differences, recorded_beliefs
+from companion.replay.pilots import available_paths, pilot_of, settings_of
+from companion.report.figures import ErrorRow, all_series, error_rows
+from companion.report.flight_log import FlightLog
+from companion.report.page import PAGE, write_report
+from companion.settings import Settings
+from estimator.contracts.errors import BadInput
+from estimator.contracts.time import MonoNs, seconds_between
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "replay",
+        help="a recording through the estimator again",
+        description="Feed what a recording heard through vision, estimator and guidance again, on its own clock: the same "
+        "recording and settings give the same outputs to the bit. Every path runs; errors are against the truth that a "
+        "simulated flight's recording holds.",
+    )
+    parser.add_argument("recording", nargs="+", type=Path, metavar="RECORDING", help="an MCAP file, or the parts of one in order")
+    parser.add_argument("--sightings", action="store_true", help="take what vision saw then instead of looking again")
+    parser.add_argument("--path", choices=available_paths(), help="which path steers (default: as in the settings)")
+    parser.add_argument("--config", metavar="FILE", help="settings to replay with (default: the recording's own)")
+    parser.add_argument("--against", metavar="SETTINGS", help="replay with these too, and say what changed")
+    parser.add_argument("--compare", type=Path, metavar="OTHER", help="compare with the beliefs that this recording holds")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="record what the replay concluded, for --compare")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write a report there")
+    parser.add_argument("--realtime", action="store_true", help="at the pace of the recording")
+    parser.add_argument(
+        "--mavlink", metavar="URL", action="append", help="with --realtime: speak to an autopilot or a ground station"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+@dataclass(slots=True)
+class Pass:
+    """One replay and what it left."""
+
+    name: str
+    keeper: Keeper
+    replay: Replay
+    wall_s: float
+    flown_s: float
+
+    def errors(self) -> list[ErrorRow]:
+        return error_rows(self.keeper.log, all_series(self.keeper.log)) if self.keeper.log.truth else []
+
+
+def run(args: argparse.Namespace) -> int:
+    recording = open_recording(args.recording)
+    if args.mavlink and not args.realtime:
+        raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
+    if args.realtime:
+        from companion.cli.replay_live import play
+
+        return play(args, recording, settings_of(recording, args.config))
+    passes = [_pass(args, recording, "as set", settings_of(recording, args.config), args.config is None, args.record)]
+    if args.against is not None:
+        passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), False, None))
+    compared: dict[str, list[Difference]] = {"the recording": differences(passes[0].keeper.beliefs, recorded_beliefs(recording))}
+    if args.against is not None:
+        compared[args.against] = differences(passes[0].keeper.beliefs, passes[1].keeper.beliefs)
+    if args.compare is not None:
+        compared[str(args.compare)] = differences(passes[0].keeper.beliefs, recorded_beliefs(open_recording([args.compare])))
+    if args.report is not None:
+        for i, done in enumerate(passes):
+            write_report(_finished(recording, done, compared), args.report if i == 0 else args.report / "against")
+    if args.json:
+        sys.stdout.write(json.dumps(_as_json(recording, passes, compared)) + "\n")
+    else:
+        sys.stdout.write("\n".join(_in_words(recording, passes, compared)) + "\n")
+        if args.report is not None:
+            sys.stdout.write(f"report: {args.report / PAGE}\n")
+    return 0
+
+
+def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: Settings, own: bool, record: Path | None) -> Pass:
+    pilot = pilot_of(recording, settings, args.path, own_camera=own)
+    steering = args.path or settings.estimator.path
+    keeper = Keeper(FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering))
+    observers: list[Observer] = [keeper]
+    replay = Replay(recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=observers)
+    began = time.monotonic()
+    if record is None:
+        flown_s = _feed(replay, keeper, args.report is not None, [])
+    else:
+        described = about(settings, {"kind": "replay", "of": recording.name})
+        with recorder_to_file(record, pilot.camera, described, frames="none") as recorder:
+            replay = Replay(
+                recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=[keeper, recorder]
+            )
+            flown_s = _feed(replay, keeper, args.report is not None, [recorder.on_truth])
+    return Pass(name, keeper, replay, time.monotonic() - began, flown_s)
+
+
+def _feed(replay: Replay, keeper: Keeper, pictures: bool, truth_to: Sequence[Callable[[TruthRecord], None]]) -> float:
+    """To the end; the recording's length in seconds."""
+    first = last = MonoNs(0)
+    picture: bytes | None = None
+    for at, event in replay.steps():
+        if not first:
+            keeper.log.started = first = at
+        last = max(last, at)
+        keeper.keep_picture(picture)
+        picture = event.picture if pictures and isinstance(event, RecordedFrame) else None
+        if isinstance(event, TruthRecord):
+            keeper.on_truth(event)
+            for tell in truth_to:
+                tell(event)
+    keeper.keep_picture(picture)
+    return seconds_between(first, last)
+
+
+def _finished(recording: Recording, done: Pass, compared: dict[str, list[Difference]]) -> FlightLog:
+    log, counts = done.keeper.log, done.replay.counts
+    log.outcome = "unfinished" if done.replay.outcome is None else done.replay.outcome.value
+    log.facts += [("recording", recording.name), ("settings", done.name), ("outputs", done.replay.digest[:16])]
+    log.facts += [("frames looked at again", str(counts.looked)), ("frames as recorded", str(counts.as_recorded))]
+    for name, found in compared.items():
+        log.facts += [(f"{d.path} against {name}", f"{_mm(d.d_median_m)} median, {_mm(d.d_max_m)} at most") for d in found]
+    return log
+
+
+def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, list[Difference]]) -> list[str]:
+    out = []
+    for path, why in recording.cut.items():
+        out.append(f"{path} is cut short ({why}): replayed up to there")
+    for topic, n in recording.skipped.items():
+        out.append(f"{n} messages of {topic} are not understood by this version and were left out")
+    for done in passes:
+        c, pace = done.replay.counts, done.flown_s / max(1e-9, done.wall_s)
+        out += [
+            f"{done.name}: {done.flown_s:.1f} s in {done.wall_s:.1f} s ({pace:.1f} x real time), {c.samples} samples, {c.frames} "
+            f"frames ({c.looked} looked at again, {c.as_recorded} as recorded), {c.decisions} rounds of guidance",
+            f"outputs: sha256 {done.replay.digest}",
+        ]
+        rows = done.errors()
+        if rows:
+            out.append(
+                f"{'against truth':<16}{'count':>7}{'lateral':>10}{'95 %':>10}{'down':>10}{'95 %':>10}{'heading':>9}{'95 %':>8}"
+            )
+        out += [_row(row) for row in rows]
+        if not rows:
+            out.append("no truth was recorded, so there are no errors to show")
+    for name, found in compared.items():
+        out += [_difference(name, d) for d in found]
+    return out
+
+
+def _row(r: ErrorRow) -> str:
+    lengths = (_mm(x) for x in (r.lateral_median_m, r.lateral_p95_m, r.down_bias_m, r.down_p95_m))
+    angles = [("-" if math.isnan(a) else f"{math.degrees(a):.2f}") for a in (r.yaw_median_rad, r.yaw_p95_rad)]
+    return f"{r.name:<16}{r.count:>7}" + "".join(f"{x:>10}" for x in lengths) + f"{angles[0]:>9}{angles[1]:>8}"
+
+
+def _difference(name: str, d: Difference) -> str:
+    if d.both == 0:
+        return f"{d.path} against {name}: no instants in common"
+    if d.identical == d.both:
+        return f"{d.path} against {name}: {d.both} beliefs, all the same to the bit"
+    return (
+        f"{d.path} against {name}: {d.both} beliefs, {d.identical} the same; apart by {_mm(d.d_median_m)} median, "
+        f"{_mm(d.d_p95_m)} at 95 %, {_mm(d.d_max_m)} at most, heading by {math.degrees(d.yaw_max_rad):.2f} deg at most"
+    )
+
+
+def _mm(metres: float) -> str:
+    if not math.isfinite(metres):
+        return "-"
+    return f"{1e3 * metres:.1f} mm" if abs(metres) < 1.0 else f"{metres:.2f} m"
+
+
+def _as_json(recording: Recording, passes: Sequence[Pass], compared: dict[str, list[Difference]]) -> dict[str, Any]:
+    return {
+        "recording": [str(p) for p in recording.paths],
+        "cut": {str(p): why for p, why in recording.cut.items()},
+        "passes": [
+            {
+                "settings": done.name,
+                "sha256": done.replay.digest,
+                "outcome": None if done.replay.outcome is None else done.replay.outcome.value,
+                "flown_s": round(done.flown_s, 3),
+                "counts": asdict(done.replay.counts),
+                "errors": [_plain(asdict(row)) for row in done.errors()],
+            }
+            for done in passes
+        ],
+        "against": {name: [_plain(asdict(d)) for d in found] for name, found in compared.items()},
+    }
+
+
+def _plain(record: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}

@@ -1,0 +1,133 @@
+"""`decklander replay --realtime`: a recording played at its own pace, to whoever listens on MAVLink as if it happened now."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from contextlib import AsyncExitStack
+
+from companion.cli.progress import Progress
+from companion.mavlink import operator
+from companion.mavlink.component import Component, ComponentOptions, speaking
+from companion.mavlink.outputs import OutputOptions
+from companion.observer import Decision, Observer, Silent
+from companion.pilot import Pilot
+from companion.recorder.reading import Recording
+from companion.replay.engine import Replay
+from companion.replay.pilots import pilot_of
+from companion.settings import Settings
+from drivers.clock import SystemClock
+from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import LinkOptions
+from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.time import MonoNs, seconds_between
+
+_REFUSAL = "this is a replay: it listens to no commands"
+_LEAD_S = 0.05
+"""From the beginning of the replay to its first event."""
+
+
+class _Deaf:
+    """The operator of a replay."""
+
+    def begin(self) -> str | None:
+        return _REFUSAL
+
+    def pause(self) -> str | None:
+        return _REFUSAL
+
+    def abort(self) -> str | None:
+        return _REFUSAL
+
+    def choose_path(self, path: PathName) -> str | None:
+        return f"{_REFUSAL}, not even of {path}"
+
+    def record(self, on: bool) -> str | None:
+        return _REFUSAL if on else None
+
+    def progress(self) -> operator.Progress:
+        return operator.Progress(None)
+
+
+class _Newest(Silent):
+    """The newest belief that guidance had."""
+
+    belief: RelativeState | None = None
+
+    def on_decision(self, decision: Decision) -> None:
+        self.belief = decision.belief
+
+    def at(self, now: MonoNs) -> RelativeState | None:
+        """As decided: at most one round of guidance old."""
+        return self.belief
+
+
+def play(args: argparse.Namespace, recording: Recording, settings: Settings) -> int:
+    """To the end of the recording; exit code 0.
+
+    Raises:
+        BadInput: a MAVLink address that is none.
+    """
+    pilot = pilot_of(recording, settings, args.path, own_camera=args.config is None, alone=True)
+    return asyncio.run(_play(args, recording, settings, pilot))
+
+
+async def _play(args: argparse.Namespace, recording: Recording, settings: Settings, pilot: Pilot) -> int:
+    clock = SystemClock()
+    newest = _Newest()
+    observers: list[Observer] = [newest]
+    progress = None if args.json else Progress()
+    async with AsyncExitStack() as stack:
+        if args.mavlink:
+            links = tuple(LinkOptions(parse_endpoint(url)) for url in args.mavlink)
+            options = ComponentOptions(OutputOptions(pad_radius_m=pilot.pad.disc_radius_m))
+            component = Component(options, _Deaf(), None, healthy=lambda: None, believe=newest.at, clock=clock)
+            autopilot = await stack.enter_async_context(open_autopilot(AutopilotOptions(links), clock))
+            await stack.enter_async_context(speaking(component, autopilot, clock))
+            observers.append(component)
+        if progress is not None:
+            observers.append(progress)
+        late_s = await _paced(args, recording, settings, pilot, observers, clock)
+    if progress is not None:
+        progress.close()
+    sys.stdout.write(f"played to the end; {1e3 * late_s:.0f} ms late at most\n")
+    return 0
+
+
+async def _paced(
+    args: argparse.Namespace,
+    recording: Recording,
+    settings: Settings,
+    pilot: Pilot,
+    observers: list[Observer],
+    clock: SystemClock,
+) -> float:
+    """Feed it at its own pace; the most that it fell behind, in seconds."""
+    first = _first_instant(recording, pilot)
+    start = clock.now()
+    shift_ns = start - first + round(_LEAD_S * 1e9)
+    replay = Replay(
+        recording,
+        pilot,
+        sightings=args.sightings,
+        rate_hz=settings.guidance.rate_hz,
+        shift_ns=shift_ns,
+        observers=observers,
+    )
+    late_s = 0.0
+    for at, _ in replay.steps():
+        ahead_s = seconds_between(clock.now(), at)
+        if ahead_s > 0.001:
+            await clock.sleep(ahead_s)
+        else:
+            late_s = max(late_s, -ahead_s)
+            await asyncio.sleep(0)
+    return late_s
+
+
+def _first_instant(recording: Recording, pilot: Pilot) -> MonoNs:
+    for at, _ in Replay(recording, pilot).steps():
+        return at
+    return MonoNs(0)

@@ -1,0 +1,48 @@
+"""`decklander run`: the daemon."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+
+from companion.pilot import Outcome
+from companion.service import live, log_to_stderr, make_daemon, make_pilot
+from companion.settings import load, shipped
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "run",
+        help="the daemon",
+        description="Fly: look for the pad, approach it, land on it. SIGTERM ends it with the drone in hover; SIGUSR1 begins the "
+        'approach where guidance.start is "signal" (and resumes it), SIGUSR2 pauses it.',
+    )
+    parser.add_argument(
+        "--config", required=True, metavar="FILE", help=f"settings file, or the name of a shipped rig ({', '.join(shipped())})"
+    )
+    parser.add_argument("--once", action="store_true", help="end with the first flight: exit code 0 when it landed, 1 when not")
+    parser.add_argument("--check", action="store_true", help="say what would run, and run nothing")
+
+
+def run(args: argparse.Namespace) -> int:
+    settings = load(args.config)
+    pilot = make_pilot(settings)
+    if args.check:
+        v, c = settings.vehicle, pilot.camera
+        sys.stdout.write(
+            f"vehicle: {v.kind} at {v.host}, navdata {v.navdata_port}/udp, video {v.video_port}/tcp, "
+            f"commands {v.at_port}/udp, configuration {v.control_port}/tcp\n"
+            f"camera: {settings.camera.file}, {c.width}x{c.height} px\n"
+            f"pad: {settings.pad.file}\n"
+            f"colours: {settings.vision.colours}\n"
+            f"estimator: {settings.estimator.path} steers\n"
+            f"start of the approach: {settings.guidance.start}\n"
+        )
+        return 0
+    log_to_stderr(settings)
+    daemon = make_daemon(settings, pilot, once=args.once)
+    outcome = asyncio.run(live(daemon, pilot))
+    if outcome is not None:
+        sys.stderr.write(f"flight ended: {outcome.value}\n")
+    return 0 if not args.once or outcome in (Outcome.LANDED, Outcome.LANDED_BY_OTHERS) else 1

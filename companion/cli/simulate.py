@@ -1,0 +1,109 @@
+"""`decklander simulate`: one flight in virtual time."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+
+from companion.cli import record_option
+from companion.cli.progress import Progress
+from companion.cli.verdict import Contact, Ending
+from companion.observer import Observer
+from companion.report.flight_log import FlightLog, TruthSample
+from companion.report.keeper import LogKeeper
+from companion.report.page import PAGE, write_report
+from companion.service import make_pilot
+from companion.settings import load, shipped
+from companion.settings_model import CameraSettings, PadSettings
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName
+from estimator.contracts.time import MonoNs
+from sitl.flight import Flight, FlightResult
+from sitl.scenario import load as load_scenario
+
+SHADOWS: tuple[PathName, ...] = ("median_mean",)
+"""Paths that run along for the report's comparison."""
+TRUTH_EACH = 4
+"""Steps of 5 ms between two samples of truth in the report."""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "simulate",
+        help="one simulated flight",
+        description="Fly one scenario in virtual time, without sockets: same scenario, seed and settings, same flight "
+        "to the bit. Exit code 0 when it landed on the pad, 1 when not.",
+    )
+    parser.add_argument("scenario", help=f"a scenario file, or a shipped one ({', '.join(shipped('scenarios'))})")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that is drawn by chance (default 0)")
+    parser.add_argument(
+        "--config", metavar="FILE", help="settings to fly with; without it the rig `sim` with the scenario's own camera and pad"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write the flight's report there")
+    record_option.add_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    if args.seed < 0:
+        raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    scenario = load_scenario(args.scenario)
+    settings = load(args.config or "sim")
+    if args.config is None:
+        own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
+        settings = msgspec.structs.replace(settings, **own)
+    pilot = make_pilot(settings, shadows=SHADOWS)
+    progress = None if args.json else Progress()
+    observers: list[Observer] = [] if progress is None else [progress]
+    log = FlightLog(scenario.title, started=MonoNs(0), pad=pilot.pad, camera=pilot.camera, steering=settings.estimator.path)
+    if args.report is not None:
+        observers.append(LogKeeper(log))
+    began = time.monotonic()
+    steps = 0
+    facts = {"kind": "simulate", "scenario": args.scenario, "seed": str(args.seed)}
+    with record_option.recording(args, settings, facts, live=False) as recorder:
+        if recorder is not None:
+            observers.append(recorder)
+        flight = Flight(scenario, args.seed, settings, pilot, observers=observers)
+        if recorder is not None:
+            recorder.watch(flight.health)
+        while flight.step():
+            steps += 1
+            if steps % TRUTH_EACH:
+                continue
+            truth = flight.world.truth()
+            if recorder is not None:
+                recorder.on_truth(record_option.truth_record(truth))
+            if args.report is not None:
+                log.truth.append(TruthSample(truth.at, truth.d_body_pad_level, truth.v_pad_level, truth.yaw_rad))
+        if recorder is not None:
+            recorder.on_truth(record_option.truth_record(flight.world.truth()))
+    wall_s = time.monotonic() - began
+    if progress is not None:
+        progress.close()
+    ending = _ending(args, flight.result())
+    if args.report is not None:
+        ending.write_into(log)
+        log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("flown in", f"{wall_s:.1f} s, virtual time")]
+        write_report(log, args.report)
+    if args.json:
+        sys.stdout.write(json.dumps(ending.as_json()) + "\n")
+    else:
+        pace = ending.duration_s / max(1e-9, wall_s)
+        sys.stdout.write(f"{ending.in_words()}\n{ending.duration_s:.1f} s flown in {wall_s:.1f} s ({pace:.1f} x real time)\n")
+        if args.report is not None:
+            sys.stdout.write(f"report: {args.report / PAGE}\n")
+    return 0 if ending.on_pad else 1
+
+
+def _ending(args: argparse.Namespace, result: FlightResult) -> Ending:
+    t = result.touchdown
+    contact = None
+    if t is not None:
+        contact = Contact(t.at, t.surface, t.on_pad, t.lateral_m, t.yaw_rad, t.vertical_speed_m_s, t.lateral_speed_m_s)
+    return Ending(args.scenario, args.seed, result.outcome, contact, result.duration_s, result.health.frames)

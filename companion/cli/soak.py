@@ -1,0 +1,225 @@
+"""`decklander soak`: flights in a row for hours, and what they leave behind in memory, descriptors and tasks."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.cli.soak_parts import cpu_at, start_time_s
+from companion.pilot import Outcome
+from companion.service import make_daemon, make_pilot
+from companion.settings import load, shipped
+from companion.settings_model import CameraSettings, PadSettings, Settings
+from companion.soak import Findings, Reading, findings, read
+from drivers.clock import SystemClock
+from estimator.contracts.errors import BadInput, Recoverable
+from sitl.ardrone.again import faulty
+from sitl.flight import Flight
+from sitl.scenario import Scenario
+from sitl.scenario import load as load_scenario
+
+WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
+"""Of the whole soak; textures, caches and the allocator's arenas are filled by then."""
+FRAME_RATES_HZ = (30, 60)
+_READ_EACH_S = 5.0
+_SAY_EACH_S = 60.0
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "soak",
+        help="flights in a row for hours",
+        description="Land again and again, each flight over a sea of its own and with faults of its own, and watch what the "
+        "process takes: memory, descriptors, threads, tasks, time to start, CPU. In real time the daemon flies the simulated "
+        "drone through sockets; --virtual flies without them, as fast as this machine can. Exit code 1 when something grew that "
+        "must not: memory by 2 % after warm-up, the others by one.",
+    )
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--hours", type=float, default=1.0, metavar="H", help="how long; with --virtual, of flight (default 1)")
+    length.add_argument("--flights", type=int, metavar="N", help="with --virtual: this many flights instead")
+    parser.add_argument("--virtual", action="store_true", help="in virtual time, without sockets")
+    parser.add_argument("--no-faults", action="store_true", help="let nothing go wrong")
+    parser.add_argument(
+        "--scenario",
+        default="demo",
+        metavar="FILE",
+        help=f"what to fly (default demo; shipped: {', '.join(shipped('scenarios'))})",
+    )
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the first flight; each further one is the next (1)")
+    parser.add_argument("--config", metavar="FILE", help="settings to fly with; without it the rig `sim`")
+    parser.add_argument(
+        "--no-cpu", action="store_true", help=f"leave out CPU at {FRAME_RATES_HZ} frames a second, and start time"
+    )
+    parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading there, one JSON object a line")
+    parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
+
+
+@dataclass(slots=True)
+class Tally:
+    """The flights so far and the readings between them."""
+
+    began: float = field(default_factory=time.monotonic)
+    endings: Counter[str] = field(default_factory=Counter)
+    on_pad: int = 0
+    flown_s: float = 0.0
+    readings: list[Reading] = field(default_factory=list)
+    _said: float = 0.0
+
+    @property
+    def flights(self) -> int:
+        return self.endings.total()
+
+    def take(self, tasks: int | None, quiet: bool) -> None:
+        """A reading, and each minute a line about it."""
+        reading = read(time.monotonic() - self.began, self.flights, tasks)
+        self.readings.append(reading)
+        if not quiet and reading.at_s - self._said >= _SAY_EACH_S:
+            self._said = reading.at_s
+            sys.stderr.write(
+                f"{reading.at_s / 60:5.0f} min  {self.flights} flights, {self.on_pad} on the pad  {reading.memory_mib:.1f} MiB  "
+                f"{reading.descriptors} descriptors  {reading.threads} threads\n"
+            )
+
+
+def run(args: argparse.Namespace) -> int:
+    if args.seed < 0:
+        raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    if not 0.001 <= args.hours <= 1000:
+        raise BadInput(f"--hours must lie in 0.001 to 1000, got {args.hours:g}")
+    if args.flights is not None and (args.flights < 1 or not args.virtual):
+        raise BadInput("--flights needs --virtual, and is 1 or more")
+    scenario = load_scenario(args.scenario)
+    settings = _rig(args, scenario)
+    tally = Tally()
+    if args.virtual:
+        _virtually(args, scenario, settings, tally)
+    else:
+        asyncio.run(_really(args, settings, tally))
+    warm_up_s = min(WARM_UP_MOST_S, WARM_UP_SHARE * tally.readings[-1].at_s)
+    found = findings(tally.readings, warm_up_s)
+    if args.readings is not None:
+        _write(args.readings, tally.readings)
+    extra: dict[str, Any] = {}
+    if not args.no_cpu:
+        extra["start_s"] = start_time_s(args.config or "sim")
+        extra["cpu_share"] = {str(rate): asdict(asyncio.run(cpu_at(rate, scenario, settings))) for rate in FRAME_RATES_HZ}
+    _say(args, tally, found, extra)
+    return 0 if found is not None and not found.faults else 1
+
+
+def _rig(args: argparse.Namespace, scenario: Scenario) -> Settings:
+    settings = load(args.config or "sim")
+    if args.config is None:
+        own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
+        settings = msgspec.structs.replace(settings, **own)
+    service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")
+    return msgspec.structs.replace(settings, service=service)
+
+
+def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, tally: Tally) -> None:
+    seed = args.seed
+    while tally.flights < args.flights if args.flights is not None else tally.flown_s < 3600.0 * args.hours:
+        wanted = scenario if args.no_faults else faulty(scenario, seed)
+        result = Flight(wanted, seed, settings, make_pilot(settings)).run()
+        tally.endings["time is up" if result.outcome is None else result.outcome.value] += 1
+        tally.on_pad += result.landed_on_pad
+        tally.flown_s += result.duration_s
+        tally.take(None, args.json)
+        seed += 1
+
+
+async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) -> None:
+    child = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "sitl.ardrone.serve", args.scenario, f"--seed={args.seed}", "--again"),
+        *([] if args.no_faults else ["--faults"]),
+        *(f"--{name}-port=0" for name in ("navdata", "video", "at", "control")),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+    )
+    assert child.stdin is not None
+    assert child.stdout is not None
+    try:
+        async with asyncio.timeout(60.0):
+            first = await child.stdout.readline()
+        if not first:
+            raise Recoverable("the simulated drone ended before it was ready; what it said stands above")
+        ports = {f"{name}_port": port for name, port in json.loads(first)["ports"].items()}
+        settings = msgspec.structs.replace(settings, vehicle=msgspec.structs.replace(settings.vehicle, **ports))
+        pilot = make_pilot(settings)
+        clock = SystemClock()
+        daemon = make_daemon(settings, pilot, clock=clock)
+        tally.began = time.monotonic()
+        tally.take(len(asyncio.all_tasks()), quiet=True)
+        async with asyncio.TaskGroup() as group:
+            flying = group.create_task(daemon.run())
+            listening = group.create_task(_listen(child.stdout, tally))
+            reading = group.create_task(_read(tally, args.json))
+            await asyncio.wait({flying, listening}, timeout=3600.0 * args.hours, return_when=asyncio.FIRST_COMPLETED)
+            ended_early = listening.done()
+            reading.cancel()
+            listening.cancel()
+            daemon.stop()
+        tally.flown_s = time.monotonic() - tally.began
+        if ended_early:
+            raise Recoverable("the simulated drone ended; what it said stands above")
+    finally:
+        child.stdin.close()
+        await child.communicate()
+
+
+async def _listen(lines: asyncio.StreamReader, tally: Tally) -> None:
+    async for line in lines:
+        said = json.loads(line)
+        if said.get("event") == "flight":
+            tally.endings[said["ended"]] += 1
+            tally.on_pad += bool(said["on_pad"]) and said["ended"] == Outcome.LANDED.value
+
+
+async def _read(tally: Tally, quiet: bool) -> None:
+    while True:
+        await asyncio.sleep(_READ_EACH_S)
+        tally.take(len(asyncio.all_tasks()), quiet)
+
+
+def _write(path: Path, readings: list[Reading]) -> None:
+    try:
+        path.write_text("".join(json.dumps(asdict(reading)) + "\n" for reading in readings))
+    except OSError as why:
+        raise BadInput(f"--readings: {path}: {why.strerror or why}") from why
+
+
+def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: dict[str, Any]) -> None:
+    if args.json:
+        said = {"flights": tally.flights, "on_pad": tally.on_pad, "endings": dict(tally.endings), "flown_s": tally.flown_s}
+        sys.stdout.write(json.dumps({**said, "findings": None if found is None else found.as_json(), **extra}) + "\n")
+        return
+    endings = ", ".join(f"{n} {name}" for name, n in sorted(tally.endings.items()))
+    lines = [f"{tally.flights} flights in {tally.flown_s / 3600:.2f} h: {endings}; {tally.on_pad} on the pad"]
+    if found is None:
+        lines.append("too short to say what grows")
+    else:
+        m = found.memory_mib
+        lines.append(
+            f"memory     {m.first:.1f} to {m.last:.1f} MiB ({m.growth:+.2%}, most {m.most:.1f}) after {found.warm_up_s:.0f} s"
+        )
+        for name, trend in (("descriptors", found.descriptors), ("threads", found.threads), ("tasks", found.tasks)):
+            if trend is not None:
+                lines.append(f"{name:<10} {trend.first:g} to {trend.last:g} (most {trend.most:g})")
+        lines.append(f"CPU        {found.cpu_share:.0%} of a core" + (", as fast as it goes" if args.virtual else ""))
+    if "start_s" in extra:
+        lines.append(f"start      {extra['start_s']:.2f} s from the command to the first round of guidance")
+        for rate, cpu in extra["cpu_share"].items():
+            lines.append(
+                f"CPU        {cpu['share']:.0%} of a core at {rate} frames a second, {cpu['seen']:.0%} of them looked at"
+            )
+    lines += [f"FAULT: {fault}" for fault in found.faults] if found is not None else []
+    sys.stdout.write("\n".join(lines) + "\n")

@@ -1,0 +1,158 @@
+"""`decklander watch`: drones live in the terminal, over MQTT."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import shutil
+import sys
+import time
+import uuid
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from estimator.contracts.errors import BadInput, Recoverable
+
+if TYPE_CHECKING:
+    from companion.mqtt.connection import Endpoint
+    from companion.mqtt.settings import MqttSettings
+
+_REDRAW_S = 0.25
+_REST_S = 1.0
+_LINE_EACH_S = 1.0
+_INCOMING = 2000
+_CLEAR, _HOME, _TO_END, _BELOW, _HIDE, _SHOW = "\x1b[2J", "\x1b[H", "\x1b[K", "\x1b[J", "\x1b[?25l", "\x1b[?25h"
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "watch",
+        help="drones live in the terminal, over MQTT",
+        description="Show what drones say on an MQTT broker: one screen on a terminal, a line a second and one for each event "
+        "elsewhere. The broker is that of a rig's settings, or what the options say.",
+    )
+    parser.add_argument("--config", metavar="FILE", help="settings file whose [mqtt] says where the broker is and who we are")
+    parser.add_argument("--host", help="broker (default 127.0.0.1)")
+    parser.add_argument("--port", type=int, help="its port (default 8883 with TLS, 1883 without)")
+    parser.add_argument("--user", help="user name")
+    parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with the password")
+    parser.add_argument("--ca-file", type=Path, metavar="FILE", help="certificates of the CAs to trust in place of the system's")
+    parser.add_argument("--plain-tcp", action="store_true", help="no TLS")
+    parser.add_argument("--drone", metavar="NAME", help="this one only (default: every drone on the broker)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after this long")
+
+
+def run(args: argparse.Namespace) -> int:
+    from companion.mqtt.connection import Endpoint
+    from companion.mqtt.settings import MqttSettings
+    from companion.mqtt.topics import Topics
+    from companion.settings import load
+
+    if args.config is not None:
+        settings = load(args.config).mqtt
+        if settings.transport == "off":
+            raise BadInput(f"{args.config}: mqtt.transport is off")
+    else:
+        settings = MqttSettings(transport="tcp", port=1883) if args.plain_tcp else MqttSettings(transport="tls")
+    settings = _changed(settings, args)
+    if args.drone is not None:
+        try:
+            Topics(args.drone)
+        except ValueError as why:
+            raise BadInput(f"--drone: {why}") from why
+    if args.seconds is not None and not 0 < args.seconds < 1e9:
+        raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
+    endpoint = Endpoint.of(settings)
+    out, live = sys.stdout, sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+    return asyncio.run(_Watch(endpoint, args.drone, out, live).run(args.seconds))
+
+
+def _changed(settings: MqttSettings, args: argparse.Namespace) -> MqttSettings:
+    from msgspec import structs
+
+    if args.port is not None and not 0 < args.port < 65536:
+        raise BadInput(f"--port must be from 1 to 65535, got {args.port}")
+    given = {
+        "host": args.host,
+        "port": args.port,
+        "user": args.user,
+        "password_file": None if args.password_file is None else str(args.password_file),
+        "ca_file": None if args.ca_file is None else str(args.ca_file),
+    }
+    if args.password_file is not None and not (args.user or settings.user):
+        raise BadInput("--password-file needs --user")
+    return structs.replace(settings, **{key: value for key, value in given.items() if value is not None})
+
+
+class _Watch:
+    """Listens and shows."""
+
+    def __init__(self, endpoint: Endpoint, drone: str | None, out: TextIO, live: bool) -> None:
+        from companion.mqtt.topics import ROOT
+        from companion.mqtt.watch_model import WatchModel
+
+        self._endpoint = endpoint
+        self._model = WatchModel(drone)
+        self._topic = f"{ROOT}/{drone or '+'}/+"
+        self._out = out
+        self._live = live
+        self._said: dict[str, float] = {}
+
+    async def run(self, seconds: float | None) -> int:
+        """Until cancelled, or for so many seconds."""
+        self._write(_HIDE + _CLEAR if self._live else "")
+        try:
+            async with asyncio.timeout(seconds), asyncio.TaskGroup() as group:
+                group.create_task(self._listen())
+                if self._live:
+                    group.create_task(self._draw())
+        except TimeoutError:
+            pass
+        finally:
+            self._write(_SHOW + "\n" if self._live else "")
+        return 0
+
+    async def _listen(self) -> None:
+        from aiomqtt import MqttError
+
+        from companion.mqtt.connection import connect
+
+        while True:
+            try:
+                async with connect(self._endpoint, f"decklander-watch-{uuid.uuid4().hex[:8]}", incoming=_INCOMING) as connection:
+                    await connection.hear(self._topic, qos=1, retained=True)
+                    self._model.connected, self._model.trouble = True, ""
+                    async for heard in connection.heard():
+                        self._take(heard.topic, heard.payload)
+            except (Recoverable, MqttError) as why:
+                if not self._live and str(why) != self._model.trouble:
+                    sys.stderr.write(f"no broker: {why}\n")
+                self._model.connected, self._model.trouble = False, str(why)
+            await asyncio.sleep(_REST_S)
+
+    def _take(self, topic: str, payload: bytes) -> None:
+        from companion.mqtt.watch_view import line
+
+        now_s = time.monotonic()
+        taken = self._model.hear(topic, payload, now_s)
+        if taken is None or self._live:
+            return
+        drone, event = taken
+        if event is not None or now_s - self._said.get(drone.name, -_LINE_EACH_S) >= _LINE_EACH_S:
+            if event is None:
+                self._said[drone.name] = now_s
+            self._write(line(drone, event) + "\n")
+
+    async def _draw(self) -> None:
+        from companion.mqtt.watch_view import screen
+
+        while True:
+            width, height = shutil.get_terminal_size()
+            lines = screen(self._model, time.monotonic(), width, height - 1, colour="NO_COLOR" not in os.environ)
+            self._write(_HOME + "".join(f"{text}{_TO_END}\r\n" for text in lines) + _BELOW)
+            await asyncio.sleep(_REDRAW_S)
+
+    def _write(self, text: str) -> None:
+        self._out.write(text)
+        self._out.flush()

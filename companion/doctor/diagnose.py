@@ -1,0 +1,17 @@
+"""All rules over one picture. Pure."""
+
+from __future__ import annotations
+
+from companion.doctor import rules_ardupilot, rules_links, rules_px4
+from companion.doctor.finding import Finding, Rule
+from companion.doctor.picture import Picture
+
+RULES: tuple[Rule, ...] = (*rules_links.RULES, *rules_ardupilot.RULES, *rules_px4.RULES)
+PARAMETERS = {"ArduPilot": rules_ardupilot.PARAMETERS, "PX4": rules_px4.PARAMETERS, "other": ()}
+"""What the rules want to know of an autopilot, by stack."""
+
+
+def diagnose(picture: Picture) -> tuple[Finding, ...]:
+    """Every trap that is there, the gravest first."""
+    found = [finding for rule in RULES if (finding := rule(picture)) is not None]
+    return tuple(sorted(found, key=lambda f: f.gravity))

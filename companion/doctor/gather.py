@@ -1,0 +1,166 @@
+"""Finding out: open the links, listen, ask, and write down what was seen. It judges nothing and changes nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from companion.doctor.diagnose import PARAMETERS
+from companion.doctor.picture import AutopilotPicture, LinkPicture, Picture, ServicePicture, SyncPicture
+from companion.settings import camera_model, pad_model
+from companion.settings_model import Settings
+from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.links import Heard
+from drivers.mavlink.requests import RATES_HZ
+from drivers.mavlink.vehicle import is_autopilot
+from estimator.contracts.errors import BadInput
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
+
+_PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
+"""ArduCopter shows precision landing in it."""
+_ASKING_MAX_S = 15.0
+_POLL_S = 0.05
+
+Say = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class _Notes:
+    """What goes by on the links that `Autopilot` does not keep."""
+
+    systems: set[int] = field(default_factory=set)
+    firmware: tuple[int, int, int] | None = None
+    enabled: bool | None = None
+    healthy: bool | None = None
+
+    def hear(self, heard: Heard) -> None:
+        m, name = heard.message, heard.message.get_type()
+        if name == "HEARTBEAT" and is_autopilot(m, heard.component):
+            self.systems.add(heard.system)
+        elif name == "AUTOPILOT_VERSION" and heard.component == mav.MAV_COMP_ID_AUTOPILOT1:
+            v = m.flight_sw_version
+            self.firmware = (v >> 24 & 0xFF, v >> 16 & 0xFF, v >> 8 & 0xFF)
+        elif name == "SYS_STATUS" and heard.component == mav.MAV_COMP_ID_AUTOPILOT1:
+            self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
+            self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
+
+
+async def examine(options: AutopilotOptions, clock: Clock, seconds: float, say: Say = lambda text: None) -> Picture:
+    """Listen and ask.
+
+    Args:
+        seconds: how long to wait for an autopilot, and again how long to count its messages.
+        say: told what is being done, for a terminal.
+    """
+    notes = _Notes()
+    began = clock.now()
+    quiet = replace(options, parameters=())
+    async with open_autopilot(quiet, clock) as autopilot:
+        autopilot.listen(notes.hear)
+        say(f"listening on {', '.join(str(link.endpoint) for link in autopilot.links.all)}")
+        await _wait(clock, seconds, lambda: autopilot.connected)
+        rates: dict[str, float] = {}
+        if autopilot.identity is not None:
+            rates = await _ask(autopilot, clock, seconds, say)
+        return _picture(autopilot, notes, rates, seconds_between(began, clock.now()))
+
+
+async def _ask(autopilot: Autopilot, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
+    identity, parameters, streams = autopilot.identity, autopilot.parameters, autopilot.streams
+    assert identity is not None
+    assert parameters is not None
+    assert streams is not None
+    say(f"{identity.stack.value}, system {identity.system}: reading parameters, asking for streams")
+    parameters.want(PARAMETERS[identity.stack.value])
+    version = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    autopilot.send(mav.MAVLink_command_long_message(*identity.address, mav.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0))
+    await _wait(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
+    say("counting messages")
+    before, since = autopilot.counts.copy(), clock.now()
+    await clock.sleep(seconds)
+    lasted_s = max(seconds_between(since, clock.now()), 1e-3)
+    return {name: (n - before[name]) / lasted_s for name, n in autopilot.counts.items() if n > before[name]}
+
+
+async def _wait(clock: Clock, seconds: float, done: Callable[[], bool]) -> None:
+    began: MonoNs = clock.now()
+    while not done() and seconds_between(began, clock.now()) < seconds:
+        await clock.sleep(_POLL_S)
+
+
+def _picture(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], seconds: float) -> Picture:
+    links = tuple(
+        LinkPicture(
+            str(link.endpoint),
+            link.down,
+            link.counters.bytes_in,
+            link.counters.total("messages"),
+            link.counters.total("lost"),
+            link.counters.total("damaged"),
+            link.counters.total("old_version"),
+            link.counters.total("refused_signature"),
+        )
+        for link in autopilot.links.all
+    )
+    identity, sync = autopilot.identity, autopilot.sync
+    if identity is None or sync is None:
+        return Picture(seconds, links)
+    parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
+    return Picture(
+        seconds,
+        links,
+        AutopilotPicture(
+            stack=identity.stack.value,
+            system=identity.system,
+            others=tuple(sorted(notes.systems - {identity.system})),
+            firmware=notes.firmware,
+            mode=condition.mode,
+            armed=condition.armed,
+            flying=condition.flying,
+            parameters={} if parameters is None else dict(sorted(parameters.values.items())),
+            absent=() if parameters is None else tuple(sorted(parameters.absent)),
+            rates_hz={name: round(rate, 2) for name, rate in sorted(rates.items())},
+            wanted_hz=dict(RATES_HZ[identity.stack]),
+            refused={} if streams is None else streams.refused,
+            texts=tuple(text for _, _, text in autopilot.texts),
+            events=tuple(autopilot.events),
+            precland_enabled=notes.enabled,
+            precland_healthy=notes.healthy,
+        ),
+        SyncPicture(sync.locked, sync.round_trip_s, sync.jumps),
+    )
+
+
+async def examine_service(settings: Settings | None, broker: str | None, timeout_s: float = 2.0) -> ServicePicture:
+    """What can be found out without the service running: files, broker, drone."""
+    fault, drone, drone_fault = None, None, None
+    if settings is not None:
+        try:
+            camera_model(settings)
+            pad_model(settings)
+        except BadInput as why:
+            fault = str(why)
+        if settings.vehicle.kind == "ardrone":
+            drone = f"{settings.vehicle.host}:{settings.vehicle.control_port}"
+            drone_fault = await _unreachable(settings.vehicle.host, settings.vehicle.control_port, timeout_s)
+    broker_fault = None
+    if broker is not None:
+        host, _, port = broker.rpartition(":")
+        broker_fault = await _unreachable(host or broker, int(port) if host else 1883, timeout_s)
+    return ServicePicture(camera_fault=fault, broker=broker, broker_fault=broker_fault, drone=drone, drone_fault=drone_fault)
+
+
+async def _unreachable(host: str, port: int, timeout_s: float) -> str | None:
+    """Why a TCP connection cannot be made, None when it can."""
+    try:
+        async with asyncio.timeout(timeout_s):
+            _, writer = await asyncio.open_connection(host, port)
+    except TimeoutError:
+        return f"no answer within {timeout_s:g} s"
+    except OSError as why:
+        return why.strerror or str(why)
+    writer.close()
+    return None

@@ -1,0 +1,259 @@
+"""Traps of ArduPilot: what it needs to be set to, and what it says when it is not."""
+
+from __future__ import annotations
+
+from companion.doctor.finding import Finding, Rule, advice, error, warning
+from companion.doctor.picture import AutopilotPicture, Picture
+
+PARAMETERS = (
+    "PLND_ENABLED", "PLND_TYPE", "PLND_EST_TYPE", "PLND_LAG", "PLND_OPTIONS", "PLND_STRICT", "PLND_ORIENT", "PLND_YAW_ALIGN",
+    "PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_XY_DIST_MAX", "PLND_ALT_MAX", "INS_GYRO_CAL",
+    "EK3_SRC1_POSXY", "EK3_SRC1_VELXY", "EK3_SRC1_POSZ", "EK3_SRC1_VELZ", "EK3_SRC1_YAW", "EK3_RNG_USE_HGT",
+    *(f"RNGFND{n}_{what}" for n in range(1, 5) for what in ("TYPE", "ORIENT")),
+)  # fmt: skip
+_EXTERNAL_NAV, _BY_RANGE = 6.0, 2.0
+_BY_MAVLINK, _DOWN, _COMPANION, _KALMAN = 10.0, 25.0, 1.0, 1.0
+_MOVING_TARGET = 1
+
+
+def _ardupilot(p: Picture) -> AutopilotPicture | None:
+    return p.autopilot if p.autopilot is not None and p.autopilot.stack == "ArduPilot" else None
+
+
+def _value(p: Picture, name: str) -> float | None:
+    a = _ardupilot(p)
+    return None if a is None else a.parameters.get(name)
+
+
+def _enabled(p: Picture) -> bool:
+    return bool(_value(p, "PLND_ENABLED"))
+
+
+def _said(p: Picture, text: str) -> bool:
+    a = _ardupilot(p)
+    return a is not None and any(text in t.lower() for t in a.texts)
+
+
+def plnd_missing(p: Picture) -> Finding | None:
+    a = _ardupilot(p)
+    if a is None or "PLND_ENABLED" not in a.absent:
+        return None
+    return error(
+        "plnd-missing",
+        "this firmware has no precision landing (no parameter PLND_ENABLED)",
+        "install a build with AC_PRECLAND: boards with 1 MB of flash need a custom build (custom.ardupilot.org)",
+    )
+
+
+def plnd_disabled(p: Picture) -> Finding | None:
+    if _value(p, "PLND_ENABLED") != 0.0:
+        return None
+    return error("plnd-disabled", "PLND_ENABLED is 0", "set PLND_ENABLED 1 and reboot the autopilot")
+
+
+def plnd_not_rebooted(p: Picture) -> Finding | None:
+    a = _ardupilot(p)
+    if a is None or not _enabled(p) or _value(p, "PLND_TYPE") != _COMPANION:
+        return None
+    if a.precland_enabled and a.precland_healthy is False:
+        return error(
+            "plnd-not-rebooted",
+            "PLND_ENABLED and PLND_TYPE are set, but precision landing does not run",
+            "reboot the autopilot: it is started at boot only, and ignores LANDING_TARGET without a word until then",
+        )
+    return None
+
+
+def plnd_type(p: Picture) -> Finding | None:
+    kind = _value(p, "PLND_TYPE")
+    if not _enabled(p) or kind is None or kind == _COMPANION:
+        return None
+    return error("plnd-type", f"PLND_TYPE is {kind:g}", "set PLND_TYPE 1 (companion computer) and reboot the autopilot")
+
+
+def plnd_estimator(p: Picture) -> Finding | None:
+    kind = _value(p, "PLND_EST_TYPE")
+    if not _enabled(p) or kind is None or kind == _KALMAN:
+        return None
+    return warning("plnd-estimator", "PLND_EST_TYPE is 0: raw measurements, no velocity of the pad", "set PLND_EST_TYPE 1")
+
+
+def plnd_lag(p: Picture) -> Finding | None:
+    lag_s, delay_s = _value(p, "PLND_LAG"), p.service.exposure_to_belief_s
+    if not _enabled(p) or lag_s is None or delay_s is None:
+        return None
+    best_s = min(max(delay_s, 0.02), 0.25)
+    if abs(lag_s - best_s) <= 0.05:
+        return None
+    return advice(
+        "plnd-lag",
+        f"PLND_LAG is {lag_s:g} s, but a picture is {1e3 * delay_s:.0f} ms old when it is understood",
+        f"set PLND_LAG {best_s:.2f} and reboot: then targets are of instants that were seen, not predicted",
+    )
+
+
+def plnd_still_target(p: Picture) -> Finding | None:
+    options = _value(p, "PLND_OPTIONS")
+    if not _enabled(p) or options is None or not p.moving_pad or int(options) & _MOVING_TARGET:
+        return None
+    return error(
+        "plnd-still-target",
+        "PLND_OPTIONS takes the pad to stand still: on a ship at 1.5 m/s it touches down 1.5 m behind",
+        f"set PLND_OPTIONS {int(options) | _MOVING_TARGET} (bit 0: moving target)",
+    )
+
+
+def plnd_mount_twice(p: Picture) -> Finding | None:
+    if not _enabled(p):
+        return None
+    names = ("PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_YAW_ALIGN")
+    wrong = [f"{n} {v:g}" for n in names if (v := _value(p, n)) not in (None, 0.0)]
+    orient = _value(p, "PLND_ORIENT")
+    if orient not in (None, _DOWN):
+        wrong.append(f"PLND_ORIENT {orient:g}")
+    if not wrong:
+        return None
+    return error(
+        "plnd-mount-twice",
+        f"the camera's mount is set in the autopilot too: {', '.join(wrong)}",
+        "set PLND_CAM_POS_* and PLND_YAW_ALIGN 0, PLND_ORIENT 25: what is sent is already from the body's origin",
+    )
+
+
+def plnd_blind(p: Picture) -> Finding | None:
+    if not _enabled(p) or _value(p, "PLND_STRICT") != 0.0:
+        return None
+    return warning(
+        "plnd-blind",
+        "PLND_STRICT is 0: with the pad out of sight it lands anyway, wherever it is",
+        "set PLND_STRICT 2 (hover) or 1 (climb and try again)",
+    )
+
+
+def plnd_low_ceiling(p: Picture) -> Finding | None:
+    ceiling_m = _value(p, "PLND_ALT_MAX")
+    if not _enabled(p) or ceiling_m is None or ceiling_m >= 4.0:
+        return None
+    return warning(
+        "plnd-ceiling", f"PLND_ALT_MAX is {ceiling_m:g} m: above it the pad is not looked for", "set PLND_ALT_MAX 8 or more"
+    )
+
+
+def _kinds(p: Picture) -> dict[int, float]:
+    found = {n: _value(p, f"RNGFND{n}_TYPE") for n in range(1, 5)}
+    return {n: v for n, v in found.items() if v is not None}
+
+
+def no_rangefinder(p: Picture) -> Finding | None:
+    kinds = _kinds(p)
+    if not kinds or any(kinds.values()):
+        return None
+    return warning(
+        "no-rangefinder",
+        "there is no rangefinder: the copter does not slow down near the deck, it touches down at full speed",
+        "fit a lidar, or set RNGFND1_TYPE 10, RNGFND1_ORIENT 25 and reboot: then our distances to the pad serve as one",
+    )
+
+
+def rangefinder_unfed(p: Picture) -> Finding | None:
+    if _BY_MAVLINK not in _kinds(p).values() or p.service.sends_ranges is not False:
+        return None
+    return error(
+        "rangefinder-unfed",
+        "a rangefinder waits for DISTANCE_SENSOR (RNGFNDx_TYPE 10) and nobody sends it: arming is refused",
+        "let the service send ranges, already on the ground, or set RNGFNDx_TYPE 0",
+    )
+
+
+def rangefinder_turned(p: Picture) -> Finding | None:
+    for n, kind in _kinds(p).items():
+        orient = _value(p, f"RNGFND{n}_ORIENT")
+        if kind == _BY_MAVLINK and orient not in (None, _DOWN):
+            return error(
+                "rangefinder-turned",
+                f"RNGFND{n}_ORIENT is {orient:g}: distances that look down are dropped",
+                f"set RNGFND{n}_ORIENT 25 and reboot",
+            )
+    return None
+
+
+def ekf_external(p: Picture) -> Finding | None:
+    names = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
+    wrong = [f"EK3_SRC1_{n}" for n in names if _value(p, f"EK3_SRC1_{n}") == _EXTERNAL_NAV]
+    if not wrong:
+        return None
+    return error(
+        "ekf-external",
+        f"{', '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} 6: the EKF waits for a position that is never sent",
+        "set EK3_SRC1_POSXY, VELXY and VELZ 3 (GNSS), POSZ 1 (barometer), YAW 1 (compass): the pad moves, it is no reference",
+    )
+
+
+def ekf_height_by_range(p: Picture) -> Finding | None:
+    by_range = _value(p, "EK3_SRC1_POSZ") == _BY_RANGE or (_value(p, "EK3_RNG_USE_HGT") or 0.0) > 0.0
+    if not by_range or not p.moving_pad:
+        return None
+    return error(
+        "ekf-height-by-range",
+        "the EKF takes height from the rangefinder: it follows the deck's heave, and jumps at the deck's edge",
+        "set EK3_SRC1_POSZ 1 (barometer) or 3 (GNSS) and EK3_RNG_USE_HGT -1",
+    )
+
+
+def gyro_calibration(p: Picture) -> Finding | None:
+    if _value(p, "INS_GYRO_CAL") != 1.0 or not p.moving_pad:
+        return None
+    return warning(
+        "gyro-calibration",
+        "INS_GYRO_CAL is 1: at each boot the gyros are calibrated, and the deck's motion with them",
+        "calibrate once ashore, then set INS_GYRO_CAL 0",
+    )
+
+
+def frame_not_supported(p: Picture) -> Finding | None:
+    if not _said(p, "frame not supported"):
+        return None
+    return error(
+        "frame-not-supported",
+        'the autopilot said "Plnd: Frame not supported" (once; it then drops every such target without a word)',
+        "another program sends LANDING_TARGET in a wrong frame: stop it; ours are MAV_FRAME_BODY_FRD (12)",
+    )
+
+
+def init_failed(p: Picture) -> Finding | None:
+    if not _said(p, "init failed"):
+        return None
+    return error(
+        "target-too-rare",
+        'the autopilot said "PrecLand: Init Failed": targets come too rarely or with gaps',
+        "send at 10 Hz and more: check the link's losses, and why targets are withheld",
+    )
+
+
+def target_lost(p: Picture) -> Finding | None:
+    if not _said(p, "target lost"):
+        return None
+    return warning(
+        "target-lost",
+        'the autopilot said "PrecLand: Target Lost"',
+        "see why targets stopped: light, a pad smaller than the camera sees near the deck, a full link",
+    )
+
+
+def old_firmware(p: Picture) -> Finding | None:
+    a = _ardupilot(p)
+    if a is None or a.firmware is None or a.firmware >= (4, 1, 0):
+        return None
+    version = ".".join(map(str, a.firmware))
+    return warning(
+        "firmware-old",
+        f"ArduPilot {version} reads angles only and needs its own rangefinder for them",
+        "update to 4.5 or newer: position, moving targets and strict landing come with it",
+    )
+
+
+RULES: tuple[Rule, ...] = (
+    plnd_missing, plnd_disabled, plnd_not_rebooted, plnd_type, plnd_estimator, plnd_lag, plnd_still_target, plnd_mount_twice,
+    plnd_blind, plnd_low_ceiling, no_rangefinder, rangefinder_unfed, rangefinder_turned, ekf_external, ekf_height_by_range,
+    gyro_calibration, frame_not_supported, init_failed, target_lost, old_firmware,
+)  # fmt: skip

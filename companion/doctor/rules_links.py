@@ -1,0 +1,250 @@
+"""Traps of links, streams and clocks: what stands between us and any autopilot."""
+
+from __future__ import annotations
+
+from companion.doctor.finding import Finding, Rule, error, warning
+from companion.doctor.picture import LinkPicture, Picture
+
+ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
+"""Without these nothing can be told to, or flown by, an autopilot."""
+_REASONS = {
+    "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in anew",
+    "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
+    "no such file": "the device is not there: check the cable, and dmesg for its name (/dev/serial/by-id is stable)",
+    "no such device": "the device is not there: check the cable, and dmesg for its name (/dev/serial/by-id is stable)",
+    "address already in use": "another program listens on that port: stop it, or choose another port",
+    "connect call failed": "nothing listens there: start it, or check address and port",
+    "name or service not known": "the host name cannot be resolved: write the address",
+}
+
+
+def link_down(p: Picture) -> Finding | None:
+    """A link that cannot be opened."""
+    for link in p.links:
+        if link.down is not None:
+            cure = next((c for text, c in _REASONS.items() if text in link.down.lower()), "check what the link's address names")
+            return error("link-down", f"{link.url} is not open: {link.down}", cure)
+    return None
+
+
+def _open(p: Picture) -> list[LinkPicture]:
+    return [link for link in p.links if link.down is None]
+
+
+def link_silent(p: Picture) -> Finding | None:
+    """Open, and not a byte comes."""
+    for link in _open(p):
+        if link.bytes_in == 0 and (p.seconds >= 2.0 or p.autopilot is None):
+            serial = "check RX/TX wiring and, on the autopilot, SERIALn_PROTOCOL 2 (ArduPilot) or MAV_n_CONFIG (PX4)"
+            net = "check that the autopilot (or mavlink-router) sends to this address and port, and the firewall"
+            return error("link-silent", f"{link.url}: not one byte in {p.seconds:.0f} s", serial if "serial" in link.url else net)
+    return None
+
+
+def link_garbage(p: Picture) -> Finding | None:
+    """Bytes, but no messages in them."""
+    for link in _open(p):
+        if link.bytes_in > 200 and link.damaged > 2 * max(link.messages, 1):
+            return error(
+                "link-garbage",
+                f"{link.url}: {link.bytes_in} bytes but {link.messages} messages, the rest is damaged",
+                "set the same speed on both sides (SERIALn_BAUD, SER_TELn_BAUD), common ground, shorter wires",
+            )
+    return None
+
+
+def link_signature(p: Picture) -> Finding | None:
+    """Signed on one side only, or with another key."""
+    for link in _open(p):
+        if link.refused_signature > 0:
+            return error(
+                "link-signature",
+                f"{link.url}: {link.refused_signature} messages refused for their signature",
+                "use the same key on both sides; after a key change restart both; check that the clocks agree to a minute",
+            )
+    return None
+
+
+def link_old_version(p: Picture) -> Finding | None:
+    """MAVLink 1 cuts the position off a LANDING_TARGET."""
+    for link in _open(p):
+        if link.messages >= 20 and link.old_version > 0.5 * link.messages:
+            return warning(
+                "link-mavlink1",
+                f"{link.url}: the other side speaks MAVLink 1",
+                "set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4): version 1 has no position in LANDING_TARGET",
+            )
+    return None
+
+
+def link_lossy(p: Picture) -> Finding | None:
+    """A link that loses messages."""
+    for link in _open(p):
+        total = link.messages + link.lost
+        if total >= 50 and link.lost > 0.05 * total:
+            return warning(
+                "link-lossy",
+                f"{link.url}: {100 * link.lost / total:.0f} % of the messages are lost",
+                "raise the speed to 921600, connect RTS/CTS, or ask for fewer streams on that port",
+            )
+    return None
+
+
+def no_autopilot(p: Picture) -> Finding | None:
+    """Messages, but nobody who flies."""
+    if p.autopilot is None and any(link.messages > 0 for link in p.links):
+        return error(
+            "no-autopilot",
+            "MAVLink messages come, but no HEARTBEAT of a copter's autopilot (component 1)",
+            "check the vehicle's frame type and that this link reaches the autopilot, not only a ground station; check --system",
+        )
+    return None
+
+
+def several_autopilots(p: Picture) -> Finding | None:
+    """Two vehicles on one network, and the wrong one may be taken."""
+    a = p.autopilot
+    if a is not None and a.others:
+        return warning(
+            "several-autopilots",
+            f"system {a.system} was taken, but {', '.join(map(str, a.others))} fly on the same links",
+            "name the one that is meant by its system id (SYSID_THISMAV, MAV_SYS_ID), and give each vehicle its own",
+        )
+    return None
+
+
+def stream_refused(p: Picture) -> Finding | None:
+    """A stream that the autopilot will not send."""
+    refused = {n: r for n, r in (p.autopilot.refused if p.autopilot else {}).items() if n in ESSENTIAL}
+    if refused:
+        return error(
+            "stream-refused",
+            f"the autopilot refuses to send {', '.join(sorted(refused))}",
+            "it answers to SET_MESSAGE_INTERVAL with an error: update the firmware, or enable the message in its build",
+        )
+    return None
+
+
+def stream_silent(p: Picture) -> Finding | None:
+    """A stream that was accepted and does not come."""
+    a = p.autopilot
+    if a is None or p.seconds < 3.0:
+        return None
+    silent = [n for n in ESSENTIAL if n in a.wanted_hz and n not in a.refused and a.rates_hz.get(n, 0.0) < 0.2]
+    if silent:
+        return error(
+            "stream-silent",
+            f"asked for and not heard: {', '.join(silent)}",
+            "LOCAL_POSITION_NED needs a position estimate (GNSS or flow, EKF healthy); for the rest another program "
+            "(a ground station's stream rates, SRn_*) turns streams off: set its rates to 0",
+        )
+    return None
+
+
+def stream_slow(p: Picture) -> Finding | None:
+    """Attitude too rare to take the tilt out."""
+    a = p.autopilot
+    if a is None:
+        return None
+    rate = a.rates_hz.get("ATTITUDE_QUATERNION", 0.0)
+    if 0.2 <= rate < 30.0:
+        return warning(
+            "attitude-slow",
+            f"attitude comes at {rate:.0f} Hz, {a.wanted_hz.get('ATTITUDE_QUATERNION', 100.0):.0f} were asked for",
+            "use a faster link (921600 on serial, USB, Ethernet): at 10 Hz a swinging vehicle's tilt is wrong by degrees",
+        )
+    return None
+
+
+def clock_not_locked(p: Picture) -> Finding | None:
+    """Without a common clock a stamp says nothing."""
+    if p.autopilot is None or p.sync is None or p.sync.locked:
+        return None
+    return error(
+        "clock-not-locked",
+        "TIMESYNC is not answered, or never twice alike: instants of the autopilot are known to some 20 ms only",
+        "check that nothing between filters TIMESYNC (a router, a ground station's forwarding)",
+    )
+
+
+def clock_far(p: Picture) -> Finding | None:
+    """A round trip that makes the clocks doubtful; PX4 refuses to converge beyond 10 ms."""
+    if p.sync is None or p.autopilot is None or p.sync.round_trip_s is None:
+        return None
+    limit_s = 0.010 if p.autopilot.stack == "PX4" else 0.040
+    if p.sync.round_trip_s <= limit_s:
+        return None
+    found = f"the shortest TIMESYNC round trip is {1e3 * p.sync.round_trip_s:.0f} ms"
+    cure = "connect the autopilot by wire (serial 921600, USB, Ethernet), not by radio or Wi-Fi"
+    if p.autopilot.stack == "PX4":
+        return error("clock-far", f"{found}: PX4 never converges and then ignores our stamps", cure)
+    return warning("clock-far", f"{found}: stamps are known to {500 * p.sync.round_trip_s:.0f} ms", cure)
+
+
+def clock_jumps(p: Picture) -> Finding | None:
+    """A clock that is set while we listen."""
+    if p.sync is not None and p.sync.jumps > 0:
+        return warning(
+            "clock-jumps",
+            f"the autopilot's clock jumped {p.sync.jumps} times",
+            "it reboots (power?), or two autopilots share one system id: give each its own",
+        )
+    return None
+
+
+def camera_fault(p: Picture) -> Finding | None:
+    """The camera or pad file."""
+    if p.service.camera_fault is not None:
+        return error("camera-file", p.service.camera_fault, "correct the file; decklander config check names every key")
+    return None
+
+
+def camera_size(p: Picture) -> Finding | None:
+    """A calibration of another resolution."""
+    s = p.service
+    if s.frame_size is not None and s.camera_size is not None and s.frame_size != s.camera_size:
+        return error(
+            "camera-size",
+            f"the camera sends {s.frame_size[0]}x{s.frame_size[1]}, its file describes {s.camera_size[0]}x{s.camera_size[1]}",
+            "calibrate at the size that is used, or set the size of the calibration: no frame can be used like this",
+        )
+    return None
+
+
+def camera_slow(p: Picture) -> Finding | None:
+    """Too few frames."""
+    rate = p.service.frame_rate_hz
+    if rate is not None and rate < 10.0:
+        return warning(
+            "camera-slow",
+            "no frame comes" if rate == 0.0 else f"only {rate:.1f} frames a second come",
+            "check cable and USB power, give the camera its own bus, and more light: exposure time limits the rate",
+        )
+    return None
+
+
+def broker_fault(p: Picture) -> Finding | None:
+    if p.service.broker_fault is not None:
+        return warning(
+            "broker",
+            f"MQTT broker {p.service.broker}: {p.service.broker_fault}",
+            "start the broker, or correct its address; landing does not need it, telemetry does",
+        )
+    return None
+
+
+def drone_fault(p: Picture) -> Finding | None:
+    if p.service.drone_fault is not None:
+        return error(
+            "drone",
+            f"AR.Drone at {p.service.drone}: {p.service.drone_fault}",
+            "join its Wi-Fi (ardrone2_...), check that this host has an address 192.168.1.x, and power-cycle the drone",
+        )
+    return None
+
+
+RULES: tuple[Rule, ...] = (
+    link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, no_autopilot, several_autopilots,
+    stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, camera_fault, camera_size, camera_slow,
+    broker_fault, drone_fault,
+)  # fmt: skip

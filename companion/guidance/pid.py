@@ -1,0 +1,156 @@
+"""Position controller: where the pad is and where it should be, in; a velocity command, out.
+
+Source: Sundvoll 2020, sec. 4.5 (one PID for each of x, y, z and heading; table 4.2), with the derivative per second and on the
+measurement (the thesis' code took it per step and on the error), heading errors wrapped, and silence from the estimator
+answered by hovering instead of flying on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from estimator.contracts.commands import Command, Hover, Velocity
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.samples import _vector
+from estimator.contracts.time import MonoNs, seconds_between
+
+_DT_MAX_S = 0.2
+"""A controller that was not called for longer than this integrates no more than this."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetPoint:
+    """Where the body should be against the pad."""
+
+    d_body_pad_level: F64
+    """(3,) m: the wanted vector from body to pad, so (0, 0, 2) is two metres above it."""
+    yaw_rad: float | None = None
+    """The wanted heading against the arrow; None keeps whatever heading there is."""
+    v_body_level: F64 = field(default_factory=lambda: np.zeros(3))
+    """(3,) m/s: how fast the set point itself flies relative to the pad."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "d_body_pad_level", _vector("SetPoint.d_body_pad_level", self.d_body_pad_level, (3,)))
+        object.__setattr__(self, "v_body_level", _vector("SetPoint.v_body_level", self.v_body_level, (3,)))
+        if self.yaw_rad is not None and not math.isfinite(self.yaw_rad):
+            raise ValueError(f"SetPoint.yaw_rad must be finite or None, got {self.yaw_rad}")
+
+
+@dataclass(frozen=True, slots=True)
+class AxisGains:
+    """m/s (or rad/s) of command for each m (or rad) of error, m s of its integral, m/s of its rate."""
+
+    kp: float
+    ki: float
+    kd: float
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(k) and k >= 0.0 for k in (self.kp, self.ki, self.kd)):
+            raise ValueError(f"gains must be finite and not negative, got {self.kp}, {self.ki}, {self.kd}")
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """For a vehicle that tilts to follow a velocity command (0.2 s of dead time, then 0.4 s of lag) and is seen 0.15 s late."""
+
+    horizontal: AxisGains = AxisGains(0.9, 0.05, 0.1)
+    vertical: AxisGains = AxisGains(1.0, 0.15, 0.1)
+    heading: AxisGains = AxisGains(0.8, 0.0, 0.0)
+    speed_max_m_s: float = 1.0
+    """Horizontal speed; the direction is kept."""
+    climb_max_m_s: float = 0.5
+    sink_max_m_s: float = 0.5
+    turn_max_rad_s: float = 0.6
+    integral_max_m_s: float = 0.5
+    """What the integral alone may command on one axis: the pad's own speed and the wind."""
+    soft_above_m: float = 2.5
+    """Set points higher than this soften the horizontal gains by `soft_above_m` / height (thesis code)."""
+    soft_least: float = 0.1
+    stale_after_s: float = 1.0
+    """Age of the newest sighting (or of the estimate itself) beyond which nobody steers by it."""
+    forget_after_s: float = 2.0
+    """Silence after which the integrals start anew; until then they are frozen."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pid:
+    """The controller's memory."""
+
+    integral: F64 = field(default_factory=lambda: np.zeros(4))
+    """(4,) m s, m s, m s, rad s: forward, right, down, heading."""
+    last: MonoNs | None = None
+    """When it last steered."""
+
+    @staticmethod
+    def start() -> Pid:
+        return Pid()
+
+
+def fit_to_steer(estimate: RelativeState | None, now: MonoNs, stale_after_s: float) -> bool:
+    """Whether an estimate is there, of recent sight, computed recently, and in agreement with itself."""
+    if estimate is None or not estimate.consistent:
+        return False
+    return abs(estimate.age_s(now)) <= stale_after_s and abs(seconds_between(estimate.at, now)) <= stale_after_s
+
+
+def pid_step(state: Pid, gains: Gains, now: MonoNs, estimate: RelativeState | None, set_point: SetPoint) -> tuple[Pid, Command]:
+    """One turn of the controller.
+
+    Errors are taken in level axes, so no heading is needed to fly; without one (`yaw_rad` None) it does not turn.
+    Anti-windup: an axis integrates only while its command is free or the error leads out of the limit.
+
+    Returns:
+        The new state and `Velocity`, or `Hover` where `fit_to_steer` says no.
+    """
+    if estimate is None or not fit_to_steer(estimate, now, gains.stale_after_s):
+        silent = state.last is not None and seconds_between(state.last, now) > gains.forget_after_s
+        return (Pid.start() if silent else state), Hover()
+
+    dt = 0.0
+    integral = state.integral
+    if state.last is not None:
+        silence_s = seconds_between(state.last, now)
+        dt = min(max(0.0, silence_s), _DT_MAX_S)
+        if silence_s > gains.forget_after_s:
+            integral = np.zeros(4)
+
+    yaw_error = 0.0
+    if estimate.yaw_rad is not None and set_point.yaw_rad is not None:
+        yaw_error = wrap_pi(set_point.yaw_rad - estimate.yaw_rad)
+    error = np.append(estimate.d_body_pad_level - set_point.d_body_pad_level, yaw_error)
+    # the measured rate, not the error's: a jump of the set point kicks nothing
+    rate = np.append(estimate.v_pad_level + set_point.v_body_level, 0.0)
+    ahead = np.append(set_point.v_body_level, 0.0)
+
+    axes = (gains.horizontal, gains.horizontal, gains.vertical, gains.heading)
+    kp, ki, kd = (np.array([getattr(axis, k) for axis in axes]) for k in ("kp", "ki", "kd"))
+    height_m = float(set_point.d_body_pad_level[2])
+    if height_m > gains.soft_above_m:
+        softer = np.array([max(gains.soft_above_m / height_m, gains.soft_least)] * 2 + [1.0, 1.0])
+        kp, ki, kd = kp * softer, ki * softer, kd * softer
+
+    wanted = ahead + kp * error + ki * integral + kd * rate
+    allowed = _limited(wanted, gains)
+    held_back = (wanted - allowed) * error > 0.0
+    integral = np.where(held_back, integral, integral + error * dt)
+    most = np.divide(gains.integral_max_m_s, ki, out=np.zeros(4), where=ki > 0.0)
+    integral = np.clip(integral, -most, most)
+    return replace(state, integral=integral, last=now), Velocity(allowed[:3], float(allowed[3]))
+
+
+def _limited(u: F64, gains: Gains) -> F64:
+    """(4,) the nearest command within the limits; horizontally the direction is kept."""
+    speed = math.hypot(u[0], u[1])
+    shrink = min(1.0, gains.speed_max_m_s / speed) if speed > 0.0 else 1.0
+    return np.array(
+        [
+            shrink * u[0],
+            shrink * u[1],
+            min(gains.sink_max_m_s, max(-gains.climb_max_m_s, u[2])),
+            min(gains.turn_max_rad_s, max(-gains.turn_max_rad_s, u[3])),
+        ]
+    )

@@ -1,0 +1,189 @@
+"""One model of health: what each part is doing, since when, how often it failed, how fast data flows, how long each stage takes,
+and what became of every frame. Whoever reports it (log, MQTT, Prometheus, MAVLink) reads the same `HealthSnapshot`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
+
+
+@dataclass(slots=True)
+class PartHealth:
+    """One supervised part."""
+
+    up: bool = False
+    since: MonoNs | None = None
+    restarts: int = 0
+    last_error: str = ""
+
+
+@dataclass(slots=True)
+class Delays:
+    """The newest `capacity` durations of one stage, seconds."""
+
+    capacity: int = 600
+    count: int = 0
+    """How many there ever were."""
+    _values: list[float] = field(default_factory=list)
+    _next: int = 0
+
+    def add(self, seconds: float) -> None:
+        self.count += 1
+        if len(self._values) < self.capacity:
+            self._values.append(seconds)
+        else:
+            self._values[self._next] = seconds
+            self._next = (self._next + 1) % self.capacity
+
+    def quantile(self, q: float) -> float | None:
+        """The q-quantile in seconds, None before the first value."""
+        return self.quantiles(q)[0]
+
+    def quantiles(self, *qs: float) -> tuple[float | None, ...]:
+        """Several of them for one sorting."""
+        if not self._values:
+            return (None,) * len(qs)
+        ordered = sorted(self._values)
+        return tuple(ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in qs)
+
+
+@dataclass(slots=True)
+class Flow:
+    """One kind of data coming by."""
+
+    count: int = 0
+    _recent: deque[MonoNs] = field(default_factory=lambda: deque(maxlen=50))
+
+    def beat(self, at: MonoNs) -> None:
+        self.count += 1
+        self._recent.append(at)
+
+    def age_s(self, now: MonoNs) -> float | None:
+        """Seconds since the last, None before the first."""
+        return seconds_between(self._recent[-1], now) if self._recent else None
+
+    def rate_hz(self, now: MonoNs) -> float | None:
+        """How many a second over the newest ones; falls when they stop coming; None before the second."""
+        if len(self._recent) < 2:
+            return None
+        return (len(self._recent) - 1) / max(1e-9, seconds_between(self._recent[0], now))
+
+
+@dataclass(frozen=True, slots=True)
+class PartState:
+    """A supervised part at one instant."""
+
+    up: bool
+    age_s: float
+    """Since it came up or went down."""
+    restarts: int
+    last_error: str
+
+
+@dataclass(frozen=True, slots=True)
+class FlowState:
+    """A kind of data at one instant."""
+
+    count: int
+    age_s: float | None
+    """Since the last; None before the first."""
+    rate_hz: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class StageState:
+    """How long a stage takes, over its newest runs."""
+
+    count: int
+    p50_s: float | None
+    p99_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class HealthSnapshot:
+    """Everything known of the service's health at one instant. Immutable."""
+
+    at: MonoNs
+    all_up: bool
+    parts: Mapping[str, PartState]
+    flows: Mapping[str, FlowState]
+    frames: Mapping[str, int]
+    """Frames by verdict."""
+    inputs: Mapping[str, Mapping[str, int]]
+    """Other measurements by kind and verdict."""
+    stages: Mapping[str, StageState]
+    counters: Mapping[str, Mapping[str, float]]
+    """What the parts count for themselves, by part."""
+
+
+class Health:
+    """Written by every part, read by whoever reports."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._counters: dict[str, Callable[[], Mapping[str, float]]] = {}
+        self.parts: dict[str, PartHealth] = {}
+        self.frames: Counter[Verdict] = Counter()
+        """Every frame taken ends here exactly once."""
+        self.inputs: dict[str, Counter[Verdict]] = {}
+        """Verdicts of the other measurements, by kind."""
+        self.delays: dict[str, Delays] = {}
+        self.flows: dict[str, Flow] = {}
+
+    def up(self, name: str) -> None:
+        part = self.parts.setdefault(name, PartHealth())
+        part.up, part.since = True, self._clock.now()
+
+    def down(self, name: str, why: BaseException) -> None:
+        part = self.parts.setdefault(name, PartHealth())
+        part.up, part.since = False, self._clock.now()
+        part.restarts += 1
+        part.last_error = str(why) or type(why).__name__
+
+    def frame(self, verdict: Verdict) -> None:
+        self.frames[verdict] += 1
+
+    def input(self, kind: str, verdict: Verdict) -> None:
+        self.inputs.setdefault(kind, Counter())[verdict] += 1
+
+    def delay(self, stage: str, seconds: float) -> None:
+        self.delays.setdefault(stage, Delays()).add(seconds)
+
+    def beat(self, flow: str) -> None:
+        """One more of a kind of data."""
+        self.flows.setdefault(flow, Flow()).beat(self._clock.now())
+
+    def counters(self, part: str, read: Callable[[], Mapping[str, float]]) -> None:
+        """From now on a snapshot asks `read` what the part has counted."""
+        self._counters[part] = read
+
+    @property
+    def all_up(self) -> bool:
+        return all(part.up for part in self.parts.values())
+
+    def snapshot(self) -> HealthSnapshot:
+        """Health as it is now."""
+        now = self._clock.now()
+        stages = {}
+        for name, delays in self.delays.items():
+            p50, p99 = delays.quantiles(0.5, 0.99)
+            stages[name] = StageState(delays.count, p50, p99)
+        return HealthSnapshot(
+            at=now,
+            all_up=self.all_up,
+            parts={
+                name: PartState(p.up, 0.0 if p.since is None else seconds_between(p.since, now), p.restarts, p.last_error)
+                for name, p in self.parts.items()
+            },
+            flows={name: FlowState(f.count, f.age_s(now), f.rate_hz(now)) for name, f in self.flows.items()},
+            frames={verdict.value: n for verdict, n in self.frames.items()},
+            inputs={kind: {v.value: n for v, n in tally.items()} for kind, tally in self.inputs.items()},
+            stages=stages,
+            counters={part: dict(read()) for part, read in self._counters.items()},
+        )

@@ -1,0 +1,321 @@
+"""The service as a MAVLink component: identity, heartbeat, parameters, commands, texts, and what is told of the pad.
+
+    component = Component(options, operator, store, healthy=..., clock=clock)
+    async with open_autopilot(...) as autopilot, speaking(component, autopilot, clock): ...
+
+It is an observer of the service. The heartbeat depends on the service: a part that is down, or guidance that stands still, and
+it stops, so that nobody takes a dead pipeline for a live one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from importlib import metadata
+
+from companion.mavlink.commands import CommandServer, Offered
+from companion.mavlink.computer import ComputerReader, computer_status
+from companion.mavlink.operator import Operator
+from companion.mavlink.outputs import OutputOptions, Outputs
+from companion.mavlink.parameters import ParameterServer, Store
+from companion.mavlink.status_texts import Severity, StatusTexts
+from companion.mavlink.target_track import TargetTrack
+from companion.observer import Decision, FrameSeen, Silent
+from drivers.mavlink.autopilot import Autopilot
+from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
+from drivers.mavlink.links import Heard, Links
+from drivers.mavlink.samples import LocalPosition
+from drivers.mavlink.vehicle import Condition, Stack
+from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Attitude, Sample
+from estimator.contracts.time import MonoNs, seconds_between
+
+log = logging.getLogger(__name__)
+
+TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_AUTOPILOT_INVALID)
+_CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
+_SEVERITIES = {
+    "landed": Severity.NOTICE,
+    "landed by others": Severity.NOTICE,
+    "gave up": Severity.CRITICAL,
+    "no landing reported": Severity.ERROR,
+    "emergency": Severity.CRITICAL,
+    "aborted": Severity.WARNING,
+    "paused": Severity.NOTICE,
+}
+"""Of phases that are more than information."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentOptions:
+    """What it says, and how often.
+
+    Raises:
+        ValueError: a number out of range.
+    """
+
+    outputs: OutputOptions
+    tick_s: float = 0.01
+    heartbeat_s: float = 1.0
+    state_s: float = 0.2
+    """Of NAMED_VALUE_FLOAT; 0 for not at all."""
+    computer_s: float = 1.0
+    guidance_silence_s: float = 1.0
+    """Guidance that has not decided anything for this long stands still."""
+    parameters: tuple[str, ...] = field(
+        default=("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "RNGFND1_TYPE", "RNGFND2_TYPE", "RNGFND3_TYPE", "RNGFND4_TYPE")
+    )
+    """That the autopilot is to be asked for (see `AutopilotOptions.parameters`)."""
+
+    def __post_init__(self) -> None:
+        for name in ("tick_s", "heartbeat_s", "guidance_silence_s"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """The autopilot as `Outputs` sees it."""
+
+    autopilot: Autopilot
+
+    @property
+    def stack(self) -> Stack:
+        identity = self.autopilot.identity
+        return Stack.OTHER if identity is None else identity.stack
+
+    @property
+    def condition(self) -> Condition:
+        return self.autopilot.condition
+
+    @property
+    def positions(self) -> tuple[LocalPosition, ...]:
+        return self.autopilot.positions
+
+    @property
+    def round_trip_s(self) -> float | None:
+        return None if self.autopilot.sync is None else self.autopilot.sync.round_trip_s
+
+    @property
+    def parameter_values(self) -> Mapping[str, float]:
+        return {} if self.autopilot.parameters is None else self.autopilot.parameters.values
+
+
+class Component(Silent):
+    """See the module.
+
+    Args:
+        healthy: None while the service is well, else one line that says what is not.
+        believe: the steering path's belief at an instant; None takes that of guidance's newest decision.
+    """
+
+    def __init__(
+        self,
+        options: ComponentOptions,
+        operator: Operator,
+        store: Store | None,
+        *,
+        healthy: Callable[[], str | None],
+        believe: Callable[[MonoNs], RelativeState | None] | None = None,
+        clock: Clock,
+    ) -> None:
+        self.options = self._o = options
+        self._healthy = healthy
+        self._believe = believe
+        self._clock = clock
+        self._autopilot: Autopilot | None = None
+        self._links: Links | None = None
+        self._track = TargetTrack()
+        self._computer = ComputerReader()
+        self._phase = ""
+        self._decided: MonoNs | None = None
+        self._belief: RelativeState | None = None
+        self._sick = False
+        self._values = 0
+        self._parameters = None if store is None else ParameterServer(store)
+        self._offered = Offered(
+            {
+                mav.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
+                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: lambda now: computer_status(self._computer.read(), now),
+                ComponentInformationBasic.id: self._information,
+                mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: self._value,
+            },
+            {
+                mav.MAVLINK_MSG_ID_HEARTBEAT: options.heartbeat_s,
+                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: options.computer_s,
+                # The values take turns
+                mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: options.state_s / len(_VALUES),
+            },
+        )
+        self._commands = CommandServer(operator, self._offered)
+        self.texts = StatusTexts()
+        self.outputs = Outputs(options.outputs, self._track)
+
+    def attach(self, autopilot: Autopilot) -> None:
+        """Speak over this autopilot's links from now on."""
+        self._autopilot, self._links = autopilot, autopilot.links
+        autopilot.listen(self.hear)
+
+    def detach(self) -> None:
+        """Speak no more; the links are about to close."""
+        self._autopilot = self._links = None
+
+    # What the service tells
+
+    def on_sample(self, sample: Sample) -> None:
+        if isinstance(sample, Attitude):
+            self._track.hear(sample)
+
+    def on_frame(self, seen: FrameSeen) -> None:
+        """A fused sighting is told of at once, not at the next tick."""
+        if seen.verdict is Verdict.FUSED and self._autopilot is not None:
+            now = self._clock.now()
+            self._update_belief(now)
+            self._send(self.outputs.target(now, _View(self._autopilot), self._sighted))
+
+    def on_decision(self, decision: Decision) -> None:
+        self._decided = decision.at
+        if self._believe is None:
+            self._belief = decision.belief
+        if decision.phase != self._phase:
+            self._phase = decision.phase
+            severity = _SEVERITIES.get(decision.phase, Severity.INFO)
+            self.texts.say(severity, f"Decklander: {decision.phase}", decision.at)
+
+    # What others tell
+
+    def hear(self, heard: Heard) -> None:
+        """A message of any link: commands and parameters are answered on that link, changes are told to all."""
+        if self._links is None:
+            return
+        now, us = self._clock.now(), self._links.identity
+        for answer in self._commands.hear(heard.message, (heard.system, heard.component), us, now):
+            self._links.send(answer, heard.link)
+        if heard.message.get_type() in ("COMMAND_LONG", "COMMAND_INT") and self._commands.refusal is not None:
+            self.texts.say(Severity.WARNING, f"Decklander: {self._commands.refusal}", now)
+            self._commands.refusal = None
+        if self._parameters is not None:
+            self._send(self._parameters.hear(heard.message, us))
+            if self._parameters.refused is not None:
+                self.texts.say(Severity.WARNING, f"Decklander: {self._parameters.refused}", now)
+                self._parameters.refused = None
+
+    # What it says
+
+    def tick(self, now: MonoNs) -> None:
+        """Everything that is due."""
+        self._check_health(now)
+        self._send(self._offered.due(now))
+        self._send(self._commands.due(now))
+        self._send(self.texts.due(now))
+        if self._parameters is not None:
+            self._send(self._parameters.due())
+        if self._autopilot is not None and self._autopilot.connected:
+            self._update_belief(now)
+            view = _View(self._autopilot)
+            self._autopilot.take_ranges(not self.outputs.sends_ranges(view))
+            self._send(self.outputs.due(now, view, self._sighted))
+
+    @property
+    def belief(self) -> RelativeState | None:
+        """The newest that it speaks of."""
+        return self._belief
+
+    @property
+    def _sighted(self) -> MonoNs | None:
+        return None if self._belief is None else self._belief.sighted
+
+    def _update_belief(self, now: MonoNs) -> None:
+        if self._believe is not None:
+            self._belief = self._believe(now)
+        self._track.believe(self._belief)
+
+    def _send(self, messages: list[Message]) -> None:
+        if self._links is not None:
+            for message in messages:
+                self._links.send(message)
+
+    def _fault(self, now: MonoNs) -> str | None:
+        if self._decided is None or seconds_between(self._decided, now) > self._o.guidance_silence_s:
+            return "guidance stands still"
+        return self._healthy()
+
+    def _check_health(self, now: MonoNs) -> None:
+        why = self._fault(now) if self._decided is not None else None
+        if why is not None and not self._sick:
+            self.texts.say(Severity.ERROR, f"Decklander: {why}", now)
+        self._sick = why is not None
+
+    def _heartbeat(self, now: MonoNs) -> Message | None:
+        if self._fault(now) is not None:
+            return None
+        state = mav.MAV_STATE_ACTIVE if self._belief is not None else mav.MAV_STATE_STANDBY
+        return mav.MAVLink_heartbeat_message(TYPE_ONBOARD, NO_AUTOPILOT, 0, 0, int(state), 3)
+
+    def _information(self, now: MonoNs) -> Message:
+        return ComponentInformationBasic(
+            now // 1_000_000 & 0xFFFFFFFF, _CAPABILITIES, 0, "Decklander", "companion", _version(), "", ""
+        )
+
+    def _value(self, now: MonoNs) -> Message | None:
+        for _ in _VALUES:
+            name = _VALUES[self._values % len(_VALUES)]
+            self._values += 1
+            value = self._figure(name, now)
+            if value is not None:
+                return mav.MAVLink_named_value_float_message(now // 1_000_000 & 0xFFFFFFFF, name.encode(), value)
+        return None
+
+    def _figure(self, name: str, now: MonoNs) -> float | None:
+        belief = self._belief
+        if belief is None:
+            return 0.0 if name == "dl_seen" else None
+        if name == "dl_seen":
+            return float(belief.age_s(now) <= self._o.outputs.stale_s)
+        if name == "dl_age":
+            return belief.age_s(now)
+        if name == "dl_height":
+            return belief.height_m
+        if name == "dl_lateral":
+            return belief.lateral_m
+        return math.sqrt(max(float(belief.cov[0, 0] + belief.cov[1, 1]) / 2.0, 0.0))
+
+
+_VALUES = ("dl_seen", "dl_age", "dl_sigma", "dl_height", "dl_lateral")
+"""NAMED_VALUE_FLOAT, at most ten characters: seen lately (1 or 0), s since then, m of one horizontal sigma, m, m."""
+
+
+def _version() -> str:
+    try:
+        return metadata.version("decklander")
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+@asynccontextmanager
+async def speaking(component: Component, autopilot: Autopilot, clock: Clock) -> AsyncIterator[None]:
+    """The component alive on the links of an autopilot."""
+
+    async def tick() -> None:
+        while True:
+            component.tick(clock.now())
+            await clock.sleep(component.options.tick_s)
+
+    component.attach(autopilot)
+    failed: Exception | None = None
+    async with asyncio.TaskGroup() as group:
+        task = group.create_task(tick(), name="mavlink-component")
+        try:
+            yield
+        except Exception as why:  # the caller's own error must not come out wrapped in a group
+            failed = why
+        finally:
+            component.detach()
+            task.cancel()
+    if failed is not None:
+        raise failed

@@ -1,0 +1,142 @@
+"""From where the pad is to the bytes that each autopilot obeys. No I/O, no clocks.
+
+All take the vector from the body's origin to the pad's centre in `ned` and the attitude of the same instant. What the receivers
+do with the fields: docs/mavlink.md. Source: AC_PrecLand_MAVLink.cpp and AC_PrecLand.cpp (ArduPilot), mavlink_receiver.cpp and
+LandingTargetEstimator.cpp (PX4); MAVLink messages LANDING_TARGET, TARGET_RELATIVE, DISTANCE_SENSOR.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.mavlink.dialect import Message, TargetRelative, mav
+from estimator.contracts.geometry import F64, Rotation
+
+BODY_FRD, LOCAL_NED = int(mav.MAV_FRAME_BODY_FRD), int(mav.MAV_FRAME_LOCAL_NED)
+VISION_OTHER = int(mav.LANDING_TARGET_TYPE_VISION_OTHER)
+TARGET_OBS_BODY_FRD = 1
+"""TARGET_OBS_FRAME_BODY_FRD of the development dialect."""
+_NO_ROTATION_KNOWN = (0.0, 0.0, 0.0, 0.0)
+"""Not a rotation: receivers that read the quaternion take it as not given."""
+_LEAST_DEPTH_M = 0.02
+
+
+def angles_of(d_body: F64) -> tuple[float, float] | None:
+    """(angle_x, angle_y) in rad as ArduPilot turns them back: (-tan(angle_y), tan(angle_x), 1) points to the pad.
+
+    None where the pad is not below the body.
+    """
+    x, y, z = (float(v) for v in d_body)
+    return (math.atan2(y, z), math.atan2(-x, z)) if z >= _LEAST_DEPTH_M else None
+
+
+def _quaternion(rotation: Rotation | None) -> tuple[float, ...]:
+    return _NO_ROTATION_KNOWN if rotation is None else tuple(float(v) for v in rotation.quat_wxyz)
+
+
+def _target(time_us: int, frame: int, xyz: F64, d_body: F64, q: tuple[float, ...], pad_radius_m: float) -> Message | None:
+    angles = angles_of(d_body)
+    if angles is None:
+        return None
+    distance_m = float(np.linalg.norm(d_body))
+    size_rad = 2.0 * math.atan(pad_radius_m / distance_m)
+    return mav.MAVLink_landing_target_message(
+        time_us, 0, frame, *angles, distance_m, size_rad, size_rad, *(float(v) for v in xyz), q, VISION_OTHER, 1
+    )
+
+
+def ardupilot_landing_target(
+    time_us: int, d_body_pad_ned: F64, R_ned_body: Rotation, *, pad_radius_m: float, R_ned_pad: Rotation | None = None
+) -> Message | None:
+    """LANDING_TARGET in MAV_FRAME_BODY_FRD with position, distance and angles that all say the same.
+
+    Firmware before 4.1 reads the angles only; later firmware reads the position and needs distance > 0.
+
+    Args:
+        time_us: any clock of constant offset: ArduPilot uses it for a staleness test only. It takes the attitude from its own
+            ring, PLND_LAG back, so the vector must be of that instant (see `TargetTrack`).
+        R_ned_pad: the pad's attitude where it is known; it goes into `q` relative to the body.
+
+    Returns:
+        None where the pad is not below the body: ArduPilot ignores such a target.
+    """
+    d_body = R_ned_body.inv @ d_body_pad_ned
+    q = _quaternion(None if R_ned_pad is None else R_ned_body.inv @ R_ned_pad)
+    return _target(time_us, BODY_FRD, d_body, d_body, q, pad_radius_m)
+
+
+def px4_landing_target(
+    time_us: int,
+    d_body_pad_ned: F64,
+    R_ned_body: Rotation,
+    p_body_ned: F64,
+    *,
+    pad_radius_m: float,
+    R_ned_pad: Rotation | None = None,
+) -> Message | None:
+    """LANDING_TARGET in MAV_FRAME_LOCAL_NED: the pad's place in PX4's own local frame.
+
+    Args:
+        time_us: when it was true, in the clock of our TIMESYNC answers; another clock makes PX4 ignore the target.
+        p_body_ned: LOCAL_POSITION_NED of the same instant.
+
+    Returns:
+        None where the pad is not below the body.
+    """
+    d_body = R_ned_body.inv @ d_body_pad_ned
+    return _target(time_us, LOCAL_NED, p_body_ned + d_body_pad_ned, d_body, _quaternion(R_ned_pad), pad_radius_m)
+
+
+def target_relative(
+    time_us: int, d_body_pad_ned: F64, cov_ned: F64, R_ned_body: Rotation, R_ned_pad: Rotation | None, sigma_yaw_rad: float
+) -> Message:
+    """TARGET_RELATIVE for PX4's vision target estimator: pad in the body's axes with standard deviations, capture time.
+
+    Args:
+        cov_ned: (3, 3) of `d_body_pad_ned`.
+        sigma_yaw_rad: of the pad's heading; large where it is not known.
+    """
+    d_body = R_ned_body.inv @ d_body_pad_ned
+    sigma = np.sqrt(np.maximum(np.diag(R_ned_body.inv.rotate_cov(cov_ned)), 0.0))
+    return TargetRelative(
+        timestamp=time_us,
+        id=0,
+        frame=TARGET_OBS_BODY_FRD,
+        x=float(d_body[0]),
+        y=float(d_body[1]),
+        z=float(d_body[2]),
+        pos_std=[float(s) for s in sigma],
+        yaw_std=min(sigma_yaw_rad, math.pi),
+        q_target=_quaternion(None if R_ned_pad is None else R_ned_body.inv @ R_ned_pad),
+        q_sensor=_quaternion(R_ned_body),
+        type=VISION_OTHER,
+    )
+
+
+MIN_RANGE_CM, MAX_RANGE_CM = 5, 5000
+
+
+def distance_sensor(time_boot_ms: int, range_m: float | None, sigma_m: float, sensor_id: int) -> Message:
+    """DISTANCE_SENSOR looking down: what a lidar would read, for an autopilot that has none.
+
+    Args:
+        range_m: along the body's down axis; None while nothing is seen, which is said and not left out.
+    """
+    if range_m is None:
+        reading, quality, covariance = MAX_RANGE_CM + 1, 1, 255
+    else:
+        reading, quality = min(max(round(100.0 * range_m), 0), MAX_RANGE_CM + 1), 0
+        covariance = min(max(round((100.0 * sigma_m) ** 2), 1), 254)
+    return mav.MAVLink_distance_sensor_message(
+        time_boot_ms & 0xFFFFFFFF, MIN_RANGE_CM, MAX_RANGE_CM, reading, mav.MAV_DISTANCE_SENSOR_UNKNOWN, sensor_id,
+        mav.MAV_SENSOR_ROTATION_PITCH_270, covariance, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0), quality,
+    )  # fmt: skip
+
+
+def range_along_down(d_body_pad_ned: F64, R_ned_body: Rotation) -> float | None:
+    """Distance in m along the body's down axis to the level through the pad's centre; None when that axis does not meet it."""
+    down = float(R_ned_body.matrix[2, 2])
+    depth_m = float(d_body_pad_ned[2])
+    return depth_m / down if down > 0.2 and depth_m >= 0.0 else None

@@ -1,0 +1,179 @@
+"""What the autopilot is told of the pad, by the kind of autopilot it is. No I/O; the clock comes with each call."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from companion.mavlink.landing_target import (
+    ardupilot_landing_target,
+    distance_sensor,
+    px4_landing_target,
+    range_along_down,
+    target_relative,
+)
+from companion.mavlink.target_track import LOOP_RATE_HZ, Seen, TargetTrack, lag_locked, position_at
+from drivers.mavlink.dialect import Message
+from drivers.mavlink.samples import LocalPosition
+from drivers.mavlink.vehicle import Condition, Stack
+from estimator.contracts.time import MonoNs, seconds_between
+
+DEFAULT_PLND_LAG_S = 0.02
+_MAVLINK_RANGEFINDER = 10.0
+"""RNGFNDx_TYPE of a rangefinder that listens to DISTANCE_SENSOR."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutputOptions:
+    """How the pad is told of.
+
+    Raises:
+        ValueError: a number out of range.
+    """
+
+    pad_radius_m: float
+    rate_hz: float = 25.0
+    """Of LANDING_TARGET; ArduPilot starts at 3 Hz, 10 to 50 are comfortable."""
+    stale_s: float = 0.5
+    """A pad not seen for this long is no longer told of."""
+    ranges: Literal["auto", "on", "off"] = "auto"
+    """Send DISTANCE_SENSOR: auto where an ArduPilot's parameters say that its rangefinder is a MAVLink one."""
+    range_rate_hz: float = 20.0
+    standing_m: float = 0.1
+    """What a rangefinder would read while the vehicle stands; ArduPilot refuses to arm without a reading."""
+    range_id: int = 0
+    vision_target_estimator: bool = False
+    """PX4 runs its vision target estimator: send TARGET_RELATIVE too."""
+    receiver_s: float = 0.5 / LOOP_RATE_HZ
+    """From the message's arrival until the autopilot takes it up."""
+
+    def __post_init__(self) -> None:
+        for name in ("pad_radius_m", "rate_hz", "stale_s", "range_rate_hz", "standing_m"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
+        if not 1.0 <= self.rate_hz <= 50.0 or not 0 <= self.range_id <= 255:
+            raise ValueError(f"rate_hz must lie in 1..50 and range_id in 0..255, got {self}")
+
+
+class Vehicle(Protocol):
+    """What is needed to know of the autopilot."""
+
+    @property
+    def stack(self) -> Stack: ...
+
+    @property
+    def condition(self) -> Condition: ...
+
+    @property
+    def positions(self) -> tuple[LocalPosition, ...]: ...
+
+    @property
+    def round_trip_s(self) -> float | None: ...
+
+    @property
+    def parameter_values(self) -> Mapping[str, float]: ...
+
+
+class Outputs:
+    """LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR, each when it is due.
+
+    Nothing is told of a pad while the vehicle stands: a target that moves on after touchdown can keep ArduPilot from disarming.
+    """
+
+    def __init__(self, options: OutputOptions, track: TargetTrack) -> None:
+        self._o = options
+        self._track = track
+        self._target_at: MonoNs | None = None
+        self._range_at: MonoNs | None = None
+        self._newest: MonoNs | None = None
+        self.withheld: Counter[str] = Counter()
+        """Why a target that was due was not sent."""
+
+    def sends_ranges(self, vehicle: Vehicle) -> bool:
+        """Whether this autopilot's rangefinder is us."""
+        if self._o.ranges != "auto":
+            return self._o.ranges == "on"
+        kinds = (vehicle.parameter_values.get(f"RNGFND{n}_TYPE") for n in range(1, 5))
+        return vehicle.stack is Stack.ARDUPILOT and _MAVLINK_RANGEFINDER in kinds
+
+    def due(self, now: MonoNs, vehicle: Vehicle, sighted: MonoNs | None) -> list[Message]:
+        """The messages of this instant.
+
+        Args:
+            sighted: when the pad was last seen, None for never.
+        """
+        out: list[Message] = []
+        if self._time_has_come(self._target_at, now, self._o.rate_hz):
+            out += self.target(now, vehicle, sighted)
+        if self._time_has_come(self._range_at, now, self._o.range_rate_hz) and self.sends_ranges(vehicle):
+            self._range_at = now
+            out.append(self._range(now, vehicle, sighted))
+        return out
+
+    def target(self, now: MonoNs, vehicle: Vehicle, sighted: MonoNs | None) -> list[Message]:
+        """The target as it is to be told now, whether or not it is due; the next is due one period later."""
+        self._target_at = now
+        seen, why = self._seen(now, vehicle, sighted)
+        if seen is None:
+            self.withheld[why] += 1
+            return []
+        time_us = seen.at // 1000
+        radius_m = self._o.pad_radius_m
+        if vehicle.stack is Stack.ARDUPILOT:
+            message = ardupilot_landing_target(
+                now // 1000, seen.d_body_pad_ned, seen.R_ned_body, pad_radius_m=radius_m, R_ned_pad=seen.R_ned_pad
+            )
+        else:
+            p_body_ned = position_at(vehicle.positions, seen.at)
+            if p_body_ned is None:
+                self.withheld["no local position"] += 1
+                return []
+            message = px4_landing_target(
+                time_us, seen.d_body_pad_ned, seen.R_ned_body, p_body_ned, pad_radius_m=radius_m, R_ned_pad=seen.R_ned_pad
+            )
+        if message is None:
+            self.withheld["not below"] += 1
+            return []
+        self._newest = seen.at
+        if vehicle.stack is Stack.PX4 and self._o.vision_target_estimator:
+            relative = target_relative(
+                time_us, seen.d_body_pad_ned, seen.cov_ned, seen.R_ned_body, seen.R_ned_pad, seen.sigma_yaw_rad
+            )
+            return [message, relative]
+        return [message]
+
+    def _seen(self, now: MonoNs, vehicle: Vehicle, sighted: MonoNs | None) -> tuple[Seen | None, str]:
+        if vehicle.stack is Stack.OTHER:
+            return None, "unknown autopilot"
+        if vehicle.condition.flying is False:
+            return None, "standing"
+        if sighted is None or seconds_between(sighted, now) > self._o.stale_s:
+            return None, "not seen"
+        if vehicle.stack is Stack.ARDUPILOT:
+            lag_s = vehicle.parameter_values.get("PLND_LAG", DEFAULT_PLND_LAG_S)
+            transit_s = 0.5 * (vehicle.round_trip_s or 0.0) + self._o.receiver_s
+            return lag_locked(self._track, now, lag_s, transit_s), "no attitude"
+        newest = vehicle.positions[-1].stamp.taken if vehicle.positions else now
+        at = min(now, newest)
+        if self._newest is not None and at <= self._newest:
+            return None, "no newer position"
+        return self._track.at(at), "no attitude"
+
+    def _range(self, now: MonoNs, vehicle: Vehicle, sighted: MonoNs | None) -> Message:
+        sigma_m, range_m = 0.05, None
+        if vehicle.condition.flying is False:
+            range_m = self._o.standing_m
+        elif sighted is not None and seconds_between(sighted, now) <= self._o.stale_s:
+            seen = self._track.at(now)
+            if seen is not None:
+                range_m = range_along_down(seen.d_body_pad_ned, seen.R_ned_body)
+                sigma_m = math.sqrt(max(float(seen.cov_ned[2, 2]), 1e-4))
+        return distance_sensor(now // 1_000_000, range_m, sigma_m, self._o.range_id)
+
+    @staticmethod
+    def _time_has_come(last: MonoNs | None, now: MonoNs, rate_hz: float) -> bool:
+        # A tick that comes a little early counts, or a rate near that of the ticks is halved.
+        return last is None or seconds_between(last, now) >= 0.9 / rate_hz

@@ -1,0 +1,63 @@
+"""MAVLink commands to the pilot, and how the landing goes on as percent of the height."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from companion.mavlink.operator import Progress
+from companion.mqtt.operator import PilotOperator
+from companion.pilot import Outcome, Pilot
+from estimator.contracts.estimates import PathName, RelativeState
+
+
+class PilotTower:
+    """An `Operator` over the pilot.
+
+    Args:
+        believe: the steering path's newest belief.
+        engage: called when the operator starts: a vehicle that a person took may be taken back.
+        recording: switches the recorder; None where there is none.
+    """
+
+    def __init__(
+        self,
+        pilot: Pilot,
+        believe: Callable[[], RelativeState | None],
+        engage: Callable[[], None] = lambda: None,
+        recording: Callable[[bool], str | None] | None = None,
+    ) -> None:
+        self._pilot = pilot
+        self._deeds = PilotOperator(pilot, recording)
+        self._believe = believe
+        self._engage = engage
+        self._from_m: float | None = None
+
+    def begin(self) -> str | None:
+        refusal = self._deeds.start()
+        if refusal is None:
+            self._from_m = None
+            self._engage()
+        return refusal
+
+    def pause(self) -> str | None:
+        return self._deeds.pause()
+
+    def abort(self) -> str | None:
+        return self._deeds.abort()
+
+    def choose_path(self, path: PathName) -> str | None:
+        return self._deeds.steer_by(path)
+
+    def record(self, on: bool) -> str | None:
+        return self._deeds.record(on)
+
+    def progress(self) -> Progress:
+        outcome = self._pilot.outcome
+        if outcome is not None:
+            called_off = outcome is Outcome.ABORTED
+            return Progress(None, None if called_off else outcome is Outcome.LANDED, called_off)
+        belief = self._believe()
+        if belief is None or belief.height_m <= 0:
+            return Progress(None)
+        self._from_m = max(belief.height_m, self._from_m or 0.0)
+        return Progress(round(100.0 * (1.0 - belief.height_m / self._from_m)))

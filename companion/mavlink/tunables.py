@@ -1,0 +1,90 @@
+"""Settings that may be tuned in flight, under names that fit a MAVLink parameter (16 characters)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from companion.settings import from_mapping
+from companion.settings_model import Settings
+
+NAMES: dict[str, str] = {
+    "PID_H_KP": "guidance.pid.horizontal.kp",
+    "PID_H_KI": "guidance.pid.horizontal.ki",
+    "PID_H_KD": "guidance.pid.horizontal.kd",
+    "PID_V_KP": "guidance.pid.vertical.kp",
+    "PID_V_KI": "guidance.pid.vertical.ki",
+    "PID_V_KD": "guidance.pid.vertical.kd",
+    "PID_Y_KP": "guidance.pid.heading.kp",
+    "PID_Y_KI": "guidance.pid.heading.ki",
+    "PID_Y_KD": "guidance.pid.heading.kd",
+    "PID_SPEED_MAX": "guidance.pid.speed_max_m_s",
+    "PID_CLIMB_MAX": "guidance.pid.climb_max_m_s",
+    "PID_SINK_MAX": "guidance.pid.sink_max_m_s",
+    "PID_TURN_MAX": "guidance.pid.turn_max_deg_s",
+    "PID_INTEGRAL_MAX": "guidance.pid.integral_max_m_s",
+    "PLAN_SPEED": "guidance.planner.speed_m_s",
+    "PLAN_SLOW_RADIUS": "guidance.planner.slow_radius_m",
+    "PLAN_LEAD": "guidance.planner.lead_m",
+    "PLAN_APPR_ALT": "guidance.planner.approach_height_m",
+    "PLAN_APPR_TOL": "guidance.planner.approach_reached_m",
+    "PLAN_FINAL_ALT": "guidance.planner.final_height_m",
+    "PLAN_FINAL_TOL": "guidance.planner.final_reached_m",
+    "PLAN_SIGMA_LAND": "guidance.planner.sigma_land_m",
+    "PLAN_CLIMB_AFTER": "guidance.planner.climb_after_s",
+    "PLAN_SAFE_ALT": "guidance.planner.safe_height_m",
+    "PLAN_GIVE_UP": "guidance.planner.give_up_after_s",
+    "GUID_STALE": "guidance.stale_after_s",
+    "GUID_LAND_TOUT": "guidance.land_timeout_s",
+    "EST_MIN_CONF": "estimator.min_confidence",
+    "EST_MAX_DELAY": "estimator.max_delay_s",
+}
+"""Parameter name to key of the settings file, in the order of the list; the order and the count never change while running."""
+
+
+class Tunables:
+    """The settings that are in force, seen as parameters.
+
+    Args:
+        apply: puts changed settings into force; it may refuse by raising BadInput.
+    """
+
+    def __init__(self, settings: Settings, apply: Callable[[Settings], None]) -> None:
+        self._settings = settings
+        self._apply = apply
+        self.names = tuple(NAMES)
+
+    @property
+    def settings(self) -> Settings:
+        """As they are in force."""
+        return self._settings
+
+    def get(self, name: str) -> float:
+        """The value now.
+
+        Raises:
+            KeyError: no such parameter.
+        """
+        value: Any = self._settings
+        for part in NAMES[name].split("."):
+            value = getattr(value, part)
+        return float(value)
+
+    def set(self, name: str, value: float) -> None:
+        """Put a value into force.
+
+        Raises:
+            KeyError: no such parameter.
+            BadInput: out of range, or not possible together with the others; nothing has changed.
+        """
+        whole = msgspec.to_builtins(self._settings)
+        *path, last = NAMES[name].split(".")
+        table = whole
+        for part in path:
+            table = table[part]
+        table[last] = value
+        changed = from_mapping(whole, f"parameter {name}")
+        self._apply(changed)
+        self._settings = changed

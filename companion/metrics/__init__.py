@@ -1,0 +1,1 @@
+"""Health for Prometheus: `exposition` without I/O, `endpoint` over HTTP."""

@@ -1,0 +1,78 @@
+"""A health snapshot in Prometheus' text format. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4 as CONTENT_TYPE
+from prometheus_client.exposition import generate_latest
+from prometheus_client.registry import Collector, CollectorRegistry
+
+from companion.health import HealthSnapshot
+
+__all__ = ["CONTENT_TYPE", "text"]
+
+
+class _Snapshot(Collector):
+    def __init__(self, health: HealthSnapshot) -> None:
+        self._health = health
+
+    def collect(self) -> Iterator[Metric]:
+        yield from families(self._health)
+
+
+def text(health: HealthSnapshot) -> bytes:
+    """Everything in a snapshot, version 0.0.4 of the format."""
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(_Snapshot(health))
+    return generate_latest(registry)
+
+
+def families(health: HealthSnapshot) -> Iterator[Metric]:
+    """What is not known has no sample."""
+    up = GaugeMetricFamily("decklander_part_up", "Whether a supervised part runs.", labels=["part"])
+    since = GaugeMetricFamily("decklander_part_age_seconds", "Since the part came up or went down.", labels=["part"])
+    restarts = CounterMetricFamily("decklander_part_failures", "How often the part failed.", labels=["part"])
+    for part, state in health.parts.items():
+        up.add_metric([part], float(state.up))
+        since.add_metric([part], state.age_s)
+        restarts.add_metric([part], state.restarts)
+    yield from (up, since, restarts)
+
+    items = CounterMetricFamily("decklander_items", "Data that came by, by kind.", labels=["kind"])
+    ages = GaugeMetricFamily("decklander_item_age_seconds", "Since the last of its kind.", labels=["kind"])
+    rates = GaugeMetricFamily("decklander_item_rate_hertz", "How many of a kind a second, over the newest.", labels=["kind"])
+    for kind, flow in health.flows.items():
+        items.add_metric([kind], flow.count)
+        if flow.age_s is not None:
+            ages.add_metric([kind], flow.age_s)
+        if flow.rate_hz is not None:
+            rates.add_metric([kind], flow.rate_hz)
+    yield from (items, ages, rates)
+
+    frames = CounterMetricFamily("decklander_frames", "What became of each frame; exactly one verdict each.", labels=["verdict"])
+    for verdict, n in health.frames.items():
+        frames.add_metric([verdict], n)
+    inputs = CounterMetricFamily("decklander_inputs", "What became of each measurement.", labels=["kind", "verdict"])
+    for kind, tally in health.inputs.items():
+        for verdict, n in tally.items():
+            inputs.add_metric([kind, verdict], n)
+    yield from (frames, inputs)
+
+    stages = GaugeMetricFamily(
+        "decklander_stage_seconds", "How long a stage takes, quantiles of its newest runs.", labels=["stage", "quantile"]
+    )
+    runs = CounterMetricFamily("decklander_stage_runs", "How often a stage ran.", labels=["stage"])
+    for name, stage in health.stages.items():
+        runs.add_metric([name], stage.count)
+        for quantile, value in (("0.5", stage.p50_s), ("0.99", stage.p99_s)):
+            if value is not None:
+                stages.add_metric([name, quantile], value)
+    yield from (stages, runs)
+
+    counts = GaugeMetricFamily("decklander_count", "What the parts count for themselves.", labels=["part", "name"])
+    for part, values in health.counters.items():
+        for name, number in values.items():
+            counts.add_metric([part, name], number)
+    yield counts

@@ -1,0 +1,139 @@
+"""Commands from the broker: read, judged, carried out once. Without sockets and without clocks of its own.
+
+A command says for which run of the service it is meant and when it expires, both in the terms of the drone's own messages:
+no wall clock has to be right for a late command to be refused, and one from before a restart is never carried out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import msgspec
+
+from companion.mqtt.messages import Abort, Command, Pause, Refusal, Reply, SetPath, SetRecording, Start
+from companion.mqtt.topics import Topics
+from estimator.contracts.estimates import PathName
+from estimator.contracts.time import MonoNs, after, seconds_between
+
+LONGEST_BYTES = 4096
+FARTHEST_S = 60.0
+"""A command may not stay good for longer than this."""
+REMEMBERED = 4096
+"""Answers kept for repeated commands: more than can come in while one of them is still good."""
+
+_decoder = msgspec.json.Decoder(Command)
+
+
+class Operated(Protocol):
+    """The pilot, as far as an operator is concerned. Each says why it cannot, or None when it is done."""
+
+    def start(self) -> str | None: ...
+
+    def pause(self) -> str | None: ...
+
+    def abort(self) -> str | None: ...
+
+    def steer_by(self, path: PathName) -> str | None: ...
+
+    def record(self, on: bool) -> str | None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What became of one message on the command topic."""
+
+    reply: Reply
+    topic: str
+    """Where the answer goes."""
+    command: str | None
+    """Name of the command where it could be read."""
+    repeated: bool = False
+
+
+@dataclass(slots=True)
+class Desk:
+    """Takes commands in.
+
+    Args:
+        session: this run of the service.
+    """
+
+    topics: Topics
+    session: str
+    operated: Operated
+    _answered: OrderedDict[str, Judged] = field(default_factory=OrderedDict)
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def take(self, payload: bytes, now: MonoNs, *, retained: bool = False, reply_to: str | None = None) -> Judged:
+        """Judge one message and carry it out if nothing stands against it.
+
+        Args:
+            retained: the broker had kept it; whoever sent it may be long gone.
+            reply_to: the response topic of MQTT 5, where the command itself names none.
+        """
+        judged = self._judge(payload, now, retained, reply_to)
+        self.counts["repeated" if judged.repeated else judged.reply.reason or "accepted"] += 1
+        return judged
+
+    def _judge(self, payload: bytes, now: MonoNs, retained: bool, reply_to: str | None) -> Judged:
+        def refuse(reason: Refusal, words: str, of: str | None = None, name: str | None = None, to: str | None = None) -> Judged:
+            answer = Reply(session=self.session, at_ns=now, id=of, accepted=False, reason=reason, text=words)
+            return Judged(answer, to or self.topics.reply, name)
+
+        if len(payload) > LONGEST_BYTES:
+            return refuse("too_long", f"{len(payload)} bytes, at most {LONGEST_BYTES} are read")
+        try:
+            command = _decoder.decode(payload)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as why:
+            return refuse("malformed", str(why)[:200], _id_in(payload))
+        name = command.__struct_config__.tag
+        assert isinstance(name, str)
+        wished = command.reply_to or reply_to
+        if wished is not None and not self.topics.allows_reply(wished):
+            return refuse("reply_elsewhere", f"answers go to {self.topics.reply} or one name below it", command.id, name)
+        to = wished or self.topics.reply
+        if (known := self._answered.get(command.id)) is not None:
+            return Judged(known.reply, to, name, repeated=True)
+        if retained:
+            judged = refuse("retained", "a retained command is never carried out", command.id, name, to)
+        elif command.session != self.session:
+            judged = refuse("other_session", f"this is session {self.session}", command.id, name, to)
+        elif command.expires_ns < now:
+            late_s = seconds_between(MonoNs(command.expires_ns), now)
+            judged = refuse("expired", f"came {late_s:.3g} s after it had expired", command.id, name, to)
+        elif command.expires_ns > after(now, FARTHEST_S):
+            judged = refuse("expiry_too_far", f"it may expire {FARTHEST_S:.0f} s from now at most", command.id, name, to)
+        elif (cannot := self._carry_out(command)) is not None:
+            judged = refuse("not_possible", cannot, command.id, name, to)
+        else:
+            done = Reply(session=self.session, at_ns=now, id=command.id, accepted=True, reason=None, text=f"{name} done")
+            judged = Judged(done, to, name)
+        self._answered[command.id] = judged
+        if len(self._answered) > REMEMBERED:
+            self._answered.popitem(last=False)
+        return judged
+
+    def _carry_out(self, command: Command) -> str | None:
+        match command:
+            case Start():
+                return self.operated.start()
+            case Pause():
+                return self.operated.pause()
+            case Abort():
+                return self.operated.abort()
+            case SetPath():
+                return self.operated.steer_by(command.path)
+            case SetRecording():
+                return self.operated.record(command.on)
+
+
+def _id_in(payload: bytes) -> str | None:
+    """The id of a command that is otherwise malformed, so that its sender can tell which one it was."""
+    try:
+        data = msgspec.json.decode(payload)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None
+    found = data.get("id") if isinstance(data, dict) else None
+    return found if isinstance(found, str) and len(found) <= 64 else None

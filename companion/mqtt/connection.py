@@ -1,0 +1,211 @@
+"""One connection to the broker through aiomqtt, from opening to a sure end.
+
+What aiomqtt leaves open is closed here: connecting happens on a thread that cannot be cancelled, so it is bounded and waited
+for; a connection that fails half-way leaves a socket and a task, which are ended; and that a broker refused a publication
+(MQTT 5) is counted, since aiomqtt takes any answer for success.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import socket
+import ssl
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+import aiomqtt
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from companion.mqtt import access
+from companion.mqtt.settings import MqttSettings
+from estimator.contracts.errors import Recoverable
+
+INCOMING = 64
+"""Messages that may wait for us before further ones are discarded."""
+_LARGEST_BYTES = 65_536
+_FAREWELL_S = 1.0
+_quiet = logging.getLogger("companion.mqtt.paho")
+_quiet.setLevel(logging.CRITICAL)
+"""aiomqtt warns once for every message it discards: in a flood that is a second flood."""
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """Where the broker is and who we are to it."""
+
+    host: str
+    port: int
+    user: str | None
+    password: str | None
+    tls: ssl.SSLContext | None
+    mqtt5: bool
+    keepalive_s: int
+    timeout_s: float
+
+    @staticmethod
+    def of(settings: MqttSettings) -> Endpoint:
+        """As set, secrets read.
+
+        Raises:
+            BadInput: a secret or certificate cannot be read or used.
+        """
+        return Endpoint(
+            settings.host,
+            settings.port,
+            settings.user or None,
+            access.password(settings),
+            access.tls_context(settings),
+            settings.protocol == "5",
+            settings.keepalive_s,
+            settings.timeout_s,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A message from the broker."""
+
+    topic: str
+    payload: bytes
+    retained: bool
+    reply_to: str | None
+    correlation: bytes | None
+
+
+class Connection(aiomqtt.Client):
+    """An open connection. `MqttError` is what its methods raise when the broker fails."""
+
+    def __init__(self, endpoint: Endpoint, identifier: str, will: aiomqtt.Will | None, incoming: int) -> None:
+        properties = None
+        if endpoint.mqtt5:
+            properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+            properties.MaximumPacketSize = _LARGEST_BYTES
+            properties.ReceiveMaximum = INCOMING
+        super().__init__(
+            endpoint.host,
+            endpoint.port,
+            username=endpoint.user,
+            password=endpoint.password,
+            logger=_quiet,
+            identifier=identifier,
+            protocol=aiomqtt.ProtocolVersion.V5 if endpoint.mqtt5 else aiomqtt.ProtocolVersion.V311,
+            will=will,
+            clean_session=None if endpoint.mqtt5 else True,
+            timeout=endpoint.timeout_s,
+            keepalive=endpoint.keepalive_s,
+            max_queued_incoming_messages=incoming,
+            properties=properties,
+            tls_context=endpoint.tls,
+            socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
+        )
+        self.pending_calls_threshold = 1000
+        self._client.connect_timeout = endpoint.timeout_s
+        self._mqtt5 = endpoint.mqtt5
+        self.refusals = 0
+        """Publications that the broker refused."""
+        self.last_refusal = ""
+
+    async def hear(self, topic: str, qos: int, *, retained: bool = False) -> None:
+        """Subscribe; without `retained`, MQTT 5 brokers are told to leave out what they had kept.
+
+        Raises:
+            Recoverable: the broker refuses.
+        """
+        options = SubscribeOptions(qos=qos, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
+        told = {"options": options} if self._mqtt5 and not retained else {"qos": qos}
+        async with self._answered():
+            granted = await self.subscribe(topic, timeout=math.inf, **told)
+        for code in granted:
+            if code.value >= 0x80 if isinstance(code, ReasonCode) else code >= 0x80:
+                raise Recoverable(f"the broker refuses the subscription to {topic}")
+
+    async def heard(self) -> AsyncIterator[Heard]:
+        """Messages as they come. Only to be cancelled when the connection is to end: the next message would be lost."""
+        async for message in self.messages:
+            reply_to = getattr(message.properties, "ResponseTopic", None)
+            correlation = getattr(message.properties, "CorrelationData", None)
+            payload = message.payload if isinstance(message.payload, bytes) else b""
+            yield Heard(str(message.topic), payload, message.retain, reply_to, correlation)
+
+    async def say(
+        self, topic: str, payload: bytes, *, qos: int = 0, retain: bool = False, correlation: bytes | None = None
+    ) -> None:
+        """Publish; returns when it is written out (QoS 0) or answered (QoS 1)."""
+        properties = None
+        if self._mqtt5 and correlation is not None:
+            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+            properties.CorrelationData = correlation
+        async with self._answered():
+            await self.publish(topic, payload, qos=qos, retain=retain, properties=properties, timeout=math.inf)
+
+    @asynccontextmanager
+    async def _answered(self) -> AsyncIterator[None]:
+        """The time limit of an answer, ours in place of aiomqtt's: until Python 3.12 its `asyncio.wait_for` swallows a
+        cancellation that comes together with the answer, and whoever was to end goes on for ever."""
+        try:
+            async with asyncio.timeout(self.timeout):
+                yield
+        except TimeoutError as why:
+            raise aiomqtt.MqttError(f"no answer within {self.timeout:g} s") from why
+
+    def abandon(self) -> None:
+        """Close whatever is still open, without ceremony."""
+        self._client._sock_close()
+        if self._disconnected.done() and not self._disconnected.cancelled():
+            self._disconnected.exception()
+
+    def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: ReasonCode, properties: Properties) -> None:
+        if reason_code.is_failure:
+            self.refusals += 1
+            self.last_refusal = str(reason_code)
+        super()._on_publish(client, userdata, mid, reason_code, properties)
+
+
+@asynccontextmanager
+async def connect(
+    endpoint: Endpoint, identifier: str, will: aiomqtt.Will | None = None, incoming: int = INCOMING
+) -> AsyncIterator[Connection]:
+    """A connection while the context is open.
+
+    Raises:
+        Recoverable: the broker cannot be reached, or refuses us.
+    """
+    connection = Connection(endpoint, identifier, will, incoming)
+    try:
+        failure = await _entered(connection)
+        if failure is not None:
+            raise Recoverable(f"broker {endpoint.host}:{endpoint.port}: {failure}")
+        try:
+            yield connection
+        finally:
+            with suppress(aiomqtt.MqttError, OSError, TimeoutError):
+                async with asyncio.timeout(_FAREWELL_S):
+                    await connection.__aexit__(None, None, None)
+    finally:
+        connection.abandon()
+
+
+async def _entered(connection: Connection) -> str | None:
+    """Connect; why that failed. When cancelled, wait for the connecting thread first: nobody else would close its socket."""
+    async with asyncio.TaskGroup() as group:
+        entering = group.create_task(_enter(connection))
+        try:
+            return await asyncio.shield(entering)
+        except asyncio.CancelledError:
+            await asyncio.wait({entering})
+            raise
+
+
+async def _enter(connection: Connection) -> str | None:
+    try:
+        await connection.__aenter__()
+    except (aiomqtt.MqttError, OSError, ValueError) as why:
+        return str(why) or type(why).__name__
+    return None

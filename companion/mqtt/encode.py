@@ -1,0 +1,131 @@
+"""From what the service knows to what it publishes. Pure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from companion.health import HealthSnapshot
+from companion.mqtt.messages import (
+    Belief,
+    FlowReport,
+    Found,
+    HealthReport,
+    Order,
+    PartReport,
+    StageReport,
+    State,
+    Vector3,
+    VehicleState,
+)
+from companion.mqtt.messages import Sighting as SightingMessage
+from companion.observer import Decision, FrameSeen
+from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import seconds_between
+
+
+def state(session: str, decision: Decision, vehicle: VehicleStatus | None) -> State:
+    """One round of guidance and the newest the vehicle said of itself."""
+    at = decision.at
+    return State(
+        session=session,
+        at_ns=at,
+        phase=decision.phase,
+        belief=None if decision.belief is None else belief(decision.belief, decision),
+        shadows=tuple(belief(shadow, decision) for shadow in decision.shadows),
+        order=order(decision.command),
+        vehicle=None
+        if vehicle is None
+        else VehicleState(
+            mode=vehicle.mode,
+            flying=vehicle.flying,
+            battery_fraction=vehicle.battery_fraction,
+            emergency=vehicle.emergency,
+            link_ok=vehicle.link_ok,
+            age_s=seconds_between(vehicle.stamp.heard, at),
+        ),
+    )
+
+
+def belief(of: RelativeState, decision: Decision) -> Belief:
+    """Sigmas are the square roots of the covariance's diagonal."""
+    sigmas = np.sqrt(np.diag(of.cov))
+    return Belief(
+        path=of.path,
+        d_body_pad_level_m=_vector(of.d_body_pad_level),
+        v_pad_level_m_s=_vector(of.v_pad_level),
+        yaw_rad=of.yaw_rad,
+        sigma_d_m=_vector(sigmas[0:3]),
+        sigma_v_m_s=_vector(sigmas[3:6]),
+        sigma_yaw_rad=float(sigmas[6]),
+        sighted_age_s=of.age_s(decision.at),
+        consistent=of.consistent,
+    )
+
+
+def order(command: Command | None) -> Order | None:
+    """What guidance asked of the vehicle."""
+    match command:
+        case Velocity():
+            return Order(kind="velocity", v_level_m_s=_vector(command.v_level), yaw_rate_rad_s=command.yaw_rate_rad_s)
+        case Hover():
+            return Order(kind="hover")
+        case TakeOff():
+            return Order(kind="takeoff")
+        case Land():
+            return Order(kind="land")
+        case None:
+            return None
+
+
+def sighting(session: str, seen: FrameSeen) -> SightingMessage:
+    """A frame and what each method saw in it."""
+    look = seen.look
+    return SightingMessage(
+        session=session,
+        at_ns=seen.done,
+        taken_ns=seen.frame.stamp.taken,
+        sequence=seen.frame.seq,
+        verdict=seen.verdict.value,
+        chosen=None if look is None else look.chosen,
+        selected=None if look is None else _found(look.selected),
+        methods={} if look is None else {name: _found(one) for name, one in look.methods.items()},
+    )
+
+
+def _found(of: Sighting | None) -> Found | None:
+    if of is None:
+        return None
+    return Found(
+        d_body_pad_level_m=_vector(of.d_body_pad_level),
+        yaw_rad=of.yaw_rad,
+        yaw_ambiguous=of.yaw_ambiguous,
+        cov=tuple(float(c) for c in of.cov.flat),
+        confidence=of.confidence,
+    )
+
+
+def health(session: str, of: HealthSnapshot) -> HealthReport:
+    """All of it."""
+    return HealthReport(
+        session=session,
+        at_ns=of.at,
+        all_up=of.all_up,
+        parts={
+            name: PartReport(up=p.up, age_s=p.age_s, restarts=p.restarts, last_error=p.last_error) for name, p in of.parts.items()
+        },
+        flows={name: FlowReport(count=f.count, age_s=f.age_s, rate_hz=f.rate_hz) for name, f in of.flows.items()},
+        frames=dict(of.frames),
+        inputs={kind: dict(tally) for kind, tally in of.inputs.items()},
+        stages={name: StageReport(count=s.count, p50_s=s.p50_s, p99_s=s.p99_s) for name, s in of.stages.items()},
+        counters={part: {k: v for k, v in counts.items() if math.isfinite(v)} for part, counts in of.counters.items()},
+    )
+
+
+def _vector(of: F64) -> Vector3:
+    x, y, z = of.tolist()
+    return x, y, z

@@ -1,0 +1,46 @@
+"""From settings to the part."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable
+from importlib import metadata
+
+from companion.health import Health
+from companion.mqtt import access
+from companion.mqtt.commands import Desk
+from companion.mqtt.connection import Endpoint
+from companion.mqtt.operator import PilotOperator
+from companion.mqtt.outbox import Outbox
+from companion.mqtt.part import MqttPart
+from companion.mqtt.settings import MqttSettings
+from companion.mqtt.spool import Spool
+from companion.mqtt.topics import Topics
+from companion.pilot import Pilot
+from estimator.contracts.ports import Clock
+
+
+def make_mqtt(
+    settings: MqttSettings, pilot: Pilot, health: Health, clock: Clock, recording: Callable[[bool], str | None] | None = None
+) -> MqttPart:
+    """The part, its secrets read and its spool opened.
+
+    Args:
+        recording: switches the recorder and says why it cannot; None where there is none.
+
+    Raises:
+        BadInput: a secret, a certificate or the spool cannot be read or used.
+    """
+    session, topics = uuid.uuid4().hex[:12], Topics(settings.drone)
+    endpoint = Endpoint.of(settings)
+    spool = Spool(access.spool_folder(settings), settings.spool_max_kib * 1024)
+    outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
+    desk = Desk(topics, session, PilotOperator(pilot, recording))
+    return MqttPart(settings, endpoint, outbox, desk, health, clock, session=session, version=_version())
+
+
+def _version() -> str:
+    try:
+        return metadata.version("decklander")
+    except metadata.PackageNotFoundError:
+        return "(not installed)"

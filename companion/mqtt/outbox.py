@@ -1,0 +1,155 @@
+"""Events from the moment they happen until the broker has them: a line in memory, the spool on disk, batches of QoS 1.
+
+The disk is touched on a thread of its own only: a slow card holds up nobody but the events.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from companion.mqtt.connection import Connection
+from companion.mqtt.happenings import Happening
+from companion.mqtt.messages import Event, encode
+from companion.mqtt.spool import Fsync, Record, Spool
+from drivers.mailbox import Line
+
+T = TypeVar("T")
+
+LINE = 1024
+"""Events that may wait for the disk."""
+BATCH = 16
+"""Events under way at once: below what brokers take unacknowledged (mosquitto: 20)."""
+_SYNC_S = 1.0
+_REFUSED_REST_S = 5.0
+
+
+class Outbox:
+    """Takes happenings from the loop's thread, gives them numbers, keeps them, hands them over in order."""
+
+    def __init__(self, spool: Spool, session: str, topic: str, fsync: Fsync) -> None:
+        self._spool = spool
+        self._session = session
+        self._topic = topic
+        self._fsync = fsync
+        self._line: Line[Happening] = Line(LINE)
+        self._more = asyncio.Event()
+        self._disk = ThreadPoolExecutor(1, thread_name_prefix="spool")
+        self._unsynced = False
+        self.delivered = 0
+        self.refused = 0
+
+    def put(self, happening: Happening) -> None:
+        """Never blocks, never fails; beyond `LINE` waiting for the disk the oldest is dropped and counted."""
+        self._line.offer(happening)
+
+    def counts(self) -> Mapping[str, float]:
+        """Of events, for health."""
+        spool = self._spool
+        return {
+            "events_delivered": self.delivered,
+            "events_waiting": spool.waiting + len(self._line),
+            "events_dropped": spool.dropped + self._line.dropped,
+            "events_refused": self.refused,
+            "spool_bytes": spool.size_bytes,
+            "spool_torn": spool.torn,
+            "spool_write_errors": spool.write_errors,
+        }
+
+    async def keep(self) -> None:
+        """Bring events from memory to disk, for ever."""
+        while True:
+            try:
+                async with asyncio.timeout(_SYNC_S if self._unsynced else None):
+                    happening = await self._line.get()
+            except TimeoutError:
+                self._unsynced = False
+                await self._on_disk(self._spool.sync)
+                continue
+            await self._append([happening, *await self._waiting()])
+
+    async def flush(self) -> None:
+        """Bring what waits in memory to disk now."""
+        if len(self._line):
+            await self._append(await self._waiting())
+
+    async def deliver(self, connection: Connection) -> None:
+        """Publish events as they come, in order, for ever.
+
+        Raises:
+            aiomqtt.MqttError: the broker failed; what it has not acknowledged is sent again on the next connection.
+        """
+        while True:
+            self._more.clear()
+            refused = self.refused
+            if await self.deliver_batch(connection):
+                continue
+            if self.refused > refused:
+                await asyncio.sleep(_REFUSED_REST_S)
+            else:
+                await self._more.wait()
+
+    async def deliver_batch(self, connection: Connection) -> int:
+        """Publish the oldest events; how many the broker took, 0 when there are none or it refuses them.
+
+        Raises:
+            aiomqtt.MqttError: the broker failed.
+        """
+        records = await self._on_disk(lambda: self._spool.peek(BATCH))
+        if not records:
+            return 0
+        refusals = connection.refusals
+        async with asyncio.TaskGroup() as group:
+            for record in records:
+                group.create_task(self._publish(connection, record))
+        if connection.refusals > refusals:
+            self.refused += connection.refusals - refusals
+            return 0
+        await self._on_disk(lambda: self._spool.deliver(records[-1].number))
+        self.delivered += len(records)
+        return len(records)
+
+    async def close(self) -> None:
+        """Everything to disk, synced, and the thread ended."""
+        await self.flush()
+        await self._on_disk(self._spool.close)
+        self._disk.shutdown()
+
+    async def _publish(self, connection: Connection, record: Record) -> None:
+        await connection.say(self._topic, record.body, qos=1)
+
+    async def _waiting(self) -> list[Happening]:
+        """All that is in the line; does not pause, so nothing can be cancelled between taking and spooling."""
+        return [await self._line.get() for _ in range(len(self._line))]
+
+    async def _append(self, happenings: list[Happening]) -> None:
+        always = self._fsync == "always"
+        await self._on_disk(lambda: self._append_now(happenings, always))
+        self._unsynced = self._fsync == "second"
+        self._more.set()
+
+    def _append_now(self, happenings: list[Happening], sync: bool) -> None:
+        first = self._spool.next_number
+        self._spool.append([self._encoded(h, number) for number, h in enumerate(happenings, first)])
+        if sync:
+            self._spool.sync()
+
+    def _encoded(self, happening: Happening, number: int) -> bytes:
+        return encode(
+            Event(
+                session=self._session,
+                at_ns=happening.at,
+                id=f"{self._session}-{number}",
+                spool=self._spool.name,
+                sequence=number,
+                kind=happening.kind,
+                text=happening.text,
+                data=dict(happening.data),
+            )
+        )
+
+    async def _on_disk(self, deed: Callable[[], T]) -> T:
+        """Shielded: a deed that waits its turn on the thread would be dropped by a cancellation, and events with it."""
+        return await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._disk, deed))

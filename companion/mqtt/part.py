@@ -1,0 +1,254 @@
+"""MQTT as a part of the service: an observer that never waits, and a supervised body that talks to the broker.
+
+A broker that is gone, slow, refusing or flooding is met by hanging up and coming back later, each rest twice the last; the
+flight goes on meanwhile. State, sighting and health are the newest of their kind at their own rates; events wait on disk.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Literal, NoReturn
+
+import aiomqtt
+
+from companion.health import Health
+from companion.mqtt import encode as encoding
+from companion.mqtt.commands import Desk
+from companion.mqtt.connection import Connection, Endpoint, Heard, connect
+from companion.mqtt.happenings import Changes, Happening
+from companion.mqtt.messages import Message, Status, encode
+from companion.mqtt.outbox import Outbox
+from companion.mqtt.settings import MqttSettings
+from companion.mqtt.topics import Topics
+from companion.observer import Decision, FrameSeen
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, after, seconds_between
+
+log = logging.getLogger(__name__)
+
+BROKER = "broker"
+"""The connection's own line in health: the part is up while it tries."""
+_GOODBYE_S = 2.0
+_WATCH_PARTS_S = 0.5
+_HEALTHY_S = 10.0
+
+
+class MqttPart:
+    """Observer and body.
+
+    Args:
+        session: this run of the service.
+        version: of the software, for the status.
+    """
+
+    def __init__(
+        self,
+        settings: MqttSettings,
+        endpoint: Endpoint,
+        outbox: Outbox,
+        desk: Desk,
+        health: Health,
+        clock: Clock,
+        *,
+        session: str,
+        version: str,
+    ) -> None:
+        self._settings = settings
+        self._endpoint = endpoint
+        self._outbox = outbox
+        self._desk = desk
+        self._topics: Topics = desk.topics
+        self._health = health
+        self._clock = clock
+        self._session = session
+        self._version = version
+        self._started = clock.now()
+        self._started_unix_s = time.time()
+        self._changes = Changes()
+        self._decision: Decision | None = None
+        self._seen: FrameSeen | None = None
+        self._vehicle: VehicleStatus | None = None
+        self._counts: Counter[str] = Counter()
+        self._trouble: str | None = None
+        self._stopping = False
+        health.counters("mqtt", self.counts)
+        self.tell(Happening(self._started, "service", "service started", {"version": version, "unix_s": self._started_unix_s}))
+
+    def on_sample(self, sample: Sample) -> None:
+        if isinstance(sample, VehicleStatus):
+            self._vehicle = sample
+            self.tell(*self._changes.vehicle(sample))
+
+    def on_frame(self, seen: FrameSeen) -> None:
+        self._seen = seen
+        self.tell(*self._changes.frame(seen))
+
+    def on_decision(self, decision: Decision) -> None:
+        self._decision = decision
+        self.tell(*self._changes.decision(decision))
+
+    def tell(self, *happenings: Happening) -> None:
+        """Events, in order. Never waits, never fails."""
+        for happening in happenings:
+            self._outbox.put(happening)
+
+    def counts(self) -> Mapping[str, float]:
+        """For health."""
+        commands = {f"commands_{name}": n for name, n in self._desk.counts.items()}
+        return {**self._counts, **commands, **self._outbox.counts()}
+
+    async def run(self) -> None:
+        """Until cancelled; then what is left goes to the broker if it is there, else to disk."""
+        try:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self._outbox.keep())
+                group.create_task(self._watch_parts())
+                group.create_task(self._stay_connected())
+        finally:
+            await self._outbox.close()
+
+    async def _watch_parts(self) -> NoReturn:
+        while True:
+            self.tell(*self._changes.health(self._health.snapshot()))
+            await self._clock.sleep(_WATCH_PARTS_S)
+
+    async def _stay_connected(self) -> NoReturn:
+        rest_s = self._settings.reconnect_first_s
+        try:
+            while True:
+                began = self._clock.now()
+                try:
+                    await self._connection()
+                except* (Recoverable, aiomqtt.MqttError) as group:
+                    self._failed(_first_words(group))
+                if seconds_between(began, self._clock.now()) > _HEALTHY_S:
+                    rest_s = self._settings.reconnect_first_s
+                await self._clock.sleep(rest_s * random.uniform(0.5, 1.0))
+                rest_s = min(2.0 * rest_s, self._settings.reconnect_cap_s)
+        finally:
+            self._say_stopped()
+
+    def _failed(self, why: str) -> None:
+        """Said once, then counted: a broker may be away for hours."""
+        self._counts["connection_failures"] += 1
+        if self._trouble is None:
+            self._health.down(BROKER, Recoverable(why))
+        if why != self._trouble:
+            log.warning("no broker: %s; the flight goes on, trying again", why)
+        self._trouble = why
+
+    async def _connection(self) -> None:
+        will = aiomqtt.Will(self._topics.status, encode(self._status("lost")), qos=1, retain=True)
+        async with connect(self._endpoint, f"decklander-{self._topics.drone}", will) as connection:
+            try:
+                await self._converse(connection)
+            except asyncio.CancelledError:
+                await self._say_goodbye(connection)
+                raise
+
+    async def _converse(self, connection: Connection) -> None:
+        await connection.hear(self._topics.command, qos=1)
+        await connection.say(self._topics.status, encode(self._status("up")), qos=1, retain=True)
+        self._counts["connections"] += 1
+        self._trouble = None
+        self._health.up(BROKER)
+        log.info("connected to broker %s:%d", self._endpoint.host, self._endpoint.port)
+        s = self._settings
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._outbox.deliver(connection))
+            group.create_task(self._take_commands(connection))
+            for leaf, rate_hz, newest in (
+                ("state", s.state_hz, self._newest_state),
+                ("sighting", s.sighting_hz, self._newest_sighting),
+                ("health", s.health_hz, self._newest_health),
+            ):
+                if rate_hz > 0:
+                    group.create_task(self._keep_saying(connection, leaf, rate_hz, newest))
+
+    async def _keep_saying(
+        self, connection: Connection, leaf: str, rate_hz: float, newest: Callable[[], Message | None]
+    ) -> NoReturn:
+        topic, due = self._topics.of(leaf), self._clock.now()
+        while True:
+            message = newest()
+            if message is not None:
+                await connection.say(topic, encode(message))
+                self._counts[f"{leaf}_sent"] += 1
+            now = self._clock.now()
+            due = max(after(due, 1.0 / rate_hz), now)
+            await self._clock.sleep(seconds_between(now, due))
+
+    def _newest_state(self) -> Message | None:
+        decision, self._decision = self._decision, None
+        return None if decision is None else encoding.state(self._session, decision, self._vehicle)
+
+    def _newest_sighting(self) -> Message | None:
+        seen, self._seen = self._seen, None
+        return None if seen is None else encoding.sighting(self._session, seen)
+
+    def _newest_health(self) -> Message:
+        return encoding.health(self._session, self._health.snapshot())
+
+    async def _take_commands(self, connection: Connection) -> None:
+        recent: deque[MonoNs] = deque(maxlen=self._settings.commands_max_hz)
+        async for heard in connection.heard():
+            now = self._clock.now()
+            if len(recent) == recent.maxlen and seconds_between(recent[0], now) < 1.0:
+                self._counts["floods"] += 1
+                raise Recoverable(f"flooded: more than {recent.maxlen} commands a second")
+            recent.append(now)
+            await self._take(connection, heard, now)
+
+    async def _take(self, connection: Connection, heard: Heard, now: MonoNs) -> None:
+        judged = self._desk.take(heard.payload, now, retained=heard.retained, reply_to=heard.reply_to)
+        reply = judged.reply
+        if judged.command is not None and not judged.repeated:
+            words = f"command {judged.command} " + ("accepted" if reply.accepted else f"refused: {reply.text}")
+            data: dict[str, str | float | bool | None] = {
+                "command": judged.command, "id": reply.id, "accepted": reply.accepted, "reason": reply.reason,
+            }  # fmt: skip
+            log.info("%s", words)
+            self._outbox.put(Happening(now, "command", words, data))
+        await connection.say(judged.topic, encode(reply), qos=1, correlation=heard.correlation)
+
+    async def _say_goodbye(self, connection: Connection) -> None:
+        """The last events and an orderly farewell, if the broker takes them in time."""
+        self._say_stopped()
+        try:
+            async with asyncio.timeout(_GOODBYE_S):
+                await self._outbox.flush()
+                while await self._outbox.deliver_batch(connection):
+                    pass
+                await connection.say(self._topics.status, encode(self._status("stopped")), qos=1, retain=True)
+        except* (TimeoutError, aiomqtt.MqttError) as group:
+            log.info("the broker did not take our farewell: %s", _first_words(group))
+
+    def _say_stopped(self) -> None:
+        if not self._stopping:
+            self._stopping = True
+            self._outbox.put(Happening(self._clock.now(), "service", "service stopped"))
+
+    def _status(self, reason: Literal["up", "stopped", "lost"]) -> Status:
+        return Status(
+            session=self._session,
+            at_ns=self._clock.now(),
+            online=reason == "up",
+            reason=reason,
+            version=self._version,
+            started_unix_s=self._started_unix_s,
+            started_ns=self._started,
+        )
+
+
+def _first_words(group: BaseExceptionGroup[BaseException]) -> str:
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return str(error) or type(error).__name__

@@ -1,0 +1,79 @@
+"""The section [mqtt] of the settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from msgspec import Struct, structs
+
+from companion.settings_keys import choice, name, number, text
+
+CREDENTIAL = "credential:"
+_FILE = 'a path relative to the settings file, or "credential:NAME" for a systemd credential; empty for none'
+
+
+class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """Telemetry, events and commands through an MQTT broker. Topics and messages: docs/mqtt.md."""
+
+    transport: Annotated[Literal["off", "tcp", "tls"], choice("no MQTT, plain TCP, or TLS")] = "off"
+    host: Annotated[str, text("name or address of the broker; with TLS its certificate must be for this name", 253)] = "127.0.0.1"
+    port: Annotated[int, number("where the broker listens; customary are 1883 for TCP and 8883 for TLS", "port", 1, 65535)] = 8883
+    protocol: Annotated[
+        Literal["5", "3.1.1"],
+        choice("MQTT version; 3.1.1 brokers cannot say that they refuse a message: events may be lost there"),
+    ] = "5"
+    drone: Annotated[str, name("name of this drone: its topics are decklander/v1/<drone>/...", 64)] = "drone"
+    user: Annotated[str, text("user name; empty for none", 256, shortest=0)] = ""
+    password_file: Annotated[str, text(f"file with the password: {_FILE}", 4096, shortest=0)] = ""
+    ca_file: Annotated[str, text(f"certificates of the CAs to trust in place of the system's: {_FILE}", 4096, shortest=0)] = ""
+    certificate_file: Annotated[str, text(f"client certificate: {_FILE}", 4096, shortest=0)] = ""
+    key_file: Annotated[str, text(f"key of the client certificate: {_FILE}", 4096, shortest=0)] = ""
+    state_hz: Annotated[float, number("state messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
+    sighting_hz: Annotated[float, number("most sighting messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
+    health_hz: Annotated[float, number("health messages a second; 0 for none", "Hz", 0.0, 10.0)] = 1.0
+    keepalive_s: Annotated[
+        int, number("silence after which the line is tried; a dead one is noticed within twice that", "s", 2, 600)
+    ] = 10
+    timeout_s: Annotated[
+        float, number("how long the broker may take to answer before it is left and connected to anew", "s", 0.2, 60.0)
+    ] = 5.0
+    reconnect_first_s: Annotated[float, number("rest before the first new attempt to connect", "s", 0.05, 60.0)] = 0.5
+    reconnect_cap_s: Annotated[
+        float, number("longest rest; each is twice the one before, less up to a half by chance", "s", 0.05, 600.0)
+    ] = 30.0
+    commands_max_hz: Annotated[
+        int, number("commands a second above which whoever floods us is cut off by hanging up", "Hz", 1, 60)
+    ] = 10
+    spool: Annotated[
+        str,
+        text(
+            "folder of events that wait for the broker; empty for $STATE_DIRECTORY/mqtt, or memory alone without that",
+            4096,
+            shortest=0,
+        ),
+    ] = ""
+    spool_max_kib: Annotated[int, number("bound of that folder; the oldest events go first", "KiB", 8, 1_048_576)] = 16_384
+    spool_fsync: Annotated[
+        Literal["always", "second", "never"],
+        choice("when events are forced to the disk: each at once, once a second, or as the system likes"),
+    ] = "second"
+
+    def __post_init__(self) -> None:
+        if self.reconnect_cap_s < self.reconnect_first_s:
+            raise ValueError(
+                f"reconnect_cap_s ({self.reconnect_cap_s:g} s) must not be shorter than reconnect_first_s "
+                f"({self.reconnect_first_s:g} s)"
+            )
+        if bool(self.certificate_file) != bool(self.key_file):
+            raise ValueError("certificate_file and key_file need each other")
+        if self.password_file and not self.user:
+            raise ValueError("password_file needs a user")
+
+
+def anchored(settings: MqttSettings, base: Path) -> MqttSettings:
+    """The same settings with relative paths made to hold from the working directory; `base` is where the settings file is."""
+    given = {key: getattr(settings, key) for key in ("password_file", "ca_file", "certificate_file", "key_file", "spool")}
+    return structs.replace(
+        settings, **{key: str(base / path) for key, path in given.items() if path and not path.startswith(CREDENTIAL)}
+    )

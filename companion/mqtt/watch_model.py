@@ -1,0 +1,116 @@
+"""What `decklander watch` knows: the newest of each kind for each drone, and its events. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from companion.mqtt.messages import PUBLISHED, Event, HealthReport, Sighting, State, Status, decode
+from companion.mqtt.topics import split
+
+EVENTS = 200
+"""Kept for each drone."""
+DRONES = 256
+"""Kept at most: whoever else writes on the broker cannot fill our memory."""
+
+
+@dataclass(slots=True)
+class Arrivals:
+    """When messages of one kind came, by our own clock in seconds."""
+
+    count: int = 0
+    _recent: deque[float] = field(default_factory=lambda: deque(maxlen=20))
+
+    def note(self, now_s: float) -> None:
+        self.count += 1
+        self._recent.append(now_s)
+
+    def age_s(self, now_s: float) -> float | None:
+        return now_s - self._recent[-1] if self._recent else None
+
+    def rate_hz(self, now_s: float) -> float | None:
+        if len(self._recent) < 2:
+            return None
+        return (len(self._recent) - 1) / max(1e-6, now_s - self._recent[0])
+
+
+@dataclass(slots=True)
+class DroneModel:
+    """One drone as far as it was heard."""
+
+    name: str
+    status: Status | None = None
+    state: State | None = None
+    sighting: Sighting | None = None
+    health: HealthReport | None = None
+    events: deque[Event] = field(default_factory=lambda: deque(maxlen=EVENTS))
+    arrivals: dict[str, Arrivals] = field(default_factory=dict)
+    copies: int = 0
+    """Events that came more than once."""
+    missing: int = 0
+    """Event numbers that were skipped: dropped by the drone or lost on the way."""
+    malformed: int = 0
+    _ids: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
+    _last: tuple[str, int] | None = None
+
+    def hear(self, leaf: str, payload: bytes, now_s: float) -> Event | None:
+        """Take a message; the event when it is a new one."""
+        if leaf.partition("/")[0] not in PUBLISHED:
+            return None
+        message = decode(leaf, payload)
+        if message is None:
+            self.malformed += 1
+            return None
+        self.arrivals.setdefault(leaf.partition("/")[0], Arrivals()).note(now_s)
+        match message:
+            case Status():
+                self.status = message
+            case State():
+                self.state = message
+            case Sighting():
+                self.sighting = message
+            case HealthReport():
+                self.health = message
+            case Event():
+                return self._event(message)
+        return None
+
+    def _event(self, event: Event) -> Event | None:
+        if event.id in self._ids:
+            self.copies += 1
+            return None
+        if self._last is not None and self._last[0] == event.spool:
+            self.missing += max(0, event.sequence - self._last[1] - 1)
+        self._last = (event.spool, event.sequence)
+        self._ids.append(event.id)
+        self.events.append(event)
+        return event
+
+
+@dataclass(slots=True)
+class WatchModel:
+    """All drones on the broker, or the one that is asked for."""
+
+    only: str | None = None
+    drones: dict[str, DroneModel] = field(default_factory=dict)
+    ignored: int = 0
+    connected: bool = False
+    trouble: str = ""
+
+    def hear(self, topic: str, payload: bytes, now_s: float) -> tuple[DroneModel, Event | None] | None:
+        """Take a message; whose it was, and the event when it is a new one. None for what is not ours."""
+        parts = split(topic)
+        if parts is None or (self.only is not None and parts[0] != self.only):
+            self.ignored += 1
+            return None
+        name, leaf = parts
+        if name not in self.drones and len(self.drones) >= DRONES:
+            self.ignored += 1
+            return None
+        drone = self.drones.setdefault(name, DroneModel(name))
+        return drone, drone.hear(leaf, payload, now_s)
+
+    @property
+    def shown(self) -> DroneModel | None:
+        """The drone whose details are shown: the one asked for, else the first by name."""
+        return self.drones[min(self.drones)] if self.drones else None

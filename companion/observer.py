@@ -1,0 +1,63 @@
+"""What the service tells whoever wants to know: recorders, pages, reports. Observers must be quick and must not raise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from estimator.contracts.commands import Command
+from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.time import MonoNs
+from estimator.vision.look import Look
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameSeen:
+    """One frame and what became of it."""
+
+    frame: Frame
+    attitude: Attitude | None
+    """At the exposure."""
+    look: Look | None
+    """What vision saw; None where it was not asked."""
+    verdict: Verdict
+    began: MonoNs
+    """When vision took it up."""
+    done: MonoNs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """One round of guidance."""
+
+    at: MonoNs
+    phase: str
+    command: Command | None
+    """None while guidance leaves the vehicle to itself."""
+    belief: RelativeState | None
+    shadows: tuple[RelativeState, ...] = ()
+    """Beliefs of the paths that do not steer."""
+
+
+class Observer(Protocol):
+    """Called on the service's own thread, in the order of events."""
+
+    def on_sample(self, sample: Sample) -> None: ...
+
+    def on_frame(self, seen: FrameSeen) -> None: ...
+
+    def on_decision(self, decision: Decision) -> None: ...
+
+
+class Silent:
+    """An observer that does nothing: a base for those that want only some of it."""
+
+    def on_sample(self, sample: Sample) -> None:
+        return None
+
+    def on_frame(self, seen: FrameSeen) -> None:
+        return None
+
+    def on_decision(self, decision: Decision) -> None:
+        return None

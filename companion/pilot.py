@@ -1,0 +1,192 @@
+"""The pilot: eyes, estimator and guidance as one object without clocks, threads or sockets.
+
+The daemon and the simulator drive the same pilot, so what is proved in virtual time is what flies.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from companion.guidance.pid import Gains, Pid, SetPoint, pid_step
+from companion.guidance.planner import Phase, Plan, Planner, planner_step
+from companion.observer import Decision
+from estimator import pipeline
+from estimator.contracts.commands import Command, Hover, Land
+from estimator.contracts.estimates import PathName, Verdict
+from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.vision.camera import Camera
+from estimator.vision.eyes import Eyes, EyesMemory, see
+from estimator.vision.look import Look
+from estimator.vision.pad import Pad
+
+
+class Outcome(Enum):
+    """How a flight ended."""
+
+    LANDED = "landed"
+    """The vehicle says that it stands, after we told it to land."""
+    LANDED_BY_OTHERS = "landed by others"
+    """The vehicle says that it stands, and we had not told it to."""
+    GAVE_UP = "gave up"
+    """The pad was not found again; the vehicle hovers."""
+    LAND_TIMEOUT = "no landing reported"
+    """Told to land, the vehicle did not say in time that it stands."""
+    EMERGENCY = "emergency"
+    """The vehicle cut its motors."""
+    ABORTED = "aborted"
+    """The operator called it off; the vehicle hovers."""
+
+
+class Pilot:
+    """Hears samples, sees frames, decides.
+
+    Args:
+        automatic: begin the approach as soon as the vehicle flies; else wait for `begin`.
+        land_timeout_s: how long after the order to land the vehicle may take to say that it stands.
+    """
+
+    def __init__(
+        self, eyes: Eyes, options: pipeline.Options, plan: Plan, gains: Gains, *, land_timeout_s: float, automatic: bool = True
+    ) -> None:
+        self._eyes = eyes
+        self._eyes_memory = EyesMemory()
+        self._memory = pipeline.start(options)
+        self._plan = plan
+        self._gains = gains
+        self._land_timeout_s = land_timeout_s
+        self._automatic = automatic
+        self._status: VehicleStatus | None = None
+        self._new_flight()
+
+    def _new_flight(self) -> None:
+        self._begun = self._automatic
+        self._paused = False
+        self._planner = Planner.start()
+        self._pid = Pid.start()
+        self._told_to_land: MonoNs | None = None
+        self._flew = False
+        self._stood = False
+        self.phase = "waiting for the vehicle"
+        self.outcome: Outcome | None = None
+
+    @property
+    def camera(self) -> Camera:
+        return self._eyes.camera
+
+    @property
+    def pad(self) -> Pad:
+        return self._eyes.pad
+
+    @property
+    def vehicle(self) -> VehicleStatus | None:
+        """The newest the vehicle said of itself."""
+        return self._status
+
+    def begin(self) -> None:
+        """The operator: start (or, after a pause, go on with) the approach."""
+        self._begun, self._paused = True, False
+
+    def pause(self) -> None:
+        """The operator: hover where it is until `begin`."""
+        if not self._paused:
+            self._paused, self._planner = True, Planner.start()
+
+    def abort(self) -> None:
+        """The operator: hover, and leave it at that. A landing already ordered is no longer repeated."""
+        self.outcome = self.outcome or Outcome.ABORTED
+
+    def steer_by(self, path: PathName) -> str | None:
+        """The operator: steer by another estimator; None when that is done, else why it cannot be.
+
+        One that does not run along has no belief to go on from, so in an approach it is only taken over while paused.
+        """
+        runs_along = path in (self._memory.options.steering, *self._memory.options.shadows)
+        approaching = self._begun and not self._paused and self._flew and self.outcome is None
+        if approaching and not runs_along:
+            return f"{path} does not run along; pause the approach first"
+        try:
+            self._memory = pipeline.steer_by(self._memory, path)
+        except ValueError as why:
+            return str(why)
+        return None
+
+    def hear(self, sample: Sample) -> tuple[pipeline.Outcome, ...]:
+        """Take a sample; what became of it, path by path."""
+        if isinstance(sample, VehicleStatus):
+            self._status = sample
+            self._stood = self._stood or (self.outcome is not None and sample.flying is False)
+            if sample.flying and self._stood:
+                self._new_flight()
+            self._flew = self._flew or sample.flying is True
+            return ()
+        self._memory, outcomes = pipeline.step(self._memory, sample)
+        return outcomes
+
+    def attitude_at(self, stamp: Stamp) -> Attitude | None:
+        """At the exposure of a frame, None when no sample covers it."""
+        return pipeline.attitude_at(self._memory, stamp)
+
+    def look(self, frame: Frame, attitude: Attitude) -> Look:
+        """Search a frame for the pad, where it is expected first.
+
+        May run on another thread, one at a time: what it reads of the estimator is immutable, what it writes is its own.
+        """
+        believed = pipeline.belief(self._memory, frame.stamp.taken)
+        seen, self._eyes_memory = see(self._eyes, self._eyes_memory, frame, attitude, believed)
+        return seen
+
+    def saw(self, seen: Look) -> Verdict:
+        """Take what was found in a frame; the frame's verdict is the steering path's."""
+        if seen.selected is None:
+            return Verdict.NO_PAD
+        self._memory, outcomes = pipeline.step(self._memory, seen.selected)
+        return outcomes[0].verdict
+
+    def decide(self, now: MonoNs) -> Decision:
+        """One round of guidance. The command is None while the vehicle is left to itself."""
+        believed = pipeline.beliefs(self._memory, now)
+        steering = self._memory.options.steering
+        belief = next((b for b in believed if b.path == steering), None)
+        command = self._command(now)
+        return Decision(now, self.phase, command, belief, tuple(b for b in believed if b.path != steering))
+
+    def _command(self, now: MonoNs) -> Command | None:
+        status = self._status
+        if self.outcome is not None:
+            self.phase = self.outcome.value
+            return Hover() if self.outcome in (Outcome.ABORTED, Outcome.GAVE_UP) else None
+        if status is None or not self._flew:
+            self.phase = "waiting for the vehicle"
+            return None
+        if status.emergency:
+            self._end(Outcome.EMERGENCY)
+            return None
+        if status.flying is False:
+            self._end(Outcome.LANDED_BY_OTHERS if self._told_to_land is None else Outcome.LANDED)
+            return None
+        if not self._begun or self._paused:
+            self.phase = "paused" if self._paused else "waiting for the start"
+            return Hover()
+        return self._guided(now)
+
+    def _guided(self, now: MonoNs) -> Command | None:
+        belief = pipeline.belief(self._memory, now)
+        self._planner, aim, phase = planner_step(self._planner, self._plan, now, belief)
+        self.phase = phase.value
+        if phase is Phase.GAVE_UP:
+            self._end(Outcome.GAVE_UP)
+        if isinstance(aim, SetPoint):
+            self._pid, command = pid_step(self._pid, self._gains, now, belief, aim)
+            return command
+        if isinstance(aim, Land):
+            if self._told_to_land is None:
+                self._told_to_land = now
+            if seconds_between(self._told_to_land, now) > self._land_timeout_s:
+                self._end(Outcome.LAND_TIMEOUT)
+        return aim
+
+    def _end(self, outcome: Outcome) -> None:
+        self.outcome = outcome
+        self._stood = outcome in (Outcome.LANDED, Outcome.LANDED_BY_OTHERS)
+        self.phase = outcome.value

@@ -1,0 +1,86 @@
+"""What is printed, as shapes in millimetres: x right, y down from the drawing's top-left corner, painted in order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.calibrate.board import Board
+from estimator.contracts.geometry import F64
+from estimator.vision.pad import Pad
+
+Rgb = tuple[int, int, int]
+BLACK: Rgb = (0, 0, 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Polygon:
+    """Filled; (N, 2) mm."""
+
+    points_mm: F64
+    fill: Rgb
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """Filled."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    fill: Rgb
+
+
+Shape = Polygon | Disc
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """Something to print at 1:1."""
+
+    name: str
+    width_mm: float
+    height_mm: float
+    shapes: tuple[Shape, ...]
+
+
+def pad_drawing(pad: Pad) -> Drawing:
+    """The pad with its arrow up, seen from above."""
+    r = 1000 * pad.disc_radius_m
+
+    def paper(p_pad: F64) -> F64:
+        """(N, 3) m in `pad` to (N, 2) mm: starboard is right, the arrow up."""
+        return np.stack([r + 1000 * p_pad[:, 1], r - 1000 * p_pad[:, 0]], axis=1)
+
+    c = pad.colours
+    shapes: list[Shape] = []
+    if pad.rim_width_m > 0 and c.rim is not None:
+        shapes.append(Disc(r, r, r, c.rim))
+    shapes += [
+        Disc(r, r, r - 1000 * pad.rim_width_m, c.disc),
+        Disc(r, r, 1000 * pad.ring_outer_m, c.ring),
+        Disc(r, r, 1000 * pad.ring_inner_m, c.disc),
+        Polygon(paper(pad.arrowhead()), c.ring),
+        Polygon(paper(pad.h_corners()), c.h),
+    ]
+    return Drawing(f"pad {pad.name}", 2 * r, 2 * r, tuple(shapes))
+
+
+def board_drawing(board: Board) -> Drawing:
+    """The calibration board; the paper's margin is its white rim."""
+    shapes = tuple(Polygon(1000 * black, BLACK) for black in board.black_m())
+    name = f"{board.kind} {board.columns}x{board.rows}, squares {1000 * board.square_m:g} mm"
+    if board.kind == "charuco":
+        name += f", markers {1000 * board.marker_m:g} mm"
+    width, height = (1000 * board.square_m * n for n in (board.columns, board.rows))
+    return Drawing(name, width, height, shapes)
+
+
+def touches(shape: Shape, left: float, top: float, right: float, bottom: float) -> bool:
+    """Whether a shape may paint anything inside a window (exact for discs, by their boxes for polygons)."""
+    if isinstance(shape, Disc):
+        x, y = min(max(shape.x_mm, left), right), min(max(shape.y_mm, top), bottom)
+        return bool(np.hypot(x - shape.x_mm, y - shape.y_mm) < shape.radius_mm)
+    low, high = shape.points_mm.min(axis=0), shape.points_mm.max(axis=0)
+    return bool(low[0] < right and high[0] > left and low[1] < bottom and high[1] > top)

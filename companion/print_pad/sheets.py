@@ -1,0 +1,124 @@
+"""A drawing spread over sheets of paper that overlap, each with marks to cut and join by and a ruler to check the printer by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from companion.print_pad.drawing import Drawing, touches
+from estimator.contracts.errors import BadInput
+
+Paper = Literal["a4", "a3", "full"]
+PAPERS: dict[str, tuple[float, float]] = {"a4": (210.0, 297.0), "a3": (297.0, 420.0)}
+"""Width and height in mm (ISO 216), upright."""
+
+RULER_MM = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A thin mark, mm from the sheet's top-left corner."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """A line of text; x, y mm of its left end on the base line."""
+
+    x: float
+    y: float
+    text: str
+    height_mm: float = 2.6
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """One page: the window of the drawing it shows, and its marks."""
+
+    row: int
+    column: int
+    width_mm: float
+    height_mm: float
+    left_mm: float
+    """Where the sheet's printed window begins on the paper."""
+    top_mm: float
+    from_x_mm: float
+    """Where the window begins in the drawing."""
+    from_y_mm: float
+    window_width_mm: float
+    window_height_mm: float
+    lines: tuple[Line, ...]
+    labels: tuple[Label, ...]
+
+
+def sheets(drawing: Drawing, paper: Paper, margin_mm: float = 10.0, overlap_mm: float = 10.0) -> list[Sheet]:
+    """The pages, row by row; upright or lying, whichever takes fewer. Pages on which nothing would be painted are left out.
+
+    Raises:
+        BadInput: margins or overlap that leave no room.
+    """
+    if not (6.0 <= margin_mm <= 50.0 and 0.0 <= overlap_mm <= 50.0):
+        raise BadInput(f"margin must lie in 6..50 mm and overlap in 0..50 mm, got {margin_mm:g} and {overlap_mm:g}")
+    if paper == "full":
+        size = (max(drawing.width_mm, RULER_MM + 20.0) + 2 * margin_mm, drawing.height_mm + 2 * margin_mm)
+        return _spread(drawing, size, margin_mm, overlap_mm)
+    w, h = PAPERS[paper]
+    upright = _spread(drawing, (w, h), margin_mm, overlap_mm)
+    lying = _spread(drawing, (h, w), margin_mm, overlap_mm)
+    return lying if len(lying) < len(upright) else upright
+
+
+def _spread(drawing: Drawing, size: tuple[float, float], margin: float, overlap: float) -> list[Sheet]:
+    wide, high = size[0] - 2 * margin, size[1] - 2 * margin
+    columns, rows = _count(drawing.width_mm, wide, overlap), _count(drawing.height_mm, high, overlap)
+    # The drawing sits in the middle of all sheets, so that the outer ones hold alike.
+    x0 = -(columns * (wide - overlap) + overlap - drawing.width_mm) / 2
+    y0 = -(rows * (high - overlap) + overlap - drawing.height_mm) / 2
+    cells = []
+    for row in range(rows):
+        for column in range(columns):
+            x, y = x0 + column * (wide - overlap), y0 + row * (high - overlap)
+            if any(touches(s, x, y, x + wide, y + high) for s in drawing.shapes):
+                cells.append((row, column, x, y))
+    there = {(row, column) for row, column, _, _ in cells}
+    out = []
+    for number, (row, column, x, y) in enumerate(cells, 1):
+        neighbours = {
+            "left": (row, column - 1) in there, "right": (row, column + 1) in there,
+            "top": (row - 1, column) in there, "bottom": (row + 1, column) in there,
+        }  # fmt: skip
+        lines = _marks(size, margin, overlap, neighbours)
+        text = f"{drawing.name}   sheet {number} of {len(cells)}: row {row + 1}, column {column + 1}"
+        labels = [Label(margin, margin - 3.4, text)]
+        ruler, told = _ruler(size, margin)
+        out.append(Sheet(row, column, *size, margin, margin, x, y, wide, high, (*lines, *ruler), (*labels, told)))
+    return out
+
+
+def _count(length: float, sheet: float, overlap: float) -> int:
+    return max(1, math.ceil((length - overlap) / (sheet - overlap) - 1e-9))
+
+
+def _marks(size: tuple[float, float], margin: float, overlap: float, neighbours: dict[str, bool]) -> list[Line]:
+    """In the margins, where the middle of each overlap with a neighbour runs: cut there and butt the sheets."""
+    w, h = size
+    out = []
+    for side, x in (("left", margin + overlap / 2), ("right", w - margin - overlap / 2)):
+        if neighbours[side]:
+            out += [Line(x, margin - 2.5, x, margin), Line(x, h - margin, x, h - margin + 2.5)]
+    for side, y in (("top", margin + overlap / 2), ("bottom", h - margin - overlap / 2)):
+        if neighbours[side]:
+            out += [Line(margin - 2.5, y, margin, y), Line(w - margin, y, w - margin + 2.5, y)]
+    return out
+
+
+def _ruler(size: tuple[float, float], margin: float) -> tuple[list[Line], Label]:
+    x, y = margin + 12.0, size[1] - margin + 3.5
+    ticks = [Line(x + t, y - (1.2 if t % 50 else 2.0), x + t, y) for t in range(0, int(RULER_MM) + 1, 10)]
+    text = "100 mm: print at 100 %, not fitted to the page"
+    return [Line(x, y, x + RULER_MM, y), *ticks], Label(x, y + 2.6, text, 2.2)

@@ -1,0 +1,55 @@
+"""Which topic of a recording holds which message."""
+
+from __future__ import annotations
+
+import msgspec
+
+from companion.recorder import foxglove as fox
+from companion.recorder import records as rec
+
+IMAGE, ANNOTATIONS, CALIBRATION = "/camera/image", "/camera/annotations", "/camera/calibration"
+LOOK, DECISION, TRUTH, LINK, HEALTH, LOG, TRANSFORMS = "/look", "/decision", "/truth", "/link", "/health", "/log", "/tf"
+TRUE_POSE = "/pose/truth"
+PATHS = ("median_mean", "dead_reckoning", "ekf")
+
+
+def belief(path: str) -> str:
+    return f"/belief/{path}"
+
+
+def pose(path: str) -> str:
+    return f"/pose/{path}"
+
+
+SAMPLES: dict[type[msgspec.Struct], str] = {
+    rec.ImuRecord: "/sample/imu",
+    rec.AttitudeRecord: "/sample/attitude",
+    rec.VelocityRecord: "/sample/velocity",
+    rec.RangeRecord: "/sample/range",
+    rec.BaroRecord: "/sample/baro",
+    rec.VesselRecord: "/sample/vessel",
+    rec.StatusRecord: "/sample/status",
+}
+
+TOPICS: dict[str, type[msgspec.Struct]] = {
+    **{topic: kind for kind, topic in SAMPLES.items()},
+    LOOK: rec.LookRecord,
+    **{belief(path): rec.BeliefRecord for path in PATHS},
+    DECISION: rec.DecisionRecord,
+    TRUTH: rec.TruthRecord,
+    LINK: rec.LinkRecord,
+    HEALTH: rec.HealthRecord,
+    IMAGE: fox.CompressedImage,
+    ANNOTATIONS: fox.ImageAnnotations,
+    CALIBRATION: fox.CameraCalibration,
+    TRANSFORMS: fox.FrameTransforms,
+    **{pose(path): fox.PoseInFrame for path in (*PATHS, "truth")},
+    LOG: fox.Log,
+}
+
+
+def schema_name(kind: type[msgspec.Struct]) -> str:
+    """`foxglove.PoseInFrame`, `decklander.Look`."""
+    if kind.__module__ == fox.__name__:
+        return f"foxglove.{kind.__name__}"
+    return f"decklander.{kind.__name__.removesuffix('Record')}"

@@ -1,0 +1,115 @@
+"""From the messages of a recording back to what the service was told: the inverse of `companion.recorder.encode`."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import cast, get_args
+
+import numpy as np
+
+from companion.recorder import records as rec
+from companion.recorder.encode import COMMANDS
+from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.estimates import Method, PathName, Pose6, RelativeState, Sighting
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.time import MonoNs, Stamp, StampSource
+from estimator.vision.look import Look
+
+
+def sample(of: rec.SampleRecord) -> Sample:
+    """Raises ValueError where numbers are not what the sample takes."""
+    t = stamp(of.stamp)
+    match of:
+        case rec.ImuRecord():
+            return Imu(t, _vector(of.w_body), _vector(of.f_body))
+        case rec.AttitudeRecord():
+            return attitude(of)
+        case rec.VelocityRecord():
+            return BodyVelocity(t, _vector(of.v_level), _matrix(of.cov_level, 3))
+        case rec.RangeRecord():
+            return Range(t, of.range_m, of.sigma_m)
+        case rec.BaroRecord():
+            return Baro(t, of.height_m, of.sigma_m)
+        case rec.VesselRecord():
+            v = None if of.v_vessel_ned is None else _vector(of.v_vessel_ned)
+            cov = None if of.cov_v_ned is None else _matrix(of.cov_v_ned, 3)
+            return VesselReport(t, v, cov, of.heading_rad, of.sigma_heading_rad)
+        case rec.StatusRecord():
+            return VehicleStatus(t, of.flying, of.mode, of.battery_fraction, of.emergency, of.link_ok)
+
+
+def stamp(of: rec.StampRecord) -> Stamp:
+    if of.source not in get_args(StampSource):
+        raise ValueError(f"no such source of a stamp: {of.source!r}")
+    return Stamp(MonoNs(of.taken_ns), MonoNs(of.heard_ns), of.sigma_s, cast(StampSource, of.source))
+
+
+def attitude(of: rec.AttitudeRecord) -> Attitude:
+    return Attitude(stamp(of.stamp), Rotation(_matrix(of.R_ned_body, 3)), _matrix(of.cov_body, 3))
+
+
+def look(of: rec.LookRecord) -> Look | None:
+    """None where vision was not asked. Features are not among it: they are annotations."""
+    if of.tried is None:
+        return None
+    t = stamp(of.stamp)
+
+    def seen(name: str) -> Sighting | None:
+        found: rec.SightingRecord | None = getattr(of, name)
+        return None if found is None else sighting(found, t, of.seq)
+
+    methods = {_method(name): seen(name) for name in of.tried}
+    chosen = None if of.chosen is None else _method(of.chosen)
+    return Look(seen("selected"), chosen, MappingProxyType(methods))
+
+
+def _method(name: str) -> Method:
+    if name not in get_args(Method):
+        raise ValueError(f"no such method of vision: {name!r}")
+    return cast(Method, name)
+
+
+def sighting(of: rec.SightingRecord, t: Stamp, seq: int) -> Sighting:
+    pose6 = None
+    if of.pose6 is not None:
+        p = of.pose6
+        pose6 = Pose6(_vector(p.d_body_pad_level), Rotation(_matrix(p.R_level_pad, 3)), _matrix(p.cov, 6))
+    d, cov = _vector(of.d_body_pad_level), _matrix(of.cov, 4)
+    return Sighting(t, seq, _method(of.method), d, of.yaw_rad, of.yaw_ambiguous, cov, of.confidence, pose6)
+
+
+def belief(of: rec.BeliefRecord) -> RelativeState:
+    if of.path not in get_args(PathName):
+        raise ValueError(f"no such estimator path: {of.path!r}")
+    return RelativeState(
+        MonoNs(of.at_ns),
+        cast(PathName, of.path),
+        _vector(of.d_body_pad_level),
+        _vector(of.v_pad_level),
+        of.yaw_rad,
+        _matrix(of.cov, 7),
+        MonoNs(of.sighted_ns),
+        of.consistent,
+        tuple((d.name, d.value) for d in of.details),
+    )
+
+
+def command(of: rec.DecisionRecord) -> Command | None:
+    if of.command is None:
+        return None
+    kind = {name: kind for kind, name in COMMANDS.items()}.get(of.command)
+    if kind is Velocity and of.v_level is not None and of.yaw_rate_rad_s is not None:
+        return Velocity(_vector(of.v_level), of.yaw_rate_rad_s)
+    for simple in (Hover, TakeOff, Land):
+        if kind is simple:
+            return simple()
+    raise ValueError(f"no such command: {of.command!r}")
+
+
+def _vector(numbers: list[float]) -> F64:
+    return np.array(numbers, dtype=float)
+
+
+def _matrix(numbers: list[float], n: int) -> F64:
+    return np.array(numbers, dtype=float).reshape(n, n)

@@ -1,0 +1,129 @@
+"""From what the service tells its observers to the messages of a recording."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.health import HealthSnapshot
+from companion.observer import Decision, FrameSeen
+from companion.recorder import records as rec
+from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.look import Look
+
+COMMANDS: dict[type[Command], str] = {Velocity: "velocity", Hover: "hover", TakeOff: "take_off", Land: "land"}
+
+
+def sample(of: Sample) -> rec.SampleRecord:
+    match of:
+        case Imu():
+            return rec.ImuRecord(stamp(of.stamp), of.w_body.tolist(), of.f_body.tolist())
+        case Attitude():
+            return attitude(of)
+        case BodyVelocity():
+            return rec.VelocityRecord(stamp(of.stamp), of.v_level.tolist(), _flat(of.cov_level))
+        case Range():
+            return rec.RangeRecord(stamp(of.stamp), of.range_m, of.sigma_m)
+        case Baro():
+            return rec.BaroRecord(stamp(of.stamp), of.height_m, of.sigma_m)
+        case VesselReport():
+            return rec.VesselRecord(
+                stamp(of.stamp),
+                None if of.v_vessel_ned is None else of.v_vessel_ned.tolist(),
+                None if of.cov_v_ned is None else _flat(of.cov_v_ned),
+                of.heading_rad,
+                of.sigma_heading_rad,
+            )
+        case VehicleStatus():
+            return rec.StatusRecord(stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction)
+
+
+def stamp(of: Stamp) -> rec.StampRecord:
+    return rec.StampRecord(int(of.taken), int(of.heard), float(of.sigma_s), of.source)
+
+
+def attitude(of: Attitude) -> rec.AttitudeRecord:
+    roll, pitch, yaw = (math.degrees(a) for a in of.R_ned_body.rpy_rad)
+    return rec.AttitudeRecord(stamp(of.stamp), _flat(of.R_ned_body.matrix), _flat(of.cov_body), roll, pitch, yaw)
+
+
+def look(of: FrameSeen) -> rec.LookRecord:
+    height, width = of.frame.px.shape[:2]
+    seen = of.look
+    return rec.LookRecord(
+        stamp(of.frame.stamp),
+        of.frame.seq,
+        of.frame.exposure_s,
+        width,
+        height,
+        of.verdict.value,
+        int(of.began),
+        int(of.done),
+        None if of.attitude is None else attitude(of.attitude),
+        None if seen is None else list(seen.methods),
+        None if seen is None else seen.chosen,
+        **({} if seen is None else _methods(seen)),
+    )
+
+
+def _methods(seen: Look) -> dict[str, rec.SightingRecord]:
+    found = {name: sighting(s) for name, s in seen.methods.items() if s is not None}
+    if seen.selected is not None:
+        found["selected"] = sighting(seen.selected)
+    return {str(name): s for name, s in found.items()}
+
+
+def sighting(of: Sighting) -> rec.SightingRecord:
+    pose6 = None
+    if of.pose6 is not None:
+        pose6 = rec.Pose6Record(of.pose6.d_body_pad_level.tolist(), _flat(of.pose6.R_level_pad.matrix), _flat(of.pose6.cov))
+    return rec.SightingRecord(
+        of.method, of.d_body_pad_level.tolist(), _flat(of.cov), of.confidence, of.yaw_ambiguous, of.yaw_rad, pose6
+    )
+
+
+def belief(of: RelativeState) -> rec.BeliefRecord:
+    return rec.BeliefRecord(
+        int(of.at),
+        of.path,
+        of.d_body_pad_level.tolist(),
+        of.v_pad_level.tolist(),
+        _flat(of.cov),
+        int(of.sighted),
+        of.consistent,
+        of.height_m,
+        of.lateral_m,
+        [rec.NamedNumber(name, float(value)) for name, value in of.details if math.isfinite(value)],
+        of.yaw_rad,
+    )
+
+
+def decision(of: Decision) -> rec.DecisionRecord:
+    steering = None if of.belief is None else of.belief.path
+    if isinstance(of.command, Velocity):
+        v, turn = of.command.v_level.tolist(), of.command.yaw_rate_rad_s
+        return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn)
+    return rec.DecisionRecord(int(of.at), of.phase, steering, None if of.command is None else COMMANDS[type(of.command)])
+
+
+def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:
+    tallies = [rec.TallyRecord("Frame", verdict, n) for verdict, n in of.frames.items()]
+    tallies += [rec.TallyRecord(kind, verdict, n) for kind, counts in of.inputs.items() for verdict, n in counts.items()]
+    return rec.HealthRecord(
+        int(at),
+        [rec.PartRecord(name, p.up, p.age_s, p.restarts, p.last_error) for name, p in of.parts.items()],
+        [rec.FlowRecord(name, f.count, f.rate_hz) for name, f in of.flows.items()],
+        tallies,
+        [rec.StageRecord(name, s.count, s.p50_s, s.p99_s) for name, s in of.stages.items()],
+        [rec.CounterRecord(part, name, float(n)) for part, counts in of.counters.items() for name, n in counts.items()],
+    )
+
+
+def _flat(a: NDArray[np.float64]) -> list[float]:
+    out: list[float] = a.ravel().tolist()
+    return out

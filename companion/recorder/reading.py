@@ -1,0 +1,236 @@
+"""Reading recordings, whole ones and ones cut short: everything up to the first byte that is missing or wrong."""
+
+from __future__ import annotations
+
+import struct
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, cast
+
+import cv2
+import msgspec
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader
+from zstandard import ZstdError
+
+from companion.observer import Decision
+from companion.recorder import channels, decode
+from companion.recorder import foxglove as fox
+from companion.recorder import records as rec
+from companion.settings import Settings, from_mapping
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.look import Look
+from estimator.vision.pad import Pad
+
+SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
+_LARGEST_RECORD = 256 << 20
+_DAMAGE = (McapError, ZstdError, ValueError, struct.error, EOFError, MemoryError, RuntimeError)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedFrame:
+    """One frame as it was recorded."""
+
+    record: rec.LookRecord
+    picture: bytes | None
+    """As a file (JPEG, PNG); None where it was not kept."""
+
+    @property
+    def stamp(self) -> Stamp:
+        return decode.stamp(self.record.stamp)
+
+    @property
+    def done(self) -> MonoNs:
+        """When vision was done with it."""
+        return MonoNs(self.record.done_ns)
+
+    @property
+    def attitude(self) -> Attitude | None:
+        """At the exposure, as it was then known."""
+        return None if self.record.attitude is None else decode.attitude(self.record.attitude)
+
+    def look(self) -> Look | None:
+        """What vision saw then, without the features in pixels; None where it was not asked."""
+        return decode.look(self.record)
+
+    def frame(self) -> Frame | None:
+        """The picture again; None where it was not kept or does not decode."""
+        if self.picture is None:
+            return None
+        px = cv2.imdecode(np.frombuffer(self.picture, np.uint8), cv2.IMREAD_COLOR)
+        if px is None:
+            return None
+        return Frame(self.stamp, self.record.seq, np.asarray(px, dtype=np.uint8), self.record.exposure_s)
+
+
+Event = Sample | RecordedFrame | Decision | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord
+
+
+@dataclass(slots=True, eq=False)
+class Recording:
+    """One recording, in one file or in the several that a long one was parted into."""
+
+    paths: tuple[Path, ...]
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, bytes]
+    counts: Counter[str] = field(default_factory=Counter)
+    """Messages of the newest pass through `events`, by topic."""
+    skipped: Counter[str] = field(default_factory=Counter)
+    """Messages of it that this version does not understand, by topic."""
+    cut: dict[Path, str] = field(default_factory=dict)
+    """Files that end before their end, and why."""
+
+    @property
+    def name(self) -> str:
+        return self.paths[0].name
+
+    def events(self) -> Iterator[Event]:
+        """Everything it holds, in the order in which it was told; pictures are decoded when they are asked for."""
+        self.counts, self.skipped, self.cut = Counter(), Counter(), {}
+        for path in self.paths:
+            with _opened(path) as stream:
+                yield from self._events(path, stream)
+
+    def _events(self, path: Path, stream: IO[bytes]) -> Iterator[Event]:
+        topics: dict[int, str] = {}
+        assembled = _Assembly()
+        for record in _records(stream, self.cut, path):
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                topic = topics.get(record.channel_id, "")
+                self.counts[topic] += 1
+                try:
+                    event = assembled.event(topic, record.data)
+                except (msgspec.DecodeError, ValueError):
+                    self.skipped[topic] += 1
+                    continue
+                if event is not None:
+                    yield event
+
+    def settings(self) -> Settings | None:
+        """Those it was made with; None where it does not say.
+
+        Raises:
+            BadInput: this version does not understand them.
+        """
+        data = self._toml(SETTINGS)
+        return None if data is None else from_mapping(data, f"{self.name}: {SETTINGS}")
+
+    def camera(self) -> Camera | None:
+        """That it was made with; raises as `settings`."""
+        data = self._toml(CAMERA)
+        return None if data is None else Camera.from_mapping(data, f"{self.name}: {CAMERA}")
+
+    def pad(self) -> Pad | None:
+        """That it was made with; raises as `settings`."""
+        data = self._toml(PAD)
+        return None if data is None else Pad.from_mapping(data, f"{self.name}: {PAD}")
+
+    def _toml(self, name: str) -> dict[str, Any] | None:
+        if name not in self.attachments:
+            return None
+        try:
+            return tomllib.loads(self.attachments[name].decode("utf-8"))
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as why:
+            raise BadInput(f"{self.name}: {name}: {why}") from why
+
+
+def open_recording(paths: Sequence[Path]) -> Recording:
+    """The recording in these files, the first one's head read.
+
+    Raises:
+        BadInput: a file cannot be read, is no MCAP file, or holds nothing of ours.
+    """
+    if not paths:
+        raise BadInput("no recording named")
+    recording = Recording(tuple(paths), {}, {})
+    for path in paths:
+        ours = False
+        with _opened(path) as stream:
+            for record in _records(stream, {}, path):
+                if isinstance(record, Metadata):
+                    recording.metadata.setdefault(record.name, dict(record.metadata))
+                elif isinstance(record, Attachment):
+                    recording.attachments.setdefault(record.name, record.data)
+                elif isinstance(record, Channel):
+                    ours = ours or record.topic in channels.TOPICS
+                elif isinstance(record, Message):
+                    break
+        if not ours:
+            raise BadInput(f"{path}: holds no recording of decklander, or is cut before its first message")
+    return recording
+
+
+class _Assembly:
+    """Puts together what was written as several messages: a picture and its look, beliefs and their decision."""
+
+    def __init__(self) -> None:
+        self._decoders = {topic: msgspec.json.Decoder(kind) for topic, kind in channels.TOPICS.items()}
+        self._picture: fox.CompressedImage | None = None
+        self._beliefs: list[RelativeState] = []
+
+    def event(self, topic: str, data: bytes) -> Event | None:
+        """None for what is only for viewers, or a part of something that is still to come."""
+        if topic in _FOR_VIEWERS or topic not in self._decoders:
+            return None
+        message = self._decoders[topic].decode(data)
+        match message:
+            case fox.CompressedImage():
+                self._picture = message
+                return None
+            case rec.LookRecord():
+                picture, self._picture = self._picture, None
+                return RecordedFrame(message, None if picture is None else picture.data)
+            case rec.BeliefRecord():
+                self._beliefs.append(decode.belief(message))
+                return None
+            case rec.DecisionRecord():
+                return self._decision(message)
+            case rec.TruthRecord() | rec.LinkRecord() | rec.HealthRecord():
+                return message
+            case _:
+                return decode.sample(cast(rec.SampleRecord, message))
+
+    def _decision(self, message: rec.DecisionRecord) -> Decision:
+        beliefs, self._beliefs = [b for b in self._beliefs if b.at == message.at_ns], []
+        steering = next((b for b in beliefs if b.path == message.steering), None)
+        shadows = tuple(b for b in beliefs if b is not steering)
+        return Decision(MonoNs(message.at_ns), message.phase, decode.command(message), steering, shadows)
+
+
+_FOR_VIEWERS = {channels.ANNOTATIONS, channels.CALIBRATION, channels.TRANSFORMS, channels.LOG, channels.TRUE_POSE} | {
+    channels.pose(path) for path in channels.PATHS
+}
+
+
+def _opened(path: Path) -> IO[bytes]:
+    try:
+        return path.open("rb")
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+
+
+def _records(stream: IO[bytes], cut: dict[Path, str], path: Path) -> Iterator[McapRecord]:
+    """All records in order; where the file ends early or is damaged, `cut` says so and the iteration ends.
+
+    Raises:
+        BadInput: it does not even begin like an MCAP file.
+    """
+    if stream.read(8) != b"\x89MCAP0\r\n":
+        raise BadInput(f"{path}: not an MCAP file")
+    stream.seek(0)
+    reader = StreamReader(stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
+    try:
+        yield from reader.records
+    except _DAMAGE as why:
+        cut[path] = str(why) or type(why).__name__

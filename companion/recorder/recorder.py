@@ -1,0 +1,358 @@
+"""The recorder: an observer that hands records to a thread of its own, which writes them to MCAP files.
+
+The service's loop never waits for it: when the thread is behind, records are dropped and counted by channel. A full disk is
+said once, flown through, and left behind when there is room again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import queue
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from types import TracebackType
+from typing import Literal, ParamSpec
+
+from companion.health import Health
+from companion.observer import Decision, FrameSeen
+from companion.recorder import encode
+from companion.recorder import records as rec
+from companion.recorder.mcap_file import About, McapFile
+from companion.recorder.scribe import FrameForm, Scribe
+from companion.recorder.shelf import Shelf
+from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.vision.camera import Camera
+
+log = logging.getLogger(__name__)
+PART = "recorder"
+_ROOM_AGAIN_MB = 20.0
+"""A disk that was full has room again when this much is free: less would be full again within seconds."""
+P = ParamSpec("P")
+
+
+class State(Enum):
+    """What the writing thread is doing."""
+
+    IDLE = "idle"
+    RECORDING = "recording"
+    NO_ROOM = "no room"
+    PAUSED = "paused"
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How the recorder works.
+
+    Raises:
+        ValueError: a queue without room, or a period that is not positive.
+    """
+
+    frames: FrameForm = "jpeg"
+    frames_each: int = 1
+    """Keep the picture of each n-th frame; what was seen in the others is kept too."""
+    jpeg_quality: int = 90
+    max_file_s: float = 600.0
+    queue_records: int = 4096
+    """That may wait for the thread."""
+    queue_frames: int = 15
+    """Pictures among them: 0.7 MB each at 640x360."""
+    flush_s: float = 1.0
+    """Between two flushes: what a killed process loses."""
+    sync_s: float = 5.0
+    """Between two waits for the disk itself: what a power cut loses."""
+    retry_s: float = 5.0
+    """Between two looks whether a full disk has room again."""
+    when_full: Literal["drop", "wait"] = "drop"
+    """Drop records when the thread is behind, or let the caller wait for it: for flights in virtual time."""
+    close_s: float = 10.0
+    """That closing may take before what is left is given up."""
+
+    def __post_init__(self) -> None:
+        if min(self.queue_records, self.queue_frames, self.frames_each) < 1:
+            raise ValueError("queue_records, queue_frames and frames_each must be 1 or more")
+        if min(self.max_file_s, self.flush_s, self.sync_s, self.retry_s, self.close_s) <= 0:
+            raise ValueError("periods of the recorder must be positive")
+
+
+@dataclass(frozen=True, slots=True)
+class _Item:
+    at: MonoNs
+    what: object
+
+
+class Recorder:
+    """An observer (`companion.observer`). A context manager: its thread lives inside.
+
+    Args:
+        about: what every file says of itself.
+        health: where its own state is shown, and which is recorded.
+    """
+
+    def __init__(self, shelf: Shelf, camera: Camera, about: About, options: Options, health: Health | None = None) -> None:
+        self._shelf = shelf
+        self._options = options
+        self._scribe = Scribe(camera, about.offset_ns, options.frames, options.jpeg_quality)
+        self._about = about
+        self._health: Health | None = None
+        if health is not None:
+            self.watch(health)
+        self._queue: queue.Queue[_Item | None] = queue.Queue(maxsize=options.queue_records)
+        self._frames_waiting = threading.BoundedSemaphore(options.queue_frames)
+        self._thread = threading.Thread(target=self._work, name=PART, daemon=True)
+        self._file: McapFile | None = None
+        self._began = self._flushed = self._synced = MonoNs(0)
+        self._tried: MonoNs | None = None
+        self._told_health: MonoNs | None = None
+        self._shown = State.IDLE
+        self._seen = 0
+        self._paused = False
+        self._unflushed = 0
+        self._state = State.IDLE
+        self.why = ""
+        """Why nothing is being written, in words; empty while it is."""
+        self.written = 0
+        """Messages handed to files."""
+        self.lost = 0
+        """Messages among them that a full disk took back."""
+        self.dropped: Counter[str] = Counter()
+        """Records given up, by kind: the thread was behind, or there was no room on the disk."""
+        self.faults = 0
+        """Of its own, each of which cost a record at most."""
+        self.files = 0
+
+    @property
+    def state(self) -> State:
+        return self._state
+
+    @property
+    def file(self) -> McapFile | None:
+        """That is being written."""
+        return self._file
+
+    def __enter__(self) -> Recorder:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, why: BaseException | None, where: TracebackType | None) -> None:
+        self.close()
+
+    async def run(self) -> None:
+        """Record until cancelled: the recorder as a part of the service."""
+        self._thread.start()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await asyncio.to_thread(self.close)
+
+    def watch(self, health: Health) -> None:
+        """From now on record this health, and show the recorder's own state in it.
+
+        What a flight in virtual time would show depends on the thread's luck, so there its counters are left out.
+        """
+        self._health = health
+        if self._options.when_full == "drop":
+            health.counters(PART, self.counted)
+
+    def close(self) -> None:
+        """Write what waits and end the file. Gives up after `close_s`."""
+        if self._state is State.CLOSED or not self._thread.is_alive():
+            return
+        try:
+            self._queue.put(None, timeout=self._options.close_s)
+        except queue.Full:
+            log.error("recorder: the disk took nothing for %.0f s; the end of the recording is lost", self._options.close_s)
+            return
+        self._thread.join(self._options.close_s)
+
+    def pause(self) -> None:
+        """Write nothing more until `resume`; the file ends."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Go on with a new file."""
+        self._paused = False
+
+    def switch(self, on: bool) -> str | None:
+        """The operator: record or do not; says why it cannot."""
+        self._paused = not on
+        return self.why if on and self._state is State.NO_ROOM else None
+
+    def on_sample(self, sample: Sample) -> None:
+        self._give(sample.stamp.heard, sample)
+
+    def on_frame(self, seen: FrameSeen) -> None:
+        self._seen += 1
+        keep = self._options.frames != "none" and (self._seen - 1) % self._options.frames_each == 0
+        if keep and not self._frames_waiting.acquire(blocking=self._options.when_full == "wait"):
+            self.dropped["picture"] += 1
+            keep = False
+        if not self._give(seen.done, (encode.look(seen), seen if keep else None, seen.look)) and keep:
+            self._frames_waiting.release()
+
+    def on_decision(self, decision: Decision) -> None:
+        self._give(decision.at, decision)
+        if self._told_health is None or seconds_between(self._told_health, decision.at) >= 1.0:
+            self._told_health = decision.at
+            self._show()
+            if self._health is not None:
+                self._give(decision.at, encode.health(decision.at, self._health.snapshot()))
+
+    def on_truth(self, truth: rec.TruthRecord) -> None:
+        """What a simulator or motion capture knows."""
+        self._give(MonoNs(truth.at_ns), truth)
+
+    def on_link(self, at: MonoNs, link: str, direction: Literal["in", "out"], data: bytes, name: str | None = None) -> None:
+        """One message of a link (MAVLink, MQTT) as its bytes; `name` is for people."""
+        self._give(at, rec.LinkRecord(int(at), link, direction, data, name))
+
+    def _give(self, at: MonoNs, what: object) -> bool:
+        if self._options.when_full == "wait" and self._state is not State.CLOSED:
+            self._queue.put(_Item(at, what))
+            return True
+        try:
+            self._queue.put_nowait(_Item(at, what))
+        except queue.Full:
+            self.dropped[_kind(what)] += 1
+            return False
+        return True
+
+    def counted(self) -> dict[str, float]:
+        """What it has counted, for health: dropped records by kind under `dropped_<kind>`."""
+        out: dict[str, float] = {"written": self.written, "lost": self.lost, "faults": self.faults, "files": self.files}
+        return out | {f"dropped_{kind}": n for kind, n in sorted(self.dropped.items())}
+
+    def _show(self) -> None:
+        """Own state into the common model of health, from the loop's thread."""
+        if self._health is None or self._state is self._shown:
+            return
+        self._shown = self._state
+        if self._state is State.NO_ROOM:
+            self._health.down(PART, OSError(self.why))
+        else:
+            self._health.up(PART)
+
+    def _work(self) -> None:
+        try:
+            while True:
+                try:
+                    item = self._queue.get(timeout=self._options.flush_s)
+                except queue.Empty:
+                    if self._options.when_full == "drop":
+                        self._guarded(self._flush, None)
+                    continue
+                if item is None:
+                    break
+                self._guarded(self._take, item)
+            self._guarded(self._end_file)
+        finally:
+            self._state = State.CLOSED
+
+    def _guarded(self, deed: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
+        """A fault of the disk ends the file, a fault of ours costs a record; neither ends the flight."""
+        try:
+            deed(*args, **kwargs)
+        except OSError as why:
+            file, self._file = self._file, None
+            if file is not None:
+                file.abandon()
+            self.lost += self._unflushed
+            self._unflushed = 0
+            self._lacks(why.strerror or str(why))
+        except Exception:
+            self.faults += 1
+            if self.faults == 1:
+                log.exception("recorder: a fault of its own; further ones are only counted")
+
+    def _take(self, item: _Item) -> None:
+        taken = False
+        try:
+            if not self._ready(item.at):
+                return
+            assert self._file is not None
+            for topic, at_ns, message in self._scribe.messages(item.at, item.what):
+                self._file.add(topic, at_ns, message)
+                self.written += 1
+                self._unflushed += 1
+            taken = True
+        finally:
+            if not taken:
+                self.dropped[_kind(item.what)] += 1
+            if isinstance(item.what, tuple) and item.what[1] is not None:
+                self._frames_waiting.release()
+        self._flush(item.at)
+
+    def _ready(self, at: MonoNs) -> bool:
+        """Whether there is a file to write to, opening one where it may."""
+        if self._paused:
+            if self._file is not None:
+                self._end_file()
+            self._state = State.PAUSED
+            return False
+        if self._file is not None:
+            return True
+        if self._tried is not None and seconds_between(self._tried, at) < self._options.retry_s and self._state is State.NO_ROOM:
+            return False
+        self._tried = at
+        reason = self._shelf.lacks_room(_ROOM_AGAIN_MB if self._state is State.NO_ROOM else 0.0)
+        if reason is not None:
+            self._lacks(reason)
+            return False
+        self._open(at)
+        return True
+
+    def _open(self, at: MonoNs) -> None:
+        self._file = McapFile(self._shelf.next_path(), self._about)
+        self.files += 1
+        self._scribe.begin()
+        for topic, at_ns, message in self._scribe.preamble(at):
+            self._file.add(topic, at_ns, message)
+        self._file.flush()
+        self._began = self._flushed = self._synced = at
+        if self._state is State.NO_ROOM:
+            log.warning("recorder: there is room again; going on in %s", self._file.path)
+        self._state, self.why = State.RECORDING, ""
+        self._shelf.tidy(self._file.path)
+
+    def _flush(self, now: MonoNs | None) -> None:
+        """When it is due at `now`; at once without one."""
+        file = self._file
+        if file is None or (now is not None and seconds_between(self._flushed, now) < self._options.flush_s):
+            return
+        file.flush()
+        self._unflushed = 0
+        if now is None:
+            return
+        self._flushed = now
+        if seconds_between(self._synced, now) >= self._options.sync_s:
+            file.sync()
+            self._synced = now
+            self._shelf.tidy(file.path)
+        limit = self._shelf.max_file_bytes
+        if limit is not None and (file.bytes >= limit or seconds_between(self._began, now) >= self._options.max_file_s):
+            self._end_file()
+        elif (reason := self._shelf.lacks_room()) is not None:
+            self._end_file()
+            self._lacks(reason)
+
+    def _end_file(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+            self._unflushed = 0
+
+    def _lacks(self, reason: str) -> None:
+        if self._state is not State.NO_ROOM:
+            log.error("recorder: nothing is recorded until there is room: %s", reason)
+        self._state, self.why = State.NO_ROOM, reason
+
+
+def _kind(what: object) -> str:
+    if isinstance(what, tuple):
+        return "look"
+    return type(what).__name__.removesuffix("Record").lower()

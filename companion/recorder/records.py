@@ -1,0 +1,225 @@
+"""Our own messages in a recording: flat enough to plot, complete enough to replay to the bit.
+
+Vectors and matrices (row by row) are lists of numbers in SI and radians, named as in `estimator.contracts`; instants are whole
+nanoseconds of the recording host's monotonic clock. What is not known is left out.
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+
+class StampRecord(Struct, frozen=True):
+    """When it was true, when it was heard, how well the first is known."""
+
+    taken_ns: int
+    heard_ns: int
+    sigma_s: float
+    source: str
+
+
+class ImuRecord(Struct, frozen=True):
+    stamp: StampRecord
+    w_body: list[float]
+    f_body: list[float]
+
+
+class AttitudeRecord(Struct, frozen=True):
+    stamp: StampRecord
+    R_ned_body: list[float]
+    cov_body: list[float]
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+
+
+class VelocityRecord(Struct, frozen=True):
+    stamp: StampRecord
+    v_level: list[float]
+    cov_level: list[float]
+
+
+class RangeRecord(Struct, frozen=True):
+    stamp: StampRecord
+    range_m: float
+    sigma_m: float
+
+
+class BaroRecord(Struct, frozen=True):
+    stamp: StampRecord
+    height_m: float
+    sigma_m: float
+
+
+class VesselRecord(Struct, frozen=True, omit_defaults=True):
+    stamp: StampRecord
+    v_vessel_ned: list[float] | None = None
+    cov_v_ned: list[float] | None = None
+    heading_rad: float | None = None
+    sigma_heading_rad: float | None = None
+
+
+class StatusRecord(Struct, frozen=True, omit_defaults=True):
+    stamp: StampRecord
+    mode: str
+    emergency: bool
+    link_ok: bool
+    flying: bool | None = None
+    battery_fraction: float | None = None
+
+
+class Pose6Record(Struct, frozen=True):
+    d_body_pad_level: list[float]
+    R_level_pad: list[float]
+    cov: list[float]
+
+
+class SightingRecord(Struct, frozen=True, omit_defaults=True):
+    """Of one method; stamp and number are those of the look it belongs to."""
+
+    method: str
+    d_body_pad_level: list[float]
+    cov: list[float]
+    confidence: float
+    yaw_ambiguous: bool
+    yaw_rad: float | None = None
+    pose6: Pose6Record | None = None
+
+
+class LookRecord(Struct, frozen=True, omit_defaults=True):
+    """One frame: when, what every method saw, and what became of it."""
+
+    stamp: StampRecord
+    seq: int
+    exposure_s: float
+    width: int
+    height: int
+    verdict: str
+    began_ns: int
+    done_ns: int
+    attitude: AttitudeRecord | None = None
+    """At the exposure."""
+    tried: list[str] | None = None
+    """Methods that were asked; left out where vision was not."""
+    chosen: str | None = None
+    selected: SightingRecord | None = None
+    ellipse: SightingRecord | None = None
+    arrow: SightingRecord | None = None
+    corners: SightingRecord | None = None
+    registration: SightingRecord | None = None
+    marker: SightingRecord | None = None
+    fused: SightingRecord | None = None
+
+
+class NamedNumber(Struct, frozen=True):
+    name: str
+    value: float
+
+
+class BeliefRecord(Struct, frozen=True, omit_defaults=True):
+    at_ns: int
+    path: str
+    d_body_pad_level: list[float]
+    v_pad_level: list[float]
+    cov: list[float]
+    sighted_ns: int
+    consistent: bool
+    height_m: float
+    lateral_m: float
+    details: list[NamedNumber]
+    yaw_rad: float | None = None
+
+
+class DecisionRecord(Struct, frozen=True, omit_defaults=True):
+    """One round of guidance; the beliefs it had are the messages of the same instant before it."""
+
+    at_ns: int
+    phase: str
+    steering: str | None = None
+    """Path of the belief that was steered by; left out where there was none."""
+    command: str | None = None
+    """velocity, hover, take_off or land; left out while the vehicle was left to itself."""
+    v_level: list[float] | None = None
+    yaw_rate_rad_s: float | None = None
+
+
+class ContactRecord(Struct, frozen=True, omit_defaults=True):
+    """The first contact after flight."""
+
+    at_ns: int
+    surface: str
+    on_pad: bool
+    lateral_m: float | None = None
+    yaw_rad: float | None = None
+    vertical_speed_m_s: float | None = None
+    lateral_speed_m_s: float | None = None
+
+
+class TruthRecord(Struct, frozen=True, omit_defaults=True):
+    """Where the pad really was; only a simulator or motion capture knows."""
+
+    at_ns: int
+    d_body_pad_level: list[float]
+    v_pad_level: list[float]
+    yaw_rad: float
+    phase: str | None = None
+    """Of the vehicle itself."""
+    touchdown: ContactRecord | None = None
+
+
+class LinkRecord(Struct, frozen=True, omit_defaults=True):
+    """One message of a link, as its bytes went over the wire."""
+
+    at_ns: int
+    link: str
+    direction: str
+    """`in` or `out`."""
+    data: bytes
+    name: str | None = None
+
+
+class PartRecord(Struct, frozen=True):
+    name: str
+    up: bool
+    age_s: float
+    restarts: int
+    last_error: str
+
+
+class FlowRecord(Struct, frozen=True, omit_defaults=True):
+    name: str
+    count: int
+    rate_hz: float | None = None
+
+
+class TallyRecord(Struct, frozen=True):
+    kind: str
+    verdict: str
+    count: int
+
+
+class StageRecord(Struct, frozen=True, omit_defaults=True):
+    name: str
+    count: int
+    p50_s: float | None = None
+    p99_s: float | None = None
+
+
+class CounterRecord(Struct, frozen=True):
+    part: str
+    name: str
+    value: float
+
+
+class HealthRecord(Struct, frozen=True):
+    """Health of the service (`companion.health.HealthSnapshot`), once a second."""
+
+    at_ns: int
+    parts: list[PartRecord]
+    flows: list[FlowRecord]
+    tallies: list[TallyRecord]
+    stages: list[StageRecord]
+    counters: list[CounterRecord]
+
+
+SampleRecord = ImuRecord | AttitudeRecord | VelocityRecord | RangeRecord | BaroRecord | VesselRecord | StatusRecord

@@ -1,0 +1,130 @@
+"""A recording written again: mended, shortened, thinned, reduced to its inputs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from companion.observer import Decision
+from companion.recorder import channels, encode
+from companion.recorder import foxglove as fox
+from companion.recorder.mcap_file import About, Attachment, McapFile
+from companion.recorder.reading import Event, RecordedFrame, Recording
+from companion.recorder.records import HealthRecord, LinkRecord, LookRecord, TruthRecord
+from companion.recorder.scribe import Scribe
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Method
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """Which part of a recording is kept."""
+
+    from_s: float = 0.0
+    to_s: float | None = None
+    """Both after the recording's first event."""
+    inputs: bool = False
+    """Samples, frames and truth alone; of what was seen only the sighting that spoke for the frame."""
+    samples_each: int = 1
+    """Of each kind of sample; what the vehicle says of itself is always kept."""
+    frames_each: int = 1
+    pictures: bool = True
+
+
+def instant(event: Event) -> MonoNs:
+    """When the service met it."""
+    match event:
+        case RecordedFrame():
+            return event.done
+        case Decision():
+            return event.at
+        case TruthRecord() | LinkRecord() | HealthRecord():
+            return MonoNs(event.at_ns)
+        case _:
+            return event.stamp.heard
+
+
+def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
+    """Write the part into `output`, which is replaced; how many events it has.
+
+    Raises:
+        BadInput: the recording does not say which camera it was made with.
+        OSError: the file cannot be written.
+    """
+    camera = recording.camera()
+    if camera is None:
+        raise BadInput(f"{recording.name}: does not hold its camera")
+    metadata = {name: data for name, data in recording.metadata.items() if name != "clock"}
+    offset_ns = int(recording.metadata.get("clock", {}).get("monotonic_to_epoch_ns", "0"))
+    attachments = [Attachment(name, "application/toml", data) for name, data in recording.attachments.items()]
+    scribe = Scribe(camera, offset_ns, "none", 90)
+    output.unlink(missing_ok=True)
+    file = McapFile(output, About(metadata, attachments, offset_ns))
+    try:
+        n = _copy(recording, file, scribe, cut, offset_ns)
+    except BaseException:
+        file.abandon()
+        raise
+    file.close()
+    return n
+
+
+def _copy(recording: Recording, file: McapFile, scribe: Scribe, cut: Cut, offset_ns: int) -> int:
+    first: MonoNs | None = None
+    met: Counter[str] = Counter()
+    n = 0
+    for event in recording.events():
+        at = instant(event)
+        if first is None:
+            first = at
+            for topic, t, message in scribe.preamble(at):
+                file.add(topic, t, message)
+        since_s = seconds_between(first, at)
+        if (cut.from_s > 0 and since_s < cut.from_s) or (cut.to_s is not None and since_s > cut.to_s):
+            continue
+        if not _kept(event, cut, met):
+            continue
+        n += 1
+        t = max(0, at + offset_ns)
+        if isinstance(event, RecordedFrame):
+            if cut.pictures and event.picture is not None:
+                taken = event.record.stamp.taken_ns + offset_ns
+                form = "png" if event.picture.startswith(b"\x89PNG") else "jpeg"
+                file.add(channels.IMAGE, t, fox.compressed_image(taken, event.picture, form))
+            file.add(channels.LOOK, t, _without_methods(event.record) if cut.inputs else event.record)
+        elif cut.inputs and not isinstance(event, TruthRecord | LinkRecord | HealthRecord | Decision):
+            record = encode.sample(event)
+            file.add(channels.SAMPLES[type(record)], t, record)
+        elif cut.inputs and isinstance(event, TruthRecord):
+            file.add(channels.TRUTH, t, event)
+        else:
+            for topic, moment, message in scribe.messages(at, event):
+                file.add(topic, moment, message)
+        if file.pending_bytes > 1 << 22:
+            file.flush()
+    return n
+
+
+def _without_methods(record: LookRecord) -> LookRecord:
+    tried = None if record.tried is None else list[str]()
+    return msgspec.structs.replace(record, tried=tried, **dict.fromkeys(get_args(Method), None) | {"selected": record.selected})
+
+
+def _kept(event: Event, cut: Cut, met: Counter[str]) -> bool:
+    match event:
+        case Decision() | LinkRecord() | HealthRecord():
+            return not cut.inputs
+        case TruthRecord() | VehicleStatus():
+            return True
+        case RecordedFrame():
+            kind, each = "frame", cut.frames_each
+        case _:
+            kind, each = type(event).__name__, cut.samples_each
+    met[kind] += 1
+    return (met[kind] - 1) % each == 0

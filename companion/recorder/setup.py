@@ -1,0 +1,86 @@
+"""Recorders as settings describe them, and what every recording says of itself."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+
+from companion import settings_pages
+from companion.health import Health
+from companion.recorder.mcap_file import About, Attachment
+from companion.recorder.reading import CAMERA, PAD, SETTINGS
+from companion.recorder.recorder import Options, Recorder
+from companion.recorder.scribe import FrameForm
+from companion.recorder.shelf import Folder, SingleFile
+from companion.settings import camera_model, find_file
+from companion.settings_model import Settings
+from estimator.contracts.ports import Clock
+from estimator.vision.camera import Camera
+
+_PACKAGES = ("decklander", "numpy", "opencv-python-headless", "av", "filterpy", "mcap")
+
+
+def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> About:
+    """Versions, settings, camera and pad, and what `flight` says: scenario and seed of a simulation, source of an import.
+
+    Raises:
+        BadInput: the camera or pad file is missing.
+    """
+    files = [Attachment(SETTINGS, "application/toml", settings_pages.toml(settings).encode())]
+    for name, text, folder in ((CAMERA, settings.camera.file, "cameras"), (PAD, settings.pad.file, "pads")):
+        path = find_file(text, folder, Path(), name)
+        files.append(Attachment(name, "application/toml", path.read_bytes()))
+    return About({"versions": versions(), "flight": dict(flight)}, files, offset_ns)
+
+
+def versions() -> dict[str, str]:
+    """Of what a result may depend on."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
+    """That of the service; paused where it is not enabled, so that an operator may start it.
+
+    Raises:
+        BadInput: the camera or pad file is missing.
+    """
+    r = settings.recorder
+    started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+    options = Options(
+        frames=r.frames,
+        frames_each=r.frames_each,
+        jpeg_quality=r.jpeg_quality,
+        max_file_s=r.max_file_s,
+        queue_records=r.queue_records,
+        queue_frames=r.queue_frames,
+        flush_s=r.flush_s,
+        sync_s=r.sync_s,
+    )
+    shelf = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb)
+    described = about(settings, {"kind": "service"}, wall_offset_ns(clock))
+    recorder = Recorder(shelf, camera_model(settings), described, options, health)
+    if not r.enabled:
+        recorder.pause()
+    return recorder
+
+
+def wall_offset_ns(clock: Clock) -> int:
+    """What to add to the clock's instants to get Unix time, as the two stand now; whole microseconds."""
+    return (time.time_ns() - clock.now()) // 1000 * 1000
+
+
+def recorder_to_file(
+    path: Path, camera: Camera, described: About, *, frames: FrameForm = "jpeg", frames_each: int = 1, live: bool = False
+) -> Recorder:
+    """One flight into one file. A flight in virtual time waits for the disk; a `live` one never does."""
+    options = Options(frames=frames, frames_each=frames_each, when_full="drop" if live else "wait")
+    return Recorder(SingleFile(path), camera, described, options)

@@ -1,0 +1,186 @@
+"""Replay: every recorded sample, frame and round of guidance through a pilot, in the order in which the service met them.
+
+Nothing here reads a clock: instants are the recording's. The same recording through the same pilot gives the same outputs to
+the bit, and a hash over them says so.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+
+from companion.observer import Decision, FrameSeen, Observer
+from companion.pilot import Outcome, Pilot
+from companion.recorder import encode
+from companion.recorder.reading import Event, RecordedFrame, Recording
+from companion.recorder.records import HealthRecord, LinkRecord, TruthRecord
+from companion.recorder.rewriting import instant
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.vision.look import Look
+
+_NOT_BEGUN = ("waiting for the vehicle", "waiting for the start", "paused")
+
+
+@dataclass(slots=True)
+class Counts:
+    """What went through."""
+
+    samples: int = 0
+    frames: int = 0
+    looked: int = 0
+    """Frames whose picture went through vision again."""
+    as_recorded: int = 0
+    """Frames of which the recorded sightings were taken."""
+    decisions: int = 0
+
+
+class Replay:
+    """One pass of a recording through a pilot.
+
+    Args:
+        sightings: take what vision saw then instead of looking at the pictures again; frames without a picture always do.
+        rate_hz: rounds of guidance a second where the recording holds none.
+        shift_ns: added to every instant, to play it as if it happened now.
+        observers: told what the service would tell them; frames whose picture was not kept come black.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        pilot: Pilot,
+        *,
+        sightings: bool = False,
+        rate_hz: float = 50.0,
+        shift_ns: int = 0,
+        observers: Sequence[Observer] = (),
+    ) -> None:
+        self._recording = recording
+        self._pilot = pilot
+        self._sightings = sightings
+        self._period_s = 1.0 / rate_hz
+        self._shift_ns = shift_ns
+        self._observers = tuple(observers)
+        self._hash = hashlib.sha256()
+        self._encoder = msgspec.json.Encoder()
+        self._guided = False
+        self._due: MonoNs | None = None
+        self.counts = Counts()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over every verdict, sighting, belief and command so far."""
+        return self._hash.hexdigest()
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How the flight ended in the pilot's eyes."""
+        return self._pilot.outcome
+
+    def run(self) -> None:
+        """To the end."""
+        for _ in self.steps():
+            pass
+
+    def steps(self) -> Iterator[tuple[MonoNs, Event]]:
+        """Each event just before it is taken, with the instant at which the service met it (`shift_ns` added)."""
+        self._guided = any(isinstance(event, Decision) for event in self._recording.events())
+        for event in self._recording.events():
+            at = MonoNs(instant(event) + self._shift_ns)
+            yield at, event
+            if not self._guided:
+                self._guide_until(at)
+            match event:
+                case RecordedFrame():
+                    self._frame(event)
+                case Decision():
+                    self._follow_operator(event.phase)
+                    self._decide(MonoNs(event.at + self._shift_ns))
+                case TruthRecord() | LinkRecord() | HealthRecord():
+                    continue
+                case _:
+                    self._sample(event)
+
+    def _moved(self, stamp: Stamp) -> Stamp:
+        if not self._shift_ns:
+            return stamp
+        return replace(stamp, taken=MonoNs(stamp.taken + self._shift_ns), heard=MonoNs(stamp.heard + self._shift_ns))
+
+    def _sample(self, recorded: Sample) -> None:
+        sample = replace(recorded, stamp=self._moved(recorded.stamp))
+        self.counts.samples += 1
+        for outcome in self._pilot.hear(sample):
+            self._hash.update(f"{outcome.path} {outcome.kind} {outcome.verdict.value}".encode())
+        for observer in self._observers:
+            observer.on_sample(sample)
+
+    def _frame(self, recorded: RecordedFrame) -> None:
+        frame = None if self._sightings else recorded.frame()
+        began, done = (MonoNs(t + self._shift_ns) for t in (recorded.record.began_ns, recorded.record.done_ns))
+        stamp = self._moved(recorded.stamp)
+        self.counts.frames += 1
+        attitude = recorded.attitude
+        attitude = self._pilot.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
+        look: Look | None = None
+        verdict = Verdict.NO_ATTITUDE
+        if frame is None:
+            self.counts.as_recorded += 1
+            look = self._seen_then(recorded)
+            verdict = Verdict(recorded.record.verdict) if look is None else self._pilot.saw(look)
+            frame = _black(recorded)
+        elif (frame.px.shape[1], frame.px.shape[0]) != (self._pilot.camera.width, self._pilot.camera.height):
+            verdict = Verdict.FAILED
+        elif attitude is not None:
+            self.counts.looked += 1
+            look = self._pilot.look(replace(frame, stamp=stamp), attitude)
+            verdict = self._pilot.saw(look)
+        seen = FrameSeen(replace(frame, stamp=stamp), attitude, look, verdict, began, done)
+        self._hash.update(self._encoder.encode(encode.look(seen)))
+        for observer in self._observers:
+            observer.on_frame(seen)
+
+    def _seen_then(self, recorded: RecordedFrame) -> Look | None:
+        look = recorded.look()
+        if look is None or not self._shift_ns:
+            return look
+        methods = {n: None if s is None else replace(s, stamp=self._moved(s.stamp)) for n, s in look.methods.items()}
+        selected = None if look.selected is None else replace(look.selected, stamp=self._moved(look.selected.stamp))
+        return replace(look, selected=selected, methods=methods)
+
+    def _follow_operator(self, phase: str) -> None:
+        """What the operator said is not recorded as such, but it shows in the phases."""
+        if phase == "paused":
+            self._pilot.pause()
+        elif phase == Outcome.ABORTED.value:
+            self._pilot.abort()
+        elif phase not in _NOT_BEGUN:
+            self._pilot.begin()
+
+    def _guide_until(self, now: MonoNs) -> None:
+        if self._due is None:
+            self._due = now
+            self._pilot.begin()
+        while self._due <= now:
+            self._decide(self._due)
+            self._due = after(self._due, self._period_s)
+
+    def _decide(self, at: MonoNs) -> None:
+        decision = self._pilot.decide(at)
+        self.counts.decisions += 1
+        for belief in (decision.belief, *decision.shadows):
+            if belief is not None:
+                self._hash.update(self._encoder.encode(encode.belief(belief)))
+        self._hash.update(self._encoder.encode(encode.decision(decision)))
+        for observer in self._observers:
+            observer.on_decision(decision)
+
+
+def _black(recorded: RecordedFrame) -> Frame:
+    """A stand-in of the right size that takes no memory."""
+    px = np.broadcast_to(np.zeros(1, np.uint8), (recorded.record.height, recorded.record.width, 3))
+    return Frame(recorded.stamp, recorded.record.seq, px, recorded.record.exposure_s)

@@ -1,0 +1,74 @@
+"""The pilot that a recording is replayed through: as it was recorded, or with other settings or another path steering."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from companion.pilot import Pilot
+from companion.recorder.reading import CAMERA, PAD, Recording
+from companion.service import make_pilot
+from companion.settings import Settings, load
+from companion.settings_model import CameraSettings, PadSettings
+from estimator import pipeline
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName
+
+
+def available_paths() -> tuple[PathName, ...]:
+    """Those the estimator can run."""
+    found: list[PathName] = []
+    for name in get_args(PathName):
+        try:
+            pipeline.start(replace(pipeline.Options(), steering=name))
+        except ValueError:
+            continue
+        found.append(name)
+    return tuple(found)
+
+
+def settings_of(recording: Recording, config: str | None) -> Settings:
+    """Those of `config` where it is given, else those the recording was made with.
+
+    Raises:
+        BadInput: neither can be had.
+    """
+    if config is not None:
+        return load(config)
+    try:
+        settings = recording.settings()
+    except BadInput as why:
+        raise BadInput(f"{why} (made by another version? name settings with --config)") from why
+    if settings is None:
+        raise BadInput(f"{recording.name}: holds no settings; name some with --config")
+    return settings
+
+
+def pilot_of(recording: Recording, settings: Settings, path: PathName | None, *, own_camera: bool, alone: bool = False) -> Pilot:
+    """A pilot with every path running (or that one `alone`), `path` (else the settings' own) steering.
+
+    Args:
+        own_camera: look with the camera and at the pad of the recording instead of those that the settings name.
+
+    Raises:
+        BadInput: a camera or pad file is missing or has a fault, or there is no such path.
+    """
+    paths = available_paths()
+    steering = path or settings.estimator.path
+    if steering not in paths:
+        raise BadInput(f"--path {steering}: there are {', '.join(paths)}")
+    shadows = [] if alone else [p for p in paths if p != steering]
+    # The path goes round the settings' own check so that paths may be compared that settings do not offer.
+    estimator = msgspec.structs.replace(settings.estimator, path=steering)
+    with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
+        if own_camera and CAMERA in recording.attachments and PAD in recording.attachments:
+            for name in (CAMERA, PAD):
+                (Path(folder) / name).write_bytes(recording.attachments[name])
+            settings = msgspec.structs.replace(
+                settings, camera=CameraSettings(str(Path(folder) / CAMERA)), pad=PadSettings(str(Path(folder) / PAD))
+            )
+        return make_pilot(msgspec.structs.replace(settings, estimator=estimator), shadows=shadows)

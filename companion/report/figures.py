@@ -1,0 +1,167 @@
+"""The numbers of the report: errors against truth, and their statistics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.report.flight_log import FlightLog, TruthSample
+from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.time import MonoNs, seconds_between
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """Estimates of one method or path over time."""
+
+    name: str
+    is_path: bool
+    """An estimator's path, drawn as a line; else a vision method, drawn as dots."""
+    t_s: F64
+    """(n,) since the flight's start."""
+    d: F64
+    """(n, 3) m, `d_body_pad_level`."""
+    yaw_rad: F64
+    """(n,) nan where not told."""
+    error: F64
+    """(n, 3) m, estimate less truth; nan where there is no truth."""
+    yaw_error: F64
+    """(n,) rad."""
+
+    @property
+    def lateral_error_m(self) -> F64:
+        return np.asarray(np.hypot(self.error[:, 0], self.error[:, 1]))
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorRow:
+    """One line of the table of errors."""
+
+    name: str
+    is_path: bool
+    count: int
+    share: float | None
+    """Of all frames; None for a path, which is not tied to frames."""
+    lateral_median_m: float
+    lateral_p95_m: float
+    down_bias_m: float
+    down_p95_m: float
+    yaw_median_rad: float
+    yaw_p95_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class TimingRow:
+    """One line of the table of times."""
+
+    name: str
+    count: int
+    median_s: float
+    p95_s: float
+    p99_s: float
+    max_s: float
+
+
+class Truth:
+    """Truth at any instant between its samples; nan outside, and across holes of more than 0.2 s."""
+
+    def __init__(self, samples: Sequence[TruthSample]) -> None:
+        self._at = np.array([s.at for s in samples], dtype=np.int64)
+        self._values = np.array([[*s.d_body_pad_level, s.yaw_rad] for s in samples]).reshape(-1, 4)
+        if len(samples):
+            self._values[:, 3] = np.unwrap(self._values[:, 3])
+
+    def at(self, instants: Iterable[MonoNs]) -> F64:
+        """(n, 4) forward, right, down in m, heading in rad (-pi, pi]."""
+        t = np.array(list(instants), dtype=np.int64)
+        out = np.full((len(t), 4), np.nan)
+        if not len(self._at) or not len(t):
+            return out
+        after = np.searchsorted(self._at, t).clip(0, len(self._at) - 1)
+        before = np.searchsorted(self._at, t, side="right").clip(1, None) - 1
+        gap = self._at[after] - self._at[before]
+        known = (t >= self._at[0]) & (t <= self._at[-1]) & (gap <= 200_000_000)
+        origin = self._at[0]
+        for k in range(4):
+            out[:, k] = np.interp((t - origin) * 1e-9, (self._at - origin) * 1e-9, self._values[:, k])
+        out[:, 3] = np.remainder(out[:, 3] + math.pi, math.tau) - math.pi
+        out[~known] = np.nan
+        return out
+
+
+def all_series(log: FlightLog) -> list[Series]:
+    """Every method and path the log holds, methods first, each in order of time."""
+    truth = Truth(log.truth)
+    methods: dict[str, list[Sighting]] = {}
+    for sighting in log.sightings:
+        methods.setdefault(sighting.method, []).append(sighting)
+    paths: dict[str, list[RelativeState]] = {}
+    for estimate in log.estimates:
+        paths.setdefault(estimate.path, []).append(estimate)
+    out = []
+    for name, seen in methods.items():
+        seen = sorted(seen, key=lambda s: s.stamp.taken)
+        out.append(_series(log, truth, name, False, [s.stamp.taken for s in seen], seen))
+    for path, states in paths.items():
+        states = sorted(states, key=lambda s: s.at)
+        out.append(_series(log, truth, path, True, [s.at for s in states], states))
+    return out
+
+
+def _series(
+    log: FlightLog,
+    truth: Truth,
+    name: str,
+    is_path: bool,
+    at: list[MonoNs],
+    values: Sequence[Sighting] | Sequence[RelativeState],
+) -> Series:
+    d = np.array([v.d_body_pad_level for v in values]).reshape(-1, 3)
+    yaw = np.array([math.nan if v.yaw_rad is None else v.yaw_rad for v in values])
+    true = truth.at(at)
+    yaw_error = np.array([wrap_pi(e) for e in yaw - true[:, 3]])
+    return Series(name, is_path, np.array([seconds_between(log.started, t) for t in at]), d, yaw, d - true[:, :3], yaw_error)
+
+
+def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
+    """Statistics of each series against truth; nan where there is none."""
+    frames = sum(log.verdicts.values()) or len(log.frames)
+    rows = []
+    for s in series:
+        lateral, down, yaw = s.lateral_error_m, s.error[:, 2], np.abs(s.yaw_error)
+        rows.append(
+            ErrorRow(
+                name=s.name,
+                is_path=s.is_path,
+                count=len(s.t_s),
+                share=len(s.t_s) / frames if frames and not s.is_path else None,
+                lateral_median_m=_quantile(lateral, 0.5),
+                lateral_p95_m=_quantile(lateral, 0.95),
+                down_bias_m=_quantile(down, 0.5),
+                down_p95_m=_quantile(np.abs(down), 0.95),
+                yaw_median_rad=_quantile(yaw, 0.5),
+                yaw_p95_rad=_quantile(yaw, 0.95),
+            )
+        )
+    return rows
+
+
+def timing_rows(log: FlightLog) -> list[TimingRow]:
+    """Each stage in the log's order, then the delay from exposure to command."""
+    named = [*log.stage_s.items(), ("exposure to command", log.delay_s)]
+    return [TimingRow(name, len(v), *(_quantile(np.array(v), q) for q in (0.5, 0.95, 0.99, 1.0))) for name, v in named if len(v)]
+
+
+def _quantile(x: F64, q: float) -> float:
+    x = x[np.isfinite(x)]
+    return float(np.quantile(x, q)) if len(x) else math.nan
+
+
+def body_over_pad(d: F64, yaw_rad: F64) -> F64:
+    """(n, 3) m along the arrow, to starboard, up: where the body is seen from the pad, from (n, 3) `d_body_pad_level`."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.stack([-(c * d[:, 0] - s * d[:, 1]), -(s * d[:, 0] + c * d[:, 1]), d[:, 2]], axis=1)

@@ -1,0 +1,155 @@
+"""What is drawn over a frame: features, the pad as the estimate has it, and a line of figures below."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.report.palette import OUTLINE, bgr, colour
+from estimator.contracts.estimates import Feature, RelativeState, Sighting, Verdict
+from estimator.contracts.geometry import F64, Rotation
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+
+U8 = NDArray[np.uint8]
+
+PANEL_SHARE = 0.16
+"""Height of the figures' panel below the picture, of the picture's height."""
+_SHIFT = 4
+_FAR_PX = 20_000.0
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlay:
+    """What to draw over one frame."""
+
+    t_s: float
+    """Since the flight's start."""
+    verdict: Verdict | None
+    phase: str
+    sightings: tuple[Sighting, ...] = ()
+    """Of this very frame."""
+    estimate: RelativeState | None = None
+    """The belief nearest to the exposure."""
+    R_level_body: Rotation | None = None
+    """Roll and pitch at the exposure; taken as level where not known."""
+
+
+def annotated_size(width: int, height: int, scale: float = 1.0) -> tuple[int, int]:
+    """(width, height) of what `annotate` returns: even numbers, as H.264 wants them."""
+    w, h = round(width * scale), round(height * scale)
+    return w + w % 2, (panel := h + round(h * PANEL_SHARE)) + panel % 2
+
+
+def annotate(picture: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float = 1.0) -> U8:
+    """A copy of the picture, scaled, with everything drawn over it and the panel of figures below.
+
+    Args:
+        picture: (H, W, 3) BGR of any size; drawings follow `camera`'s pixels.
+    Returns:
+        BGR of `annotated_size(camera.width, camera.height, scale)`.
+    """
+    out_w, out_h = annotated_size(camera.width, camera.height, scale)
+    h = round(camera.height * scale)
+    canvas = np.full((out_h, out_w, 3), 24, np.uint8)
+    view = canvas[:h]
+    view[:] = cv2.resize(picture, (out_w, h), interpolation=cv2.INTER_LINEAR if scale >= 1.0 else cv2.INTER_AREA)
+    pen = _Pen(view, scale)
+    if overlay.estimate is not None:
+        for line in _pad_lines(overlay.estimate, overlay.R_level_body or Rotation.identity(), camera, pad):
+            pen.polyline(line, bgr(OUTLINE), closed=True)
+    for sighting in overlay.sightings:
+        if sighting.method == "selected" and len(overlay.sightings) > 1:
+            continue
+        for feature in sighting.features:
+            pen.feature(feature, bgr(colour(sighting.method)))
+    _panel(canvas[h:], overlay)
+    return canvas
+
+
+class _Pen:
+    """Draws in the camera's pixels onto a scaled picture, each stroke with a dark rim so that it shows on any ground."""
+
+    def __init__(self, view: U8, scale: float) -> None:
+        self._view = view
+        self._scale = scale
+        self._line = max(1, round(1.2 * scale))
+
+    def _fixed(self, uv_px: F64) -> NDArray[np.int32]:
+        # the centre of pixel 0 sits half a pixel in, before and after scaling
+        uv = (np.asarray(uv_px, dtype=float) + 0.5) * self._scale - 0.5
+        return np.asarray(np.round(uv * 2**_SHIFT), dtype=np.int32)
+
+    def polyline(self, uv_px: F64, ink: tuple[int, int, int], closed: bool) -> None:
+        """A line through (n, 2) points; points that are nan or far off break it."""
+        good = np.all(np.isfinite(uv_px), axis=1) & np.all(np.abs(np.nan_to_num(uv_px)) < _FAR_PX, axis=1)
+        if len(uv_px) < 2 or not good.any():
+            return
+        if good.all():
+            pieces = [(uv_px, closed)]
+        else:
+            ring = np.concatenate([uv_px, uv_px[:1]]) if closed else uv_px
+            ok = np.concatenate([good, good[:1]]) if closed else good
+            pieces = [(ring[i : i + 2], False) for i in range(len(ring) - 1) if ok[i] and ok[i + 1]]
+        lines = [(self._fixed(p), c) for p, c in pieces]
+        for width, shade in ((self._line + 1, (0, 0, 0)), (self._line, ink)):
+            for points, ends_meet in lines:
+                cv2.polylines(self._view, [points], ends_meet, shade, width, cv2.LINE_AA, _SHIFT)
+
+    def feature(self, feature: Feature, ink: tuple[int, int, int]) -> None:
+        uv = np.asarray(feature.uv_px, dtype=float).reshape(-1, 2)
+        match feature.kind:
+            case "point":
+                arm = 4.0
+                for u, v in uv:
+                    self.polyline(np.array([[u - arm, v], [u + arm, v]]), ink, closed=False)
+                    self.polyline(np.array([[u, v - arm], [u, v + arm]]), ink, closed=False)
+            case "line":
+                self.polyline(uv, ink, closed=False)
+            case _:
+                self.polyline(uv, ink, closed=True)
+
+
+def _pad_lines(estimate: RelativeState, R_level_body: Rotation, camera: Camera, pad: Pad) -> list[F64]:
+    """(n, 2) px each: the disc, and where the heading is known the ring, the arrowhead and the H."""
+    shapes = [pad.circle(pad.disc_radius_m)]
+    if estimate.yaw_rad is not None:
+        shapes += [pad.circle(pad.ring_radius_m), pad.arrowhead(), pad.h_corners()]
+    R_level_pad = Rotation.from_rpy(0.0, 0.0, -(estimate.yaw_rad or 0.0))
+    R_body_level, T_cam_body = R_level_body.inv, camera.T_body_cam.inv
+    return [camera.project(T_cam_body @ (R_body_level @ (R_level_pad @ p + estimate.d_body_pad_level))) for p in shapes]
+
+
+def _panel(panel: U8, overlay: Overlay) -> None:
+    rows, cols = panel.shape[:2]
+    size = rows / 58.0 * 0.5
+    white, grey = (240, 240, 240), (165, 165, 165)
+    e = overlay.estimate
+    selected = next((s for s in overlay.sightings if s.method == "selected"), None)
+    found: list[str] = [s.method for s in overlay.sightings if s.method != "selected"]
+    verdict = "-" if overlay.verdict is None else overlay.verdict.value.replace("_", " ")
+    cells = [
+        ("height", "-" if e is None else f"{e.height_m:.2f} m"),
+        ("lateral", "-" if e is None else f"{e.lateral_m:.2f} m"),
+        ("heading", "-" if e is None or e.yaw_rad is None else f"{math.degrees(e.yaw_rad):+.0f} deg"),
+        ("state", overlay.phase or "-"),
+        ("frame", verdict),
+        ("time", f"{overlay.t_s:.1f} s"),
+    ]
+    for i, (name, value) in enumerate(cells):
+        x = round(cols * (0.015 + i / len(cells)))
+        cv2.putText(panel, name, (x, round(rows * 0.28)), _FONT, size * 0.75, grey, 1, cv2.LINE_AA)
+        cv2.putText(panel, value, (x, round(rows * 0.62)), _FONT, size, white, 1, cv2.LINE_AA)
+    x, y = round(cols * 0.015), round(rows * 0.92)
+    for name in found or ["no method found the pad"]:
+        cv2.putText(panel, name, (x, y), _FONT, size * 0.75, bgr(colour(name)), 1, cv2.LINE_AA)
+        x += round(cv2.getTextSize(name, _FONT, size * 0.75, 1)[0][0] + cols * 0.02)
+    if selected is not None:
+        note = f"confidence {selected.confidence:.2f}"
+        wide = cv2.getTextSize(note, _FONT, size * 0.75, 1)[0][0]
+        cv2.putText(panel, note, (round(cols * 0.985) - wide, y), _FONT, size * 0.75, grey, 1, cv2.LINE_AA)

@@ -1,0 +1,35 @@
+"""Colours that stay apart for the colour-blind, on paper and on a dark screen.
+
+Source: Okabe & Ito, Color Universal Design, 2008; blue and green lifted a little for dark backgrounds. Marker shapes repeat the
+distinction where colours would stand alone.
+"""
+
+from __future__ import annotations
+
+SERIES: dict[str, str] = {
+    "ellipse": "#1f86c9",
+    "arrow": "#e69f00",
+    "corners": "#0a9d76",
+    "registration": "#cc79a7",
+    "marker": "#56b4e9",
+    "selected": "#d55e00",
+    "fused": "#8a63d2",
+    "median_mean": "#56b4e9",
+    "dead_reckoning": "#d55e00",
+    "ekf": "#8a63d2",
+}
+MARKERS: dict[str, str] = {"ellipse": "o", "arrow": "^", "corners": "s", "registration": "D", "marker": "P", "selected": "x"}
+OTHER = "#888888"
+OUTLINE = "#f0e442"
+"""Of the pad as the estimate has it, in the video."""
+
+
+def colour(series: str) -> str:
+    """Hex colour of a method or path."""
+    return SERIES.get(series, OTHER)
+
+
+def bgr(hex_colour: str) -> tuple[int, int, int]:
+    """`#rrggbb` as OpenCV wants it."""
+    value = int(hex_colour[1:], 16)
+    return value & 255, value >> 8 & 255, value >> 16

@@ -1,0 +1,121 @@
+"""The daemon as settings describe it, and its life as a process: signals in, logs out."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager
+from dataclasses import replace
+
+from companion import rig
+from companion.daemon import Daemon, Link
+from companion.health import Health
+from companion.notify import Manager, Pulse, watchdog_interval_s
+from companion.observer import Observer
+from companion.pilot import Outcome, Pilot
+from companion.rig_camera import camera_options, with_camera
+from companion.settings_model import Settings
+from companion.supervise import Body
+from drivers.ardrone.link import open_ardrone
+from drivers.clock import SystemClock
+from estimator.contracts.estimates import PathName
+from estimator.contracts.ports import Clock
+
+
+def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
+    """Eyes, estimator and guidance as set; `shadows` are paths that run along to be compared.
+
+    Raises:
+        BadInput: the camera or pad file is missing or has a fault.
+    """
+    return Pilot(
+        rig.eyes(settings),
+        replace(rig.estimator_options(settings), shadows=tuple(shadows)),
+        rig.plan(settings),
+        rig.gains(settings),
+        land_timeout_s=settings.guidance.land_timeout_s,
+        automatic=settings.guidance.start == "automatic",
+    )
+
+
+def make_daemon(
+    settings: Settings, pilot: Pilot, *, clock: Clock | None = None, observers: Sequence[Observer] = (), once: bool = False
+) -> Daemon:
+    """The daemon around a pilot, its vehicle an AR.Drone, with the links that are set.
+
+    Raises:
+        BadInput: a secret, certificate or folder that a link needs cannot be read or used.
+    """
+    ticking = clock or SystemClock()
+    options = rig.ardrone_options(settings)
+    health = Health(ticking)
+    watching, extras = list(observers), dict[str, Body]()
+    recording: Callable[[bool], str | None] | None = None
+    if settings.recorder.enabled or settings.mqtt.transport != "off":
+        from companion.recorder.setup import recorder_of
+
+        recorder = recorder_of(settings, ticking, health)
+        watching.append(recorder)
+        extras["recorder"], recording = recorder.run, recorder.switch
+    if settings.mqtt.transport != "off":
+        from companion.mqtt.make import make_mqtt
+
+        mqtt = make_mqtt(settings.mqtt, pilot, health, ticking, recording)
+        watching.append(mqtt)
+        extras["mqtt"] = mqtt.run
+    if settings.metrics.endpoint != "off":
+        from companion.metrics.endpoint import MetricsEndpoint
+
+        extras["metrics"] = MetricsEndpoint(settings.metrics, health).run
+    if (manager := Manager.of()) is not None:
+        pulse = Pulse(
+            manager, health, ticking, lambda: pilot.vehicle is not None and bool(pilot.vehicle.flying), watchdog_interval_s()
+        )
+        watching.append(pulse)
+        extras["manager"] = pulse.run
+
+    def open_link() -> AbstractAsyncContextManager[Link]:
+        return open_ardrone(options, ticking)
+
+    beside = camera_options(settings)
+    return Daemon(
+        open_link if beside is None else with_camera(open_link, beside, ticking),
+        pilot,
+        ticking,
+        restart=rig.restart(settings),
+        guidance_rate_hz=settings.guidance.rate_hz,
+        health_period_s=settings.service.health_period_s,
+        threads=settings.vision.threads,
+        observers=watching,
+        once=once,
+        health=health,
+        extras=extras,
+    )
+
+
+def log_to_stderr(settings: Settings) -> None:
+    """One line a message, without wall time where journald adds it."""
+    under_journald = not sys.stderr.isatty()
+    form = "%(levelname)s %(name)s: %(message)s" if under_journald else "%(asctime)s %(levelname)s %(name)s: %(message)s"
+    logging.basicConfig(level=settings.service.log_level.upper(), format=form, stream=sys.stderr, force=True)
+
+
+async def live(daemon: Daemon, pilot: Pilot) -> Outcome | None:
+    """Run the daemon as a process does: SIGINT, SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
+    loop = asyncio.get_running_loop()
+    deeds = {
+        signal.SIGINT: daemon.stop,
+        signal.SIGTERM: daemon.stop,
+        signal.SIGUSR1: pilot.begin,
+        signal.SIGUSR2: pilot.pause,
+    }
+    for number, deed in deeds.items():
+        loop.add_signal_handler(number, deed)
+    try:
+        return await daemon.run()
+    finally:
+        for number in deeds:
+            loop.remove_signal_handler(number)

@@ -1,0 +1,129 @@
+"""What a process takes of its machine over hours, and whether that grows. Reads /proc: Linux alone."""
+
+from __future__ import annotations
+
+import os
+import resource
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from estimator.contracts.errors import SetupImpossible
+
+GROWTH_MAX = 0.02
+"""Share by which memory may have grown after warm-up."""
+_PAGE = resource.getpagesize()
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """This process at one instant."""
+
+    at_s: float
+    """Since the start, of wall time."""
+    flights: int
+    memory_mib: float
+    """Resident."""
+    descriptors: int
+    threads: int
+    tasks: int | None
+    """Of asyncio; None where there is no loop."""
+    cpu_s: float
+    """Spent so far, user and system, all threads."""
+
+
+def read(at_s: float, flights: int, tasks: int | None) -> Reading:
+    """A reading now.
+
+    Raises:
+        SetupImpossible: there is no /proc.
+    """
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        descriptors = len(os.listdir("/proc/self/fd")) - 1
+        threads = len(os.listdir("/proc/self/task"))
+    except OSError as why:
+        raise SetupImpossible(f"a soak reads /proc, which is not there: {why.strerror}") from why
+    spent = resource.getrusage(resource.RUSAGE_SELF)
+    return Reading(at_s, flights, pages * _PAGE / 2**20, descriptors, threads, tasks, spent.ru_utime + spent.ru_stime)
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """One quantity after warm-up: the medians of the first and the last quarter of its readings."""
+
+    first: float
+    last: float
+    most: float
+    per_hour: float
+    """Slope of a straight line through all of them."""
+
+    @property
+    def growth(self) -> float:
+        """Share of `first` by which `last` is more; negative when it shrank."""
+        return self.last / self.first - 1.0 if self.first else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What the readings say."""
+
+    duration_s: float
+    warm_up_s: float
+    flights: int
+    readings: int
+    """After warm-up."""
+    memory_mib: Trend
+    descriptors: Trend
+    threads: Trend
+    tasks: Trend | None
+    cpu_share: float
+    """Of one core, after warm-up."""
+
+    @property
+    def faults(self) -> list[str]:
+        """What grew that must not, in words."""
+        said = []
+        if self.memory_mib.growth >= GROWTH_MAX:
+            first, last = self.memory_mib.first, self.memory_mib.last
+            said.append(f"memory grew by {self.memory_mib.growth:.1%} ({first:.1f} to {last:.1f} MiB)")
+        counted = {"descriptors": self.descriptors, "threads": self.threads, "tasks": self.tasks}
+        for name, trend in counted.items():
+            if trend is not None and trend.last > trend.first:
+                said.append(f"{name} grew from {trend.first:g} to {trend.last:g}")
+        return said
+
+    def as_json(self) -> dict[str, Any]:
+        return {**asdict(self), "memory_growth": self.memory_mib.growth, "faults": self.faults}
+
+
+def findings(readings: Sequence[Reading], warm_up_s: float) -> Findings | None:
+    """None while fewer than eight readings are past the warm-up."""
+    after = [r for r in readings if r.at_s >= warm_up_s]
+    if len(after) < 8:
+        return None
+    tasks = [r.tasks for r in after if r.tasks is not None]
+    wall_s = after[-1].at_s - after[0].at_s
+    return Findings(
+        duration_s=readings[-1].at_s,
+        warm_up_s=warm_up_s,
+        flights=readings[-1].flights,
+        readings=len(after),
+        memory_mib=_trend(after, lambda r: r.memory_mib),
+        descriptors=_trend(after, lambda r: r.descriptors),
+        threads=_trend(after, lambda r: r.threads),
+        tasks=_trend(after, lambda r: r.tasks or 0) if len(tasks) == len(after) else None,
+        cpu_share=(after[-1].cpu_s - after[0].cpu_s) / wall_s if wall_s > 0 else 0.0,
+    )
+
+
+def _trend(readings: Sequence[Reading], of: Callable[[Reading], float]) -> Trend:
+    values = [float(of(r)) for r in readings]
+    hours = np.array([r.at_s for r in readings]) / 3600.0
+    slope = float(np.polyfit(hours - hours[0], values, 1)[0]) if hours[-1] > hours[0] else 0.0
+    quarter = max(1, len(values) // 4)
+    return Trend(median(values[:quarter]), median(values[-quarter:]), max(values), slope)

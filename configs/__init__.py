@@ -1,0 +1,1 @@
+"""Ready-made settings, cameras and pads, shipped with the package."""

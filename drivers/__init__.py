@@ -1,0 +1,1 @@
+"""Bytes and devices in, samples out; commands in, bytes out."""

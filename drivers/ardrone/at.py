@@ -1,0 +1,324 @@
+"""AT commands of UDP port 5556: `AT*NAME=<sequence>[,arguments]<CR>`, encoded and decoded without I/O.
+
+Floats travel as the signed decimal of the int32 with the same bits; text in double quotes. Source: Parrot SDK 2.0.1
+`at_msgs_ids.h` and the developer guide, checked against a log of a real session.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, ClassVar, get_type_hints
+
+from drivers.ardrone.refusal import Refusal
+
+REF_BASE = 0x11540000
+"""Bits 18, 20, 22, 24, 28, always set. Without `REF_TAKE_OFF` a flying drone lands."""
+REF_TAKE_OFF = 1 << 9
+REF_EMERGENCY = 1 << 8
+PCMD_PROGRESSIVE = 1
+"""Fly by the sticks; without it the drone holds its place by itself."""
+PCMD_COMBINED_YAW = 2
+PCMD_ABSOLUTE = 4
+CTRL_CONFIGURATION = 4
+"""Send the configuration on port 5559."""
+CTRL_ACK = 5
+"""Clear the command acknowledge bit of navdata."""
+CTRL_CUSTOM_IDS = 6
+DATAGRAM_MAX = 1024
+"""Bytes; the drone's own buffer for one datagram of commands."""
+
+_INT = "int"
+_FLOAT = "float"
+_TEXT = "text"
+_MAYBE_INT = "maybe int"
+Int = Annotated[int, _INT]
+Float = Annotated[float, _FLOAT]
+Text = Annotated[str, _TEXT]
+MaybeInt = Annotated[int | None, _MAYBE_INT]
+
+
+@dataclass(frozen=True, slots=True)
+class Ref:
+    """Take-off, landing, emergency: all bits, see `REF_BASE`."""
+
+    NAME: ClassVar[str] = "REF"
+    bits: Int
+
+    @property
+    def take_off(self) -> bool:
+        """True asks to fly (held), False asks to land."""
+        return bool(self.bits & REF_TAKE_OFF)
+
+    @property
+    def emergency(self) -> bool:
+        """Its rising edge toggles the emergency state."""
+        return bool(self.bits & REF_EMERGENCY)
+
+
+@dataclass(frozen=True, slots=True)
+class Pcmd:
+    """Sticks, fractions of the configured limits: roll + right, pitch + backward, gaz + up, yaw + clockwise."""
+
+    NAME: ClassVar[str] = "PCMD"
+    flags: Int
+    roll: Float
+    pitch: Float
+    gaz: Float
+    yaw: Float
+
+
+@dataclass(frozen=True, slots=True)
+class PcmdMag:
+    """`Pcmd` with the pilot's own heading (-1..1 is -180..180 degrees) and its accuracy."""
+
+    NAME: ClassVar[str] = "PCMD_MAG"
+    flags: Int
+    roll: Float
+    pitch: Float
+    gaz: Float
+    yaw: Float
+    psi: Float
+    psi_accuracy: Float
+
+
+@dataclass(frozen=True, slots=True)
+class Ftrim:
+    """Take the present attitude as level; only on the ground."""
+
+    NAME: ClassVar[str] = "FTRIM"
+
+
+@dataclass(frozen=True, slots=True)
+class Calib:
+    """Calibrate a device (0 is the magnetometer: the drone turns in flight)."""
+
+    NAME: ClassVar[str] = "CALIB"
+    device: Int
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """Set one configuration key."""
+
+    NAME: ClassVar[str] = "CONFIG"
+    key: Text
+    value: Text
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigIds:
+    """Whose configuration the next `Config` is about; eight hexadecimal digits each."""
+
+    NAME: ClassVar[str] = "CONFIG_IDS"
+    session: Text
+    user: Text
+    application: Text
+
+
+@dataclass(frozen=True, slots=True)
+class Ctrl:
+    """A request by number; some clients leave the second number out (None)."""
+
+    NAME: ClassVar[str] = "CTRL"
+    mode: Int
+    misc: MaybeInt = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ComWdg:
+    """Reset the communication watchdog."""
+
+    NAME: ClassVar[str] = "COMWDG"
+
+
+@dataclass(frozen=True, slots=True)
+class Led:
+    """Play a light animation."""
+
+    NAME: ClassVar[str] = "LED"
+    animation: Int
+    frequency_hz: Float
+    duration_s: Int
+
+
+@dataclass(frozen=True, slots=True)
+class Anim:
+    """Play a flight animation."""
+
+    NAME: ClassVar[str] = "ANIM"
+    animation: Int
+    duration_ms: Int
+
+
+@dataclass(frozen=True, slots=True)
+class Pmode:
+    """Undocumented; clients send 2 at start."""
+
+    NAME: ClassVar[str] = "PMODE"
+    mode: Int
+
+
+@dataclass(frozen=True, slots=True)
+class Misc:
+    """Undocumented; clients send 2, 20, 2000, 3000 at start."""
+
+    NAME: ClassVar[str] = "MISC"
+    a: Int = 2
+    b: Int = 20
+    c: Int = 2000
+    d: Int = 3000
+
+
+AtCommand = Ref | Pcmd | PcmdMag | Ftrim | Calib | Config | ConfigIds | Ctrl | ComWdg | Led | Anim | Pmode | Misc
+
+_CLASSES: dict[str, type[Any]] = {cls.NAME: cls for cls in AtCommand.__args__}
+_KINDS: dict[type[Any], tuple[tuple[str, str], ...]] = {
+    cls: tuple((f.name, get_type_hints(cls, include_extras=True)[f.name].__metadata__[0]) for f in fields(cls))
+    for cls in _CLASSES.values()
+}
+_START = b"AT*"
+_COMMAND = re.compile(rb"AT\*([A-Z_]{2,16})=(\d{1,10})(?:,(.*))?", re.DOTALL)
+_ARGUMENTS = re.compile(rb'"[^"]*"|[^,"]*')
+_INTEGER = re.compile(rb"-?\d{1,10}")
+_CLEAN_TEXT = re.compile(r'[^"\x00-\x1f\x7f]*')
+
+
+def encode(sequence: int, command: AtCommand) -> bytes:
+    """One command with its carriage return; join several for one datagram of at most `DATAGRAM_MAX` bytes.
+
+    Raises:
+        ValueError: a number that does not fit 32 bits or is not finite, or text with quotes, control or non-ASCII characters.
+    """
+    words = [str(sequence)]
+    for name, kind in _KINDS[type(command)]:
+        value = getattr(command, name)
+        if kind == _FLOAT:
+            if not math.isfinite(value):
+                raise ValueError(f"{command.NAME}: {name} must be finite, got {value!r}")
+            words.append(str(_bits_of(value)))
+        elif kind == _TEXT:
+            if not value.isascii() or not _CLEAN_TEXT.fullmatch(value):
+                raise ValueError(f"{command.NAME}: {name} cannot travel as text: {value!r}")
+            words.append(f'"{value}"')
+        elif value is not None:
+            if not -(1 << 31) <= value < 1 << 32:
+                raise ValueError(f"{command.NAME}: {name} must fit 32 bits, got {value!r}")
+            words.append(str(value))
+    return f"AT*{command.NAME}={','.join(words)}\r".encode("ascii")
+
+
+def decode(datagram: bytes) -> list[tuple[int, AtCommand] | Refusal]:
+    """Every command of a datagram in order, each (sequence, command) or the reason it was refused. Never raises.
+
+    A line feed ends a command as well as a carriage return. What stands before the `AT*` of a good command is one refusal.
+    """
+    out: list[tuple[int, AtCommand] | Refusal] = []
+    *lines, rest = re.split(rb"[\r\n]+", datagram)
+    for line in lines:
+        if not line:
+            continue
+        result = _decode_one(line)
+        if (
+            isinstance(result, Refusal)
+            and (at := line.rfind(_START)) > 0
+            and not isinstance(later := _decode_one(line[at:]), Refusal)
+        ):
+            out.append(result)
+            result = later
+        out.append(result)
+    if rest.strip(b"\x00 "):
+        out.append(Refusal.TORN)
+    return out
+
+
+def _decode_one(line: bytes) -> tuple[int, AtCommand] | Refusal:
+    if not line.startswith(_START):
+        return Refusal.BAD_MAGIC
+    match = _COMMAND.fullmatch(line)
+    if match is None:
+        return Refusal.BAD_ARGUMENTS
+    name, sequence, rest = match.groups()
+    cls = _CLASSES.get(name.decode("ascii"))
+    if cls is None:
+        return Refusal.UNKNOWN_COMMAND
+    words = list(_split(rest)) if rest is not None else []
+    kinds = [kind for _, kind in _KINDS[cls]]
+    left_out = bool(kinds) and kinds[-1] == _MAYBE_INT and len(words) == len(kinds) - 1
+    values = _values(words, kinds[:-1] if left_out else kinds)
+    if values is None or int(sequence) >= 1 << 32:
+        return Refusal.BAD_ARGUMENTS
+    return int(sequence), cls(*values, *([None] if left_out else []))
+
+
+def _split(rest: bytes) -> Iterable[bytes]:
+    """Arguments between commas; what follows a closing quote without a comma is an empty, unreadable one."""
+    at = 0
+    while True:
+        match = _ARGUMENTS.match(rest, at)
+        assert match is not None
+        yield match.group()
+        at = match.end() + 1
+        if match.end() >= len(rest):
+            return
+        if rest[match.end()] != ord(","):
+            yield b""
+            return
+
+
+def _values(words: list[bytes], kinds: list[str]) -> list[Any] | None:
+    """The arguments in their types; None when their number is wrong or one is unreadable."""
+    if len(words) != len(kinds):
+        return None
+    out: list[Any] = []
+    for word, kind in zip(words, kinds, strict=True):
+        if kind == _TEXT:
+            text = word[1:-1].decode("latin-1")
+            if len(word) < 2 or word[:1] != b'"' or word[-1:] != b'"' or not text.isascii() or not _CLEAN_TEXT.fullmatch(text):
+                return None
+            out.append(text)
+            continue
+        if not _INTEGER.fullmatch(word) or not -(1 << 31) <= (number := int(word)) < 1 << 32:
+            return None
+        if kind != _FLOAT:
+            out.append(number)
+            continue
+        value: float = struct.unpack("<f", struct.pack("<I", number & 0xFFFFFFFF))[0]
+        if not math.isfinite(value):
+            return None
+        out.append(value)
+    return out
+
+
+def _bits_of(value: float) -> int:
+    """The int32 with the bits of the nearest float32.
+
+    Raises:
+        ValueError: beyond the largest float32.
+    """
+    try:
+        bits: int = struct.unpack("<i", struct.pack("<f", value))[0]
+    except OverflowError as why:
+        raise ValueError(f"{value!r} does not fit a 32-bit float") from why
+    return bits
+
+
+class SequenceGate:
+    """The receiver's rule: numbers must grow; 1 starts anew, and so does a communication watchdog that ran out."""
+
+    def __init__(self) -> None:
+        self._last = 0
+
+    def accepts(self, sequence: int) -> bool:
+        """Whether a command of this number is to be obeyed; remembers it if so."""
+        if sequence != 1 and sequence <= self._last:
+            return False
+        self._last = sequence
+        return True
+
+    def reset(self) -> None:
+        """As after the communication watchdog ran out."""
+        self._last = 0

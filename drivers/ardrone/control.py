@@ -1,0 +1,59 @@
+"""The configuration text of TCP port 5559: lines `section:key = value`, ended by a NUL byte. No I/O.
+
+Values are text as the drone writes it: `TRUE` and `FALSE`, numbers, vectors `{ a b c }`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+
+END = b"\x00"
+"""Stands after the last line."""
+_LINE = re.compile(r"\s*([A-Za-z0-9_]+:[A-Za-z0-9_]+)\s*=[ \t]*(.*?)\s*")
+
+
+def parse(text: str | bytes) -> dict[str, str]:
+    """Keys and values of every readable line before the NUL byte; other lines are left out. Never raises."""
+    if isinstance(text, bytes):
+        text = text.decode("utf-8", "replace")
+    pairs = (_LINE.fullmatch(line) for line in text.split("\x00", 1)[0].split("\n"))
+    return {pair[1]: pair[2] for pair in pairs if pair is not None}
+
+
+def render(configuration: Mapping[str, str]) -> bytes:
+    """The text as the drone sends it, with the NUL byte that ends it."""
+    return "".join(f"{key} = {value}\n" for key, value in configuration.items()).encode() + END
+
+
+def boolean(value: str) -> bool | None:
+    """TRUE or FALSE; None for anything else."""
+    return {"TRUE": True, "FALSE": False}.get(value.upper())
+
+
+def number(value: str) -> float | None:
+    """A finite number; None for anything else."""
+    try:
+        parsed = float(value)
+    except ValueError:
+        return None
+    return parsed if math.isfinite(parsed) else None
+
+
+def vector(value: str) -> tuple[float, ...] | None:
+    """The numbers of `{ a b c }`; None for anything else."""
+    if not (value.startswith("{") and value.endswith("}")):
+        return None
+    numbers = [number(word) for word in value[1:-1].split()]
+    return tuple(n for n in numbers if n is not None) if None not in numbers else None
+
+
+def format_boolean(value: bool) -> str:
+    """TRUE or FALSE."""
+    return "TRUE" if value else "FALSE"
+
+
+def format_vector(values: Iterable[float]) -> str:
+    """`{ a b c }` with the eight digits the drone writes."""
+    return "{ " + " ".join(f"{value:.7e}" for value in values) + " }"

@@ -1,0 +1,147 @@
+"""What to send to the drone in each period: REF, PCMD and the watchdog reset, from the newest command and navdata. No I/O.
+
+The bit `REF_TAKE_OFF` is the wish to be in the air: a flying drone that gets a REF without it lands. So it stays set in flight
+and is cleared only for a commanded landing or on the ground; while the drone's state is not known no REF is sent at all.
+"""
+
+from __future__ import annotations
+
+from drivers.ardrone.at import PCMD_PROGRESSIVE, REF_BASE, REF_EMERGENCY, REF_TAKE_OFF, AtCommand, ComWdg, Pcmd, Ref
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.navdata import ControlState, Navdata, State
+from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.velocity_loop import RESET, acceleration_of, step
+from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.samples import Attitude, BodyVelocity, Sample
+from estimator.contracts.time import MonoNs, seconds_between
+
+HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
+_EMERGENCY_PERIODS = 3
+"""The drone acts on the rising edge; three periods survive a lost datagram."""
+_ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
+_NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
+
+
+class Helm:
+    """Holds the newest command and the newest word of the drone.
+
+    A take-off holds until the drone flies; it is given up after `take_off_timeout_s` or an emergency. A landing holds until the
+    drone stands; only a take-off ends it sooner. Velocity and hover act on the sticks alone.
+    """
+
+    def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
+        self._o = options
+        self._counters = counters
+        self._motion: Velocity | Hover = Hover()
+        self._motion_at = MonoNs(0)
+        self._take_off_at: MonoNs | None = None
+        self._landing = False
+        self._emergency_periods = 0
+        self._state: int | None = None
+        self._heard = MonoNs(0)
+        self._control: ControlState | None = None
+        self._velocity: BodyVelocity | None = None
+        self._attitude: Attitude | None = None
+        self._loop = RESET
+        self._stepped: MonoNs | None = None
+
+    @property
+    def flying(self) -> bool | None:
+        """As navdata says; None before any."""
+        return None if self._state is None else bool(self._state & State.FLYING)
+
+    @property
+    def landing(self) -> bool:
+        """Whether a commanded landing is not finished yet."""
+        return self._landing
+
+    def take(self, command: Command, now: MonoNs) -> None:
+        """The newest command."""
+        if isinstance(command, TakeOff):
+            self._take_off_at, self._landing = now, False
+            self._motion, self._motion_at = Hover(), now
+        elif isinstance(command, Land):
+            self._take_off_at, self._landing = None, True
+            self._motion, self._motion_at = Hover(), now
+        else:
+            self._motion, self._motion_at = command, now
+
+    def toggle_emergency(self) -> None:
+        """Cut the motors, or leave the emergency state, with the next period. Never done but on request."""
+        self._emergency_periods = _EMERGENCY_PERIODS
+        self._take_off_at = None
+
+    def hear(self, navdata: Navdata, now: MonoNs) -> None:
+        """The newest datagram in order."""
+        self._state, self._heard = navdata.state, now
+        if (control := navdata.control_state) is not None:
+            self._control = control
+        if self._state & State.FLYING or self._state & State.EMERGENCY:
+            self._take_off_at = None
+        elif self._control in _ON_GROUND:
+            self._landing = False
+
+    def hear_sample(self, sample: Sample) -> None:
+        """What the drone measured; velocity and attitude are what steering needs."""
+        if isinstance(sample, BodyVelocity):
+            self._velocity = sample
+        elif isinstance(sample, Attitude):
+            self._attitude = sample
+
+    def period(self, now: MonoNs) -> list[AtCommand]:
+        """The commands of this period, one datagram's worth."""
+        out: list[AtCommand] = []
+        if self._state is not None and self._state & State.COM_WATCHDOG:
+            out.append(ComWdg())
+            self._counters.watchdog_resets += 1
+        bits = self._ref_bits(now)
+        if bits is not None:
+            out.append(Ref(bits))
+        out.append(self._sticks(now))
+        return out
+
+    def leave(self, now: MonoNs) -> list[AtCommand]:
+        """The last word: hover where it is, or go on with a landing that was commanded."""
+        self._take_off_at = None
+        bits = self._ref_bits(now)
+        return [HOVER] if bits is None else [Ref(bits), HOVER]
+
+    def _ref_bits(self, now: MonoNs) -> int | None:
+        if self._take_off_at is not None and seconds_between(self._take_off_at, now) > self._o.take_off_timeout_s:
+            self._take_off_at = None
+            self._counters.take_offs_given_up += 1
+        if self._emergency_periods:
+            self._emergency_periods -= 1
+            return REF_BASE | REF_EMERGENCY
+        if self._landing:
+            return REF_BASE
+        if self._take_off_at is not None:
+            return REF_BASE | REF_TAKE_OFF
+        unknown = self._state is None or seconds_between(self._heard, now) > self._o.navdata_silence_s
+        if unknown or (self.flying and self._control is ControlState.LANDING):
+            return None
+        return REF_BASE | REF_TAKE_OFF if self.flying else REF_BASE
+
+    def _sticks(self, now: MonoNs) -> Pcmd:
+        wanted = self._motion
+        steerable = bool(self.flying) and not self._landing and self._control not in _NOT_STEERABLE
+        if not isinstance(wanted, Velocity) or not steerable:
+            return self._hover()
+        if seconds_between(self._motion_at, now) > self._o.command_timeout_s:
+            self._counters.hover_for_age += 1
+            return self._hover()
+        measured = self._velocity
+        if measured is None or seconds_between(measured.stamp.taken, now) > self._o.velocity_timeout_s:
+            self._counters.hover_for_blindness += 1
+            return self._hover()
+        dt_s = 0.0 if self._stepped is None else seconds_between(self._stepped, now)
+        attitude = self._attitude
+        recent = attitude is not None and seconds_between(attitude.stamp.taken, now) <= self._o.velocity_timeout_s
+        a_level = acceleration_of(attitude.R_ned_body) if attitude is not None and recent else None
+        self._loop, sticks = step(self._loop, wanted, measured.v_level, a_level, dt_s, self._o.loop)
+        self._stepped = now
+        return Pcmd(PCMD_PROGRESSIVE, sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw)
+
+    def _hover(self) -> Pcmd:
+        self._loop, self._stepped = RESET, None
+        return HOVER

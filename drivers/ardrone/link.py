@@ -1,0 +1,126 @@
+"""A link to one AR.Drone: navdata, video, commands and configuration, each on its own socket, each restarted alone."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+
+from drivers.ardrone.command_channel import CommandChannel
+from drivers.ardrone.control_channel import ControlChannel
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.helm import Helm
+from drivers.ardrone.keep_up import BackOff, keep_up
+from drivers.ardrone.navdata import Navdata
+from drivers.ardrone.navdata_channel import NavdataChannel
+from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.setup import Setup
+from drivers.ardrone.video_channel import VideoChannel
+from drivers.mailbox import Latest, Line
+from estimator.contracts.commands import Command
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.time import MonoNs
+
+
+class ArDrone:
+    """What a person can do with an open link: read `frames` and `samples`, give a `command`. See `open_ardrone`."""
+
+    def __init__(self, options: ArDroneOptions, clock: Clock) -> None:
+        self._clock = clock
+        self._open = True
+        self.counters = Counters()
+        self.frames: Latest[Frame] = Latest()
+        """Of the bottom camera, newest only."""
+        self.samples: Line[Sample] = Line(options.sample_line)
+        self.down: dict[str, str] = {}
+        """Channels waiting to be started again, each with the reason."""
+        self._helm = Helm(options, self.counters)
+        self._navdata = NavdataChannel(options, clock, self.counters, self._heard, self._restarted)
+        self._commands = CommandChannel(options, clock, self.counters, self._helm, self._navdata)
+        self._setup = Setup(options, clock, self.counters, self._commands, self._navdata)
+        self._control = ControlChannel(options, self.counters, self._commands, self._setup)
+        self._video = VideoChannel(options, clock, self.counters, self._setup, self.frames)
+
+    def command(self, command: Command) -> None:
+        """Take the newest command; it is sent within one period and held as `Helm` says.
+
+        Raises:
+            Recoverable: the link was closed.
+        """
+        if not self._open:
+            raise Recoverable("the link to the AR.Drone is closed")
+        self._helm.take(command, self._clock.now())
+
+    def toggle_emergency(self) -> None:
+        """Cut the motors at once, or leave the emergency state. Never done but by this call."""
+        self._helm.toggle_emergency()
+
+    @property
+    def navdata(self) -> Navdata | None:
+        """The newest datagram."""
+        return self._navdata.newest
+
+    @property
+    def ready(self) -> bool:
+        """Whether the drone has acknowledged its whole configuration, the bottom camera among it."""
+        return self._setup.done.is_set()
+
+    @property
+    def configuration(self) -> Mapping[str, str]:
+        """What the drone last said of its configuration; empty before."""
+        return self._control.configuration
+
+    def _heard(self, navdata: Navdata, samples: list[Sample], heard: MonoNs) -> None:
+        self._helm.hear(navdata, heard)
+        self._setup.hear(navdata.state)
+        for sample in samples:
+            self._helm.hear_sample(sample)
+            self.samples.offer(sample)
+
+    def _restarted(self) -> None:
+        self._video.restarted()
+        self._setup.again()
+
+    def _close(self) -> None:
+        self._open = False
+        closed = Recoverable("the link to the AR.Drone is closed")
+        self.frames.fail(closed)
+        self.samples.fail(closed)
+
+
+@asynccontextmanager
+async def open_ardrone(options: ArDroneOptions, clock: Clock) -> AsyncIterator[ArDrone]:
+    """Open the link and keep it open; it does not wait for the drone (see `ArDrone.ready`).
+
+    A channel the outside world breaks is started again alone, with back-off, and counted. An error of ours ends all of it as an
+    `ExceptionGroup`. On leaving, however that comes about, the drone is told to hover, or to go on with a commanded landing.
+    """
+    drone = ArDrone(options, clock)
+    back_off = BackOff(options.restart_first_s, options.restart_most_s)
+    # Without commands a flying drone lands by itself, so that socket is never left closed for long.
+    brisk = BackOff(options.command_period_s, min(options.restart_most_s, 8 * options.command_period_s))
+    channels = {
+        "at": (drone._commands.run, brisk),
+        "navdata": (drone._navdata.run, back_off),
+        "setup": (drone._setup.run, back_off),
+        "control": (drone._control.run, back_off),
+        "video": (drone._video.run, back_off),
+    }
+    failed: Exception | None = None
+    async with asyncio.TaskGroup() as group:
+        tasks = [
+            group.create_task(keep_up(name, body, clock, wait, drone.counters.restarts, drone.down), name=f"ardrone-{name}")
+            for name, (body, wait) in channels.items()
+        ]
+        try:
+            yield drone
+        except Exception as why:  # the caller's own error must not come out wrapped in a group
+            failed = why
+        finally:
+            drone._close()
+            for task in tasks:
+                task.cancel()
+    if failed is not None:
+        raise failed

@@ -1,0 +1,239 @@
+"""Navdata datagrams of UDP port 5554: decode and encode, without I/O.
+
+A datagram is a header of 16 bytes, options (tag, size with these four bytes, body) and last the checksum option: the sum of
+all bytes before it, modulo 2^32. Source: Parrot SDK 2.0.1; checked against a datagram of firmware 2.4.8.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import Any, TypeVar
+
+from drivers.ardrone.navdata_flight import (
+    Altitude,
+    Demo,
+    EulerAngles,
+    GyrosOffsets,
+    PhysMeasures,
+    Pwm,
+    RawMeasures,
+    RcReferences,
+    References,
+    Time,
+    Trims,
+)
+from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OPTION_HEADER, Layout
+from drivers.ardrone.navdata_sensors import (
+    AdcDataFrame,
+    Gps,
+    KalmanPressure,
+    Magneto,
+    PressureRaw,
+    Watchdog,
+    Wifi,
+    WindSpeed,
+    Zimmu3000,
+)
+from drivers.ardrone.navdata_vision import (
+    Games,
+    HdvideoStream,
+    TrackersSend,
+    VideoStream,
+    Vision,
+    VisionDetect,
+    VisionOf,
+    VisionPerf,
+    VisionRaw,
+)
+from drivers.ardrone.refusal import Refusal
+
+__all__ = [
+    "CHECKSUM_TAG",
+    "MAGIC",
+    "NO_OPTIONS",
+    "AdcDataFrame",
+    "Altitude",
+    "ControlState",
+    "Demo",
+    "EulerAngles",
+    "Games",
+    "Gps",
+    "GyrosOffsets",
+    "HdvideoStream",
+    "KalmanPressure",
+    "Magneto",
+    "Navdata",
+    "PhysMeasures",
+    "PressureRaw",
+    "Pwm",
+    "RawMeasures",
+    "RcReferences",
+    "References",
+    "State",
+    "Time",
+    "TrackersSend",
+    "Trims",
+    "VideoStream",
+    "Vision",
+    "VisionDetect",
+    "VisionOf",
+    "VisionPerf",
+    "VisionRaw",
+    "Watchdog",
+    "Wifi",
+    "WindSpeed",
+    "Zimmu3000",
+    "decode",
+    "encode",
+]
+
+MAGIC = 0x55667788
+CHECKSUM_TAG = 0xFFFF
+_HEADER = struct.Struct("<IIII")
+_CHECKSUM = struct.Struct("<HHI")
+
+T = TypeVar("T")
+
+_LAYOUTS: dict[int, tuple[Layout, ...]] = {}
+"""By tag, the longest first: a body is read by the longest layout it can fill."""
+for _layout in sorted(LAYOUT_OF_CLASS.values(), key=lambda layout: -layout.size):
+    _LAYOUTS[_layout.tag] = (*_LAYOUTS.get(_layout.tag, ()), _layout)
+
+
+class State(IntFlag):
+    """Bits of the header's state word."""
+
+    FLYING = 1 << 0
+    VIDEO_ENABLED = 1 << 1
+    VISION_ENABLED = 1 << 2
+    RATE_CONTROL = 1 << 3
+    ALTITUDE_CONTROL = 1 << 4
+    START_BUTTON = 1 << 5
+    COMMAND_ACK = 1 << 6
+    CAMERA_READY = 1 << 7
+    TRAVELLING = 1 << 8
+    USB_READY = 1 << 9
+    NAVDATA_DEMO = 1 << 10
+    NAVDATA_BOOTSTRAP = 1 << 11
+    MOTOR_PROBLEM = 1 << 12
+    COMMUNICATION_LOST = 1 << 13
+    SOFTWARE_FAULT = 1 << 14
+    BATTERY_LOW = 1 << 15
+    USER_EMERGENCY = 1 << 16
+    TIMER_ELAPSED = 1 << 17
+    MAGNETO_NEEDS_CALIBRATION = 1 << 18
+    ANGLES_OUT_OF_RANGE = 1 << 19
+    TOO_MUCH_WIND = 1 << 20
+    ULTRASOUND_DEAF = 1 << 21
+    CUTOUT = 1 << 22
+    PIC_VERSION_OK = 1 << 23
+    AT_CODEC_ON = 1 << 24
+    NAVDATA_ON = 1 << 25
+    VIDEO_ON = 1 << 26
+    ACQUISITION_ON = 1 << 27
+    CONTROL_WATCHDOG = 1 << 28
+    ADC_WATCHDOG = 1 << 29
+    COM_WATCHDOG = 1 << 30
+    EMERGENCY = 1 << 31
+
+
+class ControlState(IntEnum):
+    """High half of `Demo.ctrl_state`."""
+
+    DEFAULT = 0
+    INIT = 1
+    LANDED = 2
+    FLYING = 3
+    HOVERING = 4
+    TEST = 5
+    TAKING_OFF = 6
+    GOTO_FIX = 7
+    LANDING = 8
+    LOOPING = 9
+
+    @property
+    def word(self) -> int:
+        """As it stands in `Demo.ctrl_state`, with no detail."""
+        return self.value << 16
+
+
+NO_OPTIONS: Mapping[int, Any] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Navdata:
+    """One datagram. `options` maps a tag to its option dataclass in the order of the wire."""
+
+    state: int
+    """`State` bits."""
+    sequence: int
+    vision_defined: int
+    options: Mapping[int, Any]
+    skipped: tuple[int, ...] = ()
+    """Tags of options that were left out: unknown, shorter than known, or there twice."""
+
+    def get(self, cls: type[T]) -> T | None:
+        """The option of this class, where the datagram holds it."""
+        found = self.options.get(LAYOUT_OF_CLASS[cls].tag)
+        return found if isinstance(found, cls) else None
+
+    @property
+    def control_state(self) -> ControlState | None:
+        """Of the `Demo` option; None without it or where the number is not known."""
+        demo = self.options.get(0)
+        try:
+            return None if demo is None else ControlState(demo.ctrl_state >> 16)
+        except ValueError:
+            return None
+
+    @staticmethod
+    def of(state: int, sequence: int, options: tuple[Any, ...] = (), vision_defined: int = 1) -> Navdata:
+        """From option objects, ordered by tag as the drone orders them."""
+        by_tag = {LAYOUT_OF_CLASS[type(o)].tag: o for o in options}
+        return Navdata(state, sequence, vision_defined, {tag: by_tag[tag] for tag in sorted(by_tag)})
+
+
+def decode(datagram: bytes) -> Navdata | Refusal:
+    """One whole datagram. Never raises; unknown options are skipped by their size, longer bodies read as far as known."""
+    end = len(datagram)
+    if end < _HEADER.size + _CHECKSUM.size:
+        return Refusal.TOO_SHORT
+    magic, state, sequence, vision_defined = _HEADER.unpack_from(datagram)
+    if magic != MAGIC:
+        return Refusal.BAD_MAGIC
+    options: dict[int, Any] = {}
+    skipped: list[int] = []
+    at = _HEADER.size
+    while at + OPTION_HEADER.size <= end:
+        tag, size = OPTION_HEADER.unpack_from(datagram, at)
+        if size < OPTION_HEADER.size or at + size > end:
+            return Refusal.TORN
+        if tag == CHECKSUM_TAG:
+            if size != _CHECKSUM.size or at + size != end:
+                return Refusal.TORN
+            (checksum,) = struct.unpack_from("<I", datagram, at + OPTION_HEADER.size)
+            if checksum != sum(datagram[:at]) & 0xFFFFFFFF:
+                return Refusal.BAD_CHECKSUM
+            return Navdata(state, sequence, vision_defined, options, tuple(skipped))
+        layout = next((known for known in _LAYOUTS.get(tag, ()) if known.size <= size), None)
+        if layout is None or tag in options:
+            skipped.append(tag)
+        else:
+            options[tag] = layout.unpack(datagram, at + OPTION_HEADER.size)
+        at += size
+    return Refusal.TORN
+
+
+def encode(navdata: Navdata) -> bytes:
+    """The datagram, checksum included; `skipped` options are not in it.
+
+    Raises:
+        struct.error: a value that its field cannot hold.
+    """
+    parts = [_HEADER.pack(MAGIC, navdata.state, navdata.sequence, navdata.vision_defined)]
+    parts += [LAYOUT_OF_CLASS[type(option)].pack(option) for option in navdata.options.values()]
+    body = b"".join(parts)
+    return body + _CHECKSUM.pack(CHECKSUM_TAG, _CHECKSUM.size, sum(body) & 0xFFFFFFFF)

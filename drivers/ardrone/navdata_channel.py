@@ -1,0 +1,121 @@
+"""Navdata off the wire: asks for the stream, keeps its order, maps its clock, makes samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.datagrams import open_datagrams
+from drivers.ardrone.navdata import Navdata, decode
+from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.refusal import Refusal
+from drivers.ardrone.samples import Sampler, time_us
+from drivers.clock_map import ClockMap, ClockMapOptions
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+
+OPENING = b"\x01\x00\x00\x00"
+"""Asks for the unicast stream."""
+_REORDER = 64
+"""A datagram this far behind the newest was not overtaken on its way: the drone has begun anew."""
+_LOOK_S = 0.05
+
+
+class NavdataChannel:
+    """One navdata stream.
+
+    Args:
+        received: is given every datagram in order with the samples it made.
+        restarted: is called when the drone has begun anew and knows nothing of what it was told.
+    """
+
+    def __init__(
+        self,
+        options: ArDroneOptions,
+        clock: Clock,
+        counters: Counters,
+        received: Callable[[Navdata, list[Sample], MonoNs], None],
+        restarted: Callable[[], None],
+    ) -> None:
+        self._o = options
+        self._clock = clock
+        self._counters = counters
+        self._received = received
+        self._restarted = restarted
+        self._sampler = Sampler(options.samples)
+        self._map = ClockMap(
+            ClockMapOptions(
+                wrap_ns=2048 * 1_000_000_000,
+                floor_s=options.navdata_delay_s,
+                floor_sigma_s=options.navdata_delay_sigma_s,
+            )
+        )
+        self._expected: int | None = None
+        self._heard: MonoNs | None = None
+        self.newest: Navdata | None = None
+
+    @property
+    def heard(self) -> MonoNs | None:
+        """When the newest good datagram was heard."""
+        return self._heard
+
+    async def run(self) -> None:
+        """Until the stream is silent for `reopen_after_s`.
+
+        Raises:
+            Recoverable: silence, or a broken socket.
+        """
+        async with open_datagrams(self._o.host, self._o.navdata_port, self._clock, self.take) as socket:
+            opened = asked = self._clock.now()
+            socket.send(OPENING)
+            while True:
+                await self._clock.sleep(min(_LOOK_S, self._o.navdata_silence_s / 4))
+                now = self._clock.now()
+                heard = opened if self._heard is None else max(opened, self._heard)
+                if seconds_between(heard, now) > self._o.reopen_after_s:
+                    raise Recoverable(f"no navdata for {self._o.reopen_after_s} s")
+                if seconds_between(max(heard, asked), now) > self._o.navdata_silence_s:
+                    self._counters.navdata_silences += 1
+                    self._expected = None
+                    socket.send(OPENING)
+                    asked = now
+
+    def take(self, datagram: bytes, heard: MonoNs) -> None:
+        """One datagram as it came in. Never raises on any bytes."""
+        self._counters.navdata_datagrams += 1
+        navdata = decode(datagram)
+        if isinstance(navdata, Refusal):
+            self._counters.refused(navdata)
+            return
+        self._counters.navdata_options_skipped += len(navdata.skipped)
+        if not self._in_order(navdata.sequence):
+            self._counters.navdata_out_of_order += 1
+            return
+        self.newest, self._heard = navdata, heard
+        samples = self._sampler.samples(navdata, self._stamp(navdata, heard)) if navdata.options else []
+        self._counters.samples += len(samples)
+        self._received(navdata, samples, heard)
+
+    def _in_order(self, sequence: int) -> bool:
+        expected = self._expected
+        if self.newest is not None and sequence < self.newest.sequence:
+            anew = sequence == 1 or expected is None or self.newest.sequence - sequence >= _REORDER
+            if not anew:
+                return False
+            self._counters.navdata_restarts += 1
+            self._map.reset()
+            self._restarted()
+        elif expected is not None:
+            if sequence < expected:
+                return False
+            self._counters.navdata_lost += sequence - expected
+        self._expected = sequence + 1
+        return True
+
+    def _stamp(self, navdata: Navdata, heard: MonoNs) -> Stamp:
+        drone_us = time_us(navdata)
+        if drone_us is not None:
+            return self._map.stamp(drone_us * 1000, heard)
+        return Stamp(after(heard, -self._o.navdata_delay_s), heard, self._o.arrival_sigma_s, "arrival")

@@ -1,0 +1,118 @@
+"""Brings the drone into the state we fly it in: bootstrap, and each configuration key by its acknowledge handshake."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+
+from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl, Misc, Pmode
+from drivers.ardrone.command_channel import CommandChannel
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.navdata import State
+from drivers.ardrone.navdata_channel import NavdataChannel
+from drivers.ardrone.options import ArDroneOptions
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
+
+_AGAIN_S = 0.1
+"""A command of the handshake is repeated after this long without effect."""
+_LOOK_S = 0.005
+
+
+class Setup:
+    """Configures the drone when the link is new and whenever the drone has begun anew.
+
+    `needed` is set while there is something to do, `done` while the drone is known to be configured; `handshake` is held by
+    whoever uses the acknowledge bit.
+    """
+
+    def __init__(
+        self, options: ArDroneOptions, clock: Clock, counters: Counters, commands: CommandChannel, navdata: NavdataChannel
+    ) -> None:
+        self._o = options
+        self._clock = clock
+        self._counters = counters
+        self._commands = commands
+        self._navdata = navdata
+        self.needed = asyncio.Event()
+        self.needed.set()
+        self.done = asyncio.Event()
+        self.done_at: MonoNs | None = None
+        self.rounds = 0
+        """How often the drone was configured."""
+        self.handshake = asyncio.Lock()
+
+    def again(self) -> None:
+        """The drone has forgotten what it was told, or never heard it."""
+        self.done.clear()
+        self.done_at = None
+        self.needed.set()
+
+    def hear(self, state: int) -> None:
+        """State bits that a configured drone does not show."""
+        if self.done.is_set() and state & (State.NAVDATA_BOOTSTRAP | State.NAVDATA_DEMO):
+            self.again()
+
+    async def run(self) -> None:
+        """Whenever needed.
+
+        Raises:
+            Recoverable: a key was not acknowledged in `config_timeout_s`; all of them are sent again.
+        """
+        while True:
+            await self.needed.wait()
+            while self._navdata.newest is None:
+                await self._clock.sleep(_LOOK_S)
+            self.needed.clear()
+            try:
+                async with self.handshake:
+                    await self._configure()
+            except Recoverable:
+                self.needed.set()
+                raise
+            if not self.needed.is_set():
+                self.rounds += 1
+                self.done_at = self._clock.now()
+                self.done.set()
+
+    async def _configure(self) -> None:
+        self._commands.send([Pmode(2), Misc()])
+        ids = self._o.ids
+        in_use = False
+        for key, value in self._o.configuration().items():
+            in_use = in_use or (ids is not None and not key.startswith("custom:") and key != "general:navdata_demo")
+            prefix = [ConfigIds(*ids)] if ids is not None and in_use else []
+            await self._set([*prefix, Config(key, value)], key)
+
+    async def _set(self, command: Sequence[AtCommand], key: str) -> None:
+        began = self._clock.now()
+        await self._until(lambda state: not state & State.COMMAND_ACK, [Ctrl(CTRL_ACK)], began, key)
+        self._counters.config_sent += 1
+        await self._until(lambda state: bool(state & State.COMMAND_ACK), command, began, key)
+        await self._until(lambda state: not state & State.COMMAND_ACK, [Ctrl(CTRL_ACK)], began, key)
+        self._counters.config_acknowledged += 1
+
+    async def _until(self, reached: Callable[[int], bool], command: Sequence[AtCommand], began: MonoNs, key: str) -> None:
+        sent: MonoNs | None = None
+        while not reached(self._state()):
+            now = self._clock.now()
+            if seconds_between(began, now) > self._o.config_timeout_s:
+                self._counters.config_timeouts += 1
+                raise Recoverable(f"{key} was not acknowledged in {self._o.config_timeout_s} s")
+            if sent is None or seconds_between(sent, now) > _AGAIN_S:
+                self._commands.send(command)
+                sent = now
+            await self._clock.sleep(_LOOK_S)
+
+    def _state(self) -> int:
+        newest = self._navdata.newest
+        return 0 if newest is None else newest.state
+
+    async def clear_acknowledge(self) -> None:
+        """For the control channel, with `handshake` held.
+
+        Raises:
+            Recoverable: the bit did not fall in `config_timeout_s`.
+        """
+        await self._until(lambda state: not state & State.COMMAND_ACK, [Ctrl(CTRL_ACK)], self._clock.now(), "the acknowledge bit")

@@ -1,0 +1,124 @@
+"""IMU, attitude, velocity, range and baro of an ArduPilot dataflash log, through pymavlink.
+
+Source: ArduPilot's log message documentation, Copter 3.2 to 4.6. Angles are in degrees, velocities NED; the time is
+`TimeUS`, in logs of 2014 `TimeMS`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymavlink import DFReader
+
+from drivers.imports.stamps import attitude, in_level, stamp
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
+
+MAGIC = b"\xa3\x95"
+_VELOCITIES = ("XKF1", "NKF1", "EKF1")
+"""Newest generation of the filter first; the first that a log has is taken, its first core."""
+_LANDED, _NOT_LANDED = (17, 18), 28
+"""LogEvent: land complete maybe, land complete; not landed."""
+
+
+def read(path: Path) -> list[Sample]:
+    """All samples in order; what is not finite is left out.
+
+    Raises:
+        BadInput: the file cannot be read, is no dataflash log, or holds neither IMU nor attitude.
+    """
+    try:
+        with path.open("rb") as file:
+            binary = file.read(2) == MAGIC
+        log = DFReader.DFReader_binary(str(path)) if binary else None
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    except Exception as why:  # pymavlink raises whatever its parser stumbled on
+        raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
+    if log is None:
+        raise BadInput(f"{path}: not a dataflash log (its text form is not read: keep the .bin)")
+    try:
+        samples = _Reader(log).samples()
+    finally:
+        log.close()
+    if not any(isinstance(s, Imu) or type(s).__name__ == "Attitude" for s in samples):
+        raise BadInput(f"{path}: holds neither IMU nor ATT messages")
+    return sorted(samples, key=lambda s: s.stamp.heard)
+
+
+class _Reader:
+    def __init__(self, log: Any) -> None:
+        self._log = log
+        self._first_us: int | None = None
+        self._now_ns = 0
+        self._yaw_rad: float | None = None
+        self._velocity_of: str | None = None
+        self._makers: dict[str, Callable[[Any, int], Sample | None]] = {
+            "IMU": self._imu,
+            "ATT": self._attitude,
+            "BARO": self._baro,
+            "RFND": self._range,
+            "EV": self._event,
+            **dict.fromkeys(_VELOCITIES, self._velocity),
+        }
+
+    def samples(self) -> list[Sample]:
+        out: list[Sample] = []
+        while (message := self._log.recv_match(type=list(self._makers))) is not None:
+            at_us = _time_us(message)
+            if at_us is not None:
+                self._first_us = at_us if self._first_us is None else self._first_us
+                self._now_ns = max(0, at_us - self._first_us) * 1000
+            sample = self._makers[message.get_type()](message, self._now_ns)
+            if sample is not None:
+                out.append(sample)
+        return out
+
+    def _imu(self, m: Any, at: int) -> Sample | None:
+        if getattr(m, "I", 0) != 0:
+            return None
+        w, f = np.array([m.GyrX, m.GyrY, m.GyrZ], float), np.array([m.AccX, m.AccY, m.AccZ], float)
+        return Imu(stamp(at), w, f) if np.all(np.isfinite(w)) and np.all(np.isfinite(f)) else None
+
+    def _attitude(self, m: Any, at: int) -> Sample | None:
+        angles = [math.radians(a) for a in (m.Roll, m.Pitch, m.Yaw)]
+        if not all(map(math.isfinite, angles)):
+            return None
+        self._yaw_rad = angles[2]
+        return attitude(at, Rotation.from_rpy(*angles))
+
+    def _velocity(self, m: Any, at: int) -> Sample | None:
+        kind = m.get_type()
+        if self._velocity_of is None or _VELOCITIES.index(kind) < _VELOCITIES.index(self._velocity_of):
+            self._velocity_of = kind
+        v = np.array([m.VN, m.VE, m.VD], float)
+        known = self._yaw_rad is not None and np.all(np.isfinite(v))
+        if kind != self._velocity_of or getattr(m, "C", 0) != 0 or not known or self._yaw_rad is None:
+            return None
+        return BodyVelocity(stamp(at), in_level(v, self._yaw_rad), np.diag([0.09, 0.09, 0.09]))
+
+    def _baro(self, m: Any, at: int) -> Sample | None:
+        usable = getattr(m, "I", 0) == 0 and math.isfinite(m.Alt)
+        return Baro(stamp(at), float(m.Alt), 0.5) if usable else None
+
+    def _range(self, m: Any, at: int) -> Sample | None:
+        distance = float(getattr(m, "Dist", getattr(m, "Dist1", math.nan)))
+        good = getattr(m, "Stat", 4) == 4 and getattr(m, "Instance", 0) == 0
+        return Range(stamp(at), distance, 0.05) if good and math.isfinite(distance) and distance > 0 else None
+
+    def _event(self, m: Any, at: int) -> Sample | None:
+        if m.Id not in (*_LANDED, _NOT_LANDED):
+            return None
+        flying = m.Id == _NOT_LANDED
+        return VehicleStatus(stamp(at), flying, "flying" if flying else "landed", None, False, True)
+
+
+def _time_us(m: Any) -> int | None:
+    if hasattr(m, "TimeUS"):
+        return int(m.TimeUS)
+    return int(m.TimeMS) * 1000 if hasattr(m, "TimeMS") else None

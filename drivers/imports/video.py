@@ -1,0 +1,45 @@
+"""Pictures of a video file, at its own time stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import av
+import numpy as np
+from av.error import FFmpegError
+
+from drivers.imports.stamps import FRAME_DELAY_S, stamp
+from estimator.contracts.errors import BadInput
+from estimator.contracts.samples import Frame
+
+
+def frames(path: Path) -> Iterator[Frame]:
+    """Every picture in order, the first at 0; a file that breaks off ends there.
+
+    Raises:
+        BadInput: the file cannot be read, holds no video, or not one picture of it decodes.
+    """
+    try:
+        container = av.open(str(path))
+    except (FFmpegError, OSError) as why:
+        raise BadInput(f"{path}: not a readable video: {getattr(why, 'strerror', None) or why}") from why
+    with container:
+        if len(container.streams.video) == 0:
+            raise BadInput(f"{path}: holds no video")
+        first_s: float | None = None
+        number = 0
+        try:
+            for picture in container.decode(video=0):
+                if picture.pts is None:
+                    continue
+                time_s = float(picture.time or 0.0)
+                first_s = time_s if first_s is None else first_s
+                px = np.asarray(picture.to_ndarray(format="bgr24"), dtype=np.uint8)
+                number += 1
+                yield Frame(stamp(round((time_s - first_s) * 1e9), FRAME_DELAY_S), number, px)
+        except FFmpegError as why:
+            if number == 0:
+                raise BadInput(f"{path}: no picture of it decodes: {why}") from why
+        if number == 0:
+            raise BadInput(f"{path}: no picture of it decodes")

@@ -1,0 +1,99 @@
+"""Back-pressure by type: one slot where only the newest counts, a bounded line where every item counts until it is full."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Latest(Generic[T]):
+    """One slot: a newer item replaces an unread one, and the replacement is counted. One reader.
+
+    Cancelling the reader loses nothing: the item stays in the slot. After `fail` the reader gets the last item, then the
+    error.
+    """
+
+    def __init__(self) -> None:
+        self._item: T | None = None
+        self._end: BaseException | None = None
+        self._ready = asyncio.Event()
+        self.offered = 0
+        self.replaced = 0
+
+    def offer(self, item: T) -> T | None:
+        """Put an item (from the loop's thread only) and return the unread one it pushed out, if any."""
+        pushed_out, self._item = self._item, item
+        self.offered += 1
+        self.replaced += pushed_out is not None
+        self._ready.set()
+        return pushed_out
+
+    def fail(self, why: BaseException) -> None:
+        """No more items will come; the reader is to raise `why`."""
+        self._end = why
+        self._ready.set()
+
+    async def get(self) -> T:
+        """The newest item, waiting for one."""
+        while True:
+            await self._ready.wait()
+            item, self._item = self._item, None
+            if item is not None:
+                return item
+            if self._end is not None:
+                raise self._end
+            self._ready.clear()
+
+    async def __aiter__(self) -> AsyncIterator[T]:
+        while True:
+            yield await self.get()
+
+
+class Line(Generic[T]):
+    """A bounded queue that drops the oldest when full, and counts the drops. One reader.
+
+    Cancelling the reader loses nothing. After `fail` the reader gets what is left, then the error.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._items: deque[T] = deque()
+        self._capacity = capacity
+        self._end: BaseException | None = None
+        self._ready = asyncio.Event()
+        self.offered = 0
+        self.dropped = 0
+
+    def offer(self, item: T) -> None:
+        """Append an item (from the loop's thread only)."""
+        if len(self._items) >= self._capacity:
+            self._items.popleft()
+            self.dropped += 1
+        self._items.append(item)
+        self.offered += 1
+        self._ready.set()
+
+    def fail(self, why: BaseException) -> None:
+        """No more items will come; the reader is to raise `why`."""
+        self._end = why
+        self._ready.set()
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    async def get(self) -> T:
+        """The oldest item, waiting for one."""
+        while True:
+            await self._ready.wait()
+            if self._items:
+                return self._items.popleft()
+            if self._end is not None:
+                raise self._end
+            self._ready.clear()
+
+    async def __aiter__(self) -> AsyncIterator[T]:
+        while True:
+            yield await self.get()

@@ -1,0 +1,1 @@
+"""MAVLink links and an autopilot as vehicle: bytes and devices in, samples out; commands in, bytes out."""

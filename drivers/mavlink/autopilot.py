@@ -1,0 +1,318 @@
+"""An autopilot as vehicle: links open, the autopilot found, streams asked for, samples out, commands in."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+
+from drivers.mailbox import Latest, Line
+from drivers.mavlink.boot_clock import BootClock
+from drivers.mavlink.dialect import Message, TimeSyncV2, mav
+from drivers.mavlink.helm import Helm, HelmOptions
+from drivers.mavlink.links import Heard, LinkOptions, Links, open_links
+from drivers.mavlink.requests import RATES_HZ, Parameters, Streams
+from drivers.mavlink.samples import LocalPosition, SampleOptions, Sampler
+from drivers.mavlink.timesync import TimeSync, TimeSyncOptions, answer_to
+from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
+from estimator.contracts.commands import Command
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.time import MonoNs, seconds_between
+
+_log = logging.getLogger(__name__)
+
+_KNOCK_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotOptions:
+    """Everything about an autopilot link that a person may choose.
+
+    Raises:
+        ValueError: a number out of range.
+    """
+
+    links: tuple[LinkOptions, ...]
+    system: int | None = None
+    """System id of the autopilot; None takes the first that flies."""
+    vessel_system: int | None = None
+    """System id of the ship's own reports; None for no ship that reports."""
+    component: int = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
+    """Our own component id; our system id is the autopilot's."""
+    silence_s: float = 3.0
+    """An autopilot not heard for this long is lost; when it comes back everything is asked for again."""
+    period_s: float = 0.04
+    """Of commands and requests."""
+    parameters: tuple[str, ...] = ()
+    """Read on each connect."""
+    ranges: bool = True
+    """Take the autopilot's DISTANCE_SENSOR; off where we are its source."""
+    sample_line: int = 4096
+    samples: SampleOptions = field(default_factory=SampleOptions)
+    sync: TimeSyncOptions = field(default_factory=TimeSyncOptions)
+    helm: HelmOptions = field(default_factory=HelmOptions)
+
+    def __post_init__(self) -> None:
+        if not self.links:
+            raise ValueError("an autopilot needs a link")
+        for number in (self.system, self.vessel_system, self.component):
+            if number is not None and not 1 <= number <= 255:
+                raise ValueError(f"MAVLink ids lie in 1..255, got {number}")
+        if not (self.silence_s > 0 and self.period_s > 0 and self.sample_line > 0):
+            raise ValueError(f"autopilot options out of range: {self}")
+
+
+@dataclass(slots=True)
+class _Known:
+    """What belongs to the autopilot once it is found."""
+
+    identity: Identity
+    sync: TimeSync
+    clock: BootClock
+    sampler: Sampler
+    streams: Streams
+    parameters: Parameters
+    helm: Helm
+    link: int
+    """The link it is heard on."""
+    heard: MonoNs
+    lost: bool = False
+
+
+class Autopilot:
+    """What a person can do with an open link: read `samples`, give a `command`, `listen`, `send`. See `open_autopilot`."""
+
+    def __init__(self, options: AutopilotOptions, links: Links, clock: Clock) -> None:
+        self._o = options
+        self._clock = clock
+        self._open = True
+        self._known: _Known | None = None
+        self._listeners: list[Callable[[Heard], None]] = []
+        self._boots = 0
+        self._knocked: MonoNs | None = None
+        self._reopened = list(links.opened)
+        self.links = links
+        self.frames: Latest[Frame] = Latest()
+        """An autopilot has no pictures; a camera driver offers them here."""
+        self.samples: Line[Sample] = Line(options.sample_line)
+        self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=100)
+        """The newest STATUSTEXTs of the autopilot: when, severity, text."""
+        self.events: deque[int] = deque(maxlen=100)
+        """Numbers of the newest EVENTs: PX4 says so what ArduPilot says in texts."""
+        self.counts: Counter[str] = Counter()
+        """Messages of the autopilot, by name."""
+        self.connects = 0
+
+    @property
+    def identity(self) -> Identity | None:
+        """Who the autopilot is, None until one was heard."""
+        return None if self._known is None else self._known.identity
+
+    @property
+    def connected(self) -> bool:
+        """Whether it was heard lately."""
+        return self._known is not None and not self._known.lost
+
+    @property
+    def condition(self) -> Condition:
+        """What it says it does."""
+        return Condition() if self._known is None else self._known.sampler.condition
+
+    @property
+    def attitude(self) -> Attitude | None:
+        return None if self._known is None else self._known.sampler.attitude
+
+    @property
+    def positions(self) -> tuple[LocalPosition, ...]:
+        """The newest local positions, oldest first."""
+        return () if self._known is None else tuple(self._known.sampler.positions)
+
+    @property
+    def sync(self) -> TimeSync | None:
+        return None if self._known is None else self._known.sync
+
+    @property
+    def parameters(self) -> Parameters | None:
+        return None if self._known is None else self._known.parameters
+
+    @property
+    def streams(self) -> Streams | None:
+        return None if self._known is None else self._known.streams
+
+    @property
+    def helm(self) -> Helm | None:
+        return None if self._known is None else self._known.helm
+
+    def command(self, command: Command) -> None:
+        """Take the newest command; it is flown as `Helm` says.
+
+        Raises:
+            Recoverable: the link was closed, or no autopilot is heard.
+        """
+        if not self._open:
+            raise Recoverable("the link to the autopilot is closed")
+        if self._known is None or self._known.lost:
+            raise Recoverable("no autopilot is heard")
+        self._known.helm.take(command, self._clock.now())
+
+    def engage(self) -> None:
+        """The operator starts: a vehicle that a person took from us may be taken back."""
+        if self._known is not None:
+            self._known.helm.engage()
+
+    def send(self, message: Message) -> bool:
+        """To the autopilot, on the link it is heard on; whether it went."""
+        return self._known is not None and self.links.send(message, self._known.link)
+
+    def take_ranges(self, take: bool) -> None:
+        """Whether its DISTANCE_SENSOR is a measurement; it is none where the autopilot only echoes what we sent it."""
+        if self._known is not None:
+            self._known.sampler.ranges = take and self._o.ranges
+
+    def listen(self, listener: Callable[[Heard], None]) -> None:
+        """Call this with every message of every link, ours excepted, before it becomes samples. It must be quick."""
+        self._listeners.append(listener)
+
+    async def _read(self) -> None:
+        async for heard in self.links.heard:
+            if (heard.system, heard.component) == self.links.identity:
+                continue  # our own, routed back
+            self._hear(heard)
+            for listener in self._listeners:
+                listener(heard)
+
+    def _hear(self, heard: Heard) -> None:
+        message, name = heard.message, heard.message.get_type()
+        if name == "TIMESYNC":
+            answer = answer_to(message, self._clock.now(), (heard.system, heard.component), self.links.identity)
+            if answer is not None:
+                self.links.send(answer, heard.link)
+        if name == "HEARTBEAT" and self._chosen(heard):
+            self._meet(heard, stack_of(message))
+        known = self._known
+        if known is None or heard.system != known.identity.system or heard.component != known.identity.component:
+            if self._o.vessel_system == heard.system and known is not None:
+                self._offer(known.sampler.vessel(message, heard.heard))
+            return
+        if heard.link != known.link:
+            return  # the same message by another way
+        known.heard = heard.heard
+        self.counts[name] += 1
+        if name == "TIMESYNC":
+            known.sync.hear(message, heard.heard)
+        elif name == "STATUSTEXT":
+            self.texts.append((heard.heard, int(message.severity), str(message.text)))
+        elif name == "EVENT":
+            self.events.append(int(message.id))
+        known.streams.hear(message, heard.heard)
+        known.parameters.hear(message)
+        self._offer(known.sampler.samples(message, heard.heard))
+        known.helm.hear(known.sampler.condition)
+        if name == "ATTITUDE_QUATERNION" and known.sampler.attitude is not None:
+            known.helm.hear_attitude(known.sampler.attitude)
+
+    def _offer(self, samples: list[Sample]) -> None:
+        for sample in samples:
+            self.samples.offer(sample)
+
+    def _chosen(self, heard: Heard) -> bool:
+        if not is_autopilot(heard.message, heard.component) or heard.system == self._o.vessel_system:
+            return False
+        if self._known is not None:
+            return (heard.system, heard.component) == self._known.identity.address
+        return self._o.system in (None, heard.system)
+
+    def _meet(self, heard: Heard, stack: Stack) -> None:
+        known = self._known
+        if known is None or known.identity.stack is not stack:
+            identity = Identity(heard.system, heard.component, stack, int(heard.message.type))
+            sync = TimeSync(self._o.sync)
+            clock = BootClock(sync)
+            sampler = Sampler(stack, clock, self._o.samples, ranges=self._o.ranges)
+            parameters = Parameters(stack, self._o.parameters)
+            streams, helm = Streams(RATES_HZ[stack]), Helm(identity, self._o.helm)
+            self._known = _Known(identity, sync, clock, sampler, streams, parameters, helm, heard.link, heard.heard)
+            self.links.identify(heard.system, self._o.component)
+            self._boots = 0
+            self.connects += 1
+            _log.info("autopilot: %s, system %d, on %s", stack.value, heard.system, self.links.all[heard.link].endpoint)
+        elif known.lost:
+            known.lost, known.link = False, heard.link
+            self._again(known)
+
+    def _again(self, known: _Known) -> None:
+        self.connects += 1
+        known.streams.restart()
+        known.parameters.want(self._o.parameters)
+        _log.info("autopilot: heard again, asking for its streams")
+
+    async def _tick(self) -> None:
+        while True:
+            await self._clock.sleep(self._o.period_s)
+            known, now = self._known, self._clock.now()
+            if known is not None:
+                self._period(known, now)
+            elif self._knocked is None or seconds_between(self._knocked, now) >= _KNOCK_S:
+                # Who listens for us cannot know of us before we have sent something.
+                self._knocked = now
+                self.links.send(TimeSyncV2(0, now))
+
+    def _period(self, known: _Known, now: MonoNs) -> None:
+        if not known.lost and seconds_between(known.heard, now) > self._o.silence_s:
+            known.lost = True
+            self.samples.offer(known.sampler.status(now, link_ok=False))
+            _log.warning("autopilot: not heard for %.1f s", self._o.silence_s)
+        if known.lost:
+            return
+        opened = self.links.opened[known.link]
+        if known.clock.restarts != self._boots or opened != self._reopened[known.link]:
+            came_back = self.connects > 0 and self._reopened[known.link] > 0
+            self._boots, self._reopened[known.link] = known.clock.restarts, opened
+            if came_back:
+                self._again(known)
+        target = known.identity.address
+        for message in (
+            *known.helm.period(now),
+            *known.sync.due(now, target),
+            *known.streams.due(now, target),
+            *known.parameters.due(now, target),
+        ):
+            self.links.send(message, known.link)
+
+    def _close(self) -> None:
+        self._open = False
+        if self._known is not None and not self._known.lost:
+            for message in self._known.helm.leave(self._clock.now()):
+                self.links.send(message, self._known.link)
+        closed = Recoverable("the link to the autopilot is closed")
+        self.frames.fail(closed)
+        self.samples.fail(closed)
+
+
+@asynccontextmanager
+async def open_autopilot(options: AutopilotOptions, clock: Clock) -> AsyncIterator[Autopilot]:
+    """Open the links and keep them open; it does not wait for the autopilot (see `Autopilot.connected`).
+
+    On leaving, however that comes about, the vehicle is told to hold, or to go on with a commanded landing. Until the autopilot
+    is heard we speak as system 1.
+    """
+    identity = (options.system or 1, options.component)
+    failed: Exception | None = None
+    async with open_links(options.links, clock, identity) as links, asyncio.TaskGroup() as group:
+        autopilot = Autopilot(options, links, clock)
+        tasks = [group.create_task(autopilot._read()), group.create_task(autopilot._tick())]
+        try:
+            yield autopilot
+        except Exception as why:  # the caller's own error must not come out wrapped in a group
+            failed = why
+        finally:
+            autopilot._close()
+            for task in tasks:
+                task.cancel()
+    if failed is not None:
+        raise failed

@@ -1,0 +1,58 @@
+"""The autopilot's time since boot on our clock: by TIMESYNC once that is locked, by the least delay heard until then."""
+
+from __future__ import annotations
+
+import math
+from typing import NewType
+
+from drivers.clock_map import ClockMap, ClockMapOptions
+from drivers.mavlink.timesync import TimeSync
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+
+BootNs = NewType("BootNs", int)
+"""Nanoseconds since the autopilot booted."""
+
+MS_WRAP_NS = 2**32 * 1_000_000
+_LATE_MAX_S = 2.0
+"""A message that TIMESYNC says is older was not stamped by the clock that TIMESYNC tells of."""
+
+
+def boot_ms(time_boot_ms: int) -> BootNs:
+    """A 32-bit millisecond stamp; milliseconds are cut off, so the middle of the one that was meant."""
+    return BootNs(time_boot_ms * 1_000_000 + 500_000)
+
+
+def boot_us(time_usec: int) -> BootNs:
+    """A 64-bit microsecond stamp."""
+    return BootNs(time_usec * 1_000)
+
+
+class BootClock:
+    """Stamps messages. Feed it every stamped message in the order heard."""
+
+    def __init__(self, sync: TimeSync) -> None:
+        self._sync = sync
+        self._map = ClockMap(ClockMapOptions(wrap_ns=MS_WRAP_NS, resolution_s=0.001, floor_s=0.001, floor_sigma_s=0.002))
+        self._newest: int | None = None
+        self.restarts = 0
+        """Times the autopilot was seen to have booted."""
+
+    def stamp(self, boot: BootNs, heard: MonoNs) -> Stamp:
+        """When `boot` was on our clock; never later than `heard`."""
+        if self._newest is not None and boot < self._newest - NS_PER_S and self._newest - boot < MS_WRAP_NS // 2:
+            self.restarts += 1
+            self._newest = None
+            self._map.reset()
+            self._sync.reset()
+        self._newest = boot if self._newest is None else max(boot, self._newest)
+        mapped = self._map.stamp(boot, heard)
+        found = self._sync.offset_ns(heard)
+        if found is None:
+            return mapped
+        offset, sigma_s = found
+        expected = heard + offset
+        unwrapped = expected + (boot - expected + MS_WRAP_NS // 2) % MS_WRAP_NS - MS_WRAP_NS // 2
+        taken = unwrapped - offset
+        if not -0.02 * NS_PER_S <= heard - taken <= _LATE_MAX_S * NS_PER_S:
+            return mapped
+        return Stamp(MonoNs(min(taken, heard)), heard, math.hypot(sigma_s, 0.001 / math.sqrt(12.0)), "synced")

@@ -1,0 +1,193 @@
+"""Bytes to messages and back, for one stream. No I/O; nothing on the wire raises.
+
+Framing is done here instead of by pymavlink's parser: after a damaged frame that one skips as many bytes as the damaged length
+field says, and so loses the intact frames behind it. Here the search goes on with the next byte. Decoding, checksums and
+signatures are the dialect's.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from dataclasses import dataclass, field
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.signing import Signing
+
+_V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
+_SIGNED = mav.MAVLINK_IFLAG_SIGNED
+_SIGNATURE = mav.MAVLINK_SIGNATURE_BLOCK_LEN
+
+
+@dataclass(slots=True)
+class CodecCounters:
+    """What became of the bytes of one stream."""
+
+    messages: int = 0
+    """Decoded."""
+    old_version: int = 0
+    """Of these, MAVLink 1."""
+    lost: int = 0
+    """Sequence numbers that never came."""
+    unknown: int = 0
+    """Well-formed messages of a number the dialect does not have."""
+    damaged: int = 0
+    """Times the search for a frame had to go on with the next byte."""
+    refused_signature: int = 0
+    """Unsigned, wrongly signed or out of date where a key is set."""
+    packed: Counter[str] = field(default_factory=Counter)
+    """Messages sent, by name."""
+
+
+class Codec:
+    """One stream in each direction: own sequence numbers, own signing state.
+
+    Args:
+        datagrams: what is fed ends with a whole message, so that nothing is kept for later.
+    """
+
+    def __init__(self, system: int, component: int, *, datagrams: bool = False, signing: Signing | None = None) -> None:
+        self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._datagrams = datagrams
+        self._signing = signing
+        self._buffer = bytearray()
+        self._sequences: dict[tuple[int, int], int] = {}
+        self._spoken: dict[int, int] = {}
+        """Next sequence number of each component we speak as."""
+        self.counters = CodecCounters()
+        if signing is not None:
+            self._mav.signing.secret_key = signing.key.secret
+            self._mav.signing.link_id = signing.link_id
+            self._mav.signing.sign_outgoing = True
+            self._mav.signing.stream_timestamps = signing.streams
+            self._mav.signing.timestamp = signing.time.next()
+
+    def restart(self) -> None:
+        """The stream was interrupted: what is half heard will not be completed, and the sequences begin anew."""
+        self._buffer.clear()
+        self._sequences.clear()
+
+    def identify(self, system: int, component: int) -> None:
+        """Speak as another system and component from now on."""
+        self._mav.srcSystem, self._mav.srcComponent = system, component
+
+    def pack(self, message: Message, component: int | None = None) -> bytes:
+        """The message as MAVLink 2 bytes with its sender's next sequence number; signed where a key is set.
+
+        Args:
+            component: speak as this component of our system; None for the usual one. Each counts its own sequence.
+
+        Raises:
+            ValueError: a field does not fit its type on the wire.
+        """
+        if self._signing is not None:
+            self._mav.signing.timestamp = self._signing.time.next(self._mav.signing.timestamp)
+        usual = self._mav.srcComponent
+        speaker = usual if component is None else component
+        self._mav.srcComponent, self._mav.seq = speaker, self._spoken.get(speaker, 0)
+        try:
+            data = bytes(message.pack(self._mav))
+        except (struct.error, TypeError, OverflowError) as why:
+            raise ValueError(f"{message.get_type()} does not fit its wire format: {why}") from why
+        finally:
+            self._mav.srcComponent = usual
+        self._spoken[speaker] = (self._mav.seq + 1) % 256
+        self.counters.packed[message.get_type()] += 1
+        return data
+
+    def feed(self, data: bytes) -> list[Message]:
+        """The messages that are complete now, in order."""
+        self._buffer += data
+        out: list[Message] = []
+        start = 0
+        buffer = self._buffer
+        while True:
+            begin = _next_marker(buffer, start)
+            if begin > start:
+                self.counters.damaged += 1
+            start = begin
+            if start >= len(buffer):
+                break
+            length = _frame_length(buffer, start)
+            if length is None or start + length > len(buffer):
+                if not self._datagrams:
+                    break
+                start += 1
+                self.counters.damaged += 1
+                continue
+            took, message = self._decode(buffer[start : start + length], _plausible_end(buffer, start + length))
+            start += length if took else 1
+            if message is not None:
+                out.append(message)
+        del buffer[: len(buffer) if self._datagrams else start]
+        return out
+
+    def _decode(self, frame: bytearray, ends_well: bool) -> tuple[bool, Message | None]:
+        """Whether the frame was one, and what it held."""
+        if frame[0] == _V2 and frame[2] & ~_SIGNED:
+            self.counters.damaged += 1
+            return False, None
+        signing = self._mav.signing
+        stream, newest = self._stream_time(frame)
+        refused_before = signing.badsig_count + signing.reject_count
+        try:
+            message = self._mav.decode(frame)
+        except mav.MAVError as why:
+            if stream is not None and signing.secret_key is not None:
+                # A forged time must not shut the true sender out: the dialect notes it before it checks the signature.
+                if newest is None:
+                    signing.stream_timestamps.pop(stream, None)
+                else:
+                    signing.stream_timestamps[stream] = newest
+            if signing.badsig_count + signing.reject_count > refused_before or "signature" in str(why).lower():
+                self.counters.refused_signature += 1
+                return True, None
+            self.counters.damaged += 1
+            return False, None
+        if message.get_type().startswith("UNKNOWN_"):
+            # Its checksum cannot be verified: believed only where another frame, or nothing, follows.
+            if not ends_well:
+                self.counters.damaged += 1
+                return False, None
+            self.counters.unknown += 1
+            return True, None
+        self._count(message, frame[0])
+        return True, message
+
+    def _count(self, message: Message, marker: int) -> None:
+        self.counters.messages += 1
+        self.counters.old_version += marker == _V1
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        sequence = message.get_seq()
+        last = self._sequences.get(source)
+        if last is not None:
+            gap = (sequence - last - 1) % 256
+            # A repeat or an older one is no loss of 250 messages.
+            self.counters.lost += gap if gap < 200 else 0
+        self._sequences[source] = sequence
+
+    def _stream_time(self, frame: bytearray) -> tuple[tuple[int, int, int] | None, int | None]:
+        if frame[0] != _V2 or not frame[2] & _SIGNED:
+            return None, None
+        stream = (frame[-_SIGNATURE], frame[5], frame[6])
+        return stream, self._mav.signing.stream_timestamps.get(stream)
+
+
+def _next_marker(buffer: bytearray, start: int) -> int:
+    for i in range(start, len(buffer)):
+        if buffer[i] in (_V1, _V2):
+            return i
+    return len(buffer)
+
+
+def _frame_length(buffer: bytearray, start: int) -> int | None:
+    """Bytes of the frame that begins at `start`, as its header says; None while the header is not complete."""
+    if len(buffer) - start < 3:
+        return None
+    if buffer[start] == _V1:
+        return 6 + buffer[start + 1] + 2
+    return 10 + buffer[start + 1] + 2 + (_SIGNATURE if buffer[start + 2] & _SIGNED else 0)
+
+
+def _plausible_end(buffer: bytearray, end: int) -> bool:
+    return end >= len(buffer) or buffer[end] in (_V1, _V2)

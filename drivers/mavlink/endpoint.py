@@ -1,0 +1,58 @@
+"""Where a MAVLink link goes, as people write it.
+
+udpin://0.0.0.0:14550            listen; whoever sends is a peer and is answered
+udpout://192.168.1.10:14550      send there from a port of our own
+tcp://127.0.0.1:5760             connect there
+serial:///dev/ttyAMA0:921600     a serial port and its speed
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from estimator.contracts.errors import BadInput
+
+Scheme = Literal["udpin", "udpout", "tcp", "serial"]
+_NET = re.compile(r"^(\[[0-9A-Fa-f:.%\w]+\]|[^\[\]:/?#@]+):(\d{1,5})/?$")
+_SERIAL = re.compile(r"^(/[^:?#]+):(\d{1,8})$")
+_HOW = "udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """One link's address."""
+
+    scheme: Scheme
+    host: str
+    """Of a serial port: its device file."""
+    port: int
+    """Of a serial port: its speed, bit/s."""
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}"
+
+
+def parse_endpoint(url: str) -> Endpoint:
+    """The endpoint that a URL means.
+
+    Raises:
+        BadInput: it is none; the text says what is wrong and how one is written.
+    """
+    scheme, separator, rest = url.strip().partition("://")
+    known: tuple[Scheme, ...] = get_args(Scheme)
+    found = next((s for s in known if s == scheme), None)
+    if not separator or found is None:
+        raise BadInput(f"MAVLink link {url!r}: write {_HOW}")
+    match = (_SERIAL if found == "serial" else _NET).match(rest)
+    if match is None:
+        raise BadInput(f"MAVLink link {url!r}: {rest!r} should be {'/dev/NAME:BAUD' if found == 'serial' else 'HOST:PORT'}")
+    port = int(match[2])
+    if found == "serial":
+        if not 1200 <= port <= 12_500_000:
+            raise BadInput(f"MAVLink link {url!r}: a speed of {port} bit/s is out of range")
+    elif port > 65535 or (port == 0 and found != "udpin"):
+        raise BadInput(f"MAVLink link {url!r}: port {port} is out of range")
+    return Endpoint(found, match[1].strip("[]"), port)

@@ -1,0 +1,262 @@
+"""Several MAVLink links at once: what any of them hears comes out in one line, what is said goes to all or to one.
+
+Each link is kept open alone, with back-off; each peer of a link has its own codec, hence its own sequence numbers.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+
+from drivers.mailbox import Line
+from drivers.mavlink.codec import Codec, CodecCounters
+from drivers.mavlink.dialect import Message
+from drivers.mavlink.endpoint import Endpoint
+from drivers.mavlink.signing import Signing
+from drivers.mavlink.wires import Address, Wire, open_wire
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkOptions:
+    """One link.
+
+    Raises:
+        ValueError: a number out of range.
+    """
+
+    endpoint: Endpoint
+    signing: Signing | None = None
+    peers_max: int = 16
+    """Of a socket that listens; the one silent for longest goes first."""
+    peer_timeout_s: float = 30.0
+    """A peer silent for this long is no longer spoken to."""
+    restart_first_s: float = 0.2
+    restart_most_s: float = 5.0
+    """Back-off of a link that broke: doubled from the first to the most."""
+
+    def __post_init__(self) -> None:
+        if self.peers_max < 1 or not 0 < self.restart_first_s <= self.restart_most_s or not self.peer_timeout_s > 0:
+            raise ValueError(f"link options out of range: {self}")
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """What became of everything that crossed one link, over all its peers and reconnections."""
+
+    bytes_in: int = 0
+    bytes_out: int = 0
+    dropped: int = 0
+    """Messages not sent because the way was full or closed."""
+    restarts: int = 0
+    codecs: list[CodecCounters] = field(default_factory=list)
+
+    def total(self, name: str) -> int:
+        """Sum of one of `CodecCounters` over the peers: messages, lost, unknown, damaged, old_version, refused_signature."""
+        return sum(getattr(codec, name) for codec in self.codecs)
+
+    def as_dict(self) -> dict[str, int]:
+        """Flat, for records and telemetry."""
+        names = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature")
+        own = {"bytes_in": self.bytes_in, "bytes_out": self.bytes_out, "dropped": self.dropped, "restarts": self.restarts}
+        return own | {name: self.total(name) for name in names}
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """One message and where it came from."""
+
+    message: Message
+    link: int
+    """Number of the link, in the order given."""
+    heard: MonoNs
+    system: int
+    component: int
+
+
+@dataclass(slots=True)
+class _Peer:
+    codec: Codec
+    heard: MonoNs
+
+
+class Link:
+    """One endpoint, its peers and its counters."""
+
+    def __init__(self, number: int, options: LinkOptions, links: Links, clock: Clock) -> None:
+        self.endpoint = options.endpoint
+        self.counters = LinkCounters()
+        self.down: str | None = "not opened yet"
+        """Why it is not open; None while it is."""
+        self._number = number
+        self._o = options
+        self._links = links
+        self._clock = clock
+        self._wire: Wire | None = None
+        self._peers: dict[Address | None, _Peer] = {}
+
+    @property
+    def local(self) -> Address | None:
+        """The address bound on this side, None for TCP, serial and while closed."""
+        return None if self._wire is None else self._wire.local
+
+    @property
+    def peers(self) -> int:
+        """How many are spoken to."""
+        return len(self._peers)
+
+    def send(self, message: Message, component: int | None = None) -> bool:
+        """To every peer of this link; whether it went to any."""
+        went = False
+        if self._wire is not None:
+            self._forget_silent()
+            for address, peer in self._peers.items():
+                data = peer.codec.pack(message, component)
+                if self._wire.send(data, address):
+                    self.counters.bytes_out += len(data)
+                    went = True
+        self.counters.dropped += not went
+        return went
+
+    async def keep_up(self) -> None:
+        """Open, and open again whenever it broke."""
+        wait_s = self._o.restart_first_s
+        while True:
+            began = self._clock.now()
+            try:
+                await self._run()
+            except Recoverable as why:
+                self.down = str(why)
+            if seconds_between(began, self._clock.now()) > self._o.restart_most_s:
+                wait_s = self._o.restart_first_s
+            self.counters.restarts += 1
+            _log.warning("MAVLink %s: %s; again in %.1f s", self.endpoint, self.down, wait_s)
+            await self._clock.sleep(wait_s)
+            wait_s = min(2.0 * wait_s, self._o.restart_most_s)
+
+    def identify(self, system: int, component: int) -> None:
+        for peer in self._peers.values():
+            peer.codec.identify(system, component)
+
+    async def _run(self) -> None:
+        async with open_wire(self._o.endpoint, self._clock, self._received) as wire:
+            self._wire, self.down = wire, None
+            if self._o.endpoint.scheme != "udpin":
+                peer = self._peers.setdefault(None, _Peer(self._codec(), self._clock.now()))
+                peer.codec.restart()
+            self._links.opened[self._number] += 1
+            try:
+                await wire.broken()
+            finally:
+                self._wire = None
+
+    def _codec(self) -> Codec:
+        datagrams = self._o.endpoint.scheme in ("udpin", "udpout")
+        codec = Codec(*self._links.identity, datagrams=datagrams, signing=self._o.signing)
+        self.counters.codecs.append(codec.counters)
+        return codec
+
+    def _received(self, data: bytes, heard: MonoNs, address: Address | None) -> None:
+        self.counters.bytes_in += len(data)
+        peer = self._peers.get(address)
+        known = peer is not None
+        if peer is None:
+            peer = _Peer(self._codec(), heard)
+        peer.heard = heard
+        messages = peer.codec.feed(data)
+        if not known:
+            if not messages:
+                # Nobody becomes a peer by sending rubbish; its counters stay in the total.
+                self._fold_counters()
+                return
+            self._forget_silent()
+            if len(self._peers) >= self._o.peers_max:
+                del self._peers[min(self._peers, key=lambda a: self._peers[a].heard)]
+            self._peers[address] = peer
+        for message in messages:
+            self._links.heard.offer(
+                Heard(message, self._number, heard, int(message.get_srcSystem()), int(message.get_srcComponent()))
+            )
+
+    def _forget_silent(self) -> None:
+        if self._o.endpoint.scheme == "udpin":
+            now = self._clock.now()
+            for address in [a for a, p in self._peers.items() if seconds_between(p.heard, now) > self._o.peer_timeout_s]:
+                del self._peers[address]
+            self._fold_counters()
+
+    def _fold_counters(self) -> None:
+        """Sum the counters of peers that are gone into one entry, so that the list stays short."""
+        if len(self.counters.codecs) <= 4 * self._o.peers_max:
+            return
+        alive = {id(p.codec.counters) for p in self._peers.values()}
+        gone = [c for c in self.counters.codecs if id(c) not in alive]
+        total = CodecCounters()
+        for one in gone:
+            for name in ("messages", "old_version", "lost", "unknown", "damaged", "refused_signature"):
+                setattr(total, name, getattr(total, name) + getattr(one, name))
+            total.packed.update(one.packed)
+        self.counters.codecs = [total, *(c for c in self.counters.codecs if id(c) in alive)]
+
+
+class Links:
+    """All links. See `open_links`."""
+
+    def __init__(self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int) -> None:
+        self.identity = identity
+        """(system, component) that messages are sent as."""
+        self.heard: Line[Heard] = Line(capacity)
+        self.opened = [0 for _ in options]
+        """How often each link was opened: grows when it comes back."""
+        self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
+
+    def identify(self, system: int, component: int) -> None:
+        """Speak as another system and component from now on."""
+        self.identity = (system, component)
+        for link in self.all:
+            link.identify(system, component)
+
+    def send(self, message: Message, to: int | None = None, *, component: int | None = None) -> bool:
+        """To every peer of every link, or of link number `to`; whether it went to any. Never blocks.
+
+        Args:
+            component: speak as this component of our system instead of the usual one.
+
+        Raises:
+            ValueError: a field does not fit its type on the wire.
+        """
+        sent = [link.send(message, component) for link in (self.all if to is None else (self.all[to],))]
+        return any(sent)
+
+
+@asynccontextmanager
+async def open_links(
+    options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int = 4096
+) -> AsyncIterator[Links]:
+    """Open every link and keep it open; it does not wait for a peer. On leaving all are closed.
+
+    Args:
+        identity: (system, component) to send as; `Links.identify` changes it.
+        capacity: messages that may wait for the reader of `Links.heard` before the oldest are dropped.
+    """
+    links = Links(options, clock, identity, capacity)
+    failed: Exception | None = None
+    async with asyncio.TaskGroup() as group:
+        tasks = [group.create_task(link.keep_up(), name=f"mavlink-{link.endpoint}") for link in links.all]
+        try:
+            yield links
+        except Exception as why:  # the caller's own error must not come out wrapped in a group
+            failed = why
+        finally:
+            links.heard.fail(Recoverable("the MAVLink links are closed"))
+            for task in tasks:
+                task.cancel()
+    if failed is not None:
+        raise failed

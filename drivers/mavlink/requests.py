@@ -1,0 +1,185 @@
+"""What is asked of the autopilot and must be answered: message streams and parameters. No I/O.
+
+Both ask again until answered and note what was refused; a lost answer costs a repeat, nothing else.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
+
+_ACCEPTED = int(mav.MAV_RESULT_ACCEPTED)
+_BUSY = int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
+_REAL = (int(mav.MAV_PARAM_TYPE_REAL32), int(mav.MAV_PARAM_TYPE_REAL64))
+_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
+"""MAV_PARAM_TYPE to layout, for values that travel as bytes in a float."""
+
+COMMON_RATES_HZ = {"EXTENDED_SYS_STATE": 5.0, "SYS_STATUS": 1.0, "ATTITUDE_QUATERNION": 100.0, "LOCAL_POSITION_NED": 50.0}
+RATES_HZ: dict[Stack, dict[str, float]] = {
+    Stack.ARDUPILOT: COMMON_RATES_HZ | {"RAW_IMU": 100.0, "DISTANCE_SENSOR": 20.0, "SCALED_PRESSURE": 10.0},
+    Stack.PX4: COMMON_RATES_HZ | {"HIGHRES_IMU": 100.0, "DISTANCE_SENSOR": 20.0},
+    Stack.OTHER: COMMON_RATES_HZ,
+}
+"""What a fresh link is asked for; ArduPilot sends HEARTBEAT and TIMESYNC only until then."""
+
+
+def message_id(name: str) -> int:
+    """Number of a message of the dialect.
+
+    Raises:
+        KeyError: it has none of that name.
+    """
+    found = {cls.msgname: number for number, cls in mav.mavlink_map.items()}
+    return int(found[name])
+
+
+@dataclass(slots=True)
+class _Stream:
+    interval_s: float
+    tries: int = 0
+    asked: MonoNs | None = None
+    result: int | None = None
+    heard: MonoNs | None = None
+
+
+class Streams:
+    """MAV_CMD_SET_MESSAGE_INTERVAL for every message wanted, one at a time: the answer does not say which one it is for.
+
+    Args:
+        rates_hz: by message name.
+        retry_s: an unanswered request is repeated after this.
+        silence_s: an accepted message not heard for this long, or ten intervals, is asked for again.
+    """
+
+    def __init__(self, rates_hz: Mapping[str, float], *, retry_s: float = 0.5, tries: int = 4, silence_s: float = 3.0) -> None:
+        self._streams = {name: _Stream(1.0 / rate) for name, rate in rates_hz.items()}
+        self._ids = {name: message_id(name) for name in rates_hz}
+        self._retry_s, self._tries, self._silence_s = retry_s, tries, silence_s
+        self._waiting: str | None = None
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """MAV_RESULT of each message the autopilot would not send; -1 where it never answered."""
+        given_up = {n: -1 for n, s in self._streams.items() if s.result is None and s.tries >= self._tries}
+        return given_up | {n: s.result for n, s in self._streams.items() if s.result not in (None, _ACCEPTED)}
+
+    @property
+    def settled(self) -> bool:
+        """Whether every request has been answered or given up."""
+        return all(s.result is not None or s.tries >= self._tries for s in self._streams.values())
+
+    def restart(self) -> None:
+        """Ask for everything again: the link or the autopilot was restarted."""
+        self._streams = {name: _Stream(s.interval_s) for name, s in self._streams.items()}
+        self._waiting = None
+
+    def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
+        """The request to send now, if there is one."""
+        if self._waiting is not None:
+            waiting = self._streams[self._waiting]
+            if waiting.asked is not None and seconds_between(waiting.asked, now) < self._retry_s:
+                return []
+            self._waiting = None
+        for name, stream in self._streams.items():
+            self._check_silence(stream, now)
+            if stream.result is None and stream.tries < self._tries:
+                stream.tries += 1
+                stream.asked = now
+                self._waiting = name
+                interval_us = round(stream.interval_s * 1e6)
+                return [
+                    mav.MAVLink_command_long_message(
+                        *target, mav.MAV_CMD_SET_MESSAGE_INTERVAL, stream.tries - 1, self._ids[name], interval_us, 0, 0, 0, 0, 0
+                    )
+                ]
+        return []
+
+    def hear(self, message: Message, heard: MonoNs) -> None:
+        """Any message of the autopilot."""
+        name = message.get_type()
+        if name == "COMMAND_ACK":
+            if message.command == mav.MAV_CMD_SET_MESSAGE_INTERVAL and self._waiting is not None:
+                waiting, self._waiting = self._streams[self._waiting], None
+                waiting.result = None if message.result == _BUSY else int(message.result)
+                waiting.heard = heard
+        elif name in self._streams:
+            self._streams[name].heard = heard
+
+    def _check_silence(self, stream: _Stream, now: MonoNs) -> None:
+        if stream.result != _ACCEPTED or stream.heard is None:
+            return
+        if seconds_between(stream.heard, now) > max(self._silence_s, 10.0 * stream.interval_s):
+            # Asked for again, but a message with nothing to say (no lidar) is not asked for all the time.
+            stream.result, stream.tries = None, min(stream.tries, self._tries - 1)
+            stream.heard = MonoNs(now + round(4 * self._silence_s * NS_PER_S))
+
+
+class Parameters:
+    """PARAM_REQUEST_READ for each name wanted, a few at a time.
+
+    Args:
+        stack: ArduPilot sends integers as their value in a float, PX4 as their bytes in a float.
+    """
+
+    def __init__(
+        self, stack: Stack, names: Iterable[str] = (), *, retry_s: float = 0.5, tries: int = 4, at_once: int = 4
+    ) -> None:
+        self._stack = stack
+        self._wanted: deque[str] = deque(dict.fromkeys(names))
+        self._asked: dict[str, tuple[MonoNs, int]] = {}
+        self._retry_s, self._tries, self._at_once = retry_s, tries, at_once
+        self.values: dict[str, float] = {}
+        """What the autopilot said, wanted or not."""
+        self.absent: set[str] = set()
+        """Asked for and never answered, or refused: this firmware has no such parameter."""
+
+    @property
+    def settled(self) -> bool:
+        return not self._wanted and not self._asked
+
+    def want(self, names: Iterable[str]) -> None:
+        """Read these (again)."""
+        for name in names:
+            if name not in self._wanted and name not in self._asked:
+                self.absent.discard(name)
+                self._wanted.append(name)
+
+    def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
+        """The requests to send now."""
+        out = []
+        for name, (at, tries) in list(self._asked.items()):
+            if seconds_between(at, now) < self._retry_s:
+                continue
+            if tries >= self._tries:
+                del self._asked[name]
+                self.absent.add(name)
+            else:
+                self._asked[name] = (now, tries + 1)
+                out.append(name)
+        while self._wanted and len(self._asked) < self._at_once:
+            name = self._wanted.popleft()
+            self._asked[name] = (now, 1)
+            out.append(name)
+        return [mav.MAVLink_param_request_read_message(*target, name.encode(), -1) for name in out]
+
+    def hear(self, message: Message) -> None:
+        """Any message of the autopilot."""
+        kind = message.get_type()
+        if kind == "PARAM_VALUE":
+            self.values[message.param_id] = self._value(message)
+            self._asked.pop(message.param_id, None)
+        elif kind == "PARAM_ERROR" and message.param_id in self._asked:
+            del self._asked[message.param_id]
+            self.absent.add(message.param_id)
+
+    def _value(self, message: Message) -> float:
+        if self._stack is not Stack.PX4 or message.param_type in _REAL:
+            return float(message.param_value)
+        layout = _INTEGERS.get(message.param_type, "<i")
+        return float(struct.unpack_from(layout, struct.pack("<f", message.param_value))[0])

@@ -1,0 +1,216 @@
+"""Autopilot messages to samples in SI units and aerospace axes. No I/O; nothing on the wire raises.
+
+An autopilot's own frames are ours: body forward-right-down, local north-east-down. What a message does not measure is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.ardrone.samples import height_of_pressure_m
+from drivers.clock_map import ClockMap, ClockMapOptions
+from drivers.mavlink.boot_clock import MS_WRAP_NS, BootClock, boot_ms, boot_us
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
+
+G_M_S2 = 9.80665
+DOWN = 25
+"""MAV_SENSOR_ROTATION_PITCH_270: looking down."""
+_ACC_AND_GYRO, _PRESSURE = 0b111111, 1 << 9
+_NO_HEADING = 65535
+
+
+@dataclass(frozen=True, slots=True)
+class SampleOptions:
+    """How far each reading is trusted.
+
+    Raises:
+        ValueError: a number that is not positive.
+    """
+
+    sigma_tilt_rad: float = math.radians(0.5)
+    sigma_yaw_rad: float = math.radians(3.0)
+    sigma_velocity_m_s: float = 0.1
+    sigma_range_m: float = 0.03
+    sigma_baro_m: float = 0.5
+    sigma_vessel_velocity_m_s: float = 0.2
+    sigma_vessel_heading_rad: float = math.radians(3.0)
+    status_period_s: float = 0.5
+    """An unchanged status is repeated after this."""
+    attitude_gap_s: float = 0.2
+    """A velocity further than this from the newest attitude cannot be turned into `level`."""
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalPosition:
+    """Where the autopilot holds itself to be, from the origin of its own filter (not from home)."""
+
+    stamp: Stamp
+    p_body_ned: F64
+    """(3,) m."""
+    v_body_ned: F64
+    """(3,) m/s."""
+
+
+class Sampler:
+    """Messages of one autopilot (and of the vessel, where it reports) to samples.
+
+    Args:
+        ranges: hand on DISTANCE_SENSOR; off where the autopilot only echoes what we sent it.
+    """
+
+    def __init__(self, stack: Stack, clock: BootClock, options: SampleOptions | None = None, *, ranges: bool = True) -> None:
+        self._stack = stack
+        self._clock = clock
+        self._o = options or SampleOptions()
+        self.ranges = ranges
+        self.condition = Condition()
+        self.attitude: Attitude | None = None
+        """The newest."""
+        self.positions: deque[LocalPosition] = deque(maxlen=64)
+        """The newest, oldest first."""
+        self.refused: Counter[str] = Counter()
+        """Messages that made no sense, by name."""
+        self._landed_state = 0
+        self._status_at: MonoNs | None = None
+        self._vessel_clock = ClockMap(ClockMapOptions(wrap_ns=MS_WRAP_NS, resolution_s=0.001, floor_sigma_s=0.05))
+        self._table: dict[str, Callable[[Message, MonoNs], list[Sample]]] = {
+            "HEARTBEAT": self._heartbeat,
+            "EXTENDED_SYS_STATE": self._extended,
+            "SYS_STATUS": self._sys_status,
+            "ATTITUDE_QUATERNION": self._attitude,
+            "LOCAL_POSITION_NED": self._position,
+            "RAW_IMU": self._raw_imu,
+            "HIGHRES_IMU": self._highres_imu,
+            "DISTANCE_SENSOR": self._distance,
+            "SCALED_PRESSURE": self._pressure,
+        }
+
+    def samples(self, message: Message, heard: MonoNs) -> list[Sample]:
+        """Every sample in one message of the autopilot."""
+        handle = self._table.get(message.get_type())
+        if handle is None:
+            return []
+        try:
+            return handle(message, heard)
+        except ValueError:  # the contracts refuse what is not finite or not possible
+            self.refused[message.get_type()] += 1
+            return []
+
+    def vessel(self, message: Message, heard: MonoNs) -> list[Sample]:
+        """GLOBAL_POSITION_INT of the ship's own system."""
+        if message.get_type() != "GLOBAL_POSITION_INT":
+            return []
+        stamp = self._vessel_clock.stamp(boot_ms(message.time_boot_ms), heard)
+        known = message.hdg != _NO_HEADING
+        return [
+            VesselReport(
+                stamp,
+                np.array([message.vx, message.vy, message.vz]) * 0.01,
+                np.eye(3) * self._o.sigma_vessel_velocity_m_s**2,
+                math.radians(message.hdg * 0.01) if known else None,
+                self._o.sigma_vessel_heading_rad if known else None,
+            )
+        ]
+
+    def status(self, now: MonoNs, *, link_ok: bool) -> VehicleStatus:
+        """The newest condition as a sample."""
+        c = self.condition
+        self._status_at = now
+        stamp = Stamp(now, now, 0.0, "arrival")
+        return VehicleStatus(stamp, c.flying, c.mode, c.battery_fraction, c.terminated, link_ok)
+
+    def _told(self, condition: Condition, heard: MonoNs) -> list[Sample]:
+        changed = condition != self.condition
+        self.condition = condition
+        due = self._status_at is None or seconds_between(self._status_at, heard) >= self._o.status_period_s
+        return [self.status(heard, link_ok=True)] if changed or due else []
+
+    def _heartbeat(self, m: Message, heard: MonoNs) -> list[Sample]:
+        armed = bool(m.base_mode & ARMED)
+        told = replace(
+            self.condition,
+            mode=mode_name(self._stack, m.custom_mode),
+            armed=armed,
+            flying=flying_of(self._landed_state, m.system_status, armed),
+            terminated=m.system_status == mav.MAV_STATE_FLIGHT_TERMINATION,
+        )
+        return self._told(told, heard)
+
+    def _extended(self, m: Message, heard: MonoNs) -> list[Sample]:
+        self._landed_state = m.landed_state
+        flying = flying_of(m.landed_state, mav.MAV_STATE_UNINIT, bool(self.condition.armed))
+        if m.landed_state == 0:
+            flying = self.condition.flying
+        return self._told(replace(self.condition, flying=flying), heard)
+
+    def _sys_status(self, m: Message, heard: MonoNs) -> list[Sample]:
+        share = None if m.battery_remaining < 0 else min(1.0, m.battery_remaining / 100.0)
+        self.condition = replace(self.condition, battery_fraction=share)
+        return []
+
+    def _attitude(self, m: Message, heard: MonoNs) -> list[Sample]:
+        rotation = Rotation.from_quat([m.q1, m.q2, m.q3, m.q4])
+        cov = np.diag([self._o.sigma_tilt_rad**2, self._o.sigma_tilt_rad**2, self._o.sigma_yaw_rad**2])
+        self.attitude = Attitude(self._clock.stamp(boot_ms(m.time_boot_ms), heard), rotation, cov)
+        return [self.attitude]
+
+    def _position(self, m: Message, heard: MonoNs) -> list[Sample]:
+        stamp = self._clock.stamp(boot_ms(m.time_boot_ms), heard)
+        v_body_ned = _finite(m.vx, m.vy, m.vz)
+        self.positions.append(LocalPosition(stamp, _finite(m.x, m.y, m.z), v_body_ned))
+        attitude = self.attitude
+        if attitude is None or abs(seconds_between(attitude.stamp.taken, stamp.taken)) > self._o.attitude_gap_s:
+            return []
+        yaw_rad = attitude.R_ned_body.rpy_rad[2]
+        v_level = Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ v_body_ned
+        return [BodyVelocity(stamp, v_level, np.eye(3) * self._o.sigma_velocity_m_s**2)]
+
+    def _raw_imu(self, m: Message, heard: MonoNs) -> list[Sample]:
+        if self._stack is not Stack.ARDUPILOT:
+            # Only there is "raw" known to mean milli-g and mrad/s in body axes.
+            return []
+        f_body = np.array([m.xacc, m.yacc, m.zacc]) * (1e-3 * G_M_S2)
+        w_body = np.array([m.xgyro, m.ygyro, m.zgyro]) * 1e-3
+        return [Imu(self._clock.stamp(boot_us(m.time_usec), heard), w_body, f_body)]
+
+    def _highres_imu(self, m: Message, heard: MonoNs) -> list[Sample]:
+        stamp = self._clock.stamp(boot_us(m.time_usec), heard)
+        out: list[Sample] = []
+        if m.fields_updated & _ACC_AND_GYRO == _ACC_AND_GYRO:
+            out.append(Imu(stamp, _finite(m.xgyro, m.ygyro, m.zgyro), _finite(m.xacc, m.yacc, m.zacc)))
+        if m.fields_updated & _PRESSURE and math.isfinite(m.abs_pressure) and m.abs_pressure > 0:
+            out.append(Baro(stamp, height_of_pressure_m(100.0 * m.abs_pressure), self._o.sigma_baro_m))
+        return out
+
+    def _distance(self, m: Message, heard: MonoNs) -> list[Sample]:
+        usable = m.min_distance <= m.current_distance <= m.max_distance and m.signal_quality != 1
+        if not self.ranges or m.orientation != DOWN or not usable:
+            return []
+        sigma_m = 0.01 * math.sqrt(m.covariance) if 0 < m.covariance < 255 else self._o.sigma_range_m
+        return [Range(self._clock.stamp(boot_ms(m.time_boot_ms), heard), 0.01 * m.current_distance, max(sigma_m, 0.005))]
+
+    def _pressure(self, m: Message, heard: MonoNs) -> list[Sample]:
+        if not (math.isfinite(m.press_abs) and m.press_abs > 0):
+            raise ValueError("pressure")
+        stamp = self._clock.stamp(boot_ms(m.time_boot_ms), heard)
+        return [Baro(stamp, height_of_pressure_m(100.0 * m.press_abs), self._o.sigma_baro_m)]
+
+
+def _finite(*values: float) -> F64:
+    if not all(map(math.isfinite, values)):
+        raise ValueError("not finite")
+    return np.array(values, dtype=float)

@@ -1,0 +1,151 @@
+"""TIMESYNC, both ways: where the autopilot's clock stands against ours, and answers to whoever asks for ours. No I/O.
+
+A request carries our time in ts1; the answer mirrors it and adds the remote time tc1. The remote clock was read between the two,
+so half the round trip bounds the error; the shortest recent round trip is the one believed. Source: mavlink.io, "Time
+Synchronization Protocol v2"; Mills, RFC 5905 section 10 (least delay wins).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from drivers.mavlink.dialect import Message, TimeSyncV2
+from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
+
+_LOCKED_AFTER = 5
+_JUMPS_TO_BELIEVE = 3
+_SLACK_S = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSyncOptions:
+    """How often to ask and what to believe.
+
+    Raises:
+        ValueError: a number that is not positive.
+    """
+
+    period_s: float = 1.0
+    first_period_s: float = 0.1
+    """Until locked."""
+    window_s: float = 10.0
+    """How long a round trip counts."""
+    round_trip_max_s: float = 0.25
+    """A longer one says nothing."""
+    drift_ppm: float = 50.0
+    """Most that the two clocks run apart."""
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    heard: MonoNs
+    offset_ns: int
+    round_trip_ns: int
+
+
+class TimeSync:
+    """Feed it TIMESYNC messages; ask it where remote instants lie on our clock."""
+
+    def __init__(self, options: TimeSyncOptions | None = None) -> None:
+        self._o = options or TimeSyncOptions()
+        self._answers: deque[_Answer] = deque(maxlen=256)
+        self._asked: deque[int] = deque(maxlen=64)
+        self._next = MonoNs(0)
+        self._odd = 0
+        self.answers = 0
+        """Believed."""
+        self.refused = 0
+        """Answers too slow, impossible, or not asked for."""
+        self.jumps = 0
+        """Times the remote clock was set anew."""
+        self.jitter_s = 0.0
+        """Running deviation of the round trip."""
+
+    @property
+    def locked(self) -> bool:
+        """Whether enough answers agree."""
+        return len(self._answers) >= _LOCKED_AFTER
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """The shortest of the window."""
+        return min(a.round_trip_ns for a in self._answers) / NS_PER_S if self._answers else None
+
+    def offset_ns(self, now: MonoNs) -> tuple[int, float] | None:
+        """(remote less ours in ns, one sigma of it in s), None until locked.
+
+        The true offset is uniform within half the round trip at worst; drift since then is added.
+        """
+        if not self.locked:
+            return None
+        best = min(self._answers, key=lambda a: self._doubt_s(a, now))
+        return best.offset_ns, self._doubt_s(best, now) / math.sqrt(3.0)
+
+    def reset(self) -> None:
+        """Forget the remote clock."""
+        self._answers.clear()
+        self._asked.clear()
+        self._odd = 0
+        self._next = MonoNs(0)
+
+    def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
+        """The request to send now, if it is time for one."""
+        if now < self._next:
+            return []
+        self._next = MonoNs(now + round((self._o.period_s if self.locked else self._o.first_period_s) * NS_PER_S))
+        self._asked.append(now)
+        return [TimeSyncV2(0, now, *target)]
+
+    def hear(self, message: Message, heard: MonoNs) -> None:
+        """An answer to one of our requests; everything else is refused and counted."""
+        if message.ts1 not in self._asked:
+            self.refused += message.tc1 != 0
+            return
+        self._asked.remove(message.ts1)
+        round_trip_ns = heard - message.ts1
+        if not 0 <= round_trip_ns <= self._o.round_trip_max_s * NS_PER_S or message.tc1 <= 0:
+            self.refused += 1
+            return
+        answer = _Answer(heard, message.tc1 - (message.ts1 + heard) // 2, round_trip_ns)
+        if not self._agrees(answer):
+            self._odd += 1
+            if self._odd < _JUMPS_TO_BELIEVE:
+                self.refused += 1
+                return
+            self.jumps += 1
+            self._answers.clear()
+        self._odd = 0
+        if self._answers:
+            change_s = abs(round_trip_ns - self._answers[-1].round_trip_ns) / NS_PER_S
+            self.jitter_s += (change_s - self.jitter_s) / 16.0
+        self._answers.append(answer)
+        while seconds_between(self._answers[0].heard, heard) > self._o.window_s:
+            self._answers.popleft()
+        self.answers += 1
+
+    def _agrees(self, answer: _Answer) -> bool:
+        if not self._answers:
+            return True
+        best = min(self._answers, key=lambda a: self._doubt_s(a, answer.heard))
+        room_s = self._doubt_s(best, answer.heard) + 0.5 * answer.round_trip_ns / NS_PER_S + _SLACK_S
+        return abs(answer.offset_ns - best.offset_ns) <= room_s * NS_PER_S
+
+    def _doubt_s(self, answer: _Answer, now: MonoNs) -> float:
+        return 0.5 * answer.round_trip_ns / NS_PER_S + 1e-6 * self._o.drift_ppm * abs(seconds_between(answer.heard, now))
+
+
+def answer_to(message: Message, now: MonoNs, asker: tuple[int, int], us: tuple[int, int]) -> Message | None:
+    """The answer to a TIMESYNC request, None for one that is an answer itself or meant for another."""
+    if message.tc1 != 0:
+        return None
+    target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
+    if target[0] not in (0, us[0]) or target[1] not in (0, us[1]):
+        return None
+    return TimeSyncV2(now, message.ts1, *asker)

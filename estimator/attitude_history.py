@@ -1,0 +1,69 @@
+"""Which way the body was turned at the instant of an exposure."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeHistory:
+    """Recent attitudes, oldest first, bounded by `span_s`."""
+
+    span_s: float = 1.0
+    samples: tuple[Attitude, ...] = field(default=())
+    newest_rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Between the two newest samples, in `body`; carries the newest attitude a little past its time."""
+
+    def add(self, sample: Attitude) -> AttitudeHistory:
+        """With `sample` added; one that is not newer than the newest is ignored."""
+        rate = self.newest_rate_rad_s
+        kept = self.samples
+        if kept:
+            dt = seconds_between(kept[-1].stamp.taken, sample.stamp.taken)
+            if dt <= 0:
+                return self
+            if dt < 0.1:
+                x, y, z = (kept[-1].R_ned_body.inv @ sample.R_ned_body).rotvec_rad / dt
+                rate = (float(x), float(y), float(z))
+            first = 0
+            while first < len(kept) and seconds_between(kept[first].stamp.taken, sample.stamp.taken) > self.span_s:
+                first += 1
+            kept = kept[first:]
+        return AttitudeHistory(self.span_s, (*kept, sample), rate)
+
+    def at(self, instant: MonoNs, stamp: Stamp, reach_s: float = 0.05, gap_s: float = 0.2) -> Attitude | None:
+        """The attitude at `instant`, stamped `stamp`: on the great arc between neighbours, or carried on from the newest.
+
+        None when `instant` lies before the history, in a gap longer than `gap_s`, or more than `reach_s` past the newest
+        sample. What carrying on costs is added to the covariance: a tenth of the angle turned meanwhile.
+        """
+        if not self.samples:
+            return None
+        i = bisect_left(self.samples, instant, key=lambda s: s.stamp.taken)
+        if i == len(self.samples):
+            newest = self.samples[-1]
+            ahead_s = seconds_between(newest.stamp.taken, instant)
+            if ahead_s > reach_s:
+                return None
+            turned = np.array(self.newest_rate_rad_s) * ahead_s
+            cov = newest.cov_body + np.diag((0.1 * turned) ** 2)
+            return Attitude(stamp, newest.R_ned_body @ Rotation.from_rotvec(turned), cov)
+        later = self.samples[i]
+        if later.stamp.taken == instant:
+            return Attitude(stamp, later.R_ned_body, later.cov_body)
+        if i == 0:
+            return None
+        earlier = self.samples[i - 1]
+        span_s = seconds_between(earlier.stamp.taken, later.stamp.taken)
+        if span_s > gap_s:
+            return None
+        share = seconds_between(earlier.stamp.taken, instant) / span_s
+        turned = (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad * share
+        return Attitude(stamp, earlier.R_ned_body @ Rotation.from_rotvec(turned), later.cov_body)

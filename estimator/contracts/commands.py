@@ -1,0 +1,45 @@
+"""What guidance asks of a vehicle. Drivers turn these into bytes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Velocity:
+    """Fly with this velocity over the ground and turn at this rate."""
+
+    v_level: F64
+    """(3,) m/s forward, right, down."""
+    yaw_rate_rad_s: float
+    """Clockwise from above positive."""
+
+    def __post_init__(self) -> None:
+        v = np.array(self.v_level, dtype=float)
+        if v.shape != (3,) or not np.all(np.isfinite(v)) or not math.isfinite(self.yaw_rate_rad_s):
+            raise ValueError(f"a velocity command needs finite numbers, got {self.v_level!r}, {self.yaw_rate_rad_s!r}")
+        v.setflags(write=False)
+        object.__setattr__(self, "v_level", v)
+
+
+@dataclass(frozen=True, slots=True)
+class Hover:
+    """Stay where you are by your own means; never descend."""
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOff:
+    """Leave the ground and hover."""
+
+
+@dataclass(frozen=True, slots=True)
+class Land:
+    """Descend to the ground by your own means and stop the motors there."""
+
+
+Command = Velocity | Hover | TakeOff | Land

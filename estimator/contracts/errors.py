@@ -1,0 +1,28 @@
+"""The error tree, by what the caller can do about it.
+
+    DecklanderError
+    |- BadInput        the user's file, key or argument is wrong: say which and end with exit code 2
+    |- Recoverable     the outside world failed (socket, device, peer): restart that one part
+    `- SetupImpossible what was asked for cannot exist on this machine (a missing device class or library)
+
+Refusals of a single datum (a torn packet, an outlier) are results with a counter, never exceptions. Anything outside this
+tree that escapes a task is a bug of ours and takes the service down loudly.
+"""
+
+from __future__ import annotations
+
+
+class DecklanderError(Exception):
+    """Base of every error raised on purpose."""
+
+
+class BadInput(DecklanderError):
+    """What the user gave is wrong; the text names what and where, in one line."""
+
+
+class Recoverable(DecklanderError):
+    """Something outside this process failed and may come back; the part that met it restarts alone."""
+
+
+class SetupImpossible(DecklanderError):
+    """This machine lacks something the request needs; trying again will not help."""

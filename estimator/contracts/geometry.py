@@ -1,0 +1,212 @@
+"""Rotations and rigid transforms between named frames.
+
+Frames: `ned` local level north-east-down; `body` forward-right-down; `level` body without roll and pitch, same heading;
+`cam` x right, y down, z forward; `pad` x along the arrow, y to starboard of it, z into the deck.
+A value called `R_a_b` or `T_a_b` takes coordinates of b to a, so neighbours cancel: `R_ned_cam = R_ned_body @ R_body_cam`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+F64 = NDArray[np.float64]
+
+
+def wrap_pi(angle_rad: float) -> float:
+    """The same angle in (-pi, pi]; nan and infinities come back as nan."""
+    if not math.isfinite(angle_rad):
+        return math.nan
+    wrapped = math.remainder(angle_rad, math.tau)
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+def skew(v: ArrayLike) -> F64:
+    """(3, 3) matrix of the cross product: `skew(a) @ b == np.cross(a, b)`."""
+    x, y, z = np.asarray(v, dtype=float)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rotation:
+    """A proper rotation matrix, checked once. `R_a_b @ v_b` gives v_a for (3,) and (N, 3) arrays alike.
+
+    Raises:
+        ValueError: not (3, 3), not finite, not orthonormal to 1e-6, or a reflection.
+    """
+
+    matrix: F64
+
+    def __post_init__(self) -> None:
+        m = np.array(self.matrix, dtype=float)
+        if m.shape != (3, 3) or not np.all(np.isfinite(m)):
+            raise ValueError(f"a rotation needs a finite (3, 3) matrix, got shape {m.shape}")
+        if np.abs(m @ m.T - np.eye(3)).max() > 1e-6 or np.linalg.det(m) < 0:
+            raise ValueError("a rotation matrix must be orthonormal with determinant +1")
+        m.setflags(write=False)
+        object.__setattr__(self, "matrix", m)
+
+    @staticmethod
+    def identity() -> Rotation:
+        return Rotation(np.eye(3))
+
+    @staticmethod
+    def from_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Rotation:
+        """Rz(yaw) Ry(pitch) Rx(roll), the aerospace sequence: `R_ned_body` from Euler angles.
+
+        Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.31.
+        """
+        cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+        cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+        cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+        return Rotation(
+            np.array(
+                [
+                    [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                    [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                    [-sp, cp * sr, cp * cr],
+                ]
+            )
+        )
+
+    @staticmethod
+    def from_rotvec(rotvec_rad: ArrayLike) -> Rotation:
+        """From an axis times angle in radians (Rodrigues; the exponential map of SO(3))."""
+        v = np.asarray(rotvec_rad, dtype=float)
+        angle = float(np.linalg.norm(v))
+        k = skew(v)
+        a = 1.0 - angle**2 / 6.0 if angle < 1e-4 else math.sin(angle) / angle
+        b = 0.5 - angle**2 / 24.0 if angle < 1e-4 else (1.0 - math.cos(angle)) / angle**2
+        return Rotation(np.eye(3) + a * k + b * (k @ k))
+
+    @staticmethod
+    def from_quat(wxyz: ArrayLike) -> Rotation:
+        """From a Hamilton quaternion (w, x, y, z) of any positive length.
+
+        Raises:
+            ValueError: zero or not finite.
+        """
+        q = np.asarray(wxyz, dtype=float)
+        n = float(np.linalg.norm(q))
+        if q.shape != (4,) or not math.isfinite(n) or n < 1e-9:
+            raise ValueError(f"not a quaternion: {wxyz!r}")
+        w, x, y, z = q / n
+        return Rotation(
+            np.array(
+                [
+                    [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+                ]
+            )
+        )
+
+    @property
+    def inv(self) -> Rotation:
+        return Rotation(self.matrix.T)
+
+    @property
+    def rpy_rad(self) -> tuple[float, float, float]:
+        """(roll, pitch, yaw) of `from_rpy`; pitch in [-pi/2, pi/2]; at the gimbal lock roll is given as 0."""
+        m = self.matrix
+        pitch = math.asin(min(1.0, max(-1.0, -float(m[2, 0]))))
+        if abs(m[2, 0]) > 1.0 - 1e-12:
+            return 0.0, pitch, math.atan2(-float(m[0, 1]), float(m[1, 1]))
+        return math.atan2(float(m[2, 1]), float(m[2, 2])), pitch, math.atan2(float(m[1, 0]), float(m[0, 0]))
+
+    @property
+    def rotvec_rad(self) -> F64:
+        """(3,) axis times angle, angle in [0, pi]; the inverse of `from_rotvec`."""
+        w, x, y, z = self.quat_wxyz
+        v = np.array([x, y, z])
+        s = float(np.linalg.norm(v))
+        if s < 1e-9:
+            return 2.0 * v
+        return v * (2.0 * math.atan2(s, w) / s)
+
+    @property
+    def quat_wxyz(self) -> F64:
+        """(4,) unit Hamilton quaternion with w >= 0 (Shepperd's choice of the largest component)."""
+        m = self.matrix
+        t = float(np.trace(m))
+        d = np.array([t, m[0, 0], m[1, 1], m[2, 2]])
+        i = int(np.argmax(d))
+        if i == 0:
+            q = np.array([1 + t, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+        elif i == 1:
+            q = np.array([m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - t, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]])
+        elif i == 2:
+            q = np.array([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - t, m[1, 2] + m[2, 1]])
+        else:
+            q = np.array([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - t])
+        q = q / np.linalg.norm(q)
+        return np.asarray(-q if q[0] < 0 else q)
+
+    def without_heading(self) -> Rotation:
+        """`R_level_body` of an `R_ned_body`: the same roll and pitch, yaw taken out."""
+        roll, pitch, _ = self.rpy_rad
+        return Rotation.from_rpy(roll, pitch, 0.0)
+
+    @overload
+    def __matmul__(self, other: Rotation) -> Rotation: ...
+    @overload
+    def __matmul__(self, other: F64) -> F64: ...
+    def __matmul__(self, other: Rotation | F64) -> Rotation | F64:
+        if isinstance(other, Rotation):
+            return Rotation(_orthonormalised(self.matrix @ other.matrix))
+        return np.asarray(other @ self.matrix.T)
+
+    def rotate_cov(self, cov_b: F64) -> F64:
+        """(3, 3) covariance of b written in a."""
+        return np.asarray(self.matrix @ cov_b @ self.matrix.T)
+
+    def angle_to(self, other: Rotation) -> float:
+        """Angle in radians of the rotation between the two."""
+        return float(np.linalg.norm((self.inv @ other).rotvec_rad))
+
+
+def _orthonormalised(m: F64) -> F64:
+    """One Newton step towards the nearest rotation: stops drift over long products (Higham 1986)."""
+    return np.asarray(0.5 * m @ (3.0 * np.eye(3) - m.T @ m))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transform:
+    """A rigid transform `T_a_b`: `p_a = R_a_b @ p_b + p_b_origin_a`.
+
+    Raises:
+        ValueError: a translation that is not a finite (3,) vector.
+    """
+
+    R: Rotation
+    t: F64
+    """(3,) m, the origin of b written in a."""
+
+    def __post_init__(self) -> None:
+        t = np.array(self.t, dtype=float)
+        if t.shape != (3,) or not np.all(np.isfinite(t)):
+            raise ValueError(f"a translation needs a finite (3,) vector, got {self.t!r}")
+        t.setflags(write=False)
+        object.__setattr__(self, "t", t)
+
+    @staticmethod
+    def identity() -> Transform:
+        return Transform(Rotation.identity(), np.zeros(3))
+
+    @property
+    def inv(self) -> Transform:
+        r = self.R.inv
+        return Transform(r, -(r @ self.t))
+
+    @overload
+    def __matmul__(self, other: Transform) -> Transform: ...
+    @overload
+    def __matmul__(self, other: F64) -> F64: ...
+    def __matmul__(self, other: Transform | F64) -> Transform | F64:
+        if isinstance(other, Transform):
+            return Transform(self.R @ other.R, self.R @ other.t + self.t)
+        return np.asarray(self.R @ other + self.t)

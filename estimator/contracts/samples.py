@@ -1,0 +1,160 @@
+"""What sensors tell us. Immutable, checked once at the border; every sample says when it was true.
+
+A direction a sensor does not measure has the variance `UNKNOWN_VAR`, so that it weighs nothing instead of claiming zero.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.time import Stamp
+
+UNKNOWN_VAR = 1e6
+"""Variance (SI units squared) of a direction that was not measured."""
+
+
+def _vector(name: str, value: F64, shape: tuple[int, ...]) -> F64:
+    a = np.array(value, dtype=float)
+    if a.shape != shape or not np.all(np.isfinite(a)):
+        raise ValueError(f"{name} needs finite numbers of shape {shape}, got {value!r}")
+    a.setflags(write=False)
+    return a
+
+
+def _covariance(name: str, value: F64, n: int) -> F64:
+    a = _vector(name, value, (n, n))
+    if np.abs(a - a.T).max() > 1e-9 * max(1.0, float(np.abs(a).max())) or np.any(np.diag(a) < 0):
+        raise ValueError(f"{name} must be symmetric with a non-negative diagonal, got {value!r}")
+    return a
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One picture. Pixel (u, v) is px[v, u]; (0, 0) is the centre of the top-left pixel."""
+
+    stamp: Stamp
+    seq: int
+    """The device's own counter: a gap is a loss."""
+    px: NDArray[np.uint8]
+    """(H, W, 3) BGR, made read-only here."""
+    exposure_s: float = 0.0
+    """How long the shutter was open; 0 when not known."""
+
+    def __post_init__(self) -> None:
+        if self.px.ndim != 3 or self.px.shape[2] != 3 or self.px.dtype != np.uint8:
+            raise ValueError(f"a frame needs (H, W, 3) uint8 BGR, got {self.px.shape} {self.px.dtype}")
+        self.px.setflags(write=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imu:
+    """Rate gyro and accelerometer, in `body`."""
+
+    stamp: Stamp
+    w_body: F64
+    """(3,) rad/s."""
+    f_body: F64
+    """(3,) m/s^2 specific force: at rest and level it reads (0, 0, -9.81)."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "w_body", _vector("Imu.w_body", self.w_body, (3,)))
+        object.__setattr__(self, "f_body", _vector("Imu.f_body", self.f_body, (3,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attitude:
+    """The vehicle's own attitude estimate."""
+
+    stamp: Stamp
+    R_ned_body: Rotation
+    cov_body: F64
+    """(3, 3) rad^2, of the small rotation error written in `body`."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cov_body", _covariance("Attitude.cov_body", self.cov_body, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyVelocity:
+    """Velocity of the body over the ground (or over what its flow sensor sees), written in `level`."""
+
+    stamp: Stamp
+    v_level: F64
+    """(3,) m/s forward, right, down."""
+    cov_level: F64
+    """(3, 3) (m/s)^2."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "v_level", _vector("BodyVelocity.v_level", self.v_level, (3,)))
+        object.__setattr__(self, "cov_level", _covariance("BodyVelocity.cov_level", self.cov_level, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Distance from the body along its own down axis to whatever is there (ultrasound, lidar)."""
+
+    stamp: Stamp
+    range_m: float
+    sigma_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.range_m) and self.range_m >= 0 and math.isfinite(self.sigma_m) and self.sigma_m > 0):
+            raise ValueError(f"Range needs a distance >= 0 and a sigma > 0, got {self.range_m}, {self.sigma_m}")
+
+
+@dataclass(frozen=True, slots=True)
+class Baro:
+    """Height above an arbitrary fixed level, positive up."""
+
+    stamp: Stamp
+    height_m: float
+    sigma_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.height_m) and math.isfinite(self.sigma_m) and self.sigma_m > 0):
+            raise ValueError(f"Baro needs a finite height and a sigma > 0, got {self.height_m}, {self.sigma_m}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VesselReport:
+    """What the ship says of itself (GNSS, compass). Any part may be missing."""
+
+    stamp: Stamp
+    v_vessel_ned: F64 | None
+    """(3,) m/s."""
+    cov_v_ned: F64 | None
+    """(3, 3) (m/s)^2."""
+    heading_rad: float | None
+    """Of the vessel's bow, clockwise from north."""
+    sigma_heading_rad: float | None
+
+    def __post_init__(self) -> None:
+        if (self.v_vessel_ned is None) != (self.cov_v_ned is None):
+            raise ValueError("VesselReport: a velocity needs its covariance and the other way round")
+        if (self.heading_rad is None) != (self.sigma_heading_rad is None):
+            raise ValueError("VesselReport: a heading needs its sigma and the other way round")
+        if self.v_vessel_ned is not None and self.cov_v_ned is not None:
+            object.__setattr__(self, "v_vessel_ned", _vector("VesselReport.v_vessel_ned", self.v_vessel_ned, (3,)))
+            object.__setattr__(self, "cov_v_ned", _covariance("VesselReport.cov_v_ned", self.cov_v_ned, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStatus:
+    """What the vehicle says of its own condition; everything it does not say is None."""
+
+    stamp: Stamp
+    flying: bool | None
+    mode: str
+    """The vehicle's own word for what it is doing, lower case: landed, taking_off, hovering, flying, landing, ..."""
+    battery_fraction: float | None
+    emergency: bool
+    link_ok: bool
+
+
+Sample = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | VehicleStatus
+"""Everything a driver hands over besides frames."""

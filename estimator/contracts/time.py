@@ -1,0 +1,51 @@
+"""Instants of this host's monotonic clock, and how well a sample's instant is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NewType
+
+MonoNs = NewType("MonoNs", int)
+"""An instant of this host's CLOCK_MONOTONIC in nanoseconds; never wall time."""
+
+NS_PER_S = 1_000_000_000
+
+StampSource = Literal["hw", "kernel", "synced", "arrival", "sim"]
+
+
+def seconds_between(earlier: MonoNs, later: MonoNs) -> float:
+    """Seconds from `earlier` to `later`; negative when they are the other way round."""
+    return (later - earlier) / NS_PER_S
+
+
+def after(instant: MonoNs, seconds: float) -> MonoNs:
+    """The instant `seconds` after `instant` (before it when negative)."""
+    return MonoNs(instant + round(seconds * NS_PER_S))
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """When a sample was true, when we heard of it, and how well we know the first.
+
+    Raises:
+        ValueError: negative or absurd sigma (1 s or more), or a sample true later than it was heard by over 5 sigma.
+    """
+
+    taken: MonoNs
+    """Mid-exposure or sampling instant."""
+    heard: MonoNs
+    """When its first byte reached this process."""
+    sigma_s: float
+    """One standard deviation of `taken`, seconds."""
+    source: StampSource
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.sigma_s < 1.0:
+            raise ValueError(f"a stamp's sigma must lie in [0, 1) s, got {self.sigma_s}")
+        if self.taken > self.heard + round(5 * NS_PER_S * self.sigma_s):
+            raise ValueError(f"a sample cannot be heard before it is taken: {self}")
+
+    @property
+    def delay_s(self) -> float:
+        """Seconds from when it was true to when it was heard."""
+        return seconds_between(self.taken, self.heard)

@@ -1,0 +1,435 @@
+"""Dead reckoning: sightings say where the pad is, the drone's own velocity and heading carry that on between them.
+
+Source: Sundvoll, A Camera-Based Perception System for Autonomous Quadcopter Landing on a Marine Vessel, 2020, sec. 4.3, with
+its slips put right: the step of eq. 4.16 is t_n - t_{n-1} and uses the velocity and acceleration at its start; the position
+vector itself is rotated when the drone turns (eq. 4.18, 4.19), not its increment; time advances on sightings too; a heading of
+exactly zero is a heading.
+
+How it is kept: the relative motion since the start is summed in axes of fixed heading (an odometer), and a sighting is tied to
+the odometer at its own instant. Carrying a late sighting to now and turning the position vector are then one subtraction and
+one rotation. The pad counts as standing still; how fast it may really move is in the covariance.
+
+Vertical: where the vehicle measures no vertical velocity (AR.Drone), it comes from an alpha-beta filter: position from the
+sightings outright, velocity pulled towards their rate within `vertical_tau_s`, driven by the accelerometer in between and
+leaking to zero within `vertical_leak_s` once sightings stay away. What the accelerometer reads on average over
+`vertical_mean_s` is taken for its bias: nothing accelerates one way for long, and biases of 0.6 m/s^2 are usual.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighting, Verdict
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.rest_calibration import RestCalibration, RestOptions, add_acceleration, add_velocity
+
+GRAVITY_M_S2 = 9.80665
+_NIS_MAX = 16.27
+"""Chi-square with 3 degrees of freedom, 99.9 %."""
+_NEVER = MonoNs(0)
+_KNOT_S = 0.004
+_VERTICAL_HOLD_S = 0.5
+_NOT_MEASURED_VAR = 1e3
+"""(m/s)^2; a velocity axis with more counts as not measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Everything that can be chosen. The defaults are the thesis' where it gives one, else honest for an AR.Drone 2.0."""
+
+    dead_band_v_m_s: float = 0.003
+    dead_band_a_m_s2: float = 0.5
+    """Of the horizontal axes."""
+    velocity_scale: float = 1.0
+    """Multiplies the measured velocity: one over the ratio at which the vehicle reads it."""
+    sigma_velocity_scale: float = 0.2
+    """Of what remains; an AR.Drone 2.0 reads 0.83 of the truth over one floor and more or less over another."""
+    sigma_pad_v_m_s: float = 0.15
+    """Of each horizontal component of the pad's own velocity over the ground, which nothing here measures."""
+    sigma_heading_rate_rad_s: float = 0.01
+    """Of the drift of the vehicle's heading against the pad's."""
+    sigma_unknown_v_m_s: float = 1.0
+    """Of a velocity that no recent sample tells."""
+    sigma_vertical_v_m_s: float = 0.3
+    """Of a vertical velocity that has been left to leak."""
+    vertical_tau_s: float = 0.35
+    vertical_leak_s: float = 1.0
+    vertical_mean_s: float = 5.0
+    hold_s: float = 0.25
+    """How long a velocity or acceleration is trusted after its instant."""
+    history_s: float = 1.5
+    """How late a sighting may be."""
+    calibration: RestOptions | None = None
+    """Average velocity and specific force at rest first and subtract the means from then on; None to go without."""
+
+    def __post_init__(self) -> None:
+        for name in ("velocity_scale", "vertical_tau_s", "vertical_leak_s", "vertical_mean_s", "hold_s", "history_s"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Anchor:
+    """The newest sighting, tied to the odometer at its own instant."""
+
+    t: MonoNs
+    d_fixed: F64
+    """(3,) m, `d_body_pad_level` turned into the axes of fixed heading."""
+    odo: F64
+    heading_rad: float
+    cov: F64
+    """(4, 4) of the sighting, in its own level axes."""
+    blind_s: float
+    """The state's `blind_s` at the time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeadReckoning:
+    """The belief. Immutable: `step` gives the next one."""
+
+    options: Options
+    t: MonoNs | None = None
+    """The instant the odometer stands at."""
+    R_ned_body: Rotation | None = None
+    heading_rad: float = 0.0
+    """Unwrapped, of the vehicle's own attitude."""
+    v_rel: F64 = field(default_factory=lambda: np.zeros(3))
+    """(3,) m/s in level axes: of the pad less that of the body."""
+    a_rel: F64 = field(default_factory=lambda: np.zeros(3))
+    v_t: MonoNs | None = None
+    """When the body's velocity was last measured."""
+    a_t: MonoNs | None = None
+    a_vertical_mean: float = 0.0
+    """m/s^2 downward, the accelerometer's slow mean."""
+    a_samples: int = 0
+    cov_v: F64 = field(default_factory=lambda: np.zeros((3, 3)))
+    vertical_measured: bool = False
+    vertical_t: MonoNs | None = None
+    """When a pair of sightings last told the vertical velocity."""
+    odo: F64 = field(default_factory=lambda: np.zeros(3))
+    """(3,) m: sum of the relative motion, in axes of fixed heading."""
+    blind_s: float = 0.0
+    """Sum of the time in which no velocity was known."""
+    track: F64 = field(default_factory=lambda: np.zeros((0, 5)))
+    """(n, 5) the odometer's recent past: [s since `epoch`, odo (3), heading]."""
+    epoch: MonoNs = _NEVER
+    anchor: _Anchor | None = None
+    arrow_rad: float | None = None
+    """Heading of the arrow in the vehicle's own attitude frame."""
+    arrow_var: float = UNKNOWN_YAW_VAR
+    arrow_t: MonoNs = _NEVER
+    arrow_ambiguous: bool = False
+    agreed: tuple[bool, ...] = ()
+    """Whether each of the last innovations lay inside the covariance claimed."""
+    rest: RestCalibration | None = None
+
+    @staticmethod
+    def start(options: Options | None = None) -> DeadReckoning:
+        """Knows nothing yet."""
+        options = options or Options()
+        return DeadReckoning(options, rest=RestCalibration(options.calibration) if options.calibration else None)
+
+
+def step(state: DeadReckoning, event: Sample | Sighting) -> tuple[DeadReckoning, Verdict | None]:
+    """Take one sample or one (filtered) sighting.
+
+    A sighting replaces the position outright, and the heading if it tells one; it is carried from its own instant to the
+    odometer's. Kinds of sample that say nothing here are passed over.
+
+    Returns:
+        The new state; and for a sighting what became of it: FUSED, TOO_OLD (older than the history or than the last one) or
+        NO_ATTITUDE (nothing to level it with yet); None for samples.
+    """
+    match event:
+        case Sighting():
+            return _sighted(state, event)
+        case Attitude():
+            return _attitude(state, event), None
+        case BodyVelocity():
+            return _velocity(state, event), None
+        case Imu():
+            return _imu(state, event), None
+        case _:
+            return state, None
+
+
+def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
+    """The belief at an instant, past (within the history) or future; None until a first sighting.
+
+    The covariance grows from the sighting's own: velocity noise, velocity scale, the pad's unknown motion and the heading's
+    drift are each taken as constant since then (an upper bound), so an old sighting is a wide one.
+    """
+    anchor = state.anchor
+    if anchor is None or state.t is None:
+        return None
+    o = state.options
+    if now > state.t:
+        state = _advance(state, now)
+    odo, heading = _past(state, now)
+    moved = _turned(odo - anchor.odo, -heading)
+    d = _turned(anchor.d_fixed, -heading) + moved
+    v = _current_v(state, now)
+    elapsed_s = max(0.0, seconds_between(anchor.t, now))
+
+    cov = np.zeros((7, 7))
+    turn = Rotation.from_rpy(0.0, 0.0, anchor.heading_rad - heading)
+    cov[:3, :3] = turn.rotate_cov(anchor.cov[:3, :3])
+    yaw: float | None = None
+    if state.arrow_rad is None:
+        cov[6, 6] = UNKNOWN_YAW_VAR
+    else:
+        yaw = wrap_pi(heading - state.arrow_rad)
+        drift_s = max(0.0, seconds_between(state.arrow_t, now))
+        cov[6, 6] = state.arrow_var + (o.sigma_heading_rate_rad_s * drift_s) ** 2
+        if state.arrow_t == anchor.t:
+            cov[6, :3] = cov[:3, 6] = turn @ anchor.cov[:3, 3]
+
+    cov += _spread(_cov_v(state, now), elapsed_s, 1.0)
+    blind = np.diag([1.0, 1.0, float(state.vertical_measured)]) * o.sigma_unknown_v_m_s**2
+    cov += _spread(blind, max(0.0, state.blind_s - anchor.blind_s), 0.0 if _v_is_known(state, now) else 1.0)
+    scale = o.sigma_velocity_scale * np.concatenate([moved, v, [0.0]])
+    if not state.vertical_measured:
+        scale[[2, 5]] = 0.0
+    swing = np.zeros(7)
+    swing[:3] = o.sigma_heading_rate_rad_s * elapsed_s * np.array([d[1], -d[0], 0.0])
+    cov += np.outer(scale, scale) + np.outer(swing, swing)
+
+    v_bias, a_bias = _biases(state)
+    return RelativeState(
+        at=now,
+        path="dead_reckoning",
+        d_body_pad_level=d,
+        v_pad_level=v,
+        yaw_rad=yaw,
+        cov=0.5 * (cov + cov.T),
+        sighted=anchor.t,
+        consistent=2 * sum(state.agreed) >= len(state.agreed),
+        details=(
+            ("yaw_ambiguous", float(state.arrow_ambiguous)),
+            ("a_vertical_mean_m_s2", state.a_vertical_mean),
+            ("calibrated", float(state.rest is not None and state.rest.done)),
+            *((f"bias_v_{axis}_m_s", float(b)) for axis, b in zip("xyz", v_bias, strict=True)),
+            *((f"bias_a_{axis}_m_s2", float(b)) for axis, b in zip("xyz", a_bias, strict=True)),
+        ),
+    )
+
+
+def _attitude(state: DeadReckoning, sample: Attitude) -> DeadReckoning:
+    heading = sample.R_ned_body.rpy_rad[2]
+    if state.R_ned_body is None:
+        # what was summed before had no heading; nothing is tied to it yet
+        fresh = replace(state, t=sample.stamp.taken, epoch=sample.stamp.taken, track=np.zeros((0, 5)))
+        return _knot(replace(fresh, R_ned_body=sample.R_ned_body, heading_rad=heading))
+    state = _advance(state, sample.stamp.taken)
+    turned = wrap_pi(heading - state.heading_rad)
+    # level axes turn with the body: what is held in them turns the other way
+    v, a = _turned(state.v_rel, -turned), _turned(state.a_rel, -turned)
+    return _knot(replace(state, R_ned_body=sample.R_ned_body, heading_rad=state.heading_rad + turned, v_rel=v, a_rel=a))
+
+
+def _velocity(state: DeadReckoning, sample: BodyVelocity) -> DeadReckoning:
+    if state.v_t is not None and sample.stamp.taken < state.v_t:
+        return state
+    o = state.options
+    state = _advance(state, sample.stamp.taken)
+    if state.rest is not None:
+        state = replace(state, rest=add_velocity(state.rest, sample.stamp.taken, sample.v_level))
+    v = o.velocity_scale * (sample.v_level - _biases(state)[0])
+    v[np.abs(v) < o.dead_band_v_m_s] = 0.0
+    measured = np.diag(sample.cov_level) < _NOT_MEASURED_VAR
+    cov_v = o.velocity_scale**2 * sample.cov_level
+    cov_v[~measured, :] = cov_v[:, ~measured] = 0.0
+    return replace(
+        state,
+        v_rel=np.where(measured, -v, state.v_rel),
+        v_t=sample.stamp.taken,
+        cov_v=cov_v,
+        vertical_measured=bool(measured[2]),
+    )
+
+
+def _imu(state: DeadReckoning, sample: Imu) -> DeadReckoning:
+    if state.R_ned_body is None or (state.a_t is not None and sample.stamp.taken < state.a_t):
+        return state
+    R_level_body = state.R_ned_body.without_heading()
+    state = _advance(state, sample.stamp.taken)
+    a_body = sample.f_body + R_level_body.inv @ np.array([0.0, 0.0, GRAVITY_M_S2])
+    if state.rest is not None:
+        state = replace(state, rest=add_acceleration(state.rest, sample.stamp.taken, a_body))
+    a = R_level_body @ (a_body - _biases(state)[1])
+    mean, n = state.a_vertical_mean, state.a_samples + 1
+    step_s = 0.0 if state.a_t is None else min(seconds_between(state.a_t, sample.stamp.taken), state.options.hold_s)
+    mean += (a[2] - mean) * max(1.0 / n, 1.0 - math.exp(-step_s / state.options.vertical_mean_s))
+    small = np.abs(a) < state.options.dead_band_a_m_s2
+    # the vertical axis has its mean taken off instead: a dead-band would hide how a descent is stopped
+    a = np.array([0.0 if small[0] else a[0], 0.0 if small[1] else a[1], a[2] - mean])
+    return replace(state, a_rel=-a, a_t=sample.stamp.taken, a_vertical_mean=float(mean), a_samples=n)
+
+
+def _sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, Verdict]:
+    taken = sighting.stamp.taken
+    last = state.anchor
+    if state.R_ned_body is None:
+        return state, Verdict.NO_ATTITUDE
+    if seconds_between(state.epoch, taken) < state.track[0, 0] or (last is not None and taken <= last.t):
+        return state, Verdict.TOO_OLD
+    state = _advance(state, taken)
+    z = sighting.d_body_pad_level
+    if last is not None and (before := at(state, taken)) is not None:
+        innov = z - before.d_body_pad_level
+        S = before.cov[:3, :3] + sighting.cov[:3, :3] + 1e-9 * np.eye(3)
+        agrees = float(innov @ np.linalg.solve(S, innov)) <= _NIS_MAX
+        state = replace(state, agreed=(*state.agreed, agrees)[-5:])
+        state = _correct_vertical(state, taken, float(innov[2]), seconds_between(last.t, taken))
+    odo, heading = _past(state, taken)
+    anchor = _Anchor(
+        t=taken,
+        d_fixed=_turned(z, heading),
+        odo=odo,
+        heading_rad=heading,
+        cov=sighting.cov,
+        blind_s=state.blind_s,
+    )
+    state = replace(state, anchor=anchor)
+    if sighting.yaw_rad is not None:
+        arrow = wrap_pi(heading - sighting.yaw_rad)
+        still_ambiguous = sighting.yaw_ambiguous and (state.arrow_rad is None or state.arrow_ambiguous)
+        if sighting.yaw_ambiguous and state.arrow_rad is not None and abs(wrap_pi(arrow - state.arrow_rad)) > math.pi / 2:
+            arrow = wrap_pi(arrow + math.pi)
+        state = replace(
+            state,
+            arrow_rad=arrow,
+            arrow_var=float(sighting.cov[3, 3]),
+            arrow_t=taken,
+            arrow_ambiguous=still_ambiguous,
+        )
+    return state, Verdict.FUSED
+
+
+def _correct_vertical(state: DeadReckoning, taken: MonoNs, innov_m: float, since_last_s: float) -> DeadReckoning:
+    """Pull the vertical velocity towards the sightings' rate and redo the odometer's vertical motion since `taken`."""
+    o = state.options
+    if state.vertical_measured or state.t is None:
+        return state
+    dv = innov_m * (1.0 - math.exp(-since_last_s / o.vertical_tau_s)) / max(since_last_s, o.vertical_tau_s / 10.0)
+    dv = max(-2.0, min(2.0, dv))
+    track = state.track.copy()
+    track[:, 3] += dv * np.maximum(0.0, track[:, 0] - seconds_between(state.epoch, taken))
+    late_s = max(0.0, seconds_between(taken, state.t))
+    return replace(
+        state,
+        v_rel=state.v_rel + np.array([0.0, 0.0, dv]),
+        odo=state.odo + np.array([0.0, 0.0, dv * late_s]),
+        track=track,
+        vertical_t=taken,
+    )
+
+
+def _advance(state: DeadReckoning, to: MonoNs) -> DeadReckoning:
+    """Move the odometer on with what is held; never backwards."""
+    if state.t is None:
+        return _knot(replace(state, t=to, epoch=to))
+    dt = seconds_between(state.t, to)
+    if dt <= 0.0:
+        return state
+    o = state.options
+    known_s = _overlap_s(state.v_t, state.t, to, o.hold_s)
+    pushed_s = min(_overlap_s(state.a_t, state.t, to, o.hold_s), dt)
+    a = state.a_rel
+    horizontal = state.v_rel * known_s + 0.5 * a * min(known_s, pushed_s) ** 2
+    delta = np.array([horizontal[0], horizontal[1], 0.0])
+    v = state.v_rel + a * min(known_s, pushed_s)
+    if state.vertical_measured:
+        delta[2] = horizontal[2]
+    else:
+        leak_s = dt - _overlap_s(state.vertical_t, state.t, to, _VERTICAL_HOLD_S)
+        keep = math.exp(-leak_s / o.vertical_leak_s)
+        push = float(np.clip(a[2], -3.0, 3.0)) * pushed_s
+        delta[2] = state.v_rel[2] * (dt - leak_s + o.vertical_leak_s * (1.0 - keep)) + 0.5 * push * pushed_s
+        v[2] = (state.v_rel[2] + push) * keep
+    return _knot(
+        replace(
+            state,
+            t=to,
+            v_rel=v,
+            odo=state.odo + _turned(delta, state.heading_rad),
+            blind_s=state.blind_s + dt - known_s,
+        )
+    )
+
+
+def _overlap_s(measured: MonoNs | None, begin: MonoNs, end: MonoNs, hold_s: float) -> float:
+    """Seconds of [begin, end] in which a sample of instant `measured` still holds."""
+    if measured is None:
+        return 0.0
+    return max(0.0, min(seconds_between(begin, end), hold_s - seconds_between(measured, begin)))
+
+
+def _knot(state: DeadReckoning) -> DeadReckoning:
+    """Write the odometer into its track: a new row, or over the newest one where that is only just older."""
+    if state.t is None:
+        return state
+    now_s = seconds_between(state.epoch, state.t)
+    row = np.array([[now_s, *state.odo, state.heading_rad]])
+    track = state.track
+    if len(track) and (track[-1, 0] == now_s or (len(track) >= 2 and track[-1, 0] - track[-2, 0] < _KNOT_S)):
+        track = track[:-1]
+    first = int(np.searchsorted(track[:, 0], now_s - state.options.history_s))
+    return replace(state, track=np.concatenate([track[first:], row]))
+
+
+def _past(state: DeadReckoning, when: MonoNs) -> tuple[F64, float]:
+    """Odometer and heading at an instant of the track, held at its ends."""
+    s = seconds_between(state.epoch, when)
+    track = state.track
+    row = [float(np.interp(s, track[:, 0], track[:, k])) for k in range(1, 5)]
+    return np.array(row[:3]), row[3]
+
+
+def _v_is_known(state: DeadReckoning, now: MonoNs) -> bool:
+    return state.v_t is not None and seconds_between(state.v_t, now) <= state.options.hold_s
+
+
+def _current_v(state: DeadReckoning, now: MonoNs) -> F64:
+    v = state.v_rel.copy()
+    if not _v_is_known(state, now):
+        v[:2] = 0.0
+        if state.vertical_measured:
+            v[2] = 0.0
+    return v
+
+
+def _cov_v(state: DeadReckoning, now: MonoNs) -> F64:
+    """(3, 3) (m/s)^2 of `v_pad_level` as far as samples tell it, the scale error aside."""
+    o = state.options
+    cov = state.cov_v + o.sigma_pad_v_m_s**2 * np.diag([1.0, 1.0, float(state.vertical_measured)])
+    if not state.vertical_measured:
+        # freshly told: the sightings' noise over the time constant; left alone: what a hovering drone over a heaving deck does
+        told_s = math.inf if state.vertical_t is None else max(0.0, seconds_between(state.vertical_t, now))
+        noise = 2.0 * float(state.anchor.cov[2, 2]) / o.vertical_tau_s**2 if state.anchor is not None else 0.0
+        cov[2, 2] = noise + o.sigma_vertical_v_m_s**2 * (1.0 - 0.75 * math.exp(-2.0 * told_s / o.vertical_leak_s))
+    return np.asarray(cov)
+
+
+def _spread(cov_v: F64, elapsed_s: float, now: float) -> F64:
+    """(7, 7) what an error of the velocity, constant over `elapsed_s`, does to position and (times `now`) to velocity."""
+    g = np.zeros((7, 3))
+    g[:3] = elapsed_s * np.eye(3)
+    g[3:6] = now * np.eye(3)
+    return np.asarray(g @ cov_v @ g.T)
+
+
+def _biases(state: DeadReckoning) -> tuple[F64, F64]:
+    """Velocity in level (m/s) and acceleration in body (m/s^2) at rest."""
+    return (np.zeros(3), np.zeros(3)) if state.rest is None else (state.rest.v_bias_level, state.rest.a_bias_body)
+
+
+def _turned(v: F64, angle_rad: float) -> F64:
+    """(3,) turned about the down axis."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])

@@ -1,0 +1,71 @@
+"""The filter's algebra, by filterpy: `P = F P F' + Q`, gain, innovation covariance, Joseph form.
+
+filterpy keeps its quantities in an object that it overwrites with fresh arrays and never writes into, so one object can serve
+every belief in turn: each call puts its own numbers in first. Not for two threads at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+
+
+class Correction(NamedTuple):
+    """What an update would do; nothing has been changed yet."""
+
+    dx: F64
+    """(N,) to add to the state."""
+    P: F64
+    """(N, N) afterwards."""
+    S: F64
+    """(m, m) of the innovation."""
+    nis: float
+
+
+class Algebra:
+    """Linear algebra for error states of one size.
+
+    Source: Labbe, Kalman and Bayesian Filters in Python, 2020, ch. 11; Joseph form: Bar-Shalom, Li, Kirubarajan, Estimation
+    with Applications to Tracking and Navigation, 2001, eq. 5.2.3-18.
+    """
+
+    def __init__(self, n: int) -> None:
+        # Importing filterpy costs most of a second, because it brings scipy.stats and matplotlib with it.
+        from filterpy.kalman import ExtendedKalmanFilter
+
+        self._kf: Any = ExtendedKalmanFilter(dim_x=n, dim_z=1)
+        self._zero = np.zeros(n)
+        self._zero.setflags(write=False)
+
+    def predict(self, P: F64, F: F64, Q: F64) -> F64:
+        """(n, n): F P F' + Q, symmetric."""
+        kf = self._kf
+        kf.x, kf.P, kf.F, kf.Q = self._zero, P, F, Q
+        kf.predict()
+        moved: F64 = kf.P
+        return np.asarray(0.5 * (moved + moved.T))
+
+    def correct(self, P: F64, innov: F64, H: F64, R: F64) -> Correction | None:
+        """Innovation (m,), its (m, n) Jacobian and (m, m) noise to a correction; None where S cannot be inverted."""
+        kf = self._kf
+        kf.x, kf.P = self._zero, P
+        m = kf.dim_z = innov.size
+        # Metres beside radians and certain beside unknown: rows scaled to unit innovation variance keep S well conditioned.
+        var = np.einsum("ij,ij->i", H.dot(P), H) + np.diag(R)
+        if not (np.all(np.isfinite(var)) and np.all(var > 0.0)):
+            return None
+        scale = 1.0 / np.sqrt(var)
+        zero = np.zeros(m)
+        try:
+            kf.update(innov * scale, lambda _: H * scale[:, None], lambda _: zero, R * np.outer(scale, scale))
+        except np.linalg.LinAlgError:
+            return None
+        nis = float(kf.y @ kf.SI @ kf.y)
+        dx: F64 = kf.x
+        after: F64 = kf.P
+        if not (np.isfinite(nis) and nis >= 0.0 and np.all(np.isfinite(dx))):
+            return None
+        return Correction(dx, 0.5 * (after + after.T), kf.S / np.outer(scale, scale), nis)

@@ -1,0 +1,142 @@
+"""The filter's face: start, step, at, forecast, moving."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState
+from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.time import MonoNs
+from estimator.ekf import forecast as forecasting
+from estimator.ekf import gate, measure, motion, so3
+from estimator.ekf.algebra import Algebra
+from estimator.ekf.forecast import Forecast
+from estimator.ekf.history import History, put
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, RATE, SCALE, TH, Belief, D, N, U, V
+from estimator.ekf.stride import Event, Outcome, Tools, settled
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ekf:
+    """The whole memory. Immutable: `step` gives the next one, and an old one stays what it was."""
+
+    options: EkfOptions
+    tools: Tools
+    history: History
+
+    @property
+    def belief(self) -> Belief | None:
+        """The newest, None before there is an attitude."""
+        return self.history.newest()
+
+
+def start(options: EkfOptions | None = None) -> Ekf:
+    """A filter that has seen nothing. The first call imports filterpy (about a second)."""
+    o = options or EkfOptions()
+    return Ekf(o, Tools(o, motion.Walk(o), Algebra(N)), History())
+
+
+def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[Outcome]]:
+    """Take one sample or sighting, late or not, in any order.
+
+    Returns:
+        The new memory, and one outcome: FUSED; GATED (implausible, or nothing to compare it with yet); TOO_OLD (before the
+        history); TOO_NEW (later than anything heard); SINGULAR; NO_ATTITUDE (nothing has told which way is down yet).
+    Raises:
+        TypeError: an object that is no measurement (a picture, say).
+    """
+    history, outcome = put(ekf.history, event, ekf.tools)
+    return replace(ekf, history=history), [outcome]
+
+
+def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
+    """The belief about the pad at an instant: carried on from the last event not later than it. None without a pad."""
+    b = ekf.history.before(now)
+    if b is None or b.sighted < 0 or (now - b.sighted) * 1e-9 > ekf.options.forget_s:
+        return None
+    b = measure.aligned(settled(b, now, ekf.tools))
+    x = b.x
+    psi = so3.heading(b.R)
+    Z = so3.about_down(-psi)
+    d, v = Z.dot(x[D]), Z.dot(measure.v_pad_ned(x) - x[V])
+    turning = so3.heading_row(b.R).dot(b.R)
+    J = np.zeros((7, N))
+    J[:3, D] = Z
+    J[:3, TH] = np.outer([d[1], -d[0], 0.0], turning)
+    J[3:6, V] = -Z
+    J[3:6, U] = Z[:, :2]
+    J[3:6, RATE[:3]] = Z
+    J[3:6, TH] = np.outer([v[1], -v[0], 0.0], turning)
+    J[6, TH] = turning
+    J[6, HEAD] = -1.0
+    cov = J.dot(b.P).dot(J.T)
+    yaw: float | None = wrap_pi(psi - float(x[HEAD]))
+    if not b.heading_known:
+        yaw = None
+        cov[6, :] = cov[:, 6] = 0.0
+        cov[6, 6] = UNKNOWN_YAW_VAR
+    return RelativeState(
+        at=now,
+        path="ekf",
+        d_body_pad_level=d,
+        v_pad_level=v,
+        yaw_rad=yaw,
+        cov=0.5 * (cov + cov.T),
+        sighted=MonoNs(b.sighted),
+        consistent=gate.consistent(b.nis_mean) and b.agreed >= 3,
+        details=_details(b),
+    )
+
+
+def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:
+    """The deck at `now` plus each of the horizons (s, 0 or more); None without a pad.
+
+    Raises:
+        ValueError: a horizon that is negative or not finite.
+    """
+    h = np.asarray(horizons_s, dtype=float).reshape(-1)
+    if not (np.all(np.isfinite(h)) and np.all(h >= 0.0)):
+        raise ValueError(f"horizons must be seconds of 0 or more, got {horizons_s!r}")
+    b = ekf.history.before(now)
+    if b is None or b.sighted < 0 or (now - b.sighted) * 1e-9 > ekf.options.forget_s:
+        return None
+    return forecasting.forecast(measure.aligned(settled(b, now, ekf.tools)), now, h, ekf.options.asd_vessel_velocity_m_s2)
+
+
+def moving(ekf: Ekf) -> float | None:
+    """Probability, 0..1, that the vessel moves: under way, or rocking on waves. None while no pad has been seen."""
+    b = ekf.belief
+    if b is None or b.sighted < 0:
+        return None
+    return forecasting.probability_of_motion(b)
+
+
+def _details(b: Belief) -> tuple[tuple[str, float], ...]:
+    x, var = b.x, np.diag(b.P)
+    sea = b.sea
+    named: list[tuple[str, float]] = [
+        ("nis_mean", b.nis_mean),
+        ("velocity_scale", float(x[SCALE])),
+        ("sigma_velocity_scale", math.sqrt(max(float(var[SCALE]), 0.0))),
+        ("camera_delay_s", float(x[DELAY])),
+        ("sigma_camera_delay_s", math.sqrt(max(float(var[DELAY]), 0.0))),
+        ("baro_offset_m", float(x[BARO])),
+        ("v_vessel_north_m_s", float(x[U][0])),
+        ("v_vessel_east_m_s", float(x[U][1])),
+        ("probability_moving", forecasting.probability_of_motion(b)),
+    ]
+    for k, axis in enumerate("xyz"):
+        named.append((f"mount_{axis}_rad", float(x[MOUNT][k])))
+        named.append((f"sigma_mount_{axis}_rad", math.sqrt(max(float(var[MOUNT][k]), 0.0))))
+        named.append((f"gyro_bias_{axis}_rad_s", float(x[BG][k])))
+        named.append((f"accel_bias_{axis}_m_s2", float(x[BA][k])))
+    for k, channel in enumerate(("north", "east", "down", "roll", "pitch")):
+        named.append((f"period_{channel}_s", math.tau / float(sea.w_rad_s[k])))
+        named.append((f"damping_{channel}", float(sea.zeta[k])))
+        named.append((f"swing_{channel}", float(sea.sigma[k])))
+    return tuple(named)

@@ -1,0 +1,145 @@
+"""One event into the belief. Events come here in the order of their instants; history.py sees to that."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.ekf import measure, motion, sea, so3
+from estimator.ekf.aiding import fuse_baro, fuse_range, fuse_velocity, fuse_vessel, gather
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.seeing import fuse_sighting
+from estimator.ekf.state import (
+    ATTITUDE,
+    HEAD,
+    TH,
+    TILT,
+    WAVES,
+    Belief,
+    D,
+    N,
+    U,
+    V,
+    initial,
+)  # fmt: skip
+from estimator.ekf.stride import Event, Outcome, Tools, carried, forgotten, settled
+
+_FORCE_AT_REST = 9.80665
+_ASTRAY_VAR = 0.35**2
+"""rad^2, of an attitude that small angles no longer describe."""
+_SMOOTH_S = 0.03
+
+
+def fold(b: Belief | None, event: Event, tools: Tools) -> tuple[Belief | None, Outcome]:
+    """Take one event, not older than the belief. An event that nothing can be made of leaves the belief as it was."""
+    if b is None:
+        return _first(event, tools)
+    match event:
+        case Imu():
+            return _imu(b, event, tools)
+        case Attitude():
+            return _attitude(b, event, tools)
+        case Sighting():
+            return fuse_sighting(b, event, tools)
+        case BodyVelocity():
+            return fuse_velocity(b, event, tools)
+        case Range():
+            return fuse_range(b, event, tools)
+        case Baro():
+            return fuse_baro(b, event, tools)
+        case VesselReport():
+            return fuse_vessel(b, event, tools)
+
+
+def _first(event: Event, tools: Tools) -> tuple[Belief | None, Outcome]:
+    """The belief begins with an attitude, or with which way an accelerometer says is down."""
+    o = tools.options
+    t = event.stamp.taken
+    if isinstance(event, Attitude):
+        b = initial(o, t, event.R_ned_body.matrix, o.sigma_initial_tilt_rad, o.sigma_initial_heading_rad, sea.unknown())
+        return _levelled(_tied(b, o), event), Outcome(event, Verdict.FUSED)
+    if isinstance(event, Imu):
+        f = event.f_body
+        size = float(np.linalg.norm(f))
+        if abs(size - _FORCE_AT_REST) < 0.5 * _FORCE_AT_REST:
+            x, y, z = (f / size).tolist()
+            pitch = math.asin(max(-1.0, min(1.0, x)))
+            R = so3.from_rpy(math.atan2(-y, -z), pitch, 0.0)
+            b = initial(o, t, R, math.radians(6.0), math.radians(2.0), sea.unknown())
+            return b._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=f), Outcome(event, Verdict.FUSED)
+    return None, Outcome(event, Verdict.NO_ATTITUDE)
+
+
+def _tied(b: Belief, o: EkfOptions) -> Belief:
+    """The attitude now believed is the one told, so it errs by what that one errs."""
+    P = b.P.copy()
+    var = o.sigma_attitude_bias_rad**2
+    P[TILT, :] = P[:, TILT] = 0.0
+    for i in range(2):
+        P[TILT[i], TILT[i]] = var
+        P[i, i] += var
+        P[i, TILT[i]] = P[TILT[i], i] = -var
+    return b._replace(P=P)
+
+
+def _levelled(b: Belief, event: Attitude) -> Belief:
+    return b._replace(levelled_by=event.R_ned_body.matrix, cov_levelled_by=event.cov_body, heading_is_given=True)
+
+
+def _imu(b: Belief, event: Imu, tools: Tools) -> tuple[Belief, Outcome]:
+    o, t = tools.options, event.stamp.taken
+    hold_ns = round(o.hold_s * 1e9)
+    if b.t_imu >= 0 and t - b.t_imu <= hold_ns:
+        share = -math.expm1(-(t - b.t_imu) * 1e-9 / _SMOOTH_S)
+        smooth = b.w_smooth + share * (event.w_body - b.w_smooth)
+        w, f = 0.5 * (b.w + event.w_body), 0.5 * (b.f + event.f_body)
+        b = motion.carry(b, t, w, f, hold_ns, t_imu=t, w=event.w_body, w_smooth=smooth, f=event.f_body)
+    else:
+        b = carried(b, t, tools)._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=event.f_body)
+    if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
+        b = motion.settle(b, o, tools.walk, tools.algebra)
+    return forgotten(b, o), Outcome(event, Verdict.FUSED)
+
+
+def _attitude(b: Belief, event: Attitude, tools: Tools) -> tuple[Belief, Outcome]:
+    o, t = tools.options, event.stamp.taken
+    if not b.heading_is_given:
+        b = _tied(_turned_to(settled(b, t, tools), event.R_ned_body.matrix, o), o)
+        return _levelled(b, event), Outcome(event, Verdict.FUSED)
+    b = carried(b, t, tools)
+    if float(np.diag(b.P)[TH].max()) > _ASTRAY_VAR:
+        b = _tied(_set_attitude(settled(b, t, tools), event.R_ned_body.matrix, o), o)
+        return _levelled(b, event), Outcome(event, Verdict.FUSED)
+    row = measure.attitude(motion.peek(b), b.R, event.R_ned_body.matrix, event.cov_body)
+    b, outcome = gather(b, ATTITUDE, event, row, tools)
+    return _levelled(b, event), outcome
+
+
+def _turned_to(b: Belief, R: F64, o: EkfOptions) -> Belief:
+    """North is known at last: the whole world turns about the vertical; the attitude given replaces the one guessed."""
+    angle = so3.heading(R) - so3.heading(b.R)
+    Z = so3.about_down(angle)
+    T = np.eye(N)
+    T[D, D] = T[V, V] = Z
+    for part in WAVES[:3].T:
+        T[np.ix_(part, part)] = Z
+    T[U, U] = Z[:2, :2]
+    x = T.dot(b.x)
+    x[HEAD] = measure.wrap(float(x[HEAD]) + angle)
+    P = T.dot(b.P).dot(T.T)
+    b = b._replace(x=x, P=0.5 * (P + P.T), ins_p=Z.dot(b.ins_p), ins_v=Z.dot(b.ins_v))
+    return _set_attitude(b, R, o)
+
+
+def _set_attitude(b: Belief, R: F64, o: EkfOptions) -> Belief:
+    """The attitude told is taken outright: the one believed is too far off for small angles."""
+    P = b.P.copy()
+    P[TH, :] = P[:, TH] = 0.0
+    down = R.T[:, 2]
+    along = np.outer(down, down)
+    P[TH, TH] = o.sigma_initial_tilt_rad**2 * (np.eye(3) - along) + o.sigma_initial_heading_rad**2 * along
+    return b._replace(R=R, R_cov=R, P=P)

@@ -1,0 +1,68 @@
+"""What is believed and what is refused; and the way back when it was the belief that was wrong."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.state import Doubt
+
+_CHI2 = {
+    0.01: (6.635, 9.210, 11.345, 13.277, 15.086, 16.812, 18.475, 20.090, 21.666),
+    1e-3: (10.828, 13.816, 16.266, 18.467, 20.515, 22.458, 24.322, 26.124, 27.877),
+    1e-4: (15.137, 18.421, 21.108, 23.513, 25.745, 27.856, 29.878, 31.828, 33.720),
+}
+"""Chi-square by probability of exceeding it, for 1 to 9 degrees of freedom."""
+
+_GROWTH_M_S = 0.5
+"""By how much two looks at the same thing may come to differ a second, the belief drifting between them."""
+
+
+def nis_max(probability: float, dof: int) -> float:
+    """What the NIS of an honest measurement of `dof` numbers exceeds with this probability."""
+    return _CHI2[probability][dof - 1]
+
+
+def doubted(doubt: Doubt, t: int, offset_ned: F64, var_m2: float) -> Doubt:
+    """One more refused sighting: it joins the row when it says what the last one said, else it begins a new one.
+
+    Args:
+        t: ns, when it was true.
+        offset_ned: (3,) m, seen less believed.
+        var_m2: variance of one component of what was seen.
+    """
+    x, y, z = offset_ned.tolist()
+    fresh = Doubt(1, t, t, (x, y, z), var_m2)
+    if doubt.n == 0 or t < doubt.last:
+        return fresh
+    dt = (t - doubt.last) * 1e-9
+    step = math.dist((x, y, z), doubt.offset_ned)
+    limit = 4.0 * math.sqrt(var_m2 + doubt.var_m2) + _GROWTH_M_S * dt + 0.02 * math.hypot(x, y, z)
+    if step > limit or dt > 2.0:
+        return fresh
+    return Doubt(doubt.n + 1, doubt.since, t, (x, y, z), var_m2)
+
+
+def convinced(doubt: Doubt, agreed: int, options: EkfOptions) -> bool:
+    """Whether the row of refusals outweighs the belief. A belief that few sightings made needs few to be overthrown."""
+    if agreed < 3:
+        return doubt.n > agreed
+    return doubt.n >= options.reopen_count and (doubt.last - doubt.since) * 1e-9 >= options.reopen_s
+
+
+def consistent(nis_mean: float) -> bool:
+    """Whether the recent mean of NIS over degrees of freedom is one that an honest covariance gives."""
+    return nis_mean < 2.0
+
+
+def mean_of(nis_mean: float, nis: float, dof: int) -> float:
+    """The recent mean with one more: half of it is renewed by some fourteen sightings."""
+    return nis_mean + 0.05 * (min(nis / dof, 20.0) - nis_mean)
+
+
+def sigma_of(cov: F64) -> float:
+    """Root of the mean variance of a (3, 3) covariance."""
+    return math.sqrt(max(float(np.trace(cov)) / 3.0, 0.0))

@@ -1,0 +1,283 @@
+"""What each measurement ought to read, and how that depends on the state: innovation, Jacobian, noise.
+
+Derivation: docs/estimator.md, section "Measurements". Every function takes the settled state's parts and returns a `Row`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import UNKNOWN_VAR
+from estimator.ekf import so3
+from estimator.ekf.state import BARO, BG, DELAY, DISPLACEMENT, HEAD, LIST, MOUNT, RATE, SCALE, TH, TILT, TURN, Belief, D, N, U, V
+
+_I3 = np.eye(3)
+_D3 = np.arange(3, 6)
+_DOWN = np.array([0.0, 0.0, 1.0])
+_NONE = np.zeros((0, N))
+_ROLL, _PITCH = int(DISPLACEMENT[3]), int(DISPLACEMENT[4])
+NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
+KNOWN_YAW_VAR = 2.0
+"""rad^2; a heading with more says nothing."""
+
+
+class Row(NamedTuple):
+    """A linearised measurement of m numbers."""
+
+    innov: F64
+    """(m,) measured less predicted."""
+    H: F64
+    """(m, N) of the prediction, by the error state."""
+    R: F64
+    """(m, m)."""
+    G: F64
+    """(3, N) of a sighting: how the rate of what it shows depends on the state; (0, N) of all else."""
+
+
+class Deck(NamedTuple):
+    """How the pad stands and turns."""
+
+    R: F64
+    """(3, 3) R_ned_pad."""
+    axes: F64
+    """(3, 3): its columns are the axes, in ned, about which roll, pitch and heading turn the pad."""
+    w_ned: F64
+    """(3,) rad/s."""
+
+
+def deck(x: F64) -> Deck:
+    """From heading, list, and the oscillators of roll and pitch."""
+    roll, pitch, yaw = float(x[_ROLL] + x[LIST[0]]), float(x[_PITCH] + x[LIST[1]]), float(x[HEAD])
+    R = so3.from_rpy(roll, pitch, yaw)
+    c, s = math.cos(yaw), math.sin(yaw)
+    cp = math.cos(pitch)
+    axes = np.array([[c * cp, -s, 0.0], [s * cp, c, 0.0], [-math.sin(pitch), 0.0, 1.0]])
+    return Deck(R, axes, axes.dot([x[RATE[3]], x[RATE[4]], x[TURN]]))
+
+
+def v_pad_ned(x: F64) -> F64:
+    """(3,) m/s."""
+    v = x[RATE[:3]].copy()
+    v[:2] += x[U]
+    return v
+
+
+def wrap(angle: float) -> float:
+    return float(math.remainder(angle, math.tau))
+
+
+def sighting(x: F64, R: F64, w: F64, s: Sighting, levelled_by: F64 | None, cov_levelled_by: F64, yaw_sigma: float) -> Row:
+    """Place of the pad in the body's own axes, and its heading or whole orientation.
+
+    A sighting is written in `level`, which vision found with the vehicle's own attitude. Turned back by that attitude it is what
+    the camera saw, free of that attitude's error.
+
+    When the picture is later than its stamp, so is the deck in it. The state's deck is the one the camera shows: its waves cannot
+    be told from the same waves a little later, so only the body's motion is turned back by the delay (`aligned` does the rest).
+
+    Args:
+        x: (N,), R: (3, 3) R_ned_body, at the sighting's stamp.
+        w: (3,) rad/s, gyro as measured, smoothed.
+        levelled_by: (3, 3) R_ned_body by the vehicle's own attitude; None when the filter's own must do.
+        cov_levelled_by: (3, 3) rad^2, part of the sighting's covariance that is that attitude's; zeros to leave it in.
+        yaw_sigma: rad, how well the relative heading is believed: an ambiguous heading is of use only when it is.
+    """
+    A = levelling(R, levelled_by)
+    E = so3.exp(-x[MOUNT])
+    d_b = R.T.dot(x[D])
+    late = float(x[DELAY])
+    turning = so3.cross_matrix(w - x[BG])
+    v_b = R.T.dot(np.array([x[16], x[17], 0.0]) - x[V])
+    rates = v_b - turning.dot(d_b)
+    shown = d_b + late * rates
+    jl = so3.left_jacobian(x[MOUNT])
+
+    whole = s.pose6
+    m = 3
+    if whole is not None:
+        m = 6
+    elif s.yaw_rad is not None and s.cov[3, 3] < KNOWN_YAW_VAR and not (s.yaw_ambiguous and yaw_sigma > 0.5):
+        m = 4
+    H = np.zeros((m, N))
+    innov = np.zeros(m)
+    ER = E.dot(R.T)
+    arm = so3.cross_matrix(d_b)
+    by_rate = np.zeros((3, N))
+    by_rate[:, TH] = E.dot(so3.cross_matrix(v_b) - turning.dot(arm))
+    by_rate[:, D] = -E.dot(turning).dot(R.T)
+    by_rate[:, V] = -ER
+    by_rate[:, U] = ER[:, :2]
+    by_rate[:, BG] = -E.dot(arm)
+    H[:3, TH] = E.dot(arm)
+    H[:3, D] = ER
+    H[:3] += late * by_rate
+    H[:3, MOUNT] = E.dot(so3.cross_matrix(shown)).dot(jl)
+    H[:3, DELAY] = E.dot(rates)
+    # How an error of the levelling attitude, about body axes, moves what vision reports: by its tilt, never by its heading.
+    tilt = A - np.outer(_DOWN, so3.heading_row(A).dot(A))
+    J = np.zeros((m, 3))
+    d_level = s.d_body_pad_level if whole is None else whole.d_body_pad_level
+    cov = s.cov[:m, :m] if whole is None else whole.cov
+    J[:3] = -so3.cross_matrix(d_level).dot(tilt)
+    innov[:3] = A.T.dot(d_level) - E.dot(shown)
+    turn = np.eye(m)
+    turn[:3, :3] = A.T
+    if m > 3:
+        pad = deck(x)
+        AE = A.dot(E)
+        spin = AE.dot(x[BG] - w)
+        M = so3.exp(late * spin).dot(AE.dot(R.T.dot(pad.R)))
+        G = np.zeros((3, N))
+        G[:, TH] = -AE
+        G[:, MOUNT] = -AE.dot(jl)
+        columns = AE.dot(R.T.dot(pad.axes))
+        G[:, _ROLL] = G[:, LIST[0]] = columns[:, 0]
+        G[:, _PITCH] = G[:, LIST[1]] = columns[:, 1]
+        G[:, HEAD] = columns[:, 2]
+        G[:, BG] = late * AE
+        G[:, DELAY] = spin
+        if whole is None:
+            row = so3.heading_row(M)
+            yaw = wrap((s.yaw_rad or 0.0) + so3.heading(M))
+            if s.yaw_ambiguous and abs(yaw) > math.pi / 2:
+                yaw = wrap(yaw + math.pi)
+            innov[3] = yaw
+            H[3] = -row.dot(G)
+        else:
+            seen = whole.R_level_pad.matrix
+            if s.yaw_ambiguous and float(np.trace(seen.dot(M.T))) < 1.0:
+                seen = seen.dot(so3.about_down(math.pi))
+            innov[3:] = so3.log(seen.dot(M.T))
+            H[3:] = G
+            J[3:] = tilt
+    R_noise = turn.dot(without(cov, J, cov_levelled_by)).dot(turn.T)
+    slip = s.stamp.sigma_s
+    if slip > 0.0:
+        rate = H[:, DELAY]
+        R_noise = R_noise + np.outer(rate, rate) * (slip * slip)
+    return Row(innov, H, 0.5 * (R_noise + R_noise.T), by_rate)
+
+
+def aligned(b: Belief) -> Belief:
+    """The belief with the deck brought from the camera's time to the body's: for what leaves the filter, not for going on."""
+    late, rate = float(b.x[DELAY]), b.x[RATE]
+    x = b.x.copy()
+    x[DISPLACEMENT] -= late * rate
+    x[D] -= late * rate[:3]
+    T = np.eye(N)
+    T[DISPLACEMENT, RATE] = T[_D3, RATE[:3]] = -late
+    T[DISPLACEMENT, DELAY] = -rate
+    T[_D3, DELAY] = -rate[:3]
+    return b._replace(x=x, P=T.dot(b.P).dot(T.T))
+
+
+def levelling(R: F64, levelled_by: F64 | None) -> F64:
+    """(3, 3) R_level_body that vision used."""
+    source = R if levelled_by is None else levelled_by
+    return np.asarray(so3.about_down(-so3.heading(source)).dot(source))
+
+
+def seen_from_body(s: Sighting, A: F64) -> F64:
+    """(3,) m, the pad in body axes as the camera's file has them."""
+    d_level = s.d_body_pad_level if s.pose6 is None else s.pose6.d_body_pad_level
+    return np.asarray(A.T.dot(d_level))
+
+
+def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
+    """`cov` less `J cov_attitude J'`, of every direction at least the share `keep` being left.
+
+    Where the levelling attitude's error is no part of `cov` after all, this cannot make it negative.
+    """
+    part = J.dot(cov_attitude).dot(J.T)
+    if not part.any():
+        return cov
+    try:
+        L = np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError:
+        return cov
+    inverse = np.linalg.inv(L)
+    share, axes = np.linalg.eigh(inverse.dot(part).dot(inverse.T))
+    half = L.dot(axes)
+    return np.asarray((half * np.maximum(1.0 - share, keep)).dot(half.T))
+
+
+def attitude(x: F64, R: F64, seen: F64, cov_body: F64) -> Row:
+    """The vehicle's own attitude, (3, 3) R_ned_body, and its constant error of tilt."""
+    H = np.zeros((3, N))
+    H[:, TH] = _I3
+    H[[0, 1], TILT] = 1.0
+    innov = so3.log(R.T.dot(seen))
+    innov[:2] -= x[TILT]
+    return Row(innov, H, cov_body, _NONE)
+
+
+def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> Row | None:
+    """Velocity in `level`: horizontally with the sensor's scale, vertically without; None when no axis was measured.
+
+    Args:
+        share_pad: 0 for a velocity over the ground, 1 for one over the pad's deck, between for a doubt between the two.
+    """
+    known = np.diag(cov_level) < NOT_MEASURED_VAR
+    if not known.any():
+        return None
+    scale = float(x[SCALE])
+    Z = so3.about_down(-so3.heading(R))
+    v = Z.dot(x[V] - share_pad * v_pad_ned(x))
+    k = np.array([scale, scale, 1.0])
+    H = np.zeros((3, N))
+    H[:, TH] = np.outer(k * np.array([v[1], -v[0], 0.0]), so3.heading_row(R).dot(R))
+    H[:, V] = k[:, None] * Z
+    H[:, U] = -share_pad * H[:, 6:8]
+    H[:, RATE[:3]] = -share_pad * H[:, V]
+    H[:2, SCALE] = v[:2]
+    innov = v_level - k * v
+    if known.all():
+        return Row(innov, H, cov_level, _NONE)
+    return Row(innov[known], H[known], cov_level[known][:, known], _NONE)
+
+
+def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> Row | None:
+    """Along the body's down axis to the plane of the deck; None where that axis does not meet it."""
+    pad = deck(x)
+    n, c = pad.R[:, 2], R[:, 2]
+    cosine = float(n.dot(c))
+    if cosine < 0.3:
+        return None
+    r = float(n.dot(x[D])) / cosine
+    H = np.zeros((1, N))
+    H[0, D] = n / cosine
+    H[0, TH] = (r / cosine) * n.dot(R).dot(so3.cross_matrix(_DOWN))
+    reach = (x[D] - r * c) / cosine
+    by_axis = np.array([float(np.cross(pad.axes[:, i], n).dot(reach)) for i in range(3)])
+    H[0, _ROLL] = H[0, LIST[0]] = by_axis[0]
+    H[0, _PITCH] = H[0, LIST[1]] = by_axis[1]
+    H[0, HEAD] = by_axis[2]
+    return Row(np.array([range_m - r]), H, np.array([[sigma_m * sigma_m]]), _NONE)
+
+
+def height(x: F64, height_m: float, sigma_m: float) -> Row:
+    """Barometric height: over the pad's mean level, plus an offset of its own."""
+    down = int(DISPLACEMENT[2])
+    H = np.zeros((1, N))
+    H[0, 5], H[0, down], H[0, BARO] = 1.0, -1.0, 1.0
+    return Row(np.array([height_m - (x[5] - x[down] + x[BARO])]), H, np.array([[sigma_m * sigma_m]]), _NONE)
+
+
+def vessel_velocity(x: F64, v_ned: F64, cov_ned: F64) -> Row:
+    """What the ship's own navigation says: steady and wave motion together."""
+    H = np.zeros((3, N))
+    H[0, 16] = H[1, 17] = 1.0
+    H[[0, 1, 2], RATE[:3]] = 1.0
+    return Row(v_ned - v_pad_ned(x), H, cov_ned, _NONE)
+
+
+def vessel_heading(x: F64, heading_rad: float, sigma_rad: float) -> Row:
+    """Heading of the arrow as the ship tells it."""
+    H = np.zeros((1, N))
+    H[0, HEAD] = 1.0
+    return Row(np.array([wrap(heading_rad - float(x[HEAD]))]), H, np.array([[sigma_rad * sigma_rad]]), _NONE)

@@ -1,0 +1,196 @@
+"""How the belief moves on between measurements: at every IMU sample a little, and all of it where something is to be fused.
+
+Derivation: docs/estimator.md, sections "Motion" and "Error".
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.ekf import so3
+from estimator.ekf.algebra import Algebra
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.oscillator import transition
+from estimator.ekf.state import (
+    BA,
+    BARO,
+    BG,
+    DELAY,
+    DISPLACEMENT,
+    G_NED,
+    GRAVITY_M_S2,
+    HEAD,
+    MOUNT,
+    RATE,
+    SCALE,
+    TH,
+    TILT,
+    TURN,
+    WAVES,
+    Belief,
+    D,
+    N,
+    U,
+    V,
+)  # fmt: skip
+
+_I3 = np.eye(3)
+_IN = np.eye(N)
+_D3 = np.arange(3, 6)
+_ROUGH = 1.5
+"""Waves are driven by this much more noise than the learned oscillators, which real ones only resemble."""
+_ROWS, _COLUMNS = WAVES[:, :, None], WAVES[:, None, :]
+_FIRST = np.array([1.0, 0.0, 0.0, 0.0])
+_ZERO3, _ZERO33 = np.zeros(3), np.zeros((3, 3))
+
+
+class Walk:
+    """Noise that enters in proportion to time: (N,) densities, computed once."""
+
+    def __init__(self, o: EkfOptions) -> None:
+        q = np.zeros(N)
+        q[TH] = o.asd_gyro_rad_s**2
+        q[BG] = o.asd_gyro_bias_rad_s2**2
+        q[BA] = o.asd_accel_bias_m_s3**2
+        q[SCALE] = o.asd_velocity_scale**2
+        q[U] = o.asd_vessel_velocity_m_s2**2
+        q[DELAY] = o.delay_drift_s_sqrt_s**2
+        q[MOUNT] = o.mount_drift_rad_sqrt_s**2
+        q[BARO] = o.asd_baro_offset_m**2
+        q[TILT] = o.asd_attitude_bias_rad_s**2
+        self.psd = q
+        self.psd_accel = o.asd_accel_m_s2**2
+        self.psd_coast = o.asd_coast_m_s2**2
+        self.psd_coast_turn = o.asd_coast_rad_s**2
+
+
+def carry(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, **also: Any) -> Belief:
+    """To instant `t` (ns) with the rate and specific force as measured, or coasting where no IMU sample holds.
+
+    Fields of the belief given in `also` are replaced along the way.
+    """
+    dt = (t - b.t) * 1e-9
+    if dt <= 0.0:
+        return b._replace(**also) if also else b
+    if b.t_imu < 0 or t - b.t_imu > hold_ns:
+        free = -G_NED
+        return b._replace(
+            t=t,
+            dp=b.dp + b.dv * dt + free * (0.5 * dt * dt),
+            dv=b.dv + free * dt,
+            turned=b.turned + b.R * dt,
+            coast_s=b.coast_s + dt,
+            **also,
+        )
+    turn = so3.exp((w_body - b.x[BG]) * dt)
+    R = b.R.dot(turn)
+    mid = 0.5 * (b.R + R)
+    a = mid.dot(f_body - b.x[BA])
+    return b._replace(
+        t=t,
+        R=R,
+        dp=b.dp + b.dv * dt + a * (0.5 * dt * dt),
+        dv=b.dv + a * dt,
+        turned=b.turned + mid * dt,
+        levelled_by=None if b.levelled_by is None else b.levelled_by.dot(turn),
+        **also,
+    )
+
+
+def settle(b: Belief, o: EkfOptions, walk: Walk, algebra: Algebra) -> Belief:
+    """Bring `x` and `P` from `t_cov` to `t`."""
+    T = (b.t - b.t_cov) * 1e-9
+    if T <= 0.0:
+        return b
+    sea = b.sea
+    A, q_unit = transition(sea.w_rad_s, sea.zeta, T, sea.at_rest)
+    q_waves = (_ROUGH * sea.sigma**2)[:, None, None] * q_unit
+    fade = math.exp(-T / o.turn_rate_memory_s)
+    reach = o.turn_rate_memory_s * (1.0 - fade)
+
+    x = b.x.copy()
+    waves = b.x[WAVES]
+    after = (A @ waves[:, :, None])[:, :, 0]
+    x[WAVES] = after
+    fall = 0.5 * GRAVITY_M_S2 * T * T
+    moved = (after - waves)[:3, 0] - b.x[V] * T - b.dp
+    moved[2] -= fall
+    moved[:2] += b.x[U] * T
+    x[D] += moved
+    x[V] += b.dv
+    x[8] += GRAVITY_M_S2 * T
+    x[HEAD] += b.x[TURN] * reach
+    x[TURN] *= fade
+    ins_p = b.ins_p + b.ins_v * T + b.dp
+    ins_v = b.ins_v + b.dv
+    ins_p[2] += fall
+    ins_v[2] += GRAVITY_M_S2 * T
+
+    F = _IN.copy()
+    back = b.R.T.dot(b.R_cov)
+    F[TH, TH] = back
+    F[TH, BG] = (-0.5 * T) * (_I3 + back)
+    dv_R = so3.cross_matrix(b.dv).dot(b.R_cov)
+    dp_R = so3.cross_matrix(b.dp).dot(b.R_cov)
+    F[V, TH] = -dv_R
+    F[V, BG] = (0.5 * T) * dv_R
+    F[V, BA] = -b.turned
+    F[D, TH] = dp_R
+    F[D, V] = -T * _I3
+    F[D, BG] = (-T / 3.0) * dp_R
+    F[D, BA] = (0.5 * T) * b.turned
+    F[3, 16] = F[4, 17] = T
+    F[_ROWS, _COLUMNS] = A
+    F[_D3[:, None], WAVES[:3]] = A[:3, 0] - _FIRST
+    F[HEAD, TURN] = reach
+    F[TURN, TURN] = fade
+
+    Q = np.zeros((N, N))
+    q = walk.psd * T
+    force, spin = walk.psd_accel * T, 0.0
+    if b.coast_s > 0.0:
+        force += walk.psd_coast * b.coast_s
+        spin = walk.psd_coast_turn * b.coast_s
+    q[TH] += spin
+    q[V] = force
+    q[D] = force * (T * T / 3.0)
+    sigma2 = o.sigma_turn_rate_rad_s**2
+    q[TURN] = sigma2 * (1.0 - fade * fade)
+    memory2 = o.turn_rate_memory_s**2
+    q[HEAD] = max(0.0, sigma2 * memory2 * (2.0 * T / o.turn_rate_memory_s - 3.0 + 4.0 * fade - fade * fade))
+    Q.ravel()[:: N + 1] = q
+    Q[_ROWS, _COLUMNS] = q_waves
+    q_dv = -0.5 * T * force
+    for i in range(3):
+        Q[3 + i, 6 + i] = Q[6 + i, 3 + i] = q_dv
+    # What the noise does to a pad's displacement it does to its distance as well.
+    Q[_D3[:, None], WAVES[:3]] = Q[WAVES[:3], _D3[:, None]] = q_waves[:3, 0]
+    Q[_D3, _D3] += q_waves[:3, 0, 0]
+    Q[HEAD, TURN] = Q[TURN, HEAD] = sigma2 * o.turn_rate_memory_s * (1.0 - fade) ** 2
+
+    P = algebra.predict(b.P, F, Q)
+    R = so3.orthonormalised(b.R)
+    return b._replace(
+        R=R, x=x, P=P, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v
+    )
+
+
+def peek(b: Belief) -> F64:
+    """(N,) the state at `t` without settling: exact in velocity, to (t - t_cov)^2 in the sea's motion."""
+    T = (b.t - b.t_cov) * 1e-9
+    if T <= 0.0:
+        return b.x
+    x = b.x.copy()
+    drift = b.x[RATE[:3]] * T - b.x[V] * T - b.dp
+    drift[2] -= 0.5 * GRAVITY_M_S2 * T * T
+    drift[:2] += b.x[U] * T
+    x[D] += drift
+    x[DISPLACEMENT] += b.x[RATE] * T
+    x[V] += b.dv
+    x[8] += GRAVITY_M_S2 * T
+    x[HEAD] += b.x[TURN] * T
+    return x

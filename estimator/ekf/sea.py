@@ -1,0 +1,148 @@
+"""Learning how the deck moves: a bank of oscillators for each direction, weighed by how well each foretold what was seen.
+
+Every member is a Kalman filter of its own on one number, where the pad was seen plus where the IMU has carried the body since
+the start; the IMU's drift (an offset, its rate, a wandering acceleration) is part of each member's state. The main filter is not
+involved, so nothing it believes of the sea can confirm itself. Member 0 says that the deck stands still.
+Source: Magill, Optimal adaptive estimation of sampled stochastic processes, IEEE Trans. Automatic Control 10(4), 1965.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.ekf.oscillator import stationary, transition
+
+PERIODS_S = np.geomspace(2.2, 14.0, 9)
+ZETAS = np.array([0.2, 0.35, 0.55])
+SIGMAS_M = np.array([0.02, 0.055, 0.15, 0.42, 1.15])
+SIGMAS_RAD = np.radians([0.25, 0.7, 2.0, 5.5, 15.0])
+STATIC_PRIOR = 0.3
+"""Of each direction, before anything is seen."""
+MEMORY_S = 180.0
+"""Evidence fades over this time, so that another sea is learned."""
+PERIOD_S = 0.2
+"""Members look at most this often; a wave is seen dozens of times anyway."""
+_NIS_MAX = 16.0
+"""Beyond, a surprise counts no more against a member."""
+
+
+def _grid() -> tuple[F64, F64, F64, F64]:
+    period, zeta, size = (a.ravel() for a in np.meshgrid(PERIODS_S, ZETAS, np.arange(SIGMAS_M.size), indexing="ij"))
+    size = size.astype(int)
+    w = np.concatenate([[1.0], math.tau / period])
+    sigma = np.stack([np.concatenate([[1e-7], a[size]]) for a in (*(SIGMAS_M,) * 3, *(SIGMAS_RAD,) * 2)])
+    prior = np.full(w.size, (1.0 - STATIC_PRIOR) / (w.size - 1))
+    prior[0] = STATIC_PRIOR
+    return w, np.concatenate([[0.5], zeta]), sigma, np.log(prior)
+
+
+W, ZETA, SIGMA, LOG_PRIOR = _grid()
+"""(G,) rad/s, (G,), (5, G) m or rad, (G,): the members."""
+AT_REST = stationary(W, ZETA)
+"""(G, 4, 4) for sigma = 1."""
+
+ASD_ACCEL = np.array([0.09, 0.09, 0.03, 0.0, 0.0])
+"""m/s^2/sqrt(Hz) of the IMU's carrying on: half a degree of tilt error that wanders within a second makes as much."""
+ASD_DRIFT = np.array([0.015, 0.015, 0.004, 0.0, 0.0])
+"""m/s^3/sqrt(Hz): tilt errors and biases wander by this much acceleration in 1 s."""
+DRIFT_VAR = np.array([[25.0, 9.0, 0.25]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
+"""(5, 3) prior of offset, its rate, acceleration. A deck's list is an offset that does not drift."""
+_SIZE = 7
+
+
+class Sea(NamedTuple):
+    """What has been learned. `w_rad_s`, `zeta`, `sigma` are its summary: (5,), for north, east, down in m, roll, pitch in rad."""
+
+    t: int
+    """ns, of the newest look; -1 before the first."""
+    log_weight: F64
+    """(5, G)"""
+    x: F64
+    """(5, G, 7) each member's [displacement, rate, force, its rate, offset of the IMU's carrying on, its rate, acceleration]."""
+    P: F64
+    """(5, G, 7, 7)"""
+    weight: F64
+    """(5, G), sums to one."""
+    w_rad_s: F64
+    zeta: F64
+    sigma: F64
+    at_rest: F64
+    """(5, 4, 4) stationary covariance of the summary's oscillators for sigma = 1."""
+
+
+def unknown() -> Sea:
+    """Nothing seen yet."""
+    P = np.zeros((*SIGMA.shape, _SIZE, _SIZE))
+    P[:, :, :4, :4] = (SIGMA**2)[:, :, None, None] * AT_REST
+    for i in range(3):
+        P[:, :, 4 + i, 4 + i] = DRIFT_VAR[:, i, None]
+    log_weight = np.broadcast_to(LOG_PRIOR, SIGMA.shape)
+    return Sea(-1, log_weight, np.zeros((*SIGMA.shape, _SIZE)), P, *_summary(log_weight))
+
+
+def look(sea: Sea, t: int, y: F64, var: F64) -> Sea:
+    """Take one look at the deck.
+
+    Args:
+        t: ns.
+        y: (5,) pad north, east, down plus the body's place by the IMU alone (m); deck roll and pitch (rad).
+        var: (5,) of each; 1e6 and more where it was not seen.
+    """
+    x, P, fade = sea.x, sea.P, 1.0
+    seen = var < 1e5
+    if sea.t < 0:
+        # The first look sets the offset's origin; the prior is about it, not about the world's.
+        x = x.copy()
+        x[:3, :, 4] = np.where(seen, y, 0.0)[:3, None]
+    elif t > sea.t:
+        x, P = _carried(x, P, (t - sea.t) * 1e-9)
+        fade = math.exp(-(t - sea.t) * 1e-9 / MEMORY_S)
+    PH = P[..., 0] + P[..., 4]
+    S = PH[..., 0] + PH[..., 4] + var[:, None]
+    innov = y[:, None] - x[..., 0] - x[..., 4]
+    told = seen[:, None].astype(float)
+    K = PH * (told / S)[..., None]
+    log_weight = fade * (sea.log_weight - LOG_PRIOR) + LOG_PRIOR
+    log_weight = log_weight - 0.5 * told * (np.log(S) + np.minimum(innov * innov / S, _NIS_MAX))
+    log_weight = np.maximum(log_weight - log_weight.max(axis=1, keepdims=True), -30.0)
+    P = P - K[..., :, None] * PH[..., None, :]
+    return Sea(t, log_weight, x + K * innov[..., None], P, *_summary(log_weight))
+
+
+def _carried(x: F64, P: F64, dt: float) -> tuple[F64, F64]:
+    A, q = transition(W, ZETA, dt, AT_REST)
+    F = np.zeros((W.size, _SIZE, _SIZE))
+    F[:, :4, :4] = A
+    F[:, 4:, 4:] = [[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]]
+    P = F @ P @ F.transpose(0, 2, 1)
+    P[:, :, :4, :4] += (SIGMA**2)[:, :, None, None] * q
+    qa, qb = ASD_ACCEL**2, ASD_DRIFT**2
+    noise = np.zeros((5, 3, 3))
+    noise[:, 0, 0] = qa * dt**3 / 3 + qb * dt**5 / 20
+    noise[:, 0, 1] = noise[:, 1, 0] = qa * dt**2 / 2 + qb * dt**4 / 8
+    noise[:, 0, 2] = noise[:, 2, 0] = qb * dt**3 / 6
+    noise[:, 1, 1] = qa * dt + qb * dt**3 / 3
+    noise[:, 1, 2] = noise[:, 2, 1] = qb * dt**2 / 2
+    noise[:, 2, 2] = qb * dt
+    P[:, :, 4:, 4:] += noise[:, None]
+    return (F @ x[..., None])[..., 0], P
+
+
+def log_evidence_of_rest(sea: Sea) -> float:
+    """Log of how much likelier all that was seen is from a deck at rest than from one of which only the prior is known."""
+    return float(np.sum(np.log(np.maximum(sea.weight[:, 0], 1e-12)) - LOG_PRIOR[0]))
+
+
+def _summary(log_weight: F64) -> tuple[F64, F64, F64, F64, F64]:
+    """(5, G) weights; (5,) rad/s, damping, standard deviation: from mean variance and mean logarithms; at rest."""
+    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    energy = weight * SIGMA**2
+    total = energy.sum(axis=1)
+    share = energy / total[:, None]
+    w, zeta = np.exp(share @ np.log(W)), np.exp(share @ np.log(ZETA))
+    return weight, w, zeta, np.sqrt(total), stationary(w, zeta)

@@ -1,0 +1,135 @@
+"""A sighting into the belief: compared, gated with a way back, fused, and shown to the sea's oscillators."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.ekf import gate, measure, sea, so3
+from estimator.ekf.aiding import aided
+from estimator.ekf.algebra import Correction
+from estimator.ekf.state import (
+    DELAY,
+    HEAD,
+    MOUNT,
+    WAVES,
+    Belief,
+    D,
+    Doubt,
+    N,
+    waves_unknown,
+)  # fmt: skip
+from estimator.ekf.stride import Outcome, Tools, corrected, forgotten, settled
+
+_WAVES_M = 0.1
+"""Standard deviation of the deck's motion at which constants learn by half the gain."""
+_RATE_KNOWN_VAR = 0.35**2
+"""(m/s)^2, of what a sighting shows: with more nothing is learned of the camera's delay."""
+
+
+def fuse_sighting(b: Belief, event: Sighting, tools: Tools) -> tuple[Belief, Outcome]:
+    o, t = tools.options, event.stamp.taken
+    if event.confidence < o.min_confidence:
+        return b, Outcome(event, Verdict.GATED)
+    b = forgotten(aided(settled(b, t, tools), tools), o)
+    fresh = b.sighted < 0
+    if fresh:
+        b = _opened(b, event, anew=False)
+    row, fix = _compared(b, event, tools)
+    if fix is None:
+        return b, Outcome(event, Verdict.SINGULAR, row.innov)
+    dof = row.innov.size
+    nis = fix.nis
+    if not fresh:
+        b = b._replace(nis_mean=gate.mean_of(b.nis_mean, nis, dof))
+    if nis > gate.nis_max(o.gate_probability, dof):
+        offset = b.R.dot(so3.exp(b.x[MOUNT]).dot(row.innov[:3]))
+        doubt = gate.doubted(b.doubt, t, offset, float(np.trace(row.R[:3, :3])) / 3.0)
+        b = b._replace(doubt=doubt)
+        if not gate.convinced(doubt, b.agreed, o):
+            return b, Outcome(event, Verdict.GATED, row.innov, fix.S, nis)
+        b = _opened(b, event, anew=True)._replace(agreed=0, nis_mean=1.0)
+        row, fix = _compared(b, event, tools)
+        if fix is None:
+            return b, Outcome(event, Verdict.SINGULAR, row.innov)
+        nis = fix.nis
+    lost = gate.sigma_of(b.P[D, D]) > 0.3
+    b = corrected(b, fix.dx, fix.P)
+    known = b.heading_known or (dof >= 4 and not event.yaw_ambiguous)
+    b = b._replace(sighted=max(t, b.sighted), agreed=1 if fresh or lost else b.agreed + 1, doubt=Doubt(), heading_known=known)
+    return _learned(b, event, row), Outcome(event, Verdict.FUSED, row.innov, fix.S, nis)
+
+
+def _compared(b: Belief, event: Sighting, tools: Tools) -> tuple[measure.Row, Correction | None]:
+    yaw_sigma = math.sqrt(float(b.P[HEAD, HEAD])) if b.heading_known else math.inf
+    cov = b.cov_levelled_by if tools.options.sighting_has_attitude_error else np.zeros((3, 3))
+    row = measure.sighting(b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma)
+    # How fast the picture moves decides how much of an innovation is delay: while that rate is poorly known, nothing is learned
+    # of the delay, and what the delay may cost is noise.
+    cov_rate = row.G.dot(b.P).dot(row.G.T)
+    if float(np.trace(cov_rate)) > _RATE_KNOWN_VAR:
+        rate, var = row.H[:, DELAY], float(b.P[DELAY, DELAY])
+        R, H = row.R + var * np.outer(rate, rate), row.H.copy()
+        R[:3, :3] += var * cov_rate
+        H[:, DELAY] = 0.0
+        row = row._replace(H=H, R=R)
+    fix = tools.algebra.correct(b.P, row.innov, row.H, row.R)
+    return row, None if fix is None else _shy(b, fix)
+
+
+def _shy(b: Belief, fix: Correction) -> Correction:
+    """Let mount and delay learn by a share of the gain only, a smaller one the higher the waves.
+
+    Waves are no oscillators driven by white noise: what the model misses of them is alike from one sighting to the next, and
+    constants would take it for a message. The other states forget it in time.
+    Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017, eq. 18.
+    """
+    kept = 1.0 - 1.0 / (1.0 + float(b.sea.sigma[:3].max()) / _WAVES_M)
+    g = np.zeros(N)
+    g[MOUNT] = g[DELAY] = kept
+    dx = fix.dx * (1.0 - g)
+    return fix._replace(dx=dx, P=fix.P + np.outer(g, g) * (b.P - fix.P))
+
+
+def _opened(b: Belief, event: Sighting, *, anew: bool) -> Belief:
+    """The pad's place is whatever this sighting says. `anew`: all that was believed of the pad was wrong and is dropped.
+
+    What the body knows of itself stays.
+    """
+    P, x = b.P.copy(), b.x.copy()
+    seen = measure.seen_from_body(event, measure.levelling(b.R, b.levelled_by))
+    x[D] = b.R.dot(so3.exp(x[MOUNT]).dot(seen))
+    P[D, :] = P[:, D] = 0.0
+    P[[3, 4, 5], [3, 4, 5]] = 1e2 + float(seen.dot(seen))
+    if anew:
+        gone = np.r_[16:18, WAVES[:3].ravel()]
+        P[gone, :] = P[:, gone] = 0.0
+        P[[16, 17], [16, 17]] = 4.0
+        P[WAVES[:3, :, None], WAVES[:3, None, :]] = waves_unknown(b.sea)[:3]
+        x[WAVES[:3]] = 0.0
+    if (anew or not b.heading_known) and event.yaw_rad is not None and not event.yaw_ambiguous:
+        x[HEAD] = measure.wrap(so3.heading(b.R) - event.yaw_rad)
+        P[HEAD, :] = P[:, HEAD] = 0.0
+        P[HEAD, HEAD] = math.pi**2 / 3.0
+    return b._replace(x=x, P=P, doubt=Doubt())
+
+
+def _learned(b: Belief, event: Sighting, row: measure.Row) -> Belief:
+    """Show the bank of oscillators where the pad was seen, and how it stood."""
+    if b.sea.t >= 0 and (b.t - b.sea.t) * 1e-9 < 0.9 * sea.PERIOD_S:
+        return b
+    A = measure.levelling(b.R, b.levelled_by)
+    back = b.R.dot(so3.exp(b.x[MOUNT]))
+    seen = measure.seen_from_body(event, A) - row.H[:3, DELAY] * b.x[DELAY]
+    y, var = np.zeros(5), np.full(5, 1e6)
+    y[:3] = back.dot(seen) + b.ins_p
+    var[:3] = np.diag(back.dot(row.R[:3, :3]).dot(back.T))
+    if row.innov.size == 6 and event.pose6 is not None:
+        R_ned_pad = back.dot(A.T.dot(event.pose6.R_level_pad.matrix))
+        y[3] = math.atan2(float(R_ned_pad[2, 1]), float(R_ned_pad[2, 2]))
+        y[4] = math.asin(max(-1.0, min(1.0, -float(R_ned_pad[2, 0]))))
+        into_pad = R_ned_pad.T.dot(back.dot(A.T))
+        var[3:] = np.diag(into_pad.dot(row.R[3:, 3:]).dot(into_pad.T))[:2]
+    return b._replace(sea=sea.look(b.sea, b.t, y, var))

@@ -1,0 +1,103 @@
+"""Small rotations as plain (3, 3) arrays: what the filter needs thousands of times a second, without the checks of `Rotation`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+
+
+def cross_matrix(v: F64) -> F64:
+    """(3, 3): `cross_matrix(a) @ b == np.cross(a, b)`."""
+    x, y, z = v.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def exp(v: F64) -> F64:
+    """(3, 3) rotation by the vector `v` (rad): the exponential map of SO(3), Rodrigues' formula."""
+    x, y, z = v.tolist()
+    t2 = x * x + y * y + z * z
+    if t2 < 1e-8:
+        a, b = 1.0 - t2 / 6.0, 0.5 - t2 / 24.0
+    else:
+        t = math.sqrt(t2)
+        a, b = math.sin(t) / t, (1.0 - math.cos(t)) / t2
+    xy, xz, yz = b * x * y, b * x * z, b * y * z
+    ax, ay, az = a * x, a * y, a * z
+    return np.array(
+        [
+            [1.0 - b * (y * y + z * z), xy - az, xz + ay],
+            [xy + az, 1.0 - b * (x * x + z * z), yz - ax],
+            [xz - ay, yz + ax, 1.0 - b * (x * x + y * y)],
+        ]
+    )
+
+
+def log(m: F64) -> F64:
+    """(3,) rad, the inverse of `exp` for angles below pi; at pi one of the two axes."""
+    (a, b, c), (d, e, f), (g, h, i) = m.tolist()
+    sx, sy, sz = 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b)
+    s = math.sqrt(sx * sx + sy * sy + sz * sz)
+    cosine = 0.5 * (a + e + i - 1.0)
+    if s < 1e-6:
+        if cosine > 0.0:
+            return np.array([sx, sy, sz])
+        # Near half a turn the antisymmetric part vanishes: the axis is the largest column of R + I.
+        column = m + np.eye(3)
+        axis = column[:, int(np.argmax(np.diag(column)))]
+        return np.asarray(math.pi * axis / np.linalg.norm(axis))
+    k = math.atan2(s, cosine) / s
+    return np.array([k * sx, k * sy, k * sz])
+
+
+def left_jacobian(v: F64) -> F64:
+    """(3, 3): `exp(v + dv) == exp(left_jacobian(v) @ dv) @ exp(v)` to first order in `dv`.
+
+    Source: Sola, Deravat, Atchuthan, A micro Lie theory for state estimation in robotics, 2018, eq. 145.
+    """
+    x, y, z = v.tolist()
+    t2 = x * x + y * y + z * z
+    k = cross_matrix(v)
+    if t2 < 1e-6:
+        return np.asarray(np.eye(3) + 0.5 * k + (k @ k) / 6.0)
+    t = math.sqrt(t2)
+    return np.asarray(np.eye(3) + (1.0 - math.cos(t)) / t2 * k + (t - math.sin(t)) / (t2 * t) * (k @ k))
+
+
+def from_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> F64:
+    """(3, 3): Rz(yaw) Ry(pitch) Rx(roll)."""
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def heading(m: F64) -> float:
+    """Yaw of `from_rpy`: the direction of the first axis seen from above."""
+    return math.atan2(float(m[1, 0]), float(m[0, 0]))
+
+
+def heading_row(m: F64) -> F64:
+    """(3,): how a small rotation of `m`, written in m's outer frame, changes its heading."""
+    c, s, down = float(m[0, 0]), float(m[1, 0]), float(m[2, 0])
+    flat = max(c * c + s * s, 1e-12)
+    return np.array([-down * c / flat, -down * s / flat, 1.0])
+
+
+def about_down(angle_rad: float) -> F64:
+    """(3, 3): Rz(angle)."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def orthonormalised(m: F64) -> F64:
+    """One Newton step towards the nearest rotation (Higham 1986)."""
+    return np.asarray(0.5 * m.dot(3.0 * np.eye(3) - m.T.dot(m)))

@@ -1,0 +1,179 @@
+"""What the filter believes at one instant, and where each quantity sits in its vectors. Derivation: docs/estimator.md."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.sea import Sea
+
+GRAVITY_M_S2 = 9.80665
+G_NED = np.array([0.0, 0.0, GRAVITY_M_S2])
+G_NED.setflags(write=False)
+
+TH = slice(0, 3)
+"""Attitude error, rad, in `body`: `R_true = R @ exp(x[TH])`. The nominal is `Belief.R`, so `x[TH]` is always zero."""
+D = slice(3, 6)
+"""d_body_pad_ned, m."""
+V = slice(6, 9)
+"""v_body_ned, m/s over the ground."""
+BG = slice(9, 12)
+"""Gyro bias, rad/s, in `body`: measured less true."""
+BA = slice(12, 15)
+"""Accelerometer bias, m/s^2, in `body`: measured less true."""
+SCALE = 15
+"""Measured over true horizontal velocity."""
+U = slice(16, 18)
+"""The vessel's steady velocity, north and east, m/s."""
+WAVES = 18 + np.arange(20).reshape(5, 4)
+"""(5, 4) places of [displacement, rate, force, its rate] of the pad north, east, down (m) and the deck's roll, pitch (rad)."""
+DISPLACEMENT, RATE = WAVES[:, 0], WAVES[:, 1]
+HEAD = 38
+"""Heading of the arrow, rad clockwise from north."""
+TURN = 39
+"""Its rate, rad/s."""
+LIST = np.arange(40, 42)
+"""Constant list and trim of the deck, rad."""
+DELAY = 42
+"""s: sightings show the world this much later than their stamps say."""
+MOUNT = slice(43, 46)
+"""Rotation vector, rad, in `body`: the camera stands `exp(x[MOUNT])` away from where its file says."""
+BARO = 46
+"""Height shown by the barometer less height over the pad's mean level, m."""
+TILT = np.arange(47, 49)
+"""Constant error of the vehicle's own attitude about the body's x and y axes, rad: told less true."""
+N = 49
+
+LOST_VAR_M2 = 1e4
+"""Of the pad's place before the first sighting."""
+
+ATTITUDE, VELOCITY, RANGE, HEIGHT = range(4)
+"""Kinds of aiding that are averaged before they are fused."""
+
+
+class Aid(NamedTuple):
+    """One kind of aiding: what has been gathered since it was last fused."""
+
+    n: int = 0
+    since: int = 0
+    """ns, of the first one gathered."""
+    innov: F64 | None = None
+    """Sum."""
+    R: F64 | None = None
+    """Sum of the covariances."""
+    fused: int = -1
+    """ns, when last fused; -1 never."""
+    refused: int = -1
+    """ns, of the first of an unbroken row of refusals; -1 none."""
+
+
+class Doubt(NamedTuple):
+    """Sightings refused in a row that agree with one another."""
+
+    n: int = 0
+    since: int = 0
+    last: int = 0
+    offset_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of the newest, seen less believed, m."""
+    var_m2: float = 0.0
+
+
+class Belief(NamedTuple):
+    """The state at `t`. Values in it are never written to: a step makes a new one.
+
+    `x` and `P` stand at `t_cov`; what the IMU told since is gathered in `dv`, `dp`, `turned`, `coast_s` and enters with the next
+    `motion.settle`.
+    """
+
+    t: int
+    R: F64
+    """(3, 3) R_ned_body at `t`."""
+    x: F64
+    """(N,)"""
+    P: F64
+    """(N, N) of the error state."""
+    t_cov: int
+    R_cov: F64
+    """`R` at `t_cov`."""
+    dv: F64
+    """(3,) m/s, integral of the specific force in ned since `t_cov`."""
+    dp: F64
+    """(3,) m, its second integral."""
+    turned: F64
+    """(3, 3) s, integral of `R` since `t_cov`."""
+    coast_s: float
+    """Seconds since `t_cov` without an IMU."""
+    t_imu: int
+    """ns, of the newest IMU sample; -1 none."""
+    w: F64
+    """(3,) rad/s as the gyro gave it."""
+    w_smooth: F64
+    """(3,) rad/s, the same through a first-order low-pass: one sample's noise, times the height, would pass for image motion."""
+    f: F64
+    """(3,) m/s^2 as the accelerometer gave it."""
+    levelled_by: F64 | None
+    """(3, 3) R_ned_body as the vehicle's own attitude has it, carried on by the gyro; None before the first."""
+    cov_levelled_by: F64
+    """(3, 3) rad^2, what that sample claimed."""
+    heading_is_given: bool
+    """North comes from an attitude sample; else it is wherever the body first pointed."""
+    ins_p: F64
+    """(3,) m, where the body has been carried by the IMU alone: what the learning of the sea reads."""
+    ins_v: F64
+    aids: tuple[Aid, ...]
+    """One of each kind."""
+    over_pad: float
+    """Log-odds that the velocity sensor sees the pad's deck and not the ground."""
+    t_velocity: int
+    """ns, of the newest velocity sample; -1 none."""
+    sea: Sea
+    doubt: Doubt
+    sighted: int
+    """ns, when the newest fused sighting was true; -1 none since the start or since it was forgotten."""
+    agreed: int
+    """Sightings fused since the belief was last (re)opened."""
+    nis_mean: float
+    """Recent mean of a sighting's NIS over its degrees of freedom, refused ones included."""
+    heading_known: bool
+    """Some sighting or report has told the arrow's heading."""
+
+
+def waves_unknown(sea: Sea) -> F64:
+    """(5, 4, 4) covariance of the oscillators while only their size is known."""
+    return np.asarray((sea.sigma**2)[:, None, None] * sea.at_rest)
+
+
+def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_heading_rad: float, sea: Sea) -> Belief:
+    """Knows an attitude and nothing else."""
+    x = np.zeros(N)
+    x[SCALE] = options.velocity_scale
+    P = np.zeros((N, N))
+    down = R.T[:, 2]
+    P[TH, TH] = sigma_tilt_rad**2 * (np.eye(3) - np.outer(down, down)) + sigma_heading_rad**2 * np.outer(down, down)
+    var = np.zeros(N)
+    var[D] = LOST_VAR_M2
+    var[V] = options.sigma_initial_velocity_m_s**2
+    var[BG] = options.sigma_gyro_bias_rad_s**2
+    var[BA] = options.sigma_accel_bias_m_s2**2
+    var[SCALE] = options.sigma_velocity_scale**2
+    var[U] = options.sigma_vessel_velocity_m_s**2
+    var[HEAD] = math.pi**2 / 3.0
+    var[TURN] = options.sigma_turn_rate_rad_s**2
+    var[LIST] = options.sigma_list_rad**2
+    var[DELAY] = options.sigma_delay_s**2
+    var[MOUNT] = options.sigma_mount_rad**2
+    var[BARO] = options.sigma_baro_offset_m**2
+    var[TILT] = options.sigma_attitude_bias_rad**2
+    P[np.diag_indices(N)] += var
+    P[WAVES[:, :, None], WAVES[:, None, :]] = waves_unknown(sea)
+    z3 = np.zeros(3)
+    return Belief(
+        t=t, R=R, x=x, P=P, t_cov=t, R_cov=R, dv=z3, dp=z3, turned=np.zeros((3, 3)), coast_s=0.0,
+        t_imu=-1, w=z3, w_smooth=z3, f=z3, levelled_by=None, cov_levelled_by=np.zeros((3, 3)), heading_is_given=False,
+        ins_p=z3, ins_v=z3, aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, doubt=Doubt(),
+        sighted=-1, agreed=0, nis_mean=1.0, heading_known=False,
+    )  # fmt: skip

@@ -1,0 +1,78 @@
+"""What every step of the filter shares: the event's outcome, carrying the belief to an instant, putting a correction in."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.ekf import measure, motion, so3
+from estimator.ekf.algebra import Algebra
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.state import HEAD, SCALE, TH, Belief, Doubt
+
+Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
+
+
+class Tools(NamedTuple):
+    """What every step needs and none changes."""
+
+    options: EkfOptions
+    walk: motion.Walk
+    algebra: Algebra
+
+
+class Outcome(NamedTuple):
+    """What became of one event. Arrays are None where nothing was compared."""
+
+    event: Event
+    verdict: Verdict
+    innov: F64 | None = None
+    """(m,) measured less predicted."""
+    S: F64 | None = None
+    """(m, m) what the innovation's covariance ought to be."""
+    nis: float = math.nan
+    """innov' inv(S) innov."""
+
+
+def carried(b: Belief, t: int, tools: Tools) -> Belief:
+    """To instant `t` (ns) by the IMU sample that holds, coasting where none does; settled as often as the options ask."""
+    o = tools.options
+    hold_ns = round(o.hold_s * 1e9)
+    if b.t_imu >= 0 and b.t < b.t_imu + hold_ns < t:
+        b = motion.carry(b, b.t_imu + hold_ns, b.w, b.f, hold_ns)
+    b = motion.carry(b, t, b.w, b.f, hold_ns)
+    if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
+        b = motion.settle(b, o, tools.walk, tools.algebra)
+    return b
+
+
+def settled(b: Belief, t: int, tools: Tools) -> Belief:
+    """As `carried`, with the covariance at `t` too."""
+    return motion.settle(carried(b, t, tools), tools.options, tools.walk, tools.algebra)
+
+
+def forgotten(b: Belief, o: EkfOptions) -> Belief:
+    if b.sighted >= 0 and (b.t - b.sighted) * 1e-9 > o.forget_s:
+        return b._replace(sighted=-1, agreed=0, doubt=Doubt())
+    return b
+
+
+def corrected(b: Belief, dx: F64, P: F64) -> Belief:
+    """Put a correction in: the attitude's part turns `R`, and turning it changes the covariance's axes by next to nothing."""
+    x = b.x + dx
+    x[TH] = 0.0
+    x[HEAD] = measure.wrap(float(x[HEAD]))
+    x[SCALE] = min(max(float(x[SCALE]), 0.2), 3.0)
+    turn = so3.exp(dx[TH])
+    R = b.R.dot(turn)
+    # The error is now small about the new attitude: its axes turn by half the step (Sola 2017, eq. 287).
+    G = np.eye(3) - 0.5 * so3.cross_matrix(dx[TH])
+    P = P.copy()
+    P[TH, :] = G.dot(P[TH, :])
+    P[:, TH] = P[:, TH].dot(G.T)
+    return b._replace(x=x, P=P, R=R, R_cov=R)

@@ -1,0 +1,123 @@
+"""The ways from sightings and samples to a belief, behind one shape: `step(event) -> path, verdict` and `at(now) -> belief`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol, Self
+
+import numpy as np
+
+from estimator import dead_reckoning, ekf, filters
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
+from estimator.contracts.samples import Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
+
+Event = Sample | Sighting
+
+
+class Path(Protocol):
+    """One way to a belief. Immutable."""
+
+    @property
+    def name(self) -> PathName: ...
+
+    def step(self, event: Event) -> tuple[Self, Verdict | None]:
+        """Take one event; the verdict is None for a kind of sample that this path has no use for."""
+        ...
+
+    def at(self, now: MonoNs) -> RelativeState | None:
+        """The belief at an instant, None before there is one."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class MedianMeanPath:
+    """The filtered sightings alone, held until the next one.
+
+    The velocity is the slope of the running medians; how far the drone may have moved since is in the covariance.
+    """
+
+    filter: filters.MedianMean = field(default_factory=filters.MedianMean)
+    newest: filters.Filtered | None = None
+    sighting: Sighting | None = None
+    sigma_v_m_s: float = 0.5
+    """Of the relative velocity that the held value ignores."""
+
+    @property
+    def name(self) -> PathName:
+        return "median_mean"
+
+    def step(self, event: Event) -> tuple[Self, Verdict | None]:
+        if not isinstance(event, Sighting):
+            return self, None
+        memory, out = filters.step(self.filter, event.stamp.taken, event.d_body_pad_level, event.yaw_rad, event.yaw_ambiguous)
+        if out is None:
+            return self, Verdict.TOO_OLD
+        return replace(self, filter=memory, newest=out, sighting=event), Verdict.FUSED
+
+    def at(self, now: MonoNs) -> RelativeState | None:
+        if self.newest is None or self.sighting is None:
+            return None
+        out = self.newest
+        late_s = max(0.0, seconds_between(out.holds_at, now))
+        cov = np.zeros((7, 7))
+        shrink = filters.VARIANCE_RATIO[out.samples - 1]
+        cov[:3, :3] = self.sighting.cov[:3, :3] * shrink + (self.sigma_v_m_s * late_s) ** 2 * np.eye(3)
+        cov[3:6, 3:6] = self.sigma_v_m_s**2 * np.eye(3)
+        cov[6, 6] = UNKNOWN_YAW_VAR if out.yaw_rad is None else min(UNKNOWN_YAW_VAR, float(self.sighting.cov[3, 3]))
+        return RelativeState(
+            at=now,
+            path=self.name,
+            d_body_pad_level=out.d_body_pad_level,
+            v_pad_level=np.zeros(3) if out.v_pad_level is None else out.v_pad_level,
+            yaw_rad=out.yaw_rad,
+            cov=cov,
+            sighted=out.taken,
+            consistent=True,
+            details=(("yaw_ambiguous", float(out.yaw_ambiguous)),),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class DeadReckoningPath:
+    """Sightings through the median and mean, then carried on by the drone's own velocity and heading."""
+
+    filter: filters.MedianMean = field(default_factory=filters.MedianMean)
+    state: dead_reckoning.DeadReckoning = field(default_factory=dead_reckoning.DeadReckoning.start)
+
+    @property
+    def name(self) -> PathName:
+        return "dead_reckoning"
+
+    def step(self, event: Event) -> tuple[Self, Verdict | None]:
+        if not isinstance(event, Sighting):
+            state, _ = dead_reckoning.step(self.state, event)
+            return replace(self, state=state), None
+        memory, smooth = filters.smooth(self.filter, event)
+        if smooth is None:
+            return self, Verdict.TOO_OLD
+        state, verdict = dead_reckoning.step(self.state, smooth)
+        return replace(self, filter=memory, state=state), verdict
+
+    def at(self, now: MonoNs) -> RelativeState | None:
+        return dead_reckoning.at(self.state, now)
+
+
+@dataclass(frozen=True, slots=True)
+class EkfPath:
+    """The error-state filter: every sample and every sighting, late or not."""
+
+    filter: ekf.Ekf
+
+    @property
+    def name(self) -> PathName:
+        return "ekf"
+
+    def step(self, event: Event) -> tuple[Self, Verdict | None]:
+        if isinstance(event, VehicleStatus):
+            return self, None
+        memory, outcomes = ekf.step(self.filter, event)
+        return replace(self, filter=memory), outcomes[0].verdict
+
+    def at(self, now: MonoNs) -> RelativeState | None:
+        return ekf.at(self.filter, now)

@@ -1,0 +1,127 @@
+"""One door to the estimator: `step(memory, event) -> memory, outcomes`, and `belief(memory, now)`.
+
+Several paths can run side by side on the same events; one steers, the others are there to be compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from estimator import dead_reckoning, ekf, filters
+from estimator.attitude_history import AttitudeHistory
+from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What can be chosen."""
+
+    steering: PathName = "ekf"
+    shadows: tuple[PathName, ...] = ()
+    """Paths that run along and never steer."""
+    max_delay_s: float = 0.5
+    """A sighting heard later than this after it was true is refused."""
+    min_confidence: float = 0.2
+    """A sighting below is refused."""
+    history_s: float = 2.0
+    """How far back attitudes are kept."""
+    max_gap_s: float = 0.5
+    """A pause in sightings after which median and mean begin anew."""
+    dead_reckoning: dead_reckoning.Options = field(default_factory=dead_reckoning.Options)
+    ekf: ekf.EkfOptions = field(default_factory=ekf.EkfOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one path made of one event."""
+
+    path: PathName
+    kind: str
+    """Class name of the event."""
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Everything the estimator knows. Immutable."""
+
+    options: Options
+    attitudes: AttitudeHistory
+    paths: tuple[Path, ...]
+    """The steering path first."""
+
+
+def start(options: Options) -> Memory:
+    """An estimator that has seen nothing."""
+    names = (options.steering, *(name for name in options.shadows if name != options.steering))
+    return Memory(options, AttitudeHistory(options.history_s), tuple(_path(name, options) for name in names))
+
+
+def step(memory: Memory, event: Event) -> tuple[Memory, tuple[Outcome, ...]]:
+    """Take one event. A sighting ends in one outcome for each path; a sample in one for each path that has a use for it."""
+    if isinstance(event, Attitude):
+        memory = replace(memory, attitudes=memory.attitudes.add(event))
+    kind = type(event).__name__
+    if isinstance(event, Sighting) and (refusal := _refusal(memory.options, event)):
+        return memory, tuple(Outcome(path.name, kind, refusal) for path in memory.paths)
+    paths: list[Path] = []
+    outcomes: list[Outcome] = []
+    for path in memory.paths:
+        stepped, verdict = path.step(event)
+        paths.append(stepped)
+        if verdict is not None:
+            outcomes.append(Outcome(path.name, kind, verdict))
+    return replace(memory, paths=tuple(paths)), tuple(outcomes)
+
+
+def steer_by(memory: Memory, name: PathName) -> Memory:
+    """The same memory with another path steering; the one that did goes on as a shadow. One that did not run along begins with
+    nothing and first has to see the pad.
+
+    Raises:
+        ValueError: there is no such path.
+    """
+    chosen = next((path for path in memory.paths if path.name == name), None) or _path(name, memory.options)
+    others = tuple(path for path in memory.paths if path.name != name)
+    options = replace(memory.options, steering=name, shadows=tuple(path.name for path in others))
+    return replace(memory, options=options, paths=(chosen, *others))
+
+
+def belief(memory: Memory, now: MonoNs) -> RelativeState | None:
+    """The steering path's belief."""
+    return memory.paths[0].at(now)
+
+
+def beliefs(memory: Memory, now: MonoNs) -> tuple[RelativeState, ...]:
+    """Every path's belief, the steering one's first where it has one."""
+    return tuple(state for path in memory.paths if (state := path.at(now)) is not None)
+
+
+def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
+    """The attitude at the instant a frame was exposed, None when no sample covers it."""
+    return memory.attitudes.at(stamp.taken, stamp)
+
+
+def _refusal(options: Options, sighting: Sighting) -> Verdict | None:
+    if sighting.stamp.delay_s > options.max_delay_s:
+        return Verdict.TOO_OLD
+    if sighting.confidence < options.min_confidence:
+        return Verdict.GATED
+    return None
+
+
+def _path(name: PathName, options: Options) -> Path:
+    match name:
+        case "median_mean":
+            return MedianMeanPath(filters.MedianMean(options.max_gap_s))
+        case "dead_reckoning":
+            return DeadReckoningPath(
+                filters.MedianMean(options.max_gap_s), dead_reckoning.DeadReckoning.start(options.dead_reckoning)
+            )
+        case "ekf":
+            return EkfPath(ekf.start(options.ekf))
+        case _:
+            raise ValueError(f"no such estimator path: {name}")

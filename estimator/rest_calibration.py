@@ -1,0 +1,71 @@
+"""What velocity and specific force read when the drone stands still.
+
+Source: Sundvoll 2020, sec. 4.3: the mean over ten seconds (there 1000 samples) is taken off every later measurement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.contracts.time import MonoNs, seconds_between
+
+
+@dataclass(frozen=True, slots=True)
+class RestOptions:
+    """How long to look, and what still counts as rest."""
+
+    duration_s: float = 10.0
+    samples: int = 1000
+    """At least so many of the accelerometer."""
+    v_max_m_s: float = 0.15
+    a_max_m_s2: float = 1.5
+    """Above either the drone does not rest and the calibration begins anew. An AR.Drone 2.0 at rest shows up to 0.8."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestCalibration:
+    """Sums so far; `done` once the means are final."""
+
+    options: RestOptions = field(default_factory=RestOptions)
+    since: MonoNs | None = None
+    v_sum: F64 = field(default_factory=lambda: np.zeros(3))
+    v_samples: int = 0
+    a_sum: F64 = field(default_factory=lambda: np.zeros(3))
+    a_samples: int = 0
+    done: bool = False
+
+    @property
+    def v_bias_level(self) -> F64:
+        """(3,) m/s; zeros until done or where no velocity came."""
+        return self.v_sum / self.v_samples if self.done and self.v_samples else np.zeros(3)
+
+    @property
+    def a_bias_body(self) -> F64:
+        """(3,) m/s^2; zeros until done."""
+        return self.a_sum / self.a_samples if self.done else np.zeros(3)
+
+
+def add_velocity(state: RestCalibration, t: MonoNs, v_level: F64) -> RestCalibration:
+    """Take one measured velocity, (3,) m/s."""
+    if state.done:
+        return state
+    if float(np.abs(v_level).max()) > state.options.v_max_m_s:
+        return RestCalibration(state.options)
+    since = t if state.since is None else state.since
+    return replace(state, since=since, v_sum=state.v_sum + v_level, v_samples=state.v_samples + 1)
+
+
+def add_acceleration(state: RestCalibration, t: MonoNs, a_body: F64) -> RestCalibration:
+    """Take one measured specific force less gravity, (3,) m/s^2 in `body`: zeros from a perfect sensor at rest."""
+    o = state.options
+    if state.done:
+        return state
+    if float(np.abs(a_body).max()) > o.a_max_m_s2:
+        return RestCalibration(o)
+    since = t if state.since is None else state.since
+    samples = state.a_samples + 1
+    done = samples >= o.samples and seconds_between(since, t) >= o.duration_s
+    return replace(state, since=since, a_sum=state.a_sum + a_body, a_samples=samples, done=done)

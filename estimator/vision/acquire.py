@@ -1,0 +1,280 @@
+"""Find the pad in a whole picture without knowing where it is: guesses from coarse to fine, each judged by the whole drawing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.vision.acquire_align import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, Laid, Pyramid, align
+from estimator.vision.acquire_circles import Circle, Plane, circles, tolerance_of
+from estimator.vision.acquire_drawing import disc_edge_m
+from estimator.vision.acquire_heading import heading
+from estimator.vision.acquire_scan import Coarse, coarse, limits, specks, spots
+from estimator.vision.acquire_strokes import letters
+from estimator.vision.camera import Camera
+from estimator.vision.judge import arrow_evidence, confidence, features
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.paint import FRESH, PaintMemory
+
+U8 = NDArray[np.uint8]
+
+SURE, ENOUGH = 0.9, 0.5
+"""Confidence at which no further hypotheses are tried, and at which no further kinds of them are."""
+_MOST_LAID = 16
+"""Hypotheses of one picture that the drawing is laid on before the search is given up."""
+_ALIGNED, _ALIGNED_FREE, _ALIGNED_FAR = 2, 3, 6
+"""Best hypotheses of one kind that the drawing is laid on: usually, with the tilt unknown, and from afar, where a hypothesis says
+little by itself and laying costs little."""
+_SMALL_PX = 28.0
+"""Radius of a disc, in pixels of the coarse picture, below which the whole picture is sampled instead."""
+_STEPS, _STEPS_FREE = 4, 8
+"""Of alignment, with the tilt known and without."""
+_ARROW_SEEN = 0.3
+"""Evidence of the arrowhead that settles the heading."""
+COARSE_WIDTH_PX = 160
+"""About what the first pass looks at: in it the pad is 5 px in radius from 7 m with the sim camera."""
+_PLAIN = 0.5
+"""Of the variance explained at a guess, from which on no further patches are looked at."""
+_LEAST_FACING = math.cos(math.radians(38.0))
+"""Of the pad's normal along the camera's axis when nobody knows the tilt: 25 degrees of it and some of error."""
+_SPECK_RADII = (0.95, 1.5)
+"""Of a speck: it is the disc, or what of it lies within the ring."""
+_NEAR_SHARE = 0.10
+"""Of the picture in the disc's colour, from which on the letter is looked for before specks are."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """Where the pad may be."""
+
+    pose: PadPose
+    score: float
+    """0..1, calibrated: how probable it is that this is the pad and `pose` good enough to register from."""
+    yaw_ambiguous: bool
+    """The arrowhead does not show: the heading may as well be 180 degrees away."""
+    in_view: float
+    """Share of the disc inside the picture."""
+    features: F64
+    """What the score was made of (`judge.FEATURES`)."""
+    laid: Laid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Guess:
+    pose: PadPose
+    score: float
+    tilt_known: bool
+
+
+def acquire(
+    px: U8,
+    camera: Camera,
+    pad: Pad,
+    R_level_body: Rotation | None = None,
+    memory: PaintMemory = FRESH,
+    *,
+    sure: float = SURE,
+) -> list[Candidate]:
+    """Candidates for the pad, best first; none where nothing resembles it.
+
+    Args:
+        px: (H, W, 3) BGR of the camera's size.
+        R_level_body: roll and pitch of the body at the exposure; None when the vehicle does not say, at the price of time and
+            of some reach.
+        memory: of the paints, to begin with the likeliest colours; nothing depends on it.
+        sure: confidence at which no further hypotheses are tried; over 1 to see them all.
+
+    Raises:
+        ValueError: the picture is not of the camera's size.
+    """
+    if px.shape[:2] != (camera.height, camera.width):
+        raise ValueError(f"the picture is {px.shape[1]}x{px.shape[0]} px, the camera's are {camera.width}x{camera.height}")
+    pyramid = Pyramid(px)
+    plane = Plane.of(camera, R_level_body)
+    found: list[Candidate] = []
+    for stage in _stages(pyramid, camera, pad, plane, memory):
+        for guesses, most in stage:
+            found += _lay(guesses, found, most, pyramid, camera, pad, sure)
+            if len(found) >= _MOST_LAID or any(c.score >= sure for c in found):
+                break
+        if len(found) >= _MOST_LAID or any(c.score >= min(sure, ENOUGH) for c in found if sure <= 1.0):
+            break
+    return _distinct(sorted(found, key=lambda c: -c.score))
+
+
+def _stages(
+    pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, memory: PaintMemory
+) -> Iterator[Iterator[tuple[list[_Guess], int]]]:
+    """Guesses of one kind after the other, the quick and likely ones first; and how many of them to lay the drawing on."""
+    level = max(1, round(math.log2(camera.width / COARSE_WIDTH_PX)))
+    most = _ALIGNED if plane.known else _ALIGNED_FREE
+    picture = coarse(pyramid[level], 1 << level, pad)
+    yield ((guesses, most) for guesses in _from_discs(picture, memory, pyramid, camera, pad, plane))
+    near = picture.share() > _NEAR_SHARE
+    if near:
+        yield iter([(_from_strokes(pyramid, level, camera, pad, plane), most)])
+    finer = coarse(pyramid[level - 1], 1 << (level - 1), pad)
+    yield ((guesses, most) for guesses in _from_discs(finer, memory, pyramid, camera, pad, plane))
+    yield iter([(_from_specks(pyramid, camera, pad, plane), _ALIGNED_FAR)])
+    if not near:
+        yield iter([(_from_strokes(pyramid, level, camera, pad, plane), most)])
+
+
+def _lay(
+    guesses: list[_Guess], tried: list[Candidate], most: int, pyramid: Pyramid, camera: Camera, pad: Pad, sure: float
+) -> list[Candidate]:
+    """The drawing laid on the best guesses of a stage, unless it was laid there before."""
+    out: list[Candidate] = []
+    for guess in sorted(guesses, key=lambda g: -g.score):
+        if any(_near(guess.pose, c.pose) for c in (*tried, *out)):
+            continue
+        candidate = _laid(guess, pyramid, camera, pad)
+        if candidate is not None:
+            out.append(candidate)
+            if candidate.score >= sure:
+                break
+        if len(out) >= most:
+            break
+    return out
+
+
+def _laid(guess: _Guess, pyramid: Pyramid, camera: Camera, pad: Pad) -> Candidate | None:
+    sigma = SIGMA_TILT_RAD if guess.tilt_known else SIGMA_TILT_FREE_RAD
+    laid = align(pyramid, camera, pad, guess.pose, sigma, _STEPS if guess.tilt_known else _STEPS_FREE, local=True)
+    if laid is None:
+        return None
+    arrow = arrow_evidence(laid)
+    if arrow < -0.5 * _ARROW_SEEN:
+        turned = align(pyramid, camera, pad, laid.pose.turned(math.pi), sigma, 2, local=True)
+        if turned is not None:
+            laid, arrow = turned, arrow_evidence(turned)
+    values = features(laid, pad)
+    return Candidate(laid.pose, confidence(values), arrow < _ARROW_SEEN, laid.in_view, values, laid)
+
+
+def _from_discs(
+    picture: Coarse, memory: PaintMemory, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane
+) -> Iterator[list[_Guess]]:
+    """From circles in the outlines of patches of the disc's colour: its own edge, or the ring's inner or outer one.
+
+    One list of guesses for each limit that the patches are cut at.
+    """
+    least = 1.2 * picture.step / camera.fx
+    edges = (disc_edge_m(pad), pad.ring_inner_m, pad.ring_outer_m)
+    for limit in limits(picture, memory.dominance(pad)):
+        out: list[_Guess] = []
+        for spot in spots(picture, limit):
+            places = plane.places(camera, spot.outline_px)
+            for circle in circles(places, least, tolerance_of(plane)):
+                planes = [(plane, circle)]
+                if not plane.known:
+                    planes += _tilted(spot.outline_px, places, circle, camera, least)
+                whole = circle.arc_rad > 5.5 and circle.share > 0.75 and not spot.cut
+                for stand, seen in planes:
+                    for radius_m in edges[:1] if whole else edges:
+                        guess = _guess(stand.pose(seen.centre, seen.radius, radius_m), stand.known, picture, pyramid, camera, pad)
+                        if guess is not None:
+                            out.append(guess)
+            if any(g.score > _PLAIN for g in out):
+                break
+        yield out
+
+
+def _guess(pose: PadPose, tilt_known: bool, picture: Coarse, pyramid: Pyramid, camera: Camera, pad: Pad) -> _Guess | None:
+    radius_px = camera.fx * pad.disc_radius_m / float(pose.t_cam_pad[2])
+    small, step = (picture.px, picture.step) if radius_px > _SMALL_PX * picture.step else (pyramid[0], 1)
+    best = heading(small, step, camera, pad, pose)
+    return None if best is None else _Guess(pose.turned(best.turn_rad), best.score, tilt_known)
+
+
+def _tilted(outline_px: F64, places: F64, circle: Circle, camera: Camera, least: float) -> list[tuple[Plane, Circle]]:
+    """The two planes in which the outline, an ellipse, is the picture of a circle; with the circles."""
+    ok = np.isfinite(places).all(axis=1)
+    xy = places[ok]
+    d = np.hypot(xy[:, 0] - circle.centre[0], xy[:, 1] - circle.centre[1])
+    on = np.abs(d - circle.radius) < 0.14 * circle.radius
+    if circle.arc_rad < 3.0 or on.sum() < 12:
+        return []
+    (cx, cy), (d1, d2), angle = cv2.fitEllipseDirect((xy[on] * 1e3).astype(np.float32))
+    if not (math.isfinite(d1 + d2 + cx + cy) and 0 < min(d1, d2) <= max(d1, d2) < 3.0 * min(d1, d2)):
+        return []
+    out = []
+    for normal in circle_normals(np.array([cx, cy]) * 1e-3, np.array([d1, d2]) * 0.5e-3, math.radians(angle)):
+        if normal[2] < _LEAST_FACING:
+            continue
+        plane = Plane.facing(normal)
+        at = plane.places(camera, outline_px[ok][on])
+        for fitted in circles(at, least, 0.03, 1):
+            out.append((plane, fitted))
+    return out
+
+
+def circle_normals(centre: F64, half_axes: F64, angle_rad: float) -> list[F64]:
+    """The normals (3,) in `cam`, pointing away from the lens, of the planes in which a circle looks like this ellipse.
+
+    Args:
+        centre: (2,) of the ellipse at unit depth.
+        half_axes: (2,) its half axes there, the first at `angle_rad` from the x axis.
+
+    Source: Kanatani and Liu, 3D interpretation of conics and orthogonality, CVGIP 58 (1993), eq. 19.
+    """
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    rot = np.array([[c, -s], [s, c]])
+    A = rot @ np.diag(half_axes**-2.0) @ rot.T
+    b = -A @ centre
+    Q = np.block([[A, b[:, None]], [b[None, :], np.array([[centre @ A @ centre - 1.0]])]])
+    values, vectors = np.linalg.eigh(Q)
+    l3, l2, l1 = values
+    if not l3 < 0.0 < l2 <= l1:
+        return []
+    out = []
+    for sign in (1.0, -1.0) if l1 - l2 > 1e-9 * l1 else (1.0,):
+        n = math.sqrt((l1 - l2) / (l1 - l3)) * sign * vectors[:, 2] + math.sqrt((l2 - l3) / (l1 - l3)) * vectors[:, 0]
+        out.append(np.asarray(n if n[2] > 0 else -n))
+    return out
+
+
+def _from_strokes(pyramid: Pyramid, level: int, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:
+    """From the letter's strokes, near enough for a stroke to be a few pixels wide in the coarse picture."""
+    return [_Guess(f.pose, f.score, plane.known) for f in letters(pyramid[level], 1 << level, camera, pad, plane)]
+
+
+def _from_specks(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:
+    """From specks of the disc's colour in the whole picture at full size: the pad from afar."""
+    picture = coarse(pyramid[0], 1, pad)
+    out: list[_Guess] = []
+    for speck in specks(picture):
+        places = plane.places(camera, speck.centre_px + np.array([[0.0, 0.0], [1.0, 0.0]]))
+        if not np.isfinite(places).all():
+            continue
+        radius = speck.radius_px * float(np.hypot(*(places[1] - places[0])))
+        poses = [plane.pose(places[0], radius * factor, disc_edge_m(pad)) for factor in _SPECK_RADII]
+        guesses = [_guess(pose, plane.known, picture, pyramid, camera, pad) for pose in poses]
+        best = max((g for g in guesses if g is not None), key=lambda g: g.score, default=None)
+        if best is not None:
+            out.append(best)
+    # A few pixels of drawing say little of themselves, and prominence says little of the drawing: the best of both come first.
+    by_drawing = {id(g): k for k, g in enumerate(sorted(out, key=lambda g: -g.score))}
+    return [_Guess(g.pose, 1.0 / (1 + min(k, by_drawing[id(g)])), g.tilt_known) for k, g in enumerate(out)]
+
+
+def _near(a: PadPose, b: PadPose) -> bool:
+    """The same place within a fifth of a disc."""
+    return bool(np.linalg.norm(a.t_cam_pad - b.t_cam_pad) < 0.05 * b.t_cam_pad[2]) and bool(
+        np.linalg.norm((a.t_cam_pad / a.t_cam_pad[2] - b.t_cam_pad / b.t_cam_pad[2])[:2]) * b.t_cam_pad[2] < 0.03
+    )
+
+
+def _distinct(candidates: list[Candidate]) -> list[Candidate]:
+    out: list[Candidate] = []
+    for c in candidates:
+        if not any(_near(c.pose, k.pose) for k in out):
+            out.append(c)
+    return out

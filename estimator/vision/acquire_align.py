@@ -1,0 +1,325 @@
+"""Lay the whole drawing on the picture: pose and paints together, by Gauss-Newton on the pixels themselves.
+
+The picture near the pad is modelled as a mixture of four paints (H, orange, disc, surroundings) in shares that the drawing gives
+for every pixel; light adds up linearly, so for a given pose the paints follow by linear least squares, whatever the light. The
+pose then moves along the model's slope (Lucas and Kanade 1981, as compositional alignment with the drawing as template and
+Cauchy weights for what hides or outshines it). This brings a rough hypothesis within reach of edge-based registration and leaves
+behind what the judge needs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.vision.acquire_arrow import ArrowPlace, arrow_places
+from estimator.vision.acquire_drawing import BLURS_M, LOCAL_M, REACH, Maps, maps, sampled
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
+
+_SAMPLES, _STANDING_SAMPLES = 700, 2600
+"""At most, in the disc's box: while the pose moves, and to judge it by."""
+_LOG_BLURS = np.log(np.array(BLURS_M))
+_LEAST_SAMPLES = 40
+_FEW = 350
+"""Samples below which a step costs so little that twice as many are made: far away a start may be a fifth off."""
+_LEVELS = 5
+_ARROW_SAMPLES = 5
+"""Pixels of the chosen level along the arrowhead, where the picture has as many."""
+_AT_REST = 0.12
+"""Samples that a step moves the drawing by when it is good enough to start a registration from."""
+_NOISE = 0.02
+"""Of full scale: what the model leaves unexplained even where it is right (wear, noise, ripples)."""
+SIGMA_TILT_RAD = math.radians(3.0)
+"""Of a deck under a vehicle of measured attitude."""
+SIGMA_TILT_FREE_RAD = math.radians(15.0)
+"""Where nothing is known of either."""
+_LENS_BLUR_PX = 0.7
+_SOUND, _SPREAD, _SPREAD_SHARP = 0.25, 2.0, 1.6
+"""Share of the samples that are surely neither hidden nor outshone, and what makes their largest residual a usual one: while the
+pose moves, and once it stands, when what does not fit any more is something else."""
+
+
+def _linear_light() -> F32:
+    v = np.arange(256) / 255.0
+    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+_LINEAR = _linear_light()
+_ROOT = np.sqrt(_LINEAR)
+
+
+class Pyramid:
+    """One picture at full, half, quarter ... size, made as they are asked for."""
+
+    def __init__(self, px: U8) -> None:
+        self._levels = [px]
+
+    def __getitem__(self, level: int) -> U8:
+        while len(self._levels) <= level:
+            last = self._levels[-1]
+            w, h = max(1, last.shape[1] // 2), max(1, last.shape[0] // 2)
+            # An odd row or column left over would stretch the rest.
+            even = last[: 2 * h, : 2 * w]
+            self._levels.append(np.asarray(cv2.resize(even, (w, h), interpolation=cv2.INTER_AREA), np.uint8))
+        return self._levels[level]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """The drawing as laid on one picture."""
+
+    pose: PadPose
+    paints: F64
+    """(4, 3) linear light, 0..1, blue, green, red of H, orange, disc, surroundings."""
+    light: F32
+    """(n, 3) of the samples."""
+    share: F32
+    """(n, 4) of each paint in each sample."""
+    xy_m: F32
+    """(n, 2) places of the samples on the pad."""
+    weight: F32
+    """(n,) 0..1: small where something hides or outshines the drawing."""
+    sample_m: float
+    """Side of a sample on the pad."""
+    in_view: float
+    """Share of the disc's area inside the picture."""
+    tilt_sigmas: float
+    """How far the pose tilted away from its start, in standard deviations of what was known."""
+    local: Local
+    arrow: tuple[ArrowPlace, ArrowPlace]
+    """Where the arrowhead should be, and where it would be with the drawing turned by half."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Local:
+    """The square root of light less its mean in the neighbourhood of every sample, which takes glare and shadows out."""
+
+    paints: F64
+    """(4, 3), known up to a value common to all four."""
+    light: F32
+    """(n, 3)."""
+    share: F32
+    """(n, 4)."""
+    weight: F32
+    """(n,)."""
+
+
+class _Samples(NamedTuple):
+    rays: F32
+    light: F32
+    local: F32
+    """(n, 3) square root of light, less its mean in the neighbourhood."""
+    side_m: float
+
+
+def align(
+    pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float, steps: int = 4, *, local: bool = False
+) -> Laid | None:
+    """Lay the drawing on the picture from a rough pose.
+
+    Args:
+        sigma_tilt_rad: how well the start pose's normal is known.
+        steps: of Gauss-Newton; the first half on a drawing blurred twice as much. With 0 the pose stays as it is.
+        local: move by the light less its mean in the neighbourhood, for glare and shadows; a bit less reach.
+
+    Returns:
+        None where too little of the pad is in view, or where the pose runs away.
+    """
+    tilt_sigmas = 0.0
+    if steps > 0:
+        moved = _move(pyramid, camera, pad, pose, sigma_tilt_rad, steps, local)
+        if moved is None:
+            return None
+        pose, tilt_sigmas = moved
+    samples = _gather(pyramid, camera, pad, pose, _STANDING_SAMPLES)
+    if samples is None:
+        return None
+    R, t = pose.R_cam_pad.matrix, pose.t_cam_pad
+    fit = _blur_of(samples, t, camera)
+    model = _model(maps(pad)[fit], samples, samples.light, R, t, pad, slopes=False)
+    if model is None:
+        return None
+    even = np.ones(len(model.light), np.float32)
+    paints, weight, _, _ = _paint(model.light, model.share, even, standing=True)
+    drawing = maps(pad, True)[fit]
+    own_light, own_share = samples.local[model.used], sampled(drawing.share, _at(model.xy, drawing))[:, 0]
+    own_paints, own_weight, _, _ = _paint(own_light, own_share, even, standing=True)
+    level = int(np.clip(math.floor(math.log2(max(1.0, camera.fx * pad.arrow_depth_m / (_ARROW_SAMPLES * t[2])))), 0, _LEVELS))
+    arrow = arrow_places(pyramid[level], 1 << level, _ROOT, camera, pad, pose, own_paints.astype(float))
+    inside = float(np.count_nonzero((model.xy**2).sum(axis=1) < pad.disc_radius_m**2)) * samples.side_m**2
+    return Laid(
+        pose, paints.astype(float), model.light, model.share, model.xy, weight, samples.side_m,
+        min(1.0, inside / (math.pi * pad.disc_radius_m**2 * abs(float(R[2, 2])))), tilt_sigmas,
+        Local(own_paints.astype(float), own_light, own_share, own_weight), arrow,
+    )  # fmt: skip
+
+
+def _move(
+    pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float, steps: int, local: bool
+) -> tuple[PadPose, float] | None:
+    """The pose after some steps, and its tilt away from the start in sigmas."""
+    samples = _gather(pyramid, camera, pad, pose, _SAMPLES)
+    if samples is None:
+        return None
+    R, t = pose.R_cam_pad.matrix.copy(), pose.t_cam_pad.copy()
+    depth = float(t[2])
+    fit = _blur_of(samples, t, camera)
+    softer = min(fit + 1, len(BLURS_M) - 1)
+    tilt = np.zeros(2)
+    trust = np.ones(len(samples.rays), np.float32)
+    if len(samples.rays) < _FEW:
+        steps *= 2
+    for i in range(steps):
+        drawing = maps(pad, local)[softer if i < steps // 2 else fit]
+        model = _model(drawing, samples, samples.local if local else samples.light, R, t, pad)
+        if model is None:
+            return None
+        paints, weight, residual, spread = _paint(model.light, model.share, trust[model.used])
+        trust[model.used] = weight
+        N, g = _normal(paints, weight, residual, spread, model)
+        step = _solved(N, g, tilt, sigma_tilt_rad)
+        step[:3] *= min(1.0, 0.12 * depth / max(1e-9, math.sqrt(float(step[:3] @ step[:3]))))
+        step[3:] *= min(1.0, 0.25 / max(1e-9, math.sqrt(float(step[3:] @ step[3:]))))
+        tilt += step[3:5]
+        t = t + R @ step[:3]
+        R = R @ cv2.Rodrigues(step[3:])[0]
+        if not (t[2] > 0.02 and abs(math.log(t[2] / depth)) < 0.7 and R[2, 2] > 0.2):
+            return None
+        far = (math.hypot(step[0], step[1]) + pad.disc_radius_m * (abs(step[2]) / depth + abs(step[5]))) / samples.side_m
+        if i >= steps // 2 and far < _AT_REST:
+            break
+    return PadPose(Rotation(R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)), t), math.hypot(tilt[0], tilt[1]) / sigma_tilt_rad
+
+
+def _blur_of(samples: _Samples, t: F64, camera: Camera) -> int:
+    """Which of the drawing's blurs is the samples'."""
+    blur = math.hypot(0.29 * samples.side_m, _LENS_BLUR_PX * float(t[2]) / camera.fx)
+    return int(np.argmin(np.abs(_LOG_BLURS - math.log(blur))))
+
+
+def _gather(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, most: int) -> _Samples | None:
+    """The pixels about the disc, from the level of the pyramid that has neither too many nor too few of them there."""
+    edge = pose.points(pad.circle(1.15 * pad.disc_radius_m, 24))
+    near = edge[:, 2] < 0.05
+    if near.any():
+        low, high = np.zeros(2), np.array([camera.width, camera.height], float)
+    else:
+        uv = camera.project(edge)
+        low, high = np.maximum(uv.min(axis=0), 0.0), np.minimum(uv.max(axis=0) + 1.0, (camera.width, camera.height))
+    if np.any(high - low < 3.0):
+        return None
+    area = float(np.prod(high - low))
+    level = int(np.clip(math.ceil(0.5 * math.log2(max(1.0, area / most))), 0, _LEVELS))
+    k = 1 << level
+    px = pyramid[level]
+    a, b = np.floor(low / k).astype(int), np.minimum(np.ceil(high / k).astype(int), (px.shape[1], px.shape[0]))
+    if np.any(b - a < 3):
+        return None
+    patch = px[a[1] : b[1], a[0] : b[0]]
+    u, v = np.meshgrid(np.arange(a[0], b[0]), np.arange(a[1], b[1]))
+    uv = (np.stack([u.ravel(), v.ravel()], axis=1) + 0.5) * k - 0.5
+    light = cv2.LUT(patch, _LINEAR)
+    side = float(k * pose.t_cam_pad[2] / camera.fx)
+    root = cv2.sqrt(light)
+    local = root - cv2.GaussianBlur(root, (0, 0), LOCAL_M / side, borderType=cv2.BORDER_REPLICATE)
+    xy = camera.rays(uv)
+    rays = np.ones((len(xy), 3), np.float32)
+    rays[:, :2] = xy
+    return _Samples(rays, np.asarray(light.reshape(-1, 3), np.float32), np.asarray(local.reshape(-1, 3), np.float32), side)
+
+
+class _Model(NamedTuple):
+    """The samples that lie on or near the disc, for one pose."""
+
+    light: F32
+    share: F32
+    slope_x: F32
+    slope_y: F32
+    xy: F32
+    ab: F32
+    """(n, 2) of the rays in `pad`, over their depth."""
+    used: NDArray[np.bool_]
+    """Which of all samples these are."""
+
+
+def _model(drawing: Maps, samples: _Samples, light: F32, R: F64, t: F64, pad: Pad, slopes: bool = True) -> _Model | None:
+    r = samples.rays @ R.astype(np.float32)
+    c = (t @ R).astype(np.float32)
+    down = np.maximum(r[:, 2:], np.float32(0.05))
+    ab = r[:, :2] / down
+    xy = ab * c[2] - c[:2]
+    limit = min(REACH * pad.disc_radius_m - 2.0 / drawing.per_m, 1.12 * pad.disc_radius_m + samples.side_m)
+    used = (r[:, 2] > 0.05) & (xy[:, 0] * xy[:, 0] + xy[:, 1] * xy[:, 1] < limit**2)
+    if np.count_nonzero(used) < _LEAST_SAMPLES:
+        return None
+    ab, xy = ab[used], xy[used]
+    at = _at(xy, drawing)
+    share = sampled(drawing.share, at)[:, 0]
+    if not slopes:
+        return _Model(light[used], share, share, share, xy, ab, used)
+    slope_x, slope_y = (sampled(m, at)[:, 0] for m in (drawing.slope_x, drawing.slope_y))
+    return _Model(light[used], share, slope_x, slope_y, xy, ab, used)
+
+
+def _at(xy: F32, drawing: Maps) -> F32:
+    """Places on the pad to coordinates in the maps, whose rows run with x."""
+    return np.ascontiguousarray(
+        (xy[:, ::-1] * np.float32(drawing.per_m) + np.float32(drawing.centre))[:, None, :], dtype=np.float32
+    )
+
+
+def _paint(light: F32, share: F32, weight: F32, standing: bool = False) -> tuple[F32, F32, F32, float]:
+    """Paints by weighted least squares, new weights, residuals and their spread; from the weights of the step before.
+
+    While the pose moves the weights are Cauchy's; once it stands, Geman and McClure's, which let go of what does not fit.
+    """
+    floor = _NOISE * math.sqrt(float((light * light).sum(axis=1).max()))
+    low = int(_SOUND * len(light))
+    rounds = 4 if standing else 2
+    for _ in range(rounds):
+        weighted = share * weight[:, None]
+        A = weighted.T @ share
+        A.flat[::5] += np.float32(1e-4 * len(light))
+        paints = np.linalg.solve(A, weighted.T @ light)
+        residual = light - share @ paints
+        squared = (residual * residual).sum(axis=1)
+        spread = max(floor, 1e-4, (_SPREAD_SHARP if standing else _SPREAD) * math.sqrt(float(np.partition(squared, low)[low])))
+        weight = 1.0 / (1.0 + squared * np.float32(0.25 / spread**2))
+        if standing:
+            weight *= weight
+    return paints, weight, residual, spread
+
+
+def _normal(paints: F32, weight: F32, residual: F32, spread: float, model: _Model) -> tuple[F64, F64]:
+    """Normal matrix and gradient of a small (move, turn) in `pad`."""
+    gx, gy = model.slope_x @ paints, model.slope_y @ paints
+    x, y = model.xy[:, :1], model.xy[:, 1:]
+    along = gx * model.ab[:, :1] + gy * model.ab[:, 1:]
+    columns = np.concatenate([-gx, -gy, along, along * y, along * -x, gx * y - gy * x], axis=1)
+    J = columns.reshape(len(x), 6, 3).transpose(1, 0, 2).reshape(6, -1)
+    w = np.repeat(weight, 3)
+    Jw = J * w
+    scale = spread**-2
+    return (Jw @ J.T).astype(float) * scale, (Jw @ residual.ravel()).astype(float) * scale
+
+
+def _solved(N: F64, g: F64, tilt: F64, sigma_tilt: float) -> F64:
+    """The step, with what is known of the tilt put in."""
+    M = N.copy()
+    M[3, 3] += sigma_tilt**-2
+    M[4, 4] += sigma_tilt**-2
+    g = g.copy()
+    g[3:5] -= tilt * sigma_tilt**-2
+    M.flat[::7] = M.flat[::7] * 1.001 + 1e-6
+    return np.asarray(np.linalg.solve(M, g), float)

@@ -1,0 +1,132 @@
+"""Pinhole camera with Brown-Conrady distortion and its place on the body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64, Rotation, Transform
+
+_KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion", "p_body_cam_m", "rpy_body_cam_deg"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """Intrinsics in pixels ((0, 0) is the centre of the top-left pixel), distortion [k1, k2, p1, p2, k3], mount `T_body_cam`.
+
+    Source: Brown, Close-range camera calibration, 1971; the parameter order is OpenCV's.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: F64
+    """(5,) k1, k2, p1, p2, k3."""
+    T_body_cam: Transform
+
+    def __post_init__(self) -> None:
+        d = np.array(self.distortion, dtype=float)
+        if d.shape != (5,) or not np.all(np.isfinite(d)):
+            raise ValueError(f"distortion needs five finite numbers k1, k2, p1, p2, k3, got {self.distortion!r}")
+        if self.width < 16 or self.height < 16:
+            raise ValueError(f"a picture of {self.width}x{self.height} px is too small")
+        if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx + self.fy + self.cx + self.cy)):
+            raise ValueError("fx and fy must be positive and cx, cy finite")
+        d.setflags(write=False)
+        object.__setattr__(self, "distortion", d)
+
+    @staticmethod
+    def from_mapping(data: Mapping[str, Any], where: str = "camera") -> Camera:
+        """From the keys of a camera file (configs/cameras/*.toml).
+
+        Raises:
+            BadInput: a key missing, unknown, of the wrong type or out of range; the text names `where` and the key.
+        """
+        if unknown := sorted(set(data) - _KEYS):
+            raise BadInput(f"{where}: unknown key {unknown[0]!r}; known are {', '.join(sorted(_KEYS))}")
+        if missing := sorted(_KEYS - {"distortion", "p_body_cam_m", "rpy_body_cam_deg"} - set(data)):
+            raise BadInput(f"{where}: key {missing[0]!r} is missing")
+
+        def number(key: str) -> float:
+            value = data[key]
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise BadInput(f"{where}: {key} must be a finite number, got {value!r}")
+            return float(value)
+
+        def vector(key: str, n: int) -> F64:
+            value = data.get(key, [0.0] * n)
+            ok = isinstance(value, list) and len(value) == n and all(type(v) in (int, float) for v in value)
+            if not ok or not np.all(np.isfinite(value)):
+                raise BadInput(f"{where}: {key} must be a list of {n} finite numbers, got {value!r}")
+            return np.array(value, dtype=float)
+
+        roll, pitch, yaw = np.radians(vector("rpy_body_cam_deg", 3))
+        for key in ("width", "height"):
+            if not isinstance(data[key], int) or isinstance(data[key], bool):
+                raise BadInput(f"{where}: {key} must be a whole number of pixels, got {data[key]!r}")
+        try:
+            return Camera(
+                data["width"], data["height"], number("fx"), number("fy"), number("cx"), number("cy"),
+                vector("distortion", 5), Transform(Rotation.from_rpy(roll, pitch, yaw), vector("p_body_cam_m", 3)),
+            )  # fmt: skip
+        except ValueError as why:
+            raise BadInput(f"{where}: {why}") from why
+
+    @property
+    def K(self) -> F64:
+        """(3, 3) px, zero skew."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def distorted(self) -> bool:
+        return bool(np.any(self.distortion != 0.0))
+
+    def distort(self, xy: F64) -> F64:
+        """(N, 2) ideal image-plane coordinates (x/z, y/z) to distorted ones."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = xy[:, 0], xy[:, 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.stack(
+            [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1
+        )
+
+    def project(self, p_cam: F64) -> F64:
+        """(N, 3) m in `cam` to (N, 2) px. Points at or behind the lens (z <= 1 mm) come back as nan."""
+        p = np.asarray(p_cam, dtype=float)
+        z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
+        xy = p[:, :2] / z[:, None]
+        if self.distorted:
+            xy = self.distort(xy)
+        return np.asarray(xy * (self.fx, self.fy) + (self.cx, self.cy))
+
+    def rays(self, uv_px: F64) -> F64:
+        """(N, 2) px to (N, 2) ideal image-plane coordinates (x/z, y/z); the inverse of `project` by Newton's method.
+
+        Converges to 1e-9 wherever the distortion is one-to-one, which a calibrated lens is over its own picture.
+        """
+        target = (np.asarray(uv_px, dtype=float) - (self.cx, self.cy)) / (self.fx, self.fy)
+        if not self.distorted:
+            return np.asarray(target)
+        xy = target.copy()
+        h = 1e-6
+        du, dv = np.array([h, 0.0]), np.array([0.0, h])
+        for _ in range(12):
+            f = self.distort(xy) - target
+            if np.abs(f).max(initial=0.0) < 1e-12:
+                break
+            jx = (self.distort(xy + du) - self.distort(xy - du)) / (2 * h)
+            jy = (self.distort(xy + dv) - self.distort(xy - dv)) / (2 * h)
+            det = jx[:, 0] * jy[:, 1] - jx[:, 1] * jy[:, 0]
+            dx = (f[:, 0] * jy[:, 1] - f[:, 1] * jy[:, 0]) / det
+            dy = (f[:, 1] * jx[:, 0] - f[:, 0] * jx[:, 1]) / det
+            xy = xy - np.stack([dx, dy], axis=1)
+        return xy

@@ -1,0 +1,170 @@
+"""The eyes of a flight: follow the pad where it is expected, else search the whole picture; then say what all methods say.
+
+Tracking starts `registration` from the filter's belief at the exposure. Where there is none, or the drawing does not fit there,
+acquisition searches the whole picture and registration refines what it finds. Either way the whole drawing is judged where it was
+laid, and that judgement is the sighting's confidence.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from estimator.contracts.estimates import Method, RelativeState, Sighting
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.vision import judge
+from estimator.vision.acquire import acquire
+from estimator.vision.acquire_align import SIGMA_TILT_RAD, Pyramid, align
+from estimator.vision.camera import Camera
+from estimator.vision.fusion import fuse
+from estimator.vision.look import Look, look
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.paint import FRESH, PaintMemory, learn, missed
+from estimator.vision.pose import SIGMA_DECK_RAD, Orientation
+from estimator.vision.registration import Options as RegistrationOptions
+from estimator.vision.registration import register
+from estimator.vision.registration_sighting import registered_sighting
+from estimator.vision.segmentation import ColourSet
+
+SpeaksFor = Literal["fused", "registration", "thesis"]
+"""What steers: all methods fused; registration alone; or the thesis' three with its selection by priority."""
+
+_TRACKED = RegistrationOptions(coarse=True)
+_CANDIDATES = 2
+"""Of acquisition that are registered."""
+_WORTH_A_TRY = 0.05
+_FITS = 0.5
+"""Confidence below which a tracked pose is thrown away for a new search."""
+_REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
+"""Of the disc's radius and of the height: how far off the pad may be, two standard deviations, for tracking to be tried.
+
+Much of a belief's doubt is about the attitude and does not show in the picture; a start too far off costs a search, no more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Eyes:
+    """What vision knows beforehand."""
+
+    camera: Camera
+    pad: Pad
+    colours: ColourSet
+    """For the thesis' methods."""
+    speaks: SpeaksFor = "fused"
+    sigma_deck_rad: float = SIGMA_DECK_RAD
+    """Of the deck's roll and pitch."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EyesMemory:
+    """What vision learned so far."""
+
+    paint: PaintMemory = FRESH
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Registered:
+    sighting: Sighting
+    memory: PaintMemory
+
+
+def see(
+    eyes: Eyes, memory: EyesMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None = None
+) -> tuple[Look, EyesMemory]:
+    """Look at one frame. Pure.
+
+    Args:
+        attitude: at the exposure; None takes the vehicle as level, which the covariance shows.
+        belief: about the pad at the exposure; None, or one without a heading, means a search of the whole picture.
+
+    Raises:
+        ValueError: the picture is not of the camera's size.
+    """
+    if eyes.speaks == "thesis":
+        return look(frame, attitude, eyes.camera, eyes.pad, eyes.colours, sigma_deck_rad=eyes.sigma_deck_rad), memory
+    found, paint = _registered(eyes, memory.paint, frame, attitude, belief)
+    memory = EyesMemory(paint)
+    if eyes.speaks == "registration":
+        methods: dict[Method, Sighting | None] = {"registration": found}
+        return Look(found, None if found is None else "registration", MappingProxyType(methods)), memory
+    thesis = look(frame, attitude, eyes.camera, eyes.pad, eyes.colours, sigma_deck_rad=eyes.sigma_deck_rad)
+    return together(thesis, found), memory
+
+
+def together(thesis: Look, registered: Sighting | None) -> Look:
+    """The thesis' methods and registration as one look, which says what they say fused."""
+    methods: dict[Method, Sighting | None] = {**thesis.methods, "registration": registered}
+    fused = fuse(s for s in methods.values() if s is not None)
+    if fused is None:
+        return Look(None, None, MappingProxyType(methods))
+    return Look(fused.sighting, "fused", MappingProxyType(methods))
+
+
+def expected(belief: RelativeState, attitude: Attitude, camera: Camera) -> PadPose | None:
+    """Where the belief puts the pad in the camera, the deck taken as level; None without a heading."""
+    if belief.yaw_rad is None:
+        return None
+    R_level_body = attitude.R_ned_body.without_heading()
+    R_cam_level = camera.T_body_cam.R.inv @ R_level_body.inv
+    t = R_cam_level @ belief.d_body_pad_level - camera.T_body_cam.R.inv @ camera.T_body_cam.t
+    return PadPose(R_cam_level @ Rotation.from_rpy(0.0, 0.0, -belief.yaw_rad), t)
+
+
+def _registered(
+    eyes: Eyes, paint: PaintMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
+) -> tuple[Sighting | None, PaintMemory]:
+    orientation = Orientation.of(attitude, eyes.sigma_deck_rad)
+    pyramid = Pyramid(frame.px)
+    best: _Registered | None = None
+    if belief is not None and attitude is not None and _near_enough(belief, eyes.pad):
+        start = expected(belief, attitude, eyes.camera)
+        if start is not None and start.t_cam_pad[2] > 0.05:
+            best = _lay(eyes, paint, frame, pyramid, start, orientation, judge.TRACKED_LOG_ODDS)
+    if best is None or best.sighting.confidence < _FITS:
+        R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
+        for candidate in acquire(frame.px, eyes.camera, eyes.pad, R_level_body, paint)[:_CANDIDATES]:
+            if candidate.score < _WORTH_A_TRY:
+                break
+            laid = _lay(eyes, paint, frame, pyramid, candidate.pose, orientation)
+            if laid is not None and (best is None or laid.sighting.confidence > best.sighting.confidence):
+                best = laid
+            if best is not None and best.sighting.confidence >= _FITS:
+                break
+    if best is None:
+        return None, missed(paint)
+    return best.sighting, best.memory
+
+
+def _lay(
+    eyes: Eyes,
+    paint: PaintMemory,
+    frame: Frame,
+    pyramid: Pyramid,
+    start: PadPose,
+    orientation: Orientation,
+    prior_log_odds: float = 0.0,
+) -> _Registered | None:
+    """Register from a start and judge the drawing where it came to lie, given what speaks for the place beside the picture."""
+    found = register(frame.px, eyes.camera, eyes.pad, start, orientation, _TRACKED)
+    if found is None:
+        return None
+    laid = align(pyramid, eyes.camera, eyes.pad, found.pose, SIGMA_TILT_RAD, 0)
+    if laid is None:
+        return None
+    sure = judge.confidence(judge.features(laid, eyes.pad), prior_log_odds)
+    sighting = registered_sighting(frame, found, eyes.camera, orientation)
+    sighting = replace(sighting, confidence=min(1.0, sure))
+    return _Registered(sighting, learn(paint, laid, sure) if sure >= _FITS else missed(paint))
+
+
+def _near_enough(belief: RelativeState, pad: Pad) -> bool:
+    """Whether the belief is sharp enough to start from."""
+    sigma_m = math.sqrt(float(np.linalg.eigvalsh(belief.cov[:3, :3])[-1]))
+    sigma_yaw = math.sqrt(float(belief.cov[6, 6]))
+    reach_m = _REACH_OF_DISC * pad.disc_radius_m + _REACH_OF_HEIGHT * belief.height_m
+    return 2.0 * sigma_m < reach_m and sigma_yaw < 0.3

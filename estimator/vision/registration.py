@@ -1,0 +1,420 @@
+"""Registration: the known drawing of the pad is laid on the picture until every pixel near an edge is explained.
+
+Maximum likelihood over pose, blur, paints and noise at once (analysis by synthesis): expected light of a pixel is the sum of
+the paints' lights times the share of each that the blurred pixel sees. Blur and neighbouring edges are part of the
+model, so they do not bias the pose. Linear unknowns (paints) are eliminated in each linearisation (variable projection: Golub &
+Pereyra, SIAM J. Numer. Anal. 10, 1973); robust weights are Tukey's. Near: profiles across the edges. Far: the whole disc.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.vision import registration_profiles as profiles_
+from estimator.vision import registration_whole as whole_
+from estimator.vision.camera import Camera
+from estimator.vision.drawing import EdgeKind, edges_of
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation
+from estimator.vision.registration_solver import WEAK_BLUR_PX2, Solver, TiltTarget, depth_in_view, difference
+from estimator.vision.registration_state import N_POSE, N_STATE, U8, State, light_table
+
+_NOISE_DOUBTED = 5e-4
+"""Variance of smoothed light over light: four times what worn paint on a patchy deck comes to. More is something on the pad."""
+_EDGE_DOUBTED_PX = 2.0
+"""Sigma of the distant disc's edges then: half of it hidden moves it so far."""
+_SNR_SEEN = 5.0
+_LIKENESS_SEEN = 0.4
+"""White balance off by 20 % and light of 3000 K leave white against green and orange against green above 0.8."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a caller may trade.
+
+    Defaults are for 640x360 pictures on one thread.
+    """
+
+    coarse: bool = True
+    """Search round the start on a reduced picture first; False for a start good to a pixel and a half."""
+    max_profiles: int = 180
+    whole_pixels: int = 1700
+    """A picture of the disc of up to so many pixels is registered whole."""
+    coarse_pixels: int = 600
+    blur_px: float = 0.6
+    """Sigma of the lens' point spread to begin with; it is estimated."""
+    edge_sigma_px: float = 0.004
+    """How well at most an edge's place in the picture is predicted by drawing, lens and blur model."""
+    whole_edge_sigma_px: float = 0.01
+    """The same where edges merge."""
+    edge_sigma_m: float = 0.0
+    """How well the pad is painted."""
+    gamma: bool = True
+    """Pixel values are sRGB; False for light itself."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What the picture says about one kind of edge."""
+
+    contrast_bgr: F64
+    """(3,) linear light inside less outside."""
+    snr: float
+    """Contrast over its standard deviation, best channel mix."""
+    in_view: float
+    """Share of these edges within the picture, 0..1."""
+    inliers: float
+    """Share of those in view that agree with the drawing, 0..1."""
+    likeness: float = 1.0
+    """Cosine between the contrast and that of the pad file's paints; 1 for the disc, whose surroundings nobody knows."""
+
+    @property
+    def seen(self) -> bool:
+        return self.snr > _SNR_SEEN and self.inliers > 0.5 and self.in_view > 0.0 and self.likeness > _LIKENESS_SEEN
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """A pose, its covariance, and what speaks for it."""
+
+    pose: PadPose
+    cov: F64
+    """(6, 6) in `cam`: [t_cam_pad (m), small rotation of the pad (rad)], the prior included."""
+    information: F64
+    """(6, 6) in `cam`, of the picture alone."""
+    prior: Orientation | None
+    edges: Mapping[EdgeKind, Evidence]
+    yaw_ambiguous: bool
+    """No arrowhead told the two headings of the H apart."""
+    blur_px2: F64
+    """(3,) uu, uv, vv of the point spread's covariance at the pad, the pixel's own square taken off."""
+    noise_light: float
+    """Standard deviation of residuals in linear light, 1 = full scale."""
+    edge_rms_px: float
+    """Of what the drawing leaves unexplained in the edges' places, noise taken off."""
+    visible: float
+    """Share of the drawing's edges within the picture."""
+    inliers: float
+    """Share of those that agree."""
+    last_step_px: float
+    """Of the last iteration: small when converged."""
+    whole: bool
+    """From all pixels of the disc; False from profiles across edges."""
+    outline_px: tuple[F64, ...]
+    """Edge points as registered, (N, 2) px a kind, for pictures."""
+
+    @property
+    def blur_px(self) -> float:
+        """Sigma, mean over directions."""
+        return math.sqrt(max(0.0, 0.5 * float(self.blur_px2[0] + self.blur_px2[2])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    state: State
+    H: F64
+    """(9, 9) of the picture."""
+    cov: F64
+    """(9, 9) in `pad`."""
+    edges: dict[EdgeKind, Evidence]
+    noise_light: float
+    edge_rms_px: float
+    visible: float
+    inliers: float
+    last_step_px: float
+    arrow_seen: bool
+    doubted: bool
+    """Something other than the pad is in the way: too much is left unexplained."""
+    whole: bool
+
+
+def register(
+    px: U8, camera: Camera, pad: Pad, start: PadPose, prior: Orientation | None = None, options: Options | None = None
+) -> Registration | None:
+    """Refine a rough pose.
+
+    Args:
+        px: (H, W, 3) BGR.
+        start: off by at most a tenth of the disc's radius and by less than a quarter turn (with `coarse`), or by about
+            1.5 px (without).
+        prior: attitude at the exposure and how level the deck is. Without one, tilt is what the picture shows.
+
+    Returns:
+        None when nothing of the pad is in view at the start, or the picture does not fix a pose.
+
+    Raises:
+        ValueError: the picture is not of the camera's size.
+    """
+    if px.shape != (camera.height, camera.width, 3):
+        raise ValueError(f"want a picture of shape {(camera.height, camera.width, 3)}, got {px.shape}")
+    options = options if options is not None else Options()
+    tilt = TiltTarget.of(prior, camera) if prior is not None else None
+    pose: PadPose | None = start
+    if options.coarse:
+        pose = _coarse(px, camera, pad, start, tilt, options)
+    if pose is None:
+        return None
+    state = State.of(pose, camera, options.blur_px, depth_in_view(pose, camera))
+    solved = _refine(px, camera, pad, state, tilt, options)
+    if solved is None:
+        return None
+    if not (solved.arrow_seen or solved.doubted) and _arrow_is_opposite(px, camera, pad, solved.state, options):
+        turned = replace(solved.state, R=solved.state.R @ np.diag([-1.0, -1.0, 1.0]))
+        again = _refine(px, camera, pad, turned, tilt, options)
+        if again is not None and again.arrow_seen:
+            solved = again
+    return _result(solved, camera, pad, prior)
+
+
+def _refine(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget | None, options: Options) -> _Solved | None:
+    radius_px = pad.disc_radius_m / state.m_per_px
+    small = (2 * radius_px + 8) ** 2 <= options.whole_pixels
+    if not small and profiles_.spacing_ok(state, pad):
+        solved = _by_profiles(px, camera, pad, state, tilt, options)
+        if solved is None or profiles_.spacing_ok(solved.state, pad):
+            return solved
+        state = solved.state
+    return _by_whole(px, camera, pad, state, tilt, options)
+
+
+def _coarse(px: U8, camera: Camera, pad: Pad, start: PadPose, tilt: TiltTarget | None, options: Options) -> PadPose | None:
+    state = State.of(start, camera, options.blur_px, depth_in_view(start, camera))
+    got = whole_.patch(px, camera, pad, state, 3.0, options.coarse_pixels, options.gamma, exact=False)
+    if got is None:
+        return None
+    cut, state = got
+    # A wider blur than the picture's widens the catch.
+    state = replace(state, blur_px2=np.array([1.5, 0.0, 1.5]))
+    solver = Solver(state, tilt, pad)
+    fit: whole_.WholeFit | None = None
+    for n in range(8):
+        fit = whole_.fit(state, cut, pad, fit, options.whole_edge_sigma_px)
+        state, moved = solver.step(state, fit.H, fit.g, 2.0, blur_too=n > 2)
+        if n >= 2 and moved < 0.12:
+            break
+    return state.pose if np.all(np.isfinite(state.t)) and state.t[2] > -1.0 else None
+
+
+def _by_whole(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget | None, options: Options) -> _Solved | None:
+    got = whole_.patch(px, camera, pad, state, 1.5 + 3.0 * state.sigma_px, options.whole_pixels, options.gamma, exact=True)
+    if got is None:
+        return None
+    cut, state = got
+    solver = Solver(state, tilt, pad)
+    fit: whole_.WholeFit | None = None
+    moved = math.inf
+    for n in range(9):
+        final = (n >= 1 and moved < 0.05) or n == 8
+        fit = whole_.fit(state, cut, pad, fit, options.whole_edge_sigma_px, final)
+        state, moved = solver.step(state, fit.H, fit.g, 1.5, blur_too=n > 0)
+        if final:
+            break
+    assert fit is not None
+    meat = fit.meat
+    # The information that would have had this covariance, so that a prior can be taken out and another put in.
+    spread = np.diag(fit.H)
+    if not float(spread.min()) > 0.0:
+        return None
+    H = fit.H @ np.linalg.solve(meat + 1e-9 * np.diag(spread), fit.H)
+    doubted = fit.noise > _NOISE_DOUBTED
+    cov = solver.covariance(state, H) + _whole_edges_off(state, pad, options, _EDGE_DOUBTED_PX if doubted else 0.0)
+    arrow = whole_.arrow_amplitudes(state, cut, pad, fit)
+    seen = arrow is not None and arrow[0] - arrow[1] > max(0.5, 4.0 * arrow[2])
+    edges, inliers = _whole_evidence(fit, arrow)
+    if doubted:
+        inliers *= 0.5
+    visible = float(np.mean([e.in_view for e in edges.values()]))
+    noise = math.sqrt(fit.noise * 0.5 / whole_.NOISE_LEFT)
+    state = state.restored(cut.reduced, whole_.SMOOTHING_PX2)
+    return _Solved(state, H, cov, edges, noise, 0.0, visible, inliers, moved * cut.reduced, seen and not doubted, doubted, True)
+
+
+def _by_profiles(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget | None, options: Options) -> _Solved | None:
+    edges = edges_of(pad)
+    solver = Solver(state, tilt, pad)
+    for again in range(3):
+        half = min(9, max(3, math.ceil(2.2 * state.sigma_px + 1.2)))
+        taken = profiles_.sample(px, camera, pad, edges, state, options.max_profiles, half, options.gamma)
+        if taken is None:
+            return None
+        seen = profiles_.shares(state, taken, pad)
+        mix = profiles_.channels(taken, seen[0])
+        mixed = np.concatenate([mix.mix[k] @ taken.light[:, part] for k, part in enumerate(taken.kind_parts)])
+        before = state
+        noise: F64 | None = None
+        for n in range(5):
+            fit = profiles_.fit(state, taken, pad, mixed, noise, seen if n == 0 else None)
+            last = state
+            state, moved = solver.step(state, fit.H, fit.g, 2.0)
+            delta = difference(last, state)
+            noise = profiles_.noise_after(fit, taken, delta)
+            if n > 0 and moved < 0.08:
+                break
+        settled = solver.moved_px(state, difference(before, state)) < 1.2 and state.sigma_px < 1.5 * before.sigma_px + 0.3
+        if settled or again == 2:
+            break
+    assert taken is not None
+    assert noise is not None
+    if int(fit.accepted.sum()) < 3:
+        return None
+    judged = fit.weight > 0
+    free = int(judged.sum()) - 2 * int(fit.accepted.sum()) - N_STATE
+    left = profiles_.residual_after(fit, taken, delta)
+    scale = float((left * left * fit.per_var)[judged].sum()) / max(free, 1)
+    tau2, rms = _edge_variance(fit, delta, scale, state, options)
+    grow = _growth(fit.scores, fit.H, np.arange(len(mixed)) // taken.samples) * scale
+    H = fit.H / grow
+    cov = solver.covariance(state, H)
+    pull = cov @ (fit.shift_pull / grow)
+    cov = cov + tau2 * (pull @ pull.T)
+    evidence, inliers = _profile_evidence(fit, taken, mix, noise)
+    if mix.mix[EdgeKind.RING].any():
+        amplitude, sigma = profiles_.arrow_amplitude(state, taken, pad, mixed)
+        evidence[EdgeKind.ARROW] = _arrow_evidence(
+            amplitude, sigma, mix.contrast[EdgeKind.RING], float(taken.in_view[EdgeKind.ARROW])
+        )
+    light = [
+        float(noise[k].mean()) / float(mix.mix[k] @ mix.mix[k]) for k in EdgeKind if noise[k].max() < 1.0 and mix.mix[k].any()
+    ]
+    noise_light = math.sqrt(float(np.mean(light))) if light else 0.0
+    visible, arrow = float(taken.in_view.mean()), evidence[EdgeKind.ARROW].seen
+    return _Solved(state, H, cov, evidence, noise_light, rms, visible, inliers, moved, arrow, False, False)
+
+
+def _edge_variance(fit: profiles_.ProfileFit, delta: F64, noise: float, state: State, options: Options) -> tuple[float, float]:
+    """Variance (px^2) of edges' places that neither noise nor pose explains, and the square root of what was measured.
+
+    Source: DerSimonian & Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7(3), 1986.
+    """
+    on = fit.accepted & (fit.shift_information > 1.0)
+    floor = options.edge_sigma_px**2 + (options.edge_sigma_m / state.m_per_px) ** 2
+    n = int(on.sum())
+    if n <= N_STATE:
+        return floor, 0.0
+    left = fit.shift[on] - (delta @ fit.shift_pull[:, on]) / fit.shift_information[on]
+    w, shift = fit.shift_information[on] / noise, np.clip(left, -2.0, 2.0)
+    # Noise makes n - 9 of it, the rest is the drawing's.
+    excess = float(w @ shift**2) - (n - N_STATE)
+    tau2 = max(0.0, excess / (float(w.sum()) * (1.0 - N_STATE / n)))
+    return max(floor, tau2), math.sqrt(tau2)
+
+
+def _growth(scores: F64, H: F64, cluster: NDArray[np.intp]) -> float:
+    """Factor on the covariance for residuals that neighbouring pixels share, from sums of scores over clusters; at least 1.
+
+    Source: Liang & Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73(1), 1986.
+    """
+    scale = np.sqrt(np.maximum(np.diag(H)[:N_POSE], 1e-300))
+    u = scores[:N_POSE] / scale[:, None]
+    alone = float((u * u).sum())
+    n = int(cluster.max()) + 1
+    together = sum(float((np.bincount(cluster, row, minlength=n) ** 2).sum()) for row in u)
+    return max(1.0, together / alone) if alone > 0 else 1.0
+
+
+def _whole_edges_off(state: State, pad: Pad, options: Options, more_px: float) -> F64:
+    """(9, 9) what unexplained places of edges cost: eight sectors of the disc and four strokes of the H, each by itself."""
+    sigma_m = math.hypot(math.hypot(options.whole_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)
+    out = np.zeros((N_STATE, N_STATE))
+    out[0, 0] = out[1, 1] = sigma_m**2 / 4.0
+    out[2, 2] = (sigma_m * state.depth_m / pad.disc_radius_m) ** 2 / 8.0
+    out[5, 5] = (sigma_m / (0.5 * pad.h_length_m)) ** 2
+    return out
+
+
+def _profile_evidence(
+    fit: profiles_.ProfileFit, taken: profiles_.Profiles, mix: profiles_.Channels, noise: F64
+) -> tuple[dict[EdgeKind, Evidence], float]:
+    out: dict[EdgeKind, Evidence] = {}
+    pixels = np.add.reduceat(taken.usable, taken.starts)
+    agree = np.add.reduceat(fit.weight, taken.starts)
+    for kind in EdgeKind:
+        of = taken.group_kind == kind
+        judged = of & (pixels > 8)
+        if not judged.any():
+            out[kind] = Evidence(np.zeros(3), 0.0, float(taken.in_view[kind]), 0.0)
+            continue
+        contrast = whole_.median(fit.contrast[judged])
+        snr = contrast / math.sqrt(float(noise[kind].mean())) if noise[kind].mean() < 0.5 else 0.0
+        # Tukey's weights are 0.9 in the mean of Gaussian noise.
+        share = min(1.0, float(agree[judged].sum()) / (0.9 * float(pixels[judged].sum())))
+        out[kind] = Evidence(mix.contrast[kind] * contrast, snr, float(taken.in_view[kind]), share)
+    return out, min(1.0, float(agree.sum()) / max(1.0, 0.9 * float(pixels.sum())))
+
+
+def _whole_evidence(fit: whole_.WholeFit, arrow: tuple[float, float, float] | None) -> tuple[dict[EdgeKind, Evidence], float]:
+    weight = fit.weight.mean(axis=0)
+    out: dict[EdgeKind, Evidence] = {}
+    for kind, row in ((EdgeKind.DISC, 3), (EdgeKind.RING, 4), (EdgeKind.H, 5)):
+        share = fit.values[row]
+        edge = share * (1.0 - share)
+        total = float(edge.sum())
+        snr = math.sqrt(float((fit.paints[row] ** 2 / np.maximum(fit.cov_paints[row], 1e-12)).sum()))
+        inliers = min(1.0, float(edge @ weight) / (0.9 * total)) if total > 1e-6 else 0.0
+        out[kind] = Evidence(fit.paints[row], snr, 1.0, inliers)
+    if arrow is None:
+        out[EdgeKind.ARROW] = Evidence(np.zeros(3), 0.0, 0.0, 0.0)
+    else:
+        out[EdgeKind.ARROW] = _arrow_evidence(arrow[0], arrow[2], fit.paints[4], 1.0)
+    return out, min(1.0, float(weight.mean()) / 0.9)
+
+
+def _arrow_evidence(amplitude: float, sigma: float, contrast: F64, in_view: float) -> Evidence:
+    agree = min(1.0, max(0.0, 1.0 - abs(amplitude - 1.0)))
+    return Evidence(contrast * amplitude, max(0.0, amplitude) / max(sigma, 1e-6), in_view, agree)
+
+
+def _likeness(kind: EdgeKind, contrast_bgr: F64, pad: Pad) -> float:
+    paints = pad.colours
+    inside = {EdgeKind.RING: paints.ring, EdgeKind.ARROW: paints.ring, EdgeKind.H: paints.h}.get(kind)
+    size = float(np.linalg.norm(contrast_bgr))
+    if inside is None or size < 1e-6:
+        return 1.0
+    table = light_table(True)
+    nominal = table[list(inside[::-1])] - table[list(paints.disc[::-1])]
+    return float(nominal @ contrast_bgr) / (size * max(float(np.linalg.norm(nominal)), 1e-6))
+
+
+def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: State, options: Options) -> bool:
+    got = whole_.patch(px, camera, pad, state, 3.0, options.whole_pixels, options.gamma, exact=True)
+    if got is None:
+        return False
+    cut, coarse = got
+    fit = whole_.fit(coarse, cut, pad, None, options.whole_edge_sigma_px)
+    arrow = whole_.arrow_amplitudes(coarse, cut, pad, fit)
+    return arrow is not None and arrow[1] - arrow[0] > max(0.5, 4.0 * arrow[2])
+
+
+def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None) -> Registration | None:
+    state = solved.state
+    cov9, H = solved.cov, solved.H
+    if not (np.all(np.isfinite(cov9)) and np.all(np.isfinite(state.t))) or float(state.R[:, 2] @ state.t) <= 0:
+        return None
+    # What the blur could be instead is eliminated, not ignored.
+    blur = H[6:, 6:] + np.eye(3) * WEAK_BLUR_PX2**-2
+    information = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(blur, H[6:, :6])
+    pose = state.pose
+    T = np.zeros((6, 6))
+    T[:3, :3] = T[3:, 3:] = pose.R_cam_pad.matrix
+    cov, information = T @ cov9[:6, :6] @ T.T, T @ information @ T.T
+    judged = {kind: replace(e, likeness=_likeness(kind, e.contrast_bgr, pad)) for kind, e in solved.edges.items()}
+    edges = edges_of(pad)
+    outline = camera.project(pose.points(np.c_[edges.at_m[::4], np.zeros(len(edges.at_m[::4]))]))
+    kinds = edges.kind[::4]
+    turn = pose.R_cam_pad.matrix[:2, :2]
+    b = state.blur_px2
+    in_picture = turn @ np.array([[b[0], b[1]], [b[1], b[2]]]) @ turn.T
+    return Registration(
+        pose, 0.5 * (cov + cov.T), 0.5 * (information + information.T), prior, MappingProxyType(judged),
+        not solved.arrow_seen, np.array([in_picture[0, 0] - 1 / 12, in_picture[0, 1], in_picture[1, 1] - 1 / 12]),
+        solved.noise_light, solved.edge_rms_px, solved.visible, solved.inliers, solved.last_step_px, solved.whole,
+        tuple(outline[kinds == kind] for kind in EdgeKind),
+    )  # fmt: skip

@@ -1,0 +1,155 @@
+"""What registration varies: the pad's pose and the blur, and how a pixel's place on the pad answers to them.
+
+Increments are written in `pad`: t -> t + R dt, R -> R exp(dr). A pixel's ray meets the pad's plane at (x, y); with the ray's
+slopes k = (x - cx) / h against the plane's normal, where the camera stands at (cx, cy) and h above the plane, the derivatives of
+(x, y) are polynomials in x, y and k alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.vision.camera import Camera
+from estimator.vision.drawing import F32, Blurred
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+
+U8 = NDArray[np.uint8]
+N_POSE = 6
+N_STATE = 9
+"""dt (3) m, dr (3) rad, blur xx, xy, yy px^2."""
+
+_PIXEL_VAR = 1.0 / 12.0
+"""px^2 of a square pixel along any direction."""
+_MAX_BLUR_PX2 = 49.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """A pose and a blur."""
+
+    R: F64
+    """(3, 3) `R_cam_pad`."""
+    t: F64
+    """(3,) m, the pad's centre in `cam`."""
+    blur_px2: F64
+    """(3,) xx, xy, yy along the pad's axes of the point spread's covariance, the pixel's own square in it."""
+    m_per_px: float
+    """Reference scale that `blur_px2` is measured in; kept while the pose is refined."""
+    depth_m: float
+    """Depth at which that scale holds."""
+
+    @staticmethod
+    def of(pose: PadPose, camera: Camera, blur_px: float, depth_m: float) -> State:
+        """`depth_m`: of the part of the pad that is in view."""
+        var = blur_px**2 + _PIXEL_VAR
+        scale = depth_m / (0.5 * (camera.fx + camera.fy))
+        return State(pose.R_cam_pad.matrix, pose.t_cam_pad, np.array([var, 0.0, var]), scale, depth_m)
+
+    @property
+    def pose(self) -> PadPose:
+        u, _, vt = np.linalg.svd(self.R)
+        return PadPose(Rotation(u @ vt), self.t)
+
+    @property
+    def blur_m2(self) -> tuple[float, float, float]:
+        xx, xy, yy = (self.blur_px2 * self.m_per_px**2).tolist()
+        return xx, xy, yy
+
+    @property
+    def sigma_px(self) -> float:
+        """Of the point spread with the pixel, mean over directions."""
+        return float(np.sqrt(0.5 * (self.blur_px2[0] + self.blur_px2[2])))
+
+    def reduced(self, k: int, smoothing_px2: float) -> State:
+        """The same in pixels k times as wide, with what their square and a smoothing of them add to the blur."""
+        added = _PIXEL_VAR * (1.0 - 1.0 / k**2) + smoothing_px2
+        b = self.blur_px2 / k**2 + added * np.array([1.0, 0.0, 1.0])
+        return replace(self, blur_px2=b, m_per_px=self.m_per_px * k)
+
+    def restored(self, k: int, smoothing_px2: float) -> State:
+        """Undoes `reduced`."""
+        added = _PIXEL_VAR * (1.0 - 1.0 / k**2) + smoothing_px2
+        b = (self.blur_px2 - added * np.array([1.0, 0.0, 1.0])) * k**2
+        return replace(self, blur_px2=b, m_per_px=self.m_per_px / k)
+
+    def moved(self, delta: F64) -> State:
+        """(9,) increment applied; the blur stays a covariance no smaller than a pixel's."""
+        R = self.R @ cv2.Rodrigues(delta[3:6])[0]
+        xx, xy, yy = self.blur_px2 + delta[6:9]
+        if not (
+            min(xx, yy) > _PIXEL_VAR and max(xx, yy) < 0.9 * _MAX_BLUR_PX2 and (xx - _PIXEL_VAR) * (yy - _PIXEL_VAR) > xy * xy
+        ):
+            values, vectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
+            m = (vectors * np.clip(values, _PIXEL_VAR, _MAX_BLUR_PX2)) @ vectors.T
+            xx, xy, yy = m[0, 0], m[0, 1], m[1, 1]
+        return replace(self, R=R, t=self.t + self.R @ delta[:3], blur_px2=np.array([xx, xy, yy]))
+
+    def footprint(self, rays: F64, pad: Pad) -> Footprint:
+        """Where pixels look. `rays` (N, 2) are x/z, y/z."""
+        r = rays @ self.R[:2] + self.R[2]
+        c = -(self.R.T @ self.t)
+        h = -c[2]
+        per = 1.0 / np.maximum(r[:, 2], 1e-3)
+        k1, k2 = r[:, 0] * per, r[:, 1] * per
+        scale = (h / self.depth_m) * per
+        # Single precision is 1e-7 of the pad; the transcendental functions to come take a third of the time in it.
+        x, y, scale2 = (a.astype(np.float32) for a in (c[0] + h * k1, c[1] + h * k2, scale * scale))
+        return Footprint(Blurred(pad, x, y, self.blur_m2, scale2), k1.astype(np.float32), k2.astype(np.float32), self.m_per_px**2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Footprint:
+    """Places on the pad that pixels look at, and the slopes of their rays against its normal."""
+
+    places: Blurred
+    k1: F32
+    k2: F32
+    m2_per_px2: float
+
+    def part(self, part: slice) -> Blurred:
+        """The places of some of the pixels."""
+        b = self.places
+        return Blurred(b.pad, b.x[part], b.y[part], b.blur_m2, b.scale2[part])
+
+    def jacobian(self, d: F32) -> F32:
+        """(5, N) change with x, y and the blur in m^2, to (9, N) change with the state."""
+        x, y = self.places.x, self.places.y
+        out = np.empty((N_STATE, d.shape[1]), np.float32)
+        g = self.k1 * d[0] + self.k2 * d[1]
+        np.negative(d[:2], out=out[:2])
+        out[2] = g
+        out[3] = y * g
+        out[4] = -x * g
+        out[5] = y * d[0] - x * d[1]
+        np.multiply(d[2:], self.m2_per_px2, out=out[6:])
+        return out
+
+
+@lru_cache(maxsize=8)
+def ray_map(camera: Camera) -> NDArray[np.float64]:
+    """(H, W, 2) x/z, y/z of every pixel of a camera with distortion, made once."""
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
+    return camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(camera.height, camera.width, 2)
+
+
+def pixel_rays(camera: Camera, u: NDArray[np.intp], v: NDArray[np.intp]) -> F64:
+    """(N, 2) rays of whole pixels."""
+    if camera.distorted:
+        return ray_map(camera)[v, u]
+    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy], axis=1)
+
+
+@lru_cache(maxsize=2)
+def light_table(gamma: bool) -> F64:
+    """(256,) linear light 0..1 of a pixel's value: sRGB, or the value itself. Source: IEC 61966-2-1."""
+    v = np.arange(256) / 255.0
+    if not gamma:
+        return np.asarray(v)
+    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))

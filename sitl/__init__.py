@@ -1,0 +1,1 @@
+"""A world that speaks the same wires: sea, vessel, vehicle, camera, sensors."""

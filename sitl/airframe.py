@@ -1,0 +1,116 @@
+"""The figures of the simulated quadcopter: body, rotors, inner loops, own estimator, feet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Loops:
+    """Gains of the inner loops: P and D as in the thesis' simulator (hector_quadrotor's controller), the rest as said."""
+
+    tilt_p: float = 10.0
+    """1/s^2: angular acceleration per rad of roll or pitch error."""
+    tilt_d: float = 5.0
+    """1/s."""
+    tilt_max_rad: float = 0.5
+    """Largest roll or pitch that any loop may ask for."""
+    yaw_rate_p: float = 2.0
+    """1/s."""
+    velocity_p: float = 5.0
+    """1/s: acceleration per m/s of horizontal velocity error while hovering."""
+    velocity_d: float = 1.0
+    """Per m/s^2 of acceleration."""
+    velocity_i: float = 1.0
+    """1/s^2. The thesis' loop has none and drifts downwind for ever; the real drone holds its place (Bristeau, Callou,
+    Vissiere & Petit, The navigation and control technology inside the AR.Drone micro UAV, IFAC 2011, section 5)."""
+    velocity_i_max_m_s2: float = 3.0
+    climb_p: float = 5.0
+    """1/s."""
+    climb_d: float = 1.0
+    climb_i: float = 2.5
+    """1/s^2. Without it the cushion of air over the deck can hold the vehicle up for ever at a gentle landing speed."""
+    climb_i_max_m_s2: float = 4.0
+    height_p: float = 1.0
+    """1/s: climb rate asked per metre away from the height held."""
+
+
+@dataclass(frozen=True, slots=True)
+class Avionics:
+    """How wrong the drone's own estimates are; these feed its own loops as well as its telemetry."""
+
+    tilt_bias_sigma_rad: float = 0.009
+    """Of the constant part of the roll and pitch error, drawn once a flight."""
+    tilt_drift_sigma_rad: float = 0.007
+    tilt_drift_time_s: float = 1.0
+    """Correlation time of the wandering part."""
+    flow_scale: float = 0.83
+    """Velocity told over true velocity."""
+    flow_noise_sigma_m_s: float = 0.015
+    flow_noise_time_s: float = 0.2
+    flow_lag_s: float = 0.03
+    flow_sees_deck: bool = True
+    """Over the deck the optical flow measures against the deck; False: always against the still water."""
+
+
+@dataclass(frozen=True, slots=True)
+class Feet:
+    """Four elastic feet, and the friction under them."""
+
+    half_base_m: float = 0.13
+    """Each stands this far ahead or astern, and this far to the side."""
+    below_m: float = 0.045
+    """Below the body's origin: its height over the deck when landed, as in the thesis' ground truth."""
+    top_m: float = 0.06
+    """Height of the hull over the body's origin: what it lies on when it came down the wrong way up."""
+    stiffness_n_m: float = 6000.0
+    """Of all four together: landed, they give 2.4 mm."""
+    damping_ratio: float = 0.7
+    """Of critical: nearly no rebound."""
+    friction: float = 0.6
+    """Coulomb's coefficient, foam or rubber on painted steel (assumed)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """What does not change in flight. Mass, inertia and largest force are those of the thesis' simulator."""
+
+    mass_kg: float = 1.477
+    inertia_kg_m2: tuple[float, float, float] = (0.01152, 0.01152, 0.0218)
+    """Principal moments about x, y, z."""
+    thrust_max_n: float = 30.0
+    torque_max_n_m: tuple[float, float, float] = (1.0, 1.0, 0.3)
+    motor_lag_s: float = 0.05
+    """First-order lag of thrust and torque behind their commands."""
+    command_delay_s: float = 0.04
+    """From the arrival of a stick command to its effect on the loops."""
+    arm_m: float = 0.127
+    """Of each rotor's axis, ahead or astern and to the side: 0.36 m between diagonal ones."""
+    rotor_radius_m: float = 0.10
+    rotors_above_m: float = 0.03
+    """Rotor plane above the body's origin."""
+    yaw_torque_per_thrust_m: float = 0.02
+    """Drag torque of a rotor over its thrust (assumed)."""
+    drag_per_s: tuple[float, float, float] = (0.35, 0.35, 0.2)
+    """Acceleration against the air per m/s of airspeed, along the body's axes: linear rotor drag (Martin & Salaun, The true
+    role of accelerometer feedback in quadrotor control, ICRA 2010, eq. 9)."""
+    landing_speed_m_s: float = 0.4
+    take_off_speed_m_s: float = 0.5
+    take_off_height_m: float = 1.0
+    motors_off_after_s: float = 0.2
+    """Of contact while landing by itself."""
+    tilt_cut_off_rad: float = 1.2
+    """Motors stop beyond this tilt, as the real drone's do."""
+    loops: Loops = field(default_factory=Loops)
+    avionics: Avionics = field(default_factory=Avionics)
+    feet: Feet = field(default_factory=Feet)
+
+
+@dataclass(slots=True)
+class Limits:
+    """What a full stick means. Settable in flight."""
+
+    euler_angle_max_rad: float = 0.21
+    vz_max_m_s: float = 0.7
+    yaw_rate_max_rad_s: float = 1.745
+    """The AR.Drone's defaults: 12 degrees, 700 mm/s, 100 degrees/s."""

@@ -1,0 +1,166 @@
+"""An AR.Drone without its sockets: AT datagrams and the passing of time in, navdata out. Drives one `World`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from typing import assert_never
+
+from drivers.ardrone import control
+from drivers.ardrone.navdata import Navdata
+from estimator.contracts.time import MonoNs
+from sitl.ardrone.config import Configuration
+from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.navdata_from_world import ALL_OPTIONS, Shot, Situation, datagram, upright_m
+from sitl.ardrone.state import HOVER, Deed, DroneState
+from sitl.world import Phase, Stick, World
+
+TICK_S = 0.005
+"""Physics and full navdata, 200 Hz."""
+BATTERY_LOW = 0.2
+"""Fraction."""
+_STEERABLE = (Phase.TAKING_OFF, Phase.HOVERING, Phase.FLYING)
+
+
+class Drone:
+    """One drone in one world.
+
+    Args:
+        network: the ports it tells of in its configuration, by key.
+    """
+
+    def __init__(self, world: World, clock: DroneClock, network: dict[str, int] | None = None) -> None:
+        self.world = world
+        self.counters: Counter[str] = Counter()
+        self.state = DroneState(self._configuration(network or {}))
+        self.answers: dict[Deed, Callable[[], bytes]] = {}
+        """What the control channel is to send, made when it is sent; asked for twice, it is sent once."""
+        self.shot = Shot()
+        """The newest picture filmed, sent or not."""
+        self._clock = clock
+        self._stick = self._flown = HOVER
+        self._readings = world.readings()
+        self._altitude_m = 0.0
+        self._echo_m: float | None = None
+        self._echoes = 0
+        self._ticks = 0
+        self._sequence = 0
+
+    @property
+    def rpy_rad(self) -> tuple[float, float, float]:
+        """The drone's own idea of its attitude."""
+        roll, pitch, yaw = self._readings.rpy_rad
+        return float(roll), float(pitch), float(yaw)
+
+    @property
+    def altitude_m(self) -> float:
+        """The last ultrasound echo that came back, upright."""
+        return self._altitude_m
+
+    @property
+    def in_demo_mode(self) -> bool:
+        """Whether navdata goes out at the slow rate: before the bootstrap's end, and when configured so."""
+        return self.state.bootstrap or self.state.config.flag("general:navdata_demo")
+
+    def enter(self, world: World) -> None:
+        """Go on in another world, configured as before."""
+        self.world = world
+        self._stick = self._flown = HOVER
+        self._readings = world.readings()
+        self._altitude_m, self._echo_m = 0.0, None
+        self._do(Deed.APPLY_LIMITS)
+
+    def take(self, data: bytes, now: MonoNs) -> None:
+        """One datagram of the AT port."""
+        for deed in self.state.take(data, now, self.world.phase):
+            self._do(deed)
+
+    def tick(self, at: MonoNs) -> None:
+        """Let time pass up to `at`, about `TICK_S` after the last."""
+        for deed in self.state.tick(at, self.world.phase):
+            self._do(deed)
+        stick = self._within_altitude(self._stick)
+        if stick != self._flown and self.world.phase in _STEERABLE:
+            self._flown = stick
+            self.world.stick(stick)
+        self.world.advance(at)
+        self._readings = self.world.readings()
+        echo_m = self._readings.ultrasound_m
+        if echo_m is not None and echo_m != self._echo_m:
+            self._echoes += 1
+            self._altitude_m = upright_m(echo_m, self.rpy_rad)
+        self._echo_m = echo_m
+        self._ticks += 1
+
+    def navdata(self) -> Navdata:
+        """The next datagram, in the mode the drone is in."""
+        config = self.state.config
+        if self.state.bootstrap:
+            mask = 0
+        elif config.flag("general:navdata_demo"):
+            mask = int(config.number("general:navdata_options"))
+        else:
+            mask = ALL_OPTIONS
+        phase, readings = self.world.phase, self._readings
+        self._sequence += 1
+        situation = Situation(
+            state=self.state.word(phase, readings.battery_fraction < BATTERY_LOW, readings.ultrasound_m is None),
+            control_state=self.state.control_state(phase),
+            readings=readings,
+            phase=phase,
+            altitude_m=self._altitude_m,
+            time_us=self._clock.microseconds(readings.at),
+            stick=self._flown,
+            limits=self.world.limits,
+            shot=self.shot,
+            echoes=self._echoes,
+            ticks=self._ticks,
+        )
+        return datagram(situation, self._sequence, mask)
+
+    def _do(self, deed: Deed | Stick) -> None:
+        if isinstance(deed, Stick):
+            self._stick = deed
+            return
+        self.counters[deed.value] += 1
+        match deed:
+            case Deed.TAKE_OFF:
+                self._stick = self._flown = HOVER
+                self.world.take_off()
+            case Deed.LAND:
+                self._stick = self._flown = HOVER
+                self.world.land()
+            case Deed.CUT_MOTORS:
+                self.world.emergency()
+            case Deed.LEAVE_EMERGENCY:
+                self.world.leave_emergency()
+            case Deed.FLAT_TRIM:
+                # The simulated attitude estimate has no trim to set; the counter shows that it was asked for.
+                pass
+            case Deed.APPLY_LIMITS:
+                number, limits = self.state.config.number, self.world.limits
+                limits.euler_angle_max_rad = number("control:euler_angle_max")
+                limits.vz_max_m_s = 1e-3 * number("control:control_vz_max")
+                limits.yaw_rate_max_rad_s = number("control:control_yaw")
+            case Deed.SEND_CONFIGURATION:
+                self.answers[deed] = lambda: control.render(self.state.config.dump())
+            case Deed.SEND_CUSTOM_IDS:
+                self.answers[deed] = self.state.config.custom_ids
+            case _:
+                assert_never(deed)
+
+    def _configuration(self, network: dict[str, int]) -> Configuration:
+        """The table as this drone starts with it: its own ports and the limits its world was given."""
+        config = Configuration(network)
+        limits = self.world.limits
+        config.set("control:euler_angle_max", f"{limits.euler_angle_max_rad:.7g}")
+        config.set("control:control_vz_max", f"{1e3 * limits.vz_max_m_s:.7g}")
+        config.set("control:control_yaw", f"{limits.yaw_rate_max_rad_s:.7g}")
+        return config
+
+    def _within_altitude(self, stick: Stick) -> Stick:
+        """control:altitude_max is a ceiling: above it the drone does not climb."""
+        if stick.gaz > 0.0 and self._altitude_m >= 1e-3 * self.state.config.number("control:altitude_max"):
+            return replace(stick, gaz=0.0)
+        return stick

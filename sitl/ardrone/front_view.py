@@ -1,0 +1,27 @@
+"""What the forward camera of the drone would see out at sea: sky, horizon, water. No pad is ever in it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64, Rotation
+
+HALF_WIDTH_TAN = 0.81
+"""Tangent of half the horizontal field of view of the 92 degree (diagonal) lens."""
+
+_SKY_HIGH, _SKY_LOW = np.array([205.0, 160.0, 110.0]), np.array([235.0, 222.0, 205.0])
+_SEA_NEAR, _SEA_FAR = np.array([80.0, 60.0, 30.0]), np.array([130.0, 112.0, 85.0])
+
+
+def front_view(R_ned_body: Rotation, width: int = 640, height: int = 360) -> NDArray[np.uint8]:
+    """(height, width, 3) BGR: the horizon where roll and pitch put it, colours shaded by the angle from it."""
+    scale = 2.0 * HALF_WIDTH_TAN / width
+    y = (np.arange(width) - (width - 1) / 2) * scale
+    z = (np.arange(height) - (height - 1) / 2) * scale
+    down = R_ned_body.matrix[2]
+    below: F64 = (down[0] + down[1] * y[None, :] + down[2] * z[:, None]) / np.sqrt(1 + y[None, :] ** 2 + z[:, None] ** 2)
+    shade = np.clip(np.abs(below) * 3.0, 0.0, 1.0)[..., None]
+    sky = _SKY_LOW + (_SKY_HIGH - _SKY_LOW) * shade
+    sea = _SEA_FAR + (_SEA_NEAR - _SEA_FAR) * shade
+    return np.asarray(np.where(below[..., None] > 0.0, sea, sky), dtype=np.uint8)

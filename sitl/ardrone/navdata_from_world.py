@@ -1,0 +1,231 @@
+"""What the simulated sensors read, written as the options of an AR.Drone's navdata. Fields nothing here measures stay zero,
+as they are on a real drone that lacks the part.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.ardrone import navdata
+from drivers.ardrone.navdata import Navdata
+from sitl.airframe import Limits
+from sitl.world import Phase, Readings, Stick
+
+STANDARD_GRAVITY = 9.80665
+TESLA_PER_MILLIGAUSS = 1e-7
+MILLIGAUSS_PER_COUNT = 3.4
+"""As a captured datagram relates its counts to its field."""
+ALL_OPTIONS = (1 << 28) - 1
+"""Mask of the 28 options of firmware 2.4.8."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """The last picture that went out, as navdata speaks of it."""
+
+    number: int = 0
+    time_ms: int = 0
+    """Of the drone's clock, at mid-exposure."""
+    rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    altitude_m: float = 0.0
+    bytes_sent: int = 0
+    bitrate_kbps: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """Everything one datagram is made of."""
+
+    state: int
+    control_state: int
+    readings: Readings
+    phase: Phase
+    altitude_m: float
+    """The drone's own idea: the last ultrasound echo that came back, upright."""
+    time_us: int
+    """Of the drone's clock."""
+    stick: Stick
+    limits: Limits
+    shot: Shot
+    echoes: int
+    """Ultrasound echoes so far: a new one may read the same as the last."""
+    ticks: int
+    """Of the drone's control loop, for its watchdog count."""
+
+
+def datagram(situation: Situation, sequence: int, mask: int) -> Navdata:
+    """Header and the options whose bit `1 << tag` is in `mask`; a mask of 0 is the bootstrap's bare state word."""
+    options = tuple(make(situation) for tag, make in _OPTIONS.items() if mask >> tag & 1)
+    return Navdata.of(situation.state, sequence, options)
+
+
+def upright_m(slant_m: float, rpy_rad: tuple[float, float, float]) -> float:
+    """Height over a level ground from a range along the body's down axis."""
+    return slant_m * math.cos(rpy_rad[0]) * math.cos(rpy_rad[1])
+
+
+def _mdeg(angle_rad: float) -> float:
+    return math.degrees(angle_rad) * 1e3
+
+
+def _demo(s: Situation) -> navdata.Demo:
+    roll, pitch, yaw = (float(a) for a in s.readings.rpy_rad)
+    vx, vy = (float(v) for v in s.readings.v_level_m_s)
+    return navdata.Demo(
+        ctrl_state=s.control_state,
+        battery_percent=round(100 * s.readings.battery_fraction),
+        theta_mdeg=_mdeg(pitch),
+        phi_mdeg=_mdeg(roll),
+        psi_mdeg=_mdeg(yaw),
+        altitude_mm=0 if s.phase is Phase.LANDED else round(1e3 * s.altitude_m),
+        vx_mm_s=1e3 * vx,
+        vy_mm_s=1e3 * vy,
+        # No real drone was ever seen to fill this in.
+        vz_mm_s=0.0,
+    )
+
+
+def _raw_measures(s: Situation) -> navdata.RawMeasures:
+    x, y, z = (1e3 * f / STANDARD_GRAVITY for f in s.readings.f_body)
+    gyros = [_clip(math.degrees(w) * 16.4, -(2**15), 2**15 - 1) for w in s.readings.w_body]
+    echo = s.readings.ultrasound_m
+    return navdata.RawMeasures(
+        raw_accs=tuple(_clip(2048 + 0.512 * mg, 0, 4095) for mg in (x, -y, -z)),
+        raw_gyros=tuple(gyros),
+        vbat_raw_mv=round(10_772 + 1_828 * s.readings.battery_fraction),
+        flag_echo_ini=1,
+        nb_echo=0 if echo is None else 1,
+        sum_echo=s.echoes % 2**32,
+        alt_temp_raw_mm=0 if echo is None else round(1e3 * echo),
+    )
+
+
+def _phys_measures(s: Situation) -> navdata.PhysMeasures:
+    f, w = s.readings.f_body, s.readings.w_body
+    return navdata.PhysMeasures(
+        accs_temp_c=float(s.readings.temperature_c),
+        gyro_temp=0,
+        phys_accs_mg=tuple(1e3 * float(v) / STANDARD_GRAVITY for v in f),
+        phys_gyros_deg_s=tuple(math.degrees(v) for v in w),
+    )
+
+
+def _euler_angles(s: Situation) -> navdata.EulerAngles:
+    x, y, z = (float(v) for v in s.readings.f_body)
+    return navdata.EulerAngles(_mdeg(math.atan2(x, math.hypot(y, z))), _mdeg(math.atan2(-y, -z)))
+
+
+def _references(s: Situation) -> navdata.References:
+    tilt = s.limits.euler_angle_max_rad if s.stick.progressive else 0.0
+    return navdata.References(
+        ref_theta=round(_mdeg(s.stick.pitch * tilt)),
+        ref_phi=round(_mdeg(s.stick.roll * tilt)),
+        ref_yaw=round(_mdeg(s.stick.yaw * s.limits.yaw_rate_max_rad_s)) if s.stick.progressive else 0,
+    )
+
+
+def _pwm(s: Situation) -> navdata.Pwm:
+    return navdata.Pwm(motor=tuple(_clip(p, 0, 255) for p in s.readings.motors_pwm))
+
+
+def _altitude(s: Situation) -> navdata.Altitude:
+    echo = s.readings.ultrasound_m
+    return navdata.Altitude(
+        altitude_vision_mm=round(1e3 * s.altitude_m),
+        altitude_raw_mm=0 if echo is None else round(1e3 * echo),
+        obs_alt=s.altitude_m,
+        est_vb=(1e3 * float(s.readings.v_level_m_s[0]), 1e3 * float(s.readings.v_level_m_s[1])),
+    )
+
+
+def _vision(s: Situation) -> navdata.Vision:
+    roll, pitch, yaw = s.shot.rpy_rad
+    vx, vy = (float(v) for v in s.readings.v_level_m_s)
+    return navdata.Vision(
+        vision_state=2,
+        theta_capture_rad=pitch,
+        phi_capture_rad=roll,
+        psi_capture_rad=yaw,
+        altitude_capture_mm=round(1e3 * s.shot.altitude_m),
+        time_capture_ms=s.shot.time_ms,
+        body_v=(1e3 * vx, 1e3 * vy, 0.0),
+    )
+
+
+def _video_stream(s: Situation) -> navdata.VideoStream:
+    return navdata.VideoStream(
+        frame_size=s.shot.bytes_sent,
+        frame_number=s.shot.number,
+        out_bitrate=s.shot.bitrate_kbps,
+        desired_bitrate=s.shot.bitrate_kbps,
+    )
+
+
+def _pressure(s: Situation) -> navdata.PressureRaw:
+    return navdata.PressureRaw(
+        up=0, ut=0, temperature_dc=round(10 * s.readings.temperature_c), pressure_pa=round(s.readings.pressure_pa)
+    )
+
+
+def _magneto(s: Situation) -> navdata.Magneto:
+    if s.readings.magnetometer is None:
+        return navdata.Magneto()
+    field_mg = tuple(float(v) / TESLA_PER_MILLIGAUSS for v in s.readings.magnetometer)
+    heading = math.degrees(s.readings.rpy_rad[2])
+    mx, my, mz = (_clip(v / MILLIGAUSS_PER_COUNT, -(2**15), 2**15 - 1) for v in field_mg)
+    return navdata.Magneto(
+        mx=mx,
+        my=my,
+        mz=mz,
+        magneto_raw_mg=field_mg,
+        magneto_rectified_mg=field_mg,
+        heading_unwrapped_deg=heading,
+        heading_gyro_unwrapped_deg=heading,
+        heading_fusion_unwrapped_deg=heading,
+        calibration_ok=1,
+        state=2,
+        radius=math.hypot(*field_mg),
+    )
+
+
+def _kalman_pressure(s: Situation) -> navdata.KalmanPressure:
+    return navdata.KalmanPressure(offset_pressure_pa=float(s.readings.pressure_pa), est_z=1e3 * s.altitude_m)
+
+
+def _clip(value: float, low: int, high: int) -> int:
+    return min(high, max(low, round(value)))
+
+
+_OPTIONS: dict[int, Callable[[Situation], Any]] = {
+    0: _demo,
+    1: lambda s: navdata.Time.of_us(s.time_us),
+    2: _raw_measures,
+    3: _phys_measures,
+    4: lambda s: navdata.GyrosOffsets(),
+    5: _euler_angles,
+    6: _references,
+    7: lambda s: navdata.Trims(),
+    8: lambda s: navdata.RcReferences(),
+    9: _pwm,
+    10: _altitude,
+    11: lambda s: navdata.VisionRaw(),
+    12: lambda s: navdata.VisionOf(),
+    13: _vision,
+    14: lambda s: navdata.VisionPerf(),
+    15: lambda s: navdata.TrackersSend(),
+    16: lambda s: navdata.VisionDetect(),
+    17: lambda s: navdata.Watchdog(s.ticks % 2**31),
+    18: lambda s: navdata.AdcDataFrame(),
+    19: _video_stream,
+    20: lambda s: navdata.Games(),
+    21: _pressure,
+    22: _magneto,
+    23: lambda s: navdata.WindSpeed(),
+    24: _kalman_pressure,
+    25: lambda s: navdata.HdvideoStream(frame_number=s.shot.number),
+    26: lambda s: navdata.Wifi(),
+    27: lambda s: navdata.Gps(),
+}

@@ -1,0 +1,143 @@
+"""The simulated drone as a process of its own: `python -m sitl.ardrone.serve demo --seed 1 --navdata-port 0 ...`.
+
+Prints one JSON line when it listens, with the ports in use, and one with its counters when it ends: on SIGTERM or SIGINT, or
+when standard input is a pipe and its other end closes, so that a drone never outlives the program that started it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import signal
+import stat
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from drivers.clock import SystemClock
+from estimator.contracts.errors import BadInput, DecklanderError
+from sitl.ardrone.again import fly_again
+from sitl.ardrone.server import ArDroneServer, Habits, Ports
+from sitl.scenario import Scenario, load
+from sitl.world import World
+
+_SWITCH_INTERVAL_S = 0.0005
+"""How long the rendering thread may keep the interpreter from the sockets; the usual 5 ms is a whole period of navdata."""
+
+
+async def serve(
+    scenario: Scenario,
+    seed: int,
+    host: str = "127.0.0.1",
+    ports: Ports | None = None,
+    truth_path: Path | None = None,
+    habits: Habits | None = None,
+    *,
+    again: bool = False,
+    faults: bool = False,
+) -> None:
+    """Fly `scenario` until told to end.
+
+    Args:
+        again: begin anew with the next seed after each flight.
+        faults: give each of those passing faults.
+
+    Raises:
+        Recoverable: a port is taken.
+        BadInput: the truth log cannot be written.
+    """
+    end = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, end.set)
+    clock = SystemClock()
+    world = World(scenario, seed, start=clock.now())
+    try:
+        async with ArDroneServer(world, host, ports, clock, truth_path=truth_path, habits=habits) as server:
+            _say(
+                event="ready",
+                host=host,
+                ports=asdict(server.ports),
+                started_ns=int(world.started),
+                truth=None if truth_path is None else str(truth_path),
+            )
+            parent = await _watch_parent(end)
+            async with asyncio.TaskGroup() as group:
+                if again:
+                    flights = group.create_task(fly_again(server, scenario, seed, clock, _say, faults=faults))
+                await end.wait()
+                if again:
+                    flights.cancel()
+            if parent is not None:
+                parent.close()
+    finally:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.remove_signal_handler(number)
+    _say(
+        event="ended",
+        phase=server.world.phase.name.lower(),
+        counters=dict(server.counters + server.drone.counters + server.drone.state.counters),
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    usual = Ports()
+    parser = argparse.ArgumentParser(prog="python -m sitl.ardrone.serve", description="An AR.Drone 2.0 over a simulated ship")
+    parser.add_argument("scenario", help="a shipped scenario's name or a TOML file")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--host", default="127.0.0.1")
+    for name in ("navdata", "video", "at", "control"):
+        parser.add_argument(f"--{name}-port", type=int, default=getattr(usual, name), help="0 for any; %(default)s unless given")
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="write what really happens, one JSON object a line")
+    parser.add_argument("--pave-header", type=int, choices=(64, 68, 76), default=Habits().pave_header_size)
+    parser.add_argument("--again", action="store_true", help="after each flight begin another, with the next seed")
+    parser.add_argument("--faults", action="store_true", help="with --again: give each further flight passing faults")
+    asked = parser.parse_args(argv)
+    ports = Ports(asked.navdata_port, asked.video_port, asked.at_port, asked.control_port)
+    try:
+        if asked.seed < 0:
+            raise BadInput(f"--seed must be 0 or more, got {asked.seed}")
+        habits = Habits(pave_header_size=asked.pave_header)
+        flights = {"again": asked.again, "faults": asked.faults}
+        asyncio.run(serve(load(asked.scenario), asked.seed, asked.host, ports, asked.truth, habits, **flights))
+    except DecklanderError as why:
+        print(f"decklander: {why}", file=sys.stderr)
+        return 2 if isinstance(why, BadInput) else 1
+    return 0
+
+
+def _say(**what: Any) -> None:
+    try:
+        print(json.dumps(what, separators=(",", ":")), flush=True)
+    except BrokenPipeError:
+        # Whoever started us is gone and wants no more words; what is left in the buffer must not fail again at exit.
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+
+
+async def _watch_parent(end: asyncio.Event) -> asyncio.ReadTransport | None:
+    """Set `end` when the pipe on standard input closes; None where standard input is no pipe."""
+    try:
+        mode = os.fstat(sys.stdin.fileno()).st_mode
+    except (OSError, ValueError, AttributeError):
+        return None
+    if not (stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode)):
+        return None
+    transport, _ = await asyncio.get_running_loop().connect_read_pipe(lambda: _Parent(end), sys.stdin)
+    return transport
+
+
+class _Parent(asyncio.Protocol):
+    def __init__(self, end: asyncio.Event) -> None:
+        self._end = end
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._end.set()
+
+
+if __name__ == "__main__":
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    sys.exit(main())

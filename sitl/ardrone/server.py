@@ -1,0 +1,259 @@
+"""A simulated AR.Drone 2.0 behind its four ports, in real time."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+
+from drivers.ardrone import navdata, pave
+from drivers.clock import SystemClock
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, after, seconds_between
+from sitl.ardrone.drone import TICK_S, Drone
+from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.front_view import front_view
+from sitl.ardrone.navdata_from_world import Shot
+from sitl.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoPort
+from sitl.ardrone.truth_log import TruthLog
+from sitl.ardrone.video import AccessUnit, Encoder
+from sitl.world import Picture, World
+
+DEMO_TICKS = 13
+"""Ticks between two datagrams in demo mode and in the bootstrap: 15.4 Hz."""
+TRUTH_TICKS = 2
+CATCH_UP_MAX_S = 0.25
+"""After a host stood still for longer than this the datagrams it missed are not sent late; the physics runs up to now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """Where the drone listens; 0 lets the system choose."""
+
+    navdata: int = 5554
+    video: int = 5555
+    at: int = 5556
+    control: int = 5559
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """What differs from drone to drone."""
+
+    pave_header_size: int = 68
+    """64, 68 or 76 bytes, by firmware."""
+    uptime_s: float = 30.0
+    """How long the drone has been running when the server starts: its clock does not begin at zero."""
+    clock_drift_ppm: float = 15.0
+    """A crystal of its own."""
+    video_delay_s: float = 0.04
+    """From mid-exposure to the frame's first byte: read-out, encoder, radio. A host slower than that adds its own delay."""
+    crf: float = 23.0
+    """Quality of the H.264 encoder, x264's scale."""
+
+
+class ArDroneServer:
+    """`async with ArDroneServer(world, host, ports, clock) as server`: flies `world` in real time and speaks for it.
+
+    `server.ports` holds the ports in use, `server.drone` what is behind them, `server.counters` what passed. A bug inside takes
+    the body of the `async with` down with an ExceptionGroup.
+
+    Raises:
+        Recoverable: a port is taken.
+        BadInput: the truth log cannot be written.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        host: str = "127.0.0.1",
+        ports: Ports | None = None,
+        clock: Clock | None = None,
+        *,
+        truth_path: Path | None = None,
+        habits: Habits | None = None,
+    ) -> None:
+        """`world` begins at an instant of `clock`; the truth log then is in this host's monotonic time."""
+        self.world = world
+        self.host = host
+        self.ports = ports or Ports()
+        self.counters: Counter[str] = Counter()
+        self._clock = clock or SystemClock()
+        self._truth_path = truth_path
+        self._habits = habits or Habits()
+        self._drone_clock = DroneClock(after(world.now, -self._habits.uptime_s), self._habits.clock_drift_ppm)
+        self._stack = AsyncExitStack()
+        self._truth: TruthLog | None = None
+        self._navdata = NavdataPort(self._clock.now, self.counters)
+        self._video = VideoPort(self.counters)
+        self._control = ControlPort(self.counters)
+        self._encoder: Encoder | None = None
+        self._stream_position = 0
+        self._ticks = 0
+        self.drone = Drone(world, self._drone_clock)
+        self.silent = False
+        """Send no navdata, as a drone that is switched off."""
+
+    async def __aenter__(self) -> ArDroneServer:
+        async with AsyncExitStack() as stack:
+            if self._truth_path is not None:
+                self._truth = stack.enter_context(TruthLog(self._truth_path))
+            await self._listen(stack)
+            network = {
+                "navdata_port": self.ports.navdata,
+                "video_port": self.ports.video,
+                "at_port": self.ports.at,
+                "cmd_port": self.ports.control,
+            }
+            self.drone = Drone(self.world, self._drone_clock, network)
+            # The first picture takes longest, as textures are made for it: before the drone has to keep time.
+            self.world.render()
+            pool = stack.enter_context(ThreadPoolExecutor(1, "render"))
+            group = await stack.enter_async_context(asyncio.TaskGroup())
+            tasks = [group.create_task(self._fly(), name="fly"), group.create_task(self._film(pool), name="film")]
+            stack.callback(lambda: [task.cancel() for task in tasks])
+            self._stack = stack.pop_all()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, why: BaseException | None, where: TracebackType | None
+    ) -> bool | None:
+        return await self._stack.__aexit__(kind, why, where)
+
+    def enter(self, world: World) -> None:
+        """Go on in another world that nothing has happened in yet; its time begins now. Sockets and configuration stay."""
+        world.started = world.now = self._clock.now()
+        self.world = world
+        self.drone.enter(world)
+
+    async def _listen(self, stack: AsyncExitStack) -> None:
+        loop = asyncio.get_running_loop()
+        host, asked = self.host, self.ports
+        at_port = AtPort(self._take, self.counters)
+        try:
+            udp_navdata, _ = await loop.create_datagram_endpoint(lambda: self._navdata, local_addr=(host, asked.navdata))
+            stack.callback(udp_navdata.close)
+            udp_at, _ = await loop.create_datagram_endpoint(lambda: at_port, local_addr=(host, asked.at))
+            stack.callback(udp_at.close)
+            tcp_video = await loop.create_server(self._video.connection, host, asked.video)
+            stack.callback(self._video.close)
+            stack.callback(tcp_video.close)
+            tcp_control = await loop.create_server(self._control.connection, host, asked.control)
+            stack.callback(self._control.close)
+            stack.callback(tcp_control.close)
+        except OSError as why:
+            raise Recoverable(f"the simulated drone cannot listen on {host}: {os.strerror(why.errno or 0)}") from why
+        self.ports = Ports(
+            navdata=udp_navdata.get_extra_info("sockname")[1],
+            video=tcp_video.sockets[0].getsockname()[1],
+            at=udp_at.get_extra_info("sockname")[1],
+            control=tcp_control.sockets[0].getsockname()[1],
+        )
+
+    # Flying
+
+    async def _fly(self) -> None:
+        due = self._clock.now()
+        while True:
+            behind_s = seconds_between(due, self._clock.now())
+            if behind_s > CATCH_UP_MAX_S:
+                self.counters["stood_still"] += 1
+                due = self._clock.now()
+            elif behind_s < 0.0:
+                await self._clock.sleep(-behind_s)
+                continue
+            self._tick(due)
+            due = after(due, TICK_S)
+            # Even when many ticks are due, sockets get their turn between two of them.
+            await self._clock.sleep(0.0)
+
+    def _tick(self, at: MonoNs) -> None:
+        drone = self.drone
+        drone.tick(at)
+        self._ticks += 1
+        if not drone.in_demo_mode or self._ticks % DEMO_TICKS == 0:
+            self._send_navdata()
+        if drone.answers and self._control.connected:
+            for answer in drone.answers.values():
+                self._control.send(answer())
+            drone.answers.clear()
+        if self._truth is not None and self._ticks % TRUTH_TICKS == 0:
+            self._truth.write(self.world.truth())
+
+    def _send_navdata(self) -> None:
+        if self._navdata.clients and not self.silent and not self.world.active("navdata_silent"):
+            self._navdata.send(navdata.encode(self.drone.navdata()))
+
+    def _take(self, data: bytes, sender: Address) -> None:
+        self.drone.take(data, self._clock.now())
+        self._navdata.heard_of(sender[0])
+
+    # Pictures
+
+    async def _film(self, pool: ThreadPoolExecutor) -> None:
+        loop = asyncio.get_running_loop()
+        due = self._clock.now()
+        while True:
+            await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
+            config = self.drone.state.config
+            period_s = 1.0 / config.number("video:codec_fps")
+            # A host too slow to render them all films fewer, evenly numbered: only what is lost on the way leaves a gap.
+            due = max(after(due, period_s), after(self._clock.now(), -period_s))
+            if not self._video.busy or not config.flag("general:video_enable") or self.world.active("video_silent"):
+                continue
+            rpy, altitude_m = self.drone.rpy_rad, self.drone.altitude_m
+            front = None if config["video:video_channel"] == "1" else self.world.truth().R_ned_body
+            shoot = partial(self._shoot, self.world.expose(), front, 1.0 / period_s, config.number("video:max_bitrate"))
+            picture, unit = await loop.run_in_executor(pool, shoot)
+            self._send_picture(picture, unit, rpy, altitude_m)
+
+    def _shoot(
+        self, develop: Callable[[], Picture], front: Rotation | None, fps: float, bitrate_kbps: float
+    ) -> tuple[Picture, AccessUnit]:
+        """Runs in the pool's thread, and touches nothing of the world's but what was fixed for it."""
+        picture = develop()
+        px = picture.px
+        height, width = px.shape[:2]
+        if front is not None:
+            px = front_view(front, width, height)
+        encoder = self._encoder
+        wanted = (width, height, fps, bitrate_kbps)
+        if encoder is None or (encoder.width, encoder.height, encoder.fps, encoder.max_bitrate_kbps) != wanted:
+            encoder = self._encoder = Encoder(*wanted, crf=self._habits.crf)
+        return picture, encoder.encode(px)
+
+    def _send_picture(self, picture: Picture, unit: AccessUnit, rpy: tuple[float, float, float], altitude_m: float) -> None:
+        encoder = self._encoder
+        assert encoder is not None
+        number = self.drone.shot.number + 1
+        timestamp_ms = self._drone_clock.milliseconds(picture.taken)
+        width, height = encoder.coded_size
+        header = pave.PaveHeader(
+            payload_size=len(unit.data),
+            frame_number=number % 2**32,
+            timestamp_ms=timestamp_ms,
+            frame_type=pave.FrameType.IDR if unit.idr else pave.FrameType.P,
+            version=3 if self._habits.pave_header_size > 68 else 2,
+            header_size=self._habits.pave_header_size,
+            encoded_width=width,
+            encoded_height=height,
+            display_width=encoder.width,
+            display_height=encoder.height,
+            stream_position=self._stream_position,
+            stream_id=1,
+            sps_size=unit.sps_size,
+            pps_size=unit.pps_size,
+        )
+        self._stream_position += len(unit.data) - unit.sps_size - unit.pps_size
+        self.drone.shot = Shot(number, timestamp_ms, rpy, altitude_m, len(unit.data), round(encoder.max_bitrate_kbps))
+        wait_s = self._habits.video_delay_s - seconds_between(picture.taken, self._clock.now())
+        asyncio.get_running_loop().call_later(max(0.0, wait_s), self._video.send, header.pack() + unit.data)

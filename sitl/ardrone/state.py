@@ -1,0 +1,251 @@
+"""The protocol side of the drone as a state machine without I/O: AT commands and the passing of time in, deeds out.
+
+Source: Parrot AR.Drone SDK 2.0 developer guide, chapters 6 (AT commands) and 7 (navdata, state bits).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import assert_never
+
+from drivers.ardrone import at
+from drivers.ardrone.navdata import ControlState, State
+from drivers.ardrone.refusal import Refusal
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.ardrone.config import Answer, Configuration, Ids
+from sitl.world import Phase, Stick
+
+LIMIT_KEYS = frozenset(
+    f"control:{where}{name}"
+    for where in ("", "indoor_", "outdoor_")
+    for name in ("euler_angle_max", "control_vz_max", "control_yaw")
+) | {"control:outdoor", "custom:session_id", "custom:profile_id"}
+
+
+_ALWAYS = (
+    State.ALTITUDE_CONTROL | State.CAMERA_READY | State.PIC_VERSION_OK
+    | State.AT_CODEC_ON | State.NAVDATA_ON | State.VIDEO_ON | State.ACQUISITION_ON
+)  # fmt: skip
+
+AIRBORNE = frozenset({Phase.TAKING_OFF, Phase.HOVERING, Phase.FLYING, Phase.LANDING})
+_STEERABLE = frozenset({Phase.TAKING_OFF, Phase.HOVERING, Phase.FLYING})
+
+LOST_COM = 8
+"""Minor control state of a hovering drone that hears nobody."""
+
+_MAJOR = {
+    Phase.LANDED: ControlState.LANDED,
+    Phase.TAKING_OFF: ControlState.TAKING_OFF,
+    Phase.HOVERING: ControlState.HOVERING,
+    Phase.FLYING: ControlState.FLYING,
+    Phase.LANDING: ControlState.LANDING,
+    Phase.EMERGENCY: ControlState.DEFAULT,
+}
+
+
+class Deed(Enum):
+    """What the drone is to do besides following the stick."""
+
+    TAKE_OFF = "take_off"
+    LAND = "land"
+    CUT_MOTORS = "cut_motors"
+    LEAVE_EMERGENCY = "leave_emergency"
+    APPLY_LIMITS = "apply_limits"
+    """The tilt, climb or turn limits of the configuration may have changed."""
+    FLAT_TRIM = "flat_trim"
+    SEND_CONFIGURATION = "send_configuration"
+    SEND_CUSTOM_IDS = "send_custom_ids"
+
+
+HOVER = Stick(roll=0.0, pitch=0.0, gaz=0.0, yaw=0.0, progressive=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Leds:
+    """The light show asked for last."""
+
+    animation: int
+    frequency_hz: float
+    duration_s: float
+
+
+class DroneState:
+    """Everything the drone remembers of its conversation."""
+
+    def __init__(self, config: Configuration | None = None) -> None:
+        self.config = config or Configuration()
+        self.counters: Counter[str] = Counter()
+        self.leds = Leds(0, 0.0, 0.0)
+        self._gate = at.SequenceGate()
+        self._heard: MonoNs | None = None
+        self._ids: Ids | None = None
+        self._ack = False
+        self._bootstrap = True
+        self._watchdog = True
+        self._silent = False
+        self._landed_for_silence = False
+        self._emergency_asked = False
+        self._user_emergency = False
+
+    @property
+    def bootstrap(self) -> bool:
+        """No client has chosen between demo and full navdata yet: datagrams carry the state word alone."""
+        return self._bootstrap
+
+    @property
+    def silent(self) -> bool:
+        """Somebody spoke to the drone once, and nobody has for general:com_watchdog seconds."""
+        return self._silent
+
+    def take(self, datagram: bytes, now: MonoNs, phase: Phase) -> Iterator[Deed | Stick]:
+        """One datagram of the AT port. What cannot be read or comes out of order is counted and has no effect."""
+        for item in at.decode(datagram):
+            if isinstance(item, Refusal):
+                self.counters[f"at_{item.value}"] += 1
+                continue
+            sequence, command = item
+            if not self._gate.accepts(sequence):
+                self.counters["at_out_of_order"] += 1
+                continue
+            self.counters["at_taken"] += 1
+            self._heard = now
+            self._silent = self._landed_for_silence = False
+            ids, self._ids = self._ids, None
+            yield from self._obey(command, ids, phase)
+
+    def tick(self, now: MonoNs, phase: Phase) -> Iterator[Deed | Stick]:
+        """Let time pass: after general:com_watchdog seconds of silence the drone hovers, after twice that it lands.
+
+        A drone nobody ever spoke to stays as it is.
+        """
+        if self._heard is None:
+            return
+        patience_s = self.config.number("general:com_watchdog")
+        quiet_s = seconds_between(self._heard, now)
+        if quiet_s >= patience_s and not self._silent:
+            self._silent = self._watchdog = True
+            self._gate.reset()
+            self.counters["com_watchdog"] += 1
+            if phase in _STEERABLE:
+                yield HOVER
+        if quiet_s >= 2 * patience_s and phase in _STEERABLE and not self._landed_for_silence:
+            self._landed_for_silence = True
+            self.counters["landed_for_silence"] += 1
+            yield Deed.LAND
+
+    def word(self, phase: Phase, battery_low: bool, ultrasound_deaf: bool) -> int:
+        """Navdata's state word."""
+        word = _ALWAYS
+        for bit, is_on in (
+            (State.FLYING, phase in AIRBORNE),
+            (State.VIDEO_ENABLED, self.config.flag("general:video_enable")),
+            (State.VISION_ENABLED, self.config.flag("general:vision_enable")),
+            (State.COMMAND_ACK, self._ack),
+            (State.NAVDATA_DEMO, not self._bootstrap and self.config.flag("general:navdata_demo")),
+            (State.NAVDATA_BOOTSTRAP, self._bootstrap),
+            (State.COMMUNICATION_LOST, self._silent),
+            (State.BATTERY_LOW, battery_low),
+            (State.USER_EMERGENCY, self._user_emergency),
+            (State.ULTRASOUND_DEAF, ultrasound_deaf),
+            (State.COM_WATCHDOG, self._watchdog),
+            (State.EMERGENCY, phase is Phase.EMERGENCY),
+        ):
+            if is_on:
+                word |= bit
+        return int(word)
+
+    def control_state(self, phase: Phase) -> int:
+        """The demo option's control state: major in the upper, minor in the lower 16 bits."""
+        return _MAJOR[phase].word | (LOST_COM if self._silent and phase is Phase.HOVERING else 0)
+
+    def _obey(self, command: at.AtCommand, ids: Ids | None, phase: Phase) -> Iterator[Deed | Stick]:
+        match command:
+            case at.Ref():
+                yield from self._refer(command, phase)
+            case at.Pcmd() | at.PcmdMag():
+                if phase in _STEERABLE:
+                    yield stick_of(command)
+            case at.ConfigIds():
+                self._ids = Ids(command.session.lower(), command.user.lower(), command.application.lower())
+            case at.Config():
+                yield from self._configure(command.key, command.value, ids)
+            case at.Ctrl():
+                yield from self._control(command.mode)
+            case at.ComWdg():
+                self._watchdog = False
+            case at.Ftrim():
+                if phase is Phase.LANDED:
+                    yield Deed.FLAT_TRIM
+                else:
+                    self.counters["ftrim_refused_in_flight"] += 1
+            case at.Led():
+                self.leds = Leds(command.animation, command.frequency_hz, float(command.duration_s))
+            case at.Calib() | at.Anim():
+                # The simulated vehicle has no figures to fly; that they were asked for is on record.
+                self.counters[f"not_flown_{command.NAME.lower()}"] += 1
+            case at.Pmode() | at.Misc():
+                pass
+            case _:
+                assert_never(command)
+
+    def _refer(self, ref: at.Ref, phase: Phase) -> Iterator[Deed]:
+        pressed = ref.emergency and not self._emergency_asked
+        self._emergency_asked = ref.emergency
+        if pressed:
+            leaves = phase is Phase.EMERGENCY
+            self._user_emergency = not leaves
+            yield Deed.LEAVE_EMERGENCY if leaves else Deed.CUT_MOTORS
+        elif ref.take_off and phase is Phase.LANDED:
+            yield Deed.TAKE_OFF
+        elif not ref.take_off and phase in _STEERABLE:
+            yield Deed.LAND
+
+    def _configure(self, key: str, value: str, ids: Ids | None) -> Iterator[Deed]:
+        # Bit 6 says that a CONFIG was received, not that it was liked: the client reads the configuration back to know.
+        if self._ack:
+            self.counters["config_during_ack"] += 1
+        self._ack = True
+        answer = self.config.set(key, value, ids)
+        self.counters[f"config_{answer.value}"] += 1
+        if answer is not Answer.SET:
+            return
+        name = key.strip().lower()
+        if name == "general:navdata_demo":
+            self._bootstrap = False
+        elif name == "leds:leds_anim":
+            self.leds = _leds_of(value) or self.leds
+        elif name == "control:flight_anim":
+            self.counters["not_flown_anim"] += 1
+        elif name in LIMIT_KEYS:
+            yield Deed.APPLY_LIMITS
+
+    def _control(self, mode: int) -> Iterator[Deed]:
+        if mode == at.CTRL_ACK:
+            self._ack = False
+        elif mode == at.CTRL_CONFIGURATION:
+            self._ack = True
+            yield Deed.SEND_CONFIGURATION
+        elif mode == at.CTRL_CUSTOM_IDS:
+            self._ack = True
+            yield Deed.SEND_CUSTOM_IDS
+
+
+def stick_of(command: at.Pcmd | at.PcmdMag) -> Stick:
+    """The stick of a PCMD, each axis held to -1..1."""
+    roll, pitch, gaz, yaw = (min(1.0, max(-1.0, v)) for v in (command.roll, command.pitch, command.gaz, command.yaw))
+    return Stick(roll=roll, pitch=pitch, gaz=gaz, yaw=yaw, progressive=bool(command.flags & at.PCMD_PROGRESSIVE))
+
+
+def _leds_of(value: str) -> Leds | None:
+    """From `animation,frequency bits,seconds`."""
+    words = value.split(",")
+    try:
+        animation, bits, seconds = (int(word) for word in words)
+        (frequency,) = struct.unpack("<f", struct.pack("<I", bits & 0xFFFFFFFF))
+    except ValueError:
+        return None
+    return Leds(animation, frequency, float(seconds))

@@ -1,0 +1,108 @@
+"""What really happened, one JSON object a line, in instants of the simulating host's monotonic clock.
+
+Another process of the same host reads the same clock, so its own stamps compare directly.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+import numpy as np
+
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation
+from sitl.world import Truth
+
+
+def record(truth: Truth) -> dict[str, Any]:
+    """Of one instant: `at_ns`, `phase`, `d_body_pad_level_m`, `v_pad_level_m_s`, `yaw_rad`, both bodies' `p_*_ned_m`,
+    `v_*_ned_m_s` and `quat_ned_*_wxyz`, and `touchdown` (its fields from contact on, else null).
+    """
+    return {
+        "at_ns": int(truth.at),
+        "phase": truth.phase.name.lower(),
+        "d_body_pad_level_m": _plain(truth.d_body_pad_level),
+        "v_pad_level_m_s": _plain(truth.v_pad_level),
+        "yaw_rad": _plain(truth.yaw_rad),
+        "p_body_ned_m": _plain(truth.p_body_ned),
+        "v_body_ned_m_s": _plain(truth.v_body_ned),
+        "quat_ned_body_wxyz": _plain(truth.R_ned_body),
+        "p_pad_ned_m": _plain(truth.p_pad_ned),
+        "v_pad_ned_m_s": _plain(truth.v_pad_ned),
+        "quat_ned_pad_wxyz": _plain(truth.R_ned_pad),
+        "touchdown": _plain(truth.touchdown),
+    }
+
+
+class TruthLog:
+    """Writes records; a context manager that closes the file.
+
+    Raises:
+        BadInput: the file cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._file: IO[str] = path.open("w", encoding="utf-8", buffering=1 << 16)
+        except OSError as why:
+            raise BadInput(f"truth log {path}: {why.strerror}") from why
+
+    def write(self, truth: Truth) -> None:
+        self._file.write(json.dumps(record(truth), separators=(",", ":")) + "\n")
+
+    def flush(self) -> None:
+        """So that a reader sees all of it although the writer lives on."""
+        self._file.flush()
+
+    def __enter__(self) -> TruthLog:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, why: BaseException | None, where: TracebackType | None) -> None:
+        self._file.close()
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    """All records of a file, in order; a line cut short by the end of its writer is left out.
+
+    Raises:
+        BadInput: no such file, or a line that is no record.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").split("\n")
+    except OSError as why:
+        raise BadInput(f"truth log {path}: {why.strerror}") from why
+    out: list[dict[str, Any]] = []
+    for number, line in enumerate(lines[:-1], start=1):
+        try:
+            value = json.loads(line)
+        except json.JSONDecodeError as why:
+            raise BadInput(f"truth log {path}, line {number}: {why.msg}") from why
+        if not isinstance(value, dict) or "at_ns" not in value:
+            raise BadInput(f"truth log {path}, line {number}: not a record of truth")
+        out.append(value)
+    return out
+
+
+def _plain(value: Any) -> Any:
+    """As JSON takes it; what is not a number of this world (nan before any contact) becomes null."""
+    if isinstance(value, Rotation):
+        value = value.quat_wxyz
+    if isinstance(value, np.ndarray):
+        return [_plain(v) for v in value.tolist()]
+    if isinstance(value, Enum):
+        return value.name.lower()
+    if isinstance(value, float | np.floating):
+        return round(float(value), 8) if math.isfinite(value) else None
+    if isinstance(value, np.integer | np.bool_):
+        return value.item()
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, tuple | list):
+        return [_plain(v) for v in value]
+    return value

@@ -1,0 +1,138 @@
+"""ArduPilot's JSON physics interface: servo outputs in, state out, in lock step over UDP.
+
+    sim_vehicle.py -v ArduCopter -f JSON:127.0.0.1 --no-rebuild ...      # the program asks; this answers
+
+Source: ArduPilot, libraries/SITL/examples/JSON/readme.md and SIM_JSON.cpp: the program sends a binary packet from its own port to
+9002 and waits; the answer is one line of JSON. Its clock runs on our timestamps. A repeated frame number is an answer that was
+lost; a smaller one is a program that was restarted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from sitl.autopilots.body import Body, BodyState
+from sitl.autopilots.motors import Motors
+
+PORT = 9002
+_MAGIC = {18458: 16, 29569: 32}
+"""Magic number of a packet to its number of channels."""
+_HEADER = struct.Struct("<HHI")
+CURVE = 0.65
+"""MOT_THST_EXPO that ArduCopter assumes by default."""
+
+
+@dataclass(frozen=True, slots=True)
+class Servos:
+    """One packet of the program."""
+
+    rate_hz: int
+    frame: int
+    pwm_us: tuple[int, ...]
+
+    @property
+    def motors(self) -> Motors:
+        """0..1 of the first four channels; 1000 us and less is a motor at rest."""
+        a, b, c, d = (min(max((p - 1000) / 1000, 0.0), 1.0) for p in self.pwm_us[:4])
+        return (a, b, c, d)
+
+
+def decode(data: bytes) -> Servos | None:
+    """The packet, None for anything that is none."""
+    if len(data) < _HEADER.size:
+        return None
+    magic, rate_hz, frame = _HEADER.unpack_from(data)
+    channels = _MAGIC.get(magic)
+    if channels is None or len(data) != _HEADER.size + 2 * channels or not 50 <= rate_hz <= 10_000:
+        return None
+    return Servos(rate_hz, frame, struct.unpack_from(f"<{channels}H", data, _HEADER.size))
+
+
+def encode(state: BodyState) -> bytes:
+    """The answer: a line of JSON in SI units, ned and body axes."""
+    said: dict[str, Any] = {
+        "timestamp": state.t_s,
+        "imu": {"gyro": _list(state.w_body), "accel_body": _list(state.f_body)},
+        "position": _list(state.p_ned),
+        "quaternion": _list(state.R_ned_body.quat_wxyz),
+        "velocity": _list(state.v_ned),
+    }
+    if state.range_m is not None:
+        said["rng_1"] = state.range_m
+    return json.dumps(said, separators=(",", ":")).encode() + b"\n"
+
+
+def _list(values: Any) -> list[float]:
+    return [float(v) for v in values]
+
+
+class JsonBackend:
+    """One body behind the interface. No I/O: a packet in, the answer out.
+
+    Args:
+        make: a new body for a physics step of so many seconds; called again when the program was restarted.
+        stepped: called after each step.
+    """
+
+    def __init__(self, make: Callable[[float], Body], stepped: Callable[[Body], None] = lambda body: None) -> None:
+        self._make = make
+        self._stepped = stepped
+        self._frame: int | None = None
+        self._answer = b""
+        self.body: Body | None = None
+        self.refused = 0
+        """Datagrams that were no packet."""
+        self.restarts = 0
+
+    def hear(self, data: bytes) -> bytes | None:
+        """The answer to a datagram; None where there is none to give."""
+        servos = decode(data)
+        if servos is None:
+            self.refused += 1
+            return None
+        if self._frame is not None and servos.frame == self._frame:
+            return self._answer
+        if self.body is None or (self._frame is not None and servos.frame < self._frame):
+            self.restarts += self.body is not None
+            self.body = self._make(1.0 / max(servos.rate_hz, 200))
+        self._frame = servos.frame
+        for _ in range(max(round(1.0 / servos.rate_hz / self.body.step_s), 1)):
+            self.body.step(servos.motors)
+            self._stepped(self.body)
+        self._answer = encode(self.body.state())
+        return self._answer
+
+
+class _Datagrams(asyncio.DatagramProtocol):
+    def __init__(self, backend: JsonBackend) -> None:
+        self._backend = backend
+        self._transport: Any = None  # the loops' datagram transports share no class that has sendto
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = transport
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:
+        answer = self._backend.hear(data)
+        if answer is not None:
+            self._transport.sendto(answer, addr)
+
+
+@asynccontextmanager
+async def serve_json(backend: JsonBackend, host: str = "127.0.0.1", port: int = PORT) -> AsyncIterator[int]:
+    """Answer the program on this port (0: any free one) until the context ends; gives the port.
+
+    Raises:
+        OSError: the port is in use.
+    """
+    loop = asyncio.get_running_loop()
+    transport, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(backend), local_addr=(host, port))
+    try:
+        yield int(transport.get_extra_info("sockname")[1])
+    finally:
+        transport.close()

@@ -1,0 +1,167 @@
+"""One motor-driven vehicle over one vessel on one sea, stepped by whoever has the motors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.time import NS_PER_S, MonoNs
+from sitl.autopilots.motors import Motors, MotorVehicle
+from sitl.camera import Renderer, Shot
+from sitl.contact import Ground
+from sitl.scenario import Scenario, camera_model, pad_model
+from sitl.stage import airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
+from sitl.vehicle import DECK, SEA
+from sitl.world import Picture
+
+_CHUNK_S = 0.25
+_SEA_S = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyState:
+    """What a physics backend tells an autopilot: the truth, as of one instant since the start."""
+
+    t_s: float
+    p_ned: F64
+    """(3,) m from the world's origin on the still water."""
+    v_ned: F64
+    """(3,) m/s."""
+    R_ned_body: Rotation
+    w_body: F64
+    """(3,) rad/s."""
+    f_body: F64
+    """(3,) m/s^2, specific force."""
+    range_m: float | None
+    """Along the body's down axis to the deck or the still water; None beyond 40 m and when it looks up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Landing:
+    """The newest contact after flight."""
+
+    on_deck: bool
+    lateral_m: float
+    """From the pad's centre, along the deck."""
+    speed_m_s: float
+    """Closing speed into the deck."""
+
+
+class Body:
+    """See the module.
+
+    Args:
+        step_s: of the physics, 5 ms at most.
+        curve: of the motors, as the autopilot is set to (see `thrust_share`).
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, step_s: float, curve: float = 0.0) -> None:
+        self.scenario, self.step_s = scenario, step_s
+        self.pad, self.camera = pad_model(scenario), camera_model(scenario)
+        seeds = flight_seeds(seed)
+        self._camera_seed = seeds.camera
+        self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
+        shape = deck_shape(self.vessel.hull, np.radians(scenario.vessel.pad_yaw_deg))
+        self._vehicle = MotorVehicle(airframe(scenario), shape, step_s, seeds.flight, wind(scenario))
+        self._vehicle.curve = curve
+        self._tick = 0
+        self._chunk: list[Ground] = []
+        self._chunk_at = 0
+        at = self.vessel.pad_at(0.0)
+        self._ground = Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w)
+        self._sea = (0.0, 0.0)
+        place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
+        self._renderer: Renderer | None = None
+
+    @property
+    def t_s(self) -> float:
+        """Since the start."""
+        return self._tick * self.step_s
+
+    @property
+    def hover_share(self) -> float:
+        """Share of its largest thrust that carries the vehicle in still air."""
+        f = self._vehicle.airframe
+        return f.mass_kg * 9.80665 / f.thrust_max_n
+
+    def step(self, motors: Motors) -> None:
+        """Advance by one step under these motor commands."""
+        self._tick += 1
+        self._ground = self._deck()
+        every = max(round(_SEA_S / self.step_s), 1)
+        if self._tick % every == 1 or every == 1:
+            p = np.array([self._vehicle.p[0], self._vehicle.p[1]])
+            now, then = self.waves.elevation(p, np.array([self.t_s, self.t_s + _SEA_S]))[0]
+            self._sea = (-float(now), -float(then - now) / _SEA_S)
+        self._ground.sea_z, self._ground.sea_vz = self._sea
+        self._vehicle.motors = motors
+        self._vehicle.step(self._ground)
+
+    def state(self) -> BodyState:
+        """As of the newest step."""
+        v = self._vehicle
+        rotation = Rotation(v.R_ned_body)
+        return BodyState(self.t_s, v.p_ned, v.v_ned, rotation, v.w_body, v.f_body, self._range(rotation))
+
+    @property
+    def p_pad_ned(self) -> F64:
+        """(3,) m, the pad's centre now."""
+        return np.array(self._ground.p)
+
+    @property
+    def v_pad_ned(self) -> F64:
+        """(3,) m/s."""
+        return np.array(self._ground.v)
+
+    def landing(self) -> Landing | None:
+        """How it came down, None before it did."""
+        v = self._vehicle
+        if v.touched_what not in (DECK, SEA):
+            return None
+        d = np.array(v.touched_d)
+        return Landing(v.touched_what == DECK, float(np.hypot(d[0], d[1])), float(np.array(v.touched_v)[2]))
+
+    def expose(self) -> Callable[[], Picture]:
+        """The scene is fixed now, the call makes the picture. One such call at a time."""
+        if self._renderer is None:
+            self._renderer = renderer(self.scenario, self.waves, self.vessel)
+        v, g, develop = self._vehicle, self._ground, self._renderer.render
+        shot = Shot(
+            t_s=self.t_s,
+            R_ned_body=Rotation(v.R_ned_body),
+            p_body_ned=v.p_ned,
+            R_ned_pad=Rotation(np.array(g.R)),
+            p_pad_ned=np.array(g.p),
+            v_body_ned=v.v_ned,
+            w_body=v.w_body,
+            v_pad_ned=np.array(g.v),
+            w_pad=np.array(g.w),
+        )
+        rng = np.random.default_rng([self._camera_seed, self._tick])
+        at, exposure_s = MonoNs(round(self.t_s * NS_PER_S)), self.scenario.camera.exposure_s
+        return lambda: Picture(develop(shot, rng), at, exposure_s)
+
+    def _deck(self) -> Ground:
+        i = self._tick - self._chunk_at - 1
+        if i >= len(self._chunk):
+            self._chunk_at = self._tick - 1
+            count = max(round(_CHUNK_S / self.step_s), 1)
+            pads = self.vessel.pad((self._chunk_at + 1 + np.arange(count)) * self.step_s)
+            self._chunk = [Ground.of(pads.p_ned[0, n], pads.v_ned[0, n], pads.R_ned[0, n], pads.w[0, n]) for n in range(count)]
+            i = 0
+        return self._chunk[i]
+
+    def _range(self, rotation: Rotation) -> float | None:
+        down = rotation.matrix[:, 2]
+        if down[2] < 0.3:
+            return None
+        normal = np.array(self._ground.R)[:, 2]
+        to_pad = np.array(self._ground.p) - self._vehicle.p_ned
+        reach = float(to_pad @ normal) / float(down @ normal)
+        place_on_deck = np.array(self._ground.R).T @ (self._vehicle.p_ned + down * reach - np.array(self._ground.p))
+        if not (reach > 0 and self._vehicle.shape.holds(float(place_on_deck[0]), float(place_on_deck[1]))):
+            reach = float(self._ground.sea_z - self._vehicle.p_ned[2]) / float(down[2])
+        return reach if 0.0 <= reach <= 40.0 else None

@@ -1,0 +1,56 @@
+"""The vehicle flown by four motor commands instead of its own loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sitl.airframe import Airframe
+from sitl.algebra import Flag, Num, Vec
+from sitl.contact import Ground, Relative, Rows
+from sitl.vehicle import Phase, Vehicle
+
+Motors = tuple[float, float, float, float]
+"""0..1 of the front right, rear left, front left and rear right motor: the order in which ArduPilot and PX4 number a quad X."""
+
+_SPINS = 0.01
+_NONE: Motors = (0.0, 0.0, 0.0, 0.0)
+
+
+def thrust_share(command: float, curve: float) -> float:
+    """Share of the largest thrust at a command of 0..1: linear for a `curve` of 0, quadratic for 1.
+
+    Source: ArduPilot's MOT_THST_EXPO and PX4's THR_MDL_FAC describe a motor so; the autopilot inverts the curve it is set to.
+    """
+    c = min(max(command, 0.0), 1.0)
+    return (1.0 - curve) * c + curve * c * c
+
+
+def wrench(airframe: Airframe, motors: Sequence[float], curve: float) -> tuple[float, Vec]:
+    """Thrust in N and torque in N m about the body's axes.
+
+    The front right and rear left propellers turn counter-clockwise seen from above and so push the nose clockwise.
+    """
+    most_n = airframe.thrust_max_n / 4.0
+    fr, rl, fl, rr = (most_n * thrust_share(c, curve) for c in motors)
+    arm, drag = airframe.arm_m, airframe.yaw_torque_per_thrust_m
+    return fr + rl + fl + rr, (arm * (fl + rl - fr - rr), arm * (fl + fr - rl - rr), drag * (fr + rl - fl - rr))
+
+
+class MotorVehicle(Vehicle):
+    """A single `Vehicle` whose thrust and torque come from `motors`."""
+
+    motors: Motors = _NONE
+    curve: float = 0.0
+
+    def step(self, ground: Ground) -> None:
+        """One step; with every motor at rest it may come to rest on the deck and be carried with it."""
+        if self.phase != Phase.EMERGENCY:
+            self.phase = float(Phase.FLYING if max(self.motors) > _SPINS else Phase.LANDED)
+            # The inherited rule turns flying into hovering unless the stick says otherwise.
+            self.command(0.0, 0.0, 0.0, 0.0, True)
+        super().step(ground)
+
+    def _loops(
+        self, command: tuple[Num, Num, Num, Num, Flag], rows: Rows, r: Relative, over: Flag, ground: Ground
+    ) -> tuple[Num, Vec]:
+        return wrench(self.airframe, self.motors, self.curve)

@@ -1,0 +1,191 @@
+"""PX4's simulator interface: HIL_SENSOR and HIL_GPS out, HIL_ACTUATOR_CONTROLS in, in lock step over TCP.
+
+    PX4_SIM_HOSTNAME=127.0.0.1 px4 -i 0 ...      # with the airframe of "none_iris"; the program connects to port 4560
+
+Source: PX4, SimulatorMavlink.cpp and docs "Simulator MAVLink API": the simulator listens, PX4 connects; each HIL_SENSOR sets
+PX4's clock, and in lock step PX4 answers it with one HIL_ACTUATOR_CONTROLS before the next is sent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.ardrone.samples import pressure_of_height_pa
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
+from sitl.autopilots.body import Body, BodyState
+from sitl.autopilots.motors import Motors
+
+PORT = 4560
+_ALL_SENSORS = 0x1FFF
+_ARMED = 128
+_EARTH_M = 6_371_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where on earth the world's origin lies, and how the magnetic field points there."""
+
+    latitude_deg: float = 63.44
+    longitude_deg: float = 10.40
+    altitude_m: float = 0.0
+    field_ned_gauss: tuple[float, float, float] = (0.136, 0.008, 0.497)
+    """Trondheim, of the World Magnetic Model, rounded."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """One sigma of each reading: PX4's filter takes sensors without noise for stuck."""
+
+    acc_m_s2: float = 0.02
+    gyro_rad_s: float = 0.001
+    mag_gauss: float = 0.002
+    pressure_hpa: float = 0.01
+    gnss_m: float = 0.05
+
+
+def sensors(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Generator) -> Message:
+    """HIL_SENSOR as of a state."""
+    acc = state.f_body + rng.normal(0.0, noise.acc_m_s2, 3)
+    gyro = state.w_body + rng.normal(0.0, noise.gyro_rad_s, 3)
+    mag = state.R_ned_body.inv @ np.array(home.field_ned_gauss) + rng.normal(0.0, noise.mag_gauss, 3)
+    height_m = home.altitude_m - float(state.p_ned[2])
+    pressure_hpa = pressure_of_height_pa(height_m) / 100.0 + float(rng.normal(0.0, noise.pressure_hpa))
+    return mav.MAVLink_hil_sensor_message(
+        _us(state), *map(float, acc), *map(float, gyro), *map(float, mag), pressure_hpa, 0.0, height_m, 20.0, _ALL_SENSORS
+    )
+
+
+def gnss(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Generator) -> Message:
+    """HIL_GPS as of a state."""
+    north, east, down = (float(v) for v in state.p_ned + rng.normal(0.0, noise.gnss_m, 3))
+    latitude = home.latitude_deg + math.degrees(north / _EARTH_M)
+    longitude = home.longitude_deg + math.degrees(east / (_EARTH_M * math.cos(math.radians(home.latitude_deg))))
+    vn, ve, vd = (round(100.0 * float(v)) for v in state.v_ned)
+    speed, course = round(math.hypot(vn, ve)), math.degrees(math.atan2(ve, vn)) % 360.0
+    return mav.MAVLink_hil_gps_message(
+        _us(state), 3, round(latitude * 1e7), round(longitude * 1e7), round(1000.0 * (home.altitude_m - down)), 30, 40,
+        min(speed, 65535), vn, ve, vd, round(100.0 * course) % 36000, 14,
+    )  # fmt: skip
+
+
+def motors_of(message: Message) -> Motors:
+    """Of a HIL_ACTUATOR_CONTROLS; at rest while not armed or not finite."""
+    if not message.mode & _ARMED:
+        return (0.0, 0.0, 0.0, 0.0)
+    a, b, c, d = (min(max(float(v), 0.0), 1.0) if math.isfinite(v) else 0.0 for v in message.controls[:4])
+    return (a, b, c, d)
+
+
+def _us(state: BodyState) -> int:
+    return round(state.t_s * 1e6)
+
+
+class HilBackend:
+    """One body behind the interface. No I/O: messages in, messages out.
+
+    Args:
+        gnss_hz: of HIL_GPS.
+        stepped: called after each step.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        *,
+        seed: int = 0,
+        home: Home | None = None,
+        noise: SensorNoise | None = None,
+        gnss_hz: float = 10.0,
+        stepped: Callable[[Body], None] = lambda body: None,
+    ) -> None:
+        self.body = body
+        self._home, self._noise = home or Home(), noise or SensorNoise()
+        self._rng = np.random.default_rng(seed)
+        self._gnss_s = 1.0 / gnss_hz
+        self._next_gnss_s = 0.0
+        self._stepped = stepped
+
+    def begin(self) -> list[Message]:
+        """The first readings: PX4 says nothing before it has the time from them."""
+        return self._readings()
+
+    def hear(self, message: Message) -> list[Message]:
+        """The readings one step after an actuator message; nothing for any other message."""
+        if message.get_type() != "HIL_ACTUATOR_CONTROLS":
+            return []
+        self.body.step(motors_of(message))
+        self._stepped(self.body)
+        return self._readings()
+
+    def _readings(self) -> list[Message]:
+        state = self.body.state()
+        out = [sensors(state, self._home, self._noise, self._rng)]
+        if state.t_s >= self._next_gnss_s:
+            self._next_gnss_s += self._gnss_s
+            out.append(gnss(state, self._home, self._noise, self._rng))
+        return out
+
+
+async def _converse(backend: HilBackend, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, nudge_s: float) -> None:
+    codec = Codec(1, 51)
+    first = True
+    try:
+        for message in backend.begin():
+            writer.write(codec.pack(message))
+        while True:
+            try:
+                async with asyncio.timeout(nudge_s if first else None):
+                    data = await reader.read(4096)
+            except TimeoutError:
+                # Before its loops run PX4 answers nothing, yet needs time to pass.
+                backend.body.step((0.0, 0.0, 0.0, 0.0))
+                for message in backend.begin():
+                    writer.write(codec.pack(message))
+                continue
+            if not data:
+                return
+            for heard in codec.feed(data):
+                for message in backend.hear(heard):
+                    first = False
+                    writer.write(codec.pack(message))
+            await writer.drain()
+    except ConnectionError:
+        return
+    finally:
+        writer.close()
+
+
+@asynccontextmanager
+async def serve_hil(backend: HilBackend, host: str = "127.0.0.1", port: int = PORT, nudge_s: float = 0.004) -> AsyncIterator[int]:
+    """Wait for PX4 on this port (0: any free one) and step with it until the context ends; gives the port.
+
+    Args:
+        nudge_s: until PX4 sends its first actuator message, the world moves one step this often.
+
+    Raises:
+        OSError: the port is in use.
+    """
+    open_writers: set[asyncio.StreamWriter] = set()
+
+    async def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        open_writers.add(writer)
+        try:
+            await _converse(backend, reader, writer, nudge_s)
+        finally:
+            open_writers.discard(writer)
+
+    server = await asyncio.start_server(met, host, port)
+    try:
+        yield int(server.sockets[0].getsockname()[1])
+    finally:
+        server.close()
+        for writer in tuple(open_writers):
+            writer.close()
+        await server.wait_closed()

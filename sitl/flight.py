@@ -1,0 +1,206 @@
+"""One flight in virtual time: the daemon's pilot and the driver's logic against the simulated drone, without sockets.
+
+Everything between the two is what flies in earnest: AT commands as bytes, navdata, samples, vision, estimator, guidance. Left
+out are the sockets, the video codec and threads, so that a scenario and a seed give one result to the bit.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+
+from companion.health import Health
+from companion.observer import FrameSeen, Observer
+from companion.pilot import Outcome, Pilot
+from companion.rig import ardrone_options
+from companion.settings_model import Settings
+from drivers.ardrone import at
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.helm import Helm
+from drivers.ardrone.samples import Sampler
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from sitl.ardrone.drone import TICK_S, Drone
+from sitl.ardrone.drone_clock import DroneClock
+from sitl.scenario import Scenario
+from sitl.world import Touchdown, Truth, World
+
+NAVDATA_DELAY_S = 0.004
+COMMAND_DELAY_S = 0.004
+STAMP_SIGMA_S = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How late things are."""
+
+    frame_period_s: float = 1.0 / 30.0
+    frame_delay_s: float = 0.09
+    """From mid-exposure to the frame in hand: half the exposure, encoder, link, decoder."""
+    vision_s: float = 0.01
+    """That vision takes for a frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightResult:
+    """How it ended."""
+
+    outcome: Outcome | None
+    """None when the scenario's time ran out."""
+    duration_s: float
+    touchdown: Touchdown | None
+    health: Health
+    truth: Truth
+    """At the end."""
+
+    @property
+    def landed_on_pad(self) -> bool:
+        return self.outcome is Outcome.LANDED and self.touchdown is not None and self.touchdown.on_pad
+
+
+class _VirtualClock:
+    """Stands still until told."""
+
+    def __init__(self, now: MonoNs) -> None:
+        self.t = now
+
+    def now(self) -> MonoNs:
+        return self.t
+
+    async def sleep(self, seconds: float) -> None:
+        raise RuntimeError("nothing sleeps in virtual time")
+
+
+class Flight:
+    """A flight that is stepped from outside.
+
+    Args:
+        observers: told what the daemon would tell them.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        settings: Settings,
+        pilot: Pilot,
+        *,
+        observers: Sequence[Observer] = (),
+        timing: Timing | None = None,
+    ) -> None:
+        cv2.setNumThreads(1)
+        self.world = World(scenario, seed)
+        self._pilot = pilot
+        self._observers = tuple(observers)
+        self._timing = timing or Timing()
+        self._limit_s = scenario.duration_limit_s
+        self._options = ardrone_options(settings)
+        self._helm = Helm(self._options, Counters())
+        self._sampler = Sampler(self._options.samples)
+        self._sequence = 0
+        start = self.world.now
+        self._clock = _VirtualClock(start)
+        self.health = Health(self._clock)
+        self._drone = Drone(self.world, DroneClock(start))
+        for key, value in self._options.configuration().items():
+            self._send([at.Config(key, value), at.Ctrl(at.CTRL_ACK)])
+        self._guidance_period_s = 1.0 / settings.guidance.rate_hz
+        self._due_guidance = self._due_frame = self._due_command = start
+        self._on_the_way: deque[tuple[MonoNs, Frame]] = deque()
+        self._looking: tuple[MonoNs, FrameSeen] | None = None
+        self._frames = 0
+
+    def step(self) -> bool:
+        """One tick of 5 ms; False when the flight is over."""
+        now = after(self._clock.t, TICK_S)
+        self._clock.t = now
+        self._drone.tick(now)
+        if not self.world.active("navdata_silent"):
+            self._hear(now)
+        self._film(now)
+        self._see(now)
+        if now >= self._due_guidance:
+            self._due_guidance = after(self._due_guidance, self._guidance_period_s)
+            self._decide(now)
+        if now >= self._due_command:
+            self._due_command = after(self._due_command, self._options.command_period_s)
+            self._send(self._helm.period(now))
+        return self._pilot.outcome is None and seconds_between(self.world.started, now) < self._limit_s
+
+    def run(self) -> FlightResult:
+        """To the end."""
+        while self.step():
+            pass
+        return self.result()
+
+    def _send(self, commands: Sequence[at.AtCommand]) -> None:
+        for command in commands:
+            self._sequence += 1
+            self._drone.take(at.encode(self._sequence, command), self._clock.t)
+
+    def _hear(self, now: MonoNs) -> None:
+        navdata = self._drone.navdata()
+        heard = after(now, NAVDATA_DELAY_S)
+        self._helm.hear(navdata, heard)
+        for sample in self._sampler.samples(navdata, Stamp(self.world.at, heard, STAMP_SIGMA_S, "sim")):
+            self._helm.hear_sample(sample)
+            for outcome in self._pilot.hear(sample):
+                self.health.input(outcome.kind, outcome.verdict)
+            for observer in self._observers:
+                observer.on_sample(sample)
+
+    def _film(self, now: MonoNs) -> None:
+        if now < self._due_frame:
+            return
+        self._due_frame = after(self._due_frame, self._timing.frame_period_s)
+        if self.world.active("video_silent"):
+            return
+        picture = self.world.render()
+        heard = after(picture.taken, self._timing.frame_delay_s)
+        self._frames += 1
+        stamp = Stamp(picture.taken, heard, STAMP_SIGMA_S, "sim")
+        self._on_the_way.append((heard, Frame(stamp, self._frames, picture.px, picture.exposure_s)))
+
+    def _see(self, now: MonoNs) -> None:
+        if self._looking is not None and now >= self._looking[0]:
+            self._conclude(self._looking[1])
+            self._looking = None
+        arrived: Frame | None = None
+        while self._on_the_way and self._on_the_way[0][0] <= now and self._looking is None:
+            if arrived is not None:
+                self.health.frame(Verdict.REPLACED)
+            arrived = self._on_the_way.popleft()[1]
+        if arrived is None:
+            return
+        attitude = self._pilot.attitude_at(arrived.stamp)
+        done = after(now, self._timing.vision_s)
+        if attitude is None:
+            self._conclude(FrameSeen(arrived, None, None, Verdict.NO_ATTITUDE, now, now))
+        else:
+            seen = self._pilot.look(arrived, attitude)
+            self._looking = done, FrameSeen(arrived, attitude, seen, Verdict.NO_PAD, now, done)
+
+    def _conclude(self, seen: FrameSeen) -> None:
+        if seen.look is not None:
+            seen = replace(seen, verdict=self._pilot.saw(seen.look))
+        self.health.frame(seen.verdict)
+        self.health.delay("exposure_to_belief", seconds_between(seen.frame.stamp.taken, seen.done))
+        for observer in self._observers:
+            observer.on_frame(seen)
+
+    def _decide(self, now: MonoNs) -> None:
+        decision = self._pilot.decide(now)
+        if decision.command is not None:
+            self._helm.take(decision.command, now)
+        for observer in self._observers:
+            observer.on_decision(decision)
+
+    def result(self) -> FlightResult:
+        truth = self.world.truth()
+        return FlightResult(
+            self._pilot.outcome, seconds_between(self.world.started, self.world.at), truth.touchdown, self.health, truth
+        )

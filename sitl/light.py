@@ -1,0 +1,187 @@
+"""Light on the scene and what the sensor makes of it.
+
+Everything between paint and picture is computed in linear light, because a lens and a sensor add up light and the tone curve
+comes last. Adding up sRGB values instead moves the place where an edge crosses half way, by a fifth of a pixel between dark and
+bright paint. `Sensor.blend = "srgb"` does just that, for comparison with renderers that do so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.errors import BadInput
+from sitl.projection import F32
+
+U8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """How the scene is lit, and what lies between it and the sensor."""
+
+    colour_temperature_k: float = 6500.0
+    """Of the light, 1700 to 25000 K."""
+    balanced_for_k: float | None = 6500.0
+    """What the camera takes for white; None when it follows the light without error."""
+    white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Gains on red, green and blue beyond that: an error of 20 % is (1.2, 1, 1) or the like."""
+    exposure_ev: float = 0.0
+    """Stops against the exposure that puts white paint at 80 % of full scale."""
+    vignetting: float = 0.20
+    """Share of light lost in the corners of the picture."""
+    sun_elevation_rad: float = math.radians(55.0)
+    sun_azimuth_rad: float = math.radians(140.0)
+    """Clockwise from north, where the sun stands."""
+    drone_shadow: float = 0.45
+    """Share of light that the drone's own shadow takes away; 0 under a cloudy sky."""
+    glare: float = 0.0
+    """Mirrored sun on the pad: light added at the spot's centre, in units of white paint."""
+    glare_centre_m: tuple[float, float] = (0.12, 0.08)
+    """In `pad`."""
+    glare_radius_m: float = 0.225
+    """Where the spot has fallen to a half; 0.225 m covers a third of the thesis' disc."""
+    wetness: float = 0.0
+    """0 dry to 1 soaked: darker paint, and puddles that mirror the sky."""
+    wear: float = 0.06
+    """Standard deviation of the paint's brightness over deck and pad; 0 for perfect paint."""
+
+    def __post_init__(self) -> None:
+        for name in ("colour_temperature_k", "balanced_for_k"):
+            k = getattr(self, name)
+            if k is not None and not 1700.0 <= k <= 25000.0:
+                raise BadInput(f"light: {name} must lie in 1700..25000 K, got {k!r}")
+        if not all(math.isfinite(g) and g > 0 for g in self.white_balance):
+            raise BadInput(f"light: white_balance gains must be positive, got {self.white_balance!r}")
+        for name in ("vignetting", "drone_shadow", "wetness"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise BadInput(f"light: {name} must lie in 0..1, got {getattr(self, name)!r}")
+        if not (self.glare >= 0 and self.glare_radius_m > 0 and 0 <= self.wear <= 0.5 and abs(self.exposure_ev) <= 10):
+            raise BadInput("light: glare 0 or more, glare_radius_m positive, wear 0..0.5, exposure_ev within +-10 stops")
+        if not 0.05 <= self.sun_elevation_rad <= math.pi / 2:
+            raise BadInput(f"light: sun_elevation_rad must lie in 0.05..pi/2, got {self.sun_elevation_rad!r}")
+
+    def gains_bgr(self) -> F32:
+        """(3,) factors from paint to the sensor's full scale in blue, green, red."""
+        rgb = planck_rgb(self.colour_temperature_k)
+        rgb = rgb / (rgb if self.balanced_for_k is None else planck_rgb(self.balanced_for_k))
+        rgb = rgb / rgb[1] * np.array(self.white_balance) * 0.8 * 2.0**self.exposure_ev
+        return np.asarray(rgb[::-1], dtype=np.float32)
+
+
+FLAT = Light(vignetting=0.0, drone_shadow=0.0, wear=0.0)
+"""Even light on perfect paint: for measuring geometry."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """The imager behind the lens."""
+
+    exposure_s: float = 0.008
+    psf_sigma_px: float = 0.6
+    """Of the lens and the colour filter's interpolation together, Gaussian; the square pixel comes on top."""
+    full_well_e: float = 8000.0
+    """Electrons at full scale: sets the shot noise."""
+    read_noise_e: float = 12.0
+    blend: Literal["linear", "srgb"] = "linear"
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.exposure_s <= 0.5 and 0.0 <= self.psf_sigma_px <= 10.0):
+            raise BadInput("sensor: exposure_s must lie in 0..0.5 and psf_sigma_px in 0..10")
+        if not (self.full_well_e > 0 and self.read_noise_e >= 0):
+            raise BadInput("sensor: full_well_e must be positive and read_noise_e 0 or more")
+
+
+IDEAL = Sensor(exposure_s=0.0, psf_sigma_px=0.0, full_well_e=math.inf, read_noise_e=0.0)
+"""No blur, no noise."""
+
+
+def planck_rgb(kelvin: float) -> NDArray[np.float64]:
+    """(3,) linear sRGB of a black body, greatest component 1; 6500 K is white to about 1 %.
+
+    Source: Kim et al., US patent 7024034 B2 (2006), cubic fit of the Planckian locus, 1667 to 25000 K; IEC 61966-2-1 for sRGB.
+    """
+    t = 1000.0 / kelvin
+    if kelvin < 4000.0:
+        x = -0.2661239 * t**3 - 0.2343589 * t**2 + 0.8776956 * t + 0.179910
+    else:
+        x = -3.0258469 * t**3 + 2.1070379 * t**2 + 0.2226347 * t + 0.240390
+    if kelvin < 2222.0:
+        y = -1.1063814 * x**3 - 1.34811020 * x**2 + 2.18555832 * x - 0.20219683
+    elif kelvin < 4000.0:
+        y = -0.9549476 * x**3 - 1.37418593 * x**2 + 2.09137015 * x - 0.16748867
+    else:
+        y = 3.0817580 * x**3 - 5.87338670 * x**2 + 3.75112997 * x - 0.37001483
+    xyz = np.array([x / y, 1.0, (1.0 - x - y) / y])
+    matrix = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+    rgb = np.maximum(matrix @ xyz, 0.01)
+    return np.asarray(rgb / rgb.max())
+
+
+def linear_from_srgb(value: NDArray[np.floating] | NDArray[np.integer]) -> NDArray[np.float64]:
+    """sRGB values 0..255 to linear light 0..1. Source: IEC 61966-2-1."""
+    v = np.asarray(value, dtype=float) / 255.0
+    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
+
+
+@lru_cache(maxsize=2)
+def _decode(blend: str) -> F32:
+    codes = np.arange(256)
+    return np.asarray(linear_from_srgb(codes) if blend == "linear" else codes / 255.0, dtype=np.float32)
+
+
+@lru_cache(maxsize=2)
+def _encode(blend: str) -> U8:
+    """(65536,) from light in 1/65535 of full scale to the value of the picture."""
+    light = np.arange(65536) / 65535.0
+    if blend == "linear":
+        light = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.round(light * 255.0).astype(np.uint8)
+
+
+@lru_cache(maxsize=1)
+def _noise_bank() -> F32:
+    """(4194304,) standard normal numbers, always the same: a picture takes a stretch of them from a random place on."""
+    return np.random.default_rng(0x0153).standard_normal(1 << 22, dtype=np.float32)
+
+
+class Development:
+    """From paint values to light and from light to the picture, for one light and one sensor."""
+
+    def __init__(self, light: Light, sensor: Sensor) -> None:
+        self._sensor = sensor
+        self.gains_bgr = light.gains_bgr() if sensor.blend == "linear" else light.gains_bgr() ** np.float32(1 / 2.2)
+        self.table: F32 = np.ascontiguousarray(_decode(sensor.blend)[None, :, None] * self.gains_bgr)
+        """(1, 256, 3) light of every paint value, light and exposure put in."""
+
+    def expose(self, paint: U8) -> F32:
+        """(H, W, 3) paint values to light."""
+        return np.asarray(cv2.LUT(paint, self.table), dtype=np.float32)
+
+    def blur(self, light: F32) -> F32:
+        """The lens."""
+        sigma = self._sensor.psf_sigma_px
+        if sigma < 0.05:
+            return light
+        size = 2 * math.ceil(3.0 * sigma) + 1
+        return np.asarray(cv2.GaussianBlur(light, (size, size), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+
+    def develop(self, light: F32, rng: np.random.Generator) -> U8:
+        """Shot and read noise, tone curve, eight bits. Draws one number from `rng`; changes `light`."""
+        s = self._sensor
+        if math.isfinite(s.full_well_e) or s.read_noise_e > 0:
+            bank = _noise_bank()
+            start = int(rng.integers(bank.size - light.size))
+            noise = bank[start : start + light.size].reshape(light.shape)
+            floor = (s.read_noise_e / s.full_well_e) ** 2
+            sigma = cv2.sqrt(cv2.addWeighted(light, 1.0 / s.full_well_e, light, 0.0, floor))
+            cv2.multiply(sigma, noise, dst=sigma)
+            cv2.add(light, sigma, dst=light)
+        whole = cv2.addWeighted(light, 65535.0, light, 0.0, 0.0, dtype=cv2.CV_16U)
+        return np.asarray(cv2.LUT(whole, _encode(s.blend)), dtype=np.uint8)

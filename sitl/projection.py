@@ -1,0 +1,144 @@
+"""Where planes and polygons of the world fall in one picture."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+
+F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
+
+SHIFT = 6
+"""Fractional bits of the vertices handed to OpenCV's drawing: 1/64 px."""
+
+_NEAR_M = 0.002
+"""Nothing nearer is drawn; `Camera.project` refuses points nearer than half of it."""
+
+_FAR_PX = 8000.0
+"""OpenCV clips polygons to the picture by itself, reliably while their fixed-point coordinates fit into 32 bits."""
+
+
+class Lens:
+    """The viewing ray of every pixel of a camera, kept, and polygons through the same lens."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        h, w = camera.height, camera.width
+        v, u = np.mgrid[0:h, 0:w].reshape(2, -1).astype(float)
+        uv = np.stack([u, v], axis=1)
+        rays = camera.rays(uv)
+        self.rays: F32 = rays.reshape(h, w, 2).astype(np.float32)
+        self.jacobian: F32 = _ray_change(camera, rays).reshape(h, w, 2, 2).astype(np.float32)
+        """(H, W, 2, 2) change of the ray for one pixel to the right and one down."""
+        low, high = rays.min(axis=0), rays.max(axis=0)
+        margin = 0.15 * (high - low)
+        low, high = low - margin, high + margin
+        self._planes = np.array(
+            [
+                [0.0, 0.0, 1.0],
+                [1.0, 0.0, -low[0]], [-1.0, 0.0, high[0]],
+                [0.0, 1.0, -low[1]], [0.0, -1.0, high[1]],
+            ]
+        )  # fmt: skip
+        self._bent = camera.distorted
+        self.corner_rays = rays.reshape(h, w, 2)[[0, 0, -1, -1], [0, -1, 0, -1]]
+
+    def plane_from_ray(self, cam_from_plane: F64) -> F64 | None:
+        """The homography taking (x/z, y/z, 1) of a ray to (x, y, 1) on a plane, up to a positive factor before the camera.
+
+        Args:
+            cam_from_plane: (3, 3) columns: the plane's x and y axes, unit vectors, and its origin in m, written in `cam`.
+        Returns:
+            None when the camera lies in the plane to within a millimetre.
+        """
+        if abs(np.linalg.det(cam_from_plane)) < 1e-3:
+            return None
+        return np.asarray(np.linalg.inv(cam_from_plane))
+
+    def _straight(self, p: F64) -> F64 | None:
+        """(N, 2) px through a lens without distortion, or None when a point is behind it or too far out for OpenCV."""
+        z = p[:, 2]
+        if z.min() < _NEAR_M:
+            return None
+        c = self.camera
+        uv = p[:, :2] / z[:, None] * (c.fx, c.fy) + (c.cx, c.cy)
+        return uv if max(uv.max(), -uv.min()) < _FAR_PX else None
+
+    def outlines(self, polygons_cam: list[F64], steps: int = 1) -> list[F64]:
+        """`outline` of several polygons, at once where none needs cutting."""
+        if not self._bent:
+            uv = self._straight(np.concatenate(polygons_cam))
+            if uv is not None:
+                return np.split(uv, np.cumsum([len(p) for p in polygons_cam])[:-1])
+        return [self.outline(p, steps) for p in polygons_cam]
+
+    def outline(self, points_cam: F64, steps: int = 1) -> F64:
+        """(N, 3) m polygon in `cam` to (M, 2) px, cut to a little more than the picture; M is 0 when nothing is left.
+
+        Args:
+            steps: pieces to cut each edge of a polygon of few corners into, where the lens bends straight lines.
+        """
+        p = np.asarray(points_cam, dtype=float)
+        if not self._bent:
+            uv = self._straight(p)
+            if uv is not None:
+                return uv
+        planes = self._planes
+        side = p @ planes.T - (_NEAR_M, 0.0, 0.0, 0.0, 0.0)
+        if np.any(side.max(axis=0) < 0):
+            return np.empty((0, 2))
+        if np.any(side < 0):
+            p = _cut(p, planes)
+            if len(p) == 0:
+                return np.empty((0, 2))
+        if steps > 1 and self._bent and len(p) < 24:
+            f = np.arange(steps)[:, None] / steps
+            p = (p[:, None] * (1.0 - f) + np.roll(p, -1, axis=0)[:, None] * f).reshape(-1, 3)
+        return self.camera.project(p)
+
+
+def _ray_change(camera: Camera, rays: F64) -> F64:
+    """(N, 2, 2): the inverse of the distortion's derivative at rays (N, 2), over the focal lengths."""
+    per_px = np.array([1.0 / camera.fx, 1.0 / camera.fy])
+    if not camera.distorted:
+        return np.broadcast_to(np.diag(per_px), (len(rays), 2, 2))
+    step = 1e-5
+    dx, dy = np.array([step, 0.0]), np.array([0.0, step])
+    bend = np.stack([camera.distort(rays + d) - camera.distort(rays - d) for d in (dx, dy)], axis=-1) / (2 * step)
+    return np.asarray(np.linalg.inv(bend) * per_px)
+
+
+@lru_cache(maxsize=8)
+def lens_of(camera: Camera) -> Lens:
+    """The lens of a camera object, made once."""
+    return Lens(camera)
+
+
+def _cut(polygon: F64, planes: F64) -> F64:
+    """The part of a polygon (N, 3) on the positive side of every plane through the origin.
+
+    Source: Sutherland & Hodgman, Reentrant polygon clipping, CACM 17(1), 1974.
+    """
+    p = polygon
+    for i, plane in enumerate(planes):
+        d = p @ plane - (_NEAR_M if i == 0 else 0.0)
+        if np.all(d >= 0):
+            continue
+        q, e = np.roll(p, -1, axis=0), np.roll(d, -1)
+        crosses = (d >= 0) != (e >= 0)
+        t = np.where(crosses, d / np.where(crosses, d - e, 1.0), 0.0)
+        both = np.stack([p, p + t[:, None] * (q - p)], axis=1).reshape(-1, 3)
+        p = both[np.stack([d >= 0, crosses], axis=1).reshape(-1)]
+        if len(p) < 3:
+            return np.empty((0, 3))
+    return p
+
+
+def fixed_point(uv_px: F64) -> I32:
+    """(N, 2) px to OpenCV's fixed-point vertices with `SHIFT` fractional bits."""
+    return np.round(uv_px * (1 << SHIFT)).astype(np.int32)

@@ -1,0 +1,323 @@
+"""What a simulated flight consists of, read from one TOML file.
+
+    scenario = load("demo")            # a shipped one (configs/scenarios) or a path
+
+Every key has its unit in its name, a range and a meaning; unknown keys, wrong types and values out of range are refused with
+the key's path.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from companion.settings import SHIPPED, read_toml, shipped
+from companion.settings_keys import choice, number, text
+from companion.settings_refusal import explain
+from estimator.contracts.errors import BadInput
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from sitl.seakeeping import HULLS
+
+_MEASURED = "a recorded AR.Drone 2.0 flight against motion capture"
+_THESIS = "the thesis' simulator"
+
+
+def _switch(meaning: str) -> Meta:
+    return Meta(description=meaning)
+
+
+class Sea(Struct, frozen=True, forbid_unknown_fields=True):
+    """The waves, which also move the vessel."""
+
+    significant_height_m: Annotated[float, number("significant wave height, 4 sqrt(m0); 0 is flat water", "m", 0.0, 10.0)] = 0.3
+    peak_period_s: Annotated[float, number("period of the spectrum's peak", "s", 1.0, 20.0)] = 3.5
+    peak_enhancement: Annotated[float, number("JONSWAP's gamma; 1 is a fully grown sea", "1", 1.0, 10.0, "mean JONSWAP")] = 3.3
+    runs_to_deg: Annotated[float, number("mean direction the waves run to, clockwise from north", "deg", -360.0, 360.0)] = 0.0
+    spreading: Annotated[
+        float, number("exponent s of the cos^2s spread of directions; 10 a wind sea, 75 a swell", "1", 1.0, 100.0)
+    ] = 10.0
+
+
+class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """The ship."""
+
+    hull: Annotated[str, text(f"one of {', '.join(HULLS)}", 40)] = "ferry"
+    heading_deg: Annotated[float, number("of the bow, clockwise from north", "deg", -360.0, 360.0)] = 0.0
+    speed_m_s: Annotated[float, number("along the heading", "m/s", 0.0, 15.0)] = 0.0
+    moored: Annotated[bool, _switch("at anchor: wanders slowly in surge, sway and yaw")] = True
+    pad_yaw_deg: Annotated[float, number("the pad's arrow against the bow, clockwise from above", "deg", -360.0, 360.0)] = 0.0
+
+    def __post_init__(self) -> None:
+        if self.hull not in HULLS:
+            raise ValueError(f"hull must be one of {', '.join(HULLS)}, found {self.hull!r}")
+        if self.moored and self.speed_m_s > 0:
+            raise ValueError("speed_m_s must be 0 while moored is true")
+
+
+class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """The air around the vehicle."""
+
+    speed_m_s: Annotated[float, number("mean", "m/s", 0.0, 25.0)] = 2.0
+    from_deg: Annotated[float, number("where it blows from, clockwise from north", "deg", -360.0, 360.0)] = 0.0
+    gust_sigma_m_s: Annotated[
+        float, number("standard deviation of each horizontal component about the mean", "m/s", 0.0, 8.0)
+    ] = 0.4
+    gust_time_s: Annotated[float, number("correlation time of the gusts", "s", 0.1, 60.0)] = 2.0
+
+
+class Start(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the vehicle is at first, against the pad as it lies at that instant."""
+
+    where: Annotated[
+        Literal["air", "pad"], choice("hovering in the air, or standing on the pad's centre with its motors off")
+    ] = "air"
+    height_m: Annotated[float, number("of the body's origin over the pad's centre, in the air", "m", 0.3, 60.0)] = 5.0
+    pad_forward_m: Annotated[float, number("how far ahead of the vehicle the pad lies, in the air", "m", -100.0, 100.0)] = 0.0
+    pad_right_m: Annotated[float, number("how far to the right of the vehicle the pad lies, in the air", "m", -100.0, 100.0)] = (
+        0.0
+    )
+    heading_deg: Annotated[float, number("of the vehicle against the arrow, clockwise from above", "deg", -360.0, 360.0)] = 0.0
+    with_vessel: Annotated[bool, _switch("starts with the vessel's steady velocity instead of at rest over the ground")] = True
+
+
+class CameraView(Struct, frozen=True, forbid_unknown_fields=True):
+    """The bottom camera."""
+
+    file: Annotated[str, text("a shipped camera (configs/cameras), or a path relative to the scenario file", 200)] = "sim"
+    exposure_s: Annotated[float, number("how long the shutter is open", "s", 0.0, 0.1, "assumed")] = 0.008
+    blur_sigma_px: Annotated[float, number("of lens and colour filter, Gaussian", "px", 0.0, 10.0, "assumed")] = 0.6
+    full_well_e: Annotated[float, number("electrons at full scale: sets the shot noise", "1", 100.0, 1e6, "assumed")] = 8000.0
+    read_noise_e: Annotated[float, number("electrons", "1", 0.0, 1000.0, "assumed")] = 12.0
+
+
+class PadView(Struct, frozen=True, forbid_unknown_fields=True):
+    """The pad on deck."""
+
+    file: Annotated[str, text("a shipped pad (configs/pads), or a path relative to the scenario file", 200)] = "thesis"
+
+
+class LightSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """How the scene is lit and what the camera takes for white."""
+
+    colour_temperature_k: Annotated[float, number("of the light", "K", 1700.0, 25000.0)] = 6500.0
+    balanced_for_k: Annotated[float, number("what the camera takes for white", "K", 1700.0, 25000.0)] = 6500.0
+    gain_red: Annotated[float, number("white-balance error on red beyond that; 1 for none", "1", 0.2, 5.0)] = 1.0
+    gain_blue: Annotated[float, number("white-balance error on blue beyond that; 1 for none", "1", 0.2, 5.0)] = 1.0
+    exposure_ev: Annotated[float, number("stops against white paint at 80 % of full scale", "1", -6.0, 6.0)] = 0.0
+    vignetting: Annotated[float, number("share of light lost in the corners", "1", 0.0, 1.0)] = 0.2
+    sun_elevation_deg: Annotated[float, number("over the horizon", "deg", 3.0, 90.0)] = 55.0
+    sun_azimuth_deg: Annotated[float, number("where the sun stands, clockwise from north", "deg", -360.0, 360.0)] = 140.0
+    drone_shadow: Annotated[
+        float, number("share of light in the vehicle's own shadow that is missing; 0 under clouds", "1", 0.0, 1.0)
+    ] = 0.45
+    glare: Annotated[float, number("mirrored sun on the pad, in units of white paint", "1", 0.0, 10.0)] = 0.0
+    wetness: Annotated[float, number("of deck and pad, 0 dry to 1 soaked", "1", 0.0, 1.0)] = 0.0
+    wear: Annotated[float, number("standard deviation of the paint's brightness", "1", 0.0, 0.5)] = 0.06
+
+
+class SensorSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the vehicle's sensors and its own estimator get wrong."""
+
+    accel_bias_sigma_m_s2: Annotated[
+        float,
+        number("of the accelerometer's constant error, each axis", "m/s^2", 0.0, 3.0, "biases of 80 mg in a captured navdata"),
+    ] = 0.6
+    accel_noise_sigma_m_s2: Annotated[
+        float, number("a sample, motors turning", "m/s^2", 0.0, 5.0, _MEASURED + ": 0.040 to 0.046")
+    ] = 0.043
+    accel_rest_sigma_m_s2: Annotated[float, number("a sample, motors off", "m/s^2", 0.0, 5.0, _MEASURED + ": up to 0.012")] = 0.01
+    gyro_bias_sigma_rad_s: Annotated[
+        float, number("of the gyro's constant error after the drone took out its own offsets", "rad/s", 0.0, 0.2, _MEASURED)
+    ] = 0.001
+    gyro_noise_sigma_rad_s: Annotated[
+        float, number("a sample, motors turning", "rad/s", 0.0, 1.0, _MEASURED + ": 0.027 to 0.042")
+    ] = 0.034
+    gyro_rest_sigma_rad_s: Annotated[
+        float, number("a sample, motors off", "rad/s", 0.0, 1.0, _MEASURED + ": 0.0004 to 0.0005")
+    ] = 0.0005
+    tilt_bias_sigma_deg: Annotated[
+        float, number("of the constant error of the drone's roll and pitch", "deg", 0.0, 10.0, _MEASURED)
+    ] = 0.5
+    tilt_drift_sigma_deg: Annotated[
+        float, number("of the wandering error of the drone's roll and pitch", "deg", 0.0, 10.0, _MEASURED + ": 0.16 and 0.77")
+    ] = 0.4
+    tilt_drift_time_s: Annotated[float, number("its correlation time", "s", 0.05, 600.0, _MEASURED)] = 1.0
+    heading_bias_sigma_deg: Annotated[
+        float, number("of the constant error of the drone's heading", "deg", 0.0, 180.0, "assumed")
+    ] = 3.0
+    heading_drift_sigma_deg: Annotated[
+        float, number("of the wandering error of the drone's heading", "deg", 0.0, 60.0, _MEASURED + ": 2.4")
+    ] = 2.0
+    heading_drift_time_s: Annotated[float, number("its correlation time", "s", 0.05, 600.0, _MEASURED)] = 6.0
+    velocity_scale: Annotated[float, number("velocity told over true velocity", "1", 0.1, 2.0, _MEASURED)] = 0.83
+    velocity_noise_sigma_m_s: Annotated[
+        float, number("of the wandering error of velocity", "m/s", 0.0, 1.0, _MEASURED + ": 0.011 to 0.024")
+    ] = 0.015
+    velocity_noise_time_s: Annotated[float, number("its correlation time", "s", 0.01, 60.0, _MEASURED)] = 0.25
+    velocity_lag_s: Annotated[float, number("first-order lag of velocity", "s", 0.001, 1.0, _MEASURED + ": 0.02 to 0.04")] = 0.03
+    velocity_over: Annotated[
+        Literal["seen", "water"],
+        choice(
+            "what velocity is measured against: what the bottom camera sees (the moving deck when over it), or always the water"
+        ),
+    ] = "seen"
+    ultrasound_rate_hz: Annotated[float, number("how often it measures", "Hz", 1.0, 60.0, "pic:ultrasound_freq 8")] = 25.0
+    ultrasound_min_m: Annotated[float, number("nothing nearer is heard", "m", 0.0, 1.0, "assumed")] = 0.2
+    ultrasound_max_m: Annotated[float, number("nothing farther is heard", "m", 0.5, 20.0, "Parrot's specification")] = 6.0
+    ultrasound_cone_deg: Annotated[
+        float, number("full angle of the cone it hears; the nearest surface counts", "deg", 1.0, 90.0, _THESIS)
+    ] = 40.0
+    ultrasound_sigma_m: Annotated[float, number("a reading", "m", 0.0, 1.0, _MEASURED + ": 0.003 to 0.007")] = 0.005
+    ultrasound_delay_s: Annotated[float, number("from the echo to the telemetry", "s", 0.0, 0.5, _MEASURED)] = 0.06
+    pressure_sigma_pa: Annotated[float, number("a reading", "Pa", 0.0, 200.0, _THESIS + ": 0.5 m of height")] = 6.0
+    pressure_drift_sigma_pa: Annotated[float, number("of the slow wandering", "Pa", 0.0, 500.0, "assumed")] = 10.0
+    magnetometer_sigma_t: Annotated[float, number("a reading, each axis", "T", 0.0, 1e-4, _THESIS + ": 0.013 G")] = 1.3e-6
+    magnetometer_bias_sigma_t: Annotated[float, number("of the constant error, each axis", "T", 0.0, 1e-4, "assumed")] = 1e-6
+    battery_start: Annotated[float, number("charge at the start", "1", 0.0, 1.0)] = 0.9
+    battery_life_s: Annotated[float, number("flight time of a full battery", "s", 10.0, 36000.0, _THESIS)] = 1200.0
+
+    def __post_init__(self) -> None:
+        if self.ultrasound_min_m >= self.ultrasound_max_m:
+            raise ValueError("ultrasound_min_m must be less than ultrasound_max_m")
+
+
+class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """What may be changed about the vehicle."""
+
+    mass_kg: Annotated[float, number("inertia follows in proportion", "kg", 0.2, 2.5, _THESIS)] = 1.477
+    command_delay_s: Annotated[float, number("from the arrival of a stick command to its effect", "s", 0.0, 0.5, "assumed")] = (
+        0.04
+    )
+    motor_lag_s: Annotated[float, number("time constant of rotor thrust", "s", 0.0, 0.5, "assumed")] = 0.05
+    landing_speed_m_s: Annotated[float, number("descent of the drone's own landing", "m/s", 0.1, 1.5)] = 0.4
+    euler_angle_max_deg: Annotated[
+        float, number("full stick, until the configuration says otherwise", "deg", 1.0, 28.0, "firmware")
+    ] = 12.0
+    vz_max_m_s: Annotated[float, number("full stick, until the configuration says otherwise", "m/s", 0.1, 2.0, "firmware")] = 0.7
+    yaw_rate_max_deg_s: Annotated[
+        float, number("full stick, until the configuration says otherwise", "deg/s", 10.0, 350.0, "firmware")
+    ] = 100.0
+
+
+FaultKind = Literal[
+    "lens_covered",
+    "gust",
+    "weak_rotor",
+    "ultrasound_silent",
+    "flow_blind",
+    "magnetometer_silent",
+    "video_silent",
+    "navdata_silent",
+]
+
+
+class Fault(Struct, frozen=True, forbid_unknown_fields=True):
+    """Something that goes wrong for a while."""
+
+    kind: Annotated[FaultKind, choice("what goes wrong")]
+    start_s: Annotated[float, number("after the start", "s", 0.0, 36000.0)]
+    duration_s: Annotated[float, number("how long it lasts", "s", 0.01, 36000.0)]
+    speed_m_s: Annotated[float, number("gust: added wind at its height, half way through", "m/s", 0.0, 25.0)] = 5.0
+    from_deg: Annotated[float, number("gust: where it blows from, clockwise from north", "deg", -360.0, 360.0)] = 0.0
+    rotor: Annotated[Literal["front_left", "front_right", "rear_right", "rear_left"], choice("weak_rotor: which")] = "front_left"
+    thrust_share: Annotated[float, number("weak_rotor: thrust it still gives", "1", 0.0, 1.0)] = 0.8
+
+
+class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
+    """One flight to simulate."""
+
+    title: Annotated[str, text("one line for people", 120)]
+    duration_limit_s: Annotated[float, number("the flight ends here at the latest", "s", 1.0, 36000.0)] = 120.0
+    sea: Sea = Sea()
+    vessel: VesselSettings = VesselSettings()
+    wind: WindSettings = WindSettings()
+    start: Start = Start()
+    camera: CameraView = CameraView()
+    pad: PadView = PadView()
+    light: LightSettings = LightSettings()
+    sensors: SensorSettings = SensorSettings()
+    vehicle: VehicleSettings = VehicleSettings()
+    faults: Annotated[tuple[Fault, ...], Meta(max_length=100, description="in any order")] = ()
+
+
+def load(name_or_path: str | Path) -> Scenario:
+    """The scenario in a file, or a shipped one (`configs/scenarios/*.toml`) when given its bare name.
+
+    Camera and pad files are read too; `camera.file` and `pad.file` of the result hold from the working directory.
+
+    Raises:
+        BadInput: a file that cannot be read or is not TOML; a key unknown, missing, of the wrong type or out of range; a camera
+            or pad file with such a fault. One line that names the file and the key.
+    """
+    path = _find(str(name_or_path), "scenarios", Path(), "scenario")
+    scenario = from_mapping(read_toml(path), str(path))
+    camera = _find(scenario.camera.file, "cameras", path.parent, f"{path}: camera.file")
+    pad = _find(scenario.pad.file, "pads", path.parent, f"{path}: pad.file")
+    scenario = msgspec.structs.replace(
+        scenario,
+        camera=msgspec.structs.replace(scenario.camera, file=str(camera)),
+        pad=msgspec.structs.replace(scenario.pad, file=str(pad)),
+    )
+    camera_model(scenario)
+    pad_model(scenario)
+    return scenario
+
+
+def from_mapping(data: dict[str, Any], where: str) -> Scenario:
+    """A scenario from what a TOML file holds; `where` names the file in errors.
+
+    Raises:
+        BadInput: as `load`, but for the camera and pad files, which are not looked at.
+    """
+    try:
+        return msgspec.convert(data, Scenario, strict=True)
+    except msgspec.ValidationError as why:
+        raise BadInput(f"{where}: {_explain(data, str(why))}") from why
+
+
+def camera_model(scenario: Scenario) -> Camera:
+    """The camera that `scenario.camera.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    path = _find(scenario.camera.file, "cameras", Path(), "camera.file")
+    return Camera.from_mapping(read_toml(path), str(path))
+
+
+def pad_model(scenario: Scenario) -> Pad:
+    """The pad that `scenario.pad.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    path = _find(scenario.pad.file, "pads", Path(), "pad.file")
+    return Pad.from_mapping(read_toml(path), str(path))
+
+
+def _explain(data: dict[str, Any], said: str) -> str:
+    """One line; a fault inside the list of faults is explained against its own table."""
+    if (found := re.search(r"\$\.faults\[(\d+)\]", said)) and isinstance(data["faults"][int(found[1])], dict):
+        n = int(found[1])
+        return f"faults[{n}]." + explain(Fault, data["faults"][n], said.replace(f".faults[{n}]", "")).lstrip(".")
+    return explain(Scenario, data, said)
+
+
+def _find(name: str, folder: str, base: Path, what: str) -> Path:
+    if name in shipped(folder):
+        return SHIPPED / folder / f"{name}.toml"
+    try:
+        path = base / name
+        if path.is_file():
+            return path
+    except (OSError, ValueError) as why:
+        raise BadInput(f"{what}: not a usable file name {name[:60]!r}") from why
+    near = difflib.get_close_matches(name, shipped(folder), n=1)
+    hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(shipped(folder))}"
+    raise BadInput(f"{what}: there is no file {str(path)!r} and no shipped one of that name ({hint})")

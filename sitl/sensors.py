@@ -1,0 +1,216 @@
+"""What the vehicle's sensors say, with the errors measured on a real AR.Drone 2.0 (provenance: `sitl.scenario.SensorSettings`).
+
+Every sensor has its own random generator and advances with the physics, whether anyone reads it or not: the same seed gives
+the same readings to the bit. Roll, pitch and velocity are the drone's own estimates, the same that its loops fly by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.time import MonoNs
+from sitl.algebra import Floats, Vec, back, forth, rotation_of, rpy_of
+from sitl.contact import DeckShape, Ground
+from sitl.scenario import SensorSettings
+from sitl.vehicle import Vehicle
+
+EARTH_FIELD_NED_T = (1.36e-5, 0.9e-6, 5.0e-5)
+"""Tesla north, east, down at Trondheim: 52 uT, 75 degrees dip, 4 degrees of declination, to the percent."""
+SEA_LEVEL_PA = 101325.0
+BOARD_TEMPERATURE_C = 43.5
+"""As in a captured navdata: the chip sits beside warm electronics."""
+HOVER_PWM = 170.0
+"""Of 255, as recorded in flight with a battery in mid-charge."""
+
+_BLOCK = 256
+_RAYS = (-0.5, 0.0, 0.5)
+_FLOATS = Floats()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """The newest of each sensor. SI, body axes."""
+
+    at: MonoNs
+    """When the inertial values were true."""
+    f_body: F64
+    """(3,) m/s^2, specific force."""
+    w_body: F64
+    """(3,) rad/s."""
+    rpy_rad: F64
+    """(3,) the drone's own roll, pitch, heading."""
+    v_level_m_s: F64
+    """(2,) forward and right as the drone tells them; it tells no vertical speed."""
+    ultrasound_m: float | None
+    """Distance to the nearest surface in the cone; None when nothing is heard."""
+    pressure_pa: float
+    temperature_c: float
+    magnetometer: F64 | None
+    """(3,) tesla; None while it says nothing."""
+    battery_fraction: float
+    motors_pwm: tuple[int, int, int, int]
+    """0..255 of the front left, front right, rear right, rear left motor."""
+
+
+class Sensors:
+    """Sensors of one vehicle.
+
+    Args:
+        seed: parent of one child seed for each sensor.
+        step_s: of the physics; readings are as fresh as the newest step.
+    """
+
+    def __init__(self, settings: SensorSettings, shape: DeckShape, seed: np.random.SeedSequence, step_s: float) -> None:
+        self._s, self._shape, self._step_s = settings, shape, step_s
+        s = settings
+        imu, heading, ultrasound, pressure, magnetometer = (np.random.Generator(np.random.PCG64(c)) for c in seed.spawn(5))
+        self._accel_bias = s.accel_bias_sigma_m_s2 * imu.standard_normal(3)
+        self._gyro_bias = s.gyro_bias_sigma_rad_s * imu.standard_normal(3)
+        self._heading_bias = math.radians(s.heading_bias_sigma_deg) * float(heading.standard_normal())
+        self._magnetic_bias = s.magnetometer_bias_sigma_t * magnetometer.standard_normal(3)
+        self._imu, self._magnetometer = _White(imu, 6), _White(magnetometer, 3)
+        self._heading = _Wandering(heading, math.radians(s.heading_drift_sigma_deg), s.heading_drift_time_s, step_s)
+        self._pressure = _White(pressure, 1)
+        self._pressure_drift = _Wandering(pressure, s.pressure_drift_sigma_pa, 60.0, step_s)
+        self._echo_noise = _White(ultrasound, 1)
+        self._echo_every = max(1, round(1.0 / (s.ultrasound_rate_hz * step_s)))
+        self._echoes: deque[tuple[int, float | None]] = deque()
+        self._echo: float | None = None
+        self._tick = 0
+        self._battery = s.battery_start
+        self.ultrasound_works = True
+        self.magnetometer_works = True
+
+    def step(self, vehicle: Vehicle, ground: Ground, motors_on: bool) -> None:
+        """Take part in one step of the physics, after the vehicle has."""
+        s = self._s
+        self._tick += 1
+        self._imu.step()
+        self._magnetometer.step()
+        self._pressure.step()
+        self._heading.step()
+        self._pressure_drift.step()
+        if motors_on:
+            self._battery = max(0.0, self._battery - self._step_s / s.battery_life_s)
+        if self._tick % self._echo_every == 0:
+            self._echo_noise.step()
+            heard = (
+                nearest_surface(self._shape, vehicle, ground, math.radians(s.ultrasound_cone_deg))
+                if self.ultrasound_works
+                else None
+            )
+            if heard is not None:
+                heard += s.ultrasound_sigma_m * self._echo_noise.values[0]
+                heard = heard if s.ultrasound_min_m <= heard <= s.ultrasound_max_m else None
+            self._echoes.append((self._tick + round(s.ultrasound_delay_s / self._step_s), heard))
+        while self._echoes and self._echoes[0][0] <= self._tick:
+            self._echo = self._echoes.popleft()[1]
+
+    def read(self, at: MonoNs, vehicle: Vehicle, motors_on: bool) -> Readings:
+        """Of the newest step. Reading changes nothing."""
+        s = self._s
+        rows = rotation_of(vehicle.q)
+        roll, pitch, yaw = (float(a) for a in rpy_of(_FLOATS, rows))
+        off = vehicle.tilt_error_rad
+        noise = np.array(self._imu.values)
+        accel = s.accel_noise_sigma_m_s2 if motors_on else s.accel_rest_sigma_m_s2
+        gyro = s.gyro_noise_sigma_rad_s if motors_on else s.gyro_rest_sigma_rad_s
+        field = None
+        if self.magnetometer_works:
+            field = (
+                np.array(back(rows, EARTH_FIELD_NED_T))
+                + self._magnetic_bias
+                + s.magnetometer_sigma_t * np.array(self._magnetometer.values)
+            )
+        height = -float(vehicle.p[2])
+        pressure = SEA_LEVEL_PA * (1.0 - 2.25577e-5 * height) ** 5.25588
+        return Readings(
+            at=at,
+            f_body=vehicle.f_body + self._accel_bias + accel * noise[:3],
+            w_body=vehicle.w_body + self._gyro_bias + gyro * noise[3:],
+            rpy_rad=np.array([roll + off[0], pitch + off[1], wrap_pi(yaw + self._heading_bias + self._heading.value)]),
+            v_level_m_s=np.array(vehicle.flow),
+            ultrasound_m=self._echo,
+            pressure_pa=pressure + self._pressure_drift.value + s.pressure_sigma_pa * self._pressure.values[0],
+            temperature_c=BOARD_TEMPERATURE_C,
+            magnetometer=field,
+            battery_fraction=self._battery,
+            motors_pwm=_pwm(vehicle),
+        )
+
+
+def nearest_surface(shape: DeckShape, vehicle: Vehicle, ground: Ground, cone_rad: float) -> float | None:
+    """Distance in m from the body's origin to the nearest surface within a cone about the body's down axis: deck where a ray
+    meets it, water elsewhere; None when no ray meets anything. Nine rays as in the thesis' simulator, and the plumb lines.
+    """
+    rows = rotation_of(vehicle.q)
+    p, g = vehicle.p, ground.p
+    d = back(ground.R, (p[0] - g[0], p[1] - g[1], p[2] - g[2]))
+    above_water = ground.sea_z - p[2]
+    rays: list[Vec] = [(math.tan(a * cone_rad), math.tan(b * cone_rad), 1.0) for a in _RAYS for b in _RAYS]
+    down = forth(rows, (0.0, 0.0, 1.0))
+    rays_ned = [_unit(forth(rows, ray)) for ray in rays]
+    least = math.cos(0.5 * cone_rad)
+    for plumb in ((0.0, 0.0, 1.0), forth(ground.R, (0.0, 0.0, 1.0))):
+        if plumb[0] * down[0] + plumb[1] * down[1] + plumb[2] * down[2] >= least:
+            rays_ned.append(plumb)
+    best = math.inf
+    for ray in rays_ned:
+        u = back(ground.R, ray)
+        distance = math.inf
+        if u[2] > 1e-6 and d[2] < 0.0:
+            t = -d[2] / u[2]
+            if shape.holds(d[0] + t * u[0], d[1] + t * u[1]):
+                distance = float(t)
+        if math.isinf(distance) and ray[2] > 1e-6 and above_water > 0.0:
+            distance = float(above_water / ray[2])
+        best = min(best, distance)
+    return None if math.isinf(best) else best
+
+
+def _unit(v: Vec) -> Vec:
+    n = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    return (v[0] / n, v[1] / n, v[2] / n)
+
+
+def _pwm(vehicle: Vehicle) -> tuple[int, int, int, int]:
+    """Rotor thrust goes with the square of its speed, and that with the pulse width."""
+    hover = 0.25 * vehicle.airframe.mass_kg * 9.80665
+    a, b, c, d = (min(255, round(HOVER_PWM * math.sqrt(max(0.0, float(t)) / hover))) for t in vehicle.rotors_n)
+    return (a, b, c, d)
+
+
+class _White:
+    """Standard normal numbers, new with each step, drawn in blocks."""
+
+    def __init__(self, rng: np.random.Generator, width: int) -> None:
+        self._rng, self._width = rng, width
+        self._block: list[list[float]] = []
+        self._i = _BLOCK
+        self.values: list[float] = [0.0] * width
+        self.step()
+
+    def step(self) -> None:
+        if self._i == _BLOCK:
+            self._block, self._i = self._rng.standard_normal((_BLOCK, self._width)).tolist(), 0
+        self.values = self._block[self._i]
+        self._i += 1
+
+
+class _Wandering:
+    """A first-order Gauss-Markov process in its steady state, exact for any step length."""
+
+    def __init__(self, rng: np.random.Generator, sigma: float, time_s: float, step_s: float) -> None:
+        self._keep = math.exp(-step_s / time_s)
+        self._fresh = sigma * math.sqrt(1.0 - self._keep**2)
+        self.value = sigma * float(rng.standard_normal())
+        self._white = _White(rng, 1)
+
+    def step(self) -> None:
+        self._white.step()
+        self.value = self._keep * self.value + self._fresh * self._white.values[0]

@@ -1,0 +1,147 @@
+"""From a scenario to the things of the world: seeds, vehicle, deck, wind, sea, vessel, camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from sitl.airframe import Airframe, Avionics, Limits
+from sitl.camera import Renderer
+from sitl.contact import DeckShape, Ground
+from sitl.disturbances import Wind
+from sitl.light import Light, Sensor
+from sitl.scenario import Scenario, camera_model, pad_model
+from sitl.sea import SeaState, Waves
+from sitl.seakeeping import Hull, hull
+from sitl.surroundings import Deck, Surroundings
+from sitl.vehicle import Vehicle
+from sitl.vessel import Mooring, Vessel
+
+
+class Seeds(NamedTuple):
+    """What each random part of one flight is drawn from."""
+
+    flight: np.random.SeedSequence
+    """Wind, and the vehicle's own errors."""
+    sensors: np.random.SeedSequence
+    sea: int
+    camera: int
+
+
+def flight_seeds(seed: int) -> Seeds:
+    """Independent seeds of a flight's parts."""
+    flight, sensors, sea, camera = np.random.SeedSequence(seed).spawn(4)
+    return Seeds(flight, sensors, int(sea.generate_state(1)[0]), int(camera.generate_state(1)[0]))
+
+
+def airframe(scenario: Scenario) -> Airframe:
+    """The vehicle a scenario asks for; inertia goes with the mass."""
+    base, v, s = Airframe(), scenario.vehicle, scenario.sensors
+    k = v.mass_kg / base.mass_kg
+    ix, iy, iz = base.inertia_kg_m2
+    return replace(
+        base,
+        mass_kg=v.mass_kg,
+        inertia_kg_m2=(k * ix, k * iy, k * iz),
+        command_delay_s=v.command_delay_s,
+        motor_lag_s=v.motor_lag_s,
+        landing_speed_m_s=v.landing_speed_m_s,
+        avionics=Avionics(
+            tilt_bias_sigma_rad=math.radians(s.tilt_bias_sigma_deg),
+            tilt_drift_sigma_rad=math.radians(s.tilt_drift_sigma_deg),
+            tilt_drift_time_s=s.tilt_drift_time_s,
+            flow_scale=s.velocity_scale,
+            flow_noise_sigma_m_s=s.velocity_noise_sigma_m_s,
+            flow_noise_time_s=s.velocity_noise_time_s,
+            flow_lag_s=s.velocity_lag_s,
+            flow_sees_deck=s.velocity_over == "seen",
+        ),
+    )
+
+
+def limits(scenario: Scenario) -> Limits:
+    """What a full stick means at first."""
+    v = scenario.vehicle
+    return Limits(math.radians(v.euler_angle_max_deg), v.vz_max_m_s, math.radians(v.yaw_rate_max_deg_s))
+
+
+def deck_shape(ship: Hull, pad_yaw_rad: float) -> DeckShape:
+    """The whole deck of a hull, as seen from its pad."""
+    x, y = ship.d_vessel_pad_m
+    length, beam = 0.5 * ship.length_m, 0.5 * ship.beam_m
+    return DeckShape(length - x, length + x, beam + y, beam - y, ship.bow_taper_m, pad_yaw_rad)
+
+
+def wind(scenario: Scenario) -> Wind:
+    """The steady air and its gusts."""
+    w = scenario.wind
+    return Wind(blowing(w.speed_m_s, w.from_deg), w.gust_sigma_m_s, w.gust_time_s)
+
+
+def renderer(scenario: Scenario, waves: Waves, vessel: Vessel) -> Renderer:
+    """The camera over the scenario's deck and sea."""
+    c, s = scenario.camera, scenario.light
+    light = Light(
+        colour_temperature_k=s.colour_temperature_k,
+        balanced_for_k=s.balanced_for_k,
+        white_balance=(s.gain_red, 1.0, s.gain_blue),
+        exposure_ev=s.exposure_ev,
+        vignetting=s.vignetting,
+        sun_elevation_rad=math.radians(s.sun_elevation_deg),
+        sun_azimuth_rad=math.radians(s.sun_azimuth_deg),
+        drone_shadow=s.drone_shadow,
+        glare=s.glare,
+        wetness=s.wetness,
+        wear=s.wear,
+    )
+    scene = Surroundings(
+        deck=Deck.of(vessel.hull, math.radians(scenario.vessel.pad_yaw_deg)),
+        waves=waves,
+        wake_speed_m_s=scenario.vessel.speed_m_s,
+    )
+    sensor = Sensor(c.exposure_s, c.blur_sigma_px, c.full_well_e, c.read_noise_e)
+    return Renderer(camera_model(scenario), pad_model(scenario), scene, light, sensor)
+
+
+def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]:
+    """B seas and the B vessels that ride on them, one a seed."""
+    s, v = scenario.sea, scenario.vessel
+    state = SeaState(s.significant_height_m, s.peak_period_s, s.peak_enhancement)
+    waves = Waves.draw(state, seeds, towards_rad=math.radians(s.runs_to_deg), spreading=s.spreading)
+    vessel = Vessel(
+        hull(v.hull),
+        waves,
+        heading_rad=math.radians(v.heading_deg),
+        speed_m_s=v.speed_m_s,
+        pad_yaw_rad=math.radians(v.pad_yaw_deg),
+        mooring=Mooring() if v.moored else None,
+        seeds=seeds,
+    )
+    return waves, vessel
+
+
+def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, R_ned_pad: F64) -> None:
+    """Put the vehicle, or each of B, where the scenario wants it against pads (..., 3) m and (..., 3, 3)."""
+    s, v = scenario.start, scenario.vessel
+    yaw = math.radians(s.heading_deg)
+    if s.where == "pad":
+        vehicle.stand(ground, np.array([0.0, 0.0, -vehicle.airframe.feet.below_m]), yaw)
+        return
+    heading = np.arctan2(R_ned_pad[..., 1, 0], R_ned_pad[..., 0, 0]) + yaw
+    c, n = np.cos(heading), np.sin(heading)
+    to_pad = np.stack(
+        [c * s.pad_forward_m - n * s.pad_right_m, n * s.pad_forward_m + c * s.pad_right_m, np.full_like(c, s.height_m)], axis=-1
+    )
+    course = math.radians(v.heading_deg)
+    speed = v.speed_m_s if s.with_vessel else 0.0
+    vehicle.place(p_pad_ned - to_pad, np.array([speed * math.cos(course), speed * math.sin(course), 0.0]), heading)
+
+
+def blowing(speed_m_s: float, from_deg: float) -> tuple[float, float, float]:
+    """m/s in ned, where the air moves to."""
+    a = math.radians(from_deg)
+    return (-speed_m_s * math.cos(a), -speed_m_s * math.sin(a), 0.0)

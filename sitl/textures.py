@@ -1,0 +1,92 @@
+"""Tileable noise, made once, and its reading through a plane."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from sitl.projection import F32
+
+_NONE = np.empty(0, np.float32)
+
+
+class Tile:
+    """A square periodic texture with its smaller versions for greater distances."""
+
+    def __init__(self, texels: F32, side_m: float) -> None:
+        self.side_m = side_m
+        self._levels: list[F32] = []
+        level = texels
+        while level.shape[0] >= 8:
+            self._levels.append(np.pad(level, ((0, 1), (0, 1)), mode="wrap"))
+            n = level.shape[0] // 2
+            level = level.reshape(n, 2, n, 2).mean(axis=(1, 3))
+
+    def read(self, where_m: F32, footprint_m: float, stretch: float = 1.0, shift_m: tuple[float, float] = (0.0, 0.0)) -> F32:
+        """(H, W) values at places (H, W, 2) m of the plane.
+
+        Args:
+            footprint_m: size of a pixel on the plane; texels are averaged to about that.
+            stretch: the tile's side is that much longer.
+            shift_m: added to the places.
+        """
+        side_m = self.side_m * stretch
+        finest = side_m / (self._levels[0].shape[0] - 1)
+        level = self._levels[min(len(self._levels) - 1, max(0, round(math.log2(max(footprint_m / finest, 1e-3)))))]
+        n = level.shape[0] - 1
+        t = where_m * np.float32(1.0 / side_m)
+        # As complex numbers: numpy adds a pair to each of many pairs ten times slower.
+        t.view(np.complex64)[...] += np.complex64(complex(*shift_m) / side_m)
+        t -= np.floor(t)
+        t *= np.float32(n)
+        return np.asarray(cv2.remap(level, t, _NONE, cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def _periodic_noise(seed: int, n: int, spectrum: F32) -> F32:
+    """(n, n) Gaussian noise of mean 0 and deviation 1 whose amplitude spectrum is the given one."""
+    white = np.random.default_rng(seed).standard_normal((n, n))
+    field = np.fft.ifft2(np.fft.fft2(white) * spectrum).real
+    return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
+
+
+def _wave_numbers(n: int) -> tuple[F32, F32]:
+    f = (np.fft.fftfreq(n) * n).astype(np.float32)
+    return np.meshgrid(f, f)
+
+
+@lru_cache(maxsize=4)
+def ripples(seed: int) -> Tile:
+    """Small wind waves with pointed crests running along the tile's diagonal: about -1 to 3, side 7 m."""
+    n = 512
+    fx, fy = _wave_numbers(n)
+    f = np.hypot(fx, fy)
+    along = np.cos(np.arctan2(fy, fx) - 0.8) ** 2
+    band = np.exp(-((np.log(np.maximum(f, 1e-3) / 13.0) / 0.85) ** 2))
+    a = _periodic_noise(seed, n, np.asarray(band * (0.25 + along), dtype=np.float32))
+    b = _periodic_noise(seed + 1, n, np.asarray(np.exp(-((np.log(np.maximum(f, 1e-3) / 55.0) / 0.6) ** 2)), dtype=np.float32))
+    ridge = 1.0 - np.abs(a) * 0.9
+    field = 0.55 * a + 0.5 * ridge + 0.22 * b * (0.6 + 0.4 * np.clip(a, -1, 2))
+    return Tile(np.asarray(field - field.mean(), dtype=np.float32), 7.0)
+
+
+@lru_cache(maxsize=4)
+def foam(seed: int) -> Tile:
+    """Streaky patches of foam: 0 to 1, side 19 m."""
+    n = 512
+    fx, fy = _wave_numbers(n)
+    f = np.maximum(np.hypot(fx * 1.8, fy), 0.5)
+    patches = _periodic_noise(seed + 2, n, np.asarray(f**-1.3 * (f > 2.0), dtype=np.float32))
+    bubbles = _periodic_noise(seed + 3, n, np.asarray(f**-0.6, dtype=np.float32))
+    return Tile(np.asarray(patches + 0.45 * bubbles, dtype=np.float32), 19.0)
+
+
+@lru_cache(maxsize=4)
+def grain(seed: int) -> Tile:
+    """Scuffs and grit on paint: mean 0, deviation 1, side 2.3 m."""
+    n = 1024
+    fx, fy = _wave_numbers(n)
+    f = np.maximum(np.hypot(fx, fy), 1.0)
+    return Tile(_periodic_noise(seed + 4, n, np.asarray(f**-0.75 * (f > 1.5), dtype=np.float32)), 2.3)

@@ -1,0 +1,213 @@
+"""The ship: steady course and speed, six-degree-of-freedom motion on the waves, and the pad it carries."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from estimator.contracts.geometry import F64, Rotation
+from sitl.sea import Waves
+from sitl.seakeeping import Hull, encounter_rad_s, responses
+
+
+@dataclass(frozen=True, slots=True)
+class Mooring:
+    """Slow wandering of a hull at anchor: one harmonic each in surge, sway and yaw, of these amplitudes and periods."""
+
+    surge_m: float = 0.05
+    sway_m: float = 0.15
+    yaw_rad: float = 0.02
+    period_s: float = 45.0
+    """Of the sway; surge is twice as quick and yaw half again as slow, so that the path does not close soon."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """[surge forward, sway to starboard, heave down, roll, pitch, yaw] about the steady course, and its two derivatives."""
+
+    eta: F64
+    """(..., 6) m and rad."""
+    eta_dot: F64
+    """(..., 6) per s."""
+    eta_ddot: F64
+    """(..., 6) per s^2."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mounted:
+    """A point fixed to the vessel, with axes fixed to it."""
+
+    p_ned: F64
+    """(..., 3) m."""
+    v_ned: F64
+    """(..., 3) m/s."""
+    a_ned: F64
+    """(..., 3) m/s^2, of the motion: without gravity."""
+    R_ned: F64
+    """(..., 3, 3), takes the mounted frame's coordinates to ned."""
+    w: F64
+    """(..., 3) rad/s, angular velocity written in the mounted frame."""
+
+    def rotation(self) -> Rotation:
+        """`R_ned` of a single one.
+
+        Raises:
+            ValueError: this is a batch.
+        """
+        return Rotation(self.R_ned)
+
+
+class Vessel:
+    """B vessels of one hull, each on its own sea. Frames: origin amidships at the calm waterline, x forward, y starboard, z down.
+
+    Args:
+        waves: of batch B; the vessels ride the very waves that the sea's surface shows.
+        heading_rad: of the bow, clockwise from north; or (B,).
+        speed_m_s: along the heading, 0 or more.
+        p0_ne_m: (2,) place at time 0, north and east.
+        pad_yaw_rad: the pad's arrow against the bow, clockwise from above.
+        mooring: None under way.
+        seeds: phases of the mooring's wandering, one a vessel; needed with a mooring only.
+    Raises:
+        ValueError: shapes that do not meet, or a negative speed.
+    """
+
+    def __init__(
+        self,
+        hull: Hull,
+        waves: Waves,
+        *,
+        heading_rad: ArrayLike = 0.0,
+        speed_m_s: float = 0.0,
+        p0_ne_m: tuple[float, float] = (0.0, 0.0),
+        pad_yaw_rad: float = 0.0,
+        mooring: Mooring | None = None,
+        seeds: int | Sequence[int] = 0,
+    ) -> None:
+        if not speed_m_s >= 0:
+            raise ValueError(f"speed_m_s must be 0 or more, got {speed_m_s!r}")
+        self.hull, self.waves, self.speed_m_s = hull, waves, speed_m_s
+        batch = waves.batch
+        self.heading_rad = np.broadcast_to(np.asarray(heading_rad, dtype=float), (batch,))
+        self.d_vessel_pad = np.array([*hull.d_vessel_pad_m, -hull.freeboard_m])
+        self.R_vessel_pad = Rotation.from_rpy(0.0, 0.0, pad_yaw_rad)
+        self._p0 = np.array([*p0_ne_m, 0.0])
+        ahead = np.stack([np.cos(self.heading_rad), np.sin(self.heading_rad), np.zeros(batch)], axis=-1)
+        self._v0 = speed_m_s * ahead
+        self._axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0], ahead[:, 2]], axis=-1)], axis=-1)
+        beta = waves.towards_rad - self.heading_rad[:, None]
+        phase = waves.k_ne @ self._p0[:2] + waves.phase_rad
+        coefficient = responses(hull, waves.w_rad_s, beta, speed_m_s) * waves.amplitude_m * np.exp(1j * phase)
+        w = encounter_rad_s(waves.w_rad_s, beta, speed_m_s)
+        if mooring is not None:
+            chosen = [seeds] * batch if isinstance(seeds, int) else list(seeds)
+            if len(chosen) != batch:
+                raise ValueError(f"{len(chosen)} seeds for {batch} vessels")
+            start = math.tau * np.stack([np.random.default_rng([s, 0xA2C4]).random(3) for s in chosen])
+            slow = np.zeros((6, batch, 3), dtype=complex)
+            for axis, n, size in ((0, 0, mooring.surge_m), (1, 1, mooring.sway_m), (5, 2, mooring.yaw_rad)):
+                slow[axis, :, n] = size * np.exp(1j * start[:, n])
+            periods = mooring.period_s * np.array([0.5, 1.0, 1.5])
+            coefficient = np.concatenate([coefficient, slow], axis=-1)
+            w = np.concatenate([w, np.broadcast_to(math.tau / periods, (batch, 3))], axis=-1)
+        self._c = np.ascontiguousarray(coefficient.transpose(1, 2, 0))
+        self._w = w
+
+    @property
+    def batch(self) -> int:
+        return self.waves.batch
+
+    def motion(self, t_s: ArrayLike) -> Motion:
+        """Motion about the steady course at times (...): arrays (B, ..., 6), derivatives exact."""
+        t = np.asarray(t_s, dtype=float)
+        flat = t.reshape(-1)
+        turn = np.exp(-1j * self._w[:, None, :] * flat[:, None])
+        shape = (self.batch, *t.shape, 6)
+        rate = (-1j * self._w)[..., None]
+        eta, dot, ddot = ((turn @ (self._c * rate**n)).real.reshape(shape) for n in range(3))
+        return Motion(eta, dot, ddot)
+
+    def mounted(self, t_s: ArrayLike, d_vessel_m: ArrayLike, R_vessel: Rotation | None = None) -> Mounted:
+        """A point (3,) m from the vessel's origin, with axes turned by `R_vessel` against it, at times (...).
+
+        Every array of the result leads with (B, ...).
+        """
+        t = np.asarray(t_s, dtype=float)
+        d = np.asarray(d_vessel_m, dtype=float)
+        m = self.motion(t)
+        lead = (slice(None), *([None] * t.ndim))
+        axes = self._axes[lead]
+        travelled = self._p0 + self._v0[lead] * t[..., None]
+        p0 = travelled + _horizontal(axes, m.eta[..., :3])
+        v0 = self._v0[lead] + _horizontal(axes, m.eta_dot[..., :3])
+        a0 = _horizontal(axes, m.eta_ddot[..., :3])
+        heading = self.heading_rad[lead]
+        R = _from_rpy(m.eta[..., 3], m.eta[..., 4], heading + m.eta[..., 5])
+        w, w_dot = _body_rates(m)
+        arm_v = np.cross(w, d)
+        arm_a = np.cross(w_dot, d) + np.cross(w, arm_v)
+        mount = np.eye(3) if R_vessel is None else R_vessel.matrix
+        return Mounted(
+            p0 + R @ d,
+            v0 + np.einsum("...ij,...j->...i", R, arm_v),
+            a0 + np.einsum("...ij,...j->...i", R, arm_a),
+            R @ mount,
+            w @ mount,
+        )
+
+    def pad(self, t_s: ArrayLike) -> Mounted:
+        """The pad's centre and frame at times (...): leading shape (B, ...)."""
+        return self.mounted(t_s, self.d_vessel_pad, self.R_vessel_pad)
+
+    def pad_at(self, t_s: float, index: int = 0) -> Mounted:
+        """The pad of one vessel at one instant: shapes (3,) and (3, 3)."""
+        m = self.pad(t_s)
+        return Mounted(m.p_ned[index], m.v_ned[index], m.a_ned[index], m.R_ned[index], m.w[index])
+
+    def pose(self, t_s: float, index: int = 0) -> tuple[F64, Rotation]:
+        """(3,) m place of one vessel's origin, and `R_ned_vessel`."""
+        m = self.mounted(t_s, np.zeros(3))
+        return m.p_ned[index], Rotation(m.R_ned[index])
+
+
+def _horizontal(axes: F64, v: F64) -> F64:
+    """(..., 3) of surge, sway, down turned into ned by the course's axes (..., 3, 2)."""
+    out: F64 = np.einsum("...ij,...j->...i", axes, v[..., :2])
+    out[..., 2] += v[..., 2]
+    return out
+
+
+def _from_rpy(roll: F64, pitch: F64, yaw: F64) -> F64:
+    """(..., 3, 3): `Rotation.from_rpy` of arrays."""
+    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _body_rates(m: Motion) -> tuple[F64, F64]:
+    """(..., 3) rad/s and rad/s^2 written in the vessel, from Euler angles and rates.
+
+    Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.41, and its time derivative.
+    """
+    roll, pitch = m.eta[..., 3], m.eta[..., 4]
+    r1, p1, y1 = (m.eta_dot[..., i] for i in (3, 4, 5))
+    r2, p2, y2 = (m.eta_ddot[..., i] for i in (3, 4, 5))
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    w = np.stack([r1 - sp * y1, cr * p1 + cp * sr * y1, -sr * p1 + cp * cr * y1], axis=-1)
+    w_dot = np.stack(
+        [
+            r2 - sp * y2 - cp * p1 * y1,
+            cr * p2 - sr * r1 * p1 + cp * sr * y2 + (cp * cr * r1 - sp * sr * p1) * y1,
+            -sr * p2 - cr * r1 * p1 + cp * cr * y2 - (cp * sr * r1 + sp * cr * p1) * y1,
+        ],
+        axis=-1,
+    )
+    return w, w_dot

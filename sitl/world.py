@@ -1,0 +1,329 @@
+"""One vehicle over one vessel on one sea, in fixed steps: the same scenario and seed give the same flight to the bit.
+
+    world = World(load("demo"), seed=1)
+    world.advance(MonoNs(40_000_000))
+    world.stick(Stick(roll=0.1, progressive=True))
+    world.readings(), world.render(), world.truth()
+
+Commands take effect at the next step; asking for readings, pictures or truth changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.time import NS_PER_S, MonoNs
+from sitl.airframe import Limits
+from sitl.camera import Renderer, Shot
+from sitl.contact import Ground
+from sitl.scenario import Fault, FaultKind, Scenario, camera_model, pad_model
+from sitl.sensors import Readings, Sensors
+from sitl.stage import airframe, blowing, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind
+from sitl.vehicle import SEA, Phase, Vehicle
+
+__all__ = ["Phase", "Picture", "Readings", "Stick", "Touchdown", "Truth", "World"]
+
+STEP_NS = 4_000_000
+"""Of the physics: 250 Hz, some fifteen steps to a radian of the stiffest spring."""
+
+_ORIGIN = MonoNs(0)
+_CHUNK = 100
+"""Steps of deck motion computed at once; few enough for the matrix product to stay in one thread, whose fellows would spin."""
+_SEA_EVERY = 5
+_ROTORS = ("front_left", "front_right", "rear_right", "rear_left")
+
+
+@dataclass(frozen=True, slots=True)
+class Stick:
+    """Fractions -1..1 with PCMD's signs. Without `progressive` the vehicle hovers and the fractions are ignored."""
+
+    roll: float = 0.0
+    """To the right."""
+    pitch: float = 0.0
+    """Nose up, that is backward."""
+    gaz: float = 0.0
+    """Up."""
+    yaw: float = 0.0
+    """Clockwise from above."""
+    progressive: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touchdown:
+    """The first contact after flight."""
+
+    at: MonoNs
+    surface: Literal["deck", "sea"]
+    on_pad: bool
+    """On deck, with the body's origin over the pad's disc."""
+    p_body_pad: F64
+    """(3,) m, the body's origin in the pad frame."""
+    lateral_m: float
+    """From the pad's centre, along the deck."""
+    yaw_rad: float
+    """Heading against the arrow, clockwise from above."""
+    vertical_speed_m_s: float
+    """Closing speed into the deck (into the water's mean level)."""
+    lateral_speed_m_s: float
+    """Along the deck, against it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One exposure."""
+
+    px: NDArray[np.uint8]
+    """(H, W, 3) BGR."""
+    taken: MonoNs
+    """The middle of the exposure."""
+    exposure_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What is really so at one instant."""
+
+    at: MonoNs
+    p_body_ned: F64
+    """(3,) m."""
+    v_body_ned: F64
+    """(3,) m/s."""
+    R_ned_body: Rotation
+    p_pad_ned: F64
+    """(3,) m, the pad's centre."""
+    v_pad_ned: F64
+    """(3,) m/s."""
+    R_ned_pad: Rotation
+    phase: Phase
+    touchdown: Touchdown | None
+    """From contact on."""
+
+    def _level(self, v_ned: F64) -> F64:
+        yaw = self.R_ned_body.rpy_rad[2]
+        c, s = math.cos(yaw), math.sin(yaw)
+        return np.array([c * v_ned[0] + s * v_ned[1], c * v_ned[1] - s * v_ned[0], v_ned[2]])
+
+    @property
+    def d_body_pad_level(self) -> F64:
+        """(3,) m forward, right, down from the body's origin to the pad's centre."""
+        return self._level(self.p_pad_ned - self.p_body_ned)
+
+    @property
+    def v_pad_level(self) -> F64:
+        """(3,) m/s, velocity of the pad less that of the body."""
+        return self._level(self.v_pad_ned - self.v_body_ned)
+
+    @property
+    def yaw_rad(self) -> float:
+        """Heading of the body against the arrow, clockwise from above, (-pi, pi]."""
+        return wrap_pi(self.R_ned_body.rpy_rad[2] - self.R_ned_pad.rpy_rad[2])
+
+
+class World:
+    """A simulated flight.
+
+    Args:
+        start: this host's instant at which the flight begins.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, start: MonoNs = _ORIGIN) -> None:
+        self.scenario, self.seed, self.started = scenario, seed, start
+        self.pad, self.camera = pad_model(scenario), camera_model(scenario)
+        self._step_s = STEP_NS / NS_PER_S
+        seeds = flight_seeds(seed)
+        self._camera_seed = seeds.camera
+        self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
+        pad_yaw = math.radians(scenario.vessel.pad_yaw_deg)
+        self._shape = deck_shape(self.vessel.hull, pad_yaw)
+        self._vehicle = Vehicle(airframe(scenario), self._shape, self._step_s, seeds.flight, wind(scenario))
+        self._vehicle.limits = limits(scenario)
+        self._sensors = Sensors(scenario.sensors, self._shape, seeds.sensors, self._step_s)
+        self._tick = 0
+        self.now = start
+        """The latest instant asked for; the physics is at most a step behind."""
+        self._chunk: list[Ground] = []
+        self._chunk_at = 0
+        self._sea: tuple[float, float] = (0.0, 0.0)
+        at = self.vessel.pad_at(0.0)
+        self._ground = Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w)
+        place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
+        self._meet_sea()
+        self._active: frozenset[str] = frozenset()
+        self._renderer: Renderer | None = None
+        self._apply_faults()
+
+    @property
+    def phase(self) -> Phase:
+        return Phase(int(self._vehicle.phase))
+
+    @property
+    def limits(self) -> Limits:
+        """What a full stick means; set its fields at any time."""
+        return self._vehicle.limits
+
+    @property
+    def at(self) -> MonoNs:
+        """Instant of the newest step of the physics."""
+        return MonoNs(self.started + self._tick * STEP_NS)
+
+    def stick(self, stick: Stick) -> None:
+        """Holds until the next."""
+        self._vehicle.command(stick.roll, stick.pitch, stick.gaz, stick.yaw, stick.progressive)
+
+    def take_off(self) -> None:
+        """Leave the deck and hover; nothing unless it stands there with its motors off."""
+        self._vehicle.take_off()
+
+    def land(self) -> None:
+        """Descend where it is, holding its place by optical flow, and stop the motors on contact; nothing unless it flies."""
+        self._vehicle.land()
+
+    def emergency(self) -> None:
+        """Stop the motors, wherever it is."""
+        self._vehicle.cut_motors()
+
+    def leave_emergency(self) -> None:
+        """Ready to take off again; nothing unless it lies still on deck."""
+        self._vehicle.leave_emergency()
+
+    def active(self, kind: FaultKind) -> bool:
+        """Whether a fault of this kind is on now. The silences of video and navdata are for whoever sends those."""
+        return kind in self._active
+
+    def advance(self, to: MonoNs) -> None:
+        """Run the physics up to `to`; an instant in the past changes nothing."""
+        while self.at + STEP_NS <= to:
+            self._step()
+        self.now = max(self.now, to)
+
+    def readings(self) -> Readings:
+        """What the sensors say, as of the newest step."""
+        return self._sensors.read(self.at, self._vehicle, self._motors_on)
+
+    def render(self) -> Picture:
+        """What the bottom camera sees, the newest step being the middle of the exposure."""
+        return self.expose()()
+
+    def expose(self) -> Callable[[], Picture]:
+        """`render` in two parts: the scene is fixed now, and the call makes the picture, in another thread if need be, while
+        the world goes on. One such call at a time.
+        """
+        rng = np.random.default_rng([self._camera_seed, self._tick])
+        at, exposure_s = self.at, self.scenario.camera.exposure_s
+        if "lens_covered" in self._active:
+            dark = rng.integers(0, 8, (self.camera.height, self.camera.width, 3), dtype=np.uint8)
+            return lambda: Picture(dark, at, exposure_s)
+        if self._renderer is None:
+            self._renderer = renderer(self.scenario, self.waves, self.vessel)
+        v, g, develop = self._vehicle, self._ground, self._renderer.render
+        shot = Shot(
+            t_s=self._seconds,
+            R_ned_body=Rotation(v.R_ned_body),
+            p_body_ned=v.p_ned,
+            R_ned_pad=Rotation(np.array(g.R)),
+            p_pad_ned=np.array(g.p),
+            v_body_ned=v.v_ned,
+            w_body=v.w_body,
+            v_pad_ned=np.array(g.v),
+            w_pad=np.array(g.w),
+        )
+        return lambda: Picture(develop(shot, rng), at, exposure_s)
+
+    def truth(self) -> Truth:
+        """As of the newest step."""
+        v, g = self._vehicle, self._ground
+        return Truth(
+            at=self.at,
+            p_body_ned=v.p_ned,
+            v_body_ned=v.v_ned,
+            R_ned_body=Rotation(v.R_ned_body),
+            p_pad_ned=np.array(g.p),
+            v_pad_ned=np.array(g.v),
+            R_ned_pad=Rotation(np.array(g.R)),
+            phase=self.phase,
+            touchdown=self._touchdown(),
+        )
+
+    @property
+    def _motors_on(self) -> bool:
+        return self.phase not in (Phase.LANDED, Phase.EMERGENCY)
+
+    @property
+    def _seconds(self) -> float:
+        return self._tick * self._step_s
+
+    def _step(self) -> None:
+        self._tick += 1
+        self._ground = self._deck()
+        if self._tick % _SEA_EVERY == 0:
+            self._meet_sea()
+        z, vz = self._sea
+        self._ground.sea_z, self._ground.sea_vz = z + vz * (self._tick % _SEA_EVERY) * self._step_s, vz
+        if self.scenario.faults:
+            self._apply_faults()
+        self._vehicle.step(self._ground)
+        self._sensors.step(self._vehicle, self._ground, self._motors_on)
+
+    def _deck(self) -> Ground:
+        """The deck at this step, computed for many steps at once."""
+        i = self._tick - self._chunk_at - 1
+        if i >= len(self._chunk):
+            self._chunk_at = self._tick - 1
+            pads = self.vessel.pad((self._chunk_at + 1 + np.arange(_CHUNK)) * self._step_s)
+            self._chunk = [Ground.of(pads.p_ned[0, n], pads.v_ned[0, n], pads.R_ned[0, n], pads.w[0, n]) for n in range(_CHUNK)]
+            i = 0
+        return self._chunk[i]
+
+    def _meet_sea(self) -> None:
+        """Level and vertical velocity of the water under the vehicle, for the next few steps."""
+        p, t, dt = self._vehicle.p, self._seconds, _SEA_EVERY * self._step_s
+        now, then = self.waves.elevation(np.array([p[0], p[1]]), np.array([t, t + dt]))[0]
+        self._sea = (-float(now), -float(then - now) / dt)
+        self._ground.sea_z, self._ground.sea_vz = self._sea
+
+    def _apply_faults(self) -> None:
+        t = self._seconds
+        on = [f for f in self.scenario.faults if f.start_s <= t < f.start_s + f.duration_s]
+        self._active = frozenset(f.kind for f in on)
+        gusts = [_gust(f, t) for f in on if f.kind == "gust"]
+        health = [1.0] * 4
+        for f in on:
+            if f.kind == "weak_rotor":
+                health[_ROTORS.index(f.rotor)] *= f.thrust_share
+        v = self._vehicle
+        v.extra_wind = (sum(g[0] for g in gusts), sum(g[1] for g in gusts), 0.0)
+        v.rotor_health = (health[0], health[1], health[2], health[3])
+        v.flow_works = "flow_blind" not in self._active
+        self._sensors.ultrasound_works = "ultrasound_silent" not in self._active
+        self._sensors.magnetometer_works = "magnetometer_silent" not in self._active
+
+    def _touchdown(self) -> Touchdown | None:
+        v = self._vehicle
+        if not v.touched_what:
+            return None
+        d, u = np.array(v.touched_d), np.array(v.touched_v)
+        sea = v.touched_what == SEA
+        lateral = math.hypot(d[0], d[1])
+        return Touchdown(
+            at=MonoNs(self.started + round(float(v.touched_s) * NS_PER_S)),
+            surface="sea" if sea else "deck",
+            on_pad=not sea and lateral <= self.pad.disc_radius_m,
+            p_body_pad=d,
+            lateral_m=lateral,
+            yaw_rad=float(v.touched_yaw),
+            vertical_speed_m_s=float(u[2]),
+            lateral_speed_m_s=math.hypot(u[0], u[1]),
+        )
+
+
+def _gust(fault: Fault, t_s: float) -> tuple[float, float, float]:
+    """m/s in ned. Source: the "1 - cosine" discrete gust of MIL-F-8785C, 3.7.1.3, in time instead of place."""
+    share = 0.5 * (1.0 - math.cos(math.tau * (t_s - fault.start_s) / fault.duration_s))
+    return blowing(share * fault.speed_m_s, fault.from_deg)

@@ -1,0 +1,133 @@
+"""Finding out against an autopilot in miniature, and the command itself."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from pathlib import Path
+
+import pytest
+
+import companion.settings as settings_of
+from companion.cli import doctor
+from companion.cli.main import Parser
+from companion.doctor.diagnose import PARAMETERS, diagnose
+from companion.doctor.gather import examine, examine_service
+from companion.doctor.picture import Picture, encode
+from drivers.clock import SystemClock
+from drivers.mavlink.autopilot import AutopilotOptions
+from drivers.mavlink.dialect import Event, mav
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.errors import BadInput
+from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD
+from tests.drivers.fake_ardrone import until
+from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+
+HOST = "127.0.0.1"
+
+
+async def examined(fake: FakeAutopilot, seconds: float = 1.0) -> Picture:
+    async with fake.talking_to(f"udpin://{HOST}:0"):
+        await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
+        assert fake.links is not None
+        host, port = fake.links.all[0].local or ("", 0)
+        link = LinkOptions(parse_endpoint(f"udpout://{host}:{port}"))
+        return await examine(AutopilotOptions((link,), silence_s=1.0, period_s=0.01), SystemClock(), seconds)
+
+
+async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
+    parameters = {n: ARDUPILOT.parameters.get(n, 0.0) for n in PARAMETERS["ArduPilot"]}
+    parameters |= {"PLND_TYPE": 2.0, "EK3_SRC1_POSXY": 6.0, "INS_GYRO_CAL": 1.0}
+    fake = FakeAutopilot(parameters=parameters)
+    talking = asyncio.create_task(examined(fake, 1.5))
+    await until(lambda: fake.commands[512] > 0, timeout_s=10)
+    fake.send(mav.MAVLink_autopilot_version_message(0, 0x040507FF, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0))
+    fake.text(6, "Plnd: Frame not supported")
+    picture = await talking
+    assert {f.rule for f in diagnose(picture)} == {"plnd-type", "ekf-external", "gyro-calibration", "frame-not-supported"}
+    a = picture.autopilot
+    assert a is not None
+    assert a.firmware == (4, 5, 7)
+    assert len(a.parameters) == len(PARAMETERS["ArduPilot"])
+    assert 30 < a.rates_hz["ATTITUDE_QUATERNION"] < 130
+    assert picture.sync is not None
+    assert picture.sync.locked
+
+
+async def test_a_px4_without_the_module_and_with_an_event() -> None:
+    parameters = {n: 1.0 for n in PARAMETERS["PX4"] if n != "PLD_HACC_RAD"} | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0}
+    fake = FakeAutopilot(Stack.PX4, mode="auto.loiter", parameters=parameters)
+    talking = asyncio.create_task(examined(fake))
+    await until(lambda: fake.commands[512] > 0, timeout_s=10)
+    fake.send(Event(0, 0, 0x1000000 | 0x123456, 5, 1, 0, [0] * 40))
+    picture = await talking
+    assert picture.autopilot is not None
+    assert picture.autopilot.events == (0x1123456,)
+    assert {f.rule for f in diagnose(picture)} == {"px4-precland-missing"}
+
+
+async def test_nobody_there() -> None:
+    link = LinkOptions(parse_endpoint("serial:///dev/no-such-port:57600"))
+    picture = await examine(AutopilotOptions((link,)), SystemClock(), 0.3)
+    assert [f.rule for f in diagnose(picture)] == ["link-down"]
+
+
+async def test_the_service_s_own_files_broker_and_drone() -> None:
+    with socket.socket() as sock:
+        sock.bind((HOST, 0))
+        closed = sock.getsockname()[1]
+    picture = await examine_service(settings_of.load("sim"), f"{HOST}:{closed}", timeout_s=0.5)
+    assert picture.camera_fault is None
+    assert picture.broker_fault
+    assert picture.drone is not None
+    server = await asyncio.start_server(lambda r, w: w.close(), HOST, 0)
+    async with server:
+        port = server.sockets[0].getsockname()[1]
+        assert (await examine_service(None, f"{HOST}:{port}")).broker_fault is None
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
+    parser = Parser(prog="decklander")
+    doctor.add_parser(parser.add_subparsers())
+    code = doctor.run(parser.parse_args(["doctor", *argv]))
+    return code, capsys.readouterr().out
+
+
+def test_the_command_on_a_saved_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "picture.json"
+    path.write_bytes(encode(BROKEN["set but not rebooted"][1]))
+    code, out = run(capsys, "--picture", str(path))
+    assert code == 1
+    assert "error: PLND_ENABLED and PLND_TYPE are set" in out
+    assert "cure: reboot the autopilot" in out
+    assert "ArduPilot 4.5.7, system 1" in out
+    code, out = run(capsys, "--picture", str(path), "--json")
+    assert json.loads(out)["rule"] == "plnd-not-rebooted"
+    path.write_bytes(encode(GOOD))
+    code, out = run(capsys, "--picture", str(path), "--save", str(tmp_path / "again.json"))
+    assert code == 0
+    assert "none of" in out
+    assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
+    path.write_bytes(encode(BROKEN["gyros calibrated at sea"][1]))
+    assert run(capsys, "--picture", str(path), "--still-pad")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("argv", "says"),
+    [
+        ((), "nothing to examine"),
+        (("--link", "udp://x"), "MAVLink link"),
+        (("--link", "udpin://127.0.0.1:0", "--system", "900"), "--system"),
+        (("--link", "udpin://127.0.0.1:0", "--seconds", "0"), "--seconds"),
+        (("--link", "udpin://127.0.0.1:0", "--signing-key", "/no/key"), "signing key"),
+        (("--picture", "/no/picture"), "--picture /no/picture"),
+        (("--broker", "host:port"), "HOST:PORT"),
+    ],
+)
+def test_wrong_use_is_bad_input_in_one_line(argv: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(BadInput, match=says) as raised:
+        run(capsys, *argv)
+    assert "\n" not in str(raised.value)

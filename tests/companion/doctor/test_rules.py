@@ -1,0 +1,218 @@
+"""Broken set-ups, each of them named, and nothing else named with it; a good one is left in peace."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from companion.doctor.diagnose import RULES, diagnose
+from companion.doctor.finding import Gravity
+from companion.doctor.picture import AutopilotPicture, LinkPicture, Picture, ServicePicture, SyncPicture, decode, encode
+from companion.doctor.rules_px4 import event_id
+from drivers.mavlink.requests import RATES_HZ
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.errors import BadInput
+
+LINK = LinkPicture("serial:///dev/ttyAMA0:921600", bytes_in=90_000, messages=3000)
+SERVICE = ServicePicture(
+    frame_rate_hz=30.0,
+    frame_size=(640, 360),
+    camera_size=(640, 360),
+    exposure_to_belief_s=0.06,
+    sends_ranges=True,
+    targets_sent=200,
+    broker="localhost:1883",
+    drone="192.168.1.1:5559",
+)
+ARDUPILOT = AutopilotPicture(
+    stack="ArduPilot",
+    system=1,
+    firmware=(4, 5, 7),
+    mode="loiter",
+    armed=True,
+    flying=True,
+    parameters={
+        "PLND_ENABLED": 1.0, "PLND_TYPE": 1.0, "PLND_EST_TYPE": 1.0, "PLND_LAG": 0.05, "PLND_OPTIONS": 1.0, "PLND_STRICT": 1.0,
+        "PLND_ORIENT": 25.0, "PLND_YAW_ALIGN": 0.0, "PLND_CAM_POS_X": 0.0, "PLND_CAM_POS_Y": 0.0, "PLND_CAM_POS_Z": 0.0,
+        "PLND_ALT_MAX": 8.0, "INS_GYRO_CAL": 0.0, "EK3_SRC1_POSXY": 3.0, "EK3_SRC1_VELXY": 3.0, "EK3_SRC1_POSZ": 1.0,
+        "EK3_SRC1_VELZ": 3.0, "EK3_SRC1_YAW": 1.0, "EK3_RNG_USE_HGT": -1.0, "RNGFND1_TYPE": 10.0, "RNGFND1_ORIENT": 25.0,
+        "RNGFND2_TYPE": 0.0, "RNGFND2_ORIENT": 25.0,
+    },
+    rates_hz={"ATTITUDE_QUATERNION": 99.0, "LOCAL_POSITION_NED": 49.0, "EXTENDED_SYS_STATE": 5.0},
+    wanted_hz=dict(RATES_HZ[Stack.ARDUPILOT]),
+    texts=("PrecLand: Target Found",),
+    precland_enabled=True,
+    precland_healthy=True,
+)  # fmt: skip
+PX4 = AutopilotPicture(
+    stack="PX4",
+    system=1,
+    firmware=(1, 16, 2),
+    mode="offboard",
+    armed=True,
+    flying=True,
+    parameters={"PLD_HACC_RAD": 0.2, "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0.0, "EKF2_HGT_REF": 1.0, "EKF2_EV_CTRL": 0.0},
+    rates_hz={"ATTITUDE_QUATERNION": 99.0, "LOCAL_POSITION_NED": 49.0, "EXTENDED_SYS_STATE": 5.0},
+    wanted_hz=dict(RATES_HZ[Stack.PX4]),
+)
+SYNC = SyncPicture(True, 0.004)
+GOOD = Picture(8.0, (LINK,), ARDUPILOT, SYNC, SERVICE)
+GOOD_PX4 = replace(GOOD, autopilot=PX4)
+
+
+def link(**changes: Any) -> Picture:
+    return replace(GOOD, links=(replace(LINK, **changes),))
+
+
+def ardupilot(**changes: Any) -> Picture:
+    return replace(GOOD, autopilot=replace(ARDUPILOT, **changes))
+
+
+def px4(**changes: Any) -> Picture:
+    return replace(GOOD_PX4, autopilot=replace(PX4, **changes))
+
+
+def parameter(name: str, value: float) -> Picture:
+    return ardupilot(parameters=ARDUPILOT.parameters | {name: value})
+
+
+def px4_parameter(name: str, value: float) -> Picture:
+    return px4(parameters=PX4.parameters | {name: value})
+
+
+def service(**changes: Any) -> Picture:
+    return replace(GOOD, service=replace(SERVICE, **changes))
+
+
+def rates(**changes: float) -> Picture:
+    return ardupilot(rates_hz=ARDUPILOT.rates_hz | changes)
+
+
+def without(*names: str, **more: float) -> dict[str, float]:
+    return {k: v for k, v in ARDUPILOT.parameters.items() if k not in names} | more
+
+
+BROKEN: dict[str, tuple[str, Picture, str]] = {
+    # what is broken: the rule that names it, the picture, a word of the cure
+    "serial port without permission": ("link-down", link(down="[Errno 13] Permission denied: '/dev/ttyAMA0'"), "usermod"),
+    "serial port in use": ("link-down", link(down="Could not exclusively lock port /dev/ttyAMA0"), "another program"),
+    "no such device": ("link-down", link(down="[Errno 2] No such file or directory: '/dev/ttyACM0'"), "cable"),
+    "port taken": ("link-down", link(down="[Errno 98] error: address already in use"), "another port"),
+    "wire not connected": ("link-silent", link(bytes_in=0, messages=0), "SERIALn_PROTOCOL"),
+    "wrong speed": ("link-garbage", link(bytes_in=9000, messages=3, damaged=800), "same speed"),
+    "key on one side only": ("link-signature", link(refused_signature=40), "same key"),
+    "MAVLink 1 on the port": ("link-mavlink1", link(old_version=2900), "SERIALn_PROTOCOL 2"),
+    "overloaded link": ("link-lossy", link(lost=600), "921600"),
+    "only a ground station heard": ("no-autopilot", replace(GOOD, autopilot=None, sync=None), "frame type"),
+    "two drones, one network": ("several-autopilots", ardupilot(others=(2, 5)), "SYSID_THISMAV"),
+    "firmware without a stream": ("stream-refused", ardupilot(refused={"LOCAL_POSITION_NED": 2}), "update the firmware"),
+    "stream silent": ("stream-silent", rates(LOCAL_POSITION_NED=0.0), "SRn_"),
+    "attitude at 4 Hz": ("attitude-slow", rates(ATTITUDE_QUATERNION=4.0), "921600"),
+    "clock not locked": ("clock-not-locked", replace(GOOD, sync=SyncPicture(False)), "TIMESYNC"),
+    "telemetry radio": ("clock-far", replace(GOOD, sync=SyncPicture(True, 0.180)), "wire"),
+    "PX4 over Wi-Fi": ("clock-far", replace(GOOD_PX4, sync=SyncPicture(True, 0.022)), "wire"),
+    "clock set while listening": ("clock-jumps", replace(GOOD, sync=SyncPicture(True, 0.004, jumps=2)), "power"),
+    "camera file with a fault": ("camera-file", service(camera_fault="cam.toml: fx: expected a number"), "config check"),
+    "camera at another size": ("camera-size", service(frame_size=(1280, 720)), "calibrate"),
+    "camera in the dark": ("camera-slow", service(frame_rate_hz=4.0), "light"),
+    "camera unplugged": ("camera-slow", service(frame_rate_hz=0.0), "cable"),
+    "broker not running": ("broker", service(broker_fault="Connect call failed"), "start the broker"),
+    "not in the drone's Wi-Fi": ("drone", service(drone_fault="no answer within 2 s"), "Wi-Fi"),
+    "firmware without precision landing": (
+        "plnd-missing",
+        ardupilot(parameters=without(*(n for n in ARDUPILOT.parameters if n.startswith("PLND_"))), absent=("PLND_ENABLED",)),
+        "custom",
+    ),
+    "precision landing off": ("plnd-disabled", parameter("PLND_ENABLED", 0.0), "PLND_ENABLED 1"),
+    "set but not rebooted": ("plnd-not-rebooted", ardupilot(precland_healthy=False), "reboot"),
+    "set for an infrared beacon": ("plnd-type", parameter("PLND_TYPE", 3.0), "PLND_TYPE 1"),
+    "raw estimator": ("plnd-estimator", parameter("PLND_EST_TYPE", 0.0), "PLND_EST_TYPE 1"),
+    "lag far from what is measured": ("plnd-lag", service(exposure_to_belief_s=0.16), "PLND_LAG 0.16"),
+    "pad taken to stand still": ("plnd-still-target", parameter("PLND_OPTIONS", 4.0), "PLND_OPTIONS 5"),
+    "mount set twice": ("plnd-mount-twice", parameter("PLND_CAM_POS_X", 0.12), "PLND_CAM_POS_"),
+    "camera turned twice": ("plnd-mount-twice", parameter("PLND_YAW_ALIGN", 9000.0), "PLND_YAW_ALIGN"),
+    "lands blind": ("plnd-blind", parameter("PLND_STRICT", 0.0), "PLND_STRICT"),
+    "low ceiling": ("plnd-ceiling", parameter("PLND_ALT_MAX", 2.0), "PLND_ALT_MAX"),
+    "no rangefinder": ("no-rangefinder", parameter("RNGFND1_TYPE", 0.0), "RNGFND1_TYPE 10"),
+    "rangefinder that nobody feeds": ("rangefinder-unfed", service(sends_ranges=False), "ranges"),
+    "rangefinder that looks ahead": ("rangefinder-turned", parameter("RNGFND1_ORIENT", 0.0), "RNGFND1_ORIENT 25"),
+    "EKF waits for vision": ("ekf-external", parameter("EK3_SRC1_POSXY", 6.0), "EK3_SRC1_POSXY"),
+    "height from the deck": ("ekf-height-by-range", parameter("EK3_SRC1_POSZ", 2.0), "EK3_SRC1_POSZ 1"),
+    "height from the deck when low": ("ekf-height-by-range", parameter("EK3_RNG_USE_HGT", 70.0), "EK3_RNG_USE_HGT"),
+    "gyros calibrated at sea": ("gyro-calibration", parameter("INS_GYRO_CAL", 1.0), "ashore"),
+    "another program's frame": ("frame-not-supported", ardupilot(texts=("Plnd: Frame not supported",)), "another program"),
+    "targets at 1 Hz": ("target-too-rare", ardupilot(texts=("PrecLand: Init Failed",)), "10 Hz"),
+    "target lost": ("target-lost", ardupilot(texts=("PrecLand: Target Lost",)), "light"),
+    "ArduPilot 4.0": ("firmware-old", ardupilot(firmware=(4, 0, 7)), "update"),
+    "PX4 without the module": (
+        "px4-precland-missing",
+        px4(parameters={k: v for k, v in PX4.parameters.items() if k != "PLD_HACC_RAD"}, absent=("PLD_HACC_RAD",)),
+        "OFFBOARD",
+    ),
+    "PX4 precision landing on a ship": ("px4-precland-moving", px4(mode="auto.precland"), "OFFBOARD"),
+    "PX4 and another program's frame": (
+        "px4-frame",
+        px4(events=(event_id("mavlink_rcv_lnd_target_unsup_coord"),)),
+        "another program",
+    ),
+    "PX4 flies on when we die": ("px4-offboard-loss", px4_parameter("COM_OF_LOSS_T", 10.0), "COM_OF_LOSS_T 1"),
+    "PX4 lands in the sea when we die": ("px4-offboard-action", px4_parameter("COM_OBL_RC_ACT", 4.0), "COM_OBL_RC_ACT"),
+    "PX4 height from the deck": ("ekf-height-by-range", px4_parameter("EKF2_HGT_REF", 2.0), "EKF2_HGT_REF"),
+    "PX4 waits for vision": ("px4-external-vision", px4_parameter("EKF2_EV_CTRL", 15.0), "EKF2_EV_CTRL 0"),
+    "pad out of the picture": ("targets-withheld", service(targets_sent=0, withheld={"not seen": 90, "standing": 3}), "detect"),
+}
+
+
+@pytest.mark.parametrize("picture", [GOOD, GOOD_PX4, Picture(0.0)], ids=["ArduPilot", "PX4", "nothing known"])
+def test_nothing_is_said_of_a_good_set_up_or_of_what_is_not_known(picture: Picture) -> None:
+    assert diagnose(picture) == ()
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_the_trap_is_named_with_its_cure_and_no_other(name: str) -> None:
+    rule, picture, word = BROKEN[name]
+    found = diagnose(picture)
+    assert [f.rule for f in found] == [rule]
+    assert word in found[0].cure
+    assert "\n" not in found[0].what + found[0].cure
+
+
+def test_every_rule_has_a_broken_set_up() -> None:
+    fired = {rule for rule in RULES for _, picture, _ in BROKEN.values() if rule(picture) is not None}
+    assert fired == set(RULES)
+    assert len(BROKEN) >= 20
+
+
+def test_on_a_pad_that_does_not_move_the_ships_traps_are_none() -> None:
+    for name in (
+        "pad taken to stand still",
+        "gyros calibrated at sea",
+        "height from the deck",
+        "PX4 precision landing on a ship",
+    ):
+        assert diagnose(replace(BROKEN[name][1], moving_pad=False)) == ()
+
+
+def test_the_gravest_comes_first() -> None:
+    picture = ardupilot(
+        parameters=ARDUPILOT.parameters | {"PLND_STRICT": 0.0, "PLND_TYPE": 0.0, "INS_GYRO_CAL": 1.0},
+    )
+    picture = replace(picture, service=replace(SERVICE, exposure_to_belief_s=0.2))
+    found = diagnose(picture)
+    assert [f.gravity for f in found] == sorted(f.gravity for f in found)
+    assert found[0].gravity is Gravity.ERROR
+    assert found[-1].gravity is Gravity.ADVICE
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_picture_can_be_saved_and_examined_elsewhere(name: str) -> None:
+    picture = BROKEN[name][1]
+    assert decode(encode(picture), "there") == picture
+
+
+def test_a_file_that_is_no_picture_is_bad_input() -> None:
+    for data in (b"", b"[1]", b'{"seconds": "x"}', b"\xff"):
+        with pytest.raises(BadInput, match=r"pic\.json: no picture"):
+            decode(data, "pic.json")

@@ -1,0 +1,111 @@
+"""The component on the links of an autopilot in miniature, with a pad that stands still under it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+import companion.settings as settings_of
+from companion.mavlink.component import Component, ComponentOptions, speaking
+from companion.mavlink.outputs import OutputOptions
+from companion.mavlink.tunables import Tunables
+from companion.observer import Decision
+from companion.settings_model import Settings
+from drivers.clock import SystemClock
+from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import LinkOptions
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Range
+from estimator.contracts.time import MonoNs
+from tests.companion.mavlink.test_component_parts import Tower
+from tests.drivers.fake_ardrone import until
+from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+
+HOST = "127.0.0.1"
+PAD_NED = np.array([1.5, -0.8, 0.0])
+
+
+@dataclass
+class Stage:
+    """Everything of one test."""
+
+    component: Component
+    autopilot: Autopilot
+    fake: FakeAutopilot
+    tower: Tower
+    applied: list[Settings] = field(default_factory=list)
+    sick: str | None = None
+    seen: bool = True
+    deciding: bool = True
+    phase: str = "approach"
+    ranges: int = 0
+    """Measured distances that came from the autopilot."""
+
+    def believe(self, now: MonoNs) -> RelativeState | None:
+        """The truth, as long as it is `seen`."""
+        attitude = self.autopilot.attitude
+        if not self.seen or attitude is None:
+            return None
+        to_level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2]).inv
+        d, v = to_level @ (PAD_NED - self.fake.p_ned), to_level @ -self.fake.v_ned
+        return RelativeState(now, "dead_reckoning", d, v, 0.2, np.eye(7) * 1e-4, now, True)
+
+
+@asynccontextmanager
+async def staged(
+    fake: FakeAutopilot, *more_links: str, outputs: dict[str, Any] | None = None, **options: Any
+) -> AsyncIterator[Stage]:
+    """Autopilot found, component speaking, guidance deciding at 50 Hz."""
+    clock = SystemClock()
+    links = tuple(
+        LinkOptions(parse_endpoint(u), restart_first_s=0.02, restart_most_s=0.1) for u in (f"udpin://{HOST}:0", *more_links)
+    )
+    output = OutputOptions(pad_radius_m=0.39, **(outputs or {}))
+    component_options = ComponentOptions(output, **options)
+    autopilot_options = AutopilotOptions(links, silence_s=0.8, period_s=0.02, parameters=component_options.parameters)
+    stage: Stage
+    tower = Tower()
+    applied: list[Settings] = []
+    component = Component(
+        component_options,
+        tower,
+        Tunables(settings_of.load("sim"), applied.append),
+        healthy=lambda: stage.sick,
+        believe=lambda now: stage.believe(now),
+        clock=clock,
+    )
+    async with open_autopilot(autopilot_options, clock) as autopilot:
+        stage = Stage(component, autopilot, fake, tower, applied)
+
+        async def pump() -> None:
+            async for sample in autopilot.samples:
+                stage.ranges += isinstance(sample, Range)
+                component.on_sample(sample)
+
+        async def decide() -> None:
+            while True:
+                if stage.deciding:
+                    now = clock.now()
+                    component.on_decision(Decision(now, stage.phase, None, stage.believe(now)))
+                await asyncio.sleep(0.02)
+
+        await until(lambda: autopilot.links.all[0].local is not None)
+        host, port = autopilot.links.all[0].local or ("", 0)
+        async with fake.talking_to(f"udpout://{host}:{port}"), asyncio.TaskGroup() as group:
+            tasks = [group.create_task(pump()), group.create_task(decide())]
+            await until(lambda: autopilot.connected)
+            async with speaking(component, autopilot, clock):
+                yield stage
+            for task in tasks:
+                task.cancel()
+
+
+def count(fake: FakeAutopilot, kind: str) -> Callable[[], int]:
+    return lambda: len(fake.of(kind))

@@ -1,0 +1,394 @@
+"""Texts, parameters, commands and the computer's state, each without I/O."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import companion.settings as settings_of
+from companion.mavlink.commands import ACCEPTED, CANCELLED, DENIED, FAILED, IN_PROGRESS, UNSUPPORTED, CommandServer, Offered
+from companion.mavlink.computer import Computer, ComputerReader, computer_status
+from companion.mavlink.operator import Progress
+from companion.mavlink.parameters import ParameterServer
+from companion.mavlink.status_texts import Severity, StatusTexts
+from companion.mavlink.tunables import NAMES, Tunables
+from companion.settings_model import Settings
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName
+from estimator.contracts.time import MonoNs
+
+S = 1_000_000_000
+US, STATION = (7, 191), (255, 190)
+
+
+def at(seconds: float) -> MonoNs:
+    return MonoNs(round(seconds * S) + 50 * S)
+
+
+class Tower:
+    """An operator that remembers what it was asked."""
+
+    def __init__(self) -> None:
+        self.deeds: list[str] = []
+        self.refusal: str | None = None
+        self.state = Progress(None)
+
+    def _deed(self, name: str) -> str | None:
+        if self.refusal is None:
+            self.deeds.append(name)
+        return self.refusal
+
+    def begin(self) -> str | None:
+        return self._deed("begin")
+
+    def pause(self) -> str | None:
+        return self._deed("pause")
+
+    def abort(self) -> str | None:
+        return self._deed("abort")
+
+    def choose_path(self, path: PathName) -> str | None:
+        return self._deed(f"path {path}")
+
+    def record(self, on: bool) -> str | None:
+        return self._deed(f"record {on}")
+
+    def progress(self) -> Progress:
+        return self.state
+
+
+def long(command: int, *params: float, confirmation: int = 0, target: tuple[int, int] = US) -> Message:
+    padded = [*params, 0, 0, 0, 0, 0, 0, 0][:7]
+    return mav.MAVLink_command_long_message(*target, command, confirmation, *padded)
+
+
+def server(tower: Tower) -> CommandServer:
+    offered = Offered({1: lambda now: None, 2: lambda now: mav.MAVLink_heartbeat_message(1, 2, 3, 4, 5, 3)}, {2: 1.0})
+    return CommandServer(tower, offered)
+
+
+def acks(messages: list[Message]) -> list[tuple[int, int, int]]:
+    return [(m.command, m.result, m.progress) for m in messages if m.get_type() == "COMMAND_ACK"]
+
+
+# Commands
+
+
+@pytest.mark.parametrize(
+    ("command", "params", "deed"),
+    [
+        (193, (0,), "pause"),
+        (193, (1,), "begin"),
+        (191, (), "abort"),
+        (31010, (0,), "path median_mean"),
+        (31010, (2,), "path ekf"),
+        (2510, (), "record True"),
+        (2511, (), "record False"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["long", "int"])
+def test_commands_are_done_and_answered_to_who_gave_them(command: int, params: tuple[float, ...], deed: str, kind: str) -> None:
+    tower = Tower()
+    message = long(command, *params)
+    if kind == "int":
+        first = [*params, 0.0, 0.0, 0.0, 0.0][:4]
+        message = mav.MAVLink_command_int_message(*US, 0, command, 0, 0, *first, 0, 0, 0.0)
+    (ack,) = server(tower).hear(message, STATION, US, at(0))
+    assert (ack.command, ack.result, ack.target_system, ack.target_component) == (command, ACCEPTED, *STATION)
+    assert tower.deeds == [deed]
+
+
+@pytest.mark.parametrize(
+    ("command", "params", "result"),
+    [
+        (193, (7,), DENIED),
+        (193, (math.nan,), DENIED),
+        (31010, (9,), DENIED),
+        (31010, (0.5,), DENIED),
+        (31010, (math.nan,), DENIED),
+        (400, (1,), UNSUPPORTED),
+        (512, (9999,), UNSUPPORTED),
+        (512, (math.nan,), UNSUPPORTED),
+        (512, (1,), FAILED),
+        (511, (2, -5), DENIED),
+        (510, (-1,), DENIED),
+    ],
+)
+def test_what_cannot_be_done_is_answered_too(command: int, params: tuple[float, ...], result: int) -> None:
+    tower = Tower()
+    (ack,) = server(tower).hear(long(command, *params), STATION, US, at(0))
+    assert ack.result == result
+    assert tower.deeds == []
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.integers(0, 65535), st.lists(st.floats(width=32), min_size=7, max_size=7))
+def test_every_command_is_answered_exactly_once(command: int, params: list[float]) -> None:
+    assert len(acks(server(Tower()).hear(long(command, *params), STATION, US, at(0)))) == 1
+
+
+def test_commands_to_others_are_not_ours() -> None:
+    tower = Tower()
+    for target in ((7, 1), (7, 0), (1, 191), (0, 0)):
+        assert server(tower).hear(long(193, 0, target=target), STATION, US, at(0)) == []
+    assert tower.deeds == []
+
+
+def test_a_repeat_is_answered_and_not_done_again() -> None:
+    tower = Tower()
+    commands = server(tower)
+    commands.hear(long(193, 0), STATION, US, at(0))
+    assert acks(commands.hear(long(193, 0, confirmation=1), STATION, US, at(0.5))) == [(193, ACCEPTED, 0)]
+    assert tower.deeds == ["pause"]
+    commands.hear(long(193, 1, confirmation=1), STATION, US, at(1.0))
+    commands.hear(long(193, 0), STATION, US, at(1.5))
+    assert tower.deeds == ["pause", "begin", "pause"], "another parameter, or given anew, is another command"
+
+
+def test_a_sender_that_repeats_without_counting_is_understood() -> None:
+    tower = Tower()
+    commands = server(tower)
+    for n in range(3):
+        assert acks(commands.hear(long(2510), STATION, US, at(0.3 * n))) == [(2510, ACCEPTED, 0)]
+    assert tower.deeds == ["record True"]
+    commands.hear(long(2510), STATION, US, at(3.0))
+    commands.hear(long(2510), (254, 190), US, at(3.1))
+    assert tower.deeds == ["record True"] * 3, "later, or from another, it is a command of its own"
+    for n in range(3):
+        assert len(commands.hear(long(512, 2), STATION, US, at(4 + 0.1 * n))) == 2, "a message is sent as often as asked for"
+
+
+def test_a_landing_reports_until_it_ends() -> None:
+    tower = Tower()
+    commands = server(tower)
+    tower.state = Progress(0)
+    assert acks(commands.hear(long(21), STATION, US, at(0))) == [(21, IN_PROGRESS, 0)]
+    assert commands.due(at(0.5)) == []
+    tower.state = Progress(40)
+    assert acks(commands.due(at(1.1))) == [(21, IN_PROGRESS, 40)]
+    assert acks(commands.hear(long(21, confirmation=1), STATION, US, at(1.2))) == [(21, IN_PROGRESS, 40)]
+    tower.state = Progress(None)
+    assert acks(commands.due(at(2.2))) == [(21, IN_PROGRESS, 255)]
+    tower.state = Progress(100, landed=True)
+    assert acks(commands.due(at(2.3))) == [(21, ACCEPTED, 0)]
+    assert commands.due(at(9)) == []
+    assert tower.deeds == ["begin"]
+
+
+@pytest.mark.parametrize(
+    ("end", "result"), [(Progress(None, landed=False), FAILED), (Progress(None, called_off=True), CANCELLED)]
+)
+def test_a_landing_that_did_not_come_about(end: Progress, result: int) -> None:
+    tower = Tower()
+    commands = server(tower)
+    commands.hear(long(21), STATION, US, at(0))
+    tower.state = end
+    assert acks(commands.due(at(1))) == [(21, result, 0)]
+
+
+def test_a_refusal_says_why() -> None:
+    tower = Tower()
+    tower.refusal = "no recorder"
+    commands = server(tower)
+    (ack,) = commands.hear(long(2510), STATION, US, at(0))
+    assert ack.result == mav.MAV_RESULT_TEMPORARILY_REJECTED
+    assert commands.refusal == "no recorder"
+
+
+def test_messages_on_request_and_at_intervals() -> None:
+    commands = server(Tower())
+    offered = commands._offered
+    ack, beat = commands.hear(long(512, 2), STATION, US, at(0))
+    assert (ack.result, beat.get_type()) == (ACCEPTED, "HEARTBEAT")
+    assert sum(len(offered.due(at(0.1 * n))) for n in range(50)) == 5
+    commands.hear(long(511, 2, 200_000), STATION, US, at(5))
+    _, interval = commands.hear(long(510, 2), STATION, US, at(5))
+    assert (interval.message_id, interval.interval_us) == (2, 200_000)
+    assert sum(len(offered.due(at(5 + 0.1 * n))) for n in range(50)) == 25
+    commands.hear(long(511, 2, -1), STATION, US, at(10))
+    assert offered.due(at(11)) == []
+    assert offered.interval_us(2) == -1
+    commands.hear(long(511, 2, 0), STATION, US, at(12))
+    assert offered.interval_us(2) == 1_000_000
+    assert offered.interval_us(77) == 0
+
+
+# Parameters
+
+
+@pytest.fixture
+def tunables() -> tuple[Tunables, list[Settings]]:
+    applied: list[Settings] = []
+    return Tunables(settings_of.load("sim"), applied.append), applied
+
+
+def test_every_tunable_is_a_number_of_the_settings_under_a_name_that_fits() -> None:
+    tuned = Tunables(settings_of.load("sim"), lambda s: None)
+    for name in NAMES:
+        assert len(name) <= 16
+        assert math.isfinite(tuned.get(name))
+        tuned.set(name, tuned.get(name))
+    assert len(set(NAMES.values())) == len(NAMES)
+
+
+def test_a_value_in_range_is_put_into_force_and_one_out_of_range_changes_nothing(
+    tunables: tuple[Tunables, list[Settings]],
+) -> None:
+    tuned, applied = tunables
+    tuned.set("PID_H_KP", 1.25)
+    assert applied[-1].guidance.pid.horizontal.kp == 1.25
+    assert applied[-1].guidance.pid.vertical.kp == tuned.settings.guidance.pid.vertical.kp
+    with pytest.raises(BadInput, match="kp"):
+        tuned.set("PID_H_KP", -1.0)
+    with pytest.raises(BadInput, match="below"):
+        tuned.set("PLAN_FINAL_ALT", 4.9)
+    assert tuned.get("PID_H_KP") == 1.25
+    assert len(applied) == 1
+
+
+def values(messages: list[Message]) -> dict[str, float]:
+    return {m.param_id.decode() if isinstance(m.param_id, bytes) else m.param_id: m.param_value for m in messages}
+
+
+def wired(message: Message) -> Message:
+    (got,) = Codec(1, 1).feed(Codec(255, 190).pack(message))
+    return got
+
+
+def test_a_list_comes_in_portions_with_a_stable_count(tunables: tuple[Tunables, list[Settings]]) -> None:
+    params = ParameterServer(tunables[0])
+    assert params.hear(wired(mav.MAVLink_param_request_list_message(*US)), US) == []
+    got: list[Message] = []
+    while portion := params.due():
+        assert len(portion) <= 4
+        got += portion
+    assert [m.param_index for m in got] == list(range(len(NAMES)))
+    assert {m.param_count for m in got} == {len(NAMES)}
+    assert list(values(got)) == list(NAMES)
+
+
+def test_reading_by_name_and_by_number(tunables: tuple[Tunables, list[Settings]]) -> None:
+    tuned, _ = tunables
+    params = ParameterServer(tuned)
+    (one,) = params.hear(wired(mav.MAVLink_param_request_read_message(*US, b"PLAN_SPEED", -1)), US)
+    assert one.param_value == pytest.approx(tuned.get("PLAN_SPEED"))
+    (same,) = params.hear(wired(mav.MAVLink_param_request_read_message(*US, b"", one.param_index)), US)
+    assert same.param_id == one.param_id
+    for name, index in ((b"NO_SUCH", -1), (b"", 999)):
+        assert params.hear(wired(mav.MAVLink_param_request_read_message(*US, name, index)), US) == []
+
+
+def test_setting_tells_everyone_the_value_in_force(tunables: tuple[Tunables, list[Settings]]) -> None:
+    tuned, applied = tunables
+    params = ParameterServer(tuned)
+
+    def put(name: bytes, value: float, kind: int = 9, target: tuple[int, int] = US) -> list[Message]:
+        return params.hear(wired(mav.MAVLink_param_set_message(*target, name, value, kind)), US)
+
+    (told,) = put(b"PID_H_KP", 0.3)
+    assert told.param_value == pytest.approx(0.3)
+    assert applied[-1].guidance.pid.horizontal.kp == 0.3, "not 0.30000001192"
+    for bad in (99.0, math.nan, math.inf):
+        (told,) = put(b"PID_H_KP", bad)
+        assert told.param_value == pytest.approx(0.3)
+        assert params.refused
+    (told,) = put(b"PID_H_KP", 1.0, kind=6)
+    assert told.param_value == pytest.approx(0.3)
+    assert put(b"NO_SUCH", 1.0) == []
+    assert put(b"PID_H_KP", 1.0, target=(7, 1)) == []
+    assert put(b"PID_H_KP", 1.0, target=(7, 0)) == [], "setting is never for everyone"
+    assert len(applied) == 1
+
+
+def test_a_name_that_does_not_fit_is_found_at_once() -> None:
+    class Store:
+        names = ("A_NAME_OF_17_CHARS",)
+
+    with pytest.raises(ValueError, match="16"):
+        ParameterServer(Store())  # type: ignore[arg-type]
+
+
+# Texts
+
+
+def said(messages: list[Message]) -> list[tuple[int, str]]:
+    return [(m.severity, wired(m).text) for m in messages]
+
+
+def test_texts_are_few_and_the_severe_ones_go_first() -> None:
+    texts = StatusTexts(rate_hz=1.0, burst=3, waiting=4)
+    for n in range(6):
+        texts.say(Severity.INFO, f"news {n}", at(0))
+    texts.say(Severity.CRITICAL, "gave up", at(0))
+    first = said(texts.due(at(0)))
+    assert first[0] == (2, "gave up")
+    assert len(first) == 3
+    assert texts.dropped == 3
+    assert texts.due(at(0.5)) == []
+    assert len(texts.due(at(1.6))) == 1
+
+
+def test_the_same_text_is_not_said_twice_in_a_row() -> None:
+    texts = StatusTexts()
+    for n in range(5):
+        texts.say(Severity.WARNING, "pad lost", at(n))
+    assert len(texts.due(at(5))) == 1
+    texts.say(Severity.WARNING, "pad lost", at(20))
+    assert len(texts.due(at(20))) == 1
+
+
+@pytest.mark.parametrize("length", [1, 49, 50, 51, 100, 101])
+def test_long_texts_come_in_chunks_that_join(length: int) -> None:
+    texts = StatusTexts()
+    text = "".join(chr(ord("a") + n % 26) for n in range(length))
+    texts.say(Severity.INFO, text, at(0))
+    chunks = [wired(m) for m in texts.due(at(0))]
+    assert "".join(c.text for c in chunks) == text
+    assert [c.chunk_seq for c in chunks] == list(range(len(chunks)))
+    assert (chunks[0].id != 0) == (length > 50)
+    assert len(chunks[-1].text) < 50 or length == 50
+
+
+# This host
+
+
+def host(root: Path, busy: int, idle: int) -> Path:
+    for path, text in {
+        "proc/stat": f"cpu 0 0 0 0 0\ncpu0 {busy} 0 0 {idle} 0 0\ncpu1 0 0 {busy // 2} {idle} 0 0\nintr 5\n",
+        "proc/meminfo": "MemTotal:  2048000 kB\nMemFree: 1 kB\nMemAvailable: 1024000 kB\n",
+        "proc/uptime": "345.67 1.0\n",
+        "sys/class/thermal/thermal_zone0/temp": "48123\n",
+        "sys/class/thermal/thermal_zone1/temp": "51900\n",
+    }.items():
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        (root / path).write_text(text)
+    return root
+
+
+def test_the_computer_is_read_as_linux_tells(tmp_path: Path) -> None:
+    reader = ComputerReader(host(tmp_path, 100, 100))
+    assert reader.read().cores_percent == (), "a load needs two readings"
+    host(tmp_path, 200, 200)
+    assert reader.read() == Computer((50, 33), 1000, 2000, 52, 345.67)
+    m = wired(computer_status(Computer((50, 33), 1000, 2000, 52, 345.67), at(0)))
+    assert (m.cpu_cores[:3], m.cpu_combined[0], m.ram_usage, m.ram_total) == ([50, 33, 255], 42, 1000, 2000)
+    assert (m.temperature_board, m.uptime) == (52, 345670)
+
+
+def test_a_host_that_tells_nothing(tmp_path: Path) -> None:
+    computer = ComputerReader(tmp_path).read()
+    assert computer == Computer((), None, None, None, None)
+    m = wired(computer_status(computer, at(0)))
+    assert (m.cpu_combined[0], m.ram_total, m.temperature_board) == (255, 0xFFFFFFFF, 127)
+
+
+def test_this_host_is_read() -> None:
+    any_reading: Any = ComputerReader().read()
+    assert any_reading.memory_total_mib > 0

@@ -1,0 +1,166 @@
+"""An AR.Drone in a ground station: what it shows, what it can be told, and MAVSDK as the station."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
+from companion.mavlink.face import Face
+from companion.mavlink.face_part import FacePart
+from drivers.clock import SystemClock
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import Heard, LinkOptions
+from estimator.contracts.commands import Command, Hover, Land, TakeOff
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+from tests.companion.mavlink.test_mavsdk import HOST, free_port
+
+S = 1_000_000_000
+
+
+def stamp(at: MonoNs) -> Stamp:
+    return Stamp(at, at, 0.001, "synced")
+
+
+class Station:
+    """What a ground station hears of a drone, and tells it."""
+
+    def __init__(self) -> None:
+        self.heard: list[Message] = []
+        self.commands: list[Command] = []
+        self.broken = False
+        self.now = MonoNs(100 * S)
+        self.face = Face(self._hear, self._take)
+
+    def _hear(self, message: Message, to: int | None = None, *, component: int | None = None) -> bool:
+        assert component == 1
+        self.heard.append(message)
+        return True
+
+    def _take(self, command: Command) -> None:
+        if self.broken:
+            raise Recoverable("the link is closed")
+        self.commands.append(command)
+
+    def drone(self, *, flying: bool, mode: str, seconds: float = 1.0, yaw_deg: float = 90.0) -> None:
+        """The drone flies forward at half a metre a second at 1.2 m."""
+        for n in range(round(seconds * 50)):
+            self.now = MonoNs(self.now + S // 50)
+            if n % 10 == 0:
+                self.face.on_sample(VehicleStatus(stamp(self.now), flying, mode, 0.66, False, True))
+            body = Rotation.from_rpy(0.0, 0.0, math.radians(yaw_deg))
+            self.face.on_sample(Attitude(stamp(self.now), body, np.eye(3) * 1e-4))
+            self.face.on_sample(Imu(stamp(self.now), np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -9.8])))
+            self.face.on_sample(BodyVelocity(stamp(self.now), np.array([0.5, 0.0, 0.0]), np.eye(3) * 0.01))
+            self.face.on_sample(Range(stamp(self.now), 1.2, 0.02))
+            self.face.tick(self.now)
+
+    def tell(self, command: int, *params: float) -> int:
+        padded = [*params, 0, 0, 0, 0, 0, 0, 0][:7]
+        message = mav.MAVLink_command_long_message(7, 1, command, 0, *padded)
+        before = len(self.heard)
+        self.face.hear(Heard(message, 0, self.now, 255, 190), 7, self.now)
+        ack = self.heard[before]
+        assert (ack.command, ack.target_system, ack.target_component) == (command, 255, 190)
+        return int(ack.result)
+
+    def newest(self, kind: str) -> Any:
+        return [m for m in self.heard if m.get_type() == kind][-1]
+
+
+def test_a_quadrotor_is_seen() -> None:
+    station = Station()
+    station.drone(flying=True, mode="hovering", seconds=2.0)
+    beat = station.newest("HEARTBEAT")
+    assert (beat.type, beat.autopilot, beat.system_status) == (2, 0, 4)
+    assert beat.base_mode & 128
+    assert station.newest("EXTENDED_SYS_STATE").landed_state == 2
+    assert station.newest("SYS_STATUS").battery_remaining == 66
+    q = station.newest("ATTITUDE_QUATERNION")
+    assert Rotation.from_quat([q.q1, q.q2, q.q3, q.q4]).rpy_rad[2] == pytest.approx(math.pi / 2)
+    assert (q.rollspeed, q.pitchspeed, q.yawspeed) == (0.1, 0.2, 0.3)
+    place = station.newest("LOCAL_POSITION_NED")
+    assert (place.x, place.y, place.z) == pytest.approx((0.0, 1.0, -1.2), abs=0.07)
+    assert (place.vx, place.vy) == pytest.approx((0.0, 0.5))
+    counts = {kind: sum(m.get_type() == kind for m in station.heard) for kind in ("HEARTBEAT", "ATTITUDE_QUATERNION")}
+    assert counts["HEARTBEAT"] == 2
+    assert 30 <= counts["ATTITUDE_QUATERNION"] <= 42
+
+
+@pytest.mark.parametrize(("mode", "flying", "state"), [("landed", False, 1), ("taking_off", True, 3), ("landing", True, 4)])
+def test_landed_state(mode: str, flying: bool, state: int) -> None:
+    station = Station()
+    station.drone(flying=flying, mode=mode, seconds=0.6)
+    assert station.newest("EXTENDED_SYS_STATE").landed_state == state
+
+
+def test_no_heartbeat_of_a_drone_that_is_not_heard() -> None:
+    station = Station()
+    station.face.tick(station.now)
+    station.face.on_sample(VehicleStatus(stamp(station.now), None, "unknown", None, False, False))
+    station.face.tick(MonoNs(station.now + 2 * S))
+    assert not [m for m in station.heard if m.get_type() == "HEARTBEAT"]
+
+
+def test_arm_take_off_hold_and_land() -> None:
+    station = Station()
+    station.drone(flying=False, mode="landed", seconds=0.5)
+    assert station.tell(22) == DENIED, "not armed"
+    assert station.tell(400, 1) == ACCEPTED
+    assert station.tell(22) == ACCEPTED
+    station.drone(flying=True, mode="hovering", seconds=0.5)
+    assert station.tell(22) == DENIED, "it flies"
+    assert station.tell(400, 0) == DENIED, "motors are not stopped in flight"
+    assert station.tell(17) == ACCEPTED
+    assert station.tell(21) == ACCEPTED
+    assert [type(c) for c in station.commands] == [TakeOff, Hover, Land]
+    station.broken = True
+    assert station.tell(21) == mav.MAV_RESULT_TEMPORARILY_REJECTED
+    assert station.tell(16) == UNSUPPORTED
+    assert station.tell(512, 148) == ACCEPTED
+    assert station.newest("AUTOPILOT_VERSION")
+    assert station.tell(512, math.nan) == UNSUPPORTED
+    assert station.tell(511, 31, 1_000_000) == ACCEPTED
+
+
+async def test_mavsdk_flies_it() -> None:
+    mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
+    from mavsdk import ComponentType, Configuration
+    from mavsdk.asyncio.plugins.action import ActionAsync
+
+    port, clock, commands = free_port(), SystemClock(), list[Command]()
+    part = FacePart([LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))], 7, clock)
+    with pytest.raises(Recoverable, match="not there"):
+        part.command(Land())
+    part.taker = commands.append
+    async with asyncio.TaskGroup() as group:
+        flying = False
+
+        async def live() -> None:
+            while True:
+                now = clock.now()
+                part.on_sample(VehicleStatus(stamp(now), flying, "hovering" if flying else "landed", 0.5, False, True))
+                await asyncio.sleep(0.02)
+
+        tasks = [group.create_task(live()), group.create_task(part.run())]
+        async with mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station:
+            await station.add_any_connection(f"udpin://{HOST}:{port}")
+            system = await station.first_autopilot(timeout_s=10.0)
+            assert system is not None
+            action = ActionAsync(system)
+            await action.arm()
+            await action.takeoff()
+            flying = True
+            await asyncio.sleep(0.1)
+            await action.land()
+        for task in tasks:
+            task.cancel()
+    assert [type(c) for c in commands] == [TakeOff, Land]

@@ -1,0 +1,177 @@
+"""The target as each autopilot understands it: golden bytes, the receivers' own arithmetic, and what they drop."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.mavlink.landing_target import (
+    ardupilot_landing_target,
+    distance_sensor,
+    px4_landing_target,
+    range_along_down,
+    target_relative,
+)
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
+from estimator.contracts.geometry import Rotation
+from tests.companion.mavlink.golden import ARROW_DEG, CASES, D_NED, FILE, P_NED, RADIUS_M, TIME_US, Case
+from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver, Vector, ned_to_body
+
+GOLDEN: dict[str, str] = json.loads(FILE.read_text())
+ARROW = Rotation.from_rpy(0.0, 0.0, math.radians(ARROW_DEG))
+
+
+def send(case: Case, R_ned_pad: Rotation | None = None) -> Message:
+    body = Rotation.from_rpy(*case.rpy)
+    d_ned, p_ned = np.array(D_NED), np.array(P_NED)
+    if case.stack == "ardupilot":
+        message = ardupilot_landing_target(TIME_US, d_ned, body, pad_radius_m=RADIUS_M, R_ned_pad=R_ned_pad)
+    else:
+        message = px4_landing_target(TIME_US, d_ned, body, p_ned, pad_radius_m=RADIUS_M, R_ned_pad=R_ned_pad)
+    assert message is not None
+    return message
+
+
+def over_the_wire(message: Message) -> Message:
+    (got,) = Codec(1, 1).feed(Codec(7, 191).pack(message))
+    return got
+
+
+def test_there_are_eight_headings_three_tilts_and_two_stacks() -> None:
+    assert len(GOLDEN) == len(CASES) == 48
+    assert len({GOLDEN[c.name] for c in CASES}) > 40, "PX4's place does not depend on tilt, its angles do"
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+def test_the_bytes_are_the_golden_ones(case: Case) -> None:
+    ours, theirs = Codec(7, 191).pack(send(case)), bytes.fromhex(GOLDEN[case.name])
+    assert ours[:10] == theirs[:10]
+    assert len(ours) == len(theirs)
+    a, b = (mav.MAVLink_landing_target_message.unpacker.unpack(d[10:-2].ljust(60, b"\0")) for d in (ours, theirs))
+    # The same numbers in the same fields, to the last bit of a float
+    assert a == pytest.approx(b, rel=2e-7, abs=2e-7)
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if c.stack == "ardupilot"], ids=lambda c: c.name)
+@pytest.mark.parametrize("form", ["position", "angles of 4.0", "angles and a rangefinder"])
+def test_ardupilot_takes_the_target_where_it_is(case: Case, form: str) -> None:
+    m = over_the_wire(send(case, ARROW))
+    receiver = ArduPilotReceiver(angles_only=form != "position")
+    if form == "angles and a rangefinder":
+        m.distance = 0.0
+        receiver.rangefinder_m = ned_to_body(case.rpy, D_NED)[2]
+    receiver.loop(case.rpy)
+    assert receiver.hear(m) == pytest.approx(D_NED, abs=1e-5)
+    if form != "angles and a rangefinder":
+        assert m.distance == pytest.approx(math.sqrt(m.x**2 + m.y**2 + m.z**2), rel=1e-6)
+    assert (m.frame, m.position_valid, m.type) == (12, 1, 3)
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if c.stack == "px4"], ids=lambda c: c.name)
+def test_px4_takes_the_target_where_it_is(case: Case) -> None:
+    m = over_the_wire(send(case, ARROW))
+    receiver = Px4Receiver()
+    kind, place = receiver.hear(m) or ("", (0.0, 0.0, 0.0))
+    assert kind == "absolute"
+    assert place == pytest.approx([p + d for p, d in zip(P_NED, D_NED, strict=True)], abs=1e-5)
+    assert (m.frame, m.position_valid, m.type, m.time_usec) == (1, 1, 3, TIME_US)
+    assert list(m.q) == pytest.approx(ARROW.quat_wxyz, abs=1e-6)
+
+
+@pytest.mark.parametrize("case", CASES[:24], ids=lambda c: c.name)
+def test_no_two_fields_can_be_swapped_unseen(case: Case) -> None:
+    m = over_the_wire(send(case))
+    values = [m.angle_x, m.angle_y, m.distance, m.size_x, m.x, m.y, m.z]
+    apart = [abs(abs(a) - abs(b)) for i, a in enumerate(values) for b in values[:i]]
+    assert min(apart) > 5e-4
+    for a, b in (("x", "y"), ("y", "z"), ("x", "z")):
+        swapped = over_the_wire(send(case))
+        left, right = getattr(swapped, a), getattr(swapped, b)
+        setattr(swapped, a, right)
+        setattr(swapped, b, left)
+        receiver = ArduPilotReceiver()
+        receiver.loop(case.rpy)
+        found = receiver.hear(swapped)
+        assert found is None or found != pytest.approx(D_NED, abs=0.005)
+
+
+coordinate = st.floats(-8.0, 8.0)
+
+
+@settings(deadline=None, max_examples=80)
+@given(coordinate, coordinate, st.floats(0.3, 20.0), st.floats(-0.35, 0.35), st.floats(-0.35, 0.35), st.floats(-3.14, 3.14))
+def test_angles_position_and_distance_agree_wherever_the_pad_is(
+    x: float, y: float, z: float, roll: float, pitch: float, yaw: float
+) -> None:
+    d: Vector = (x, y, z)
+    message = ardupilot_landing_target(1, np.array(d), Rotation.from_rpy(roll, pitch, yaw), pad_radius_m=0.39)
+    if message is None:
+        assert ned_to_body((roll, pitch, yaw), d)[2] < 0.03
+        return
+    m = over_the_wire(message)
+    for angles_only in (False, True):
+        receiver = ArduPilotReceiver(angles_only=angles_only)
+        receiver.loop((roll, pitch, yaw))
+        assert receiver.hear(m) == pytest.approx(d, abs=2e-5 * m.distance / max(m.z, 0.02))
+
+
+def test_a_pad_that_is_not_below_is_no_target() -> None:
+    for d in ((0.0, 0.0, -1.0), (3.0, 0.0, 0.0)):
+        assert ardupilot_landing_target(1, np.array(d), Rotation.identity(), pad_radius_m=0.39) is None
+        assert px4_landing_target(1, np.array(d), Rotation.identity(), np.zeros(3), pad_radius_m=0.39) is None
+
+
+def test_the_receivers_drop_what_the_real_ones_drop() -> None:
+    """The models of this test against what was measured on the programs themselves."""
+    good = over_the_wire(send(CASES[0]))
+    receiver = ArduPilotReceiver()
+    receiver.loop((0.0, 0.0, 0.0))
+    for frame in (1, 8):
+        good.frame = frame
+        assert receiver.hear(good) is None
+    assert receiver.texts == ["Plnd: Frame not supported"]
+    good.frame, good.distance = 12, 0.0
+    assert receiver.hear(good) is None
+    px4 = Px4Receiver()
+    assert px4.hear(good) is None
+    assert px4.events == ["landing target: unsupported coordinate frame 12"]
+
+
+def test_target_relative_for_the_vision_target_estimator() -> None:
+    body = Rotation.from_rpy(0.1, -0.2, math.radians(90.0))
+    cov = np.diag([0.01, 0.04, 0.09])
+    m = over_the_wire(target_relative(TIME_US, np.array(D_NED), cov, body, ARROW, 0.05))
+    assert (m.timestamp, m.frame, m.type) == (TIME_US, 1, 3)
+    expected = ned_to_body((0.1, -0.2, math.radians(90.0)), D_NED)
+    assert (m.x, m.y, m.z) == pytest.approx(expected, abs=1e-5)
+    # Nose east: forward carries east's sigma, right carries north's
+    assert m.pos_std[:2] == pytest.approx((0.2, 0.1), abs=0.02)
+    assert sum(s * s for s in m.pos_std) == pytest.approx(0.14, rel=1e-5), "a rotation keeps the trace"
+    assert m.yaw_std == pytest.approx(0.05)
+    to_ned = Rotation.from_quat(m.q_sensor)
+    assert (to_ned @ Rotation.from_quat(m.q_target)).angle_to(ARROW) < 1e-5
+    assert to_ned @ np.array([m.x, m.y, m.z]) == pytest.approx(D_NED, abs=1e-5)
+
+
+def test_distance_sensor_looks_down_and_says_when_it_sees_nothing() -> None:
+    m = over_the_wire(distance_sensor(2**32 + 7, 3.456, 0.03, 9))
+    assert (m.current_distance, m.orientation, m.covariance, m.id, m.signal_quality) == (346, 25, 9, 9, 0)
+    assert m.min_distance < m.current_distance < m.max_distance
+    m = over_the_wire(distance_sensor(7, None, 0.03, 9))
+    assert m.current_distance > m.max_distance
+    assert m.signal_quality == 1
+
+
+def test_the_range_is_along_the_bodys_down_axis() -> None:
+    for roll, pitch in ((0.0, 0.0), (0.3, -0.2), (-0.1, 0.35)):
+        body = Rotation.from_rpy(roll, pitch, 1.0)
+        reading = range_along_down(np.array([1.0, -2.0, 4.0]), body)
+        assert reading is not None
+        assert (body @ np.array([0.0, 0.0, reading]))[2] == pytest.approx(4.0)
+    assert range_along_down(np.array([0.0, 0.0, -1.0]), Rotation.identity()) is None

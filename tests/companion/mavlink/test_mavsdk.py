@@ -1,0 +1,112 @@
+"""A stranger at the other end: MAVSDK discovers the component, receives its targets, commands it and sets its parameters."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import pytest
+
+from companion.mavlink.operator import Progress
+from companion.mavlink.tunables import NAMES
+from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
+from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+
+mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind((HOST, 0))
+        return int(sock.getsockname()[1])
+
+
+@asynccontextmanager
+async def met() -> AsyncIterator[tuple[Stage, Any]]:
+    """A stage, and MAVSDK's view of its system."""
+    from mavsdk import ComponentType, Configuration
+
+    port = free_port()
+    async with (
+        staged(FakeAutopilot(parameters={"PLND_LAG": 0.02}), f"udpout://{HOST}:{port}", heartbeat_s=0.2) as stage,
+        mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station,
+    ):
+        await station.add_any_connection(f"udpin://{HOST}:{port}")
+        async with asyncio.timeout(10):
+            while not (systems := await station.get_systems()):  # noqa: ASYNC110 - the other side has its own threads
+                await asyncio.sleep(0.05)
+            while 191 not in await systems[0].component_ids():  # noqa: ASYNC110
+                await asyncio.sleep(0.05)
+        yield stage, systems[0]
+
+
+async def command(direct: Any, number: int, **params: float) -> dict[str, Any]:
+    from mavsdk.plugins.mavlink_direct import MavlinkMessage
+
+    fields = {"target_system": 7, "target_component": 191, "command": number, "confirmation": 0}
+    fields |= {f"param{n}": params.get(f"param{n}", 0) for n in range(1, 8)}
+    message = MavlinkMessage("COMMAND_LONG", 245, 190, 7, 191, json.dumps(fields))
+    return dict(json.loads((await direct.send_command(message)).fields_json))
+
+
+async def test_mavsdk_discovers_hears_and_commands_us() -> None:
+    from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
+
+    async with met() as (stage, system):
+        assert await system.get_system_id() == 7
+        assert await system.is_connected()
+        direct = MavlinkDirectAsync(system)
+        targets = []
+        async with asyncio.timeout(10):
+            async for message in direct.subscribe_message("LANDING_TARGET"):
+                targets.append((message.system_id, message.component_id, json.loads(message.fields_json)))
+                if len(targets) == 10:
+                    break
+        system_id, component_id, fields = targets[-1]
+        assert (system_id, component_id) == (7, 191)
+        assert (fields["frame"], fields["position_valid"], fields["type"]) == (12, 1, 3)
+        expected = PAD_NED - stage.fake.p_ned
+        assert (fields["x"], fields["y"], fields["z"]) == pytest.approx(tuple(expected), abs=0.01)
+
+        assert (await command(direct, 193, param1=0))["result"] == 0
+        assert (await command(direct, 31010, param1=1))["result"] == 0
+        assert (await command(direct, 31010, param1=7))["result"] == 2
+        assert (await command(direct, 400, param1=1))["result"] == 3
+        assert stage.tower.deeds == ["pause", "path dead_reckoning"]
+
+
+async def test_a_landing_commanded_by_mavsdk_is_answered_when_it_is_over() -> None:
+    from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
+
+    async with met() as (stage, system):
+        stage.tower.state = Progress(10)
+        landing = asyncio.ensure_future(command(MavlinkDirectAsync(system), 21))
+        try:
+            await asyncio.sleep(1.5)
+            assert not landing.done()
+            assert stage.tower.deeds == ["begin"]
+            stage.tower.state = Progress(100, landed=True)
+            async with asyncio.timeout(5):
+                assert (await landing)["result"] == 0
+        finally:
+            landing.cancel()
+
+
+async def test_mavsdk_reads_and_sets_our_parameters() -> None:
+    from mavsdk.asyncio.plugins.param import ParamAsync
+    from mavsdk.plugins.param import ParamError, ProtocolVersion
+
+    async with met() as (stage, system):
+        param = ParamAsync(system)
+        with suppress(ParamError):  # its C binding answers "unknown" and selects the component all the same
+            await param.select_component(191, ProtocolVersion.V1)
+        before = await param.get_param_float("PID_H_KP")
+        await param.set_param_float("PID_H_KP", before + 0.25)
+        assert await param.get_param_float("PID_H_KP") == pytest.approx(before + 0.25)
+        assert stage.applied[-1].guidance.pid.horizontal.kp == pytest.approx(before + 0.25)
+        everything = await param.get_all_params()
+        assert {p.name for p in everything.float_params} == set(NAMES)

@@ -1,0 +1,162 @@
+"""Against a real mosquitto with TLS, a password file and an ACL: what arrives, what is answered, and what trouble costs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import pytest
+
+from companion.mqtt.connection import Connection, Endpoint
+from companion.mqtt.messages import HealthReport, Reply, State, Status, decode
+from tests.companion.mqtt.broker import Broker, hear
+from tests.companion.mqtt.rig import SESSION, decision, running, status, until
+
+ROOT = Path(__file__).parents[3]
+TREE = "decklander/v1/deck/"
+
+
+async def test_what_is_said_arrives_and_the_status_is_there_for_late_comers(broker: Broker, tmp_path: Path) -> None:
+    settings = broker.settings(state_hz=20.0, health_hz=10.0)
+    heard: dict[str, Any] = {}
+    async with running(settings, tmp_path / "spool") as rig:
+        await until(lambda: rig.count("connections") == 1)
+        async with broker.ground() as ground, asyncio.timeout(5):
+            async for message in hear(ground, TREE + "#"):
+                rig.part.on_sample(status(rig.clock.now()))
+                rig.part.on_decision(decision(rig.clock.now()))
+                leaf = message.topic.removeprefix(TREE)
+                heard[leaf] = decode(leaf, message.payload)
+                assert heard[leaf] is not None, message
+                if {"status", "state", "health", "event"} <= heard.keys():
+                    break
+    assert isinstance(heard["status"], Status)
+    assert (heard["status"].online, heard["status"].reason, heard["status"].version) == (True, "up", "1.2.3")
+    state = heard["state"]
+    assert isinstance(state, State)
+    assert state.belief is not None
+    assert state.belief.d_body_pad_level_m == (0.3, -0.2, 2.0)
+    assert state.belief.sigma_v_m_s == pytest.approx((0.4, 0.5, 0.6))
+    assert state.order is not None
+    assert (state.order.kind, state.order.v_level_m_s, state.order.yaw_rate_rad_s) == ("velocity", (0.4, 0.5, 0.6), 0.7)
+    assert state.vehicle is not None
+    assert state.vehicle.mode == "flying"
+    assert isinstance(heard["health"], HealthReport)
+    assert heard["health"].parts["broker"].up
+
+
+async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path: Path) -> None:
+    async def retained() -> Status:
+        async with broker.ground() as ground:
+            async for message in hear(ground, TREE + "status"):
+                found = decode("status", message.payload)
+                assert isinstance(found, Status)
+                return found
+        raise AssertionError
+
+    async with running(broker.settings(), tmp_path / "spool") as rig:
+        await until(lambda: rig.count("connections") == 1)
+        assert (await retained()).online
+    said = await retained()
+    assert (said.online, said.reason) == (False, "stopped")
+
+    words = (sys.executable, "-c", _DYING, msgspec.json.encode(broker.settings()).decode())
+    child = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE, cwd=ROOT)
+    assert child.stdout is not None
+    assert await child.stdout.readline() == b"connected\n"
+    child.kill()
+    await child.communicate()
+    async with asyncio.timeout(5):
+        while (said := await retained()).online:  # noqa: ASYNC110 (the condition is the broker's)
+            await asyncio.sleep(0.05)
+    assert said.reason == "lost"
+
+
+_DYING = """
+import asyncio, json, sys, tempfile, pathlib
+from companion.mqtt.settings import MqttSettings
+from tests.companion.mqtt.rig import running, until
+async def main():
+    async with running(MqttSettings(**json.loads(sys.argv[1])), pathlib.Path(tempfile.mkdtemp())) as rig:
+        await until(lambda: rig.count("connections") == 1)
+        print("connected", flush=True)
+        await asyncio.sleep(60)
+asyncio.run(main())
+"""
+
+
+async def test_a_command_is_carried_out_once_and_answered_where_it_asks(broker: Broker, tmp_path: Path) -> None:
+    async with running(broker.settings(), tmp_path / "spool") as rig, broker.ground() as ground:
+        await until(lambda: rig.count("connections") == 1)
+        await ground.subscribe(TREE + "reply/#", qos=1)
+        expires = rig.clock.now() + 5_000_000_000
+
+        async def ask(**fields: object) -> Reply:
+            command = {"id": "a1", "session": SESSION, "expires_ns": expires, **fields}
+            await ground.say(TREE + "command", json.dumps(command).encode(), qos=1)
+            heard = await anext(ground.heard())
+            assert heard.topic == fields.get("reply_to", TREE + "reply")
+            reply = decode("reply", heard.payload)
+            assert isinstance(reply, Reply)
+            return reply
+
+        async with asyncio.timeout(8):
+            assert (await ask(command="start")).accepted
+            assert (await ask(command="start")).accepted
+            assert rig.operator.done == ["start"]
+            to = TREE + "reply/tablet-1"
+            assert (await ask(command="path", path="median_mean", id="a2", reply_to=to)).accepted
+            assert (await ask(command="record", on=True, id="a3", reply_to=to)).accepted
+            assert rig.operator.done == ["start", "path median_mean", "record True"]
+            late = await ask(command="abort", id="a4", expires_ns=rig.clock.now() - 1, reply_to=to)
+            assert (late.id, late.accepted, late.reason) == ("a4", False, "expired")
+            assert (await ask(command="abort", id="a5", session="yesterday")).reason == "other_session"
+            rig.operator.cannot = "the flight is over: landed"
+            cannot = await ask(command="pause", id="a6")
+            assert (cannot.reason, cannot.text) == ("not_possible", "the flight is over: landed")
+            assert rig.operator.done == ["start", "path median_mean", "record True"]
+        assert rig.count("commands_accepted") == 3
+        assert rig.count("commands_repeated") == 1
+
+
+async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_users_name(broker: Broker, tmp_path: Path) -> None:
+    broker.stop()
+    broker.write_sample()
+    broker.start()
+    async with running(broker.settings(drone="drone"), tmp_path / "own") as rig, broker.ground() as ground:
+        await until(lambda: rig.count("events_delivered") >= 1)
+        command = {"command": "pause", "id": "x", "session": SESSION, "expires_ns": rig.clock.now() + 10**9}
+        await ground.say("decklander/v1/drone/command", json.dumps(command).encode(), qos=1)
+        await until(lambda: rig.operator.done == ["pause"])
+    async with running(broker.settings(drone="other"), tmp_path / "others") as rig:
+        await until(lambda: rig.count("connection_failures") + rig.count("events_refused") >= 1)
+        assert rig.count("events_delivered") == 0
+
+
+async def test_a_retained_command_never_reaches_us(broker: Broker, tmp_path: Path) -> None:
+    async with broker.ground() as ground:
+        command = {"command": "abort", "id": "x", "session": SESSION, "expires_ns": time.monotonic_ns() + 5 * 10**9}
+        await ground.say(TREE + "command", json.dumps(command).encode(), qos=1, retain=True)
+        async with running(broker.settings(), tmp_path / "spool") as rig:
+            await until(lambda: rig.count("connections") == 1)
+            await asyncio.sleep(0.2)
+            assert rig.operator.done == []
+
+
+async def test_a_cancellation_that_comes_with_the_answer_is_not_swallowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    connection = Connection(Endpoint("nowhere", 1, None, None, None, True, 10, 5.0), "x", None, 1)
+    sent = SimpleNamespace(rc=0, mid=1, is_published=lambda: False)
+    monkeypatch.setattr(connection._client, "publish", lambda *_: sent)
+    async with asyncio.TaskGroup() as group:
+        saying = group.create_task(connection.say("a", b"b", qos=1))
+        await asyncio.sleep(0.01)
+        connection._pending_publishes[1].set()
+        saying.cancel()
+        await asyncio.wait({saying})
+    assert saying.cancelled()

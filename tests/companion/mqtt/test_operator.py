@@ -1,0 +1,59 @@
+"""What an operator may ask of a real pilot."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.mqtt.operator import PilotOperator
+from companion.pilot import Outcome, Pilot
+from companion.service import make_pilot
+from companion.settings import load
+from estimator.contracts.commands import Hover
+from estimator.contracts.time import MonoNs
+from tests.companion.mqtt.rig import status
+
+
+def flying(shadows: tuple[str, ...] = ()) -> Pilot:
+    pilot = make_pilot(load("sim"), shadows=shadows)  # type: ignore[arg-type]
+    pilot.hear(status(MonoNs(1)))
+    return pilot
+
+
+def test_start_pause_and_abort_reach_the_pilot_and_nothing_follows_an_abort() -> None:
+    pilot = flying()
+    operator = PilotOperator(pilot)
+    assert operator.pause() is None
+    assert pilot.decide(MonoNs(2)).phase == "paused"
+    assert operator.start() is None
+    assert pilot.decide(MonoNs(3)).phase != "paused"
+    assert operator.abort() is None
+    assert pilot.outcome is Outcome.ABORTED
+    assert isinstance(pilot.decide(MonoNs(4)).command, Hover)
+    assert operator.start() == operator.pause() == operator.abort() == "the flight is over: aborted"
+
+
+def test_a_path_that_runs_along_may_take_over_in_an_approach_another_only_while_paused() -> None:
+    first = load("sim").estimator.path
+    operator = PilotOperator(flying(shadows=("median_mean",)))
+    assert operator.steer_by("median_mean") is None
+    assert operator.steer_by(first) is None
+    operator = PilotOperator(pilot := flying())
+    assert operator.steer_by("median_mean") == "median_mean does not run along; pause the approach first"
+    assert operator.pause() is None
+    assert operator.steer_by("median_mean") is None
+    assert pilot._memory.paths[0].name == pilot._memory.options.steering == "median_mean"
+    assert operator.start() is None
+    assert operator.steer_by(first) is None, "the path that steered goes on as a shadow"
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_recording_is_switched_where_there_is_a_recorder(on: bool) -> None:
+    switched: list[bool] = []
+
+    def switch(wanted: bool) -> str | None:
+        switched.append(wanted)
+        return "the disk is full" if wanted else None
+
+    assert PilotOperator(flying()).record(on) == "there is no recorder in this service"
+    assert PilotOperator(flying(), switch).record(on) == ("the disk is full" if on else None)
+    assert switched == [on]

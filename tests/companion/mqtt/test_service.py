@@ -1,0 +1,92 @@
+"""The daemon as a process: settings with relative secrets, a broker with TLS, a vehicle that is not there."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import TypeVar
+
+from companion.mqtt.messages import Event, HealthReport, Message, Reply, Status, decode
+from tests.companion.mqtt.broker import Broker
+
+ROOT = Path(__file__).parents[3]
+TREE = "decklander/v1/deck/"
+RIG = """
+[vehicle]
+kind = "ardrone"
+host = "127.0.0.1"
+navdata_port = 1
+video_port = 1
+at_port = 1
+control_port = 1
+[camera]
+file = "sim"
+[pad]
+file = "thesis"
+[mqtt]
+transport = "tls"
+host = "localhost"
+port = {port}
+drone = "deck"
+user = "drone"
+password_file = "broker/drone.password"
+ca_file = "ca.crt"
+health_hz = 5.0
+spool = "spool"
+[recorder]
+folder = "{folder}/recordings"
+"""
+M = TypeVar("M", bound=Message)
+
+
+async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_path: Path) -> None:
+    (tmp_path / "ca.crt").write_bytes((broker.certificates / "ca.crt").read_bytes())
+    (tmp_path / "rig.toml").write_text(RIG.format(port=broker.port, folder=tmp_path))
+    async with broker.ground() as ground, asyncio.timeout(60):
+        await ground.subscribe(TREE + "#", qos=1)
+        daemon = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "companion.cli.main", "run", "--config", str(tmp_path / "rig.toml")),
+            cwd=ROOT,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        heard = ground.heard()
+        events: list[str] = []
+
+        async def wait(kind: type[M]) -> M:
+            async for message in heard:
+                said = decode(message.topic.removeprefix(TREE), message.payload)
+                if isinstance(said, Event):
+                    events.append(said.text)
+                if isinstance(said, kind):
+                    return said
+            raise AssertionError
+
+        async def ask(**fields: object) -> Reply:
+            health = await wait(HealthReport)
+            command = {"id": f"c{health.at_ns}", "session": health.session, "expires_ns": health.at_ns + 5 * 10**9, **fields}
+            await ground.say(TREE + "command", json.dumps(command).encode(), qos=1)
+            return await wait(Reply)
+
+        try:
+            assert (await wait(Status)).online
+            assert (await ask(command="start")).accepted
+            assert (await ask(command="path", path="median_mean")).accepted
+            assert (await ask(command="abort")).accepted
+            late = await ask(command="start")
+            assert (late.reason, late.text) == ("not_possible", "the flight is over: aborted")
+            daemon.send_signal(signal.SIGTERM)
+            farewell = await wait(Status)
+            assert (farewell.online, farewell.reason) == (False, "stopped")
+        finally:
+            if daemon.returncode is None:
+                daemon.terminate()
+            _, stderr = await daemon.communicate()
+    assert daemon.returncode == 0, stderr.decode()
+    assert events[0] == "service started"
+    assert events[-1] == "service stopped"
+    assert {"command start accepted", "command path accepted", "command abort accepted", "aborted"} <= set(events)
+    assert "command start refused: the flight is over: aborted" in events
+    assert "secret" not in stderr.decode()

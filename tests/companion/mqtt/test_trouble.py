@@ -1,0 +1,183 @@
+"""A broker that refuses, hangs, stays silent or floods: the loop goes on at its pace, the counters say what happened."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from companion.mqtt.settings import MqttSettings
+from tests.companion.mqtt.broker import Broker, free_port
+from tests.companion.mqtt.consumer import Consumer
+from tests.companion.mqtt.rig import SESSION, Rig, decision, happening, running, until
+
+# A TLS handshake that fails leaves its socket to the garbage collector inside paho.
+pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
+
+
+class Flight:
+    """Guidance at 100 Hz beside the part: the longest it was ever late."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self.late_s = 0.0
+        self.rounds = 0
+
+    async def fly(self) -> None:
+        while True:
+            due = time.monotonic() + 0.01
+            self._rig.part.on_decision(decision(self._rig.clock.now()))
+            await asyncio.sleep(0.01)
+            self.late_s = max(self.late_s, time.monotonic() - due)
+            self.rounds += 1
+
+
+async def flown(settings: MqttSettings, folder: Path, seconds: float) -> tuple[Rig, Flight]:
+    async with running(settings, folder) as rig, asyncio.TaskGroup() as group:
+        flight = Flight(rig)
+        flying = group.create_task(flight.fly())
+        await asyncio.sleep(seconds)
+        flying.cancel()
+    return rig, flight
+
+
+def undisturbed(flight: Flight, seconds: float) -> None:
+    assert flight.rounds > 0.4 * seconds / 0.01
+    assert flight.late_s < 0.3
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"user": "wrong"}, "ot authorized"),
+        ({"user": "wrong", "protocol": "3.1.1"}, "ot authori"),
+        ({"ca": "stranger_ca.crt"}, "CERTIFICATE_VERIFY_FAILED"),
+        ({"host": "127.0.0.2"}, "efused"),
+        ({"host": "no such host"}, ""),
+        ({"transport": "tcp"}, ""),
+    ],
+)
+async def test_a_broker_that_will_not_have_us(broker: Broker, tmp_path: Path, changes: dict[str, str], said: str) -> None:
+    changes = dict(changes)
+    user = changes.pop("user", "drone")
+    if ca := changes.pop("ca", None):
+        changes["ca_file"] = str(broker.certificates / ca)
+    rig, flight = await flown(broker.settings(user, **{"timeout_s": 0.4, **changes}), tmp_path / "spool", 0.6)
+    assert rig.count("connection_failures") >= 1
+    assert rig.count("connections") == 0
+    assert not rig.health.parts["broker"].up
+    assert said in rig.health.parts["broker"].last_error
+    assert rig.health.parts["mqtt"].restarts == 0
+    undisturbed(flight, 0.6)
+
+
+async def test_a_line_that_is_open_and_silent(certificates: Path, tmp_path: Path) -> None:
+    opened = 0
+
+    async def accept(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal opened
+        opened += 1
+        try:
+            await asyncio.sleep(30)
+        finally:
+            writer.close()
+
+    port = free_port()
+    silent = await asyncio.start_server(accept, "127.0.0.1", port)
+    try:
+        for transport in ("tcp", "tls"):
+            settings = MqttSettings(
+                transport=transport, host="127.0.0.1", port=port, timeout_s=0.2, reconnect_first_s=0.05, reconnect_cap_s=0.1,
+                ca_file=str(certificates / "ca.crt"),
+            )  # fmt: skip
+            before = opened
+            rig, flight = await flown(settings, tmp_path / transport, 0.8)
+            assert rig.count("connection_failures") >= 2
+            assert opened - before >= 2
+            undisturbed(flight, 0.8)
+    finally:
+        silent.close()
+    sockets = [t for t in asyncio.all_tasks() if "_misc_loop" in repr(t)]
+    assert sockets == [], "a connection that failed half-way is still tended"
+
+
+async def test_a_broker_that_hangs_and_wakes_up(broker: Broker, tmp_path: Path) -> None:
+    consumer = Consumer(broker, 20)
+    async with asyncio.TaskGroup() as group:
+        consuming = group.create_task(consumer.run())
+        await consumer.listening.wait()
+        async with running(broker.settings(timeout_s=0.4), tmp_path / "spool") as rig:
+            await until(lambda: rig.count("connections") == 1)
+            flight = Flight(rig)
+            flying = group.create_task(flight.fly())
+            broker.hold()
+            for n in range(20):
+                rig.part.tell(happening(rig.clock.now(), f"number {n}"))
+            await until(lambda: rig.count("connection_failures") >= 2)
+            assert not rig.health.parts["broker"].up
+            broker.go_on()
+            async with asyncio.timeout(8):
+                await consumer.done.wait()
+            flying.cancel()
+        consuming.cancel()
+    assert consumer.numbers == list(range(20))
+    assert flight.late_s < 0.3
+
+
+async def test_a_flood_of_commands_is_cut_off(broker: Broker, tmp_path: Path) -> None:
+    async with running(broker.settings(commands_max_hz=10), tmp_path / "spool") as rig, broker.ground() as ground:
+        await until(lambda: rig.count("connections") == 1)
+        async with asyncio.TaskGroup() as group:
+            flight = Flight(rig)
+            flying = group.create_task(flight.fly())
+            for k in range(3000):
+                command = {"command": "pause", "id": f"f{k}", "session": SESSION, "expires_ns": rig.clock.now() + 10**10}
+                await ground.say("decklander/v1/deck/command", json.dumps(command).encode())
+            await until(lambda: rig.count("floods") >= 1)
+            await until(lambda: rig.count("connections") >= 2)
+            flying.cancel()
+        assert rig.count("commands_accepted") <= 10 * rig.count("connections")
+        assert flight.late_s < 0.3
+
+
+async def test_events_that_the_broker_forbids_are_kept(broker: Broker, tmp_path: Path) -> None:
+    async with running(broker.settings("mute"), tmp_path / "spool") as rig:
+        await until(lambda: rig.count("events_refused") >= 1)
+        assert rig.count("events_delivered") == 0
+        assert rig.count("connections") == 1
+    consumer = Consumer(broker, 1)
+    async with asyncio.TaskGroup() as group:
+        consuming = group.create_task(consumer.run())
+        await consumer.listening.wait()
+        async with running(broker.settings(), tmp_path / "spool", session="allowed") as rig:
+            rig.part.tell(happening(rig.clock.now(), "number 0"))
+            await consumer.done.wait()
+        consuming.cancel()
+    assert [e.session for e in consumer.others[:1]] == [SESSION]
+
+
+async def test_a_client_certificate_where_one_is_required(broker: Broker, tmp_path: Path) -> None:
+    broker.stop()
+    broker.require_certificate = True
+    broker.write_files()
+    broker.start()
+    rig, _ = await flown(broker.settings(), tmp_path / "none", 0.4)
+    assert rig.count("connections") == 0
+    folder = broker.certificates
+    settings = broker.settings(certificate_file=str(folder / "client.crt"), key_file=str(folder / "client.key"))
+    rig, _ = await flown(settings, tmp_path / "with", 0.4)
+    assert rig.count("connections") == 1
+
+
+async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> None:
+    async with running(broker.settings(protocol="3.1.1"), tmp_path / "spool") as rig, broker.ground() as ground:
+        await until(lambda: rig.count("connections") == 1)
+        await ground.subscribe("decklander/v1/deck/reply", qos=1)
+        command = {"command": "start", "id": "a", "session": SESSION, "expires_ns": rig.clock.now() + 10**9}
+        await ground.say("decklander/v1/deck/command", json.dumps(command).encode(), qos=1)
+        async with asyncio.timeout(3):
+            assert b'"accepted":true' in (await anext(ground.heard())).payload
+        assert rig.operator.done == ["start"]

@@ -1,0 +1,290 @@
+"""The wire without sockets: any bytes are a command or a refusal, every message reads back, changes become events once."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.health import Health
+from companion.mqtt import access, encode, messages
+from companion.mqtt.commands import FARTHEST_S, LONGEST_BYTES, Desk
+from companion.mqtt.happenings import Changes
+from companion.mqtt.messages import PUBLISHED, decode
+from companion.mqtt.settings import MqttSettings
+from companion.mqtt.topics import Topics, split
+from companion.observer import FrameSeen
+from estimator.contracts.commands import Hover, Land, TakeOff
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.look import Look
+from tests.companion.mqtt.rig import SESSION, FakeOperator, decision, status
+
+ROOT = Path(__file__).parents[3]
+NOW = MonoNs(5_000_000_000)
+GOOD: dict[str, Any] = {"command": "start", "id": "a", "session": SESSION, "expires_ns": NOW + 1}
+
+
+def desk() -> Desk:
+    return Desk(Topics("deck"), SESSION, FakeOperator())
+
+
+def command(**changes: object) -> bytes:
+    fields = {key: value for key, value in {**GOOD, **changes}.items() if value is not ...}
+    return json.dumps(fields).encode()
+
+
+@pytest.mark.parametrize(
+    ("payload", "retained", "reason", "text"),
+    [
+        (b"", False, "malformed", "truncated"),
+        (b"start", False, "malformed", "malformed"),
+        (command(command="fly"), False, "malformed", "'fly'"),
+        (command(command=...), False, "malformed", "command"),
+        (command(id=...), False, "malformed", "id"),
+        (command(id=""), False, "malformed", "length"),
+        (command(session=...), False, "malformed", "session"),
+        (command(expires_ns=...), False, "malformed", "expires_ns"),
+        (command(expires_ns=1.5), False, "malformed", "int"),
+        (command(speed=3), False, "malformed", "speed"),
+        (command(command="path", path="luck"), False, "malformed", "luck"),
+        (command(command="record", on="yes"), False, "malformed", "bool"),
+        (command(id="x" * 65), False, "malformed", "64"),
+        (b" " * (LONGEST_BYTES + 1), False, "too_long", "4097 bytes"),
+        (command(), True, "retained", "retained"),
+        (command(session="other"), False, "other_session", SESSION),
+        (command(expires_ns=NOW - 2_000_000_000), False, "expired", "2 s after"),
+        (command(expires_ns=NOW + round((FARTHEST_S + 1) * 1e9)), False, "expiry_too_far", "60 s"),
+        (command(reply_to="decklander/v1/other/reply"), False, "reply_elsewhere", "decklander/v1/deck/reply"),
+        (command(reply_to="decklander/v1/deck/reply/a/b"), False, "reply_elsewhere", "reply"),
+        (command(reply_to="decklander/v1/deck/reply/#"), False, "reply_elsewhere", "reply"),
+    ],
+)
+def test_a_refusal_has_a_reason_in_a_word_and_in_words(payload: bytes, retained: bool, reason: str, text: str) -> None:
+    at = desk()
+    judged = at.take(payload, NOW, retained=retained)
+    assert (judged.reply.accepted, judged.reply.reason) == (False, reason)
+    assert text in judged.reply.text
+    assert judged.topic == "decklander/v1/deck/reply"
+    assert at.operated.done == []  # type: ignore[attr-defined]
+    assert at.counts == {reason: 1}
+
+
+def test_a_malformed_command_is_answered_by_its_id_where_that_can_be_read() -> None:
+    assert desk().take(command(command="fly", id="b7"), NOW).reply.id == "b7"
+    assert desk().take(b'{"id": 7}', NOW).reply.id is None
+
+
+def test_a_repeated_command_gets_the_first_answer_even_after_it_expired() -> None:
+    at = desk()
+    first = at.take(command(command="abort"), NOW)
+    again = at.take(command(command="abort"), MonoNs(NOW + 10**10))
+    assert first.reply.accepted
+    assert again.reply == first.reply
+    assert again.repeated
+    assert at.operated.done == ["abort"]  # type: ignore[attr-defined]
+
+
+def test_the_response_topic_of_mqtt_5_serves_where_the_command_names_none() -> None:
+    there = "decklander/v1/deck/reply/tablet"
+    assert desk().take(command(), NOW, reply_to=there).topic == there
+    assert desk().take(command(), NOW, reply_to="home/lights").reply.reason == "reply_elsewhere"
+
+
+@given(
+    st.binary(max_size=80)
+    | st.text(max_size=80).map(str.encode)
+    | st.dictionaries(
+        st.sampled_from([*GOOD, "path", "on", "reply_to", "x"]),
+        st.none() | st.booleans() | st.integers() | st.text(max_size=8) | st.sampled_from(list(GOOD.values())),
+    ).map(lambda d: json.dumps({**GOOD, **d}).encode())
+)
+@settings(deadline=None, max_examples=300)
+def test_any_bytes_are_a_command_or_a_refusal(payload: bytes) -> None:
+    at = desk()
+    judged = at.take(payload, NOW)
+    assert judged.reply.accepted == (judged.reply.reason is None) == bool(at.operated.done)  # type: ignore[attr-defined]
+    assert isinstance(decode("reply", messages.encode(judged.reply)), messages.Reply)
+    for leaf in PUBLISHED:
+        decode(leaf, payload)
+
+
+def seen(at: MonoNs, found: bool) -> FrameSeen:
+    stamp = Stamp(MonoNs(at - 30_000_000), at, 0.001, "sim")
+    frame = Frame(stamp, 7, np.zeros((4, 6, 3), np.uint8))
+    cov = np.diag([0.1, 0.2, 0.3, 0.4])
+    one = Sighting(stamp, 7, "selected", np.array([1.0, 2.0, 3.0]), 0.5, True, cov, 0.9) if found else None
+    look = Look(one, "ellipse" if found else None, MappingProxyType({"ellipse": one, "arrow": None}))
+    return FrameSeen(frame, None, look, Verdict.FUSED if found else Verdict.NO_PAD, at, MonoNs(at + 5_000_000))
+
+
+def test_a_frame_reads_back_as_what_was_seen() -> None:
+    said = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, True))))
+    assert isinstance(said, messages.Sighting)
+    assert (said.at_ns, said.taken_ns, said.sequence, said.verdict, said.chosen) == (
+        NOW + 5_000_000, NOW - 30_000_000, 7, "fused", "ellipse",
+    )  # fmt: skip
+    assert said.selected is not None
+    assert said.selected.d_body_pad_level_m == (1.0, 2.0, 3.0)
+    assert (said.selected.yaw_rad, said.selected.yaw_ambiguous, said.selected.confidence) == (0.5, True, 0.9)
+    assert said.selected.cov[::5] == (0.1, 0.2, 0.3, 0.4)
+    assert said.methods["arrow"] is None
+    nothing = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, False))))
+    assert isinstance(nothing, messages.Sighting)
+    assert nothing.selected is None
+
+
+@pytest.mark.parametrize(("given", "kind"), [(Hover(), "hover"), (Land(), "land"), (TakeOff(), "takeoff")])
+def test_what_was_ordered_has_a_name(given: Hover | Land | TakeOff, kind: str) -> None:
+    said = encode.state(SESSION, decision(NOW, command=given), status(MonoNs(NOW - 250_000_000)))
+    assert said.order is not None
+    assert said.order.kind == kind
+    assert said.vehicle is not None
+    assert said.vehicle.age_s == pytest.approx(0.25)
+    assert decode("state", messages.encode(said)) == said
+    silent = encode.state(SESSION, replace(decision(NOW), command=None, belief=None), None)
+    assert (silent.order, silent.belief, silent.vehicle) == (None, None, None)
+
+
+def test_health_reads_back() -> None:
+    class Clock:
+        t = 0
+
+        def now(self) -> MonoNs:
+            return MonoNs(self.t)
+
+        async def sleep(self, seconds: float) -> None: ...
+
+    clock = Clock()
+    health = Health(clock)
+    health.up("vehicle")
+    health.down("camera", OSError("unplugged"))
+    health.frame(Verdict.FUSED)
+    health.input("Imu", Verdict.TOO_OLD)
+    health.counters("mqtt", lambda: {"sent": 3, "odd": math.nan})
+    for _ in range(11):
+        clock.t += 100_000_000
+        health.beat("Frame")
+        health.delay("vision", 0.004)
+    said = encode.health(SESSION, health.snapshot())
+    assert decode("health", messages.encode(said)) == said
+    assert not said.all_up
+    assert said.parts["camera"].last_error == "unplugged"
+    assert said.flows["Frame"].rate_hz == pytest.approx(10.0)
+    assert said.stages["vision"].p99_s == 0.004
+    assert (said.frames, said.inputs, said.counters) == ({"fused": 1}, {"Imu": {"too_old": 1}}, {"mqtt": {"sent": 3.0}})
+    clock.t += 10_000_000_000
+    later = health.snapshot().flows["Frame"]
+    assert later.age_s == pytest.approx(10.0)
+    assert later.rate_hz is not None
+    assert later.rate_hz < 1.0
+
+
+def test_changes_are_told_once() -> None:
+    changes = Changes()
+    assert [h.text for h in changes.decision(decision(NOW, "approach"))] == ["approach"]
+    assert changes.decision(decision(NOW, "approach")) == []
+    (down,) = changes.decision(decision(NOW, "descend"))
+    assert down.data["from"] == "approach"
+    assert down.data["height_m"] == 2.0
+    assert [h.text for h in changes.vehicle(status(NOW))] == ["vehicle is flying"]
+    assert changes.vehicle(status(NOW)) == []
+    assert [h.text for h in changes.vehicle(status(NOW, battery=0.19))] == ["battery at 19 %"]
+    assert changes.vehicle(status(NOW, battery=0.1)) == []
+    assert [h.text for h in changes.vehicle(status(NOW, "emergency", 0.1, True))] == [
+        "vehicle is emergency",
+        "emergency: motors cut",
+    ]
+
+
+def test_the_pad_is_lost_after_a_second_without_it_not_after_one_frame() -> None:
+    changes = Changes()
+    told = []
+    for k, found in enumerate([False, True, False, True] + [False] * 40 + [True]):
+        told += [(k, h.text) for h in changes.frame(seen(MonoNs(NOW + k * 33_000_000), found))]
+    assert told == [(1, "pad in sight"), (34, "pad out of sight"), (44, "pad in sight")]
+
+
+def test_topics_are_one_subtree_a_drone() -> None:
+    topics = Topics("deck")
+    assert topics.event == "decklander/v1/deck/event"
+    assert split(topics.state) == ("deck", "state")
+    assert split("decklander/v1/deck/reply/x") == ("deck", "reply/x")
+    for other in ("decklander/v2/deck/state", "decklander/v1/deck", "a/b/c/d", "decklander/v1/ü/state"):
+        assert split(other) is None
+    for bad in ("", "a/b", "+", "#", "x" * 65, "a\n"):
+        with pytest.raises(ValueError, match="not a name"):
+            Topics(bad)
+
+
+def test_secrets_come_from_files_or_credentials(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    file = tmp_path / "secret"
+    file.write_text("hush\r\n")
+    file.chmod(0o600)
+    assert access.password(MqttSettings(user="u", password_file=str(file))) == "hush"
+    assert access.password(MqttSettings()) is None
+    assert not caplog.messages
+    file.chmod(0o644)
+    assert access.password(MqttSettings(user="u", password_file=str(file))) == "hush"
+    assert "can be read by everyone" in caplog.text
+    assert access.find("credential:mqtt", {"CREDENTIALS_DIRECTORY": "/run/x"}) == Path("/run/x/mqtt")
+    for reference, environment in (
+        ("credential:mqtt", {}),
+        ("credential:", {"CREDENTIALS_DIRECTORY": "/x"}),
+        ("credential:../a", {"CREDENTIALS_DIRECTORY": "/x"}),
+    ):
+        with pytest.raises(BadInput, match="mqtt: 'credential:"):
+            access.find(reference, environment)
+    file.write_text("\n")
+    with pytest.raises(BadInput, match="is empty"):
+        access.password(MqttSettings(user="u", password_file=str(file)))
+    file.write_bytes(b"\xff")
+    with pytest.raises(BadInput, match="not text"):
+        access.password(MqttSettings(user="u", password_file=str(file)))
+    with pytest.raises(BadInput, match="No such file"):
+        access.password(MqttSettings(user="u", password_file=str(tmp_path / "none")))
+
+
+def test_certificates_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    junk = tmp_path / "junk.pem"
+    junk.write_text("nothing")
+    for changes, said in (
+        ({"ca_file": str(junk)}, r"mqtt\.ca_file: .*junk\.pem"),
+        ({"ca_file": str(tmp_path / "none")}, "No such file"),
+        ({"certificate_file": str(junk), "key_file": str(junk)}, r"mqtt\.certificate_file, key_file: .*junk\.pem"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            access.tls_context(MqttSettings(transport="tls", **changes))  # type: ignore[arg-type]
+    assert access.tls_context(MqttSettings(transport="tcp")) is None
+
+
+def test_the_spool_is_where_it_is_set_else_where_systemd_says_else_nowhere() -> None:
+    assert access.spool_folder(MqttSettings(spool="/a"), {"STATE_DIRECTORY": "/b"}) == Path("/a")
+    assert access.spool_folder(MqttSettings(), {"STATE_DIRECTORY": "/b:/c"}) == Path("/b/mqtt")
+    assert access.spool_folder(MqttSettings(), {}) is None
+
+
+def test_the_page_holds_the_schema_and_its_examples_are_good() -> None:
+    page = (ROOT / "docs/mqtt.md").read_text()
+    assert messages.schema() in page, "run: python -m companion.mqtt.messages"
+    blocks = [block.split("```")[0] for block in page.split("```json\n")[1:]]
+    examples = [json.loads(block) for block in blocks if "$schema" not in block]
+    commands = [e for e in examples if "command" in e and "expires_ns" in e]
+    said = [e for e in examples if e not in commands]
+    for example in commands:
+        msgspec.convert(example, messages.Command)
+    assert len(said) >= len(PUBLISHED)
+    fitting = [{leaf for leaf in PUBLISHED if decode(leaf, json.dumps(e).encode()) is not None} for e in said]
+    assert all(len(leaves) == 1 for leaves in fitting), fitting
+    assert set.union(*fitting) == set(PUBLISHED)

@@ -1,0 +1,182 @@
+"""Calibration on pictures rendered by a known camera: what is recovered, what is refused and in which words."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from companion.calibrate import judge
+from companion.calibrate.board import Board
+from companion.calibrate.gather import look_at, watch
+from companion.calibrate.solve import solve
+from companion.calibrate.views import Collection, View
+from companion.cli.main import main
+from drivers.video_source_options import StreamOptions, V4l2Options
+from estimator.contracts.errors import BadInput, Recoverable
+from estimator.vision.camera import Camera
+from tests.companion.calibration_pictures import Studio, good_round, lens
+
+CHARUCO = Board()
+CHESSBOARD = Board("chessboard", 8, 5, 0.025)
+BENT = lens(480, 320, 350.0, (-0.14, 0.07, 0.0009, -0.0006, 0.0))
+STRAIGHT = lens(480, 320, 390.0, (0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Pictures of a good round, by board."""
+    out = {}
+    for board, camera, distance_m, inset, middle in (
+        (CHARUCO, BENT, 0.30, (0.14, 0.2), 0.65),
+        (CHESSBOARD, STRAIGHT, 0.70, (0.15, 0.22), 0.5),
+    ):
+        folder = out[board.kind] = tmp_path_factory.mktemp(board.kind)
+        for i, px in enumerate(good_round(Studio(camera, board), distance_m, inset, middle)):
+            cv2.imwrite(str(folder / f"{i:02d}.png"), px)
+    return out
+
+
+def worst_px(found: Camera, true: Camera) -> float:
+    """Largest distance between where both see the same directions, all over the picture."""
+    u, v = np.meshgrid(np.linspace(0, true.width - 1, 25), np.linspace(0, true.height - 1, 17))
+    uv = np.stack([u.ravel(), v.ravel()], axis=1)
+    rays = np.concatenate([true.rays(uv), np.ones((len(uv), 1))], axis=1)
+    return float(np.linalg.norm(found.project(rays) - uv, axis=1).max())
+
+
+@pytest.mark.parametrize(
+    ("kind", "true", "more"),
+    [("charuco", BENT, []), ("chessboard", STRAIGHT, ["--board", "chessboard", "--squares", "8x5"])],
+)
+def test_a_known_camera_is_recovered(
+    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, true: Camera, more: list[str]
+) -> None:
+    out = tmp_path / "camera.toml"
+    figures = tmp_path / "figures"
+    code = main(
+        ["calibrate", "camera", str(folders[kind]), "--out", str(out), "--figures", str(figures), "--json",
+         "--position-m", "0.1,0,0.02", *more]
+    )  # fmt: skip
+    said = json.loads(capsys.readouterr().out)
+    assert said["missing"] == []
+    assert (code, said["good"], said["views"]) == (0, True, 15)
+    found = Camera.from_mapping(tomllib.loads(out.read_text()))
+    assert (found.width, found.height) == (true.width, true.height)
+    assert found.fx == pytest.approx(true.fx, rel=3e-3)
+    assert found.fy == pytest.approx(true.fy, rel=3e-3)
+    assert abs(found.cx - true.cx) < 1.5
+    assert abs(found.cy - true.cy) < 1.5
+    for value, truth, sigma in zip((found.fx, found.fy), (true.fx, true.fy), said["sigma_fx_fy_cx_cy"][:2], strict=True):
+        assert abs(value - truth) < 6 * sigma
+    assert worst_px(found, true) < 1.0
+    assert said["rms_px"] < 0.15
+    assert np.allclose(found.T_body_cam.t, (0.1, 0.0, 0.02))
+    for name in ("coverage.png", "residuals.png"):
+        assert cv2.imread(str(figures / name)) is not None
+
+
+def test_a_poor_set_is_refused_and_told_what_it_lacks(
+    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "camera.toml"
+    few = [str(folders["charuco"] / f"{i:02d}.png") for i in (0, 1, 2, 3, 4, 5)]
+    assert main(["calibrate", "camera", *few, "--out", str(out)]) == 1
+    said = capsys.readouterr().out
+    assert "4 more views (6 of 10)" in said
+    assert "the board closer into the bottom right corner" in said
+    assert "the board closer into the top left corner" not in said
+    assert not out.exists()
+
+
+def test_views_without_tilt_are_refused_for_it() -> None:
+    studio = Studio(STRAIGHT, CHARUCO)
+    collection = Collection(CHARUCO, moving=False)
+    for i, (x, y) in enumerate([(0.5, 0.5), (0.2, 0.3), (0.8, 0.3), (0.2, 0.7), (0.8, 0.7)]):
+        collection.add(f"{i}", studio.aim((x * 480, y * 320), 0.35 + 0.01 * i, (0.0, 2.0, 9.0 * i)))
+    assert collection.size == (480, 320)
+    lacks = judge.missing(solve(collection.views, CHARUCO, collection.size), collection.size)
+    assert sum("tilted by 15 degrees" in lack for lack in lacks) == 2
+
+
+def test_a_view_that_contradicts_the_others_is_left_out(folders: dict[str, Path]) -> None:
+    collection = Collection(CHARUCO, moving=False)
+    for file in sorted(folders["charuco"].iterdir()):
+        collection.add(file.name, cv2.imread(str(file)))
+    views = list(collection.views)
+    bent = views[4]
+    wave = np.stack([4 * np.sin(bent.uv_px[:, 1] / 9), np.zeros(len(bent.ids))], axis=1)
+    views[4] = View(bent.name, bent.ids, bent.uv_px + wave)
+    solution = solve(views, CHARUCO, (480, 320))
+    assert [f.view.name for f in solution.left_out] == [bent.name]
+    assert worst_px(solution.camera, BENT) < 1.0
+
+
+def test_of_a_video_only_still_and_new_views_are_taken(tmp_path: Path) -> None:
+    studio = Studio(STRAIGHT, CHARUCO)
+    still = [studio.aim((x, 160), 0.35, (10.0, 20.0, 0.0)) for x in (160.0, 300.0)]
+    moving = [studio.aim((x, 160), 0.35, (10.0, 20.0, 0.0)) for x in (200.0, 230.0, 265.0)]
+    path = tmp_path / "board.mkv"
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("ffv1", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 480, 320, "gray"
+        for px in [*[still[0]] * 5, *moving, *[still[1]] * 5]:
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="gray")))
+        out.mux(stream.encode(None))
+    collection = Collection(CHARUCO, moving=True)
+    look_at(path, collection, lambda c: None)
+    assert (collection.looked, len(collection.views)) == (13, 2)
+    assert collection.repeated == 11
+
+
+async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, Path], tmp_path: Path) -> None:
+    path = tmp_path / "live.mkv"
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("ffv1", rate=20)
+        stream.width, stream.height, stream.pix_fmt = 480, 320, "gray"
+        for name in ("00.png", "04.png", "08.png"):
+            px = cv2.imread(str(folders["charuco"] / name), cv2.IMREAD_GRAYSCALE)
+            for _ in range(20):
+                out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="gray")))
+        out.mux(stream.encode(None))
+    collection = Collection(CHARUCO, moving=True)
+    await watch(StreamOptions(str(path), repeat=True), collection, lambda c: None, timeout_s=3.5)
+    assert len(collection.views) == 3
+    assert collection.looked >= 6
+    absent = V4l2Options("/dev/v4l/by-id/no-such-camera", 480, 320)
+    with pytest.raises(Recoverable, match="no such camera"):
+        await watch(absent, collection, lambda c: None, timeout_s=1.0, first_s=0.2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--squares", "7by10"], "--squares"),
+        (["--marker-mm", "24.9"], "markers must be"),
+        (["--board", "chessboard", "--squares", "7x9"], "has no up"),
+        (["--rpy-deg", "0,0"], "--rpy-deg"),
+        (["--out", "none/such/camera.toml"], "--out"),
+        (["--device", "cam"], "either pictures and videos, or --device"),
+    ],
+)
+def test_wrong_use_is_one_line(
+    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    assert main(["calibrate", "camera", str(folders["charuco"]), "--out", str(tmp_path / "c.toml"), *arguments]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_pictures_of_two_sizes_and_pictures_that_are_none_are_named(tmp_path: Path) -> None:
+    collection = Collection(CHARUCO, moving=False)
+    collection.add("a", np.zeros((64, 64), np.uint8))
+    with pytest.raises(BadInput, match="b: 64x32 px"):
+        collection.add("b", np.zeros((32, 64), np.uint8))
+    (tmp_path / "x.png").write_text("none")
+    assert main(["calibrate", "camera", str(tmp_path), "--out", str(tmp_path / "c.toml")]) == 2

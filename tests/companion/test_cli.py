@@ -1,0 +1,153 @@
+"""The command line: exit codes, one line on stderr, and nothing imported that was not asked for."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tomllib
+from importlib import import_module, metadata
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from companion.cli import main as cli
+from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible
+
+ROOT = Path(__file__).parents[2]
+
+
+def decklander(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "companion.cli.main", *words], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """A subcommand `probe` whose `run` a test sets."""
+
+    def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+        subparsers.add_parser("probe").add_argument("--count", type=int, default=0)
+
+    module = SimpleNamespace(add_parser=add_parser, run=lambda args: args.count)
+    monkeypatch.setitem(cli.COMMANDS, "probe", ("probe", "a probe"))
+    monkeypatch.setattr(cli.importlib, "import_module", {"probe": module}.__getitem__)
+    return module
+
+
+def raising(error: BaseException) -> object:
+    def run(_: argparse.Namespace) -> int:
+        raise error
+
+    return run
+
+
+@pytest.mark.parametrize("name", list(cli.COMMANDS))
+def test_every_command_has_a_parser_and_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert callable(import_module(cli.COMMANDS[name][0]).run)
+    with pytest.raises(SystemExit) as ended:
+        cli.main([name, "--help"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith(f"usage: decklander {name}")
+
+
+def test_help_lists_the_commands_without_importing_any_of_them() -> None:
+    probe = (
+        "import sys\nfrom companion.cli.main import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit as ended:\n    assert ended.code == 0\n"
+        "print(sorted({'numpy', 'cv2', 'av', 'msgspec', 'asyncio', 'matplotlib'} & set(sys.modules)))\n"
+        "print([m for m in sys.modules if m.startswith('companion.cli.') and m != 'companion.cli.main'])"
+    )
+    done = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    assert all(name in done.stdout for name in cli.COMMANDS)
+    assert done.stdout.splitlines()[-2:] == ["[]", "[]"]
+
+
+def test_the_code_a_command_returns_is_the_exit_code(command: SimpleNamespace) -> None:
+    assert cli.main(["probe"]) == 0
+    assert cli.main(["probe", "--count", "1"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (BadInput("rig.toml: vision.threads\nmust be more"), 2, "decklander: rig.toml: vision.threads must be more\n"),
+        (SetupImpossible("no such device class"), 1, "decklander: no such device class\n"),
+        (Recoverable("the drone is gone"), 1, "decklander: the drone is gone\n"),
+        (ExceptionGroup("parts", [ExceptionGroup("inner", [BadInput("bad key")])]), 2, "decklander: bad key\n"),
+        (KeyboardInterrupt(), 130, ""),
+        (BaseExceptionGroup("parts", [KeyboardInterrupt(), ValueError("on the way out")]), 130, ""),
+    ],
+)
+def test_what_went_wrong_is_one_line_and_a_code(
+    command: SimpleNamespace, capsys: pytest.CaptureFixture[str], error: BaseException, code: int, said: str
+) -> None:
+    command.run = raising(error)
+    assert cli.main(["probe"]) == code
+    assert capsys.readouterr().err == said
+
+
+def test_a_bug_of_ours_is_not_hidden(command: SimpleNamespace) -> None:
+    command.run = raising(ZeroDivisionError("ours"))
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["probe"])
+    command.run = raising(ExceptionGroup("parts", [BadInput("x"), ZeroDivisionError("ours")]))
+    with pytest.raises(ExceptionGroup):
+        cli.main(["probe"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "say which command"),
+        (["demi"], "did you mean 'demo'?"),
+        (["zzz"], "known are demo, run"),
+        (["--nonsense"], "--nonsense"),
+        (["config"], "ACTION"),
+        (["config", "chekc", "x"], "chekc"),
+        (["config", "check"], "FILE"),
+    ],
+)
+def test_wrong_use_ends_with_two_and_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words)
+    err = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert err.count("\n") == 1
+    assert err.startswith("decklander")
+    assert said in err
+
+
+def test_config_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["config", "show", "sim"]) == 0
+    shown = tmp_path / "shown.toml"
+    shown.write_text(capsys.readouterr().out)
+    assert cli.main(["config", "check", "ardrone2", str(shown)]) == 0
+    assert capsys.readouterr().out == f"ardrone2: good\n{shown}: good\n"
+    assert cli.main(["config", "schema"]) == 0
+    assert capsys.readouterr().out.startswith("{")
+    shown.write_text(shown.read_text().replace("threads = 1", "threads = 1000"))
+    assert cli.main(["config", "check", "sim", str(shown)]) == 2
+    assert capsys.readouterr().err == (
+        f"decklander: {shown}: vision.threads must be a whole number from 1 to 64 threads, found 1000\n"
+    )
+
+
+def test_a_reader_that_went_away_is_no_traceback() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "companion.cli.main", "config", "schema"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(60) == 141
+
+
+def test_the_version_is_the_project_s() -> None:
+    if not list(metadata.Distribution.discover(name="decklander")):
+        pytest.skip("the project is not installed here; make test installs it")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert decklander("--version").stdout == f"decklander {project['version']}\n"

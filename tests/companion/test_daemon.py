@@ -1,0 +1,206 @@
+"""The service over a fake vehicle: every frame counted once, a lost link back alone, a bug loud, and always a hover left."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+
+import numpy as np
+import pytest
+
+from companion.daemon import Daemon, Link
+from companion.guidance.pid import Gains
+from companion.guidance.planner import Plan
+from companion.observer import Decision, FrameSeen, Silent
+from companion.pilot import Outcome, Pilot
+from companion.settings import camera_model, load, pad_model
+from companion.supervise import Restart
+from drivers.clock import SystemClock
+from drivers.mailbox import Latest, Line
+from estimator import pipeline
+from estimator.contracts.commands import Command, Hover
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
+from estimator.contracts.time import Stamp, after
+from estimator.vision.eyes import Eyes
+from estimator.vision.segmentation import COLOUR_SETS
+
+SIM = load("sim")
+EYES = Eyes(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
+CLOCK = SystemClock()
+SEA = np.full((360, 640, 3), (90, 60, 20), np.uint8)
+
+
+class FakeVehicle:
+    """What the daemon sees of a driver, and what it did to it."""
+
+    def __init__(self) -> None:
+        self.frames: Latest[Frame] = Latest()
+        self.samples: Line[Sample] = Line(1000)
+        self.commands: list[Command] = []
+        self.opened = 0
+        self.left_hovering = 0
+
+    def command(self, command: Command) -> None:
+        self.commands.append(command)
+
+    @asynccontextmanager
+    async def open(self) -> AsyncIterator[Link]:
+        self.opened += 1
+        self.frames, self.samples = Latest(), Line(1000)
+        try:
+            yield self
+        finally:
+            self.left_hovering += 1
+
+    def say(self, *, flying: bool) -> None:
+        now = CLOCK.now()
+        stamp = Stamp(now, now, 0.001, "sim")
+        self.samples.offer(VehicleStatus(stamp, flying, "hovering" if flying else "landed", 0.8, False, True))
+        self.samples.offer(Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3)))
+
+    def film(self, seq: int, px: np.ndarray = SEA, late_s: float = 0.02) -> None:
+        now = CLOCK.now()
+        self.frames.offer(Frame(Stamp(after(now, -late_s), now, 0.001, "sim"), seq, px.copy()))
+
+
+class Diary(Silent):
+    def __init__(self) -> None:
+        self.frames: list[FrameSeen] = []
+        self.decisions: list[Decision] = []
+
+    def on_frame(self, seen: FrameSeen) -> None:
+        self.frames.append(seen)
+
+    def on_decision(self, decision: Decision) -> None:
+        self.decisions.append(decision)
+
+
+def daemon_of(
+    open_link: Callable[[], AbstractAsyncContextManager[Link]], *, once: bool = False, diary: Silent | None = None
+) -> Daemon:
+    pilot = Pilot(EYES, pipeline.Options(), Plan.over_the_pad(), Gains(), land_timeout_s=5.0)
+    return Daemon(
+        open_link,
+        pilot,
+        CLOCK,
+        restart=Restart(0.01, 1.0, 0.01, 5.0),
+        guidance_rate_hz=50.0,
+        observers=[] if diary is None else [diary],
+        once=once,
+    )
+
+
+async def until(condition: Callable[[], bool], seconds: float = 5.0) -> None:
+    async with asyncio.timeout(seconds):
+        while not condition():  # noqa: ASYNC110 - the condition is about somebody else's state
+            await asyncio.sleep(0.005)
+
+
+async def test_every_frame_offered_ends_in_exactly_one_verdict() -> None:
+    vehicle, diary = FakeVehicle(), Diary()
+    daemon = daemon_of(vehicle.open, diary=diary)
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: vehicle.opened == 1)
+        vehicle.film(0)
+        await until(lambda: daemon.health.frames[Verdict.NO_ATTITUDE] == 1)
+        vehicle.say(flying=True)
+        vehicle.film(1, np.zeros((20, 20, 3), np.uint8))
+        await until(lambda: daemon.health.frames[Verdict.FAILED] == 1)
+        for seq in range(2, 60):
+            vehicle.say(flying=True)
+            vehicle.film(seq)
+            if seq % 3:
+                await asyncio.sleep(0.01)
+        await until(lambda: daemon.health.frames.total() == vehicle.frames.offered)
+        daemon.stop()
+    assert vehicle.frames.offered == 60
+    assert daemon.health.frames.total() == 60
+    assert daemon.health.frames[Verdict.REPLACED] == vehicle.frames.replaced > 0
+    assert daemon.health.frames[Verdict.NO_PAD] > 0
+    assert len(diary.frames) == 60 - vehicle.frames.replaced
+
+
+async def test_a_lost_vehicle_comes_back_alone_while_guidance_goes_on() -> None:
+    vehicle, diary = FakeVehicle(), Diary()
+    daemon = daemon_of(vehicle.open, diary=diary)
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: vehicle.opened == 1)
+        vehicle.samples.fail(Recoverable("unplugged"))
+        await until(lambda: vehicle.opened == 2)
+        rounds = len(diary.decisions)
+        vehicle.say(flying=True)
+        await until(lambda: len(diary.decisions) > rounds + 3 and Hover() in vehicle.commands)
+        daemon.stop()
+    assert daemon.health.parts["vehicle"].restarts == 1
+    assert daemon.health.parts["vehicle"].last_error == "unplugged"
+    assert daemon.health.parts["guidance"].restarts == 0
+
+
+async def test_a_vehicle_that_cannot_be_opened_is_tried_again() -> None:
+    tries = 0
+
+    @asynccontextmanager
+    async def refuse() -> AsyncIterator[Link]:
+        nonlocal tries
+        tries += 1
+        raise Recoverable("nobody there")
+        yield FakeVehicle()
+
+    daemon = daemon_of(refuse)
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: tries >= 3)
+        daemon.stop()
+    assert daemon.health.parts["vehicle"].restarts >= 2
+
+
+async def test_a_bug_of_ours_is_loud_and_leaves_the_vehicle_in_its_hover(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle = FakeVehicle()
+    daemon = daemon_of(vehicle.open)
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("ours")
+
+    monkeypatch.setattr(Pilot, "look", broken)
+
+    async def feed() -> None:
+        await until(lambda: vehicle.opened == 1)
+        vehicle.say(flying=True)
+        await asyncio.sleep(0.05)
+        vehicle.film(1)
+
+    with pytest.raises(ExceptionGroup) as caught:
+        async with asyncio.timeout(5):
+            await asyncio.gather(daemon.run(), feed())
+    assert caught.value.subgroup(ZeroDivisionError) is not None
+    assert vehicle.left_hovering == 1
+
+
+async def test_it_ends_with_the_flight_when_told_so() -> None:
+    vehicle = FakeVehicle()
+    daemon = daemon_of(vehicle.open, once=True)
+
+    async def feed() -> None:
+        await until(lambda: vehicle.opened == 1)
+        vehicle.say(flying=True)
+        await until(lambda: bool(vehicle.commands))
+        vehicle.say(flying=False)
+
+    async with asyncio.timeout(5):
+        outcome, _ = await asyncio.gather(daemon.run(), feed())
+    assert outcome is Outcome.LANDED_BY_OTHERS
+    assert vehicle.left_hovering == 1
+
+
+async def test_cancelling_it_closes_the_vehicle() -> None:
+    vehicle = FakeVehicle()
+    task = asyncio.ensure_future(daemon_of(vehicle.open).run())
+    await until(lambda: vehicle.opened == 1)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert vehicle.left_hovering == 1

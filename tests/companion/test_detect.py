@@ -1,0 +1,181 @@
+"""`decklander detect` on pictures, folders and videos; what it prints and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from companion.cli import main as cli
+from estimator.vision.pad import Pad
+from tests.estimator.vision.conftest import shipped_camera, shipped_pad
+from tests.estimator.vision.picture import Scene, picture
+
+KEYS = ["source", "index", "found", "confidence", "d_body_pad_level_m", "yaw_deg", "yaw_ambiguous", "cov", "method", "methods"]
+SCENE = Scene((0.35, -0.15, 1.4), math.radians(40.0), math.radians(3.0), math.radians(-2.0))
+
+
+@pytest.fixture(scope="module")
+def album(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two pictures of the pad, one of nothing, and a note that is no picture."""
+    folder = tmp_path_factory.mktemp("album")
+    camera, pad = shipped_camera("sim"), shipped_pad("thesis")
+    cv2.imwrite(str(folder / "a.png"), picture(SCENE, camera, pad, blur_px=0.6, noise=1.5).px)
+    cv2.imwrite(str(folder / "b.png"), picture(Scene((0.15, 0.0, 0.5)), camera, pad, blur_px=0.6).px)
+    cv2.imwrite(str(folder / "c.png"), np.full((360, 640, 3), 80, np.uint8))
+    (folder / "notes.txt").write_text("no picture\n")
+    return folder
+
+
+def detect(*words: str | Path) -> int:
+    return cli.main(["detect", *map(str, words)])
+
+
+def records(capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_one_object_a_frame_with_the_promised_keys(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert detect(album, "--camera", "sim", "--pad", "thesis", "--colours", "simulator", "--json") == 0
+    a, b, c = records(capsys)
+    for record in (a, b, c):
+        assert [key for key in record if key in (*KEYS, "elapsed_ms")] == [*KEYS, "elapsed_ms"]
+        assert isinstance(record["methods"], dict)
+        assert list(record["methods"]) == ["ellipse", "arrow", "corners", "registration"]
+        assert isinstance(record["elapsed_ms"], float)
+        assert record["elapsed_ms"] > 0
+    assert [Path(str(r["source"])).name for r in (a, b, c)] == ["a.png", "b.png", "c.png"]
+    assert [r["found"] for r in (a, b, c)] == [True, True, False]
+    assert a["method"] == b["method"] == "fused"
+    assert all(a["methods"][name] is not None for name in ("arrow", "registration"))  # type: ignore[index]
+    assert a["yaw_deg"] == pytest.approx(40.0, abs=4.0)
+    assert len(a["cov"]) == 16  # type: ignore[arg-type]
+    assert np.allclose(np.reshape(a["cov"], (4, 4)), np.reshape(a["cov"], (4, 4)).T)  # type: ignore[call-overload]
+    assert a["methods"]["ellipse"]["yaw_deg"] is None  # type: ignore[index]
+    assert b["methods"]["corners"]["yaw_ambiguous"] is True  # type: ignore[index]
+    assert (c["d_body_pad_level_m"], c["yaw_deg"], c["cov"], c["method"], c["confidence"]) == (None, None, None, None, 0.0)
+    assert set(c["methods"].values()) == {None}  # type: ignore[attr-defined]
+
+
+def test_attitudes_take_the_tilt_out(album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """3 and 2 degrees move the pad by 9 cm at 1.4 m. Without attitude the drawing's slant tells most; the covariance holds."""
+    table = tmp_path / "attitude.csv"
+    table.write_text("source,roll_deg,pitch_deg\na.png, 3.0, -2.0\n")
+    common = (album / "a.png", "--camera", "sim", "--colours", "simulator", "--json")
+    assert detect(*common, "--attitude", table, "--attitude-sigma-deg", "0.1") == 0
+    assert detect(*common) == 0
+    told, assumed = records(capsys)
+    true = np.array(SCENE.d_body_pad_level)
+    d_told, d_assumed = np.array(told["d_body_pad_level_m"]), np.array(assumed["d_body_pad_level_m"])
+    assert np.linalg.norm(d_told - true) < 0.006
+    assert np.linalg.norm(d_told - true) < np.linalg.norm(d_assumed - true) < 0.09
+    cov = np.reshape(assumed["cov"], (4, 4))[:3, :3]  # type: ignore[call-overload]
+    assert (d_assumed - true) @ np.linalg.solve(cov, d_assumed - true) < 11.3
+
+
+def test_a_video_is_read_frame_by_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    camera, pad = shipped_camera("sim"), shipped_pad("thesis")
+    path = tmp_path / "flight.mp4"
+    heights = [1.5, 1.4, 1.3, 1.2]
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 640, 360, "yuv420p"
+        stream.options = {"crf": "16", "preset": "ultrafast"}
+        for z in heights:
+            px = picture(Scene((0.15, 0.0, z), 0.4), camera, pad, blur_px=0.6).px
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="bgr24")))
+        out.mux(stream.encode())
+    assert detect(path, "--camera", "sim", "--json", "--colours", "simulator") == 0
+    seen = records(capsys)
+    assert [r["index"] for r in seen] == [0, 1, 2, 3]
+    down = [r["d_body_pad_level_m"][2] for r in seen if r["found"]]  # type: ignore[index]
+    assert down == pytest.approx(heights, rel=0.02)
+
+
+def test_lines_for_people_and_pictures_of_what_was_seen(album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drawn = tmp_path / "drawn" / "here"
+    assert detect(album, "--camera", "sim", "--annotate", drawn) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split()[:2] == ["source", "method"]
+    assert lines[1].split()[:2] == ["a.png", "fused"]
+    assert lines[3].split()[:2] == ["c.png", "nothing"]
+    assert lines[-1] == "found in 2 of 3 frames"
+    names = sorted(p.name for p in drawn.iterdir())
+    assert names == ["a_00000.png", "b_00000.png", "c_00000.png"]
+    plain, inked = cv2.imread(str(album / "a.png")), cv2.imread(str(drawn / "a_00000.png"))
+    assert plain is not None
+    assert inked is not None
+    enlarged = cv2.resize(plain, (1280, 720), interpolation=cv2.INTER_NEAREST)
+    assert 200 < np.count_nonzero(np.any(inked[:720] != enlarged, axis=2)) < 40_000
+
+
+def test_nothing_found_is_exit_code_one(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert detect(album / "c.png", "--camera", "sim") == 1
+    assert "found in 0 of 1 frames" in capsys.readouterr().out
+
+
+def test_a_broken_picture_is_named_and_the_others_are_done(
+    album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "torn.jpg"
+    broken.write_bytes(b"\xff\xd8\xff\xe0 torn")
+    assert detect(broken, album / "a.png", "--camera", "sim", "--json") == 2
+    out, err = capsys.readouterr()
+    assert len(out.splitlines()) == 1
+    assert len(err.splitlines()) == 1
+    assert "torn.jpg" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["gone.png", "--camera", "sim"], "gone.png"),
+        (["{album}/a.png", "--camera", "gone"], "gone"),
+        (["{album}/a.png", "--camera", "ardrone2_bottom", "--pad", "gone"], "gone"),
+        (["{album}/a.png", "--camera", "{bad}"], "'cx'"),
+        (["{album}/a.png", "--camera", "{small}"], "640x360 px"),
+        (["{empty}", "--camera", "sim"], "no picture or video"),
+        (["{album}/notes.txt", "--camera", "sim"], "notes.txt"),
+        (["{album}/a.png", "--camera", "sim", "--attitude", "gone.csv"], "gone.csv"),
+        (["{album}/a.png", "--camera", "sim", "--attitude", "{headless}"], "source,roll_deg,pitch_deg"),
+        (["{album}/a.png", "--camera", "sim", "--attitude", "{words}"], "line 2: roll_deg"),
+        (["{album}/a.png", "--camera", "sim", "--attitude", "{other}"], "no row is of any"),
+        (["{album}/a.png", "--camera", "sim", "--attitude", "{twice}"], "line 3"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_two(
+    words: list[str], named: str, album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {"bad": "width = 640\nheight = 360\n", "small": "width=320\nheight=180\nfx=187\nfy=187\ncx=159.5\ncy=89.5\n"}
+    tables = {"headless": "a.png,1,2\n", "words": "flat", "other": "z.png,1,2\n", "twice": "a.png,1,2\na.png,1,2\n"}
+    places = {"album": str(album), "empty": str(tmp_path / "empty")}
+    (tmp_path / "empty").mkdir()
+    for name, text in files.items():
+        places[name] = str(tmp_path / f"{name}.toml")
+        Path(places[name]).write_text(text)
+    for name, text in tables.items():
+        places[name] = str(tmp_path / f"{name}.csv")
+        rows = {"headless": text, "words": "source,roll_deg,pitch_deg\na.png,flat,0\n"}.get(
+            name, "source,roll_deg,pitch_deg\n" + text
+        )
+        Path(places[name]).write_text(rows)
+    assert detect(*(word.format(**places) for word in words)) == 2
+    err = capsys.readouterr().err
+    assert len(err.splitlines()) == 1
+    assert err.startswith("decklander: ")
+    assert named in err
+
+
+def test_the_printed_pad_ships(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pad: Pad = shipped_pad("printed")
+    camera = shipped_camera("photos")
+    path = tmp_path / "printed.png"
+    cv2.imwrite(str(path), picture(Scene((0.1, 0.0, 1.5)), camera, pad, blur_px=0.7, noise=1.0).px)
+    assert detect(path, "--camera", "photos", "--pad", "printed", "--json") == 0
+    (record,) = records(capsys)
+    assert np.allclose(record["d_body_pad_level_m"], (0.1, 0.0, 1.5), atol=0.01)  # type: ignore[arg-type]

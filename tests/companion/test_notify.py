@@ -1,0 +1,218 @@
+"""What systemd is told, over a real datagram socket, by a daemon over a fake vehicle: pings stop with the pipeline."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from companion.daemon import Daemon
+from companion.guidance.pid import Gains
+from companion.guidance.planner import Plan
+from companion.health import Health
+from companion.metrics.endpoint import MetricsEndpoint
+from companion.metrics.settings import MetricsSettings
+from companion.notify import Manager, Pulse, watchdog_interval_s
+from companion.observer import Observer, Silent
+from companion.pilot import Pilot
+from companion.supervise import Restart
+from companion.vital import Patience, stuck
+from estimator import pipeline
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import MonoNs
+from tests.companion.test_daemon import CLOCK, EYES, FakeVehicle, until
+
+
+class Systemd:
+    """The other end of $NOTIFY_SOCKET."""
+
+    def __init__(self, path: str) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind("\0" + path[1:] if path.startswith("@") else path)
+        self.socket.setblocking(False)
+        self.heard: list[dict[str, str]] = []
+
+    def read(self) -> list[dict[str, str]]:
+        """Everything heard so far."""
+        while True:
+            try:
+                text = self.socket.recv(4096).decode()
+            except BlockingIOError:
+                return self.heard
+            self.heard.append(dict(line.split("=", 1) for line in text.splitlines()))
+
+    def pings(self) -> int:
+        return sum("WATCHDOG" in said for said in self.read())
+
+
+@pytest.fixture
+def systemd(tmp_path: Path) -> Iterator[Systemd]:
+    listening = Systemd(str(tmp_path / "notify"))
+    yield listening
+    listening.socket.close()
+
+
+def watched(
+    vehicle: FakeVehicle, pilot: Pilot, address: str, interval_s: float | None, more: tuple[Observer, ...] = ()
+) -> Daemon:
+    health = Health(CLOCK)
+    pulse = Pulse(Manager(address), health, CLOCK, lambda: bool(pilot.vehicle and pilot.vehicle.flying), interval_s)
+    return Daemon(
+        vehicle.open,
+        pilot,
+        CLOCK,
+        restart=Restart(0.01, 1.0, 0.01, 5.0),
+        guidance_rate_hz=50.0,
+        observers=(*more, pulse),
+        health=health,
+        extras={"manager": pulse.run},
+    )
+
+
+def pilot_of() -> Pilot:
+    return Pilot(EYES, pipeline.Options(), Plan.over_the_pad(), Gains(), land_timeout_s=5.0)
+
+
+async def test_ready_once_then_pings_then_stopping(systemd: Systemd) -> None:
+    daemon = watched(FakeVehicle(), pilot_of(), systemd.socket.getsockname(), 0.2)
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: systemd.pings() >= 4)
+        daemon.stop()
+    said = systemd.read()
+    assert said[0]["READY"] == "1"
+    assert sum("READY" in one for one in said) == 1
+    assert said[0]["STATUS"].startswith("waiting for the vehicle; 0 frames")
+    assert said[-1]["STOPPING"] == "1"
+
+
+async def test_without_a_watchdog_there_is_readiness_and_status_alone(systemd: Systemd) -> None:
+    daemon = watched(FakeVehicle(), pilot_of(), systemd.socket.getsockname(), None)
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: len(systemd.read()) >= 1)
+        daemon.stop()
+    assert "READY" in systemd.read()[0]
+    assert systemd.pings() == 0
+
+
+async def test_a_picture_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("companion.vital.Patience", lambda: Patience(frame_s=0.2))
+    vehicle, pilot, held = FakeVehicle(), pilot_of(), threading.Event()
+    look = pilot.look
+    monkeypatch.setattr(pilot, "look", lambda frame, attitude: (held.wait(10.0), look(frame, attitude))[1])
+    daemon = watched(vehicle, pilot, systemd.socket.getsockname(), 0.1)
+    try:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(daemon.run())
+            await until(lambda: vehicle.opened == 1 and systemd.pings() >= 3)
+            for _ in range(3):
+                vehicle.say(flying=True)
+                await asyncio.sleep(0.03)
+            vehicle.film(1)
+            await until(lambda: "vision has not been done" in systemd.read()[-1].get("STATUS", ""))
+            stopped_at, rounds = systemd.pings(), daemon.health.flows["Decision"].count
+            await asyncio.sleep(0.3)
+            assert systemd.pings() == stopped_at, "fed although vision is stuck"
+            assert daemon.health.flows["Decision"].count > rounds + 5, "guidance itself goes on"
+            held.set()
+            await until(lambda: systemd.pings() > stopped_at)
+            daemon.stop()
+    finally:
+        held.set()
+
+
+async def test_rounds_of_guidance_that_do_not_come_end_the_pings(systemd: Systemd) -> None:
+    gate = threading.Event()
+    gate.set()
+
+    class Blocking(Silent):
+        def on_decision(self, decision: object) -> None:
+            gate.wait(0.4)
+
+    daemon = watched(FakeVehicle(), pilot_of(), systemd.socket.getsockname(), 0.1, (Blocking(),))
+    async with asyncio.TaskGroup() as group:
+        group.create_task(daemon.run())
+        await until(lambda: systemd.pings() >= 3)
+        before = systemd.pings()
+        gate.clear()
+        await asyncio.sleep(0.05)
+        during = systemd.pings()
+        assert during - before <= 1, "one round in 0.4 s feeds at most once"
+        gate.set()
+        daemon.stop()
+
+
+def at_age(health: Health, flow: str, age_s: float) -> None:
+    health.beat(flow)
+    health.flows[flow]._recent[-1] = MonoNs(CLOCK.now() - round(age_s * 1e9))
+
+
+@pytest.mark.parametrize(
+    ("ages", "frames_done", "flying", "why"),
+    [
+        ({}, 0, False, "guidance has not begun"),
+        ({"Decision": 2.0}, 0, False, "guidance has decided nothing"),
+        ({"Decision": 0.0}, 0, False, None),
+        ({"Decision": 0.0, "Frame": 5.0}, 0, True, "vision has not been done"),
+        ({"Decision": 0.0, "Frame": 5.0}, 1, True, None),
+        ({"Decision": 0.0, "Frame": 0.1}, 0, True, None),
+        ({"Decision": 0.0, "Imu": 30.0}, 0, True, "no sample of the flying vehicle"),
+        ({"Decision": 0.0, "Imu": 30.0, "Attitude": 0.1}, 0, True, None),
+        ({"Decision": 0.0, "Imu": 30.0}, 0, False, None),
+    ],
+)
+def test_what_counts_as_stuck(ages: dict[str, float], frames_done: int, flying: bool, why: str | None) -> None:
+    health = Health(CLOCK)
+    for flow, age_s in ages.items():
+        at_age(health, flow, age_s)
+    for _ in range(frames_done):
+        health.frame(Verdict.NO_PAD)
+    health.frame(Verdict.REPLACED)
+    said = stuck(health.snapshot(), flying)
+    assert said is None if why is None else said is not None and said.startswith(why)
+
+
+def test_an_abstract_address_and_a_manager_that_is_gone(tmp_path: Path) -> None:
+    systemd = Systemd(f"@decklander-{tmp_path.name}-{id(tmp_path)}")
+    manager = Manager("@" + systemd.socket.getsockname()[1:].decode())
+    manager.say(STATUS="two\nlines", READY="1")
+    assert systemd.read() == [{"STATUS": "two lines", "READY": "1"}]
+    systemd.socket.close()
+    manager.say(WATCHDOG="1")
+    assert manager.lost == 1
+    manager.close()
+
+
+def test_the_environment_is_read_as_systemd_writes_it() -> None:
+    assert Manager.of({}) is None
+    with pytest.raises(BadInput, match="NOTIFY_SOCKET"):
+        Manager.of({"NOTIFY_SOCKET": "vsock:2:1234"})
+    assert watchdog_interval_s({}) is None
+    assert watchdog_interval_s({"WATCHDOG_USEC": "5000000", "WATCHDOG_PID": "7"}, pid=7) == 5.0
+    assert watchdog_interval_s({"WATCHDOG_USEC": "5000000", "WATCHDOG_PID": "8"}, pid=7) is None
+    for wrong in ("0", "-5", "soon", "1e6"):
+        with pytest.raises(BadInput, match="WATCHDOG_USEC"):
+            watchdog_interval_s({"WATCHDOG_USEC": wrong})
+
+
+async def test_the_health_check_of_a_container_sees_what_the_watchdog_sees() -> None:
+    health = Health(CLOCK)
+    health.up("guidance")
+    endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=0), health)
+    async with asyncio.TaskGroup() as group:
+        serving = group.create_task(endpoint.run())
+        await until(lambda: endpoint.port is not None)
+        async with aiohttp.ClientSession() as session:
+            for age_s, status in ((0.0, 200), (30.0, 503), (0.0, 200)):
+                at_age(health, "Decision", age_s)
+                async with session.get(f"http://127.0.0.1:{endpoint.port}/health") as answer:
+                    assert answer.status == status
+                    assert ("pipeline" in (await answer.json())["down"]) is (status == 503)
+        serving.cancel()

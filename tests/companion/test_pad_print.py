@@ -1,0 +1,164 @@
+"""Paper is true to scale: pages are rendered by another program, put together by their marks, and measured."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from companion.calibrate.board import Board
+from companion.cli.main import main
+from companion.print_pad.drawing import Disc, board_drawing, pad_drawing
+from companion.print_pad.sheets import RULER_MM, sheets
+from companion.settings import SHIPPED, read_toml
+from estimator.vision.pad import Pad
+
+PAD = Pad.from_mapping(read_toml(SHIPPED / "pads" / "thesis.toml"))
+DPI = 100
+PX_PER_MM = DPI / 25.4
+needs_poppler = pytest.mark.skipif(shutil.which("pdftoppm") is None, reason="pdftoppm is not installed (Debian: poppler-utils)")
+
+
+def rendered(pdf: Path) -> list[NDArray[np.uint8]]:
+    """Pages as (H, W, 3) BGR at `DPI`."""
+    subprocess.run(["pdftoppm", "-r", str(DPI), "-png", str(pdf), str(pdf.with_suffix(""))], check=True)
+    return [cv2.imread(str(p)) for p in sorted(pdf.parent.glob(f"{pdf.stem}-*.png"))]
+
+
+def near(px: NDArray[np.uint8], rgb: tuple[int, int, int]) -> NDArray[np.bool_]:
+    return np.abs(px.astype(int) - rgb[::-1]).max(axis=2) < 60
+
+
+@needs_poppler
+@pytest.mark.parametrize(("paper", "pages"), [("a4", 15), ("a3", 6), ("full", 1)])
+def test_the_sheets_put_together_are_the_pad_in_its_true_size(tmp_path: Path, paper: str, pages: int) -> None:
+    out = tmp_path / "pad.pdf"
+    assert main(["pad", "thesis", "--paper", paper, "--out", str(out)]) == 0
+    drawing = pad_drawing(PAD)
+    layout = sheets(drawing, paper)  # type: ignore[arg-type]
+    images = rendered(out)
+    assert len(images) == len(layout) <= pages
+    side = round(800 * PX_PER_MM)
+    whole = np.full((side, side, 3), 255, np.uint8)
+    for sheet, px in zip(layout, images, strict=True):
+        assert px.shape[:2] == pytest.approx((sheet.height_mm * PX_PER_MM, sheet.width_mm * PX_PER_MM), abs=1.0)
+        window = [sheet.left_mm, sheet.top_mm, sheet.left_mm + sheet.window_width_mm, sheet.top_mm + sheet.window_height_mm]
+        x0, y0, x1, y1 = (round(v * PX_PER_MM) for v in window)
+        # One pixel in from the clip, where the drawing is whole.
+        part = px[y0 + 1 : y1 - 1, x0 + 1 : x1 - 1]
+        at_x, at_y = (round((v + 10) * PX_PER_MM) + 1 for v in (sheet.from_x_mm, sheet.from_y_mm))
+        cut_x, cut_y = max(0, -at_x), max(0, -at_y)
+        part = part[cut_y : cut_y + side - at_y - cut_y, cut_x : cut_x + side - at_x - cut_x]
+        target = whole[at_y + cut_y : at_y + cut_y + part.shape[0], at_x + cut_x : at_x + cut_x + part.shape[1]]
+        np.copyto(target, part[: target.shape[0], : target.shape[1]])
+    green, white = near(whole, PAD.colours.disc), near(whole, (255, 255, 255))
+    orange = near(whole, PAD.colours.ring)
+    ys, xs = np.nonzero(~white)
+    for low, high in ((xs.min(), xs.max()), (ys.min(), ys.max())):
+        assert (high - low + 1) / PX_PER_MM == pytest.approx(2000 * PAD.disc_radius_m, abs=0.8)
+    ys, xs = np.nonzero(orange)
+    centre = (10 + 1000 * PAD.disc_radius_m) * PX_PER_MM
+    reach_mm = (centre - ys.min()) / PX_PER_MM
+    assert reach_mm == pytest.approx(1000 * PAD.arrow_tip_m, abs=1.0)  # the arrow is up
+    area_mm2 = float(np.count_nonzero(orange)) / PX_PER_MM**2
+    ring = np.pi * (PAD.ring_outer_m**2 - PAD.ring_inner_m**2)
+    head = PAD.arrow_depth_m * PAD.arrow_half_base_m
+    ring_under_head = area_mm2 / 1e6 - ring
+    assert 0.3 * head < ring_under_head < 1.02 * head
+    assert area_mm2 / 1e6 == pytest.approx(ring + head, rel=0.05)
+    half = side // 2
+    assert np.count_nonzero(white[half - 5 : half + 5, half - 5 : half + 5]) == 100  # the H's cross-bar
+    h = 2 * PAD.h_length_m * PAD.leg_width_m + PAD.bar_length_m * PAD.bar_width_m
+    left = np.pi * PAD.disc_radius_m**2 - ring - head - h
+    assert np.count_nonzero(green) / PX_PER_MM**2 / 1e6 == pytest.approx(left, rel=0.01)
+
+
+@needs_poppler
+@pytest.mark.parametrize("board", [Board(), Board("chessboard"), Board("charuco", 7, 10, 0.036, 0.026)])
+def test_the_printed_board_is_found_where_it_was_drawn(tmp_path: Path, board: Board) -> None:
+    out = tmp_path / "board.pdf"
+    paper = "a3" if board.square_m > 0.03 else "a4"
+    chosen = ["--square-mm", str(1000 * board.square_m), "--marker-mm", str(1000 * board.marker_m), "--paper", paper]
+    if board.kind == "chessboard":
+        chosen += ["--squares", "7x10"]
+    assert main(["pad", "--board", board.kind, *chosen, "--out", str(out)]) == 0
+    (px,) = rendered(out)
+    found = board.find(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
+    assert found is not None
+    ids, uv = found
+    assert len(ids) == 6 * 9
+    sheet = sheets(board_drawing(board), paper)[0]  # type: ignore[arg-type]
+    corner = np.array([sheet.left_mm - sheet.from_x_mm, sheet.top_mm - sheet.from_y_mm])
+    mm = (uv + 0.5) / PX_PER_MM - corner
+    wanted = 1000 * board.corners_m[ids][:, :2]
+    if board.kind == "chessboard" and np.linalg.norm(mm[0] - wanted[0]) > 10:
+        wanted = wanted[::-1]  # a chessboard may be numbered from its other end
+    assert np.abs(mm - wanted).max() < 0.15
+
+
+def test_every_sheet_has_its_ruler_and_its_marks_inside_the_paper() -> None:
+    drawing = pad_drawing(PAD)
+    for paper in ("a4", "a3", "full"):
+        for sheet in sheets(drawing, paper):  # type: ignore[arg-type]
+            assert any(abs(m.x1 - m.x0) == RULER_MM and m.y0 == m.y1 for m in sheet.lines)
+            ends = np.array([(m.x0, m.y0, m.x1, m.y1) for m in sheet.lines])
+            assert ends.min() > 3.0
+            assert ends[:, [0, 2]].max() < sheet.width_mm - 3.0
+            assert ends[:, [1, 3]].max() < sheet.height_mm - 3.0
+            assert all(3.0 < t.y < sheet.height_mm - 3.0 for t in sheet.labels)
+
+
+def test_neighbouring_sheets_share_their_cut() -> None:
+    """The mark on one sheet and the mark on the next are the same place of the drawing."""
+    there = {(s.row, s.column): s for s in sheets(pad_drawing(PAD), "a4")}
+    joints = 0
+    for (row, column), left in there.items():
+        right = there.get((row, column + 1))
+        if right is None:
+            continue
+        joints += 1
+        of_left = {round(m.x0 - left.left_mm + left.from_x_mm, 6) for m in left.lines if m.x0 == m.x1}
+        of_right = {round(m.x0 - right.left_mm + right.from_x_mm, 6) for m in right.lines if m.x0 == m.x1}
+        cut = round(right.from_x_mm + 5.0, 6)
+        assert cut in of_left
+        assert cut in of_right
+    assert joints >= 8
+
+
+def test_svg_says_millimetres_and_draws_the_same_circles(tmp_path: Path) -> None:
+    out = tmp_path / "pad.svg"
+    assert main(["pad", "--paper", "full", "--out", str(out)]) == 0
+    root = ET.parse(out).getroot()
+    width_mm, height_mm = (float(root.attrib[k].removesuffix("mm")) for k in ("width", "height"))
+    assert root.attrib["viewBox"] == f"0 0 {width_mm:g} {height_mm:g}"
+    assert (width_mm, height_mm) == (800.0, 800.0)
+    drawn = [float(c.attrib["r"]) for c in root.iter("{http://www.w3.org/2000/svg}circle")]
+    assert drawn == pytest.approx([s.radius_mm for s in pad_drawing(PAD).shapes if isinstance(s, Disc)])
+    assert main(["pad", "--out", str(out)]) == 0
+    assert len(list(tmp_path.glob("pad_r*c*.svg"))) == len(sheets(pad_drawing(PAD), "a4"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--out", "pad.png"], "must end in .pdf or .svg"),
+        (["--out", "no/such/pad.pdf"], "No such file"),
+        (["nopad", "--out", "pad.pdf"], "no file 'nopad'"),
+        (["--board", "charuco", "--square-mm", "40", "--out", "b.pdf"], "does not fit on one sheet of a4"),
+        (["--margin-mm", "90", "--out", "pad.pdf"], "margin"),
+    ],
+)
+def test_wrong_use_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["pad", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1

@@ -1,0 +1,173 @@
+"""The pilot over made-up senses: what it may never do, and who has the last word."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.guidance.pid import Gains
+from companion.guidance.planner import Plan
+from companion.pilot import Outcome, Pilot
+from companion.settings import camera_model, load, pad_model
+from estimator import pipeline
+from estimator.contracts.commands import Command, Hover, Land, Velocity
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.vision.eyes import Eyes
+from estimator.vision.look import Look
+from estimator.vision.segmentation import COLOUR_SETS
+
+SIM = load("sim")
+EYES = Eyes(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
+TICK_S = 0.02
+STALE_S = 0.5
+
+
+class Cockpit:
+    """A pilot whose senses are told by hand: the body at rest above the pad unless moved."""
+
+    def __init__(self, *, automatic: bool = True, path: str = "dead_reckoning") -> None:
+        options = pipeline.Options(steering=path)  # type: ignore[arg-type]
+        self.pilot = Pilot(EYES, options, Plan.over_the_pad(), Gains(), land_timeout_s=5.0, automatic=automatic)
+        self.now = MonoNs(0)
+        self.d = np.array([0.3, -0.2, 3.0])
+        self.flying: bool | None = True
+        self.emergency = False
+        self.seen: MonoNs | None = None
+
+    def tick(self, sighted: bool) -> Command | None:
+        self.now = after(self.now, TICK_S)
+        stamp = Stamp(self.now, self.now, 0.001, "sim")
+        self.pilot.hear(Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3)))
+        self.pilot.hear(Imu(stamp, np.zeros(3), np.array([0.0, 0.0, -9.80665])))
+        self.pilot.hear(BodyVelocity(stamp, np.zeros(3), np.diag([0.01, 0.01, UNKNOWN_VAR])))
+        self.pilot.hear(VehicleStatus(stamp, self.flying, "hovering", 0.9, self.emergency, True))
+        if sighted:
+            taken = Stamp(after(self.now, -0.05), self.now, 0.001, "sim")
+            cov = np.diag([1e-4, 1e-4, 1e-4, 1e-3])
+            sighting = Sighting(taken, 1, "selected", self.d, 0.1, False, cov, 0.9)
+            if self.pilot.saw(Look(sighting, "arrow", {})) is Verdict.FUSED:
+                self.seen = taken.taken
+        return self.pilot.decide(self.now).command
+
+
+def sinks(command: Command | None) -> bool:
+    return isinstance(command, Velocity) and command.v_level[2] > 1e-9
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    spells=st.lists(
+        st.tuples(st.integers(1, 120), st.booleans(), st.floats(0.25, 4.0), st.floats(-2, 2)), min_size=1, max_size=6
+    ),
+    path=st.sampled_from(["dead_reckoning", "median_mean"]),
+)
+def test_it_never_sinks_nor_begins_to_land_without_a_fresh_sight_of_the_pad(
+    spells: list[tuple[int, bool, float, float]], path: str
+) -> None:
+    cockpit = Cockpit(path=path)
+    told_to_land = False
+    for ticks, sighted, height_m, beside_m in spells:
+        cockpit.d = np.array([beside_m, 0.0, height_m])
+        for _ in range(ticks):
+            command = cockpit.tick(sighted)
+            fresh = cockpit.seen is not None and (cockpit.now - cockpit.seen) * 1e-9 <= STALE_S + 0.2
+            if sinks(command) or (isinstance(command, Land) and not told_to_land):
+                assert fresh, f"{command} without sight"
+            told_to_land = told_to_land or isinstance(command, Land)
+
+
+def test_it_leaves_the_vehicle_alone_until_it_flies_and_hovers_until_it_sees() -> None:
+    cockpit = Cockpit()
+    cockpit.flying = False
+    assert cockpit.tick(sighted=True) is None
+    cockpit.flying = True
+    assert cockpit.tick(sighted=False) == Hover()
+
+
+def test_it_waits_for_the_start_when_told_to() -> None:
+    cockpit = Cockpit(automatic=False)
+    assert {cockpit.tick(sighted=True) for _ in range(50)} == {Hover()}
+    cockpit.pilot.begin()
+    assert any(isinstance(cockpit.tick(sighted=True), Velocity) for _ in range(50))
+
+
+@pytest.mark.parametrize("word", ["pause", "abort"])
+def test_the_operator_has_the_last_word_even_over_a_landing(word: str) -> None:
+    cockpit = Cockpit()
+    over_the_last_way_point(cockpit)
+    fly_until(cockpit, lambda: isinstance(cockpit.tick(sighted=True), Land))
+    getattr(cockpit.pilot, word)()
+    assert {cockpit.tick(sighted=True) for _ in range(50)} == {Hover()}
+
+
+def test_after_a_pause_it_begins_with_the_first_way_point_again() -> None:
+    cockpit = Cockpit()
+    fly_until(cockpit, lambda: isinstance(cockpit.tick(sighted=True), Velocity))
+    cockpit.pilot.pause()
+    assert cockpit.tick(sighted=True) == Hover()
+    cockpit.pilot.begin()
+    fly_until(cockpit, lambda: isinstance(cockpit.tick(sighted=True), Velocity))
+    assert cockpit.pilot.phase == "approach"
+
+
+def test_how_a_flight_ends() -> None:
+    landed = Cockpit()
+    over_the_last_way_point(landed)
+    fly_until(landed, lambda: isinstance(landed.tick(sighted=True), Land))
+    landed.flying = False
+    assert landed.tick(sighted=False) is None
+    assert landed.pilot.outcome is Outcome.LANDED
+
+    timed_out = Cockpit()
+    over_the_last_way_point(timed_out)
+    fly_until(timed_out, lambda: ended(timed_out))
+    assert timed_out.pilot.outcome is Outcome.LAND_TIMEOUT
+
+    others = Cockpit()
+    others.tick(sighted=True)
+    others.flying = False
+    others.tick(sighted=False)
+    assert others.pilot.outcome is Outcome.LANDED_BY_OTHERS
+
+    cut = Cockpit()
+    cut.tick(sighted=True)
+    cut.emergency = True
+    assert cut.tick(sighted=True) is None
+    assert cut.pilot.outcome is Outcome.EMERGENCY
+
+
+def test_the_next_flight_begins_when_the_vehicle_flies_again() -> None:
+    cockpit = Cockpit()
+    cockpit.tick(sighted=True)
+    cockpit.flying = False
+    cockpit.tick(sighted=False)
+    assert cockpit.pilot.outcome is Outcome.LANDED_BY_OTHERS
+    cockpit.flying = True
+    fly_until(cockpit, lambda: isinstance(cockpit.tick(sighted=True), Velocity))
+    assert cockpit.pilot.outcome is None
+
+
+def over_the_last_way_point(cockpit: Cockpit) -> None:
+    cockpit.d = np.array([0.0, 0.0, 2.0])
+    for _ in range(200):
+        cockpit.tick(sighted=True)
+    assert cockpit.pilot.phase == "descend"
+    cockpit.d = np.array([0.0, 0.0, 0.3])
+
+
+def ended(cockpit: Cockpit) -> bool:
+    cockpit.tick(sighted=True)
+    return cockpit.pilot.outcome is not None
+
+
+def fly_until(cockpit: Cockpit, done: Callable[[], bool], seconds: float = 30.0) -> None:
+    for _ in range(math.ceil(seconds / TICK_S)):
+        if done():
+            return
+    raise AssertionError(f"not within {seconds} s; phase {cockpit.pilot.phase}")

@@ -1,0 +1,138 @@
+"""`decklander record`: what is in a recording, parts of it, and recordings of what others recorded."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+
+from companion.cli import main as cli
+from companion.observer import Decision
+from companion.recorder.reading import RecordedFrame, open_recording
+from companion.recorder.records import TruthRecord
+from estimator.contracts.samples import Attitude, Imu
+from tests.companion.recorder_flight import record_to
+
+DATA = Path(__file__).parents[2] / "../shared/data"
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("record") / "flight.mcap"
+    record_to(path, seconds=1.2)
+    return path
+
+
+def test_info_counts_what_there_is(flown: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["record", "info", "--json", str(flown)]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert info["seconds"] == pytest.approx(1.2, abs=0.02)
+    assert info["messages"]["/sample/imu"] == 240
+    assert info["pictures"] == sum(info["verdicts"].values()) > 25
+    assert info["flight"]["scenario"] == "demo"
+    assert cli.main(["record", "info", str(flown)]) == 0
+    assert "     240  /sample/imu" in capsys.readouterr().out
+
+
+def test_a_cut_file_is_mended_and_replays_like_its_whole_part(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    torn, mended = tmp_path / "torn.mcap", tmp_path / "mended.mcap"
+    data = flown.read_bytes()
+    torn.write_bytes(data[: len(data) * 19 // 20])
+    assert cli.main(["record", "cut", str(torn), "--output", str(mended)]) == 0
+    before, after = open_recording([torn]), open_recording([mended])
+    assert len(list(before.events())) == len(list(after.events())) > 500
+    assert (len(before.cut), len(after.cut)) == (1, 0)
+    capsys.readouterr()
+    digests = []
+    for path in (torn, mended):
+        assert cli.main(["replay", str(path), "--sightings", "--json"]) == 0
+        digests.append(json.loads(capsys.readouterr().out)["passes"][0]["sha256"])
+    assert digests[0] == digests[1]
+
+
+def test_a_part_can_be_thinned_to_its_inputs(flown: Path, tmp_path: Path) -> None:
+    part = tmp_path / "part.mcap"
+    words = ["--from", "0.4", "--to", "0.9", "--inputs", "--samples-each", "4", "--frames-each", "3", "--no-pictures"]
+    assert cli.main(["record", "cut", str(flown), "--output", str(part), *words]) == 0
+    events = list(open_recording([part]).events())
+    frames = [e for e in events if isinstance(e, RecordedFrame)]
+    assert not any(isinstance(e, Decision) for e in events)
+    assert sum(isinstance(e, Imu) for e in events) == pytest.approx(25, abs=2)
+    assert len(frames) == pytest.approx(5, abs=1)
+    assert all(f.picture is None for f in frames)
+    assert any(isinstance(e, TruthRecord) for e in events)
+    assert part.stat().st_size < flown.stat().st_size / 10
+
+
+def test_a_video_and_an_attitude_table_become_a_recording_that_replays(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = [e for e in open_recording([flown]).events() if isinstance(e, RecordedFrame)]
+    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 360))
+    lines = ["time_s,roll_deg,pitch_deg,yaw_deg"]
+    for i, recorded in enumerate(frames):
+        frame = recorded.frame()
+        assert frame is not None
+        assert recorded.record.attitude is not None
+        writer.write(frame.px)
+        a = recorded.record.attitude
+        lines.append(f"{i / 30:.5f},{a.roll_deg:.4f},{a.pitch_deg:.4f},{a.yaw_deg:.4f}")
+    writer.release()
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    out = tmp_path / "imported.mcap"
+    sources = [f"{tmp_path / 'v.avi'}@0.5", f"{tmp_path / 'a.csv'}@0.5"]
+    assert cli.main(["record", "import", *sources, "--config", "sim", "--output", str(out)]) == 0
+    events = list(open_recording([out]).events())
+    assert sum(isinstance(e, RecordedFrame) for e in events) == len(frames)
+    assert min(e.stamp.taken for e in events if isinstance(e, Attitude)) == 500_000_000
+    capsys.readouterr()
+    assert cli.main(["replay", str(out), "--json", "--path", "median_mean", "--record", str(tmp_path / "seen.mcap")]) == 0
+    done = json.loads(capsys.readouterr().out)["passes"][0]
+    assert done["counts"]["looked"] == len(frames)
+    seen = [e for e in open_recording([tmp_path / "seen.mcap"]).events() if isinstance(e, RecordedFrame)]
+    pairs = [(a.look(), b.look()) for a, b in zip(seen, frames, strict=True)]
+    found = [(a.selected, b.selected) for a, b in pairs if a is not None and b is not None]
+    both = [(a, b) for a, b in found if a is not None and b is not None]
+    assert len(both) > 20
+    for ours, theirs in both:
+        assert ours.d_body_pad_level == pytest.approx(theirs.d_body_pad_level, abs=0.15)
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the shared recordings are not here")
+def test_a_capture_and_a_log_go_into_one_recording(tmp_path: Path) -> None:
+    out = tmp_path / "imported.mcap"
+    sources = [str(DATA / "ardrone/video_starts_on_p_frames.pave"), f"{DATA / 'mavlink/arducopter_flight.bin'}@-3.5"]
+    assert cli.main(["record", "import", *sources, "--config", "ardrone2", "--output", str(out)]) == 0
+    events = list(open_recording([out]).events())
+    frames = [e for e in events if isinstance(e, RecordedFrame)]
+    assert len(frames) == 17
+    assert frames[0].stamp.taken == 3_500_000_000
+    assert sum(isinstance(e, Imu) for e in events) == 11916
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["info", "none.mcap"], "No such file"),
+        (["cut", "FLOWN", "--output", "FLOWN"], "is one of the files that are read"),
+        (["cut", "FLOWN", "--output", "x.mcap", "--from", "2", "--to", "1"], "--to 1 must be later"),
+        (["cut", "FLOWN", "--output", "x.mcap", "--samples-each", "0"], "must be 1 or more"),
+        (["cut", "FLOWN", "--output", "no/such/folder/x.mcap"], "No such file"),
+        (["import", "none.mp4", "--config", "sim", "--output", "x.mcap"], "none.mp4: No such file"),
+        (["import", "none.mp4@soon", "--config", "sim", "--output", "x.mcap"], "after @ comes a number"),
+        (["import", "none.mp4", "--config", "zzz", "--output", "x.mcap"], "there is no file 'zzz'"),
+    ],
+)
+def test_wrong_use_is_one_line_and_leaves_nothing(
+    flown: Path, words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["record", *(str(flown) if w == "FLOWN" else w for w in words)]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,415 @@
+"""The recorder: what it was told reads back the same, and no disk stops a flight."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from companion.observer import Decision, FrameSeen
+from companion.recorder import mcap_file
+from companion.recorder.channels import TOPICS
+from companion.recorder.mcap_file import About
+from companion.recorder.reading import RecordedFrame, open_recording
+from companion.recorder.recorder import Options, Recorder, State
+from companion.recorder.records import TruthRecord
+from companion.recorder.shelf import Folder, SingleFile
+from companion.settings import camera_model
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.samples import Frame, Imu, Sample
+from estimator.contracts.time import MonoNs, Stamp
+from tests.companion.recorder_flight import Told, record_to, sim_settings
+
+ROOT = Path(__file__).parents[2]
+CAMERA = camera_model(sim_settings())
+ABOUT = About({"flight": {"kind": "test"}})
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Told]:
+    path = tmp_path_factory.mktemp("recorder") / "flight.mcap"
+    return path, record_to(path, seconds=1.2, frames="png")
+
+
+def imu(at_s: float) -> Imu:
+    at = MonoNs(round(at_s * 1e9))
+    return Imu(Stamp(at, at, 0.001, "sim"), np.array([0.0, 0.0, at_s]), np.array([0.0, 0.0, -9.81]))
+
+
+def frame(at_s: float, seq: int) -> FrameSeen:
+    at = MonoNs(round(at_s * 1e9))
+    px = np.full((CAMERA.height, CAMERA.width, 3), seq % 256, np.uint8)
+    return FrameSeen(Frame(Stamp(at, at, 0.001, "sim"), seq, px), None, None, Verdict.NO_ATTITUDE, at, at)
+
+
+def samples_of(path: Path) -> list[Sample]:
+    return [event for event in open_recording([path]).events() if isinstance(event, Imu)]
+
+
+def wait_for(done: object, seconds: float = 5.0) -> None:
+    assert callable(done)
+    until = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.005)
+
+
+def test_everything_told_reads_back_the_same_to_the_bit(flown: tuple[Path, Told]) -> None:
+    path, told = flown
+    recording = open_recording([path])
+    events = list(recording.events())
+    assert recording.cut == {}
+    assert recording.skipped == {}
+    samples = [e for e in events if not isinstance(e, RecordedFrame | Decision) and hasattr(e, "stamp")]
+    assert len(samples) == len(told.samples) > 300
+    assert all(same(a, b) for a, b in zip(samples, told.samples, strict=True))
+    frames = [e for e in events if isinstance(e, RecordedFrame)]
+    assert len(frames) == len(told.frames) > 20
+    for read, seen in zip(frames, told.frames, strict=True):
+        assert read.record.verdict == seen.verdict.value
+        assert same(read.attitude, seen.attitude)
+        back = read.frame()
+        assert back is not None
+        assert same(back, seen.frame)
+        look = read.look()
+        assert (look is None) == (seen.look is None)
+        if look is not None and seen.look is not None:
+            assert look.chosen == seen.look.chosen
+            assert dict(look.methods).keys() == dict(seen.look.methods).keys()
+            for method, sighting in seen.look.methods.items():
+                assert same(look.methods[method], sighting)
+            assert same(look.selected, seen.look.selected)
+    decisions = [e for e in events if isinstance(e, Decision)]
+    assert len(decisions) == len(told.decisions) > 50
+    assert all(same(a, b) for a, b in zip(decisions, told.decisions, strict=True))
+    assert sum(isinstance(e, TruthRecord) for e in events) == 60
+
+
+def same(a: object, b: object) -> bool:
+    """Equal to the bit, arrays and nested values included; features in pixels are for viewers and left out."""
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return np.array_equal(a, b)
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    names = [n for n in getattr(type(a), "__slots__", ()) if n != "features"]
+    return all(same(getattr(a, n), getattr(b, n)) for n in names) if names else a == b
+
+
+def test_settings_camera_pad_and_versions_travel_with_it(flown: tuple[Path, Told]) -> None:
+    recording = open_recording([flown[0]])
+    assert recording.settings() == sim_settings()
+    camera, pad = recording.camera(), recording.pad()
+    assert camera is not None
+    assert pad is not None
+    assert (camera.width, pad.disc_radius_m) == (640, 0.39)
+    assert recording.metadata["versions"]["numpy"] == np.__version__
+    assert recording.metadata["flight"] == {"scenario": "demo", "seed": "1"}
+
+
+def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_schemas(flown: tuple[Path, Told]) -> None:
+    with flown[0].open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count > 1000
+        checked = set()
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            conforms(json.loads(schema.data), json.loads(message.data), channel.topic)
+            checked.add(channel.topic)
+    unseen = set(TOPICS) - checked
+    assert unseen == {"/sample/vessel", "/link", "/belief/ekf", "/pose/ekf"}, unseen
+
+
+def conforms(schema: dict[str, object], value: object, where: str) -> None:
+    """Against the part of JSON Schema that viewers read, which is all that is used."""
+    kinds: dict[str, Any] = {
+        "number": (int, float),
+        "integer": int,
+        "string": str,
+        "boolean": bool,
+        "array": list,
+        "object": dict,
+    }
+    kind = schema["type"]
+    assert isinstance(kind, str)
+    assert isinstance(value, kinds[kind]), f"{where}: {value!r} is no {kind}"
+    if isinstance(value, dict):
+        known, required = schema["properties"], schema.get("required", [])
+        assert isinstance(known, dict)
+        assert isinstance(required, list)
+        assert set(required) <= set(value) <= set(known), where
+        for name, inner in value.items():
+            conforms(known[name], inner, f"{where}.{name}")
+    elif isinstance(value, list):
+        items = schema["items"]
+        assert isinstance(items, dict)
+        for inner in value:
+            conforms(items, inner, f"{where}[]")
+
+
+def test_a_file_cut_anywhere_reads_up_to_the_cut(flown: tuple[Path, Told], tmp_path: Path) -> None:
+    data = flown[0].read_bytes()
+    whole = list(open_recording([flown[0]]).events())
+    counts = []
+    for share in (0.3, 0.6, 0.9, 0.999):
+        part = tmp_path / "cut.mcap"
+        part.write_bytes(data[: int(share * len(data))])
+        recording = open_recording([part])
+        counts.append(sum(1 for _ in recording.events()))
+        assert part in recording.cut
+    assert counts == sorted(counts)
+    assert 0 < counts[0] < counts[2] <= len(whole)
+    torn = tmp_path / "zeros.mcap"
+    torn.write_bytes(data[: int(0.6 * len(data))] + bytes(4096))
+    recording = open_recording([torn])
+    assert sum(1 for _ in recording.events()) == counts[1]
+    assert torn in recording.cut
+
+
+def test_a_flipped_bit_ends_the_reading_and_is_no_traceback(flown: tuple[Path, Told], tmp_path: Path) -> None:
+    data = bytearray(flown[0].read_bytes())
+    rng = np.random.default_rng(5)
+    for at in rng.integers(200_000, len(data) - 20_000, 12):
+        damaged = bytearray(data)
+        damaged[at] ^= 0x40
+        path = tmp_path / "flipped.mcap"
+        path.write_bytes(damaged)
+        recording = open_recording([path])
+        for _ in recording.events():
+            pass
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"", "not an MCAP file"), (b"RIFF....AVI ", "not an MCAP file"), (b"\x89MCAP0\r\n", "holds no recording")],
+)
+def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match=said):
+        open_recording([path])
+    with pytest.raises(BadInput, match="No such file"):
+        open_recording([tmp_path / "none.mcap"])
+
+
+def test_what_a_killed_process_leaves_reads_up_to_its_last_flush(tmp_path: Path) -> None:
+    path = tmp_path / "killed.mcap"
+    program = f"""
+        import time
+        from pathlib import Path
+        from tests.companion.test_recorder import ABOUT, CAMERA, imu
+        from companion.recorder.recorder import Options, Recorder
+        from companion.recorder.shelf import SingleFile
+        recorder = Recorder(SingleFile(Path({str(path)!r})), CAMERA, ABOUT, Options(flush_s=0.1))
+        with recorder:
+            for i in range(100_000):
+                recorder.on_sample(imu(i * 0.005))
+                time.sleep(0.0005)
+                if i % 200 == 0:
+                    print(i, flush=True)
+    """
+    child = subprocess.Popen([sys.executable, "-c", textwrap.dedent(program)], stdout=subprocess.PIPE, cwd=ROOT, text=True)
+    assert child.stdout is not None
+    with child:
+        for line in child.stdout:
+            if int(line) >= 400:
+                child.send_signal(signal.SIGKILL)
+                break
+    assert child.returncode == -signal.SIGKILL
+    recording = open_recording([path])
+    kept = [e for e in recording.events() if isinstance(e, Imu)]
+    assert path in recording.cut
+    assert len(kept) > 400 - 100
+    assert [round(e.w_body[2] / 0.005) for e in kept] == list(range(len(kept)))
+
+
+class Disk:
+    """A disk that can be full, and one that can stand still."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.full = False
+        self.moving = threading.Event()
+        self.moving.set()
+        monkeypatch.setattr(mcap_file.McapFile, "_write", lambda file, data: self.write(file, data))
+
+    def write(self, file: mcap_file.McapFile, data: memoryview) -> int:
+        self.moving.wait(20.0)
+        if self.full:
+            os.write(file._file.fileno(), data[: len(data) // 2])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return os.write(file._file.fileno(), data)
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
+    disk = Disk(monkeypatch)
+    yield disk
+    disk.moving.set()
+
+
+def test_a_full_disk_is_said_once_flown_through_and_left_behind(
+    tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "a.mcap"
+    with Recorder(SingleFile(path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0)) as recorder:
+        for i in range(100):
+            recorder.on_sample(imu(0.01 * i))
+        wait_for(lambda: recorder.written == 100)
+        disk.full = True
+        for i in range(100, 600):
+            recorder.on_sample(imu(0.01 * i))
+            wait_for(lambda: recorder._queue.empty())
+        wait_for(lambda: recorder.state is State.NO_ROOM and recorder._queue.empty())
+        assert recorder.why == "No space left on device"
+        disk.full = False
+        for i in range(600, 900):
+            recorder.on_sample(imu(0.01 * i))
+        wait_for(lambda: recorder._queue.empty() and recorder.state is State.RECORDING)
+    said = [r for r in caplog.records if r.levelname == "ERROR"]
+    assert [r.getMessage() for r in said] == ["recorder: nothing is recorded until there is room: No space left on device"]
+    assert any("there is room again" in r.getMessage() for r in caplog.records)
+    before, after = samples_of(path), samples_of(tmp_path / "a-2.mcap")
+    assert len(before) + len(after) + recorder.lost + recorder.dropped["imu"] == 900
+    assert 80 <= len(before) <= 110
+    assert 200 <= len(after) <= 300
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a-2.mcap", "a.mcap"]
+
+
+def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_path: Path, disk: Disk) -> None:
+    options = Options(flush_s=0.05, queue_records=50, queue_frames=3)
+    with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, options) as recorder:
+        recorder.on_sample(imu(0.0))
+        wait_for(lambda: recorder.written == 1)
+        disk.moving.clear()
+        recorder.on_sample(imu(1.0))
+        wait_for(lambda: recorder._queue.empty())
+        began = time.perf_counter()
+        for i in range(1000):
+            recorder.on_sample(imu(1.0 + 0.001 * i))
+            if i % 10 == 0:
+                recorder.on_frame(frame(1.0 + 0.001 * i, i))
+        spent_s = time.perf_counter() - began
+        assert spent_s < 0.5
+        assert recorder.dropped["imu"] + recorder.dropped["look"] == 1100 - 50
+        assert recorder.dropped["picture"] + 3 >= 5 - 1
+        disk.moving.set()
+        wait_for(lambda: recorder._queue.empty())
+        recorder.on_frame(frame(3.0, 7))
+    kept = [e for e in open_recording([tmp_path / "a.mcap"]).events() if isinstance(e, RecordedFrame)]
+    assert kept[-1].record.seq == 7
+    assert kept[-1].picture is not None
+
+
+def test_files_follow_one_another_and_the_oldest_go(tmp_path: Path) -> None:
+    other = tmp_path / "decklander-20200101T000000Z-0001.mcap"
+    other.write_bytes(bytes(1_000_000))
+    precious = tmp_path / "notes.txt"
+    precious.write_bytes(bytes(3_000_000))
+    folder = Folder(tmp_path, "20261120T050000Z", max_file_mb=0.2, max_total_mb=0.65, min_free_mb=0.0)
+    rng = np.random.default_rng(3)
+    with Recorder(folder, CAMERA, ABOUT, Options(flush_s=0.1, sync_s=0.1, when_full="wait")) as recorder:
+        for i in range(12_000):
+            at = MonoNs(i * 5_000_000)
+            recorder.on_sample(Imu(Stamp(at, at, 0.001, "sim"), rng.normal(size=3), rng.normal(size=3)))
+    assert recorder.files >= 5
+    left = sorted(p.name for p in tmp_path.glob("*.mcap"))
+    assert not other.exists()
+    assert precious.exists()
+    assert left[-1] == f"decklander-20261120T050000Z-{recorder.files:04d}.mcap"
+    assert sum((tmp_path / name).stat().st_size for name in left) < 900_000
+    recording = open_recording([tmp_path / name for name in left])
+    seen = [e.stamp.taken for e in recording.events() if isinstance(e, Imu)]
+    assert recording.cut == {}
+    assert np.all(np.diff(seen) == 5_000_000)
+    assert seen[-1] == 11_999 * 5_000_000
+
+
+def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = {"bytes": 900_000_000}
+    monkeypatch.setattr("companion.recorder.shelf.shutil.disk_usage", lambda _: type("Usage", (), {"free": free["bytes"]}))
+    folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=500.0)
+    with Recorder(folder, CAMERA, ABOUT, Options(flush_s=0.1, retry_s=0.5)) as recorder:
+        for i in range(300):
+            if i == 100:
+                wait_for(lambda: recorder._queue.empty())
+                free["bytes"] = 400_000_000
+            if i == 200:
+                wait_for(lambda: recorder._queue.empty())
+                assert recorder.state is State.NO_ROOM
+                assert "400 MB free" in recorder.why, recorder.why
+                free["bytes"] = 600_000_000
+            recorder.on_sample(imu(0.01 * i))
+        wait_for(lambda: recorder._queue.empty())
+    first, second = sorted(tmp_path.glob("*.mcap"))
+    recording = open_recording([first, second])
+    kept = [round(e.w_body[2] / 0.01) for e in recording.events() if isinstance(e, Imu)]
+    assert recording.cut == {}
+    assert set(range(100)) <= set(kept)
+    assert set(range(260, 300)) <= set(kept)
+    assert not set(range(115, 195)) & set(kept)
+    assert len(kept) + recorder.dropped["imu"] == 300
+
+
+def test_a_full_disk_with_a_little_room_is_left_alone(
+    tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("companion.recorder.shelf.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000}))
+    folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=0.0)
+    with Recorder(folder, CAMERA, ABOUT, Options(flush_s=0.1, retry_s=0.5)) as recorder:
+        for i in range(500):
+            disk.full = 50 < i < 90
+            recorder.on_sample(imu(0.01 * i))
+            wait_for(lambda: recorder._queue.empty())
+    assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_pause_ends_the_file_and_resume_begins_another(tmp_path: Path) -> None:
+    with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, Options(when_full="wait")) as recorder:
+        for i in range(30):
+            if i == 10:
+                wait_for(lambda: recorder._queue.empty())
+                recorder.pause()
+            if i == 20:
+                wait_for(lambda: recorder._queue.empty())
+                assert recorder.state is State.PAUSED
+                recorder.resume()
+            recorder.on_sample(imu(0.01 * i))
+    assert len(samples_of(tmp_path / "a.mcap")) in (9, 10)
+    assert len(samples_of(tmp_path / "a-2.mcap")) == 10
+
+
+def test_the_same_flight_makes_the_same_file_to_the_byte(tmp_path: Path) -> None:
+    for name in ("a.mcap", "b.mcap"):
+        record_to(tmp_path / name, seconds=0.6)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_link_bytes_are_kept_both_ways(tmp_path: Path) -> None:
+    with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, Options(when_full="wait")) as recorder:
+        recorder.on_link(MonoNs(5), "autopilot", "out", b"\xfd\x00\xff", "LANDING_TARGET")
+        recorder.on_link(MonoNs(6), "autopilot", "in", bytes(range(256)))
+    with io.BytesIO((tmp_path / "a.mcap").read_bytes()) as stream:
+        found = [json.loads(m.data) for _, c, m in make_reader(stream).iter_messages() if c.topic == "/link"]
+    assert [(f["direction"], f.get("name")) for f in found] == [("out", "LANDING_TARGET"), ("in", None)]
+    events = list(open_recording([tmp_path / "a.mcap"]).events())
+    assert [e.data for e in events if hasattr(e, "data")] == [b"\xfd\x00\xff", bytes(range(256))]

@@ -1,0 +1,211 @@
+"""Replay: the same outputs each time, the recorded beliefs to the bit, and what settings change is said."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import re
+import socket
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.cli import main as cli
+from companion.recorder.reading import open_recording
+from companion.recorder.recorder import Options, Recorder
+from companion.recorder.setup import about
+from companion.recorder.shelf import SingleFile
+from companion.replay.engine import Replay
+from companion.replay.keeping import Keeper, differences, recorded_beliefs
+from companion.replay.pilots import pilot_of
+from companion.report.flight_log import FlightLog
+from companion.service import make_pilot
+from companion.settings import camera_model
+from estimator.contracts.commands import Hover
+from estimator.contracts.time import MonoNs
+from sitl.flight import Flight
+from sitl.scenario import load as load_scenario
+from tests.companion.recorder_flight import SCENARIO, Told, record_to, sim_settings
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Told]:
+    path = tmp_path_factory.mktemp("replay") / "flight.mcap"
+    return path, record_to(path, seconds=1.5)
+
+
+def replayed(path: Path, *words: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    assert cli.main(["replay", str(path), "--json", *words]) == 0
+    out: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return out
+
+
+def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(flown: tuple[Path, Told]) -> None:
+    recording = open_recording([flown[0]])
+    settings = sim_settings()
+    told = Told()
+    pilot = pilot_of(recording, settings, None, own_camera=True)
+    keeper = Keeper(FlightLog("replay", MonoNs(0), pilot.pad, pilot.camera))
+    replay = Replay(recording, pilot, sightings=True, observers=[keeper, told])
+    replay.run()
+    assert replay.counts.as_recorded == replay.counts.frames == len(flown[1].frames) > 20
+    found = {d.path: d for d in differences(keeper.beliefs, recorded_beliefs(recording))}
+    assert {"dead_reckoning", "median_mean"} <= set(found)
+    for difference in found.values():
+        assert difference.both == difference.identical > 40
+        assert difference.only_one == 0
+    assert [d.phase for d in told.decisions] == [d.phase for d in flown[1].decisions]
+    for ours, theirs in zip(told.decisions, flown[1].decisions, strict=True):
+        assert type(ours.command) is type(theirs.command)
+        if hasattr(ours.command, "v_level"):
+            assert np.array_equal(ours.command.v_level, theirs.command.v_level)  # type: ignore[union-attr]
+
+
+def test_the_same_replay_has_the_same_hash_and_a_change_another(
+    flown: tuple[Path, Told], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    digests = [replayed(flown[0], capsys=capsys)["passes"][0]["sha256"] for _ in range(2)]
+    assert digests[0] == digests[1]
+    config = tmp_path / "other.toml"
+    own = open_recording([flown[0]]).attachments["settings.toml"].decode()
+    config.write_text(re.sub(r"sigma_pad_v_m_s = [0-9.]+", "sigma_pad_v_m_s = 0.7", own))
+    both = replayed(flown[0], "--against", str(config), "--sightings", capsys=capsys)
+    first, second = both["passes"]
+    assert first["sha256"] not in (second["sha256"], digests[0])
+    assert first["counts"]["as_recorded"] > 20
+    against = {d["path"]: d for d in both["against"][str(config)]}
+    assert against["median_mean"]["identical"] > against["dead_reckoning"]["identical"] == 0
+
+
+def test_pictures_seen_again_agree_with_what_was_seen_then_and_with_truth(
+    flown: tuple[Path, Told], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = replayed(flown[0], "--path", "median_mean", "--report", str(tmp_path / "report"), capsys=capsys)
+    done = out["passes"][0]
+    assert done["counts"]["looked"] > 20
+    errors = {row["name"]: row for row in done["errors"]}
+    best = errors.get("fused") or errors["selected"]
+    assert best["count"] > 20
+    assert best["lateral_median_m"] < 0.1
+    difference = {d["path"]: d for d in out["against"]["the recording"]}["dead_reckoning"]
+    assert 0 < difference["d_max_m"] < 0.3, "JPEG costs a little, and only a little"
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert "Replay of flight.mcap" in page
+    assert (tmp_path / "report" / "flight.mp4").stat().st_size > 10_000
+
+
+def test_a_replay_can_be_recorded_and_compared_with(
+    flown: tuple[Path, Told], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "old.mcap"
+    replayed(flown[0], "--sightings", "--record", str(other), capsys=capsys)
+    out = replayed(flown[0], "--sightings", "--compare", str(other), capsys=capsys)
+    for difference in out["against"][str(other)]:
+        assert difference["identical"] == difference["both"] > 40
+    again = replayed(other, capsys=capsys)
+    assert again["passes"][0]["errors"], "the truth went along"
+
+
+def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
+    settings = sim_settings()
+    settings = msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="signal"))
+    pilot, told, path = make_pilot(settings), Told(), tmp_path / "told.mcap"
+    options = Options(frames="none", when_full="wait")
+    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options) as recorder:
+        flight = Flight(load_scenario(SCENARIO), 2, settings, pilot, observers=[told, recorder])
+        for step in range(240):
+            if step == 100:
+                pilot.begin()
+            if step == 150:
+                pilot.pause()
+            if step == 200:
+                pilot.abort()
+            flight.step()
+    again = Told()
+    recording = open_recording([path])
+    Replay(recording, pilot_of(recording, settings, None, own_camera=True), observers=[again]).run()
+    assert [d.phase for d in again.decisions] == [d.phase for d in told.decisions]
+    assert {"waiting for the start", "paused", "aborted"} < {d.phase for d in told.decisions}
+    assert [type(d.command) for d in again.decisions] == [type(d.command) for d in told.decisions]
+    assert isinstance(again.decisions[-1].command, Hover)
+
+
+def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, Told], tmp_path: Path) -> None:
+    settings, path, told = sim_settings(), tmp_path / "inputs.mcap", Told()
+    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), Options(frames="none", when_full="wait")) as out:
+        for sample in flown[1].samples:
+            out.on_sample(sample)
+    recording = open_recording([path])
+    Replay(recording, pilot_of(recording, settings, None, own_camera=True), rate_hz=40.0, observers=[told]).run()
+    instants = [d.at for d in told.decisions]
+    assert np.all(np.diff(instants) == 25_000_000)
+    assert (instants[-1] - instants[0]) * 1e-9 == pytest.approx(1.5, abs=0.1)
+
+
+def test_a_cut_recording_replays_up_to_the_cut_and_says_so(
+    flown: tuple[Path, Told], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = tmp_path / "cut.mcap"
+    data = flown[0].read_bytes()
+    part.write_bytes(data[: len(data) * 19 // 20])
+    assert cli.main(["replay", str(part), "--sightings"]) == 0
+    said = capsys.readouterr().out
+    assert f"{part} is cut short" in said
+    assert re.search(r"outputs: sha256 [0-9a-f]{64}\n", said)
+    assert "all the same to the bit" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["none.mcap"], "No such file"),
+        (["--mavlink", "udpout://127.0.0.1:1"], "--realtime"),
+        (["--config", "zzz"], "there is no file 'zzz'"),
+        (["--compare", "none.mcap"], "No such file"),
+    ],
+)
+def test_wrong_use_is_one_line(flown: tuple[Path, Told], words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    first = [] if words == ["none.mcap"] else [str(flown[0]), "--sightings"]
+    assert cli.main(["replay", *first, *words]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
+async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flown: tuple[Path, Told]) -> None:
+    from pymavlink.dialects.v20 import ardupilotmega as mav
+
+    peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    peer.bind(("127.0.0.1", 0))
+    peer.setblocking(False)
+    speaker = mav.MAVLink(None, srcSystem=1, srcComponent=1)
+    beat = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, 209, 9, mav.MAV_STATE_ACTIVE, 3)
+    loop, heard = asyncio.get_running_loop(), list[Any]()
+
+    async def autopilot() -> None:
+        listener = mav.MAVLink(None)
+        listener.robust_parsing = True
+        while True:
+            data, where = await loop.sock_recvfrom(peer, 4096)
+            heard.extend(listener.parse_buffer(data) or [])
+            await loop.sock_sendto(peer, beat.pack(speaker), where)
+
+    words = ["replay", str(flown[0]), "--sightings", "--json", "--realtime", "--path", "median_mean"]
+    words += ["--mavlink", f"udpout://127.0.0.1:{peer.getsockname()[1]}"]
+    began = time.monotonic()
+    async with asyncio.TaskGroup() as group:
+        task = group.create_task(autopilot())
+        assert await asyncio.to_thread(cli.main, words) == 0
+        task.cancel()
+    peer.close()
+    assert time.monotonic() - began >= 1.4
+    targets = [m for m in heard if m.get_type() == "LANDING_TARGET"]
+    assert len(targets) >= 3
+    true = [d.shadows[0] for d in flown[1].decisions if d.shadows][-1]
+    assert targets[-1].distance == pytest.approx(float(np.linalg.norm(true.d_body_pad_level)), rel=0.2)
+    assert math.isfinite(targets[-1].angle_x)

@@ -1,0 +1,113 @@
+"""From settings to the parts: no key without an effect, and defaults that are the parts' own."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from msgspec import inspect
+
+from companion import rig
+from companion.guidance.pid import Gains
+from companion.guidance.planner import Plan
+from companion.rig_camera import camera_options
+from companion.settings import Settings, from_mapping
+from companion.settings_refusal import walk
+from companion.supervise import Restart
+from drivers.ardrone.options import ArDroneOptions
+from drivers.video_source_options import CameraOptions
+from estimator import pipeline
+
+READ_BY_THE_SERVICE_ITSELF = {
+    "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz", "guidance.land_timeout_s",
+    "service.log_level", "service.health_period_s",
+}  # fmt: skip
+TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.")
+"""Sections that a part takes as they are."""
+MINIMAL = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
+KEYS = dict(walk(Settings))
+
+
+def parts(settings: Settings) -> list[object]:
+    return [
+        plain(part)
+        for part in (
+            rig.ardrone_options(settings), rig.eyes(settings), rig.estimator_options(settings), rig.gains(settings),
+            rig.plan(settings), rig.restart(settings), settings.camera.source, *cameras(settings),
+        )
+    ]  # fmt: skip
+
+
+def cameras(settings: Settings) -> list[CameraOptions | None]:
+    """The camera's options as each source takes them."""
+    c = settings.camera
+    each = (msgspec.structs.replace(c, source=source, device=c.device or "cam") for source in ("v4l2", "stream"))
+    return [camera_options(msgspec.structs.replace(settings, camera=camera)) for camera in each]
+
+
+def plain(value: Any) -> Any:
+    """Options as nested tuples that compare by value."""
+    if dataclasses.is_dataclass(value):
+        return tuple((f.name, plain(getattr(value, f.name))) for f in dataclasses.fields(value))
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, dict):
+        return tuple(value.items())
+    return tuple(map(plain, value)) if isinstance(value, tuple) else value
+
+
+def other(field: inspect.Field, path: str) -> object:
+    """A good value that is not the default."""
+    bare = field.type.type if isinstance(field.type, inspect.Metadata) else field.type
+    if path == "camera.file":
+        return "photos"
+    if path == "pad.file":
+        return "printed"
+    if path == "camera.controls":
+        return "gain=3, auto_exposure=Manual Mode, white_balance_automatic=false"
+    match bare:
+        case inspect.LiteralType(values=values):
+            return next(v for v in values if v != field.default)
+        case inspect.FloatType(le=high) | inspect.IntType(le=high):
+            step = field.default * 1.01 if isinstance(bare, inspect.FloatType) else field.default + 1
+            return min(step, high) if field.default else high / 2
+    return "elsewhere"
+
+
+@pytest.mark.parametrize("path", sorted(k for k in KEYS if k not in READ_BY_THE_SERVICE_ITSELF and not k.startswith(TAKEN_WHOLE)))
+def test_every_key_reaches_a_part(path: str) -> None:
+    data = msgspec.to_builtins(from_mapping(MINIMAL, "default"))
+    before = parts(from_mapping(data, "default"))
+    *tables, last = path.split(".")
+    table = data
+    for name in tables:
+        table = table[name]
+    table[last] = other(KEYS[path], path)
+    assert parts(from_mapping(data, "changed")) != before
+
+
+def test_defaults_are_those_of_the_parts() -> None:
+    settings = from_mapping(MINIMAL, "default")
+    gains = dataclasses.replace(rig.gains(settings), stale_after_s=Gains().stale_after_s)
+    assert math.isclose(gains.turn_max_rad_s, Gains().turn_max_rad_s, rel_tol=0.01)
+    assert dataclasses.replace(gains, turn_max_rad_s=Gains().turn_max_rad_s) == Gains()
+    assert plain(rig.plan(settings)) == plain(Plan.over_the_pad())
+    assert plain(rig.estimator_options(settings)) == plain(pipeline.Options())
+    assert rig.restart(settings) == Restart()
+    link = rig.ardrone_options(settings)
+    same = {"loop", "samples"}
+    assert dataclasses.replace(link, **{name: getattr(ArDroneOptions(), name) for name in same}) == ArDroneOptions()
+
+
+def test_degrees_in_the_file_are_radians_inside() -> None:
+    data = msgspec.to_builtins(from_mapping(MINIMAL, "default"))
+    data["vehicle"].update(euler_angle_max_deg=18.0, yaw_rate_max_deg_s=90.0)
+    data["guidance"]["pid"]["turn_max_deg_s"] = 45.0
+    settings = from_mapping(data, "degrees")
+    assert math.isclose(rig.ardrone_options(settings).loop.euler_angle_max_rad, math.pi / 10)
+    assert math.isclose(rig.ardrone_options(settings).loop.yaw_rate_max_rad_s, math.pi / 2)
+    assert math.isclose(rig.gains(settings).turn_max_rad_s, math.pi / 4)

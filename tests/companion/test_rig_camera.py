@@ -1,0 +1,92 @@
+"""A camera beside the vehicle: settings to options, and one link of vehicle and camera."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from companion.rig_camera import camera_options, controls, with_camera
+from companion.settings import from_mapping, load
+from drivers.clock import SystemClock
+from drivers.mailbox import Latest, Line
+from drivers.video_source_options import StreamOptions, V4l2Options
+from estimator.contracts.commands import Command, Hover
+from estimator.contracts.errors import BadInput
+from estimator.contracts.samples import Frame, Range, Sample
+from estimator.contracts.time import MonoNs, Stamp
+
+RIG = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
+
+
+def with_keys(**keys: object) -> dict[str, object]:
+    return RIG | {"camera": {"file": "sim"} | keys}
+
+
+def test_the_cameras_size_is_that_of_its_file() -> None:
+    settings = from_mapping(with_keys(source="v4l2", device="usb-Cam", controls="gain=3, auto_exposure=Manual Mode"), "x")
+    options = camera_options(settings)
+    assert isinstance(options, V4l2Options)
+    assert (options.width, options.height, options.device) == (640, 360, "usb-Cam")
+    assert options.controls == {"gain": 3, "auto_exposure": "Manual Mode"}
+    assert camera_options(from_mapping(RIG, "x")) is None
+    assert isinstance(camera_options(from_mapping(with_keys(source="stream", device="rtsp://cam/1"), "x")), StreamOptions)
+
+
+def test_controls_are_numbers_truth_values_or_labels() -> None:
+    assert controls(" a=1 , b = true,c=false, d=-5, e=60 Hz ") == {"a": 1, "b": True, "c": False, "d": -5, "e": "60 Hz"}
+    assert controls("") == {}
+    for wrong in ("gain", "gain=", "=3", "gain=1,gain=2", "a=1,,b=2"):
+        with pytest.raises(BadInput, match=r"camera\.controls"):
+            controls(wrong)
+
+
+def test_keys_that_do_not_go_together_are_refused_when_the_file_is_read(tmp_path: Path) -> None:
+    for keys, words in (('source = "v4l2"', "device must be given"), ('device = "usb"', "source must be")):
+        file = tmp_path / "rig.toml"
+        file.write_text(f'[vehicle]\nkind = "ardrone"\n[camera]\nfile = "sim"\n{keys}\n[pad]\nfile = "thesis"\n')
+        with pytest.raises(BadInput, match=words):
+            load(file)
+
+
+class Vehicle:
+    def __init__(self) -> None:
+        self.frames: Latest[Frame] = Latest()
+        self.samples: Line[Sample] = Line(8)
+        self.commands: list[Command] = []
+
+    def command(self, command: Command) -> None:
+        self.commands.append(command)
+
+
+async def test_frames_are_the_cameras_and_the_rest_is_the_vehicles(tmp_path: Path) -> None:
+    path = tmp_path / "deck.mp4"
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("libx264", rate=50)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for _ in range(10):
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 90, np.uint8), format="bgr24")))
+        out.mux(stream.encode(None))
+    vehicle, closed = Vehicle(), []
+
+    @asynccontextmanager
+    async def open_vehicle() -> AsyncIterator[Vehicle]:
+        try:
+            yield vehicle
+        finally:
+            closed.append(True)
+
+    async with asyncio.timeout(20), with_camera(open_vehicle, StreamOptions(str(path)), SystemClock())() as link:
+        frame = await link.frames.get()
+        assert frame.px.shape == (48, 64, 3)
+        vehicle.samples.offer(Range(Stamp(MonoNs(1), MonoNs(1), 0.0, "sim"), 2.0, 0.1))
+        sample = await link.samples.get()
+        assert isinstance(sample, Range)
+        link.command(Hover())
+    assert vehicle.commands == [Hover()]
+    assert closed == [True]

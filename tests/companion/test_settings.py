@@ -1,0 +1,282 @@
+"""Settings: what is refused and how that reads, what comes back unchanged, and that the pages follow the model."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import settings as runs
+from hypothesis import strategies as st
+from msgspec import inspect
+
+from companion import settings_pages
+from companion.settings import Settings, camera_model, from_mapping, load, pad_model, shipped
+from companion.settings_refusal import walk
+from estimator.contracts.errors import BadInput
+
+ROOT = Path(__file__).parents[2]
+MINIMAL = '[vehicle]\nkind = "ardrone"\n[camera]\nfile = "sim"\n[pad]\nfile = "thesis"\n'
+KEYS = dict(walk(Settings))
+
+
+def numeric(field: inspect.Field) -> inspect.FloatType | inspect.IntType | None:
+    bare = field.type.type if isinstance(field.type, inspect.Metadata) else field.type
+    return bare if isinstance(bare, inspect.FloatType | inspect.IntType) else None
+
+
+NUMBERS = {path: numeric(field) for path, field in KEYS.items() if numeric(field)}
+
+
+def minimal(**changes: Any) -> dict[str, Any]:
+    """The smallest good file with keys set by dotted path (`__` for a dot)."""
+    data: dict[str, Any] = tomllib.loads(MINIMAL)
+    for path, value in changes.items():
+        *tables, last = path.split("__")
+        table = data
+        for name in tables:
+            table = table.setdefault(name, {})
+        table[last] = value
+    return data
+
+
+def refusal(data: dict[str, Any]) -> str:
+    with pytest.raises(BadInput) as caught:
+        from_mapping(data, "rig.toml")
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+@pytest.mark.parametrize("rig", shipped())
+def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
+    settings = load(rig)
+    assert camera_model(settings).width == 640
+    assert pad_model(settings).disc_radius_m == 0.39
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"guidance__pid__horizontal__kp": "fast"}, 'guidance.pid.horizontal.kp must be a number from 0 to 20 1/s, found "fast"'),
+        (
+            {"guidance__pid__turn_max_deg_s": 720},
+            "guidance.pid.turn_max_deg_s must be a number from 1 to 360 deg/s, found 720",
+        ),
+        ({"guidance__planner__speed_m_s": True}, "guidance.planner.speed_m_s must be a number from 0.05 to 5 m/s, found true"),
+        ({"guidance__rate_hz": 10**400}, f"guidance.rate_hz must be a number from 5 to 200 Hz, found 1{'0' * 56}..."),
+        ({"vision__threads": 2.0}, "vision.threads must be a whole number from 1 to 64 threads, found 2.0"),
+        ({"vehicle__at_port": 0}, "vehicle.at_port must be a whole number from 1 to 65535, found 0"),
+        ({"vehicle__host": ""}, 'vehicle.host must be text of 1 to 253 characters, found ""'),
+        ({"vision__colours": "sim"}, 'vision.colours must be one of "indoor", "outdoor", "simulator", found "sim"'),
+        ({"vehicle__kind": "balloon"}, 'vehicle.kind must be "ardrone", found "balloon"'),
+        ({"vehicle__hots": "x"}, "vehicle.hots is not a known key; did you mean vehicle.host?"),
+        ({"guidance__speed_m_s": 1.0}, "guidance.speed_m_s is not a known key here; did you mean guidance.planner.speed_m_s?"),
+        (
+            {"a b": 1},
+            '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
+            "mqtt, metrics",
+        ),
+        ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
+        ({"vision": 3}, "vision must be a table of keys, found 3"),
+        ({"guidance__pid": [1]}, "guidance.pid must be a table of keys, found a list"),
+        ({"camera": {}}, "camera.file is missing: it must be text of 1 to 4096 characters"),
+        (
+            {"guidance__planner__final_height_m": 2.5},
+            "guidance.planner: final_height_m (2.5 m) must be below approach_height_m (2 m)",
+        ),
+        ({"service__restart_first_s": 9}, "service: restart_cap_s (5 s) must not be shorter than restart_first_s (9 s)"),
+    ],
+)
+def test_a_refusal_names_file_key_unit_range_and_what_was_found(changes: dict[str, Any], text: str | None) -> None:
+    said = refusal(minimal(**changes))
+    assert said.startswith("rig.toml: ")
+    assert text in (None, said.removeprefix("rig.toml: "))
+
+
+def test_a_missing_table_says_what_it_needs() -> None:
+    assert refusal({"vehicle": {"kind": "ardrone"}, "pad": {"file": "thesis"}}) == (
+        "rig.toml: the table [camera] is missing; it needs file"
+    )
+
+
+@pytest.mark.parametrize("path", sorted(NUMBERS))
+def test_every_number_refuses_nan_infinities_and_what_lies_outside_its_range(path: str) -> None:
+    kind = NUMBERS[path]
+    assert kind is not None
+    assert kind.ge is not None
+    assert kind.le is not None
+    for bad in (math.nan, math.inf, -math.inf, kind.ge - 1, kind.le + 1, "1", True):
+        said = refusal(minimal(**{path.replace(".", "__"): bad}))
+        assert path in said, said
+
+
+UNITS = {
+    "s": "_s", "m": "_m", "m/s": "_m_s", "m/s^2": "_m_s2", "deg": "_deg", "deg/s": "_deg_s", "Hz": "_hz", "port": "_port",
+    "1/s": "_1_s", "1/s^2": "_1_s2", "threads": "threads", "samples": "_items",
+    "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames",
+}  # fmt: skip
+GAINS_AND_RATIOS = {
+    "kp",
+    "ki",
+    "kd",
+    "velocity_scale",
+    "velocity_lead",
+    "slow_floor",
+    "soft_least",
+    "restart_factor",
+    "min_confidence",
+    "jpeg_quality",
+    "frames_each",
+}
+
+
+@pytest.mark.parametrize("path", sorted(KEYS))
+def test_every_key_is_explained_and_a_number_carries_its_unit_in_its_name(path: str) -> None:
+    field = KEYS[path].type
+    assert isinstance(field, inspect.Metadata), f"{path} has neither meaning nor range"
+    notes = field.extra_json_schema or {}
+    assert len(notes["description"]) > 8
+    if path in NUMBERS:
+        name = path.rpartition(".")[2]
+        assert name in {*GAINS_AND_RATIOS, notes["x-unit"]} or name.endswith(UNITS[notes["x-unit"]])
+
+
+@st.composite
+def good_settings(draw: st.DrawFn) -> Settings:
+    data = minimal()
+    for path, field in KEYS.items():
+        if draw(st.booleans()):
+            continue
+        bare = field.type.type if isinstance(field.type, inspect.Metadata) else field.type
+        match bare:
+            case inspect.FloatType(ge=low, le=high):
+                value: Any = draw(st.floats(low, high))
+            case inspect.IntType(ge=low, le=high):
+                value = draw(st.integers(low, high))
+            case inspect.BoolType():
+                value = draw(st.booleans())
+            case inspect.LiteralType(values=values):
+                value = draw(st.sampled_from(values))
+            case inspect.StrType(pattern=str(pattern)):
+                value = draw(st.from_regex(pattern, fullmatch=True))
+            case _:
+                value = draw(st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=40))
+        *tables, last = path.split(".")
+        table = data
+        for name in tables:
+            table = table.setdefault(name, {})
+        table[last] = value
+    estimator, service = data.setdefault("estimator", {}), data.setdefault("service", {})
+    planner = data.setdefault("guidance", {}).setdefault("planner", {})
+    estimator.update(max_delay_s=0.5, history_s=1.0)
+    service.update(restart_first_s=0.1, restart_cap_s=1.0)
+    data.setdefault("recorder", {}).update(max_file_mb=1.0, max_total_mb=10.0)
+    data.setdefault("mqtt", {}).update(reconnect_first_s=0.1, reconnect_cap_s=1.0, user="a", certificate_file="", key_file="")
+    planner.update(final_height_m=0.2, approach_height_m=1.0, climb_after_s=1.0, give_up_after_s=9.0)
+    return from_mapping(data, "drawn")
+
+
+@given(good_settings())
+@runs(deadline=None, max_examples=60)
+def test_what_show_prints_reads_back_as_the_same_settings(drawn: Settings) -> None:
+    assert from_mapping(tomllib.loads(settings_pages.toml(drawn)), "shown") == drawn
+
+
+junk = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from([*"abc", *{n for p in KEYS for n in p.split(".")}]), inner)
+    ),
+    max_leaves=12,
+)
+
+
+@given(st.dictionaries(st.sampled_from(["vehicle", "camera", "pad", "vision", "guidance", "x"]), junk))
+@runs(deadline=None, max_examples=200)
+def test_any_mapping_is_either_settings_or_one_line(data: dict[str, Any]) -> None:
+    try:
+        from_mapping({**minimal(), **data}, "rig.toml")
+    except BadInput as why:
+        said = str(why)
+    else:
+        return
+    assert said.startswith("rig.toml: ")
+    assert "\n" not in said
+
+
+@given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
+@runs(deadline=None, max_examples=100)
+def test_any_bytes_in_a_file_are_either_settings_or_one_line(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+    file = tmp_path_factory.getbasetemp() / "any.toml"
+    file.write_bytes(content)
+    with pytest.raises(BadInput) as caught:
+        load(file)
+    assert str(file) in str(caught.value)
+
+
+def test_camera_and_pad_paths_are_relative_to_the_settings_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = tmp_path / "rigs" / "mine.toml"
+    rig.parent.mkdir()
+    rig.write_text(MINIMAL.replace('"sim"', '"../lens.toml"'))
+    (tmp_path / "lens.toml").write_text((ROOT / "configs/cameras/sim.toml").read_text().replace("width = 640", "width = 800"))
+    monkeypatch.chdir(ROOT)
+    settings = load(rig)
+    assert camera_model(settings).width == 800
+    assert settings.pad.file == "thesis"
+
+
+@pytest.mark.parametrize(
+    ("camera", "said"),
+    [
+        ('"sin"', "camera.file: there is no file 'sin' and no shipped one of that name (did you mean 'sim')"),
+        ('"lens.toml"', "lens.toml: key 'fx' is missing"),
+        ('"."', "Is a directory"),
+        ('"a\\u0000b"', "camera.file: there is no file 'a\\x00b'"),
+        ('"' + "a" * 4000 + '"', "camera.file: not a usable file name"),
+    ],
+)
+def test_a_camera_file_that_cannot_be_used_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, camera: str, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("lens.toml").write_text("width = 640\nheight = 360\nfy = 1.0\ncx = 1.0\ncy = 1.0\n")
+    Path("rig.toml").write_text(MINIMAL.replace('"sim"', camera))
+    with pytest.raises(BadInput, match=r"^[^\n]*$") as caught:
+        load("rig.toml")
+    assert said in str(caught.value)
+
+
+def test_broken_toml_is_refused_with_its_place(tmp_path: Path) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text(MINIMAL + "[vision\n")
+    with pytest.raises(BadInput, match=r"rig\.toml: not valid TOML: .*line 7"):
+        load(file)
+    file.write_text("a = " + "[" * 100_000)
+    with pytest.raises(BadInput, match="not valid TOML"):
+        load(file)
+
+
+def test_the_schema_lists_every_key_with_its_unit() -> None:
+    schema = json.loads(settings_pages.schema())
+    planner = schema["$defs"]["PlannerSettings"]
+    assert planner["properties"]["speed_m_s"]["x-unit"] == "m/s"
+    assert planner["additionalProperties"] is False
+    assert schema["$defs"]["Settings"]["required"] == ["vehicle", "camera", "pad"]
+
+
+def test_the_reference_page_is_what_the_model_says() -> None:
+    page = (ROOT / "docs/configuration.md").read_text()
+    assert page == settings_pages.reference(), "run: decklander config reference > docs/configuration.md"
+
+
+def test_settings_cannot_be_changed_after_loading() -> None:
+    settings = from_mapping(minimal(), "rig.toml")
+    with pytest.raises(AttributeError):
+        settings.vision.threads = 4  # type: ignore[misc]
+    assert msgspec.structs.replace(settings.vision, threads=4).threads == 4

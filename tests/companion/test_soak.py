@@ -1,0 +1,75 @@
+"""The soak's judgement on made-up readings, its view of this very process, and that it finds a leak in a real one."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from companion.cli import main as cli
+from companion.soak import Reading, findings, read
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="there is no /proc here")
+
+
+def made(n: int, memory: float = 0.0, descriptors: float = 0.0, tasks: float = 0.0) -> list[Reading]:
+    """A warm-up that grows by half, then `n` readings that grow by so much each."""
+    warm = [Reading(float(i), 0, 100.0 + 10.0 * i, 10, 3, 5, 0.5 * i) for i in range(5)]
+    grown = [
+        Reading(5.0 + i, i, 150.0 + memory * i, int(20 + descriptors * i), 4, int(8 + tasks * i), 2.5 + 0.3 * i) for i in range(n)
+    ]
+    return warm + grown
+
+
+def test_what_is_flat_has_no_fault_and_warm_up_does_not_count() -> None:
+    found = findings(made(40), 5.0)
+    assert found is not None
+    assert found.faults == []
+    assert found.memory_mib.growth == 0.0
+    assert found.flights == 39
+    assert found.cpu_share == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("leak", "said"),
+    [({"memory": 0.2}, "memory grew"), ({"descriptors": 0.1}, "descriptors grew"), ({"tasks": 0.1}, "tasks grew")],
+)
+def test_what_grows_is_said(leak: dict[str, float], said: str) -> None:
+    found = findings(made(40, **leak), 5.0)
+    assert found is not None
+    assert [fault.startswith(said) for fault in found.faults] == [True]
+
+
+def test_too_few_readings_say_nothing() -> None:
+    assert findings(made(7), 5.0) is None
+    assert findings([], 5.0) is None
+
+
+def test_it_sees_this_process() -> None:
+    before = read(0.0, 0, None)
+    pipe = os.pipe()
+    ballast = bytearray(os.urandom(1)) * (32 * 2**20)
+    after = read(1.0, 0, None)
+    for end in pipe:
+        os.close(end)
+    assert after.descriptors == before.descriptors + 2
+    assert after.memory_mib - before.memory_mib > 25.0
+    assert after.cpu_s >= before.cpu_s > 0.0
+    assert len(ballast) == 32 * 2**20
+
+
+@pytest.mark.parametrize("words", [["--hours", "0"], ["--flights", "3"], ["--virtual", "--flights", "0"], ["--seed", "-1"]])
+def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["soak", *words]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.CaptureFixture[str]) -> None:
+    descriptors = len(os.listdir("/proc/self/fd"))
+    assert cli.main(["soak", "--hours", "0.001", "--scenario", "calm", "--no-cpu", "--json"]) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert said["findings"] is None, "too short to say what grows"
+    assert said["flown_s"] >= 3.0
+    assert len(os.listdir("/proc/self/fd")) <= descriptors

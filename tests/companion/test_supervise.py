@@ -1,0 +1,123 @@
+"""The outside world failing restarts one part; a bug of ours takes the group down; cancelling stops it cleanly."""
+
+import asyncio
+
+import pytest
+
+from companion.health import Delays, Health
+from companion.supervise import Restart, keep_alive, run
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.time import MonoNs
+
+
+class FakeClock:
+    """Time passes only by sleeping."""
+
+    def __init__(self) -> None:
+        self.t = 0
+        self.slept: list[float] = []
+
+    def now(self) -> MonoNs:
+        return MonoNs(self.t)
+
+    async def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.t += round(seconds * 1e9)
+        await asyncio.sleep(0)
+
+
+async def test_a_recoverable_failure_restarts_that_part_alone_with_growing_rests() -> None:
+    clock = FakeClock()
+    health = Health(clock)
+    lives = {"weak": 0, "strong": 0}
+
+    async def weak() -> None:
+        lives["weak"] += 1
+        if lives["weak"] <= 5:
+            raise Recoverable("cable")
+
+    async def strong() -> None:
+        lives["strong"] += 1
+
+    await run({"weak": weak, "strong": strong}, Restart(0.2, 2.0, 1.0, 5.0), health, clock)
+    assert lives == {"weak": 6, "strong": 1}
+    assert clock.slept == [0.2, 0.4, 0.8, 1.0, 1.0]
+    assert health.parts["weak"].restarts == 5
+    assert health.parts["weak"].last_error == "cable"
+    assert health.parts["strong"].restarts == 0
+
+
+async def test_a_part_that_was_healthy_for_long_rests_shortly_again() -> None:
+    clock = FakeClock()
+    lives = 0
+
+    async def body() -> None:
+        nonlocal lives
+        lives += 1
+        if lives == 3:
+            clock.t += 10_000_000_000
+        if lives < 5:
+            raise Recoverable("gone")
+
+    await keep_alive("part", body, Restart(0.1, 2.0, 9.0, 5.0), Health(clock), clock)
+    assert clock.slept == [0.1, 0.2, 0.1, 0.2]
+
+
+async def test_a_recoverable_inside_a_task_group_of_the_part_counts_as_recoverable() -> None:
+    clock = FakeClock()
+    lives = 0
+
+    async def body() -> None:
+        nonlocal lives
+        lives += 1
+
+        async def inner() -> None:
+            if lives == 1:
+                raise Recoverable("socket")
+
+        async with asyncio.TaskGroup() as group:
+            group.create_task(inner())
+
+    await keep_alive("part", body, Restart(), Health(clock), clock)
+    assert lives == 2
+
+
+async def test_a_bug_takes_everything_down() -> None:
+    clock = FakeClock()
+    stopped = asyncio.Event()
+
+    async def buggy() -> None:
+        await asyncio.sleep(0)
+        raise KeyError("ours")
+
+    async def innocent() -> None:
+        try:
+            await asyncio.sleep(3600)
+        finally:
+            stopped.set()
+
+    with pytest.raises(ExceptionGroup) as caught:
+        await run({"buggy": buggy, "innocent": innocent}, Restart(), Health(clock), clock)
+    assert caught.value.subgroup(KeyError) is not None
+    assert stopped.is_set()
+
+
+async def test_a_bug_beside_a_recoverable_still_surfaces() -> None:
+    clock = FakeClock()
+
+    async def body() -> None:
+        raise ExceptionGroup("both", [Recoverable("socket"), KeyError("ours")])
+
+    with pytest.raises(ExceptionGroup) as caught:
+        await keep_alive("part", body, Restart(), Health(clock), clock)
+    assert caught.value.subgroup(KeyError) is not None
+
+
+def test_quantiles_over_a_sliding_window() -> None:
+    delays = Delays(capacity=100)
+    assert delays.quantile(0.5) is None
+    for i in range(1000):
+        delays.add(float(i))
+    assert delays.quantile(0.0) == 900.0
+    assert delays.quantile(0.5) == 950.0
+    assert delays.quantile(1.0) == 999.0

@@ -1,0 +1,201 @@
+"""`decklander watch`: what it keeps, what it shows, and the command against a real broker."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import sys
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.cli import main as cli
+from companion.health import Health
+from companion.mqtt import encode, messages
+from companion.mqtt.messages import Event, Status
+from companion.mqtt.topics import Topics
+from companion.mqtt.watch_model import DRONES, WatchModel
+from companion.mqtt.watch_view import line, screen
+from companion.observer import Decision
+from drivers.clock import SystemClock
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import MonoNs
+from tests.companion.mqtt.broker import Broker
+from tests.companion.mqtt.conftest import broker, certificates
+from tests.companion.mqtt.rig import SESSION, decision, happening, running, status, until
+
+__all__ = ["broker", "certificates"]
+
+NOW = MonoNs(60_000_000_000)
+ROOT = Path(__file__).parents[3]
+
+
+def event(number: int, text: str = "landed", spool: str = "s") -> Event:
+    return Event(
+        session=SESSION, at_ns=NOW, id=f"{SESSION}-{number}", spool=spool, sequence=number, kind="phase", text=text, data={}
+    )
+
+
+def online(reason: Literal["up", "stopped", "lost"] = "up") -> Status:
+    return Status(
+        session=SESSION, at_ns=NOW, online=reason == "up", reason=reason, version="1.2", started_unix_s=0.0, started_ns=0,
+    )  # fmt: skip
+
+
+def hear(model: WatchModel, drone: str, leaf: str, message: messages.Message, at_s: float = 0.0) -> None:
+    assert model.hear(Topics(drone).of(leaf), messages.encode(message), at_s) is not None
+
+
+def full() -> WatchModel:
+    model = WatchModel()
+    model.connected = True
+    health = Health(SystemClock())
+    health.up("vehicle")
+    health.down("broker", Recoverable("unplugged"))
+    health.frame(Verdict.FUSED)
+    health.beat("Imu")
+    for k in range(100):
+        health.delay("exposure_to_belief", 0.02 + 0.0001 * k)
+    health.counters("mqtt", lambda: {"events_waiting": 3})
+    hear(model, "deck", "status", online())
+    hear(model, "deck", "state", encode.state(SESSION, decision(NOW), status(NOW, battery=0.15)))
+    hear(model, "deck", "health", encode.health(SESSION, health.snapshot()))
+    hear(model, "deck", "event", event(1, "pad in sight"))
+    return model
+
+
+def test_one_screen_shows_where_the_pad_is_how_the_parts_are_and_what_happened() -> None:
+    text = "\n".join(screen(full(), 0.0, 150, 45, colour=False))
+    for part in (
+        "connected", "deck  online  version 1.2", "phase    approach", "height  2.00 m   beside  0.36 m", "sigma 20.0 cm beside",
+        "heading +29 deg", "forward +0.40 right +0.50 down +0.60 m/s   turn +40 deg/s", "flying   battery 15 %",
+        "exposure to belief 25.0 ms (p99 29.9)", "fused 1", "events delivered 0, waiting 3", "phase    pad in sight",
+    ):  # fmt: skip
+        assert part in text, text
+    assert re.search(r"^vehicle +up +0 s  0$", text, re.MULTILINE)
+    assert re.search(r"^broker +down +0 s  1  unplugged$", text, re.MULTILINE)
+
+
+def test_what_does_not_fit_beside_goes_below() -> None:
+    model = full()
+    health = Health(SystemClock())
+    for k in range(12):
+        health.beat(f"Kind{k}")
+    hear(model, "deck", "health", encode.health(SESSION, health.snapshot()))
+    text = "\n".join(screen(model, 0.0, 60, 45, colour=False))
+    assert all(f"Kind{k} --" in text for k in range(12))
+
+
+def test_commands_of_others_are_not_the_drones_words() -> None:
+    model = full()
+    model.hear(Topics("deck").command, b"{}", 0.0)
+    assert model.drones["deck"].malformed == 0
+    model.hear(Topics("deck").state, b"{}", 0.0)
+    assert model.drones["deck"].malformed == 1
+
+
+def test_a_drone_that_falls_silent_does_not_look_alive() -> None:
+    model = full()
+    text = "\n".join(screen(model, 20.0, 150, 45, colour=False))
+    assert "deck  silent" in text
+    assert "20 s old" in text
+    hear(model, "deck", "status", online("lost"), 20.0)
+    assert "deck  lost" in "\n".join(screen(model, 20.0, 150, 45, colour=False))
+
+
+def test_a_fleet_is_a_table_above_the_first_by_name() -> None:
+    model = full()
+    hear(model, "aft", "status", online("stopped"))
+    lines = screen(model, 0.0, 150, 45, colour=False)
+    assert [row.split()[:2] for row in lines[3:5]] == [["aft", "stopped"], ["deck", "online"]]
+    assert lines[6].startswith("aft  stopped")
+    only = WatchModel("deck")
+    assert only.hear(Topics("aft").status, messages.encode(online()), 0.0) is None
+    assert only.ignored == 1
+
+
+def test_copies_are_thrown_away_and_gaps_are_counted() -> None:
+    model = WatchModel()
+    for number in (1, 2, 2, 1, 3, 7):
+        hear(model, "deck", "event", event(number))
+    hear(model, "deck", "event", msgspec.structs.replace(event(1, spool="new"), id="other-1"))
+    drone = model.drones["deck"]
+    assert [e.sequence for e in drone.events] == [1, 2, 3, 7, 1]
+    assert (drone.copies, drone.missing) == (2, 3)
+    assert "events missing 3, copies 2" in "\n".join(screen(model, 0.0, 150, 45, colour=False))
+
+
+@given(st.text(max_size=40), st.binary(max_size=60), st.integers(1, 60), st.integers(1, 200))
+@settings(deadline=None, max_examples=150)
+def test_nothing_on_the_broker_can_break_the_screen_or_steer_the_terminal(
+    text: str, payload: bytes, height: int, width: int
+) -> None:
+    model = full()
+    for leaf in (*messages.PUBLISHED, "reply/x", "nonsense"):
+        model.hear(Topics("deck").of(leaf), payload, 0.0)
+    hear(model, "deck", "event", event(2, "\x1b[2J\x07" + text))
+    state = encode.state(SESSION, Decision(NOW, "\x1b]0;owned\x07" + text, None, None), None)
+    hear(model, "deck", "state", state)
+    lines = screen(model, 0.0, width, height, colour=False)
+    assert len(lines) <= height
+    assert all(len(row) <= width and row.isprintable() for row in lines)
+    coloured = screen(model, 0.0, width, height)
+    assert [re.sub(r"\x1b\[\d+m", "", row) for row in coloured] == lines
+    drone = model.drones["deck"]
+    assert line(drone, drone.events[-1]).isprintable()
+    assert line(drone, None).isprintable()
+
+
+def test_a_crowd_of_names_is_bounded() -> None:
+    model = WatchModel()
+    for k in range(DRONES + 10):
+        model.hear(Topics(f"d{k}").status, messages.encode(online()), 0.0)
+    assert (len(model.drones), model.ignored) == (DRONES, 10)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--config", "sim"], "sim: mqtt.transport is off"),
+        (["--drone", "a/b"], "--drone: not a name of a drone: 'a/b'"),
+        (["--port", "0"], "--port must be from 1 to 65535, got 0"),
+        (["--seconds", "-1"], "--seconds must be more than 0, got -1.0"),
+        (["--password-file", "nowhere"], "--password-file needs --user"),
+        (["--user", "a", "--password-file", "nowhere"], "mqtt.password_file: nowhere: No such file or directory"),
+        (["--ca-file", "nowhere"], "mqtt.ca_file: nowhere: No such file or directory"),
+    ],
+)
+def test_wrong_use_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["watch", *words]) == 2
+    assert capsys.readouterr().err == f"decklander: {said}\n"
+
+
+async def test_where_there_is_no_terminal_it_prints_lines(broker: Broker, tmp_path: Path) -> None:
+    options = {
+        "--host": "localhost",
+        "--port": str(broker.port),
+        "--user": "ground",
+        "--password-file": str(broker.folder / "ground.password"),
+        "--ca-file": str(broker.certificates / "ca.crt"),
+        "--seconds": "2.5",
+    }
+    words = [sys.executable, "-m", "companion.cli.main", "watch", *(word for pair in options.items() for word in pair)]
+    async with running(broker.settings(), tmp_path / "spool") as rig:
+        await until(lambda: rig.count("connections") == 1)
+        watch = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE, cwd=ROOT)
+        for k in range(25):
+            rig.part.on_sample(status(rig.clock.now()))
+            rig.part.on_decision(decision(rig.clock.now()))
+            rig.part.tell(happening(rig.clock.now(), f"number {k}"))
+            await asyncio.sleep(0.1)
+        out, _ = await watch.communicate()
+    assert watch.returncode == 0
+    text = out.decode()
+    assert "\x1b" not in text
+    assert re.search(r"^deck online approach: height  2\.00 m   beside  0\.36 m .* battery 80 %$", text, re.MULTILINE), text
+    assert re.search(r"^deck event \d+ phase: number \d+$", text, re.MULTILINE), text

@@ -1,0 +1,106 @@
+import math
+
+import numpy as np
+import pytest
+
+from estimator.contracts.commands import Velocity
+from estimator.contracts.estimates import Pose6, RelativeState, Sighting
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, VesselReport
+from estimator.contracts.time import MonoNs, Stamp
+
+STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
+V = np.array([1.0, 2.0, 3.0])
+C3, C4, C7 = np.eye(3), np.eye(4), np.eye(7)
+R = Rotation.identity()
+
+
+def sighting(d=V, yaw=0.1, cov=C4, confidence=0.5):
+    return Sighting(STAMP, 0, "ellipse", d, yaw, False, cov, confidence)
+
+
+def state(d=V, v=V, cov=C7):
+    return RelativeState(MonoNs(0), "ekf", d, v, 0.1, cov, MonoNs(0), True)
+
+
+VECTORS = {
+    "Imu.w": lambda v: Imu(STAMP, v, V),
+    "Imu.f": lambda v: Imu(STAMP, V, v),
+    "BodyVelocity": lambda v: BodyVelocity(STAMP, v, C3),
+    "VesselReport": lambda v: VesselReport(STAMP, v, C3, None, None),
+    "Sighting": lambda v: sighting(d=v),
+    "Pose6": lambda v: Pose6(v, R, np.eye(6)),
+    "RelativeState.d": lambda v: state(d=v),
+    "RelativeState.v": lambda v: state(v=v),
+    "Velocity": lambda v: Velocity(v, 0.0),
+}
+COVARIANCES = {
+    "Attitude": (3, lambda c: Attitude(STAMP, R, c)),
+    "BodyVelocity": (3, lambda c: BodyVelocity(STAMP, V, c)),
+    "VesselReport": (3, lambda c: VesselReport(STAMP, V, c, None, None)),
+    "Sighting": (4, lambda c: sighting(cov=c)),
+    "Pose6": (6, lambda c: Pose6(V, R, c)),
+    "RelativeState": (7, lambda c: state(cov=c)),
+}
+
+
+@pytest.mark.parametrize("make", VECTORS.values(), ids=VECTORS)
+@pytest.mark.parametrize("bad", [np.array([1.0, math.nan, 0.0]), np.array([math.inf, 0, 0]), np.zeros(2), np.zeros((3, 1))])
+def test_a_vector_that_is_not_finite_or_not_three_long_is_refused(make, bad):
+    make(V)
+    with pytest.raises(ValueError, match="finite"):
+        make(bad)
+
+
+@pytest.mark.parametrize(("n", "make"), COVARIANCES.values(), ids=COVARIANCES)
+def test_what_is_no_covariance_is_refused(n, make):
+    make(np.eye(n))
+    skewed, negative, nan = np.eye(n), np.eye(n), np.eye(n)
+    skewed[0, 1], negative[1, 1], nan[0, 0] = 0.5, -1.0, math.nan
+    for bad in (skewed, negative, nan, np.eye(n + 1), np.ones(n)):
+        with pytest.raises(ValueError, match=r"finite|symmetric"):
+            make(bad)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Range(STAMP, math.nan, 0.1),
+        lambda: Range(STAMP, -0.1, 0.1),
+        lambda: Range(STAMP, 1.0, 0.0),
+        lambda: Range(STAMP, 1.0, math.inf),
+        lambda: Baro(STAMP, math.nan, 0.1),
+        lambda: Baro(STAMP, 1.0, -0.1),
+        lambda: Velocity(V, math.nan),
+        lambda: sighting(yaw=math.nan),
+        lambda: sighting(yaw=4.0),
+        lambda: sighting(confidence=math.nan),
+        lambda: sighting(confidence=1.1),
+        lambda: VesselReport(STAMP, V, None, None, None),
+        lambda: VesselReport(STAMP, None, None, 0.1, None),
+        lambda: Frame(STAMP, 0, np.zeros((4, 4), np.uint8)),
+        lambda: Frame(STAMP, 0, np.zeros((4, 4, 3))),
+    ],
+)
+def test_nonsense_is_refused_at_the_border(make):
+    with pytest.raises(ValueError, match=r"need|must"):
+        make()
+
+
+def test_samples_keep_their_own_copy_and_cannot_be_written():
+    source = V.copy()
+    sample = Imu(STAMP, source, V)
+    source[0] = 99.0
+    assert sample.w_body[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        sample.w_body[0] = 5.0
+    frame = Frame(STAMP, 0, np.zeros((2, 2, 3), np.uint8))
+    with pytest.raises(ValueError, match="read-only"):
+        frame.px[0, 0, 0] = 1
+
+
+def test_height_lateral_and_age():
+    s = RelativeState(MonoNs(5), "ekf", np.array([3.0, -4.0, 2.5]), V, None, C7, MonoNs(1_000_000_000), True)
+    assert s.height_m == 2.5
+    assert s.lateral_m == 5.0
+    assert s.age_s(MonoNs(1_250_000_000)) == 0.25

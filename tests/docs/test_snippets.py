@@ -1,0 +1,150 @@
+"""What the docs say to type works: blocks marked `run` are run, settings are loaded, and every command line parses.
+
+`sh run` (with `exit=N`), `python run`, `toml rig`, `toml pad`. Every other line that
+begins with `decklander` is parsed, not run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from companion.cli.main import COMMANDS
+from companion.settings import from_mapping
+from estimator.vision.pad import Pad
+
+ROOT = Path(__file__).parents[2]
+PAGES = [*sorted(ROOT.glob("docs/*.md")), ROOT / "README.md"]
+
+
+@dataclass(frozen=True)
+class Snippet:
+    page: str
+    line: int
+    kind: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.page}:{self.line}"
+
+
+def snippets() -> list[Snippet]:
+    found = []
+    for page in PAGES:
+        text = page.read_text()
+        for block in re.finditer(r"^( *)```([^\n]*)\n(.*?)^\1```$", text, re.MULTILINE | re.DOTALL):
+            indent = len(block[1])
+            body = "".join(line[indent:] or "\n" for line in block[3].splitlines(keepends=True))
+            found.append(Snippet(page.name, text.count("\n", 0, block.start()) + 1, block[2].strip(), body))
+    return found
+
+
+def of_kind(start: str) -> list[Snippet]:
+    return [s for s in snippets() if s.kind.startswith(start)]
+
+
+def command_lines() -> list[tuple[str, list[str]]]:
+    """Every line of any page that begins with the command, in a block or indented by four."""
+    found = []
+    for page in PAGES:
+        for number, line in enumerate(page.read_text().splitlines(), 1):
+            said = re.match(r"^(?: {3,}|)(?:\.venv/bin/)?(decklander [^|>&#;`]*)", line)
+            if said is not None and "SOURCE..." not in line:
+                typed = re.sub(r"\[[^\]]*\]", "", re.split(r" {2,}", said[1])[0]).strip(" \\")
+                words = [word for word in shlex.split(typed)[1:] if word != "..."]
+                if words:
+                    found.append((f"{page.name}:{number}", words))
+    return found
+
+
+@pytest.mark.parametrize(("where", "words"), command_lines(), ids=lambda value: value if isinstance(value, str) else "")
+def test_command_lines_parse(where: str, words: list[str]) -> None:
+    assert words[0] in COMMANDS, where
+    parser = argparse.ArgumentParser(prog="decklander", exit_on_error=False, allow_abbrev=False)
+    module = importlib.import_module(COMMANDS[words[0]][0])
+    module.add_parser(parser.add_subparsers(dest="command"))
+    try:
+        parser.parse_args(words)
+    except (SystemExit, argparse.ArgumentError) as why:
+        pytest.fail(f"{where}: decklander {' '.join(words)}: {why}")
+
+
+@pytest.mark.parametrize("snippet", of_kind("sh run"), ids=str)
+def test_shell_snippets_run(snippet: Snippet, tmp_path: Path) -> None:
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin/decklander").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m companion.cli.main "$@"\n')
+    (tmp_path / "bin/decklander").chmod(0o755)
+    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["sh", "-e", "-c", snippet.text],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    wanted = re.search(r"exit=(\d+)", snippet.kind)
+    assert done.returncode == (int(wanted[1]) if wanted else 0), done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("snippet", of_kind("python run"), ids=str)
+def test_python_snippets_run(snippet: Snippet, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", snippet.text],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("snippet", of_kind("toml"), ids=str)
+def test_settings_in_the_docs_are_good(snippet: Snippet) -> None:
+    data = tomllib.loads(snippet.text)
+    if snippet.kind == "toml pad":
+        assert Pad.from_mapping(data, str(snippet)).disc_radius_m > 0
+    else:
+        assert snippet.kind == "toml rig"
+        from_mapping(data, str(snippet))
+
+
+def test_links_lead_somewhere() -> None:
+    broken = [
+        f"{page.name}: {target}"
+        for page in PAGES
+        for target in re.findall(r"\]\((?!https?:)([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
+        if not (page.parent / target).exists()
+    ]
+    assert broken == []
+
+
+def test_paths_named_in_the_pages_exist() -> None:
+    """Files of ours in backticks, where they are named from the top."""
+    named = {
+        (page.name, path)
+        for page in PAGES
+        for path in re.findall(r"`((?:companion|configs|drivers|estimator|sitl|tests|benches)/[\w./-]+)`", page.read_text())
+    }
+    assert sorted(f"{page}: {path}" for page, path in named if not (ROOT / path).exists()) == []
+
+
+def test_there_is_something_to_run() -> None:
+    assert len(of_kind("sh run")) >= 2
+    assert len(of_kind("python run")) >= 1
+    assert len(of_kind("toml")) >= 2
+    assert len(command_lines()) >= 10

@@ -1,0 +1,203 @@
+"""A drone in miniature on loopback: the four ports, acknowledge bit, watchdog and bootstrap, and a record of what it was told."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+from drivers.ardrone import at, control
+from drivers.ardrone import navdata as nd
+from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.refusal import Refusal
+
+HOST = "127.0.0.1"
+
+
+class _Udp(asyncio.DatagramProtocol):
+    def __init__(self, received: Callable[[bytes, Any], None]) -> None:
+        self.received = received
+        self.transport: Any = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = transport
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:
+        self.received(data, addr)
+
+
+class FakeArDrone:
+    """Flies by word alone: REF bit 9 makes it fly after `take_off_s`, REF without it lands it at once."""
+
+    def __init__(self) -> None:
+        self.state = nd.State.NAVDATA_BOOTSTRAP | nd.State.COM_WATCHDOG
+        self.control = nd.ControlState.LANDED
+        self.sequence = 0
+        self.clock_us = 5_000_000
+        self.commands: list[tuple[int, at.AtCommand]] = []
+        self.refused: list[Refusal] = []
+        self.configuration = {"general:num_version_soft": "2.4.8"}
+        self.configured_in_order: list[str] = []
+        self.ids_before_config: list[at.ConfigIds | None] = []
+        self.openings = 0
+        self.client: Any = None
+        self.silent = False
+        self.deaf_to_config = False
+        self.forces_ref = True
+        self.clips: list[bytes] = []
+        self.video_pause_s = 0.004
+        self.video_connections = 0
+        self.control_connections = 0
+        self.video_writers: list[asyncio.StreamWriter] = []
+        self.control_writers: list[asyncio.StreamWriter] = []
+        self.vx_mm_s = 0.0
+        self._handlers: list[Any] = []
+        self._ids: at.ConfigIds | None = None
+        self._navdata: _Udp | None = None
+        self._at: _Udp | None = None
+
+    def of(self, kind: type[Any]) -> list[Any]:
+        """Every command of a kind so far."""
+        return [c for _, c in self.commands if isinstance(c, kind)]
+
+    def forget(self) -> None:
+        """As after its battery was changed."""
+        self.state = nd.State.NAVDATA_BOOTSTRAP | nd.State.COM_WATCHDOG
+        self.control = nd.ControlState.LANDED
+        self.sequence = 0
+        self.clock_us = 1_000_000
+        self.configured_in_order.clear()
+
+    def datagram(self) -> bytes:
+        """The next one."""
+        self.sequence += 1
+        self.clock_us += 5_000
+        if self.state & nd.State.NAVDATA_BOOTSTRAP:
+            return nd.encode(nd.Navdata.of(self.state, self.sequence))
+        options: tuple[Any, ...] = (nd.Demo(self.control.word, 80, 0.0, 0.0, 0.0, 900, self.vx_mm_s, 0.0, 0.0),)
+        if not self.state & nd.State.NAVDATA_DEMO:
+            accs, gyros = (0.0, 0.0, -1000.0), (0.0, 0.0, 0.0)
+            options += (nd.Time.of_us(self.clock_us), nd.PhysMeasures(40.0, 0, accs, gyros), nd.Altitude(altitude_raw_mm=900))
+        return nd.encode(nd.Navdata.of(self.state, self.sequence, options))
+
+    def tick(self) -> None:
+        """Send one navdata datagram."""
+        if self.client is not None and not self.silent and self._navdata is not None:
+            self._navdata.transport.sendto(self.datagram(), self.client)
+
+    def _opened(self, data: bytes, addr: Any) -> None:
+        if data[:1] == b"\x01":
+            self.openings += 1
+            self.client = addr
+
+    def _told(self, data: bytes, addr: Any) -> None:
+        for result in at.decode(data):
+            if isinstance(result, Refusal):
+                self.refused.append(result)
+                continue
+            self.commands.append(result)
+            self._obey(result[1])
+
+    def _obey(self, command: at.AtCommand) -> None:
+        if isinstance(command, at.ConfigIds):
+            self._ids = command
+            return
+        if isinstance(command, at.Config) and not self.deaf_to_config and not self.state & nd.State.COMMAND_ACK:
+            self.configuration[command.key] = command.value
+            self.configured_in_order.append(command.key)
+            self.ids_before_config.append(self._ids)
+            self.state |= nd.State.COMMAND_ACK
+        elif isinstance(command, at.Ctrl) and command.mode == at.CTRL_ACK:
+            self.state &= ~(nd.State.COMMAND_ACK | nd.State.NAVDATA_BOOTSTRAP)
+        elif isinstance(command, at.Ctrl) and command.mode == at.CTRL_CONFIGURATION:
+            for writer in self.control_writers:
+                writer.write(control.render(self.configuration))
+        elif isinstance(command, at.ComWdg):
+            self.state &= ~nd.State.COM_WATCHDOG
+        elif isinstance(command, at.Ref) and self.forces_ref:
+            if command.take_off and not self.state & nd.State.FLYING:
+                self.state |= nd.State.FLYING
+                self.control = nd.ControlState.HOVERING
+            elif not command.take_off:
+                self.state &= ~nd.State.FLYING
+                self.control = nd.ControlState.LANDED
+        self._ids = None
+
+    async def _video(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.video_connections += 1
+        self.video_writers.append(writer)
+        self._handlers.append(asyncio.current_task())
+        with suppress(OSError):
+            for clip in self.clips:
+                if writer.is_closing():
+                    break
+                writer.write(clip)
+                await asyncio.sleep(self.video_pause_s)
+            await reader.read()
+        writer.close()
+
+    async def _controlled(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.control_connections += 1
+        self.control_writers.append(writer)
+        self._handlers.append(asyncio.current_task())
+        with suppress(OSError):
+            await reader.read()
+        self.control_writers.remove(writer)
+        writer.close()
+
+    def drop(self, writers: list[asyncio.StreamWriter]) -> None:
+        """Cut these connections."""
+        for writer in writers:
+            writer.close()
+
+    @asynccontextmanager
+    async def on_loopback(self, **options: Any) -> AsyncIterator[ArDroneOptions]:
+        """Serve; yields options that lead here, patient for milliseconds only."""
+        loop = asyncio.get_running_loop()
+        navdata_transport, self._navdata = await loop.create_datagram_endpoint(lambda: _Udp(self._opened), (HOST, 0))
+        at_transport, self._at = await loop.create_datagram_endpoint(lambda: _Udp(self._told), (HOST, 0))
+        video = await asyncio.start_server(self._video, HOST, 0)
+        controlled = await asyncio.start_server(self._controlled, HOST, 0)
+        fast: dict[str, Any] = {
+            "host": HOST,
+            "navdata_port": navdata_transport.get_extra_info("sockname")[1],
+            "at_port": at_transport.get_extra_info("sockname")[1],
+            "video_port": video.sockets[0].getsockname()[1],
+            "control_port": controlled.sockets[0].getsockname()[1],
+            "command_period_s": 0.01,
+            "navdata_silence_s": 0.1,
+            "reopen_after_s": 0.4,
+            "video_silence_s": 0.3,
+            "config_timeout_s": 0.5,
+            "restart_first_s": 0.02,
+            "restart_most_s": 0.1,
+            "video_settle_s": 0.0,
+        }
+        ticker = asyncio.create_task(self._run())
+        try:
+            yield ArDroneOptions(**(fast | options))
+        finally:
+            ticker.cancel()
+            with suppress(asyncio.CancelledError):
+                await ticker
+            self.drop([*self.video_writers, *self.control_writers])
+            await asyncio.gather(*self._handlers)
+            for server in (video, controlled):
+                server.close()
+                await server.wait_closed()
+            navdata_transport.close()
+            at_transport.close()
+            await asyncio.sleep(0)
+
+    async def _run(self) -> None:
+        while True:
+            await asyncio.sleep(0.005)
+            self.tick()
+
+
+async def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> None:
+    """Wait for something to come true; the test fails when it does not."""
+    async with asyncio.timeout(timeout_s):
+        while not condition():  # noqa: ASYNC110 - what is waited for lies on both sides of sockets
+            await asyncio.sleep(0.005)

@@ -1,0 +1,180 @@
+"""What others recorded: real logs and captures read with the right axes, units and times, and refused in one line when broken."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import struct
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+import av
+import numpy as np
+import pytest
+
+from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
+from estimator.contracts.errors import BadInput
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
+
+DATA = Path(__file__).parents[3] / "../shared/data"
+ULOG, DATAFLASH = DATA / "mavlink/px4_sample.ulg", DATA / "mavlink/arducopter_flight.bin"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the shared recordings are not here")
+
+
+def of(kind: type, samples: Sequence[Sample]) -> list[Sample]:
+    return [s for s in samples if isinstance(s, kind)]
+
+
+def turn_rates(attitudes: Sequence[Sample]) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 2) instants in seconds and (n, 3) mean body rates between neighbouring attitudes."""
+    at, rates = [], []
+    for a, b in itertools.pairwise(attitudes):
+        assert isinstance(a, Attitude)
+        assert isinstance(b, Attitude)
+        dt = (b.stamp.taken - a.stamp.taken) * 1e-9
+        if 0 < dt < 0.25:
+            at.append((a.stamp.taken * 1e-9, b.stamp.taken * 1e-9))
+            rates.append((a.R_ned_body.inv @ b.R_ned_body).rotvec_rad / dt)
+    return np.array(at), np.array(rates)
+
+
+@needs_data
+@pytest.mark.parametrize(("read", "path", "least"), [(px4_ulog.read, ULOG, 0.9), (dataflash.read, DATAFLASH, 0.5)])
+def test_gyro_and_attitude_of_one_log_turn_the_same_way(read: object, path: Path, least: float) -> None:
+    assert callable(read)
+    samples = read(path)
+    heard = [s.stamp.heard for s in samples]
+    assert heard == sorted(heard)
+    assert heard[0] >= 0
+    imu = of(Imu, samples)
+    at, rates = turn_rates(of(Attitude, samples))
+    t = np.array([s.stamp.taken * 1e-9 for s in imu])
+    w = np.array([s.w_body for s in imu if isinstance(s, Imu)])
+    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(t)[:, None], axis=0)])
+    for axis in range(3):
+        begin, end = (np.interp(at[:, k], t, angle[:, axis]) for k in (0, 1))
+        gyro = (end - begin) / (at[:, 1] - at[:, 0])
+        assert np.corrcoef(gyro, rates[:, axis])[0, 1] > least, f"axis {axis}"
+    gravity = np.median([s.f_body[2] for s in imu if isinstance(s, Imu)])
+    assert -10.5 < gravity < -8.5
+
+
+@needs_data
+def test_the_dataflash_log_holds_what_its_own_tools_count() -> None:
+    samples = dataflash.read(DATAFLASH)
+    counts = Counter(type(s).__name__ for s in samples)
+    assert counts["Imu"] == 11916
+    assert counts["Attitude"] == counts["Baro"] == counts["BodyVelocity"] == 2383
+    assert samples[-1].stamp.taken * 1e-9 == pytest.approx(242.6, abs=0.1)
+    speed = max(float(np.linalg.norm(s.v_level)) for s in samples if isinstance(s, BodyVelocity))
+    assert 0.5 < speed < 30.0
+
+
+def test_a_velocity_in_the_log_is_turned_into_level_by_the_heading() -> None:
+    reader = dataflash._Reader(None)
+    heading = SimpleNamespace(Roll=3.0, Pitch=-2.0, Yaw=90.0)
+    reader._attitude(heading, 0)
+    message = SimpleNamespace(VN=1.0, VE=2.0, VD=3.0, get_type=lambda: "XKF1")
+    velocity = reader._velocity(message, 1_000_000)
+    assert isinstance(velocity, BodyVelocity)
+    assert velocity.v_level == pytest.approx([2.0, -1.0, 3.0])
+    older = SimpleNamespace(VN=1.0, VE=2.0, VD=3.0, get_type=lambda: "EKF1")
+    assert reader._velocity(older, 2_000_000) is None, "one filter's velocities, not two mixed"
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("name", "pictures", "seconds"), [("video_56_frames", 56, 1.793), ("video_starts_on_p_frames", 17, 0.511)]
+)
+def test_pave_captures_give_the_pictures_that_decode_at_the_drones_times(name: str, pictures: int, seconds: float) -> None:
+    frames = list(ardrone_capture.frames(DATA / f"ardrone/{name}.pave"))
+    assert len(frames) == pictures
+    assert frames[0].px.shape == (360, 640, 3)
+    assert frames[0].stamp.taken == 0
+    assert frames[-1].stamp.taken * 1e-9 == pytest.approx(seconds, abs=0.002)
+    steps = np.diff([f.stamp.taken for f in frames]) * 1e-6
+    assert np.median(steps) == pytest.approx(33.0, abs=1.0)
+    assert all(f.stamp.delay_s == 0.05 for f in frames)
+
+
+@needs_data
+def test_navdata_captures_are_parted_and_timed_by_the_drones_clock(tmp_path: Path) -> None:
+    one = (DATA / "ardrone/navdata_full_gps.bin").read_bytes()
+    at = one.index(struct.pack("<HH", 1, 8)) + 4
+    (word,) = struct.unpack_from("<I", one, at)
+
+    def later(milliseconds: int) -> bytes:
+        """The same datagram with another time and a checksum that fits."""
+        data = bytearray(one)
+        us = (word >> 21) * 1_000_000 + (word & 0x1FFFFF) + 1000 * milliseconds
+        struct.pack_into("<I", data, at, (us // 1_000_000) << 21 | us % 1_000_000)
+        struct.pack_into("<I", data, len(data) - 4, sum(data[:-8]) & 0xFFFFFFFF)
+        return bytes(data)
+
+    path = tmp_path / "navdata.bin"
+    path.write_bytes(one + b"\x00\x01" + later(5) + later(10)[:700] + later(15) + later(2000))
+    samples = ardrone_capture.samples(path)
+    instants = sorted({s.stamp.taken for s in samples})
+    assert instants == [0, 5_000_000, 15_000_000, 2_000_000_000]
+    assert {Imu, Attitude, BodyVelocity, Range, Baro, VehicleStatus} == {type(s) for s in samples}
+
+
+def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,roll_deg,pitch_deg,yaw_deg\n10.5,3,-4,90\n10.0,1,2,\n")
+    first, second = attitude_csv.read(path)
+    assert isinstance(first, Attitude)
+    assert isinstance(second, Attitude)
+    assert (first.stamp.taken, second.stamp.taken) == (0, 500_000_000)
+    assert np.degrees(second.R_ned_body.rpy_rad) == pytest.approx([3.0, -4.0, 90.0])
+
+
+def test_videos_keep_their_own_times(tmp_path: Path) -> None:
+    path = tmp_path / "v.mp4"
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("libx264", rate=20)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for i in range(10):
+            picture = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")
+            out.mux(stream.encode(picture))
+        out.mux(stream.encode(None))
+    frames = list(video.frames(path))
+    assert [round(f.stamp.taken * 1e-6) for f in frames] == [50 * i for i in range(10)]
+    assert [int(f.px.mean()) for f in frames] == pytest.approx([20 * i for i in range(10)], abs=6)
+
+
+@pytest.mark.parametrize(
+    ("read", "content", "said"),
+    [
+        (px4_ulog.read, b"ULog\x01\x12\x35\x01" + bytes(30), "neither sensor_combined"),
+        (px4_ulog.read, b"nonsense", "not a readable PX4 log"),
+        (dataflash.read, b"1, FMT", "not a dataflash log"),
+        (dataflash.read, b"\xa3\x95" + bytes(200), "neither IMU|not a readable"),
+        (ardrone_capture.samples, b"\x88\x77\x66\x55" + bytes(100), "no whole navdata"),
+        (lambda p: list(ardrone_capture.frames(p)), b"PaVE" + bytes(300), "no picture"),
+        (lambda p: list(video.frames(p)), b"RIFF1234AVI nonsense", "readable video|holds no video"),
+        (attitude_csv.read, b"time_s,roll_deg\n1,2\n", "column 'pitch_deg' is missing"),
+        (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n1,2,x\n", "line 2: not a number"),
+        (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n1,2,inf\n", "line 2: not a finite"),
+        (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n", "holds no attitudes"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_in_one_line(read: object, content: bytes, said: str, tmp_path: Path) -> None:
+    assert callable(read)
+    path = tmp_path / "x"
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match=said) as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(BadInput):
+        read(tmp_path / "missing")
+
+
+def test_angles_of_a_log_are_degrees() -> None:
+    reader = dataflash._Reader(None)
+    attitude = reader._attitude(SimpleNamespace(Roll=1.0, Pitch=2.0, Yaw=359.0), 0)
+    assert isinstance(attitude, Attitude)
+    assert np.degrees(attitude.R_ned_body.rpy_rad) == pytest.approx([1.0, 2.0, -1.0])
+    assert reader._attitude(SimpleNamespace(Roll=math.nan, Pitch=0.0, Yaw=0.0), 0) is None

@@ -1,0 +1,190 @@
+"""The autopilot as vehicle, against one in miniature over real sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.clock import SystemClock
+from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
+from drivers.mavlink.dialect import TimeSyncV2, mav
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.helm import HelmOptions
+from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.commands import Land, Velocity
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
+from tests.drivers.fake_ardrone import until
+from tests.drivers.mavlink.fake_autopilot import EPOCH_NS, FakeAutopilot
+
+HOST = "127.0.0.1"
+
+
+@asynccontextmanager
+async def flown(fake: FakeAutopilot, **options: Any) -> AsyncIterator[Autopilot]:
+    link = LinkOptions(parse_endpoint(f"udpin://{HOST}:0"), restart_first_s=0.02, restart_most_s=0.1)
+    given = {"silence_s": 0.8, "period_s": 0.02} | options
+    async with open_autopilot(AutopilotOptions((link,), **given), SystemClock()) as autopilot:
+        await until(lambda: autopilot.links.all[0].local is not None)
+        host, port = autopilot.links.all[0].local or ("", 0)
+        async with fake.talking_to(f"udpout://{host}:{port}"):
+            await until(lambda: autopilot.connected)
+            yield autopilot
+
+
+def drain(autopilot: Autopilot) -> list[Sample]:
+    return [autopilot.samples._items.popleft() for _ in range(len(autopilot.samples))]
+
+
+@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
+async def test_a_fresh_link_is_asked_for_streams_and_gives_samples(stack: Stack) -> None:
+    fake = FakeAutopilot(stack, mode="loiter" if stack is Stack.ARDUPILOT else "auto.loiter", v_ned=np.array([0.0, 1.0, 0.0]))
+    fake.rpy = lambda t: (0.0, 0.0, math.radians(90.0))
+    async with flown(fake) as autopilot:
+        await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
+        await until(lambda: autopilot.sync is not None and autopilot.sync.locked)
+        assert fake.intervals[mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] == 0.01
+        drain(autopilot)
+        samples: list[Sample] = []
+
+        def all_kinds() -> bool:
+            samples.extend(drain(autopilot))
+            return {Attitude, BodyVelocity, Imu, VehicleStatus} <= {type(s) for s in samples}
+
+        await until(all_kinds)
+        velocity = next(s for s in samples if isinstance(s, BodyVelocity))
+        assert velocity.v_level == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
+        assert autopilot.links.identity == (7, 191)
+        assert autopilot.identity is not None
+        assert autopilot.identity.stack is stack
+        offset = autopilot.sync.offset_ns(SystemClock().now()) if autopilot.sync else None
+        assert offset is not None
+        assert abs(offset[0] - EPOCH_NS) < 3e6
+        assert all(s.stamp.taken <= s.stamp.heard for s in samples)
+        assert autopilot.condition.battery_fraction == 0.83
+
+
+async def test_an_autopilot_that_waits_to_be_spoken_to_is_found() -> None:
+    fake = FakeAutopilot()
+    async with fake.talking_to(f"udpin://{HOST}:0"):
+        await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
+        assert fake.links is not None
+        host, port = fake.links.all[0].local or ("", 0)
+        link = LinkOptions(parse_endpoint(f"udpout://{host}:{port}"))
+        async with open_autopilot(AutopilotOptions((link,)), SystemClock()) as autopilot:
+            await until(lambda: autopilot.connected)
+
+
+async def test_a_refused_stream_is_known() -> None:
+    fake = FakeAutopilot(unsupported={mav.MAVLINK_MSG_ID_DISTANCE_SENSOR})
+    async with flown(fake) as autopilot:
+        await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
+        assert autopilot.streams is not None
+        assert autopilot.streams.refused == {"DISTANCE_SENSOR": 2}
+
+
+async def test_timesync_is_answered_with_our_clock() -> None:
+    fake = FakeAutopilot()
+    async with flown(fake):
+        for _ in range(3):
+            fake.send(fake_request(fake))
+        await until(lambda: len(fake.sync_answers) == 3)
+        for ours, _, heard in fake.sync_answers:
+            assert 0 <= heard - EPOCH_NS - ours < 50_000_000
+
+
+def fake_request(fake: FakeAutopilot) -> Any:
+    return TimeSyncV2(0, fake.boot_ns)
+
+
+async def test_silence_is_said_and_everything_is_asked_for_again() -> None:
+    fake = FakeAutopilot(parameters={"PLND_LAG": 0.02})
+    async with flown(fake, parameters=("PLND_LAG",)) as autopilot:
+        await until(lambda: autopilot.streams is not None and autopilot.streams.settled)
+        asked = fake.commands[511]
+        drain(autopilot)
+        fake.silent = True
+        await until(lambda: not autopilot.connected)
+        lost = [s for s in drain(autopilot) if isinstance(s, VehicleStatus)]
+        assert lost[-1].link_ok is False
+        with pytest.raises(Recoverable, match="no autopilot"):
+            autopilot.command(Land())
+        fake.silent = False
+        await until(lambda: fake.commands[511] >= 2 * asked)
+        assert autopilot.connects == 2
+        assert autopilot.parameters is not None
+        assert autopilot.parameters.values == {"PLND_LAG": pytest.approx(0.02)}
+
+
+async def test_a_reboot_is_noticed_and_streams_are_asked_for_again() -> None:
+    fake = FakeAutopilot()
+    async with flown(fake) as autopilot:
+        await until(lambda: autopilot.sync is not None and autopilot.sync.locked)
+        await until(lambda: autopilot.attitude is not None)
+        asked = fake.commands[511]
+        fake.epoch_ns -= 3_000_000_000
+        await until(lambda: fake.commands[511] > asked)
+        await until(lambda: autopilot.sync is not None and autopilot.sync.locked)
+
+
+async def test_others_are_not_mistaken_for_the_autopilot() -> None:
+    ship = FakeAutopilot(system=17)
+    ship.heartbeat = lambda: mav.MAVLink_heartbeat_message(11, 3, 0, 0, 4, 3)  # type: ignore[method-assign]
+    fake = FakeAutopilot()
+    async with flown(fake, vessel_system=17) as autopilot:
+        host, port = autopilot.links.all[0].local or ("", 0)
+        async with ship.talking_to(f"udpout://{host}:{port}"):
+            await until(lambda: autopilot.links.all[0].peers == 2)
+            drain(autopilot)
+            for _ in range(5):
+                ship.send(mav.MAVLink_global_position_int_message(4000, 0, 0, 0, 0, 150, 0, 0, 9000))
+                ship.send(mav.MAVLink_statustext_message(3, b"not the autopilot"))
+                await asyncio.sleep(0.02)
+            await asyncio.sleep(0.1)
+            reports = [s for s in drain(autopilot) if type(s).__name__ == "VesselReport"]
+            assert len(reports) == 5
+            assert autopilot.identity is not None
+            assert autopilot.identity.system == 7
+            assert len(autopilot.texts) == 0
+
+
+async def test_flown_by_velocity_and_landed_through_mavlink_alone() -> None:
+    fake = FakeAutopilot(Stack.PX4, mode="auto.loiter")
+    fake.rpy = lambda t: (0.0, 0.0, math.radians(90.0))
+    async with flown(fake, helm=HelmOptions(prestream_s=1.6)) as autopilot:
+        began = time.monotonic()
+        while fake.mode != "offboard":
+            autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
+            await asyncio.sleep(0.05)
+            assert time.monotonic() - began < 5.0
+        east = fake.p_ned[1]
+        for _ in range(10):
+            autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
+            await asyncio.sleep(0.05)
+        assert fake.p_ned[1] - east == pytest.approx(0.5, abs=0.2)
+        autopilot.command(Land())
+        await until(lambda: fake.v_ned[2] > 0.3)
+        fake.landed_state, fake.armed = 1, False
+        await until(lambda: autopilot.condition.flying is False)
+        setpoints = len(fake.setpoints)
+        await asyncio.sleep(0.2)
+        assert len(fake.setpoints) <= setpoints + 2, "silent on the ground"
+
+
+async def test_leaving_holds_the_vehicle() -> None:
+    fake = FakeAutopilot(Stack.ARDUPILOT, mode="guided")
+    async with flown(fake) as autopilot:
+        autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))
+        await until(lambda: fake.v_ned[0] > 0.5)
+        autopilot._close()
+        await until(lambda: bool(fake.v_ned[0] == 0.0))
+        with pytest.raises(Recoverable, match="closed"):
+            autopilot.command(Land())

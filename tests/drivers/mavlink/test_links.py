@@ -1,0 +1,186 @@
+"""Links over real sockets and a pseudo terminal on this host."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import tty
+from typing import Any
+
+import pytest
+
+from drivers.clock import SystemClock
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.endpoint import Endpoint, parse_endpoint
+from drivers.mavlink.links import LinkOptions, Links, open_links
+from drivers.mavlink.signing import Signing, SigningKey, SigningTime
+from estimator.contracts.errors import BadInput, Recoverable
+from tests.drivers.fake_ardrone import until
+
+HOST = "127.0.0.1"
+
+
+def heartbeat(kind: int = 18) -> Message:
+    return mav.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
+
+
+def quick(url: str, **options: Any) -> LinkOptions:
+    return LinkOptions(parse_endpoint(url), restart_first_s=0.02, restart_most_s=0.1, **options)
+
+
+def port_of(links: Links, number: int = 0) -> int:
+    address = links.all[number].local
+    assert address is not None
+    return address[1]
+
+
+@pytest.mark.parametrize(
+    ("url", "endpoint"),
+    [
+        ("udpin://0.0.0.0:14550", Endpoint("udpin", "0.0.0.0", 14550)),
+        ("udpout://ship.local:14550", Endpoint("udpout", "ship.local", 14550)),
+        ("tcp://[::1]:5760/", Endpoint("tcp", "::1", 5760)),
+        ("serial:///dev/ttyAMA0:921600", Endpoint("serial", "/dev/ttyAMA0", 921600)),
+    ],
+)
+def test_addresses_as_people_write_them(url: str, endpoint: Endpoint) -> None:
+    assert parse_endpoint(url) == endpoint
+    assert parse_endpoint(str(endpoint)) == endpoint
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["", "udp://1.2.3.4:1", "udpin:14550", "tcp://host", "tcp://host:0", "udpout://h:70000", "serial://ttyS0:57600",
+     "serial:///dev/ttyS0", "serial:///dev/ttyS0:5", "tcp://:5760", "tcp://a:b:1"],
+)  # fmt: skip
+def test_a_wrong_address_is_bad_input_that_quotes_it(url: str) -> None:
+    with pytest.raises(BadInput, match="MAVLink link"):
+        parse_endpoint(url)
+
+
+async def test_a_listening_link_answers_every_peer_with_its_own_sequence() -> None:
+    async with open_links([quick(f"udpin://{HOST}:0")], SystemClock(), (1, 191)) as ours:
+        await until(lambda: ours.all[0].local)
+        url = f"udpout://{HOST}:{port_of(ours)}"
+        async with (
+            open_links([quick(url)], SystemClock(), (1, 1)) as autopilot,
+            open_links([quick(url)], SystemClock(), (255, 190)) as station,
+        ):
+            await until(lambda: autopilot.send(heartbeat(2)) and station.send(heartbeat(6)))
+            heard = [await ours.heard.get() for _ in range(2)]
+            assert {(h.system, h.component, h.message.type) for h in heard} == {(1, 1, 2), (255, 190, 6)}
+            for _ in range(3):
+                ours.send(heartbeat())
+            for peer in (autopilot, station):
+                got = [(await peer.heard.get()).message for _ in range(3)]
+                assert [m.get_seq() for m in got] == [0, 1, 2]
+                assert (got[0].get_srcSystem(), got[0].get_srcComponent()) == (1, 191)
+            assert ours.all[0].peers == 2
+            assert ours.all[0].counters.as_dict()["messages"] == 2
+
+
+async def test_rubbish_makes_nobody_a_peer_and_is_counted() -> None:
+    async with open_links([quick(f"udpin://{HOST}:0", peers_max=2)], SystemClock(), (1, 191)) as ours:
+        await until(lambda: ours.all[0].local)
+        for n in range(20):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+                sock.sendto(bytes([n]) * 40, (HOST, port_of(ours)))
+        await until(lambda: ours.all[0].counters.bytes_in == 800)
+        assert ours.all[0].peers == 0
+        assert ours.all[0].counters.total("damaged") == 20
+        assert len(ours.all[0].counters.codecs) <= 9
+        for n in range(4):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+                sock.sendto(Codec(n + 1, 1).pack(heartbeat()), (HOST, port_of(ours)))
+                await until(lambda seen=n + 1: ours.all[0].counters.total("messages") == seen)
+        assert ours.all[0].peers == 2
+
+
+async def test_tcp_comes_back_when_the_server_does() -> None:
+    heard: list[Message] = []
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        codec = Codec(1, 1)
+        writer.write(codec.pack(heartbeat(2)))
+        heard.extend(codec.feed(await reader.read(100)))
+        writer.close()
+
+    server = await asyncio.start_server(serve, HOST, 0)
+    port = server.sockets[0].getsockname()[1]
+    async with open_links([quick(f"tcp://{HOST}:{port}")], SystemClock(), (1, 191)) as ours:
+        for _ in range(2):
+            assert (await ours.heard.get()).message.type == 2
+            assert ours.send(heartbeat())
+        server.close()
+        await server.wait_closed()
+        await until(lambda: ours.all[0].down and "Connect call failed" in ours.all[0].down)
+        assert ours.opened[0] >= 2
+        assert ours.all[0].counters.restarts >= 2
+        assert not ours.send(heartbeat())
+        assert ours.all[0].counters.dropped == 1
+    assert [m.get_seq() for m in heard] == [0, 1], "the sequence goes on over a reconnection"
+
+
+async def test_a_serial_port_carries_both_ways_and_its_loss_is_seen() -> None:
+    master, slave = os.openpty()
+    tty.setraw(master)
+    codec = Codec(1, 1)
+    async with open_links([quick(f"serial://{os.ttyname(slave)}:921600")], SystemClock(), (1, 191)) as ours:
+        await until(lambda: ours.all[0].down is None)
+        os.write(master, b"\r\n\x00" + codec.pack(heartbeat(2)))
+        assert (await ours.heard.get()).message.type == 2
+        assert ours.send(heartbeat())
+        await asyncio.sleep(0.01)
+        assert codec.feed(os.read(master, 100))[0].type == 18
+        os.close(slave)
+        os.close(master)
+        await until(lambda: ours.all[0].counters.restarts >= 1)
+        assert ours.all[0].down
+
+
+async def test_several_links_at_once_and_one_of_them_missing() -> None:
+    urls = [f"udpin://{HOST}:0", "serial:///dev/no-such-port:57600", f"udpin://{HOST}:0"]
+    async with open_links([quick(u) for u in urls], SystemClock(), (1, 191)) as ours:
+        await until(lambda: ours.all[0].local and ours.all[2].local and ours.all[1].counters.restarts)
+        assert "no-such-port" in (ours.all[1].down or "")
+        async with (
+            open_links([quick(f"udpout://{HOST}:{port_of(ours, 0)}")], SystemClock(), (2, 1)) as a,
+            open_links([quick(f"udpout://{HOST}:{port_of(ours, 2)}")], SystemClock(), (3, 1)) as b,
+        ):
+            await until(lambda: a.send(heartbeat()) and b.send(heartbeat()))
+            heard = [await ours.heard.get() for _ in range(2)]
+            assert {(h.link, h.system) for h in heard} == {(0, 2), (2, 3)}
+            ours.send(heartbeat(1), to=2)
+            assert (await b.heard.get()).message.type == 1
+            assert len(a.heard) == 0
+    with pytest.raises(Recoverable, match="closed"):
+        await ours.heard.get()
+
+
+async def test_signed_links_hear_each_other_only() -> None:
+    def signing(link_id: int) -> Signing:
+        return Signing(SigningKey(bytes(range(32))), SigningTime(None), link_id)
+
+    async with open_links([quick(f"udpin://{HOST}:0", signing=signing(0))], SystemClock(), (1, 191)) as ours:
+        await until(lambda: ours.all[0].local)
+        url = f"udpout://{HOST}:{port_of(ours)}"
+        async with (
+            open_links([quick(url)], SystemClock(), (66, 1)) as unsigned,
+            open_links([quick(url, signing=signing(1))], SystemClock(), (1, 1)) as signed,
+        ):
+            await until(lambda: unsigned.send(heartbeat()))
+            await until(lambda: ours.all[0].counters.total("refused_signature"))
+            assert ours.all[0].peers == 0
+            await until(lambda: signed.send(heartbeat()))
+            assert (await ours.heard.get()).system == 1
+            ours.send(heartbeat())
+            assert (await signed.heard.get()).message.get_signed()
+            assert len(unsigned.heard) == 0
+
+
+async def test_an_error_of_the_caller_comes_out_as_itself() -> None:
+    with pytest.raises(KeyError):
+        async with open_links([quick(f"udpin://{HOST}:0")], SystemClock(), (1, 191)):
+            raise KeyError("mine")

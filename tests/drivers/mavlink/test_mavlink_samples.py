@@ -1,0 +1,149 @@
+"""Messages to samples: units, axes, refusals. Every number differs, so that none can be swapped unseen."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.mavlink.boot_clock import BootClock
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.samples import Sampler
+from drivers.mavlink.timesync import TimeSync
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport
+from estimator.contracts.time import MonoNs
+
+NOW = MonoNs(9_000_000_000)
+
+
+def sampler(stack: Stack = Stack.ARDUPILOT, **options: Any) -> Sampler:
+    return Sampler(stack, BootClock(TimeSync()), **options)
+
+
+def attitude(yaw_deg: float, roll_deg: float = 3.0, pitch_deg: float = -5.0) -> Any:
+    q = Rotation.from_rpy(math.radians(roll_deg), math.radians(pitch_deg), math.radians(yaw_deg)).quat_wxyz
+    return mav.MAVLink_attitude_quaternion_message(4000, *q, 0.0, 0.0, 0.0)
+
+
+def test_attitude() -> None:
+    (sample,) = sampler().samples(attitude(70.0), NOW)
+    assert isinstance(sample, Attitude)
+    assert np.degrees(sample.R_ned_body.rpy_rad) == pytest.approx((3.0, -5.0, 70.0))
+
+
+@pytest.mark.parametrize("yaw_deg", range(-135, 181, 45))
+def test_velocity_is_turned_into_level_by_the_heading_alone(yaw_deg: int) -> None:
+    s = sampler()
+    s.samples(attitude(yaw_deg), NOW)
+    (sample,) = s.samples(mav.MAVLink_local_position_ned_message(4000, 11.0, 12.0, -13.0, 1.5, -2.5, 0.5), NOW)
+    assert isinstance(sample, BodyVelocity)
+    yaw = math.radians(yaw_deg)
+    expected = (
+        1.5 * math.cos(yaw) - 2.5 * math.sin(yaw),
+        -1.5 * math.sin(yaw) - 2.5 * math.cos(yaw),
+        0.5,
+    )
+    assert sample.v_level == pytest.approx(expected)
+    assert s.positions[-1].p_body_ned == pytest.approx((11.0, 12.0, -13.0))
+
+
+def test_velocity_needs_an_attitude_of_its_time() -> None:
+    s = sampler()
+    assert s.samples(mav.MAVLink_local_position_ned_message(4000, 1, 2, 3, 4, 5, 6), NOW) == []
+    s.samples(attitude(0.0), NOW)
+    late = MonoNs(NOW + 2_000_000_000)
+    assert s.samples(mav.MAVLink_local_position_ned_message(6000, 1, 2, 3, 4, 5, 6), late) == []
+
+
+def test_imu_of_both_stacks() -> None:
+    (raw,) = sampler().samples(mav.MAVLink_raw_imu_message(4_000_000, 100, -200, -1000, 10, -20, 30, 0, 0, 0), NOW)
+    assert isinstance(raw, Imu)
+    assert raw.f_body == pytest.approx((0.980665, -1.96133, -9.80665))
+    assert raw.w_body == pytest.approx((0.01, -0.02, 0.03))
+    px4 = sampler(Stack.PX4)
+    assert px4.samples(mav.MAVLink_raw_imu_message(4_000_000, 1, 2, 3, 4, 5, 6, 0, 0, 0), NOW) == []
+    message = mav.MAVLink_highres_imu_message(4_000_000, 0.1, -0.2, -9.8, 0.01, -0.02, 0.03, 0, 0, 0, 1013.25, 0, 0, 20.0, 0x3F)
+    (high,) = px4.samples(message, NOW)
+    assert isinstance(high, Imu)
+    assert (*high.f_body, *high.w_body) == pytest.approx((0.1, -0.2, -9.8, 0.01, -0.02, 0.03))
+    message.fields_updated = 0x200
+    (baro,) = px4.samples(message, NOW)
+    assert isinstance(baro, Baro)
+    assert baro.height_m == pytest.approx(0.0, abs=0.01)
+
+
+def distance(cm: int, **fields: Any) -> Any:
+    given = {"orientation": 25, "covariance": 4, "signal_quality": 0} | fields
+    return mav.MAVLink_distance_sensor_message(4000, 20, 4000, cm, 0, 1, **given)
+
+
+def test_range() -> None:
+    (sample,) = sampler().samples(distance(345), NOW)
+    assert isinstance(sample, Range)
+    assert (sample.range_m, sample.sigma_m) == pytest.approx((3.45, 0.02))
+    (sample,) = sampler().samples(distance(345, covariance=255), NOW)
+    assert isinstance(sample, Range)
+    assert sample.sigma_m == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [distance(345, orientation=0), distance(10), distance(5000), distance(345, signal_quality=1)],
+    ids=["looks forward", "too near", "too far", "invalid"],
+)
+def test_a_range_that_is_none(message: Any) -> None:
+    assert sampler().samples(message, NOW) == []
+
+
+def test_our_own_range_echoed_by_the_autopilot_is_not_a_measurement() -> None:
+    assert sampler(ranges=False).samples(distance(345), NOW) == []
+
+
+def status(s: Sampler, message: Any, at: int = NOW) -> VehicleStatus | None:
+    out = s.samples(message, MonoNs(at))
+    assert len(out) <= 1
+    assert not out or isinstance(out[0], VehicleStatus)
+    return out[0] if out else None  # type: ignore[return-value]
+
+
+def test_status_follows_mode_motors_and_ground() -> None:
+    s = sampler(Stack.PX4)
+    s.samples(mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 61, 0, 0, 0, 0, 0, 0), NOW)
+    first = status(s, mav.MAVLink_heartbeat_message(2, 12, 0x81, 6 << 16, 4, 3))
+    assert first is not None
+    assert (first.mode, first.flying, first.battery_fraction, first.emergency) == ("offboard", True, 0.61, False)
+    assert status(s, mav.MAVLink_heartbeat_message(2, 12, 0x81, 6 << 16, 4, 3)) is None, "nothing new"
+    landed = status(s, mav.MAVLink_extended_sys_state_message(0, 1))
+    assert landed is not None
+    assert landed.flying is False
+    assert status(s, mav.MAVLink_heartbeat_message(2, 12, 0x81, 6 << 16, 4, 3), NOW + 600_000_000) is not None
+    flying = status(s, mav.MAVLink_extended_sys_state_message(0, 4))
+    assert flying is not None
+    assert flying.flying is True
+    cut = status(s, mav.MAVLink_heartbeat_message(2, 12, 0x81, 6 << 16, 8, 3))
+    assert cut is not None
+    assert cut.emergency
+
+
+def test_the_vessel_reports_its_velocity_and_bow() -> None:
+    (sample,) = sampler().vessel(mav.MAVLink_global_position_int_message(4000, 1, 2, 3, 4, 150, -250, 50, 12345), NOW)
+    assert isinstance(sample, VesselReport)
+    assert sample.v_vessel_ned == pytest.approx((1.5, -2.5, 0.5))
+    assert sample.heading_rad == pytest.approx(math.radians(123.45))
+    (sample,) = sampler().vessel(mav.MAVLink_global_position_int_message(4000, 1, 2, 3, 4, 150, -250, 50, 65535), NOW)
+    assert isinstance(sample, VesselReport)
+    assert sample.heading_rad is None
+
+
+def test_what_is_not_finite_is_refused_and_counted() -> None:
+    s = sampler(Stack.PX4)
+    assert s.samples(mav.MAVLink_attitude_quaternion_message(1, math.nan, 0, 0, 0, 0, 0, 0), NOW) == []
+    assert s.samples(mav.MAVLink_attitude_quaternion_message(1, 0.0, 0, 0, 0, 0, 0, 0), NOW) == []
+    assert s.samples(mav.MAVLink_local_position_ned_message(1, math.inf, 0, 0, 0, 0, 0), NOW) == []
+    message = mav.MAVLink_highres_imu_message(1, math.nan, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x3F)
+    assert s.samples(message, NOW) == []
+    assert s.refused == {"ATTITUDE_QUATERNION": 2, "LOCAL_POSITION_NED": 1, "HIGHRES_IMU": 1}

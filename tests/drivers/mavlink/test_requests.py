@@ -1,0 +1,102 @@
+"""Streams and parameters are asked for until they are answered, and refusals are kept."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.requests import Parameters, Streams, message_id
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.time import MonoNs
+
+S = 1_000_000_000
+TARGET = (7, 1)
+
+
+def ack(result: int = 0) -> Message:
+    return mav.MAVLink_command_ack_message(mav.MAV_CMD_SET_MESSAGE_INTERVAL, result)
+
+
+def at(seconds: float) -> MonoNs:
+    return MonoNs(round(seconds * S))
+
+
+def test_one_stream_at_a_time_since_the_answer_does_not_say_which() -> None:
+    streams = Streams({"ATTITUDE_QUATERNION": 100.0, "LOCAL_POSITION_NED": 50.0})
+    (first,) = streams.due(at(0), TARGET)
+    assert (first.param1, first.param2, first.command) == (31, 10_000, 511)
+    assert streams.due(at(0.1), TARGET) == []
+    streams.hear(ack(), at(0.2))
+    (second,) = streams.due(at(0.2), TARGET)
+    assert (second.param1, second.param2) == (32, 20_000)
+    streams.hear(ack(2), at(0.3))
+    assert streams.due(at(1), TARGET) == []
+    assert streams.settled
+    assert streams.refused == {"LOCAL_POSITION_NED": 2}
+
+
+def test_an_unanswered_request_is_repeated_and_then_given_up() -> None:
+    streams = Streams({"RAW_IMU": 100.0}, tries=3)
+    asked = [m for n in range(40) for m in streams.due(at(0.1 * n), TARGET)]
+    assert [m.confirmation for m in asked] == [0, 1, 2]
+    assert streams.refused == {"RAW_IMU": -1}
+    streams.restart()
+    assert len(streams.due(at(9), TARGET)) == 1
+
+
+def test_a_stream_that_falls_silent_is_asked_for_again() -> None:
+    streams = Streams({"RAW_IMU": 100.0})
+    streams.due(at(0), TARGET)
+    streams.hear(ack(), at(0.1))
+    for n in range(50):
+        streams.hear(mav.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0), at(0.1 + 0.1 * n))
+        assert streams.due(at(0.1 + 0.1 * n), TARGET) == []
+    assert len(streams.due(at(9), TARGET)) == 1
+
+
+def test_a_name_the_dialect_lacks_is_a_mistake() -> None:
+    assert message_id("LANDING_TARGET") == 149
+    with pytest.raises(KeyError):
+        message_id("LANDING_TARGETS")
+
+
+def value(name: str, number: float, kind: int = 9) -> Message:
+    return mav.MAVLink_param_value_message(name.encode(), number, kind, 900, 65535)
+
+
+def test_parameters_are_read_a_few_at_a_time() -> None:
+    names = [f"PLND_{n}" for n in range(6)]
+    reader = Parameters(Stack.ARDUPILOT, names, at_once=2, tries=2)
+    assert [m.param_id for m in reader.due(at(0), TARGET)] == names[:2]
+    reader.hear(value("PLND_0", 0.5))
+    assert [m.param_id for m in reader.due(at(0.1), TARGET)] == [names[2]]
+    for n in range(1, 120):
+        for m in reader.due(at(0.1 * n), TARGET):
+            if m.param_id != "PLND_3":
+                reader.hear(value(m.param_id, 2.0))
+    assert reader.settled
+    assert reader.absent == {"PLND_3"}
+    assert reader.values["PLND_0"] == 0.5
+    reader.want(["PLND_3"])
+    assert not reader.settled
+
+
+def test_a_refused_parameter_is_absent_at_once() -> None:
+    reader = Parameters(Stack.PX4, ["NO_SUCH"])
+    reader.due(at(0), TARGET)
+    reader.hear(mav.MAVLink_param_error_message(255, 190, b"NO_SUCH", -1, 1))
+    assert reader.settled
+    assert reader.absent == {"NO_SUCH"}
+
+
+@pytest.mark.parametrize(("number", "kind", "layout"), [(-7, 6, "<i"), (1, 6, "<i"), (65000, 3, "<Hxx"), (200, 1, "<Bxxx")])
+def test_px4_sends_integers_as_bytes_and_ardupilot_as_values(number: int, kind: int, layout: str) -> None:
+    as_bytes = struct.unpack("<f", struct.pack(layout, number))[0]
+    px4, ardupilot = Parameters(Stack.PX4), Parameters(Stack.ARDUPILOT)
+    px4.hear(value("A", as_bytes, kind))
+    ardupilot.hear(value("A", float(number), kind))
+    assert px4.values["A"] == ardupilot.values["A"] == number
+    px4.hear(value("B", 0.25))
+    assert px4.values["B"] == 0.25

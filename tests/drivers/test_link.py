@@ -1,0 +1,358 @@
+"""The link against a drone in miniature, over real sockets on loopback."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.ardrone import at
+from drivers.ardrone import navdata as nd
+from drivers.ardrone.link import ArDrone, open_ardrone
+from drivers.ardrone.options import ArDroneOptions
+from drivers.clock import SystemClock
+from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
+from tests.drivers.fake_ardrone import HOST, FakeArDrone, until
+from tests.drivers.test_video import clip
+
+FORWARD = Velocity(np.array([0.4, 0.0, 0.0]), 0.0)
+
+
+def video() -> list[bytes]:
+    return [u.header.pack() + u.payload for u in clip()[0]]
+
+
+@asynccontextmanager
+async def linked(fake: FakeArDrone, **options: Any) -> AsyncIterator[ArDrone]:
+    async with fake.on_loopback(**options) as chosen, open_ardrone(chosen, SystemClock()) as drone:
+        yield drone
+
+
+async def steer(drone: ArDrone, fake: FakeArDrone) -> None:
+    """Command a velocity until the drone is flown by its sticks."""
+
+    def steered() -> bool:
+        drone.command(FORWARD)
+        return bool(fake.of(at.Pcmd)[-1].flags == at.PCMD_PROGRESSIVE)
+
+    await until(steered)
+
+
+async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key() -> None:
+    fake = FakeArDrone()
+    async with linked(fake, settings={"general:ardrone_name": "test"}) as drone:
+        await until(lambda: drone.ready)
+        await until(lambda: bool(drone.configuration))
+        assert fake.configured_in_order == [*ArDroneOptions(settings={"general:ardrone_name": "test"}).configuration()]
+        assert fake.configuration["general:navdata_demo"] == "FALSE"
+        assert fake.configuration["video:video_channel"] == "1"
+        assert drone.configuration == fake.configuration
+        first_ids = [ids is not None for ids in fake.ids_before_config]
+        assert first_ids == [False] * 4 + [True] * (len(first_ids) - 4), "ids directly before every key once they are in use"
+        assert not fake.state & nd.State.COMMAND_ACK
+        assert drone.counters.config_acknowledged == len(first_ids)
+        assert drone.counters.config_timeouts == drone.counters.config_mismatches == 0
+        assert not fake.refused
+        await until(lambda: not fake.state & nd.State.COM_WATCHDOG)
+    numbers = [n for n, _ in fake.commands]
+    assert numbers == list(range(1, len(numbers) + 1)), "one sequence for all commands"
+
+
+async def test_without_ids_no_ids_are_sent() -> None:
+    fake = FakeArDrone()
+    async with linked(fake, ids=None) as drone:
+        await until(lambda: drone.ready)
+    assert fake.of(at.ConfigIds) == []
+    assert not any(key.startswith("custom:") for key in fake.configured_in_order)
+
+
+async def test_samples_flow_with_stamps_on_our_clock() -> None:
+    fake = FakeArDrone()
+    async with linked(fake) as drone:
+        await until(lambda: drone.ready)
+        kinds = {type(await drone.samples.get()) for _ in range(60)}
+        assert kinds == {Imu, Attitude, BodyVelocity, Range, VehicleStatus}
+        before = SystemClock().now()
+        while len(drone.samples):
+            await drone.samples.get()
+        imus = [s for s in [await drone.samples.get() for _ in range(40)] if isinstance(s, Imu)]
+        assert all(s.stamp.source == "synced" for s in imus)
+        assert abs(imus[-1].stamp.taken - before) < 1e9
+        steps_ms = np.diff([s.stamp.taken for s in imus]) * 1e-6
+        assert np.all(steps_ms >= 0)
+
+
+async def test_frames_of_the_bottom_camera_only_and_newest_only() -> None:
+    fake = FakeArDrone()
+    fake.clips = video() * 8
+    async with linked(fake) as drone:
+        await until(lambda: drone.counters.frames > 20)
+        frame = await drone.frames.get()
+        assert isinstance(frame, Frame)
+        assert frame.px.shape == (360, 640, 3)
+        counters = drone.counters
+        assert counters.frames_before_setup > 0, "what came before the bottom camera was selected is not handed on"
+        assert counters.frames_replaced >= counters.frames - 2
+        assert counters.video_lost == counters.frames_damaged == 0
+
+
+async def test_video_pieces_of_any_size_and_a_gap() -> None:
+    stream = b"".join(u for k, u in enumerate(video()) if k != 7)
+    fake = FakeArDrone()
+    fake.clips = [b"\x00garbage PaVE"] + [stream[k : k + 1013] for k in range(0, len(stream), 1013)]
+    async with linked(fake, video_silence_s=2.0) as drone:
+        await until(lambda: drone.counters.video_units == 15)
+        await until(lambda: drone.counters.frames + drone.counters.frames_before_setup + drone.counters.frames_overtaken == 13)
+        assert drone.counters.frames_waiting == 2
+        assert drone.counters.video_lost == 1
+        assert drone.counters.video_skipped_bytes == 13
+
+
+async def test_a_frame_is_heard_with_its_first_byte() -> None:
+    unit = video()[0]
+    fake = FakeArDrone()
+    fake.clips = [unit[:900], unit[900:1800], unit[1800:]] * 20
+    fake.video_pause_s = 0.03
+    async with linked(fake, video_silence_s=2.0) as drone:
+        await until(lambda: drone.ready)
+        await drone.frames.get()
+        frame = await drone.frames.get()
+        assert (SystemClock().now() - frame.stamp.heard) * 1e-9 > 0.05
+
+
+async def test_take_off_velocity_hover_land() -> None:
+    fake = FakeArDrone()
+    async with linked(fake) as drone:
+        await until(lambda: drone.ready)
+        assert not any(c.take_off or c.emergency for c in fake.of(at.Ref))
+        drone.command(TakeOff())
+        await until(lambda: bool(fake.state & nd.State.FLYING))
+        fake.vx_mm_s = 100.0
+        await steer(drone, fake)
+        assert next(c for c in reversed(fake.of(at.Pcmd)) if c.flags == at.PCMD_PROGRESSIVE).pitch < 0
+        drone.command(Hover())
+        seen = len(fake.of(at.Pcmd))
+        await until(lambda: len(fake.of(at.Pcmd)) > seen + 3)
+        assert fake.of(at.Pcmd)[-1] == at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)
+        assert fake.state & nd.State.FLYING
+        drone.command(Land())
+        await until(lambda: not fake.state & nd.State.FLYING)
+    assert not any(c.emergency for c in fake.of(at.Ref))
+
+
+async def test_a_silent_pilot_means_hover_within_the_timeout() -> None:
+    fake = FakeArDrone()
+    async with linked(fake, command_timeout_s=0.1) as drone:
+        await until(lambda: drone.ready)
+        drone.command(TakeOff())
+        await until(lambda: bool(fake.state & nd.State.FLYING))
+        await steer(drone, fake)
+        await until(lambda: fake.of(at.Pcmd)[-1].flags == 0)
+        assert drone.counters.hover_for_age > 0
+
+
+@pytest.mark.parametrize("how", ["leave", "error", "cancel"])
+async def test_leaving_in_flight_leaves_the_drone_in_hover(how: str) -> None:
+    fake = FakeArDrone()
+    async with fake.on_loopback() as options:
+        flying = asyncio.Event()
+
+        async def fly() -> None:
+            async with open_ardrone(options, SystemClock()) as drone:
+                await until(lambda: drone.ready)
+                drone.command(TakeOff())
+                await until(lambda: bool(fake.state & nd.State.FLYING))
+                await until(lambda: bool(drone.navdata and drone.navdata.state & nd.State.FLYING))
+                await steer(drone, fake)
+                flying.set()
+                if how == "error":
+                    raise LookupError("ours")
+                if how == "cancel":
+                    await asyncio.sleep(60)
+
+        task = asyncio.create_task(fly())
+        await asyncio.wait([task, waiting := asyncio.create_task(flying.wait())], return_when=asyncio.FIRST_COMPLETED)
+        waiting.cancel()
+        if how == "cancel":
+            task.cancel()
+        (result,) = await asyncio.gather(task, return_exceptions=True)
+        assert type(result) is {"leave": type(None), "error": LookupError, "cancel": asyncio.CancelledError}[how]
+        await asyncio.sleep(0.05)
+        last = [c for _, c in fake.commands[-6:]]
+        assert last == [at.Ref(at.REF_BASE | at.REF_TAKE_OFF), at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)] * 3
+        assert fake.state & nd.State.FLYING
+
+
+async def test_after_leaving_readers_and_commands_hear_of_it() -> None:
+    async with linked(FakeArDrone()) as drone:
+        pass
+    with pytest.raises(Recoverable, match="closed"):
+        drone.command(Hover())
+    with pytest.raises(Recoverable, match="closed"):
+        await drone.frames.get()
+
+
+async def test_a_mistake_of_ours_ends_the_link_loudly(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeArDrone()
+
+    def mistaken(*_: object) -> list[at.AtCommand]:
+        raise ZeroDivisionError
+
+    async def fly() -> None:
+        async with linked(fake) as drone:
+            await until(lambda: drone.ready)
+            monkeypatch.setattr("drivers.ardrone.helm.Helm.period", mistaken)
+            await asyncio.sleep(5)
+
+    with pytest.raises(ExceptionGroup) as caught:
+        await fly()
+    assert caught.value.subgroup(ZeroDivisionError) is not None
+
+
+async def test_video_lost_and_found_again_alone() -> None:
+    fake = FakeArDrone()
+    fake.clips = video()
+    async with linked(fake) as drone:
+        await until(lambda: drone.ready)
+        fake.drop(fake.video_writers)
+        await until(lambda: fake.video_connections >= 2)
+        seen = drone.counters.frames
+        await until(lambda: drone.counters.frames > seen)
+        restarts = drone.counters.restarts
+        assert restarts["video"] >= 1
+        assert restarts["navdata"] == restarts["at"] == restarts["setup"] == 0
+
+
+async def test_silent_video_is_opened_again() -> None:
+    fake = FakeArDrone()
+    async with linked(fake) as drone:
+        await until(lambda: fake.video_connections >= 3)
+        assert drone.counters.restarts["video"] >= 2
+        assert drone.ready
+
+
+async def test_control_connection_lost_and_found_again_alone() -> None:
+    fake = FakeArDrone()
+    async with linked(fake) as drone:
+        await until(lambda: drone.counters.control_reads == 1)
+        fake.drop(list(fake.control_writers))
+        await until(lambda: drone.counters.control_reads == 2)
+        assert drone.counters.restarts["control"] == 1
+        assert drone.counters.restarts["at"] == drone.counters.restarts["navdata"] == 0
+
+
+async def test_a_key_that_reads_back_wrongly_is_asked_for_again() -> None:
+    fake = FakeArDrone()
+    async with linked(fake) as drone:
+        await until(lambda: drone.counters.control_reads == 1)
+        fake.configuration["video:video_channel"] = "0"
+        fake.drop(list(fake.control_writers))
+        await until(lambda: drone.counters.config_mismatches == 1)
+        await until(lambda: drone.counters.control_reads >= 3)
+        assert fake.configuration["video:video_channel"] == "1"
+        assert drone.ready
+
+
+async def test_silent_navdata_is_asked_for_again_and_commands_go_on() -> None:
+    fake = FakeArDrone()
+    async with linked(fake) as drone:
+        await until(lambda: drone.ready)
+        asked, sent = fake.openings, len(fake.commands)
+        fake.silent = True
+        await until(lambda: fake.openings > asked)
+        await until(lambda: drone.counters.restarts["navdata"] >= 1)
+        assert drone.counters.navdata_silences >= 2
+        assert len(fake.commands) > sent + 20, "the keep-alive does not wait for navdata"
+        fake.silent = False
+        heard = drone.counters.samples
+        await until(lambda: drone.counters.samples > heard)
+
+
+async def test_order_loss_and_damage_of_navdata_are_counted() -> None:
+    fake = FakeArDrone()
+    async with linked(fake, navdata_silence_s=5.0, reopen_after_s=9.0) as drone:
+        await until(lambda: drone.ready)
+        fake.silent = True
+        await asyncio.sleep(0.03)
+        counters = drone.counters
+        good = counters.samples
+        a, lost, b, c = (fake.datagram() for _ in range(4))
+        assert lost
+        for datagram in (a, c, b, c[:-3], c[:40] + b"\xff" + c[41:], b"\x88\x77\x66\x55", c):
+            fake._navdata.transport.sendto(datagram, fake.client)  # type: ignore[union-attr]
+        await until(lambda: counters.navdata_out_of_order == 2)
+        assert counters.navdata_lost == 2
+        assert counters.navdata_refused == {"torn": 1, "bad_checksum": 1, "too_short": 1}
+        assert counters.samples > good
+
+
+async def test_a_drone_that_begins_anew_is_configured_anew() -> None:
+    fake = FakeArDrone()
+    async with linked(fake) as drone:
+        await until(lambda: drone.ready)
+        await until(lambda: drone.counters.navdata_datagrams > 120)
+        fake.forget()
+        await until(lambda: not drone.ready)
+        await until(lambda: drone.ready)
+        assert drone.counters.navdata_restarts == 1
+        assert "video:video_channel" in fake.configured_in_order
+        assert not fake.state & (nd.State.NAVDATA_BOOTSTRAP | nd.State.COM_WATCHDOG)
+
+
+async def test_a_drone_that_falls_back_to_demo_mode_is_configured_anew() -> None:
+    fake = FakeArDrone()
+    async with linked(fake) as drone:
+        await until(lambda: drone.ready)
+        fake.state |= nd.State.NAVDATA_DEMO
+        await until(lambda: not drone.ready)
+        fake.state &= ~nd.State.NAVDATA_DEMO
+        await until(lambda: drone.ready)
+
+
+async def test_a_key_that_is_not_acknowledged_is_tried_again_later() -> None:
+    fake = FakeArDrone()
+    fake.deaf_to_config = True
+    async with linked(fake, config_timeout_s=0.15) as drone:
+        await until(lambda: drone.counters.config_timeouts >= 2)
+        assert "general:navdata_demo" in drone.down.get("setup", "general:navdata_demo")
+        assert not drone.ready
+        fake.deaf_to_config = False
+        await until(lambda: drone.ready)
+
+
+async def test_no_drone_at_all_then_one_appears() -> None:
+    holes = [
+        socket.socket(socket.AF_INET, kind)
+        for kind in (socket.SOCK_DGRAM, socket.SOCK_DGRAM, socket.SOCK_STREAM, socket.SOCK_STREAM)
+    ]
+    for hole in holes:
+        hole.bind((HOST, 0))
+    ports = [hole.getsockname()[1] for hole in holes]
+    for hole in holes:
+        hole.close()
+    options = ArDroneOptions(
+        HOST, *ports, command_period_s=0.01, navdata_silence_s=0.05, reopen_after_s=0.15,
+        restart_first_s=0.02, restart_most_s=0.1,
+    )  # fmt: skip
+    async with open_ardrone(options, SystemClock()) as drone:
+        drone.command(Hover())
+        await until(lambda: min(drone.counters.restarts[c] for c in ("navdata", "video", "at")) >= 2)
+        assert drone.counters.at_errors > 0
+        assert not drone.ready
+        assert drone.counters.frames == drone.counters.samples == 0
+
+
+def test_options_refuse_nonsense() -> None:
+    with pytest.raises(ValueError, match="video_port"):
+        ArDroneOptions(video_port=0)
+    with pytest.raises(ValueError, match="command_period_s"):
+        ArDroneOptions(command_period_s=0.0)
+    with pytest.raises(ValueError, match="hexadecimal"):
+        ArDroneOptions(ids=("x", "y", "z"))

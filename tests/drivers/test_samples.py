@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+
+from drivers.ardrone import navdata as nd
+from drivers.ardrone.samples import (
+    SampleOptions,
+    Sampler,
+    height_of_pressure_m,
+    pressure_of_height_pa,
+    samples_from_navdata,
+    time_us,
+)
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+from tests.drivers.captures import CAPTURES, needs_captures
+
+STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "synced")
+DEMO = nd.Demo(nd.ControlState.FLYING.word, 42, 2000.0, -3000.0, 90000.0, 1500, 410.0, -230.0, 0.0)
+S = TypeVar("S")
+
+
+def the(kind: type[S], samples: list[Sample]) -> S:
+    (found,) = [s for s in samples if isinstance(s, kind)]
+    return found
+
+
+def of(*options: Any, state: int = 0) -> nd.Navdata:
+    return nd.Navdata.of(state, 1, options)
+
+
+def at(ms: int) -> Stamp:
+    return Stamp(MonoNs(ms * 1_000_000), MonoNs(ms * 1_000_000), 0.001, "synced")
+
+
+@needs_captures
+def test_the_captured_drone_stands_with_its_nose_up() -> None:
+    navdata = nd.decode((CAPTURES / "navdata_full_gps.bin").read_bytes())
+    assert isinstance(navdata, nd.Navdata)
+    samples = samples_from_navdata(navdata, STAMP)
+    assert [type(s) for s in samples] == [Imu, Attitude, BodyVelocity, Range, Baro, VehicleStatus]
+    imu, attitude = the(Imu, samples), the(Attitude, samples)
+    np.testing.assert_allclose(imu.f_body, np.array([80.297, -33.3186, -942.528]) * 9.80665e-3, rtol=1e-4)
+    np.testing.assert_allclose(imu.w_body, np.radians([-0.112365, 0.0687213, 0.0620099]), rtol=1e-4)
+    roll, pitch, yaw = np.degrees(attitude.R_ned_body.rpy_rad)
+    assert (roll, pitch, yaw) == pytest.approx((0.550, 2.974, 1.933), abs=1e-3)
+    # What the accelerometer says of roll and pitch has the same signs as the attitude: both are forward-right-down.
+    assert math.degrees(math.asin(imu.f_body[0] / 9.3)) == pytest.approx(4.866, abs=0.1)
+    assert math.degrees(math.asin(-imu.f_body[1] / 9.3)) == pytest.approx(2.024, abs=0.1)
+    assert the(Range, samples).range_m == pytest.approx(0.243)
+    status = the(VehicleStatus, samples)
+    assert (status.flying, status.mode, status.battery_fraction, status.emergency, status.link_ok) == (
+        False,
+        "landed",
+        0.5,
+        False,
+        False,
+    )
+    assert time_us(navdata) == 362_979_125
+
+
+def test_units_and_signs_of_everything_in_flight() -> None:
+    navdata = of(
+        DEMO,
+        nd.PhysMeasures(40.0, 0, (100.0, 200.0, -1000.0), (10.0, -20.0, 30.0)),
+        nd.Altitude(altitude_raw_mm=1400),
+        nd.PressureRaw(0, 0, 400, 101325),
+        state=nd.State.FLYING,
+    )
+    samples = samples_from_navdata(navdata, STAMP)
+    np.testing.assert_allclose(the(Imu, samples).f_body, [0.980665, 1.96133, -9.80665])
+    np.testing.assert_allclose(the(Imu, samples).w_body, np.radians([10.0, -20.0, 30.0]))
+    np.testing.assert_allclose(the(Attitude, samples).R_ned_body.rpy_rad, np.radians([-3.0, 2.0, 90.0]), atol=1e-9)
+    velocity = the(BodyVelocity, samples)
+    np.testing.assert_allclose(velocity.v_level, [0.41, -0.23, 0.0])
+    assert velocity.cov_level[2, 2] == UNKNOWN_VAR
+    assert the(Range, samples).range_m == pytest.approx(1.4)
+    assert the(Baro, samples).height_m == pytest.approx(0.0, abs=1e-6)
+    status = the(VehicleStatus, samples)
+    assert (status.flying, status.mode, status.battery_fraction, status.link_ok) == (True, "flying", 0.42, True)
+    assert all(s.stamp is STAMP for s in samples)
+
+
+def test_velocity_scale_is_corrected_only_on_request() -> None:
+    plain = the(BodyVelocity, samples_from_navdata(of(DEMO), STAMP))
+    scaled = the(BodyVelocity, samples_from_navdata(of(DEMO), STAMP, SampleOptions(velocity_scale=0.8)))
+    np.testing.assert_allclose(scaled.v_level[:2], plain.v_level[:2] / 0.8)
+    speed = float(np.hypot(*plain.v_level[:2]))
+    assert math.sqrt(plain.cov_level[0, 0]) >= 0.2 * speed, "an under-reading of a fifth must lie within a sigma"
+    assert scaled.cov_level[0, 0] < plain.cov_level[0, 0]
+
+
+def test_demo_mode_has_no_imu_and_its_range_is_along_the_body() -> None:
+    tilted = replace(DEMO, theta_mdeg=20000.0, phi_mdeg=0.0, altitude_mm=1000)
+    samples = samples_from_navdata(of(tilted), STAMP)
+    assert not [s for s in samples if isinstance(s, Imu)]
+    assert the(Range, samples).range_m == pytest.approx(1.0 / math.cos(math.radians(20.0)))
+
+
+@pytest.mark.parametrize(
+    ("navdata", "absent"),
+    [
+        (of(DEMO, nd.Altitude(altitude_raw_mm=0)), Range),
+        (of(DEMO, nd.Altitude(altitude_raw_mm=900), state=nd.State.ULTRASOUND_DEAF), Range),
+        (of(replace(DEMO, altitude_mm=0)), Range),
+        (of(replace(DEMO, psi_mdeg=math.nan)), Attitude),
+        (of(replace(DEMO, vy_mm_s=math.inf)), BodyVelocity),
+        (of(nd.PhysMeasures(0.0, 0, (0.0, math.nan, 0.0), (0.0, 0.0, 0.0))), Imu),
+        (of(nd.PressureRaw(0, 0, 0, 0)), Baro),
+    ],
+)
+def test_what_is_not_known_is_left_out(navdata: nd.Navdata, absent: type[Any]) -> None:
+    assert not [s for s in samples_from_navdata(navdata, STAMP) if isinstance(s, absent)]
+
+
+def test_faults_reach_the_status() -> None:
+    status = the(VehicleStatus, samples_from_navdata(of(state=nd.State.EMERGENCY | nd.State.COM_WATCHDOG), STAMP))
+    assert (status.emergency, status.link_ok, status.mode, status.battery_fraction) == (True, False, "unknown", None)
+
+
+def test_repeats_of_slow_sensors_are_left_out() -> None:
+    sampler = Sampler(repeat_s=0.1)
+    given: dict[type[Any], list[int]] = {Range: [], Baro: [], VehicleStatus: [], Imu: []}
+    for k in range(40):  # 200 Hz; ultrasound anew every 40 ms, barometer every 10 ms
+        navdata = of(
+            DEMO,
+            nd.PhysMeasures(40.0, 0, (0.0, 0.0, -1000.0), (0.0, 0.0, 0.0)),
+            nd.RawMeasures(nb_echo=k // 8),
+            nd.Altitude(altitude_raw_mm=900),
+            nd.PressureRaw(k // 2, 0, 0, 100000),
+            state=nd.State.FLYING | (nd.State.COMMAND_ACK if k % 2 else 0),
+        )
+        for sample in sampler.samples(navdata, at(5 * k)):
+            if type(sample) in given:
+                given[type(sample)].append(k)
+    assert given[Range] == [0, 8, 16, 24, 32]
+    assert given[Baro] == list(range(0, 40, 2))
+    assert given[VehicleStatus] == [0, 20]
+    assert len(given[Imu]) == 40
+
+
+@pytest.mark.parametrize("height_m", [-300.0, 0.0, 12.5, 3000.0])
+def test_pressure_and_height_are_inverses(height_m: float) -> None:
+    assert height_of_pressure_m(pressure_of_height_pa(height_m)) == pytest.approx(height_m, abs=1e-6)
+    assert height_of_pressure_m(100129.0) == pytest.approx(100.0, abs=0.5)  # ISO 2533: 1001.29 hPa at 100 m
+
+
+def test_options_refuse_nonsense() -> None:
+    with pytest.raises(ValueError, match="velocity_scale"):
+        SampleOptions(velocity_scale=0.0)

@@ -1,0 +1,340 @@
+"""The V4L2 driver above its device: stamps, gaps, decoding, unplugging, on a device that a socket pair makes readable.
+
+The same driver on a real kernel device: tests/v4l2_vm.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import socket
+from collections import deque
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from drivers.clock import SystemClock
+from drivers.v4l2 import V4l2Channel, stamp_of
+from drivers.v4l2_device import Buffer
+from drivers.v4l2_formats import H264Decoder, Layout, stands_alone, to_bgr
+from drivers.v4l2_names import Found, cameras, find
+from drivers.video_source import Camera, CameraLost
+from drivers.video_source_options import CameraCounters, Patience, V4l2Options
+from estimator.contracts.errors import BadInput
+from estimator.contracts.time import MonoNs
+
+W, H = 64, 48
+CLOCK = SystemClock()
+
+
+def picture(shift: int = 0) -> NDArray[np.uint8]:
+    """Four flat patches of different colours, so that a swapped plane or channel shows."""
+    px = np.empty((H, W, 3), np.uint8)
+    for i, colour in enumerate([(200, 60, 40), (40, 190, 60), (60, 40, 210), (128, 128, 128)]):
+        px[:, i * W // 4 : (i + 1) * W // 4] = colour
+    return np.roll(px, shift, axis=1)
+
+
+def h264(n: int) -> list[bytes]:
+    """Access units in Annex B, an IDR first and then none."""
+    codec = av.CodecContext.create("libx264", "w")
+    codec.width, codec.height, codec.pix_fmt, codec.time_base = W, H, "yuv420p", Fraction(1, 30)
+    codec.options = {"preset": "ultrafast", "tune": "zerolatency", "g": "1000", "x264-params": "repeat-headers=1"}
+    units = []
+    for i in range(n):
+        frame = av.VideoFrame.from_ndarray(picture(4 * i), format="bgr24")
+        frame.pts = i
+        units += [bytes(p) for p in codec.encode(frame)]
+    return units
+
+
+def options(**more: Any) -> V4l2Options:
+    return V4l2Options(**({"device": os.devnull, "width": W, "height": H, "patience": Patience(1.0, 0.01, 0.02)} | more))
+
+
+class FakeDevice:
+    """Buffers put in are read in order; `unplug` makes it answer as the kernel does."""
+
+    def __init__(self, form: str = "YUYV", stride: int = 2 * W) -> None:
+        self.layout = Layout(form, W, H, stride)
+        self.rate_hz = 30.0
+        self.exposure_s: float | None = 0.01
+        self.queue: deque[Buffer] = deque()
+        self.gone = False
+        self.closed = False
+        self._ours, self._theirs = socket.socketpair()
+        self._ours.setblocking(False)
+
+    def put(self, *buffers: Buffer) -> None:
+        self.queue.extend(buffers)
+        self._theirs.send(b"." * max(1, len(buffers)))
+
+    def unplug(self) -> None:
+        self.gone = True
+        self._theirs.send(b".")
+
+    def fileno(self) -> int:
+        return self._ours.fileno()
+
+    def dequeue(self) -> Buffer | None:
+        if self.gone:
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+        if not self.queue:
+            return None
+        self._ours.recv(1)
+        return self.queue.popleft()
+
+    def close(self) -> None:
+        self.closed = True
+        self._ours.close()
+        self._theirs.close()
+
+
+def yuyv(shift: int = 0) -> bytes:
+    yuv = cv2.cvtColor(picture(shift), cv2.COLOR_BGR2YUV_YUY2)
+    return yuv.tobytes()
+
+
+def buffer(sequence: int, data: bytes | None = None, error: bool = False, age_s: float = 0.005) -> Buffer:
+    stamp_ns = CLOCK.now() - round(age_s * 1e9)
+    return Buffer(yuyv() if data is None else data, sequence, stamp_ns, True, False, error)
+
+
+async def run(camera: Camera, device: FakeDevice, story: Any, **more: Any) -> str:
+    """Run the channel beside `story` until it is lost; the reason."""
+    channel = V4l2Channel(options(**more), CLOCK, camera, lambda path, o: device)
+    async with asyncio.timeout(10), asyncio.TaskGroup() as group:
+        group.create_task(story())
+        try:
+            await channel.run()
+        except CameraLost as why:
+            return why.reason
+    raise AssertionError("a channel never ends by itself")
+
+
+def accounted(c: CameraCounters) -> bool:
+    return c.buffers == c.frames + c.frames_overtaken + c.frames_damaged + c.frames_waiting
+
+
+async def test_frames_gaps_damage_and_unplugging_are_all_counted() -> None:
+    camera, device = Camera(), FakeDevice()
+    seqs: list[int] = []
+
+    async def story() -> None:
+        for sequence in (7, 8, 11):
+            device.put(buffer(sequence))
+            frame = await camera.frames.get()
+            seqs.append(frame.seq)
+            assert frame.px.shape == (H, W, 3)
+            assert frame.stamp.source == "kernel"
+            assert frame.exposure_s == 0.01
+        device.put(buffer(12, error=True), buffer(13), buffer(14, data=b"torn"))
+        seqs.append((await camera.frames.get()).seq)
+        device.put(buffer(15), buffer(16))
+        while seqs[-1] != 16:
+            seqs.append((await camera.frames.get()).seq)
+        device.unplug()
+
+    assert await run(camera, device, story) == "unplugged"
+    c = camera.counters
+    assert seqs[:4] == [7, 8, 11, 13]
+    assert (c.frames_lost, c.frames_damaged) == (2, 2)
+    assert c.buffers == 8
+    assert accounted(c)
+    assert device.closed
+
+
+async def test_the_count_goes_on_over_its_wrap_and_a_new_count_is_no_gap() -> None:
+    camera, device = Camera(), FakeDevice()
+
+    async def story() -> None:
+        for sequence in (2**32 - 1, 0, 2, 0):
+            device.put(buffer(sequence))
+            await camera.frames.get()
+        device.unplug()
+
+    await run(camera, device, story)
+    assert camera.counters.frames_lost == 1
+
+
+async def test_silence_ends_the_run() -> None:
+    async def story() -> None:
+        return
+
+    assert await run(Camera(), FakeDevice(), story, patience=Patience(0.05, 0.01, 0.01)) == "silent"
+
+
+async def test_cancelled_at_any_time_it_closes_the_device() -> None:
+    loop = asyncio.get_running_loop()
+    for delay_s in (0.0, 0.001, 0.01, 0.03):
+        device = FakeDevice()
+        opened = asyncio.Event()
+
+        def open_device(path: str, o: V4l2Options, device: FakeDevice = device, opened: asyncio.Event = opened) -> FakeDevice:
+            loop.call_soon_threadsafe(opened.set)
+            return device
+
+        task = loop.create_task(V4l2Channel(options(), CLOCK, Camera(), open_device).run())
+        await opened.wait()
+        device.put(*[buffer(i) for i in range(4)])
+        await asyncio.sleep(delay_s)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert device.closed
+
+
+@pytest.mark.parametrize("damage", ["gap", "error", "garbage"])
+async def test_h264_waits_for_a_picture_that_stands_alone_after_any_damage(damage: str) -> None:
+    units = h264(6)
+    camera, device = Camera(), FakeDevice("H264", 0)
+    assert [stands_alone(u) for u in units] == [True] + [False] * 5
+    seen: list[int] = []
+
+    async def story() -> None:
+        device.put(buffer(0, units[1]))  # joins in the middle
+        device.put(buffer(1, units[0]))
+        seen.append((await camera.frames.get()).seq)
+        device.put(buffer(2, units[1]))
+        seen.append((await camera.frames.get()).seq)
+        if damage == "error":
+            device.put(buffer(3, units[2], error=True))
+        elif damage == "garbage":
+            device.put(buffer(3, b"\0\0\1\x41" + bytes(range(200))))
+        device.put(buffer(4, units[3]))
+        device.put(buffer(5, units[0]))
+        seen.append((await camera.frames.get()).seq)
+        device.unplug()
+
+    await run(camera, device, story)
+    assert seen == [1, 2, 5]
+    assert accounted(camera.counters)
+    assert camera.counters.frames_waiting >= 2
+
+
+@pytest.mark.parametrize("form", ["YUYV", "NV12", "GREY", "MJPG", "H264"])
+def test_formats_come_out_as_the_picture_that_went_in(form: str) -> None:
+    px = picture()
+    pad = 8  # bytes at the end of each line that are not of the picture
+    if form == "YUYV":
+        lines = cv2.cvtColor(px, cv2.COLOR_BGR2YUV_YUY2).reshape(H, 2 * W)
+    elif form == "NV12":
+        i420 = cv2.cvtColor(px, cv2.COLOR_BGR2YUV_I420)
+        u, v = (i420[H + i * H // 4 : H + (i + 1) * H // 4].reshape(H // 2, W // 2) for i in (0, 1))
+        lines = np.vstack([i420[:H], np.stack([u, v], axis=2).reshape(H // 2, W)])
+    else:
+        lines = cv2.cvtColor(px, cv2.COLOR_BGR2GRAY)
+    data = np.pad(lines, ((0, 0), (0, pad)), constant_values=77).tobytes()
+    if form == "MJPG":
+        data = cv2.imencode(".jpg", px, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes() + bytes(100)
+    layout = Layout(form, W, H, lines.shape[1] + pad)
+    out = H264Decoder().decode(h264(1)[0], layout) if form == "H264" else to_bgr(data, layout)
+    assert out is not None
+    wanted = cv2.cvtColor(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR) if form == "GREY" else px
+    away = np.abs(out.astype(int) - wanted)
+    assert np.median(away) <= 3
+    assert np.percentile(away, 80) <= 8
+
+
+def test_a_webcams_jpeg_without_huffman_tables_is_read() -> None:
+    """UVC cameras leave the standard tables out (RFC 2435 section 3.1.1 does the same)."""
+    data = cv2.imencode(".jpg", picture())[1].tobytes()
+    out, at = b"\xff\xd8", 2
+    while data[at + 1] != 0xDA:
+        size = 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        out += b"" if data[at + 1] == 0xC4 else data[at : at + size]
+        at += size
+    bare = out + data[at:]
+    assert b"\xff\xc4" not in bare
+    px = to_bgr(bare, Layout("MJPG", W, H, 0))
+    assert px is not None
+    assert np.median(np.abs(px.astype(int) - picture())) <= 6
+
+
+@given(form=st.sampled_from(["YUYV", "NV12", "GREY", "MJPG"]), data=st.binary(max_size=3 * W * H), cut=st.integers(0, 3000))
+@settings(deadline=None, max_examples=60)
+def test_torn_bytes_are_refused_and_never_raise(form: str, data: bytes, cut: int) -> None:
+    layout = Layout(form, W, H, 2 * W if form == "YUYV" else W)
+    jpeg = cv2.imencode(".jpg", picture())[1].tobytes()
+    for bad in (data, jpeg[: min(cut, len(jpeg) - 3)]):
+        out = to_bgr(bad, layout)
+        assert out is None or out.shape == (H, W, 3)
+    assert to_bgr(jpeg[: min(cut, len(jpeg) - 3)], Layout("MJPG", W, H, 0)) is None
+    decoder = H264Decoder()
+    assert decoder.decode(data, layout) is None
+    assert decoder.decode(b"\0\0\1\x65" + data, layout) is None
+
+
+def test_the_stamp_is_the_middle_of_the_exposure() -> None:
+    o = options(latency_s=0.004, latency_sigma_s=0.002, rate_hz=50.0)
+    heard, stamped = MonoNs(10_000_000_000), 9_980_000_000
+    at_end, refused = stamp_of(Buffer(b"", 0, stamped, True, False, False), heard, o, 0.006)
+    assert (at_end.taken, at_end.source, refused) == (9_980_000_000 - 3_000_000 - 4_000_000, "kernel", False)
+    assert at_end.sigma_s == pytest.approx(0.002)
+    at_start, _ = stamp_of(Buffer(b"", 0, stamped, True, True, False), heard, o, 0.006)
+    assert at_start.taken == 9_980_000_000 + 3_000_000 - 4_000_000
+    unknown, _ = stamp_of(Buffer(b"", 0, stamped, True, False, False), heard, o, 0.0)
+    assert unknown.sigma_s > 0.005
+
+
+@given(stamp_ns=st.integers(-(2**63), 2**63), monotonic=st.booleans(), at_start=st.booleans(), latency_s=st.floats(-0.5, 0.5))
+@settings(deadline=None, max_examples=200)
+def test_no_kernel_stamp_whatever_makes_an_impossible_one(
+    stamp_ns: int, monotonic: bool, at_start: bool, latency_s: float
+) -> None:
+    heard = MonoNs(5_000_000_000)
+    o = options(latency_s=latency_s)
+    stamp, refused = stamp_of(Buffer(b"", 0, stamp_ns, monotonic, at_start, False), heard, o, 0.004)
+    assert stamp.heard == heard
+    assert (stamp.source == "kernel") == (monotonic and not refused)
+    if not 3_000_000_000 <= stamp_ns <= 5_005_000_000:
+        assert stamp.source == "arrival"
+
+
+def test_cameras_are_found_by_what_does_not_move(tmp_path: Path) -> None:
+    by_id, sysfs, dev = tmp_path / "by-id", tmp_path / "sys", tmp_path / "dev"
+    for folder in (by_id, sysfs, dev):
+        folder.mkdir()
+    for node, card, name in [
+        ("video0", "Nice Cam", "usb-Nice_Cam_A1-video-index0"),
+        ("video1", "Nice Cam", "usb-Nice_Cam_A1-video-index1"),
+        ("video2", "Nice Cam", "usb-Nice_Cam_B2-video-index0"),
+        ("video3", "bcm2835-isp", ""),
+    ]:
+        (dev / node).touch()
+        (sysfs / node).mkdir()
+        (sysfs / node / "name").write_text(card + "\n")
+        if name:
+            (by_id / name).symlink_to(dev / node)
+    there = cameras((by_id,), sysfs, dev)
+    assert Found(by_id / "usb-Nice_Cam_B2-video-index0", dev / "video2", "Nice Cam") in there
+    assert find("cam_a1", there) == by_id / "usb-Nice_Cam_A1-video-index0"
+    assert find("video3", there) == dev / "video3"
+    assert find("bcm2835", there) == dev / "video3"
+    assert find(str(dev / "video0"), there) == dev / "video0"
+    assert find(str(dev / "video9"), there) is None
+    assert find("other", there) is None
+    with pytest.raises(BadInput, match=r"may be any of .*A1.*B2"):
+        find("nice", there)
+
+
+def test_options_refuse_what_cannot_be() -> None:
+    for wrong in (
+        {"width": 8},
+        {"rate_hz": 0.0},
+        {"format": "RGB9"},
+        {"latency_s": float("nan")},
+        {"buffers": 1},
+        {"device": ""},
+    ):
+        with pytest.raises(ValueError, match=next(iter(wrong)) if "width" not in wrong else "picture"):
+            options(**wrong)

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.ardrone.velocity_loop import RESET, LoopOptions, LoopState, Sticks, step
+from estimator.contracts.commands import Velocity
+from estimator.contracts.geometry import F64
+
+OPTIONS = LoopOptions()
+STILL = np.zeros(3)
+
+
+def wanted(forward: float = 0.0, right: float = 0.0, down: float = 0.0, yaw_rate_rad_s: float = 0.0) -> Velocity:
+    return Velocity(np.array([forward, right, down]), yaw_rate_rad_s)
+
+
+def sticks(command: Velocity, v_level: F64 = STILL, state: LoopState = RESET) -> Sticks:
+    return step(state, command, v_level, None, 0.0, OPTIONS)[1]
+
+
+def fly(target: float, *, lag_s: float = 0.15, delay_s: float = 0.05, reads: float = 1.0, wind_m_s: float = 0.0) -> F64:
+    """Forward speed over 12 s at 200 Hz of a point mass with drag, a lagging tilt and a late velocity sensor."""
+    dt, v, tilt, asked = 0.005, 0.0, 0.0, 0.0
+    seen = deque([0.0] * int(delay_s / dt))
+    state, out = RESET, []
+    for k in range(2400):
+        if k % 6 == 0:
+            state, s = step(state, wanted(target), np.array([seen[0] * reads, 0.0, 0.0]), None, 0.03, OPTIONS)
+            asked = -s.pitch * OPTIONS.euler_angle_max_rad
+        tilt += (asked - tilt) * dt / lag_s
+        v += (9.80665 * math.tan(tilt) - 0.43 * (v - wind_m_s)) * dt
+        seen.append(v)
+        seen.popleft()
+        out.append(v)
+    return np.array(out)
+
+
+def test_signs() -> None:
+    assert sticks(wanted(forward=0.5)).pitch < 0
+    assert sticks(wanted(right=0.5)).roll > 0
+    assert sticks(wanted(down=0.35)).gaz == pytest.approx(-0.5)
+    assert sticks(wanted(yaw_rate_rad_s=OPTIONS.yaw_rate_max_rad_s / 4)).yaw == pytest.approx(0.25)
+    back = sticks(wanted(), np.array([0.3, -0.3, 9.0]))
+    assert back.pitch > 0
+    assert back.roll > 0
+    assert back.gaz == 0.0
+
+
+@pytest.mark.parametrize("target", [0.2, 0.4, 1.0, -0.4])
+def test_a_step_is_reached_quickly_and_held(target: float) -> None:
+    v = fly(target) / target
+    assert np.argmax(v > 0.9) * 0.005 < 1.2
+    assert v.max() < 1.2
+    assert v[-200:] == pytest.approx(np.ones(200), abs=0.02)
+
+
+def test_a_slow_drone_stays_stable() -> None:
+    v = fly(0.4, lag_s=0.3, delay_s=0.12) / 0.4
+    assert v.max() < 1.4
+    assert v[-200:] == pytest.approx(np.ones(200), abs=0.05)
+
+
+def test_the_integral_holds_against_wind() -> None:
+    assert fly(0.0, wind_m_s=-4.0)[-1] == pytest.approx(0.0, abs=0.1)
+    assert fly(0.4, wind_m_s=3.0)[-1] == pytest.approx(0.4, abs=0.1)
+
+
+def test_what_reads_low_is_flown_fast() -> None:
+    assert fly(0.4, reads=0.8)[-1] == pytest.approx(0.5, abs=0.02)
+
+
+@settings(deadline=None, max_examples=200)
+@given(*[st.floats(-20, 20)] * 5, st.floats(0, 1))
+def test_sticks_stay_inside_and_tilt_keeps_its_direction(
+    vx: float, vy: float, vz: float, mx: float, my: float, dt_s: float
+) -> None:
+    state = RESET
+    for _ in range(5):
+        state, s = step(state, wanted(vx, vy, vz, 50.0), np.array([mx, my, 0.0]), None, dt_s, OPTIONS)
+        assert math.hypot(s.roll, s.pitch) <= 1.0 + 1e-9
+        assert max(abs(s.gaz), abs(s.yaw)) <= 1.0
+        assert math.hypot(state.forward_m_s2, state.right_m_s2) <= OPTIONS.integral_max_m_s2 + 1e-9
+    first = sticks(wanted(vx, vy), np.array([mx, my, 0.0]))
+    push = OPTIONS.gain_1_s * np.array([vx - mx, vy - my]) + OPTIONS.drag_1_s * np.array([vx, vy])
+    assert -first.pitch * push[1] == pytest.approx(first.roll * push[0], abs=1e-6)
+
+
+def test_the_integral_does_not_wind_up_at_the_limit() -> None:
+    state = RESET
+    for _ in range(1000):
+        state, s = step(state, wanted(10.0), STILL, None, 0.03, OPTIONS)
+    assert s.pitch == pytest.approx(-1.0)
+    assert state == RESET
+
+
+def test_options_refuse_nonsense() -> None:
+    with pytest.raises(ValueError, match="vz_max_m_s"):
+        LoopOptions(vz_max_m_s=0.0)
+    with pytest.raises(ValueError, match="gain_1_s"):
+        LoopOptions(gain_1_s=-1.0)
+    with pytest.raises(ValueError, match="60 degrees"):
+        LoopOptions(euler_angle_max_rad=1.2)

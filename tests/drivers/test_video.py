@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import av
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from drivers.ardrone.pave import CONTROL_ADVERTISEMENT, FrameType, PaveFrame, PaveHeader
+from drivers.ardrone.video import VideoDecoder
+from tests.drivers.captures import frames_of, needs_captures
+
+GOP = 5
+
+
+@cache
+def clip(n: int = 16) -> tuple[tuple[PaveFrame, ...], NDArray[np.uint8]]:
+    """Units of a moving pattern with an IDR every `GOP` frames, and the pictures that went in."""
+    codec = av.CodecContext.create("libx264", "w")
+    codec.width, codec.height, codec.pix_fmt, codec.framerate = 640, 360, "yuv420p", 30
+    codec.gop_size, codec.max_b_frames, codec.thread_count = GOP, 0, 1
+    codec.options = {"preset": "ultrafast", "tune": "zerolatency", "profile": "baseline", "sc_threshold": "0", "qp": "12"}
+    y, x = np.mgrid[0:360, 0:640]
+    units, pictures = [], []
+    for k in range(n):
+        px = np.stack([128 + 80 * np.sin((x + 9 * k) / 25), 128 + 80 * np.cos((y - 5 * k) / 30), 0.3 * x], axis=2).astype(
+            np.uint8
+        )
+        (packet,) = codec.encode(av.VideoFrame.from_ndarray(px, format="bgr24"))
+        kind = FrameType.IDR if packet.is_keyframe else FrameType.P
+        units.append(PaveFrame(PaveHeader(packet.size, k, 33 * k, kind), bytes(packet), False))
+        pictures.append(px)
+    assert [u.header.frame_type == FrameType.IDR for u in units] == [k % GOP == 0 for k in range(n)]
+    return tuple(units), np.array(pictures)
+
+
+def one_by_one(decoder: VideoDecoder, units: list[PaveFrame]) -> list[int]:
+    """Indices of the units that gave a picture."""
+    return [k for k, u in enumerate(units) if decoder.newest([u]) is not None]
+
+
+@needs_captures
+@pytest.mark.parametrize(
+    ("name", "decodable"), [("video_56_frames.pave", range(56)), ("video_starts_on_p_frames.pave", range(3, 20))]
+)
+def test_every_decodable_frame_of_the_captures(name: str, decodable: range) -> None:
+    units = frames_of(name)
+    decoder = VideoDecoder()
+    pictures = [decoder.newest([u]) for u in units]
+    assert [k for k, p in enumerate(pictures) if p is not None] == list(decodable)
+    assert {p.px.shape for p in pictures if p is not None} == {(360, 640, 3)}
+    assert all(p.px.std() > 10 for p in pictures if p is not None), "a flat picture is no picture of a room"
+    assert (decoder.pictures, decoder.waiting, decoder.damaged) == (len(decodable), len(units) - len(decodable), 0)
+
+
+@needs_captures
+def test_a_batch_gives_the_same_newest_picture_as_one_by_one() -> None:
+    units = frames_of("video_56_frames.pave")
+    decoder = VideoDecoder()
+    for u in units[:-1]:
+        decoder.newest([u])
+    last = decoder.newest(units[-1:])
+    batch = VideoDecoder()
+    jump = batch.newest(units)
+    assert last is not None
+    assert jump is not None
+    assert jump.index == 55
+    np.testing.assert_array_equal(jump.px, last.px)
+    assert (batch.pictures, batch.overtaken) == (1, 55)
+
+
+def test_pictures_are_those_that_went_in_colours_and_all() -> None:
+    units, pictures = clip()
+    decoder = VideoDecoder()
+    for u, px in zip(units, pictures, strict=True):
+        picture = decoder.newest([u])
+        assert picture is not None
+        difference = picture.px.astype(int) - px
+        assert np.abs(difference).mean() < 4
+        assert np.abs(difference.mean(axis=(0, 1))).max() < 4, "blue, green and red in their places"
+
+
+def test_a_start_on_p_frames_waits_for_an_idr() -> None:
+    units = list(clip()[0])
+    decoder = VideoDecoder()
+    assert one_by_one(decoder, units[2:]) == list(range(3, 14))
+    assert decoder.waiting == 3
+
+
+def test_after_a_gap_everything_is_dropped_to_the_next_idr() -> None:
+    units = list(clip()[0])
+    del units[6]
+    units[6] = replace(units[6], discontinuity=True)
+    decoder = VideoDecoder()
+    assert one_by_one(decoder, units) == [0, 1, 2, 3, 4, 5, 9, 10, 11, 12, 13, 14]
+    assert decoder.waiting == 3
+
+
+def test_an_idr_after_a_gap_is_a_good_start() -> None:
+    units = [clip()[0][k] for k in (0, 1)] + [replace(clip()[0][5], discontinuity=True), clip()[0][6]]
+    assert one_by_one(VideoDecoder(), units) == [0, 1, 2, 3]
+
+
+def test_after_damage_everything_is_dropped_to_the_next_idr() -> None:
+    units = list(clip()[0])
+    torn = units[7].payload[: len(units[7].payload) // 2]
+    units[7] = replace(units[7], payload=torn)
+    decoder = VideoDecoder()
+    assert one_by_one(decoder, units) == [0, 1, 2, 3, 4, 5, 6, 10, 11, 12, 13, 14, 15]
+    assert (decoder.damaged, decoder.waiting) == (1, 2)
+
+
+def test_damage_before_an_idr_in_one_batch_does_no_harm() -> None:
+    units = list(clip()[0])
+    units[3] = replace(units[3], payload=b"\0\0\0\1garbage")
+    picture = VideoDecoder().newest(units)
+    assert picture is not None
+    assert picture.index == 15
+
+
+def test_a_picture_that_is_not_as_its_header_says_is_refused() -> None:
+    unit = clip()[0][0]
+    decoder = VideoDecoder()
+    assert decoder.newest([replace(unit, header=replace(unit.header, display_width=1280, display_height=720))]) is None
+    assert decoder.damaged == 1
+
+
+def test_other_codecs_and_parts_of_frames_are_unsupported() -> None:
+    unit = clip()[0][0]
+    decoder = VideoDecoder()
+    assert decoder.newest([replace(unit, header=replace(unit.header, codec=3))]) is None
+    assert decoder.newest([replace(unit, header=replace(unit.header, total_slices=2))]) is None
+    assert decoder.unsupported == 2
+
+
+def test_announcements_break_nothing() -> None:
+    a, b = clip()[0][:2]
+    announcement = PaveFrame(PaveHeader(0, 1, 33, FrameType.P, control=CONTROL_ADVERTISEMENT, advertised_size=9), b"", False)
+    decoder = VideoDecoder()
+    assert one_by_one(decoder, [a, announcement, b]) == [0, 2]
+    assert decoder.empty == 1
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 15), st.sampled_from(["whole", "gap", "cut", "flip", "noise"]), st.integers(0, 10**6)),
+        max_size=12,
+    ),
+    st.integers(1, 4),
+)
+def test_anything_in_any_order_never_raises_and_is_counted_once(story: list[tuple[int, str, int]], batch: int) -> None:
+    units = []
+    for index, fate, n in story:
+        u = clip()[0][index]
+        data = bytearray(u.payload)
+        if fate == "cut":
+            del data[n % len(data) :]
+        elif fate == "flip":
+            data[n % len(data)] ^= 1 << n % 8
+        elif fate == "noise":
+            data[:] = np.random.default_rng(n).bytes(n % 2000)
+        units.append(PaveFrame(u.header, bytes(data), fate == "gap"))
+    decoder = VideoDecoder()
+    given_out = sum(decoder.newest(units[k : k + batch]) is not None for k in range(0, len(units), batch))
+    assert decoder.units == len(units)
+    assert decoder.pictures == given_out
+    picture = decoder.newest([clip()[0][0]])
+    assert picture is not None, "a whole IDR always decodes"
+    np.testing.assert_allclose(picture.px.astype(int), clip()[1][0], atol=60)

@@ -1,0 +1,40 @@
+"""A real AR.Drone flight: sightings made from the motion capture, with a gap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benches import estimator_flight as bench
+
+pytestmark = pytest.mark.skipif(not bench.FOLDER.is_dir(), reason="the recorded flight with motion capture is not here")
+
+
+def test_a_gap_of_three_seconds_and_the_return() -> None:
+    flight = bench.load()
+    begin, end = 24.0, 27.0
+    # Every fifth sample of 200 a second is enough to see whether it works.
+    thinned = bench.Recording(
+        tuple(s for k, s in enumerate(flight.samples) if k // 4 % 4 == 0), flight.t, flight.p_ned, flight.t_heading,
+        flight.heading_rad, flight.p_pad_ned, flight.heading_pad_rad,
+    )  # fmt: skip
+    path = bench.EkfPath()
+    t, error, nees = bench.run(thinned, path, bench.sightings(flight, 10.0, [(begin, end)]), 30.0)
+    before, after = (t > 18.0) & (t < begin), t > end + 0.5
+    assert np.sqrt(np.mean(np.sum(error[before] ** 2, axis=1))) < 0.05
+    assert float(np.linalg.norm(error[np.searchsorted(t, end), :2])) < 0.30
+    assert np.sqrt(np.mean(np.sum(error[after] ** 2, axis=1))) < 0.06
+    # The covariance grows as the error may: it is neither left behind nor useless.
+    gap = (t > begin + 0.5) & (t < end)
+    assert np.mean(nees[gap]) < 3.0 * 3.0
+    assert np.mean(nees[before]) < 2.0 * 3.0
+
+
+def test_the_velocity_scale_of_the_real_drone_is_found() -> None:
+    """Motion capture has 0.83-0.87 for the share of the true velocity that this drone tells."""
+    flight = bench.load()
+    path = bench.EkfPath()
+    bench.run(flight, path, bench.sightings(flight, 5.0, []), 24.0)
+    belief = path.memory.belief
+    assert belief is not None
+    assert 0.75 < belief.x[15] < 1.0

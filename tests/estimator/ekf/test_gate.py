@@ -1,0 +1,165 @@
+"""Wrong sightings are refused and never capture the filter; a filter that is wrong itself finds back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benches.estimator_truth import EPOCH_NS, Flight, Setting, events, ns, stamp
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.samples import Imu, Range
+from estimator.ekf import Ekf, EkfOptions, at, start, step
+from estimator.ekf.algebra import Algebra
+from estimator.ekf.state import N
+
+CALM = Setting(seed=1, sea=2, duration_s=9.0, imu_hz=100.0, sighting_hz=20.0, attitude_hz=20.0, velocity_hz=20.0)
+
+
+def error_m(ekf: Ekf, flight: Flight, t: float) -> float:
+    state = at(ekf, ns(t))
+    assert state is not None
+    return float(np.linalg.norm(state.d_body_pad_level - flight.relative(np.array([t]))[0][0]))
+
+
+def shifted(s: Sighting, by: np.ndarray) -> Sighting:
+    return replace(s, d_body_pad_level=s.d_body_pad_level + by)
+
+
+def level(flight: Flight, t_s: float, ned: np.ndarray) -> np.ndarray:
+    """A vector fixed to the world, in the axes that turn with the body."""
+    R = flight.attitude(np.array([t_s]))[0]
+    c, s = R[:2, 0] / np.hypot(*R[:2, 0])
+    return np.array([c * ned[0] + s * ned[1], c * ned[1] - s * ned[0], ned[2]])
+
+
+def test_five_percent_wrong_sightings_never_capture_it() -> None:
+    flight = Flight(replace(CALM, outliers=0.05, duration_s=12.0))
+    ekf, gated, next_s, worst = start(), 0, 2.0, 0.0
+    for event in events(flight):
+        ekf, outcomes = step(ekf, event)
+        gated += isinstance(event, Sighting) and outcomes[0].verdict is Verdict.GATED
+        while event.stamp.heard > ns(next_s):
+            worst = max(worst, error_m(ekf, flight, next_s))
+            next_s += 0.1
+    assert 3 <= gated <= 25
+    assert worst < 0.25
+
+
+def test_a_false_pad_beside_the_true_one_is_refused_as_long_as_the_true_one_shows() -> None:
+    flight = Flight(CALM)
+    ekf, refused = start(), []
+    for event in events(flight):
+        wrong = isinstance(event, Sighting) and event.stamp.taken > ns(3.0) and event.seq % 2 == 0
+        ekf, outcomes = step(
+            ekf,
+            shifted(event, level(flight, (event.stamp.taken - EPOCH_NS) * 1e-9, np.array([0.6, 0.3, 0.0]))) if wrong else event,
+        )
+        if wrong:
+            refused.append(outcomes[0].verdict is Verdict.GATED)
+    assert all(refused)
+    assert error_m(ekf, flight, 8.9) < 0.1
+
+
+def test_a_pad_that_has_moved_for_good_is_believed_after_a_while() -> None:
+    """The way back: what was refused again and again, always alike, becomes the belief, and says so by `consistent`."""
+    flight = Flight(CALM)
+    jump = np.array([0.8, -0.5, 0.2])
+    ekf, verdicts, doubted = start(), [], False
+    for event in events(flight):
+        moved = isinstance(event, Sighting) and event.stamp.taken > ns(4.0)
+        t = (event.stamp.taken - EPOCH_NS) * 1e-9
+        ekf, outcomes = step(ekf, shifted(event, level(flight, t, jump)) if moved else event)
+        if moved:
+            verdicts.append((event.stamp.taken, outcomes[0].verdict))
+            state = at(ekf, event.stamp.heard)
+            assert state is not None
+            doubted = doubted or not state.consistent
+    fused_at = min(t for t, v in verdicts if v is Verdict.FUSED)
+    assert 0.5 < (fused_at - ns(4.0)) * 1e-9 < 1.5
+    assert [v for _, v in verdicts][-20:] == [Verdict.FUSED] * 20
+    assert doubted
+    state = at(ekf, ns(8.9))
+    assert state is not None
+    assert state.consistent
+    truth = flight.relative(np.array([8.9]))[0][0] + level(flight, 8.9, jump)
+    assert np.linalg.norm(state.d_body_pad_level - truth) < 0.12
+
+
+def test_a_wrong_first_sighting_is_soon_overthrown() -> None:
+    flight = Flight(CALM)
+    ekf, first = start(), True
+    for event in events(flight):
+        if isinstance(event, Sighting) and first:
+            event, first = shifted(event, np.array([2.0, 2.0, 1.0])), False
+        ekf, _ = step(ekf, event)
+        if event.stamp.heard > ns(2.0):
+            break
+    assert error_m(ekf, flight, 2.0) < 0.25
+
+
+def test_the_deck_edge_is_gated_and_not_believed() -> None:
+    flight = Flight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
+    ekf, beyond = start(), []
+    for event in events(flight):
+        if isinstance(event, Range) and event.stamp.taken > ns(5.0):
+            event = Range(event.stamp, event.range_m + 0.6, event.sigma_m)
+            ekf, outcomes = step(ekf, event)
+            beyond.append(outcomes[0].verdict)
+        else:
+            ekf, _ = step(ekf, event)
+    assert set(beyond) == {Verdict.GATED}
+    assert error_m(ekf, flight, 8.9) < 0.1
+
+
+def test_range_is_of_use_over_the_deck_and_refused_far_from_it() -> None:
+    over = replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0)
+    beside = replace(CALM, legs=((0.0, 2.5, 0.0, 2.0), (9.0, 2.5, 0.0, 2.0)), lively=0.2, range_hz=20.0)
+    for setting, wanted in ((over, Verdict.FUSED), (beside, Verdict.GATED)):
+        ekf, verdicts = start(), []
+        for event in events(Flight(setting)):
+            ekf, outcomes = step(ekf, event)
+            if isinstance(event, Range) and event.stamp.taken > ns(4.0):
+                verdicts.append(outcomes[0].verdict)
+        assert verdicts.count(wanted) > 0.95 * len(verdicts)
+
+
+@pytest.mark.parametrize("confidence", [0.0, 0.04])
+def test_a_sighting_that_does_not_trust_itself_is_refused(confidence: float) -> None:
+    ekf = start()
+    for event in events(Flight(CALM)):
+        if event.stamp.heard > ns(1.0):
+            break
+        ekf, _ = step(ekf, event)
+    cov = np.diag([0.01, 0.01, 0.01, 0.01])
+    seen = Sighting(stamp(1.0), 999, "selected", np.array([0.0, 0.0, 2.0]), 0.0, False, cov, confidence)
+    _, outcomes = step(ekf, seen)
+    assert outcomes[0].verdict is Verdict.GATED
+
+
+def test_a_certain_contradiction_is_singular_not_a_crash() -> None:
+    algebra = Algebra(N)
+    H = np.zeros((2, N))
+    H[:, 3] = 1.0
+    assert algebra.correct(np.zeros((N, N)), np.zeros(2), H, np.zeros((2, 2))) is None
+    assert algebra.correct(np.full((N, N), np.nan), np.zeros(2), H, np.eye(2)) is None
+
+
+def test_options_refuse_nonsense() -> None:
+    with pytest.raises(ValueError, match="asd_gyro_rad_s"):
+        EkfOptions(asd_gyro_rad_s=-1.0)
+    with pytest.raises(ValueError, match="gate_probability"):
+        EkfOptions(gate_probability=0.5)
+
+
+def test_first_imu_alone_levels_the_body() -> None:
+    ekf = start()
+    f = np.array([0.5, -0.3, -9.78])
+    for k in range(20):
+        ekf, outcomes = step(ekf, Imu(stamp(0.01 * k), np.zeros(3), f))
+    assert outcomes[0].verdict is Verdict.FUSED
+    assert ekf.belief is not None
+    down = ekf.belief.R.T @ np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(down, -f / np.linalg.norm(f), atol=1e-3)
+    assert ekf.belief.t == EPOCH_NS + 190_000_000

@@ -1,0 +1,107 @@
+"""Late is as good as in order; what is too late, too new, or nothing at all is said to be so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benches.estimator_truth import EPOCH_NS, Flight, Setting, events, ns
+from estimator.contracts.estimates import RelativeState, Sighting, Verdict
+from estimator.contracts.samples import Baro, Imu, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.ekf import Ekf, EkfOptions, at, start, step
+
+SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro_hz=10.0, imu_hz=100.0, outliers=0.05)
+
+
+def run(what: list, options: EkfOptions | None = None) -> tuple[Ekf, list[Verdict]]:
+    ekf = start(options or EkfOptions())
+    verdicts = []
+    for event in what:
+        ekf, outcomes = step(ekf, event)
+        assert len(outcomes) == 1
+        verdicts.append(outcomes[0].verdict)
+    return ekf, verdicts
+
+
+def same(one: RelativeState | None, two: RelativeState | None) -> float:
+    assert one is not None
+    assert two is not None
+    assert one.sighted == two.sighted
+    return max(
+        float(np.abs(one.d_body_pad_level - two.d_body_pad_level).max()),
+        float(np.abs(one.v_pad_level - two.v_pad_level).max()),
+        float(np.abs(one.cov - two.cov).max()),
+        abs((one.yaw_rad or 0.0) - (two.yaw_rad or 0.0)),
+        max(abs(a[1] - b[1]) for a, b in zip(one.details, two.details, strict=True)),
+    )
+
+
+def test_late_and_shuffled_equals_in_order() -> None:
+    heard = events(Flight(SETTING))
+    in_order = sorted(heard, key=lambda e: (e.stamp.taken, isinstance(e, Sighting)))
+    assert sum(a is not b for a, b in zip(heard, in_order, strict=True)) > 100
+    rng = np.random.default_rng(0)
+    jumbled = sorted(heard, key=lambda e: e.stamp.heard + rng.uniform(0.0, 0.25e9))
+    options = EkfOptions(max_ahead_s=0.5)
+    reference, _ = run(in_order, options)
+    for order in (heard, jumbled):
+        late, verdicts = run(order, options)
+        assert Verdict.TOO_OLD not in verdicts
+        for t in (4.6, 4.9, 5.1):
+            assert same(at(late, ns(t)), at(reference, ns(t))) < 1e-9
+
+
+def test_an_older_memory_is_not_touched() -> None:
+    heard = events(Flight(SETTING))
+    half, _ = run(heard[:600])
+    before = at(half, ns(3.0))
+    for event in heard[600:900]:
+        step(half, event)
+    assert same(before, at(half, ns(3.0))) == 0.0
+
+
+def test_too_old_and_too_new() -> None:
+    ekf, _ = run([e for e in events(Flight(SETTING)) if isinstance(e, Imu)])
+    now = EPOCH_NS + 5_000_000_000
+    old = Baro(Stamp(MonoNs(now - 2_000_000_000), MonoNs(now), 0.0, "sim"), 1.0, 0.1)
+    new = Baro(Stamp(MonoNs(now + 300_000_000), MonoNs(now), 0.1, "sim"), 1.0, 0.1)
+    after, outcomes = step(ekf, old)
+    assert outcomes[0].verdict is Verdict.TOO_OLD
+    assert after.belief is ekf.belief
+    _, outcomes = step(ekf, new)
+    assert outcomes[0].verdict is Verdict.TOO_NEW
+
+
+def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
+    heard = events(Flight(SETTING))
+    ekf, _ = run(heard)
+    later = [e for e in events(Flight(Setting(seed=4, sea=4, duration_s=15.0, imu_hz=100.0))) if e.stamp.taken > ns(13.0)]
+    verdicts = []
+    for event in later:
+        ekf, outcomes = step(ekf, event)
+        verdicts.append((type(event), outcomes[0].verdict))
+    assert Verdict.TOO_NEW not in {v for _, v in verdicts}
+    assert [v for kind, v in verdicts if kind is Sighting][-10:] == [Verdict.FUSED] * 10
+
+
+def test_nothing_known_is_none_and_needs_an_attitude() -> None:
+    ekf = start()
+    assert at(ekf, ns(0.0)) is None
+    sightings = [e for e in events(Flight(SETTING)) if isinstance(e, Sighting)]
+    ekf, outcomes = step(ekf, sightings[0])
+    assert outcomes[0].verdict is Verdict.NO_ATTITUDE
+    assert at(ekf, ns(1.0)) is None
+
+
+def test_history_is_bounded() -> None:
+    ekf, _ = run(events(Flight(SETTING)), EkfOptions(history_s=0.5))
+    times = [node.key[0] for node in ekf.history.nodes]
+    assert times[-1] - times[0] <= 500_000_000
+    assert len(times) < 200
+
+
+def test_what_is_no_measurement_is_a_mistake_of_the_caller() -> None:
+    status = VehicleStatus(Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), None, "landed", None, False, True)
+    with pytest.raises(TypeError, match="VehicleStatus"):
+        step(start(), status)  # type: ignore[arg-type]

@@ -1,0 +1,38 @@
+"""The filter is a library of its own."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+FOLDER = Path(__file__).parents[3] / "estimator" / "ekf"
+
+
+def test_imports() -> None:
+    for path in FOLDER.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names = [node.module]
+            for name in names:
+                assert name.split(".")[0] in {
+                    "__future__",
+                    "collections",
+                    "dataclasses",
+                    "math",
+                    "typing",
+                    "numpy",
+                    "estimator",
+                    "filterpy",
+                }, path
+                assert not name.startswith("estimator.vision"), path
+
+
+def test_importing_it_is_cheap() -> None:
+    """filterpy, with the scipy and matplotlib it brings, comes with the first `start` only."""
+    watched = {"scipy", "matplotlib", "filterpy", "asyncio", "drivers"}
+    code = f"import sys, estimator.ekf; print(sorted({{m.split('.')[0] for m in sys.modules}} & {watched}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=FOLDER.parents[1], check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,215 @@
+"""The deck's motion: oscillators, learning them, forecasting by them, and telling a moving vessel from one at rest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from benches.estimator_truth import Flight, Setting, events, ns, stamp
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.samples import VesselReport
+from estimator.ekf import Ekf, at, forecast, moving, sea, start, step
+from estimator.ekf.oscillator import stationary, transition
+
+QUICK = Setting(seed=3, sea=4, duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, attitude_hz=10.0, velocity_hz=10.0, pose6=True)
+
+
+def matrix(w: float, zeta: float) -> np.ndarray:
+    J = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
+    return np.block([[J, np.array([[0.0, 0.0], [1.0, 0.0]])], [np.zeros((2, 2)), J]])
+
+
+@given(st.floats(0.3, 3.0), st.floats(0.05, 0.9), st.floats(0.001, 5.0))
+@settings(max_examples=60, deadline=None)
+def test_transition_is_the_matrix_exponential(w: float, zeta: float, dt: float) -> None:
+    got = transition(np.array(w), np.array(zeta), dt)
+    np.testing.assert_allclose(got.A, expm(matrix(w, zeta) * dt), atol=1e-9 * max(1.0, w**3))
+    assert np.linalg.eigvalsh(got.q).min() > -1e-9 * float(np.trace(stationary(np.array(w), np.array(zeta))))
+
+
+@given(st.floats(0.3, 3.0), st.floats(0.05, 0.9))
+@settings(max_examples=30, deadline=None)
+def test_stationary_covariance_is_stationary(w: float, zeta: float) -> None:
+    F, P = matrix(w, zeta), stationary(np.array(w), np.array(zeta))
+    change = F @ P + P @ F.T
+    assert change[3, 3] < 0.0
+    change[3, 3] = 0.0
+    np.testing.assert_allclose(change, 0.0, atol=1e-9 * float(np.trace(P)))
+    assert P[0, 0] == 1.0
+
+
+def test_the_bank_learns_an_oscillation_and_its_size() -> None:
+    rng = np.random.default_rng(0)
+    w, zeta, sigma, dt = 0.9, 0.3, 0.4, 0.2
+    a = transition(np.array(w), np.array(zeta), dt)
+    x = np.zeros(4)
+    L = np.linalg.cholesky(sigma**2 * a.q + 1e-15 * np.eye(4))
+    bank = sea.unknown()
+    var = np.array([1e6, 1e6, 0.01**2, 1e6, 1e6])
+    for k in range(400):
+        x = a.A @ x + L @ rng.standard_normal(4)
+        drift = 3.0 + 0.5 * k * dt
+        bank = sea.look(
+            bank, round(k * dt * 1e9), np.array([0.0, 0.0, x[0] + drift + 0.01 * rng.standard_normal(), 0.0, 0.0]), var
+        )
+    assert 0.65 < bank.w_rad_s[2] < 1.25
+    assert 0.2 < bank.sigma[2] < 0.8
+    assert bank.weight[2, 0] < 1e-3
+    np.testing.assert_allclose(bank.weight[0], np.exp(sea.LOG_PRIOR), rtol=1e-6)
+
+
+def test_a_deck_at_rest_is_found_to_be_at_rest() -> None:
+    rng = np.random.default_rng(1)
+    bank = sea.unknown()
+    var = np.array([1.0, 1.0, 1.0, 1.0, 1.0]) * 0.01**2
+    for k in range(150):
+        bank = sea.look(bank, k * 200_000_000, 0.01 * rng.standard_normal(5), var)
+    assert bank.weight[:, 0].min() > 0.6
+    assert bank.sigma[:3].max() < 0.05
+
+
+def run(s: Setting) -> tuple[Flight, Ekf, list[float]]:
+    """The flight, the final memory, and the NEES of the RelativeState twice a second after 6 s."""
+    flight, ekf, nees, next_s = Flight(s), start(), [], 6.0
+    for event in events(flight):
+        while event.stamp.heard > ns(next_s):
+            state = at(ekf, ns(next_s))
+            assert state is not None
+            assert state.yaw_rad is not None
+            d, v, yaw = (x[0] for x in flight.relative(np.array([next_s])))
+            turn = math.remainder(state.yaw_rad - yaw, math.tau)
+            e = np.concatenate([state.d_body_pad_level - d, state.v_pad_level - v, [turn]])
+            nees.append(float(e @ np.linalg.solve(state.cov, e)))
+            next_s += 0.5
+        ekf, _ = step(ekf, event)
+    return flight, ekf, nees
+
+
+def test_consistent_and_the_forecast_holds_its_bands() -> None:
+    inside = {0.68: 0, 0.95: 0}
+    total, nees = 0, []
+    for seed in (3, 4):
+        nees += run(replace(QUICK, seed=seed))[2]
+    ekf, next_s = start(), 10.0
+    flight = Flight(QUICK)
+    for event in events(flight):
+        if event.stamp.heard > ns(next_s) and next_s < 17.0:
+            told = forecast(ekf, ns(next_s), (1.0, 2.0, 3.0))
+            assert told is not None
+            p, v, _ = flight.pad(next_s + np.array([1.0, 2.0, 3.0]))
+            for probability in inside:
+                low, high = told.band("deck_height_m", probability)
+                inside[probability] += int(np.sum((low < flight.p0[2] - p[:, 2]) & (flight.p0[2] - p[:, 2] < high)))
+                low, high = told.band("rise_m_s", probability)
+                inside[probability] += int(np.sum((low < -v[:, 2]) & (-v[:, 2] < high)))
+            total += 6
+            next_s += 0.5
+        ekf, _ = step(ekf, event)
+    assert inside[0.68] / total > 0.5
+    assert inside[0.95] / total > 0.8
+    assert 0.4 < np.mean(nees) / 7.0 < 2.5
+
+
+def test_forecast_grows_with_the_horizon_and_starts_at_the_belief() -> None:
+    _, ekf, _ = run(replace(QUICK, duration_s=8.0))
+    now = ns(7.9)
+    told, state = forecast(ekf, now, (0.0, 1.0, 3.0)), at(ekf, now)
+    assert told is not None
+    assert state is not None
+    np.testing.assert_allclose(told.d_body_pad_level[0], state.d_body_pad_level, atol=1e-9)
+    np.testing.assert_allclose(told.cov_d_level[0], state.cov[:3, :3], atol=1e-9)
+    assert told.sigma_deck_height_m[0] < told.sigma_deck_height_m[1] < told.sigma_deck_height_m[2]
+    with pytest.raises(ValueError, match="horizons"):
+        forecast(ekf, now, [-1.0])
+
+
+def test_moving_or_not() -> None:
+    probabilities = []
+    for sea_state, speed in ((0, 0.0), (0, 1.0), (4, 0.0)):
+        s = replace(QUICK, sea=sea_state, vessel_speed_m_s=speed, duration_s=14.0, accel_bias=0.05)
+        _, ekf, _ = run(s)
+        p = moving(ekf)
+        assert p is not None
+        probabilities.append(p)
+    assert probabilities[0] < 0.2
+    assert probabilities[1] > 0.9
+    assert probabilities[2] > 0.99
+    assert moving(start()) is None
+
+
+def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_it() -> None:
+    s = replace(QUICK, blind=((10.0, 14.0),), duration_s=17.0)
+    flight, ekf = Flight(s), start()
+    sigma, before = [], None
+    for event in events(flight):
+        now = event.stamp.heard
+        first = isinstance(event, Sighting) and event.stamp.taken > ns(14.0) and before is None
+        if first:
+            before = at(ekf, now)
+        ekf, _ = step(ekf, event)
+        if first:
+            after = at(ekf, now)
+        if (
+            ns(10.3) < now < ns(14.0)
+            and isinstance(event, Sighting) is False
+            and len(sigma) < (now - ns(10.3)) // 500_000_000 + 1
+        ):
+            state = at(ekf, now)
+            assert state is not None
+            sigma.append(float(np.sqrt(np.trace(state.cov[:3, :3]))))
+            error = state.d_body_pad_level - flight.relative(np.array([(now - ns(0.0)) * 1e-9]))[0][0]
+            assert float(error @ np.linalg.solve(state.cov[:3, :3], error)) < 25.0
+    assert sigma == sorted(sigma)
+    assert before is not None
+    assert after is not None
+    jump = after.d_body_pad_level - before.d_body_pad_level
+    assert float(jump @ np.linalg.solve(before.cov[:3, :3], jump)) < 16.0
+    assert np.trace(after.cov[:3, :3]) < np.trace(before.cov[:3, :3])
+
+
+def test_a_report_of_the_ship_tells_its_velocity_and_heading() -> None:
+    s = replace(QUICK, sea=0, vessel_speed_m_s=1.2, velocity_hz=0.0, duration_s=6.0)
+    flight, ekf, next_s = Flight(s), start(), 1.0
+    for event in events(flight):
+        ekf, _ = step(ekf, event)
+        if event.stamp.heard > ns(next_s):
+            heading = math.atan2(flight.u[1], flight.u[0])
+            report = VesselReport(stamp(next_s), flight.u, np.eye(3) * 0.05**2, heading, 0.02)
+            ekf, outcomes = step(ekf, report)
+            assert outcomes[0].verdict.value == "fused"
+            next_s += 0.5
+    assert ekf.belief is not None
+    np.testing.assert_allclose(ekf.belief.x[16:18], flight.u[:2], atol=0.1)
+
+
+def test_half_a_heading_is_used_only_when_the_other_half_is_known() -> None:
+    """An H alone: its heading may be 180 degrees off."""
+    flight = Flight(replace(QUICK, duration_s=5.0, pose6=False))
+    ekf, ambiguous = start(), 0
+    for event in events(flight):
+        if isinstance(event, Sighting) and event.stamp.taken > ns(1.0):
+            assert event.yaw_rad is not None
+            opposite = math.remainder(event.yaw_rad + math.pi, math.tau)
+            event = replace(event, yaw_rad=opposite, yaw_ambiguous=True)
+            ambiguous += 1
+        ekf, _ = step(ekf, event)
+    state = at(ekf, ns(4.9))
+    assert state is not None
+    assert state.yaw_rad is not None
+    assert abs(math.remainder(state.yaw_rad - flight.relative(np.array([4.9]))[2][0], math.tau)) < 0.15
+
+    ekf = start()
+    for event in events(flight):
+        if isinstance(event, Sighting):
+            event = replace(event, yaw_ambiguous=True)
+        ekf, _ = step(ekf, event)
+    state = at(ekf, ns(4.9))
+    assert state is not None
+    assert state.yaw_rad is None
+    assert ambiguous > 20

@@ -1,0 +1,99 @@
+"""One door: every sighting ends in one verdict a path, a refused one changes nothing, the same events give the same belief."""
+
+import math
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimator import pipeline
+from estimator.contracts.estimates import RelativeState, Sighting, Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.paths import Event
+
+BOTH = pipeline.Options(steering="dead_reckoning", shadows=("median_mean",))
+
+
+def stamp(t_s: float, delay_s: float = 0.0) -> Stamp:
+    return Stamp(MonoNs(round(t_s * 1e9)), MonoNs(round((t_s + delay_s) * 1e9)), 0.001, "sim")
+
+
+def sighting(t_s: float, d: tuple[float, float, float], *, delay_s: float = 0.1, confidence: float = 0.9) -> Sighting:
+    return Sighting(
+        stamp(t_s, delay_s), round(t_s * 30), "selected", np.array(d), 0.3, False, np.diag([1e-4, 1e-4, 4e-4, 1e-4]), confidence
+    )
+
+
+def at_rest(t_s: float) -> list[Event]:
+    level = Rotation.from_rpy(0.0, 0.0, 1.0)
+    return [
+        Attitude(stamp(t_s), level, 1e-5 * np.eye(3)),
+        Imu(stamp(t_s), np.zeros(3), np.array([0.0, 0.0, -9.80665])),
+        BodyVelocity(stamp(t_s), np.zeros(3), np.diag([0.01, 0.01, UNKNOWN_VAR])),
+    ]
+
+
+def feed(memory: pipeline.Memory, events: list[Event]) -> tuple[pipeline.Memory, list[pipeline.Outcome]]:
+    outcomes: list[pipeline.Outcome] = []
+    for event in events:
+        memory, made = pipeline.step(memory, event)
+        outcomes.extend(made)
+    return memory, outcomes
+
+
+def hovering(until_s: float = 1.0) -> pipeline.Memory:
+    memory = pipeline.start(BOTH)
+    for i in range(round(until_s * 200)):
+        memory, _ = feed(memory, at_rest(i / 200))
+        if i % 7 == 0 and i > 20:
+            memory, _ = pipeline.step(memory, sighting(i / 200 - 0.1, (0.5, -0.2, 2.0)))
+    return memory
+
+
+def same(a: RelativeState, b: RelativeState) -> bool:
+    return bool(np.array_equal(a.d_body_pad_level, b.d_body_pad_level) and np.array_equal(a.cov, b.cov))
+
+
+def test_nothing_is_believed_before_the_first_sighting() -> None:
+    memory, _ = feed(pipeline.start(BOTH), at_rest(0.0))
+    assert pipeline.belief(memory, MonoNs(0)) is None
+    assert pipeline.beliefs(memory, MonoNs(0)) == ()
+
+
+def test_every_path_believes_the_pad_where_it_was_seen() -> None:
+    memory = hovering()
+    for belief in pipeline.beliefs(memory, MonoNs(10**9)):
+        assert np.allclose(belief.d_body_pad_level, (0.5, -0.2, 2.0), atol=0.01)
+        assert belief.yaw_rad is not None
+        assert math.isclose(belief.yaw_rad, 0.3, abs_tol=1e-6)
+    assert [b.path for b in pipeline.beliefs(memory, MonoNs(10**9))] == ["dead_reckoning", "median_mean"]
+
+
+@settings(deadline=None, max_examples=30)
+@given(delay_s=st.floats(0.0, 1.5), confidence=st.floats(0.0, 1.0))
+def test_every_sighting_ends_in_one_verdict_a_path_and_a_refused_one_changes_nothing(delay_s: float, confidence: float) -> None:
+    memory = hovering()
+    before = pipeline.beliefs(memory, MonoNs(10**9))
+    after, outcomes = pipeline.step(memory, sighting(0.99, (3.0, 3.0, 3.0), delay_s=delay_s, confidence=confidence))
+    assert sorted(o.path for o in outcomes) == ["dead_reckoning", "median_mean"]
+    if delay_s > BOTH.max_delay_s + 1e-6:
+        assert {o.verdict for o in outcomes} == {Verdict.TOO_OLD}
+    elif confidence < BOTH.min_confidence:
+        assert {o.verdict for o in outcomes} == {Verdict.GATED}
+    if all(o.verdict is not Verdict.FUSED for o in outcomes):
+        assert all(same(a, b) for a, b in zip(before, pipeline.beliefs(after, MonoNs(10**9)), strict=True))
+
+
+def test_the_same_events_give_the_same_belief_to_the_bit() -> None:
+    for a, b in zip(
+        pipeline.beliefs(hovering(), MonoNs(2 * 10**9)), pipeline.beliefs(hovering(), MonoNs(2 * 10**9)), strict=True
+    ):
+        assert same(a, b)
+
+
+def test_an_old_sighting_is_a_wide_one_on_every_path() -> None:
+    memory = hovering()
+    for fresh, late in zip(pipeline.beliefs(memory, MonoNs(10**9)), pipeline.beliefs(memory, MonoNs(3 * 10**9)), strict=True):
+        assert np.trace(late.cov[:3, :3]) > 4 * np.trace(fresh.cov[:3, :3])

@@ -1,0 +1,103 @@
+"""The drawing's blurred shares against brute force, their derivatives against differences, and its edges."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+
+from estimator.contracts.geometry import Rotation
+from estimator.vision.drawing import Blurred, EdgeKind, edges_of
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.registration_state import State
+from tests.estimator.vision.conftest import shipped_camera, shipped_pad
+from tests.estimator.vision.picture import _paint
+
+PADS = [shipped_pad("thesis"), shipped_pad("printed")]
+
+
+@pytest.mark.parametrize("pad", PADS, ids=lambda p: p.name)
+@pytest.mark.parametrize("sigma_m", [0.012, 0.018, 0.036])
+def test_shares_are_the_blurred_drawing(pad: Pad, sigma_m: float) -> None:
+    step = 0.001
+    axis = np.arange(-0.55, 0.55, step) + step / 2
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    paint = _paint(x, y, pad)
+    orange, white = (gaussian_filter((paint == code).astype(float), sigma_m / step) for code in (3, 4))
+    disc = gaussian_filter((paint > 0).astype(float), sigma_m / step)
+    pick = (slice(3, None, 7), slice(3, None, 7))
+    at = x[pick].ravel().astype(np.float32), y[pick].ravel().astype(np.float32)
+    b = Blurred(pad, *at, (sigma_m**2, 0.0, sigma_m**2), np.ones(len(at[0]), np.float32))
+    # A raster of a millimetre is itself wrong by half of one here and there, not in the sum.
+    for share, true in ((b.circles(pad.disc_radius_m)[0][0], disc), (b.h()[0], white)):
+        assert share == pytest.approx(true[pick].ravel(), abs=0.015)
+        assert float(share.sum()) == pytest.approx(float(true[pick].sum()), rel=0.002)
+    small = b.ring()[0] + b.arrow_small()[0]
+    assert small == pytest.approx(orange[pick].ravel(), abs=0.025)
+    assert float(small.sum()) == pytest.approx(float(orange[pick].sum()), rel=0.004)
+
+
+def test_sharp_orange_is_the_drawing_too() -> None:
+    pad, sigma_m, step = PADS[0], 0.003, 0.0005
+    axis = np.arange(0.15, 0.35, step) + step / 2
+    x, y = np.meshgrid(axis, axis - 0.25, indexing="ij")
+    orange = gaussian_filter((_paint(x, y, pad) == 3).astype(float), sigma_m / step)
+    pick = (slice(30, -30, 5), slice(30, -30, 5))
+    at = x[pick].ravel().astype(np.float32), y[pick].ravel().astype(np.float32)
+    b = Blurred(pad, *at, (sigma_m**2, 0.0, sigma_m**2), np.ones(len(at[0]), np.float32))
+    away = np.abs(b.orange()[0] - orange[pick].ravel())
+    assert np.percentile(away, 98) < 0.02
+    assert away.max() < 0.2, "where ring and arrowhead meet at an angle"
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    st.floats(0.2, 20.0), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-math.pi, math.pi), st.integers(0, 1000),
+)  # fmt: skip
+def test_derivatives_by_pose_and_blur(height: float, roll: float, pitch: float, yaw: float, seed: int) -> None:
+    camera, pad = shipped_camera("sim"), PADS[seed % 2]
+    rng = np.random.default_rng(seed)
+    pose = PadPose(Rotation.from_rpy(roll, pitch, yaw), np.array([*rng.uniform(-0.1, 0.1, 2) * height, height]))
+    state = State.of(pose, camera, 0.8, height)
+    # Places within three sigmas of edges, where shares change.
+    edges = edges_of(pad)
+    near = edges.at_m[rng.integers(len(edges.at_m), size=60)] + rng.normal(0.0, 1.0, (60, 2)) * state.m_per_px
+    p = np.c_[near, np.zeros(60)] @ state.R.T + state.t
+    p = p[p[:, 2] > 0.05]
+    rays = p[:, :2] / p[:, 2:]
+    shapes = [
+        lambda b: b.circles(pad.disc_radius_m)[0], lambda b: b.ring(), lambda b: b.h(), lambda b: b.orange(),
+        lambda b: b.arrow_small(),
+    ]  # fmt: skip
+    fp = state.footprint(rays, pad)
+    scale = np.array([*[state.m_per_px] * 3, *[state.m_per_px / pad.disc_radius_m] * 3, 1.0, 1.0, 1.0])
+    for shape in shapes:
+        J = fp.jacobian(shape(fp.places)[1]) * scale[:, None]
+        for i in range(9):
+            h = np.zeros(9)
+            h[i] = 0.02 * scale[i]
+            plus, minus = (state.moved(sign * h).footprint(rays, pad).places for sign in (1.0, -1.0))
+            # The pixel's scale is held within one linearisation, and does not turn with the blur.
+            plus, minus = (Blurred(pad, b.x, b.y, b.blur_m2, fp.places.scale2) for b in (plus, minus))
+            difference = (shape(plus)[0] - shape(minus)[0]) / 0.04
+            assert J[i] == pytest.approx(difference, abs=0.012), f"derivative {i}"
+
+
+def test_edges_lie_between_the_two_paints() -> None:
+    for pad in PADS:
+        e = edges_of(pad)
+        inside, outside = (_paint(*(e.at_m + s * 1e-3 * e.normal).T, pad) for s in (-1, 1))
+        for kind, paints in ((EdgeKind.RING, (3, 2)), (EdgeKind.ARROW, (3, 2)), (EdgeKind.H, (4, 2))):
+            of = e.kind == kind
+            assert set(inside[of]) == {paints[0]}
+            assert set(outside[of]) == {paints[1]}
+        of = e.kind == EdgeKind.DISC
+        assert set(inside[of]) == {2}
+        assert set(outside[of]) == ({1} if pad.rim_width_m else {0})
+        assert np.all(np.diff(e.kind) >= 0)
+        assert np.all(np.diff(e.piece) >= 0)

@@ -1,0 +1,91 @@
+"""Paint memory: slow, sure of nothing it did not see often, and with a way back."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from estimator.vision.acquire import acquire
+from estimator.vision.acquire_align import SIGMA_TILT_RAD, Laid, Pyramid, align
+from estimator.vision.acquire_drawing import AROUND, DISC
+from estimator.vision.camera import Camera
+from estimator.vision.judge import keeps_claim
+from estimator.vision.pad import Pad
+from estimator.vision.paint import FRESH, LEARNED_AT, PaintMemory, learn, missed
+from sitl.light import Light
+from tests.estimator.vision.deck_pictures import shown
+
+
+def laid(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> Laid:
+    seen = shown(camera, pad, 1.5, light=light, seed=seed)
+    out = align(Pyramid(seen.px), camera, pad, seen.truth, SIGMA_TILT_RAD, 0)
+    assert out is not None
+    return out
+
+
+def taught(frames: int, one: Laid, start: PaintMemory = FRESH) -> PaintMemory:
+    for _ in range(frames):
+        start = learn(start, one, 0.97)
+    return start
+
+
+def test_three_confident_frames_make_it_trusted_and_doubtful_ones_teach_nothing(camera: Camera, pad: Pad) -> None:
+    one = laid(camera, pad, Light())
+    assert learn(FRESH, one, LEARNED_AT - 0.01) is FRESH
+    assert taught(2, one).dominance(pad) is None
+    learned = taught(3, one).dominance(pad)
+    assert learned is not None
+    disc, around = learned
+    assert disc > around + 1.0, "the disc is green and the deck is not"
+    assert abs(around) < 0.25
+
+
+def test_it_follows_the_light_slowly(camera: Camera, pad: Pad) -> None:
+    bright, dim = laid(camera, pad, Light()), laid(camera, pad, Light(exposure_ev=-1.5), 1)
+    old = taught(60, bright)
+    after_one, after_many = learn(old, dim, 0.97), taught(150, dim, old)
+    target = taught(1, dim).mean[DISC]
+    gap = float(np.abs(old.mean[DISC] - target).max())
+    assert gap > 0.3
+    assert np.abs(after_one.mean[DISC] - old.mean[DISC]).max() < 0.06 * gap
+    assert np.abs(after_many.mean[DISC] - target).max() < 0.15 * gap
+
+
+def test_without_the_pad_it_fades_back_to_knowing_nothing(camera: Camera, pad: Pad) -> None:
+    memory = taught(200, laid(camera, pad, Light()))
+    trusts = []
+    for _ in range(60):
+        memory = missed(memory)
+        trusts.append(memory.trust)
+    assert memory is FRESH
+    assert all(a >= b for a, b in itertools.pairwise(trusts))
+    used = sum(t >= 0.1 for t in trusts)
+    assert 20 < used < 40, "a second or so at 30 frames a second"
+    assert missed(FRESH) is FRESH
+
+
+@pytest.mark.parametrize("height_m", [0.4, 1.5, 6.0])
+def test_a_memory_of_the_wrong_colours_hinders_nothing(camera: Camera, pad: Pad, height_m: float) -> None:
+    good = taught(50, laid(camera, pad, Light()))
+    swapped = PaintMemory(good.mean[[3, 1, 0, 2]], good.var, good.trust)
+    upside_down = PaintMemory(good.mean[:, [2, 0, 1]] + 2.0, good.var, good.trust)
+    seen = shown(camera, pad, height_m, aside=(0.1, -0.1))
+    for memory in (FRESH, good, swapped, upside_down):
+        best = acquire(seen.px, camera, pad, seen.R_level_body, memory)[0]
+        assert best.score > 0.5
+        assert keeps_claim(best.pose, seen.truth, camera, pad, best.yaw_ambiguous)
+
+
+def test_memory_is_a_value(camera: Camera, pad: Pad) -> None:
+    one = laid(camera, pad, Light())
+    before = taught(5, one)
+    kept = before.mean.copy(), before.var.copy(), before.trust
+    learn(before, one, 1.0)
+    missed(before)
+    assert np.array_equal(before.mean, kept[0])
+    assert np.array_equal(before.var, kept[1])
+    assert before.trust == kept[2]
+    assert np.allclose(taught(5, one).mean, before.mean)
+    assert float(before.mean[AROUND].std()) < float(before.mean[DISC].std()), "a grey deck, a green disc"

@@ -1,0 +1,262 @@
+"""Registration on rendered pictures: accuracy, honest covariance, blur, occlusion, partial view, heading."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from estimator.contracts.geometry import Rotation
+from estimator.vision.camera import Camera
+from estimator.vision.drawing import EdgeKind
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.registration import Options, register
+from sitl.light import Light, Sensor
+from sitl.surroundings import Surroundings
+from tests.estimator.vision.picture import sim_camera
+from tests.estimator.vision.shots import Stage, View, error, pad_error
+
+TRACK = Options(coarse=False)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "lateral_mm", "range_mm", "bias_mm", "heading_deg"),
+    [(0.3, 0.03, 0.05, 0.05, 0.01), (1.0, 0.05, 0.1, 0.2, 0.02), (5.0, 0.15, 2.0, 2.0, 0.1), (10.0, 0.5, 10.0, 8.0, 0.4)],
+)
+def test_accuracy_and_covariance(
+    camera: Camera, pad: Pad, height_m: float, lateral_mm: float, range_mm: float, bias_mm: float, heading_deg: float
+) -> None:
+    stage = Stage(camera, pad)
+    off, turn, nees = [], [], []
+    for _ in range(24):
+        view = stage.view(height_m)
+        found = register(view.px, camera, pad, stage.start(view, 0.5), view.orientation(), TRACK)
+        assert found is not None
+        d, angle = pad_error(found.pose, view.pose)
+        off.append(d * 1e3)
+        turn.append(math.degrees(angle))
+        e = error(found.pose, view.pose)
+        nees.append(e @ np.linalg.solve(found.cov, e))
+    std, mean = np.std(off, axis=0), np.mean(off, axis=0)
+    assert std[:2].max() < lateral_mm
+    assert std[2] < range_mm
+    assert abs(mean[2]) < bias_mm
+    assert float(np.std(turn)) < heading_deg
+    # Never overconfident; the floor under edges' places makes it modest where noise hardly matters.
+    assert 1.0 < float(np.mean(nees)) < chi2.ppf(0.999, 6 * len(nees)) / len(nees)
+
+
+@pytest.mark.parametrize("height_m", [20.0, 30.0])
+def test_the_distant_disc(camera: Camera, pad: Pad, height_m: float) -> None:
+    stage = Stage(camera, pad)
+    nees, away = [], []
+    for _ in range(20):
+        view = stage.view(height_m)
+        found = register(view.px, camera, pad, stage.start(view, 0.3), view.orientation(), TRACK)
+        assert found is not None
+        e = error(found.pose, view.pose)
+        nees.append(e @ np.linalg.solve(found.cov, e))
+        away.append(e[2] / height_m)
+    assert float(np.mean(nees)) < 14.0
+    assert abs(float(np.mean(away))) < 0.01
+    assert float(np.std(away)) < 0.012
+
+
+def test_a_scene_with_sea_shade_and_worn_paint(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad, Surroundings(), Light())
+    for height_m in (0.3, 0.8, 2.0, 5.0):
+        for _ in range(4):
+            view = stage.view(height_m)
+            found = register(view.px, camera, pad, stage.start(view, 0.7), view.orientation(), TRACK)
+            assert found is not None
+            d, _ = pad_error(found.pose, view.pose)
+            assert np.abs(d[:2]).max() < 2e-4 * max(1.0, height_m)
+            assert abs(d[2]) < 6e-4 * height_m
+
+
+@pytest.mark.parametrize("height_m", [1.0, 3.0, 6.0])
+def test_blur_does_not_bias_range(camera: Camera, pad: Pad, height_m: float) -> None:
+    for blur_px in (0.3, 1.0, 2.0, 3.0):
+        stage = Stage(camera, pad, sensor=Sensor(exposure_s=0.0, psf_sigma_px=blur_px))
+        away, blur = [], []
+        for _ in range(5):
+            view = stage.view(height_m)
+            found = register(view.px, camera, pad, stage.start(view, 0.3), view.orientation(), TRACK)
+            assert found is not None
+            away.append(pad_error(found.pose, view.pose)[0][2] / height_m)
+            blur.append(found.blur_px)
+        # A hundredth of a pixel in the disc's radius, or less.
+        assert abs(float(np.mean(away))) < (4e-4 if blur_px < 3.0 else 1.2e-3), f"blur {blur_px} px"
+        if blur_px > 0.5:
+            assert float(np.mean(blur)) == pytest.approx(blur_px, rel=0.08)
+
+
+def test_motion_blur_is_seen_in_its_direction(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad, sensor=Sensor(exposure_s=0.02))
+    view = stage.view(2.0, tilt_rad=0.0, yaw_rad=0.0, v_body_ned=(0.0, 1.0, 0.0))
+    found = register(view.px, camera, pad, stage.start(view, 0.5), view.orientation(), TRACK)
+    assert found is not None
+    travel_px = 1.0 * 0.02 * camera.fx / 2.0
+    # The nose is at the top of the picture, so flying to the right smears along u; a box of that length has this variance.
+    assert found.blur_px2[0] - found.blur_px2[2] == pytest.approx(travel_px**2 / 12.0, rel=0.3)
+    assert np.abs(pad_error(found.pose, view.pose)[0]).max() < 1e-3
+
+
+def test_gamma_is_undone(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad, sensor=Sensor(exposure_s=0.0, psf_sigma_px=1.5))
+    right, wrong = [], []
+    for _ in range(4):
+        view = stage.view(4.0)
+        start = stage.start(view, 0.2)
+        for options, out in ((TRACK, right), (Options(coarse=False, gamma=False), wrong)):
+            found = register(view.px, camera, pad, start, view.orientation(), options)
+            assert found is not None
+            out.append(pad_error(found.pose, view.pose)[0][2])
+    assert abs(np.mean(right)) < 0.002 < abs(np.mean(wrong))
+
+
+def test_finds_its_way_from_a_rough_start(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad, Surroundings())
+    for height_m in (0.3, 0.6, 1.5, 4.0, 10.0):
+        for _ in range(4):
+            view = stage.view(height_m)
+            radius_px = pad.disc_radius_m * camera.fx / height_m
+            start = stage.start(view, 0.05 * radius_px)
+            found = register(view.px, camera, pad, start, view.orientation())
+            assert found is not None
+            assert np.linalg.norm(found.pose.t_cam_pad - view.pose.t_cam_pad) < 2e-3 * height_m
+
+
+def test_a_tilted_deck_is_measured(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad)
+    for _ in range(6):
+        view = stage.view(2.0, deck_rad=math.radians(3.0))
+        # Attitude known, deck taken as level to 4 degrees.
+        prior = view.orientation(math.radians(0.05), math.radians(4.0))
+        found = register(view.px, camera, pad, stage.start(view, 0.5), prior, TRACK)
+        assert found is not None
+        e = error(found.pose, view.pose)
+        assert math.degrees(np.abs(e[3:]).max()) < 0.2
+        assert e @ np.linalg.solve(found.cov, e) < chi2.ppf(0.9999, 6)
+
+
+def half_hidden(view: View, pad: Pad, camera: Camera, towards_rad: float) -> NDArray[np.uint8]:
+    """A grey tarpaulin over one half of the pad, its edge through a point beside the centre."""
+    out = np.array([math.cos(towards_rad), math.sin(towards_rad)])
+    side = np.array([-out[1], out[0]])
+    corners = np.array([0.03 * out + side, 0.03 * out - side, 1.5 * out - side, 1.5 * out + side])
+    uv = camera.project(view.pose.points(np.c_[corners, np.zeros(4)]))
+    px = view.px.copy()
+    cv2.fillPoly(px, [np.round(uv * 16).astype(np.int32)], (90, 90, 90), cv2.LINE_AA, 4)
+    return px
+
+
+@pytest.mark.parametrize("height_m", [0.8, 3.0, 6.0])
+def test_half_of_the_pad_hidden(camera: Camera, pad: Pad, height_m: float) -> None:
+    stage = Stage(camera, pad)
+    for n in range(6):
+        view = stage.view(height_m, lateral=0.02)
+        px = half_hidden(view, pad, camera, n * math.tau / 6)
+        found = register(px, camera, pad, stage.start(view, 0.5), view.orientation(), TRACK)
+        assert found is not None
+        d, _ = pad_error(found.pose, view.pose)
+        assert np.abs(d[:2]).max() < 2e-3 * max(1.0, height_m / 3)
+        assert abs(d[2]) < 6e-3 * height_m
+        assert found.inliers < 0.9
+
+
+def test_half_of_the_distant_pad_hidden_is_said(camera: Camera, pad: Pad) -> None:
+    """Where edges merge all paints are found together, and half a disc looks like a smaller one: the covariance says so."""
+    stage = Stage(camera, pad)
+    for height_m in (10.0, 14.0):
+        for n in range(6):
+            view = stage.view(height_m, lateral=0.02)
+            px = half_hidden(view, pad, camera, n * math.tau / 6)
+            found = register(px, camera, pad, stage.start(view, 0.4), view.orientation(), TRACK)
+            assert found is not None
+            e = error(found.pose, view.pose)
+            assert e @ np.linalg.solve(found.cov, e) < chi2.ppf(0.9999, 6)
+            assert found.inliers < 0.6
+
+
+def test_what_the_edges_do_not_fix_is_uncertain(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad)
+    view = stage.view(1.0, lateral=0.0)
+    # Nothing but the disc: its heading could be anything.
+    px = view.px.copy()
+    uv = camera.project(view.pose.points(pad.circle(0.33)))
+    cv2.fillPoly(px, [np.round(uv * 16).astype(np.int32)], (0, 102, 0), cv2.LINE_AA, 4)
+    found = register(px, camera, pad, view.pose, view.orientation(), TRACK)
+    assert found is not None
+    assert found.yaw_ambiguous
+    R = found.pose.R_cam_pad.matrix
+    var = np.diag(R.T @ found.cov[3:, 3:] @ R)
+    assert math.sqrt(var[2]) > 0.5
+    assert np.abs(pad_error(found.pose, view.pose)[0]).max() < 1e-3
+    assert not found.edges[EdgeKind.H].seen
+    assert found.edges[EdgeKind.DISC].seen
+
+
+def test_one_end_of_an_h_leg(camera: Camera, pad: Pad) -> None:
+    """At 12 cm only a piece of the H is in the picture: what it fixes is right, and what not is said."""
+    stage = Stage(camera, pad)
+    nees = []
+    for _ in range(12):
+        view = stage.view(0.12, lateral=0.3)
+        found = register(view.px, camera, pad, stage.start(view, 0.7), view.orientation(), TRACK)
+        assert found is not None
+        e = error(found.pose, view.pose)
+        nees.append(e @ np.linalg.solve(found.cov, e))
+    assert float(np.median(nees)) < chi2.ppf(0.95, 6)
+    assert max(nees) < 60.0
+
+
+def test_the_arrow_tells_the_heading(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad)
+    for height_m in (1.0, 5.0, 10.0):
+        view = stage.view(height_m, lateral=0.02)
+        opposite = PadPose(view.pose.R_cam_pad @ Rotation.from_rpy(0.0, 0.0, math.pi), view.pose.t_cam_pad)
+        found = register(view.px, camera, pad, opposite, view.orientation())
+        assert found is not None
+        assert not found.yaw_ambiguous
+        assert abs(pad_error(found.pose, view.pose)[1]) < 0.01
+
+
+def test_an_h_alone_has_two_headings(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad)
+    view = stage.view(0.25, lateral=0.1)
+    for turn in (0.0, math.pi):
+        found = register(view.px, camera, pad, view.pose.turned(turn), view.orientation(), TRACK)
+        assert found is not None
+        assert found.yaw_ambiguous
+        assert abs(pad_error(found.pose, view.pose.turned(turn))[1]) < 1e-3
+
+
+def test_through_a_distorting_lens(pad: Pad) -> None:
+    camera = sim_camera(distortion=(-0.25, 0.08, 0.002, -0.001, 0.0))
+    stage = Stage(camera, pad)
+    for height_m in (0.5, 1.0, 4.0, 12.0):
+        view = stage.view(height_m, lateral=0.3)
+        found = register(view.px, camera, pad, stage.start(view, 0.7), view.orientation())
+        assert found is not None
+        assert np.linalg.norm(found.pose.t_cam_pad - view.pose.t_cam_pad) < 5e-4 * height_m + 1e-4
+
+
+def test_refusals(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad)
+    view = stage.view(2.0)
+    aside = PadPose(view.pose.R_cam_pad, view.pose.t_cam_pad + np.array([9.0, 0.0, 0.0]))
+    behind = PadPose(view.pose.R_cam_pad, -view.pose.t_cam_pad)
+    for start in (aside, behind):
+        for options in (TRACK, Options()):
+            assert register(view.px, camera, pad, start, None, options) is None
+    with pytest.raises(ValueError, match="shape"):
+        register(view.px[:100], camera, pad, view.pose)
+    grey = np.full_like(view.px, 120)
+    found = register(grey, camera, pad, view.pose, view.orientation(), TRACK)
+    assert found is None or not any(e.seen for e in found.edges.values())

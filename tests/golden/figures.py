@@ -1,0 +1,73 @@
+"""The golden figures: how far each path and method is from truth on recordings that never change.
+
+    python -m tests.golden.figures "why they changed"
+
+writes them anew and adds the reason to REASONS.md; the tests hold to them. How the recordings were made: docs/recordings.md.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import tomllib
+from pathlib import Path
+
+from companion.recorder.reading import open_recording
+from companion.recorder.records import TruthRecord
+from companion.replay.engine import Replay
+from companion.replay.keeping import Keeper
+from companion.replay.pilots import pilot_of
+from companion.report.figures import all_series, error_rows
+from companion.report.flight_log import FlightLog
+from companion.settings import load
+from estimator.contracts.time import MonoNs
+
+HERE = Path(__file__).parent
+FIGURES, REASONS = HERE / "figures.toml", HERE / "REASONS.md"
+RECORDINGS = ("approach", "pictures")
+Figures = dict[str, dict[str, float]]
+"""By path or method: count, lateral_median_m, lateral_p95_m, down_bias_m, down_p95_m, yaw_median_rad, yaw_p95_rad."""
+FIELDS = ("count", "lateral_median_m", "lateral_p95_m", "down_bias_m", "down_p95_m", "yaw_median_rad", "yaw_p95_rad")
+
+
+def measured(name: str) -> Figures:
+    """Of one golden recording through the shipped settings `sim`, with the recording's own camera and pad."""
+    recording = open_recording([HERE / f"{name}.mcap"])
+    pilot = pilot_of(recording, load("sim"), None, own_camera=True)
+    keeper = Keeper(FlightLog(name, MonoNs(0), pilot.pad, pilot.camera))
+    for _, event in Replay(recording, pilot, observers=[keeper]).steps():
+        if isinstance(event, TruthRecord):
+            keeper.on_truth(event)
+    assert recording.cut == {}
+    assert recording.skipped == {}, f"{name}.mcap is no longer understood: {dict(recording.skipped)}"
+    # A handful of pictures says what vision sees in each; what a path makes of five of them says nothing.
+    rows = [row for row in error_rows(keeper.log, all_series(keeper.log)) if not (name == "pictures" and row.is_path)]
+    return {row.name: {field: round(float(getattr(row, field)), 5) for field in FIELDS} for row in rows}
+
+
+def kept() -> dict[str, Figures]:
+    """As they stand in figures.toml."""
+    read: dict[str, Figures] = tomllib.loads(FIGURES.read_text())
+    return read
+
+
+def fingerprint() -> str:
+    """Of figures.toml: REASONS.md names it beside the reason for its newest change."""
+    return hashlib.sha256(FIGURES.read_bytes()).hexdigest()[:12]
+
+
+def write(reason: str) -> None:
+    """Measure all, write them, and add the reason."""
+    lines = []
+    for name in RECORDINGS:
+        for series, figures in sorted(measured(name).items()):
+            lines += [f"[{name}.{series}]", *(f"{field} = {figures[field]}" for field in FIELDS), ""]
+    FIGURES.write_text("\n".join(lines))
+    with REASONS.open("a") as out:
+        out.write(f"- `{fingerprint()}` {' '.join(reason.split())}\n")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2 or len(sys.argv[1].split()) < 3:
+        sys.exit('say why they change, in words: python -m tests.golden.figures "..."')
+    write(sys.argv[1])

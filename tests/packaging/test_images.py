@@ -1,0 +1,102 @@
+"""Dockerfiles, compose.yaml and what they mount agree with each other and with the code. `make test-image` runs them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from companion.health import Health
+from companion.metrics.exposition import families
+from companion.metrics.settings import MetricsSettings
+from companion.settings import load
+from drivers.clock import SystemClock
+from estimator.contracts.estimates import Verdict
+from tests.packaging.image import stages
+
+ROOT = Path(__file__).parents[2]
+COMPOSE = ROOT / "configs/compose"
+DOCKERFILES = [ROOT / "Dockerfile", COMPOSE / "broker.Dockerfile"]
+
+needs_compose = pytest.mark.skipif(shutil.which("docker-compose") is None, reason="there is no docker-compose here")
+
+
+def composed(*words: str) -> str:
+    done = subprocess.run(
+        ["docker-compose", "-f", "compose.yaml", *words], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@needs_compose
+def test_compose_is_valid_and_starts_the_autopilot_only_when_asked() -> None:
+    always = set(composed("config", "--services").split())
+    assert {"broker", "sim", "daemon", "prometheus", "grafana"} <= always
+    text = composed("config")
+    for file in re.findall(r"(\S+?):/\S+:ro", text):
+        assert not file.startswith("/") or Path(file).exists(), file
+
+
+@pytest.mark.parametrize("dockerfile", DOCKERFILES, ids=lambda path: path.name)
+def test_what_is_copied_exists_and_reaches_the_build(dockerfile: Path) -> None:
+    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    copied = [
+        word
+        for stage in stages(dockerfile.read_text())
+        for step in stage.steps
+        if step.word == "COPY" and not step.text.startswith("--from")
+        for word in step.text.split()[:-1]
+    ]
+    assert copied
+    for word in copied:
+        assert (ROOT / word).exists(), word
+        assert Path(word).parts[0] in let_in, word
+
+
+def test_the_service_is_built_in_two_stages_and_runs_as_nobody_special() -> None:
+    build, last = stages((ROOT / "Dockerfile").read_text())
+    words = [step.word for step in last.steps]
+    assert build.name == "build"
+    assert [step.text for step in last.steps if step.word == "USER"] == ["decklander"]
+    assert "HEALTHCHECK" in words
+    assert words.index("USER") < words.index("ENTRYPOINT")
+    assert not any("pip" in step.text or "venv" in step.text for step in last.steps if step.word == "RUN")
+
+
+def test_an_instruction_that_the_chroot_would_not_do_is_refused() -> None:
+    with pytest.raises(ValueError, match="not understood: ADD"):
+        stages("FROM debian:bookworm-slim\nADD x /y\n")
+
+
+def test_the_rig_of_compose_fits_its_services() -> None:
+    rig = load(COMPOSE / "decklander.toml")
+    text = (ROOT / "compose.yaml").read_text()
+    services = set(re.findall(r"^  (\w+):$", text, re.MULTILINE))
+    assert {rig.vehicle.host, rig.mqtt.host} <= services
+    assert rig.metrics.port == MetricsSettings().port
+    assert f"daemon:{rig.metrics.port}" in (COMPOSE / "prometheus.yml").read_text()
+    assert f"127.0.0.1:{rig.metrics.port}/health" in (ROOT / "Dockerfile").read_text()
+    assert rig.mqtt.drone == rig.mqtt.user, "the access list gives a user the subtree of its name"
+    assert rig.mqtt.user in re.findall(r"for user in (.*); do", (COMPOSE / "broker.sh").read_text())[0].split()
+
+
+def test_the_dashboard_asks_for_figures_that_the_service_tells() -> None:
+    health = Health(SystemClock())
+    health.up("vehicle")
+    health.beat("Frame")
+    health.frame(Verdict.FUSED)
+    health.input("Imu", Verdict.FUSED)
+    health.delay("vision", 0.01)
+    health.counters("mqtt", lambda: {"events": 1.0})
+    told = {sample.name for family in families(health.snapshot()) for sample in family.samples}
+    dashboard = json.loads((COMPOSE / "grafana/dashboards/decklander.json").read_text())
+    asked = {name for panel in dashboard["panels"] for t in panel["targets"] for name in re.findall(r"decklander_\w+", t["expr"])}
+    assert len(asked) >= 6
+    assert asked <= told
+    source = (COMPOSE / "grafana/provisioning/datasources/prometheus.yml").read_text()
+    assert all(f"uid: {panel['datasource']['uid']}" in source for panel in dashboard["panels"])

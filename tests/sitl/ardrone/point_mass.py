@@ -1,0 +1,125 @@
+"""A world small enough for protocol tests: a point mass that tilts as it is told, over a still pad. Same doors as `World`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.airframe import Limits
+from sitl.scenario import FaultKind
+from sitl.world import Phase, Picture, Readings, Stick, Truth
+
+G = 9.80665
+HOVER_HEIGHT_M = 0.8
+CLIMB_M_S, SINK_M_S = 2.0, 2.0
+STEERABLE = (Phase.HOVERING, Phase.FLYING)
+
+
+class PointMass:
+    """Acceleration follows the tilt at once, drag slows it, a hover brakes."""
+
+    def __init__(self, start: MonoNs, height_m: float = 0.0) -> None:
+        self.now = start
+        self.phase = Phase.HOVERING if height_m else Phase.LANDED
+        self.limits = Limits()
+        self.faults: set[FaultKind] = set()
+        self.p = np.array([0.0, 0.0, -height_m])
+        self.v = np.zeros(3)
+        self.rpy = [0.0, 0.0, 0.0]
+        self._stick = Stick(0.0, 0.0, 0.0, 0.0, False)
+        self._rng = np.random.default_rng(3)
+        self._texture = (self._rng.random((360, 640, 3)) * 60 + 90).astype(np.uint8)
+        self._pictures = 0
+
+    def active(self, kind: FaultKind) -> bool:
+        return kind in self.faults
+
+    def stick(self, stick: Stick) -> None:
+        self._stick = stick
+
+    def take_off(self) -> None:
+        if self.phase is Phase.LANDED:
+            self.phase = Phase.TAKING_OFF
+
+    def land(self) -> None:
+        if self.phase in (Phase.TAKING_OFF, *STEERABLE):
+            self.phase = Phase.LANDING
+
+    def emergency(self) -> None:
+        self.phase = Phase.EMERGENCY
+
+    def leave_emergency(self) -> None:
+        if self.phase is Phase.EMERGENCY and self.p[2] == 0.0:
+            self.phase = Phase.LANDED
+
+    def advance(self, to: MonoNs) -> None:
+        dt = seconds_between(self.now, to)
+        self.now = to
+        stick = self._stick
+        if self.phase in STEERABLE:
+            self.phase = Phase.FLYING if stick.progressive else Phase.HOVERING
+        flying = self.phase is Phase.FLYING
+        tilt = self.limits.euler_angle_max_rad
+        roll, pitch = (stick.roll * tilt, stick.pitch * tilt) if flying else (0.0, 0.0)
+        self.rpy = [roll, pitch, self.rpy[2] + (stick.yaw * self.limits.yaw_rate_max_rad_s * dt if flying else 0.0)]
+        c, s = math.cos(self.rpy[2]), math.sin(self.rpy[2])
+        ahead, right = -G * math.tan(pitch), G * math.tan(roll)
+        drag = 0.4 if flying else 3.0
+        self.v[:2] += dt * (np.array([c * ahead - s * right, s * ahead + c * right]) - drag * self.v[:2])
+        self.v[2] = {
+            Phase.TAKING_OFF: -CLIMB_M_S,
+            Phase.FLYING: -stick.gaz * self.limits.vz_max_m_s,
+            Phase.LANDING: SINK_M_S,
+            Phase.EMERGENCY: self.v[2] + G * dt,
+        }.get(self.phase, 0.0)
+        self.p += dt * self.v
+        if self.phase is Phase.TAKING_OFF and -self.p[2] >= HOVER_HEIGHT_M:
+            self.phase = Phase.HOVERING
+        if self.p[2] >= 0.0:
+            self.p[2], self.v[:] = 0.0, 0.0
+            if self.phase is Phase.LANDING:
+                self.phase = Phase.LANDED
+
+    def readings(self) -> Readings:
+        c, s = math.cos(self.rpy[2]), math.sin(self.rpy[2])
+        R = Rotation.from_rpy(*self.rpy)
+        return Readings(
+            at=self.now,
+            f_body=R.inv @ np.array([0.0, 0.0, -G]),
+            w_body=np.array([0.01, -0.02, 0.03]),
+            rpy_rad=np.array(self.rpy),
+            v_level_m_s=np.array([c * self.v[0] + s * self.v[1], c * self.v[1] - s * self.v[0]]),
+            ultrasound_m=float(-self.p[2]) / (math.cos(self.rpy[0]) * math.cos(self.rpy[1])) if self.p[2] < -0.2 else None,
+            pressure_pa=101_325.0 + 12.0 * float(self.p[2]),
+            temperature_c=43.5,
+            magnetometer=np.array([210e-7, -15e-7, 430e-7]),
+            battery_fraction=0.5,
+            motors_pwm=(170, 171, 172, 173) if self.phase is not Phase.LANDED else (0, 0, 0, 0),
+        )
+
+    def render(self) -> Picture:
+        return self.expose()()
+
+    def expose(self) -> Callable[[], Picture]:
+        self._pictures += 1
+        px: NDArray[np.uint8] = np.roll(self._texture, 3 * self._pictures, axis=1)
+        picture = Picture(px=px, taken=self.now, exposure_s=0.002)
+        return lambda: picture
+
+    def truth(self) -> Truth:
+        return Truth(
+            at=self.now,
+            p_body_ned=self.p.copy(),
+            v_body_ned=self.v.copy(),
+            R_ned_body=Rotation.from_rpy(*self.rpy),
+            p_pad_ned=np.zeros(3),
+            v_pad_ned=np.zeros(3),
+            R_ned_pad=Rotation.identity(),
+            phase=self.phase,
+            touchdown=None,
+        )

@@ -1,0 +1,74 @@
+"""Flights in a row behind the same sockets, with the real driver: each ends, and the next is another sea."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import msgspec
+
+from drivers.ardrone.link import open_ardrone
+from drivers.ardrone.options import ArDroneOptions
+from drivers.clock import SystemClock
+from estimator.contracts.commands import Land
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.ardrone.again import Pause, faulty, fly_again
+from sitl.ardrone.server import ArDroneServer, Ports
+from sitl.scenario import Start
+from sitl.scenario import load as load_scenario
+from sitl.world import World
+
+CLOCK = SystemClock()
+NEAR = msgspec.structs.replace(load_scenario("calm"), start=Start(height_m=0.8, pad_right_m=0.1, pad_forward_m=0.1))
+
+
+async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_client() -> None:
+    told: list[dict[str, Any]] = []
+    too_short = msgspec.structs.replace(NEAR, duration_limit_s=1.0)
+    async with ArDroneServer(World(too_short, 1, CLOCK.now()), ports=Ports(0, 0, 0, 0), clock=CLOCK) as server:
+        ports = {f"{name}_port": getattr(server.ports, name) for name in ("navdata", "video", "at", "control")}
+        first, done, changes = server.world, asyncio.Event(), [False]
+
+        def tell(**what: Any) -> None:
+            told.append(what)
+            if len(told) == 3:
+                done.set()
+
+        async with (
+            asyncio.timeout(60),
+            open_ardrone(ArDroneOptions(host="127.0.0.1", **ports), CLOCK) as drone,
+            asyncio.TaskGroup() as group,
+        ):
+            flying_since: MonoNs | None = None
+
+            async def fly() -> None:
+                """Half a second in the air, then land; the first is let run out of time."""
+                nonlocal flying_since
+                async for sample in drone.samples:
+                    if not isinstance(sample, VehicleStatus) or sample.flying is None:
+                        continue
+                    if sample.flying != changes[-1]:
+                        changes.append(sample.flying)
+                        flying_since = CLOCK.now() if sample.flying else None
+                    if told and flying_since is not None and seconds_between(flying_since, CLOCK.now()) > 0.5:
+                        drone.command(Land())
+
+            pilot = group.create_task(fly())
+            flights = group.create_task(fly_again(server, NEAR, 1, CLOCK, tell, pause=Pause(0.3, 1.5)))
+            await done.wait()
+            await asyncio.sleep(0.1)
+            pilot.cancel()
+            flights.cancel()
+    assert [flight["seed"] for flight in told] == [1, 2, 3]
+    assert [flight["ended"] for flight in told] == ["time is up", "landed", "landed"]
+    assert all(flight["surface"] == "deck" and flight["on_pad"] for flight in told[1:])
+    assert changes == [False, True, False, True, False, True, False], "on the ground between two flights, and never in between"
+    assert server.world is not first
+
+
+def test_faults_are_the_seeds_own() -> None:
+    drawn = [faulty(NEAR, seed).faults for seed in range(40)]
+    assert drawn == [faulty(NEAR, seed).faults for seed in range(40)]
+    assert {len(faults) for faults in drawn} == {1, 2}
+    assert len({fault.kind for faults in drawn for fault in faults}) >= 5

@@ -1,0 +1,116 @@
+"""The configuration table: who may write what, and the sets of the multi-configuration."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.ardrone import control
+from sitl.ardrone.config import KEYS, Answer, Configuration, Ids
+
+MINE = Ids("ca0000d1", "ca0000d3", "ca0000d2")
+
+
+def chosen() -> Configuration:
+    config = Configuration()
+    assert config.set("custom:session_id", MINE.session) is Answer.SET
+    assert config.set("custom:profile_id", MINE.user) is Answer.SET
+    assert config.set("custom:application_id", MINE.application) is Answer.SET
+    assert config.ids == MINE
+    return config
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "answer", "kept"),
+    [
+        ("general:navdata_demo", "TRUE", Answer.SET, "TRUE"),
+        ("GENERAL:navdata_demo", " true ", Answer.SET, "TRUE"),
+        ("general:navdata_demo", "maybe", Answer.BAD_VALUE, "FALSE"),
+        ("general:num_version_soft", "9", Answer.READ_ONLY, "2.4.8"),
+        ("control:euler_angle_max", "0.3", Answer.SET, "0.3"),
+        ("control:euler_angle_max", "2.0", Answer.BAD_VALUE, "0.20943952"),
+        ("control:euler_angle_max", "nan", Answer.BAD_VALUE, "0.20943952"),
+        ("video:video_channel", "1", Answer.SET, "1"),
+        ("video:video_channel", "7", Answer.BAD_VALUE, "0"),
+        ("general:ardrone_name", "a\nb", Answer.BAD_VALUE, "Decklander"),
+    ],
+)
+def test_set_answers_and_keeps(name: str, value: str, answer: Answer, kept: str) -> None:
+    config = Configuration()
+    assert config.set(name, value) is answer
+    assert config[name.lower()] == kept
+
+
+def test_unknown_key_changes_nothing() -> None:
+    config = Configuration()
+    before = config.dump()
+    assert config.set("general:wings", "2") is Answer.UNKNOWN_KEY
+    assert config.dump() == before
+
+
+def test_outdoor_brings_its_own_limits_and_keeps_the_indoor_ones() -> None:
+    config = Configuration()
+    config.set("control:control_vz_max", "900")
+    assert config["control:indoor_control_vz_max"] == "900.0"
+    config.set("control:outdoor", "TRUE")
+    assert config["control:control_vz_max"] == "1000"
+    config.set("control:outdoor_control_vz_max", "1500")
+    assert config["control:control_vz_max"] == "1500.0"
+    config.set("control:outdoor", "FALSE")
+    assert config["control:control_vz_max"] == "900.0"
+
+
+def test_a_session_keeps_its_keys_from_others() -> None:
+    config = chosen()
+    assert config.set("video:video_channel", "1") is Answer.WRONG_IDS
+    assert config.set("video:video_channel", "1", Ids("ca0000d1", "ffffffff", "ffffffff")) is Answer.SET
+    assert config.set("control:euler_angle_max", "0.3", Ids("ca0000d1", "ffffffff", "ca0000d2")) is Answer.WRONG_IDS
+    assert config.set("control:altitude_max", "5000") is Answer.SET, "a common key needs no ids"
+    config.set("custom:session_id", "00000000")
+    assert config["video:video_channel"] == "0"
+    assert config.ids == Ids()
+    config.set("custom:session_id", MINE.session)
+    assert config["video:video_channel"] == "1"
+    assert config.ids == MINE, "a session brings its user and application back"
+
+
+def test_deleting_a_set_in_use_falls_back_to_the_default() -> None:
+    config = chosen()
+    config.set("control:euler_angle_max", "0.3", MINE)
+    assert config.set("custom:profile_id", "-ca0000d3") is Answer.SET
+    assert config.ids.user == "00000000"
+    assert config["control:euler_angle_max"] == "0.20943952"
+    assert config.set("custom:session_id", "-all") is Answer.SET
+    assert config.ids == Ids()
+    assert config.set("custom:session_id", "-all") is Answer.BAD_VALUE
+    assert config.set("custom:session_id", "xyz") is Answer.BAD_VALUE
+
+
+def test_custom_ids_list_is_in_the_form_the_sdk_reads() -> None:
+    config = chosen()
+    assert config.set("custom:profile_desc", "deck pilot", MINE) is Answer.SET
+    text = config.custom_ids()
+    assert text.endswith(b"\r\0")
+    lines = text[:-1].decode().split("\r")
+    assert [line for line in lines if line.startswith("[")] == ["[applis]", "[profiles]", "[sessions]"]
+    assert "ca0000d3,deck pilot" in lines[lines.index("[profiles]") : lines.index("[sessions]")]
+
+
+def test_dump_reads_back_whole() -> None:
+    config = Configuration({"navdata_port": 40001})
+    read = control.parse(control.render(config.dump()))
+    assert read == config.dump()
+    assert read["network:navdata_port"] == "40001"
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.lists(st.tuples(st.sampled_from([*KEYS, "custom:session_id", "nope"]), st.text(max_size=12)), max_size=8))
+def test_no_value_breaks_the_table(writes: list[tuple[str, str]]) -> None:
+    config = Configuration()
+    for name, value in writes:
+        config.set(name, value, MINE)
+    read = config.dump()
+    assert list(read) == list(KEYS)
+    assert 0.0 <= config.number("control:euler_angle_max") <= 0.52
+    assert config.number("general:com_watchdog") >= 1

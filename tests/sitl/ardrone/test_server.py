@@ -1,0 +1,441 @@
+"""The simulated drone over real sockets, around a point mass: what a client sees on each of the four ports."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import socket
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, cast
+
+import av
+import numpy as np
+import pytest
+
+from drivers.ardrone import at, control, navdata, pave
+from drivers.ardrone.navdata import ControlState, State
+from drivers.clock import SystemClock
+from estimator.contracts.errors import BadInput, Recoverable
+from sitl.ardrone import truth_log
+from sitl.ardrone.server import ArDroneServer, Habits, Ports
+from sitl.world import World
+from tests.sitl.ardrone.peer import Peer, Watcher
+from tests.sitl.ardrone.point_mass import PointMass
+
+HOST = "127.0.0.1"
+ANY = Ports(0, 0, 0, 0)
+FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
+LAND = at.Ref(at.REF_BASE)
+
+
+def serving(world: PointMass, **options: Any) -> ArDroneServer:
+    return ArDroneServer(cast(World, world), HOST, ANY, **options)
+
+
+@pytest.fixture
+def world() -> PointMass:
+    return PointMass(SystemClock().now())
+
+
+@pytest.fixture
+async def server(world: PointMass) -> AsyncIterator[ArDroneServer]:
+    async with serving(world) as server:
+        yield server
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
+
+
+@pytest.fixture
+def peer(server: ArDroneServer, stack: ExitStack) -> Peer:
+    peer = Peer(HOST, server.ports)
+    stack.callback(peer.close)
+    return peer
+
+
+async def test_bootstrap_says_nothing_but_its_state_until_it_is_configured(peer: Peer) -> None:
+    for request in (b"\x01", b"\x01\x00\x00\x00"):
+        peer.ask(request)
+    first = await peer.hear()
+    assert first.sequence == 1
+    assert first.options == {}
+    assert first.state & State.NAVDATA_BOOTSTRAP
+    assert first.state & State.COM_WATCHDOG
+    await peer.configure("general:navdata_demo", "TRUE")
+    demo = await peer.hear()
+    assert list(demo.options) == [0, 16], "65537: demo and vision_detect"
+    assert demo.control_state is ControlState.LANDED
+    peer.say(at.ComWdg())
+    await peer.until(lambda n: not n.state & State.COM_WATCHDOG)
+
+
+@pytest.mark.parametrize(("demo", "low_hz", "high_hz"), [("TRUE", 13.0, 18.0), ("FALSE", 170.0, 215.0)])
+async def test_rates(peer: Peer, demo: str, low_hz: float, high_hz: float) -> None:
+    peer.ask()
+    await peer.configure("general:navdata_demo", demo)
+    began = (await peer.hear()).sequence, time.monotonic()
+    await asyncio.sleep(0)
+    while time.monotonic() - began[1] < 0.6:
+        last = await peer.hear()
+    hz = (last.sequence - began[0]) / (time.monotonic() - began[1])
+    assert low_hz < hz < high_hz
+
+
+async def test_full_navdata_holds_all_options_and_what_the_sensors_read(peer: Peer, world: PointMass) -> None:
+    peer.ask()
+    await peer.configure("general:navdata_demo", "FALSE")
+    async with peer.talking(FLY, at.Pcmd(1, 0.25, -0.5, 0.2, 0.3)):
+        await peer.until(lambda n: n.control_state is ControlState.FLYING)
+        await asyncio.sleep(0.4)
+        full = await peer.hear()
+        while peer.waiting():
+            full = await peer.hear()
+    assert list(full.options) == list(range(28))
+    demo, time_, phys = full.get(navdata.Demo), full.get(navdata.Time), full.get(navdata.PhysMeasures)
+    altitude, magneto, pwm = full.get(navdata.Altitude), full.get(navdata.Magneto), full.get(navdata.Pwm)
+    references, pressure, raw = full.get(navdata.References), full.get(navdata.PressureRaw), full.get(navdata.RawMeasures)
+    assert demo is not None
+    assert time_ is not None
+    assert phys is not None
+    assert altitude is not None
+    assert magneto is not None
+    assert pwm is not None
+    assert references is not None
+    assert pressure is not None
+    assert raw is not None
+    tilt_deg = np.degrees(world.limits.euler_angle_max_rad)
+    assert demo.theta_mdeg == pytest.approx(-0.5 * tilt_deg * 1e3, rel=1e-4), "nose down to fly ahead"
+    assert demo.phi_mdeg == pytest.approx(0.25 * tilt_deg * 1e3, rel=1e-4)
+    assert demo.psi_mdeg > 0
+    assert demo.vx_mm_s > 100
+    assert demo.vy_mm_s > 0
+    assert 800 < demo.altitude_mm < 1500
+    assert altitude.altitude_raw_mm == pytest.approx(demo.altitude_mm / np.cos(np.radians(0.25 * tilt_deg)), abs=10)
+    assert demo.battery_percent == 50
+    assert phys.phys_gyros_deg_s == pytest.approx(np.degrees([0.01, -0.02, 0.03]))
+    assert phys.phys_accs_mg == pytest.approx([1e3 * np.sin(np.radians(demo.theta_mdeg / 1e3)), -53.0, -990.0], abs=12), (
+        "forward-right-down, -1000 mg at rest"
+    )
+    assert magneto.magneto_raw_mg == pytest.approx((210.0, -15.0, 430.0))
+    assert pwm.motor == (170, 171, 172, 173)
+    assert references.ref_theta == pytest.approx(-0.5 * tilt_deg * 1e3, abs=1)
+    assert pressure.temperature_dc == 435
+    assert 101_305 <= pressure.pressure_pa <= 101_318
+    assert raw.sum_echo > 10
+    assert 30_000_000 < time_.time_us < 45_000_000, "the drone was switched on half a minute before"
+
+
+async def test_it_takes_off_flies_and_lands(peer: Peer, world: PointMass) -> None:
+    peer.ask()
+    await peer.configure("general:navdata_demo", "FALSE")
+    async with peer.talking(FLY, at.Pcmd(0, 0.9, 0.9, 0.9, 0.9)):
+        up = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
+        assert up.state & State.FLYING
+        await asyncio.sleep(0.1)
+        assert abs(world.v).max() < 1e-9, "flag 0 holds the place whatever the sticks say"
+    async with peer.talking(LAND):
+        down = await peer.until(lambda n: n.control_state is ControlState.LANDED)
+    assert not down.state & State.FLYING
+
+
+async def test_limits_of_the_configuration_rule_the_stick(peer: Peer, world: PointMass) -> None:
+    peer.ask()
+    await peer.configure("general:navdata_demo", "FALSE")
+    await peer.configure("control:euler_angle_max", "0.1")
+    await peer.configure("control:control_vz_max", "300")
+    assert world.limits.euler_angle_max_rad == 0.1
+    assert world.limits.vz_max_m_s == pytest.approx(0.3)
+    async with peer.talking(FLY, at.Pcmd(1, 0.0, 1.0, 0.0, 0.0)):
+        flying = await peer.until(lambda n: n.control_state is ControlState.FLYING)
+        flying = await peer.until(lambda n: True)
+    demo = flying.get(navdata.Demo)
+    assert demo is not None
+    assert demo.theta_mdeg == pytest.approx(np.degrees(0.1) * 1e3, rel=1e-4)
+
+
+async def test_altitude_max_is_a_ceiling(stack: ExitStack) -> None:
+    world = PointMass(SystemClock().now(), height_m=2.8)
+    async with serving(world) as server:
+        peer = Peer(HOST, server.ports)
+        stack.callback(peer.close)
+        peer.ask()
+        async with peer.talking(FLY, at.Pcmd(1, 0.0, 0.0, 1.0, 0.0)):
+            async with asyncio.timeout(3):
+                while -world.p[2] < 3.0:
+                    await peer.hear()
+            await asyncio.sleep(0.2)
+            assert -world.p[2] < 3.05
+            peer.say(at.Config("control:altitude_max", "10000"))
+            async with asyncio.timeout(3):
+                while -world.p[2] < 3.2:
+                    await peer.hear()
+
+
+async def test_silence_makes_it_hover_and_land(peer: Peer, world: PointMass) -> None:
+    peer.ask()
+    await peer.configure("general:com_watchdog", "1")
+    await peer.configure("general:navdata_demo", "FALSE")
+    async with peer.talking(at.ComWdg(), FLY, at.Pcmd(1, 0.0, -0.3, 0.0, 0.0)):
+        flying = await peer.until(lambda n: n.control_state is ControlState.FLYING)
+        assert not flying.state & State.COM_WATCHDOG
+    silent_since = time.monotonic()
+    hovering = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
+    assert hovering.state & State.COM_WATCHDOG
+    assert 0.9 < time.monotonic() - silent_since < 1.4
+    await peer.until(lambda n: n.control_state is ControlState.LANDING)
+    assert 1.9 < time.monotonic() - silent_since < 2.5
+    landed = await peer.until(lambda n: n.control_state is ControlState.LANDED)
+    assert landed.state & State.COMMUNICATION_LOST
+
+
+async def test_two_clients_hear_the_same_navdata(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
+    other = Peer(HOST, server.ports)
+    stack.callback(other.close)
+    peer.ask()
+    await peer.configure("general:navdata_demo", "FALSE")
+    other.ask()
+    seen: dict[Peer, set[int]] = {peer: set(), other: set()}
+    for _ in range(40):
+        for client, numbers in seen.items():
+            numbers.add((await client.hear()).sequence)
+    assert len(seen[peer] & seen[other]) > 20
+
+
+async def test_a_client_vanishes_and_comes_back(server: ArDroneServer, stack: ExitStack) -> None:
+    first, watcher = Peer(HOST, server.ports), Watcher(HOST, server.ports)
+    first.ask()
+    await first.configure("general:navdata_demo", "FALSE")
+    first.sequence = 5000
+    first.say(FLY)
+    await first.until(lambda n: n.control_state is ControlState.HOVERING)
+    await watcher.frame()
+    last = (await first.hear()).sequence
+    watcher.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    watcher.close()
+    first.close()
+    await asyncio.sleep(0.2)
+    second = Peer(HOST, server.ports)
+    stack.callback(second.close)
+    again = Watcher(HOST, server.ports)
+    stack.callback(again.close)
+    second.ask(b"\x01")
+    back = await second.until(lambda n: n.sequence > last)
+    assert back.state & State.FLYING
+    second.say(at.ComWdg())
+    second.say(LAND)
+    await second.until(lambda n: n.control_state is ControlState.LANDED)
+    assert (await again.frame()).payload
+
+
+async def test_navdata_clients_are_forgotten_in_the_end(
+    server: ArDroneServer, monkeypatch: pytest.MonkeyPatch, stack: ExitStack
+) -> None:
+    monkeypatch.setattr("sitl.ardrone.sockets.NAVDATA_LEASE_S", 0.2)
+    peer = Peer(HOST, server.ports)
+    stack.callback(peer.close)
+    peer.ask()
+    async with peer.talking(at.ComWdg()):
+        await asyncio.sleep(0.4)
+        await peer.hear()
+        assert server.counters["navdata_client_expired"] == 0, "commands from its host keep it"
+    await asyncio.sleep(0.4)
+    assert server.counters["navdata_client_expired"] == 1
+
+
+async def test_video_is_pave_with_h264_of_what_the_camera_sees(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
+    peer.say(at.Config("video:video_channel", "1"))
+    await asyncio.sleep(0.05)
+    watcher = Watcher(HOST, server.ports)
+    stack.callback(watcher.close)
+    decoder = av.CodecContext.create("h264", "r")
+    frames = [await watcher.frame() for _ in range(18)]
+    headers = [f.header for f in frames]
+    assert [h.frame_number for h in headers] == list(range(1, 19))
+    assert [i for i, h in enumerate(headers) if h.frame_type == pave.FrameType.IDR] == [0, 15]
+    assert {h.frame_type for h in headers} == {pave.FrameType.IDR, pave.FrameType.P}
+    first = headers[0]
+    assert (first.codec, first.header_size, first.version) == (pave.CODEC_H264, 68, 2)
+    assert (first.encoded_width, first.encoded_height, first.display_width, first.display_height) == (640, 368, 640, 360)
+    assert first.sps_size > 8
+    assert first.pps_size > 4
+    assert headers[1].stream_position == first.payload_size - first.sps_size - first.pps_size
+    gaps_ms = np.diff([h.timestamp_ms for h in headers])
+    assert 25 <= np.median(gaps_ms) <= 42
+    assert watcher.parser.skipped_bytes == 0
+    pictures = [decoder.decode(av.Packet(f.payload))[0].to_ndarray(format="bgr24") for f in frames]
+    assert pictures[-1].shape == (360, 640, 3)
+    assert 60 < pictures[-1].mean() < 180
+    assert np.abs(pictures[-1].astype(int) - pictures[0]).mean() > 5, "the texture moves"
+
+
+@pytest.mark.parametrize("size", [64, 68, 76])
+async def test_header_size_of_every_firmware(world: PointMass, stack: ExitStack, size: int) -> None:
+    async with serving(world, habits=Habits(pave_header_size=size)) as server:
+        watcher = Watcher(HOST, server.ports)
+        stack.callback(watcher.close)
+        frames = [await watcher.frame() for _ in range(3)]
+        assert {f.header.header_size for f in frames} == {size}
+        assert not any(f.discontinuity for f in frames[1:])
+
+
+async def test_the_front_camera_is_what_a_drone_shows_unasked(server: ArDroneServer, stack: ExitStack) -> None:
+    watcher = Watcher(HOST, server.ports)
+    stack.callback(watcher.close)
+    decoder = av.CodecContext.create("h264", "r")
+    px = decoder.decode(av.Packet((await watcher.frame()).payload))[0].to_ndarray(format="bgr24").astype(int)
+    assert px[20].mean() > px[340].mean() + 60, "sky above, sea below"
+
+
+async def test_a_slow_client_loses_frames_not_freshness(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
+    peer.say(at.Config("video:video_channel", "1"))
+    peer.say(at.Config("video:max_bitrate", "20000"))
+    await asyncio.sleep(0.05)
+    slow = Watcher(HOST, server.ports, receive_buffer=4096)
+    stack.callback(slow.close)
+    await slow.frame()
+    for _ in range(200):
+        await asyncio.sleep(0.05)
+        if server.counters["video_dropped"] >= 20:
+            break
+    numbers = [(await slow.frame()).header.frame_number]
+    while numbers[-1] - numbers[0] < 20:
+        numbers.append((await slow.frame()).header.frame_number)
+    assert max(np.diff(numbers)) > 5
+    # Having read what was in the pipe, the client is at the present again.
+    newest = server.drone.shot.number
+    assert newest - numbers[-1] < 15
+    assert server.counters["navdata_not_sent"] == 0
+
+
+async def test_a_new_video_client_takes_over(server: ArDroneServer, stack: ExitStack) -> None:
+    old, new = Watcher(HOST, server.ports), None
+    stack.callback(old.close)
+    await old.frame()
+    new = Watcher(HOST, server.ports)
+    stack.callback(new.close)
+    assert (await new.frame()).payload
+    with pytest.raises((EOFError, ConnectionError)):
+        await old.exhausted()
+
+
+async def test_configuration_on_request(server: ArDroneServer, peer: Peer) -> None:
+    reader, writer = await asyncio.open_connection(HOST, server.ports.control)
+    peer.ask()
+    await peer.configure("general:ardrone_name", "Albatross")
+    peer.say(at.Ctrl(at.CTRL_CONFIGURATION))
+    async with asyncio.timeout(3):
+        text = await reader.readuntil(b"\0")
+    read = control.parse(text)
+    assert read["general:ardrone_name"] == "Albatross"
+    assert read["network:video_port"] == str(server.ports.video)
+    assert (await peer.hear()).state & State.COMMAND_ACK
+    peer.say(at.Ctrl(at.CTRL_ACK), at.Ctrl(at.CTRL_CUSTOM_IDS))
+    async with asyncio.timeout(3):
+        assert (await reader.readuntil(b"\0")).startswith(b"[applis]\r00000000,")
+    writer.close()
+    await writer.wait_closed()
+
+
+async def test_a_request_that_overtakes_its_connection_is_answered(server: ArDroneServer, peer: Peer) -> None:
+    peer.say(at.Ctrl(at.CTRL_CONFIGURATION))
+    await asyncio.sleep(0.05)
+    reader, writer = await asyncio.open_connection(HOST, server.ports.control)
+    async with asyncio.timeout(3):
+        assert b"general:num_version_soft = 2.4.8\n" in await reader.readuntil(b"\0")
+    writer.close()
+    await writer.wait_closed()
+
+
+async def test_garbage_on_every_port_hurts_nobody(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
+    rng = random.Random(11)
+    peer.ask()
+    await peer.configure("general:navdata_demo", "FALSE")
+    watcher = Watcher(HOST, server.ports)
+    stack.callback(watcher.close)
+    others = [socket.create_connection((HOST, server.ports.control)) for _ in range(3)]
+    for other in others:
+        stack.callback(other.close)
+    for _ in range(100):
+        garbage = rng.randbytes(rng.randrange(0, 1400))
+        peer.commands.sendto(garbage, (HOST, server.ports.at))
+        peer.commands.sendto(b"AT*" + garbage + b"\r", (HOST, server.ports.at))
+        peer.navdata.sendto(garbage[:200], (HOST, server.ports.navdata))
+        rng.choice(others).send(garbage)
+        watcher.socket.send(garbage)
+        await asyncio.sleep(0.001)
+    peer.say(FLY)
+    await peer.until(lambda n: n.control_state is ControlState.HOVERING)
+    assert (await watcher.frame()).payload
+    assert server.drone.state.counters["at_bad_magic"] > 10
+    assert server.counters["navdata_request_refused"] > 60
+
+
+async def test_faults_silence_what_they_name(server: ArDroneServer, peer: Peer, world: PointMass, stack: ExitStack) -> None:
+    watcher = Watcher(HOST, server.ports)
+    stack.callback(watcher.close)
+    peer.ask()
+    await peer.configure("general:navdata_demo", "FALSE")
+    await watcher.frame()
+    world.faults |= {"navdata_silent", "video_silent"}
+    await asyncio.sleep(0.15)
+    sent = server.counters["navdata_sent"], server.counters["video_sent"]
+    await asyncio.sleep(0.3)
+    assert (server.counters["navdata_sent"], server.counters["video_sent"]) == sent
+    world.faults.clear()
+    await asyncio.sleep(0.3)
+    assert server.counters["navdata_sent"] > sent[0] + 20
+    assert (await watcher.frame()).header.frame_number >= 1
+    assert server.counters["video_sent"] > sent[1]
+
+
+async def test_truth_log_tells_where_it_was(tmp_path: Path, stack: ExitStack) -> None:
+    world, path = PointMass(SystemClock().now(), height_m=2.0), tmp_path / "truth.jsonl"
+    began = SystemClock().now()
+    async with serving(world, truth_path=path) as server:
+        peer = Peer(HOST, server.ports)
+        stack.callback(peer.close)
+        async with peer.talking(FLY, at.Pcmd(1, 0.0, -1.0, 0.0, 0.0)):
+            await asyncio.sleep(0.5)
+    ended = SystemClock().now()
+    records = truth_log.read(path)
+    assert 40 <= len(records) <= 60, "100 Hz"
+    assert all(began <= r["at_ns"] <= ended for r in records), "in this host's monotonic time"
+    assert np.median(np.diff([r["at_ns"] for r in records])) == pytest.approx(10e6, rel=0.01)
+    last = records[-1]
+    assert last["phase"] == "flying"
+    assert last["d_body_pad_level_m"] == pytest.approx([-p for p in last["p_body_ned_m"]])
+    assert last["d_body_pad_level_m"][2] == pytest.approx(2.0)
+    assert last["v_body_ned_m_s"][0] > 0.1
+    assert last["touchdown"] is None
+    with path.open("a") as f:
+        f.write('{"at_ns": 1, "cut')
+    assert len(truth_log.read(path)) == len(records)
+    with path.open("a") as f:
+        f.write("\n")
+    with pytest.raises(BadInput, match=f"line {len(records) + 1}"):
+        truth_log.read(path)
+    with pytest.raises(BadInput, match="No such file"):
+        truth_log.read(tmp_path / "none")
+
+
+async def test_a_taken_port_is_a_plain_error(server: ArDroneServer, world: PointMass) -> None:
+    taken = Ports(navdata=0, video=0, at=server.ports.at, control=0)
+    with pytest.raises(Recoverable, match="Address already in use"):
+        async with ArDroneServer(cast(World, world), HOST, taken):
+            pass
+
+
+async def test_a_bug_inside_takes_the_body_down(world: PointMass, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: object) -> None:
+        raise ZeroDivisionError
+
+    with pytest.RaisesGroup(ZeroDivisionError):
+        async with serving(world):
+            monkeypatch.setattr(world, "advance", broken)
+            await asyncio.sleep(5)

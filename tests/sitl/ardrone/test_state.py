@@ -1,0 +1,202 @@
+"""The drone's side of the conversation, with a clock that the test moves: sequence rules, handshake, watchdog, emergency."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.ardrone import at
+from drivers.ardrone.navdata import ControlState, State
+from estimator.contracts.time import MonoNs
+from sitl.ardrone.state import HOVER, LOST_COM, Deed, DroneState
+from sitl.world import Phase, Stick
+
+FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
+LAND = at.Ref(at.REF_BASE)
+AHEAD = at.Pcmd(at.PCMD_PROGRESSIVE, 0.0, -0.5, 0.0, 0.0)
+
+
+def at_s(seconds: float) -> MonoNs:
+    return MonoNs(round(seconds * 1e9))
+
+
+class Pilot:
+    """Numbers the commands as a client does."""
+
+    def __init__(self) -> None:
+        self.drone = DroneState()
+        self.sequence = 0
+
+    def say(self, *commands: at.AtCommand, phase: Phase = Phase.LANDED, now_s: float = 0.0) -> list[Deed | Stick]:
+        datagram = b""
+        for command in commands:
+            self.sequence += 1
+            datagram += at.encode(self.sequence, command)
+        return list(self.drone.take(datagram, at_s(now_s), phase))
+
+    def word(self, phase: Phase = Phase.LANDED) -> State:
+        return State(self.drone.word(phase, battery_low=False, ultrasound_deaf=False))
+
+
+@pytest.fixture
+def pilot() -> Pilot:
+    return Pilot()
+
+
+def test_take_off_is_held_and_landing_is_its_absence(pilot: Pilot) -> None:
+    assert pilot.say(FLY) == [Deed.TAKE_OFF]
+    assert pilot.say(FLY, phase=Phase.TAKING_OFF) == []
+    assert pilot.say(FLY, AHEAD, phase=Phase.HOVERING) == [Stick(0.0, -0.5, 0.0, 0.0, True)]
+    assert pilot.say(AHEAD, phase=Phase.LANDED) == []
+    assert pilot.say(LAND, phase=Phase.FLYING) == [Deed.LAND]
+    assert pilot.say(LAND, phase=Phase.LANDING) == []
+    assert pilot.say(at.Ref(1 << 9)) == [Deed.TAKE_OFF], "some clients leave the base bits out"
+
+
+def test_stick_beyond_its_range_is_held_to_it(pilot: Pilot) -> None:
+    (stick,) = pilot.say(at.Pcmd(1, 3.0, -2.0, 1.5, 0.25), phase=Phase.FLYING)
+    assert stick == Stick(1.0, -1.0, 1.0, 0.25, True)
+    (stick,) = pilot.say(at.PcmdMag(5, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6), phase=Phase.FLYING)
+    assert isinstance(stick, Stick)
+    assert stick.roll == pytest.approx(0.1)
+    assert stick.progressive
+
+
+def test_smaller_sequence_numbers_are_ignored_and_one_starts_anew(pilot: Pilot) -> None:
+    drone = pilot.drone
+    pilot.sequence = 99
+    assert pilot.say(FLY) == [Deed.TAKE_OFF]
+    for late in (50, 100):
+        assert list(drone.take(at.encode(late, FLY), at_s(0.1), Phase.LANDED)) == []
+    assert drone.counters["at_out_of_order"] == 2
+    assert list(drone.take(at.encode(1, FLY), at_s(0.2), Phase.LANDED)) == [Deed.TAKE_OFF]
+    assert list(drone.take(at.encode(2, FLY), at_s(0.3), Phase.LANDED)) == [Deed.TAKE_OFF]
+
+
+def test_silence_makes_a_flying_drone_hover_then_land(pilot: Pilot) -> None:
+    drone = pilot.drone
+    pilot.say(at.ComWdg(), FLY)
+    assert State.COM_WATCHDOG not in pilot.word()
+    pilot.say(AHEAD, phase=Phase.FLYING, now_s=1.0)
+    assert list(drone.tick(at_s(2.9), Phase.FLYING)) == []
+    assert list(drone.tick(at_s(3.0), Phase.FLYING)) == [HOVER]
+    word = pilot.word(Phase.HOVERING)
+    assert State.COM_WATCHDOG in word
+    assert State.COMMUNICATION_LOST in word
+    assert drone.control_state(Phase.HOVERING) == ControlState.HOVERING.word | LOST_COM
+    assert list(drone.tick(at_s(4.9), Phase.HOVERING)) == []
+    assert list(drone.tick(at_s(5.0), Phase.HOVERING)) == [Deed.LAND]
+    assert list(drone.tick(at_s(5.1), Phase.LANDING)) == []
+    assert (drone.counters["com_watchdog"], drone.counters["landed_for_silence"]) == (1, 1)
+
+
+def test_a_client_that_comes_back_in_time_keeps_flying_and_clears_the_bit_itself(pilot: Pilot) -> None:
+    drone = pilot.drone
+    pilot.sequence = 500
+    pilot.say(at.ComWdg(), AHEAD, phase=Phase.FLYING)
+    assert list(drone.tick(at_s(2.5), Phase.FLYING)) == [HOVER]
+    pilot.sequence = 6
+    assert pilot.say(FLY, AHEAD, phase=Phase.HOVERING, now_s=2.6) == [Stick(0.0, -0.5, 0.0, 0.0, True)], (
+        "the watchdog resets numbers"
+    )
+    assert State.COMMUNICATION_LOST not in pilot.word()
+    assert State.COM_WATCHDOG in pilot.word()
+    pilot.say(at.ComWdg(), phase=Phase.FLYING, now_s=2.7)
+    assert State.COM_WATCHDOG not in pilot.word()
+    assert list(drone.tick(at_s(4.6), Phase.FLYING)) == []
+
+
+def test_old_numbers_do_not_feed_the_watchdog(pilot: Pilot) -> None:
+    pilot.sequence = 1000
+    pilot.say(AHEAD, phase=Phase.FLYING)
+    list(pilot.drone.take(at.encode(10, AHEAD), at_s(1.5), Phase.FLYING))
+    assert list(pilot.drone.tick(at_s(2.0), Phase.FLYING)) == [HOVER]
+
+
+def test_nobody_was_ever_there_so_nobody_is_missed(pilot: Pilot) -> None:
+    assert State.COM_WATCHDOG in pilot.word(), "set at first contact"
+    assert list(pilot.drone.tick(at_s(100.0), Phase.HOVERING)) == []
+
+
+def test_bootstrap_and_handshake(pilot: Pilot) -> None:
+    assert State.NAVDATA_BOOTSTRAP in pilot.word()
+    pilot.say(at.Config("general:navdata_demo", "TRUE"))
+    word = pilot.word()
+    assert State.COMMAND_ACK in word
+    assert State.NAVDATA_DEMO in word
+    assert State.NAVDATA_BOOTSTRAP not in word
+    pilot.say(at.ComWdg())
+    assert State.COMMAND_ACK in pilot.word(), "only CTRL 5 clears it"
+    pilot.say(at.Ctrl(5))
+    assert State.COMMAND_ACK not in pilot.word()
+    pilot.say(at.Config("general:navdata_demo", "FALSE"))
+    assert State.NAVDATA_DEMO not in pilot.word()
+    pilot.say(at.Config("general:wings", "2"))
+    assert pilot.drone.counters["config_unknown_key"] == 1
+    assert pilot.drone.counters["config_during_ack"] == 1
+
+
+def test_asking_for_the_configuration_is_acknowledged_too(pilot: Pilot) -> None:
+    assert pilot.say(at.Ctrl(4)) == [Deed.SEND_CONFIGURATION]
+    assert State.COMMAND_ACK in pilot.word()
+    assert pilot.say(at.Ctrl(5), at.Ctrl(6, None)) == [Deed.SEND_CUSTOM_IDS]
+
+
+def test_ids_hold_for_the_next_command_only(pilot: Pilot) -> None:
+    mine = at.ConfigIds("CA0000D1", "00000000", "00000000")
+    pilot.say(at.Config("custom:session_id", "ca0000d1"))
+    pilot.say(mine, at.Config("video:video_channel", "1"))
+    assert pilot.drone.config["video:video_channel"] == "1"
+    pilot.say(mine, at.ComWdg(), at.Config("video:video_channel", "0"))
+    assert pilot.drone.config["video:video_channel"] == "1"
+    assert pilot.drone.counters["config_wrong_ids"] == 1
+
+
+def test_limits_are_passed_on_when_they_may_have_changed(pilot: Pilot) -> None:
+    assert pilot.say(at.Config("control:euler_angle_max", "0.3")) == [Deed.APPLY_LIMITS]
+    assert pilot.say(at.Config("control:outdoor", "TRUE")) == [Deed.APPLY_LIMITS]
+    assert pilot.say(at.Config("control:euler_angle_max", "30")) == []
+
+
+def test_emergency_is_an_edge_that_toggles(pilot: Pilot) -> None:
+    cut = at.Ref(at.REF_BASE | at.REF_EMERGENCY)
+    assert pilot.say(cut, phase=Phase.FLYING) == [Deed.CUT_MOTORS]
+    assert pilot.say(cut, phase=Phase.EMERGENCY) == []
+    word = pilot.word(Phase.EMERGENCY)
+    assert State.EMERGENCY in word
+    assert State.USER_EMERGENCY in word
+    assert pilot.say(FLY, phase=Phase.EMERGENCY) == []
+    assert pilot.say(cut, phase=Phase.EMERGENCY) == [Deed.LEAVE_EMERGENCY]
+    assert State.USER_EMERGENCY not in pilot.word()
+
+
+def test_the_rest_is_accepted(pilot: Pilot) -> None:
+    assert pilot.say(at.Ftrim()) == [Deed.FLAT_TRIM]
+    assert pilot.say(at.Ftrim(), at.Calib(0), at.Anim(16, 15), at.Pmode(2), at.Misc(), phase=Phase.FLYING) == []
+    pilot.say(at.Led(5, 2.5, 7))
+    assert (pilot.drone.leds.animation, pilot.drone.leds.frequency_hz, pilot.drone.leds.duration_s) == (5, 2.5, 7.0)
+    pilot.say(at.Config("leds:leds_anim", "9,1073741824,3"))
+    assert (pilot.drone.leds.animation, pilot.drone.leds.frequency_hz, pilot.drone.leds.duration_s) == (9, 2.0, 3.0)
+    pilot.say(at.Config("leds:leds_anim", "nonsense"))
+    assert pilot.drone.leds.animation == 9
+    counters = pilot.drone.counters
+    assert counters["at_taken"] == pilot.sequence
+    assert (counters["ftrim_refused_in_flight"], counters["not_flown_calib"], counters["not_flown_anim"]) == (1, 1, 1)
+
+
+_FRAGMENT = st.one_of(
+    st.binary(max_size=40),
+    st.sampled_from([b"AT*", b"REF=", b"CONFIG=1,", b'"', b"\r", b",", b"-1", b"4294967296", b"\x00", b'"custom:session_id"']),
+    st.builds(lambda n, c: at.encode(n, c), st.integers(0, 99), st.sampled_from([FLY, AHEAD, at.Ctrl(4), at.ComWdg()])),
+)
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.lists(_FRAGMENT, max_size=8), st.sampled_from(list(Phase)))
+def test_garbage_never_raises_and_the_next_good_command_counts(fragments: list[bytes], phase: Phase) -> None:
+    drone = DroneState()
+    list(drone.take(b"".join(fragments), at_s(0.0), phase))
+    list(drone.tick(at_s(9.0), phase))
+    assert list(drone.take(at.encode(1, FLY), at_s(9.1), Phase.LANDED)) == [Deed.TAKE_OFF]
+    assert 0 <= drone.word(phase, True, True) < 2**32

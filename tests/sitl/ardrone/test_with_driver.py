@@ -1,0 +1,93 @@
+"""Our driver on one end, the simulated drone on the other, sockets between them."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import cast
+
+import numpy as np
+
+from drivers.ardrone.link import ArDrone, open_ardrone
+from drivers.ardrone.options import ArDroneOptions
+from drivers.clock import SystemClock
+from estimator.contracts.commands import Land, TakeOff, Velocity
+from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
+from estimator.contracts.time import MonoNs
+from sitl.ardrone.server import ArDroneServer, Ports
+from sitl.world import Phase, World
+from tests.sitl.ardrone.point_mass import PointMass
+
+HOST = "127.0.0.1"
+
+
+def options_for(server: ArDroneServer) -> ArDroneOptions:
+    p = server.ports
+    return ArDroneOptions(host=HOST, navdata_port=p.navdata, video_port=p.video, at_port=p.at, control_port=p.control)
+
+
+async def reach(world: PointMass, phase: Phase) -> None:
+    for _ in range(600):
+        if world.phase is phase:
+            return
+        await asyncio.sleep(0.01)
+    raise TimeoutError(f"the drone is {world.phase!r}, not {phase!r}")
+
+
+async def ready(drone: ArDrone) -> None:
+    for _ in range(600):
+        if drone.ready:
+            return
+        await asyncio.sleep(0.01)
+    raise TimeoutError(f"not configured: {drone.down}")
+
+
+async def test_it_configures_flies_and_lands_the_drone() -> None:
+    clock = SystemClock()
+    world = PointMass(clock.now())
+    async with ArDroneServer(cast(World, world), HOST, Ports(0, 0, 0, 0), clock) as server:
+        options = options_for(server)
+        async with open_ardrone(options, clock) as drone:
+            await ready(drone)
+            config = server.drone.state.config
+            assert (config.ids.session, config.ids.user, config.ids.application) == options.ids
+            assert config["video:video_channel"] == "1"
+            assert not config.flag("general:navdata_demo")
+            assert world.limits.euler_angle_max_rad == options.loop.euler_angle_max_rad
+            drone.command(TakeOff())
+            await reach(world, Phase.HOVERING)
+            for _ in range(50):
+                drone.command(Velocity(np.array([0.5, 0.0, 0.0]), 0.0))
+                await asyncio.sleep(0.02)
+            assert world.v[0] > 0.35
+            assert abs(world.v[1]) < 0.05
+            kinds = {type(await drone.samples.get()) for _ in range(len(drone.samples))}
+            assert kinds >= {Imu, Attitude, BodyVelocity, Range, VehicleStatus}
+            drone.command(Land())
+            await reach(world, Phase.LANDED)
+        refused = {k: n for k, n in server.drone.state.counters.items() if k.startswith("config_") and k != "config_set"}
+        assert refused == {}
+        assert server.drone.state.counters["com_watchdog"] == 0
+
+
+async def test_its_stamps_of_frames_agree_with_when_they_were_exposed() -> None:
+    clock = SystemClock()
+    world = PointMass(clock.now(), height_m=1.5)
+    taken: list[MonoNs] = []
+    expose = world.expose
+
+    def recorded() -> object:
+        taken.append(world.now)
+        return expose()
+
+    world.expose = recorded  # type: ignore[assignment, method-assign]
+    async with ArDroneServer(cast(World, world), HOST, Ports(0, 0, 0, 0), clock) as server:
+        taken.clear()  # the picture made before flight is no frame
+        async with open_ardrone(options_for(server), clock) as drone:
+            await ready(drone)
+            off_ms = []
+            for _ in range(28):
+                frame = await drone.frames.get()
+                assert frame.px.shape == (360, 640, 3)
+                off_ms.append((frame.stamp.taken - taken[frame.seq - 1]) * 1e-6)
+            assert abs(np.median(off_ms[10:])) < 8.0
+            assert np.std(off_ms[10:]) < 5.0

@@ -1,0 +1,245 @@
+"""The physics backends against stand-ins that follow the published interfaces: flown, landed, restarted."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import socket
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import mav
+from estimator.contracts.geometry import Rotation
+from sitl.airframe import Airframe
+from sitl.autopilots.ardupilot_json import CURVE, JsonBackend, decode, encode, serve_json
+from sitl.autopilots.body import Body
+from sitl.autopilots.motors import thrust_share, wrench
+from sitl.autopilots.px4_hil import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
+from sitl.scenario import Scenario, load
+from tests.sitl.autopilots.pilot import Cascade, command_of
+
+HOST = "127.0.0.1"
+REST = (0.0, 0.0, 0.0, 0.0)
+
+
+def on_the_pad(name: str = "calm") -> Scenario:
+    scenario = load(name)
+    return replace(scenario, start=replace(scenario.start, where="pad"))
+
+
+def servo_packet(frame: int, motors: tuple[float, ...], rate_hz: int = 400, channels: int = 16) -> bytes:
+    pwm = [round(1000 + 1000 * m) for m in motors] + [1500] * (channels - 4)
+    return struct.pack(f"<HHI{channels}H", 18458 if channels == 16 else 29569, rate_hz, frame, *pwm)
+
+
+class JsonClient:
+    """ArduPilot's side: one packet out, one line of JSON in."""
+
+    def __init__(self, port: int) -> None:
+        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sock.setblocking(False)
+        self._sock.connect((HOST, port))
+        self.frame = 0
+
+    async def step(self, motors: tuple[float, ...], **changes: Any) -> dict[str, Any]:
+        self.frame += 1
+        loop = asyncio.get_running_loop()
+        await loop.sock_sendall(self._sock, servo_packet(changes.get("frame", self.frame), motors))
+        async with asyncio.timeout(5):
+            data = await loop.sock_recv(self._sock, 4096)
+        assert data.endswith(b"\n")
+        return dict(json.loads(data))
+
+    def close(self) -> None:
+        self._sock.close()
+
+
+# Motors
+
+
+def test_each_motor_turns_the_body_the_way_the_autopilots_expect() -> None:
+    f = Airframe()
+    turns = [wrench(f, [1.0 if n == m else 0.0 for n in range(4)], 0.0)[1] for m in range(4)]
+    signs = [tuple(int(math.copysign(1, t)) for t in turn) for turn in turns]
+    # roll right, nose up, nose clockwise
+    assert signs == [(-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, -1)], "front right, rear left, front left, rear right"
+    thrust, torque = wrench(f, [1.0] * 4, 0.0)
+    assert thrust == pytest.approx(f.thrust_max_n)
+    assert torque == pytest.approx((0.0, 0.0, 0.0))
+
+
+def test_the_curve_of_a_motor_and_its_inverse() -> None:
+    for curve in (0.0, 0.65, 1.0):
+        for share in (0.0, 0.2, 0.7, 1.0):
+            assert thrust_share(command_of(share, curve), curve) == pytest.approx(share)
+    assert thrust_share(-1.0, 0.5) == 0.0
+    assert thrust_share(2.0, 0.5) == 1.0
+
+
+def test_a_body_stands_on_a_moving_deck_and_goes_with_it() -> None:
+    body = Body(on_the_pad("sea_state_4"), 1, 0.0025)
+    for _ in range(2000):
+        body.step(REST)
+    state = body.state()
+    assert np.linalg.norm(state.p_ned - body.p_pad_ned) < 0.1
+    assert np.linalg.norm(state.v_ned - body.v_pad_ned) < 0.1
+    assert state.range_m is not None
+    assert state.range_m < 0.1
+    assert np.linalg.norm(state.f_body) == pytest.approx(9.81, abs=1.5)
+
+
+# ArduPilot
+
+
+def test_packets_of_both_sizes_and_what_is_none() -> None:
+    for channels in (16, 32):
+        servos = decode(servo_packet(7, (0.1, 0.2, 0.3, 0.4), channels=channels))
+        assert servos is not None
+        assert (servos.rate_hz, servos.frame, len(servos.pwm_us)) == (400, 7, channels)
+        assert servos.motors == pytest.approx((0.1, 0.2, 0.3, 0.4))
+    whole = servo_packet(7, REST)
+    for bad in (b"", whole[:-1], whole + b"\0", b"\0" * len(whole), servo_packet(7, REST, rate_hz=0)):
+        assert decode(bad) is None
+
+
+def test_the_answer_is_one_line_with_what_the_interface_asks_for() -> None:
+    body = Body(on_the_pad(), 1, 0.0025)
+    body.step(REST)
+    said = json.loads(encode(body.state()))
+    assert said["timestamp"] == pytest.approx(0.0025)
+    assert set(said) >= {"timestamp", "imu", "position", "quaternion", "velocity"}
+    assert said["imu"]["accel_body"][2] == pytest.approx(-9.8, abs=0.5)
+
+
+def test_a_lost_answer_is_repeated_and_a_restart_begins_anew() -> None:
+    backend = JsonBackend(lambda step_s: Body(on_the_pad(), 1, step_s, CURVE))
+    first = backend.hear(servo_packet(1, REST))
+    assert backend.hear(servo_packet(1, REST)) == first
+    for n in range(2, 50):
+        later = backend.hear(servo_packet(n, REST))
+    assert later is not None
+    assert json.loads(later)["timestamp"] == pytest.approx(49 / 400)
+    again = backend.hear(servo_packet(0, REST))
+    assert again is not None
+    assert json.loads(again)["timestamp"] == pytest.approx(1 / 400)
+    assert backend.restarts == 1
+    assert backend.hear(b"rubbish") is None
+    assert backend.refused == 1
+
+
+async def test_a_program_takes_off_hovers_and_lands_on_the_pad_in_lock_step() -> None:
+    backend = JsonBackend(lambda step_s: Body(on_the_pad("moderate"), 3, step_s, CURVE))
+    cascade = Cascade(Airframe(), CURVE)
+    async with serve_json(backend, HOST, 0) as port:
+        program = JsonClient(port)
+        try:
+            said = await program.step(REST)
+            body = backend.body
+            assert body is not None
+            heights = []
+            while said["timestamp"] < 16.0 and (said["timestamp"] < 4.0 or body.landing() is None):
+                t = said["timestamp"]
+                climb = 1.5 if t < 8.0 else 1.5 - 0.5 * (t - 8.0)
+                target = body.p_pad_ned + np.array([0.0, 0.0, -climb])
+                motors = cascade.motors(
+                    np.array(said["position"]),
+                    np.array(said["velocity"]),
+                    Rotation.from_quat(said["quaternion"]),
+                    np.array(said["imu"]["gyro"]),
+                    target,
+                    body.v_pad_ned,
+                )
+                said = await program.step(motors)
+                if 5.0 < t < 8.0:
+                    heights.append(body.p_pad_ned[2] - said["position"][2])
+        finally:
+            program.close()
+    assert np.mean(heights) == pytest.approx(1.5, abs=0.25)
+    landing = body.landing()
+    assert landing is not None
+    assert landing.on_deck
+    assert landing.lateral_m < 0.3
+    assert 0.0 < landing.speed_m_s < 1.0
+
+
+# PX4
+
+
+def test_sensors_say_what_the_state_is() -> None:
+    body = Body(on_the_pad(), 1, 0.004)
+    for _ in range(100):
+        body.step(REST)
+    state = body.state()
+    rng = np.random.default_rng(1)
+    still = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0)
+    m = sensors(state, Home(), still, rng)
+    assert m.time_usec == 400_000
+    assert m.fields_updated == 0x1FFF
+    assert (m.xacc, m.yacc, m.zacc) == pytest.approx(tuple(state.f_body))
+    assert math.hypot(m.xmag, m.ymag, m.zmag) == pytest.approx(0.515, abs=0.01)
+    assert m.pressure_alt == pytest.approx(-state.p_ned[2])
+    assert 990 < m.abs_pressure < 1014
+    g = gnss(state, Home(), still, rng)
+    assert (g.lat, g.lon) == pytest.approx((634_400_000, 104_000_000), abs=3000)
+    assert g.alt == pytest.approx(-1000 * state.p_ned[2], abs=1)
+    assert (g.fix_type, g.satellites_visible) == (3, 14)
+
+
+def actuators(motors: tuple[float, ...], armed: bool = True) -> Any:
+    return mav.MAVLink_hil_actuator_controls_message(0, [*motors, *[math.nan] * 12], 129 if armed else 1, 0)
+
+
+def test_motors_rest_while_not_armed_or_not_a_number() -> None:
+    assert motors_of(actuators((0.1, 0.2, 0.3, 0.4))) == pytest.approx((0.1, 0.2, 0.3, 0.4))
+    assert motors_of(actuators((0.1, 0.2, 0.3, 0.4), armed=False)) == REST
+    assert motors_of(actuators((math.nan, 2.0, -1.0, 0.4))) == (0.0, 1.0, 0.0, pytest.approx(0.4))
+
+
+async def test_px4_is_nudged_until_it_runs_and_then_goes_in_lock_step() -> None:
+    backend = HilBackend(Body(on_the_pad(), 1, 0.004), seed=1)
+    cascade = Cascade(Airframe(), 0.0)
+    async with serve_hil(backend, HOST, 0) as port:
+        reader, writer = await asyncio.open_connection(HOST, port)
+        codec = Codec(1, 1)
+        heard: list[Any] = []
+
+        async def until_sensor() -> Any:
+            async with asyncio.timeout(5):
+                while True:
+                    while heard:
+                        m = heard.pop(0)
+                        kinds.add(m.get_type())
+                        if m.get_type() == "HIL_SENSOR":
+                            return m
+                    heard.extend(codec.feed(await reader.read(4096)))
+
+        kinds: set[str] = set()
+        first = await until_sensor()
+        for _ in range(20):  # PX4 boots: says nothing, and time goes on
+            last = await until_sensor()
+        assert last.time_usec > first.time_usec
+        body = backend.body
+        heights = []
+        writer.write(codec.pack(actuators(REST, armed=False)))
+        while body.t_s < 6.0:
+            await until_sensor()
+            s = body.state()
+            target = body.p_pad_ned + np.array([0.0, 0.0, -2.0])
+            motors = cascade.motors(s.p_ned, s.v_ned, s.R_ned_body, s.w_body, target, np.zeros(3))
+            stepped = body.t_s
+            writer.write(codec.pack(actuators(motors)))
+            while body.t_s == stepped and not heard:
+                heard.extend(codec.feed(await reader.read(4096)))
+            assert body.t_s - stepped < 0.03, "one step an answer"
+            if body.t_s > 5.0:
+                heights.append(body.p_pad_ned[2] - s.p_ned[2])
+        writer.close()
+    assert "HIL_GPS" in kinds
+    assert np.mean(heights) == pytest.approx(2.0, abs=0.2)
+    assert body.landing() is None

@@ -1,0 +1,115 @@
+"""Scenario files: what is shipped holds, and what is wrong is named with key, unit and file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.settings import shipped
+from companion.settings_refusal import unit_of, walk
+from estimator.contracts.errors import BadInput
+from sitl.scenario import Fault, Scenario, camera_model, from_mapping, load, pad_model
+
+
+@pytest.mark.parametrize("name", ["calm", "demo", "moderate", "sea_state_4"])
+def test_shipped_scenarios_load(name: str) -> None:
+    assert name in shipped("scenarios")
+    scenario = load(name)
+    assert scenario.title
+    assert camera_model(scenario).width == 640
+    assert pad_model(scenario).disc_radius_m == 0.39
+
+
+def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "near.toml").write_text((Path("configs/cameras/sim.toml")).read_text())
+    (tmp_path / "mine.toml").write_text('title = "mine"\n[camera]\nfile = "near.toml"\n')
+    scenario = load(tmp_path / "mine.toml")
+    monkeypatch.chdir(tmp_path.parent)
+    assert camera_model(scenario).fx == pytest.approx(374.67)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ({"sea": {"significant_height_m": -1}}, "sea.significant_height_m must be a number from 0 to 10 m, found -1"),
+        ({"sea": {"peak_period_s": "long"}}, 'sea.peak_period_s must be a number from 1 to 20 s, found "long"'),
+        ({"wind": {"speed_m_s": float("nan")}}, "wind.speed_m_s must be a number from 0 to 25 m/s, found nan"),
+        ({"start": {"hieght_m": 5.0}}, "start.hieght_m is not a known key; did you mean start.height_m?"),
+        ({"start": {"where": "sea"}}, 'start.where must be one of "air", "pad", found "sea"'),
+        ({"vessel": {"hull": "canoe"}}, "vessel: hull must be one of otter, ferry, supply_ship, found 'canoe'"),
+        ({"vessel": {"speed_m_s": 2.0}}, "vessel: speed_m_s must be 0 while moored is true"),
+        ({"sensors": {"ultrasound_min_m": 1.0, "ultrasound_max_m": 0.8}}, "ultrasound_min_m must be less than ultrasound_max_m"),
+        ({"faults": [{"kind": "gust", "start_s": 1, "duration_s": 1}, {"kind": "rain"}]}, "faults[1].kind must be one of"),
+        ({"faults": [{"kind": "gust", "start_s": -1, "duration_s": 1}]}, "faults[0].start_s must be a number from 0 to 36000 s"),
+        ({"faults": [{"kind": "gust"}]}, "faults[0].start_s is missing"),
+        ({"faults": [7]}, "faults[0]"),
+    ],
+)
+def test_refusals_name_the_key_and_its_unit(data: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadInput) as why:
+        from_mapping({"title": "x", **data}, "mine.toml")
+    text = str(why.value)
+    assert text.startswith("mine.toml: ")
+    assert said in text
+    assert "\n" not in text
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"scenario: there is no file 'dmo' .*did you mean 'demo'"):
+        load("dmo")
+    (tmp_path / "mine.toml").write_text('title = "mine"\n[pad]\nfile = "thesi"\n')
+    with pytest.raises(BadInput, match=r"mine\.toml: pad\.file: .*did you mean 'thesis'"):
+        load(tmp_path / "mine.toml")
+    (tmp_path / "bad.toml").write_text("title = \n")
+    with pytest.raises(BadInput, match=r"bad\.toml: not valid TOML"):
+        load(tmp_path / "bad.toml")
+
+
+def test_every_number_says_its_unit_range_and_meaning() -> None:
+    endings = {
+        "m": "_m", "s": "_s", "m/s": "_m_s", "deg": "_deg", "deg/s": "_deg_s", "Hz": "_hz", "K": "_k", "kg": "_kg",
+        "px": "_px", "Pa": "_pa", "T": "_t", "m/s^2": "_m_s2", "rad/s": "_rad_s",
+    }  # fmt: skip
+    keys = [*walk(Scenario), *walk(Fault)]
+    assert len(keys) > 60
+    for path, field in keys:
+        kind = getattr(field.type, "type", None)
+        extra = getattr(field.type, "extra_json_schema", None) or {}
+        if type(kind).__name__ in ("FloatType", "IntType"):
+            assert kind is not None
+            assert kind.ge is not None, path
+            assert kind.le is not None, path
+            assert extra["description"], path
+            unit = unit_of(field.type)
+            assert unit, path
+            if unit != "1":
+                assert path.endswith(endings[unit]), path
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(
+                st.sampled_from([*Scenario.__struct_fields__, "hull", "file", "kind", "start_s"]), inner, max_size=5
+            )
+        ),
+        max_leaves=8,
+    )
+)
+def test_any_data_is_a_scenario_or_one_clear_line(data: Any) -> None:
+    table = data if isinstance(data, dict) else {"faults": data}
+    try:
+        from_mapping(table, "any.toml")
+    except BadInput as why:
+        said = str(why)
+    else:
+        said = "any.toml: good"
+    assert said.startswith("any.toml: ")
+    assert "\n" not in said

@@ -1,0 +1,212 @@
+"""What the sensors say against what is so, and against a real AR.Drone's recording."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.time import MonoNs
+from sitl.airframe import Airframe
+from sitl.contact import DeckShape, Ground
+from sitl.scenario import Scenario, SensorSettings
+from sitl.sensors import EARTH_FIELD_NED_T, Readings, Sensors, nearest_surface
+from sitl.stage import airframe
+from sitl.vehicle import Vehicle
+
+DT = 0.004
+SHAPE = DeckShape(3.0, 2.0, 1.4, 1.4)
+RECORDED = Path(__file__).parents[2] / "../shared/data/flight_with_mocap"
+PERFECT = SensorSettings(
+    accel_bias_sigma_m_s2=0.0, accel_noise_sigma_m_s2=0.0, accel_rest_sigma_m_s2=0.0,
+    gyro_bias_sigma_rad_s=0.0, gyro_noise_sigma_rad_s=0.0, gyro_rest_sigma_rad_s=0.0,
+    tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.0, heading_bias_sigma_deg=0.0, heading_drift_sigma_deg=0.0,
+    velocity_scale=1.0, velocity_noise_sigma_m_s=0.0, ultrasound_sigma_m=0.0, ultrasound_delay_s=0.0,
+    pressure_sigma_pa=0.0, pressure_drift_sigma_pa=0.0, magnetometer_sigma_t=0.0, magnetometer_bias_sigma_t=0.0,
+)  # fmt: skip
+
+
+def deck() -> Ground:
+    """At z = -0.5 m over water at 0."""
+    return Ground.of(np.array([0.0, 0.0, -0.5]), np.zeros(3), np.eye(3), np.zeros(3))
+
+
+def setup(settings: SensorSettings, seed: int = 1, p: tuple[float, float, float] = (0.0, 0.0, -3.0)) -> tuple[Vehicle, Sensors]:
+    body = airframe(Scenario(title="bench", sensors=settings))
+    flight, sense = np.random.SeedSequence(seed).spawn(2)
+    v = Vehicle(body, SHAPE, DT, flight)
+    v.place(np.array(p), np.zeros(3), 0.0)
+    return v, Sensors(settings, SHAPE, sense, DT)
+
+
+def fly(v: Vehicle, s: Sensors, steps: int) -> list[Readings]:
+    out = []
+    for n in range(steps):
+        v.step(deck())
+        s.step(v, deck(), True)
+        out.append(s.read(MonoNs(n), v, True))
+    return out
+
+
+def test_perfect_sensors_tell_the_truth() -> None:
+    v, s = setup(PERFECT)
+    v.command(0.3, -0.4, 0.2, 0.5, True)
+    r = fly(v, s, 300)[-1]
+    assert r.f_body == pytest.approx(v.f_body, abs=1e-12)
+    assert r.w_body == pytest.approx(v.w_body, abs=1e-12)
+    assert r.rpy_rad == pytest.approx(Rotation(v.R_ned_body).rpy_rad, abs=1e-12)
+    level = Rotation.from_rpy(0.0, 0.0, Rotation(v.R_ned_body).rpy_rad[2]).matrix.T @ v.v_ned
+    assert r.v_level_m_s == pytest.approx(level[:2], abs=0.15)
+    assert r.magnetometer is not None
+    assert v.R_ned_body @ r.magnetometer == pytest.approx(EARTH_FIELD_NED_T, abs=1e-12)
+    assert r.pressure_pa == pytest.approx(101325.0 + 12.01 * v.p_ned[2], abs=0.2)
+    assert r.motors_pwm[0] == pytest.approx(170, abs=25)
+
+
+def test_inertial_errors_have_their_size() -> None:
+    """Noise within a flight, biases between flights."""
+    settings = SensorSettings()
+    r = fly(*setup(settings), 2000)[500:]
+    f, w = np.array([x.f_body for x in r]), np.array([x.w_body for x in r])
+    assert (np.diff(f, axis=0).std(axis=0) / math.sqrt(2)) == pytest.approx([settings.accel_noise_sigma_m_s2] * 3, rel=0.08)
+    assert (np.diff(w, axis=0).std(axis=0) / math.sqrt(2)) == pytest.approx([settings.gyro_noise_sigma_rad_s] * 3, rel=0.08)
+    quiet = msgspec.structs.replace(PERFECT, accel_bias_sigma_m_s2=0.6, gyro_bias_sigma_rad_s=0.01, heading_bias_sigma_deg=3.0)
+    flights = [fly(*setup(quiet, seed), 1)[0] for seed in range(150)]
+    bias = np.array([x.f_body for x in flights]) - [0.0, 0.0, -9.80665]
+    assert bias.std(axis=0) == pytest.approx([0.6] * 3, rel=0.2)
+    assert np.array([x.w_body for x in flights]).std(axis=0) == pytest.approx([0.01] * 3, rel=0.2)
+    assert np.degrees([x.rpy_rad[2] for x in flights]).std() == pytest.approx(3.0, rel=0.2)
+
+
+def test_attitude_error_is_slow_and_has_its_size() -> None:
+    settings = SensorSettings(tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.8, tilt_drift_time_s=1.0)
+    v, _ = setup(settings)
+    error = []
+    for _ in range(25000):
+        v.step(deck())
+        error.append(v.tilt_error_rad)
+    e = np.degrees(np.array(error))
+    assert e.std(axis=0) == pytest.approx([0.8, 0.8], rel=0.25)
+    assert np.abs(np.diff(e, axis=0)).max() < 0.4
+    assert np.mean(e[:-250] * e[250:]) / e.var() == pytest.approx(math.exp(-1.0), abs=0.15)
+
+
+def test_velocity_reads_low_and_lags() -> None:
+    v, s = setup(SensorSettings(tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.0), p=(-40.0, 0.0, -3.0))
+    v.command(0.0, -0.5, 0.0, 0.0, True)
+    r = fly(v, s, 2500)[-500:]
+    assert np.mean([x.v_level_m_s[0] for x in r]) / v.v_ned[0] == pytest.approx(0.83, abs=0.02)
+    assert r[-1].v_level_m_s.shape == (2,)
+
+
+def test_ultrasound_meets_deck_edge_and_water() -> None:
+    cone = math.radians(40.0)
+    v, _ = setup(PERFECT, p=(0.0, 0.0, -3.0))
+    assert nearest_surface(SHAPE, v, deck(), cone) == pytest.approx(2.5)
+    v, _ = setup(PERFECT, p=(0.0, 2.0, -3.0))
+    assert nearest_surface(SHAPE, v, deck(), math.radians(1.0)) == pytest.approx(3.0)
+    near_edge = nearest_surface(SHAPE, v, deck(), cone)
+    assert near_edge == pytest.approx(2.5 / math.cos(math.radians(20.0)), rel=1e-6)
+    v, _ = setup(PERFECT, p=(0.0, 8.0, -3.0))
+    assert nearest_surface(SHAPE, v, deck(), cone) == pytest.approx(3.0)
+    assert nearest_surface(SHAPE, v, Ground.nowhere(), cone) == pytest.approx(1e6 + 3.0)
+
+
+def test_ultrasound_measures_along_the_tilted_body_only_beyond_its_cone() -> None:
+    v, _ = setup(PERFECT)
+    v.q = tuple(Rotation.from_rpy(math.radians(30.0), 0.0, 0.0).quat_wxyz.tolist())
+    assert nearest_surface(SHAPE, v, deck(), math.radians(40.0)) == pytest.approx(2.5 / math.cos(math.radians(10.0)), rel=1e-6)
+    v.q = tuple(Rotation.from_rpy(math.radians(15.0), 0.0, 0.0).quat_wxyz.tolist())
+    assert nearest_surface(SHAPE, v, deck(), math.radians(40.0)) == pytest.approx(2.5)
+
+
+def test_ultrasound_has_a_rate_a_delay_and_limits() -> None:
+    v, s = setup(msgspec.structs.replace(PERFECT, ultrasound_sigma_m=0.005, ultrasound_delay_s=0.06))
+    heard = [x.ultrasound_m for x in fly(v, s, 500)]
+    first = next(n for n, h in enumerate(heard) if h is not None)
+    assert (first + 1) * DT == pytest.approx(0.04 + 0.06, abs=DT)
+    values = np.array(heard[first:], dtype=float)
+    changes = np.flatnonzero(np.diff(values))
+    assert np.unique(np.diff(changes)).tolist() == [10]
+    assert values[::10].std() == pytest.approx(0.005, rel=0.35)
+    for height, hears in ((5.9, True), (6.2, False), (0.25, True), (0.15, False)):
+        v, s = setup(PERFECT, p=(0.0, 0.0, -0.5 - height))
+        assert (fly(v, s, 20)[-1].ultrasound_m is not None) is hears
+
+
+def test_outages_say_nothing() -> None:
+    v, s = setup(PERFECT)
+    fly(v, s, 30)
+    s.ultrasound_works = s.magnetometer_works = v.flow_works = False
+    r = fly(v, s, 30)[-1]
+    assert r.ultrasound_m is None
+    assert r.magnetometer is None
+    assert r.v_level_m_s.tolist() == [0.0, 0.0]
+
+
+def test_battery_lasts_its_life_in_flight_only() -> None:
+    v, s = setup(msgspec.structs.replace(PERFECT, battery_start=1.0, battery_life_s=10.0))
+    for n in range(500):
+        v.step(deck())
+        s.step(v, deck(), n < 250)
+    assert s.read(MonoNs(0), v, False).battery_fraction == pytest.approx(0.9, abs=1e-9)
+
+
+def test_reading_changes_nothing() -> None:
+    """The same seed gives the same readings to the bit, however often and whatever is asked in between."""
+    often, seldom = setup(SensorSettings(), 5), setup(SensorSettings(), 5)
+    last = fly(*often, 700)[-1]
+    v, s = seldom
+    for _ in range(700):
+        v.step(deck())
+        s.step(v, deck(), True)
+    once = s.read(last.at, v, True)
+    for name in ("f_body", "w_body", "rpy_rad", "v_level_m_s", "magnetometer"):
+        assert np.array_equal(getattr(once, name), getattr(last, name)), name
+    assert (once.ultrasound_m, once.pressure_pa) == (last.ultrasound_m, last.pressure_pa)
+
+
+def test_one_sensor_does_not_disturb_another() -> None:
+    """Each draws from its own generator: another ultrasound rate leaves the rest as it was to the bit."""
+    a = fly(*setup(SensorSettings(), 5), 300)[-1]
+    b = fly(*setup(SensorSettings(ultrasound_rate_hz=10.0, pressure_sigma_pa=0.0), 5), 300)[-1]
+    assert np.array_equal(a.f_body, b.f_body)
+    assert np.array_equal(a.rpy_rad, b.rpy_rad)
+    assert a.magnetometer is not None
+    assert b.magnetometer is not None
+    assert np.array_equal(a.magnetometer, b.magnetometer)
+
+
+@pytest.mark.skipif(not RECORDED.exists(), reason="the recorded flight is not at hand")
+def test_noise_in_flight_is_that_of_the_real_drone() -> None:
+    """Standard deviation above 4 Hz of a real AR.Drone's accelerometer and gyro in hover, against the settings' defaults."""
+    columns = (
+        _recorded("navdata.csv", ["t_stamp_s", "ax_g", "ay_g", "az_g"]),
+        _recorded("imu.csv", ["t_stamp_s", "wx", "wy", "wz"]),
+    )
+    settings = SensorSettings()
+    for table, scale, sigma in (
+        (columns[0], 9.80665, settings.accel_noise_sigma_m_s2),
+        (columns[1], 1.0, settings.gyro_noise_sigma_rad_s),
+    ):
+        hover = table[(table[:, 0] > 14.0) & (table[:, 0] < 33.0), 1:] * scale
+        kernel = np.ones(25) / 25.0
+        rough = np.stack([c - np.convolve(c, kernel, "same") for c in hover.T])[:, 50:-50]
+        assert sigma == pytest.approx(float(np.sqrt((rough**2).mean())), rel=0.3)
+
+
+def _recorded(name: str, columns: list[str]) -> F64:
+    with (RECORDED / name).open() as file:
+        return np.array([[float(row[c]) for c in columns] for row in csv.DictReader(file)])
+
+
+def test_defaults_of_airframe_and_scenario_agree() -> None:
+    made, base = airframe(Scenario(title="bench")), Airframe()
+    assert made.mass_kg == base.mass_kg
+    assert made.avionics.flow_scale == base.avionics.flow_scale
+    assert made.avionics.tilt_bias_sigma_rad == pytest.approx(base.avionics.tilt_bias_sigma_rad, rel=0.05)

@@ -1,0 +1,432 @@
+"""The rigid body, its inner loops and its contact with deck and water."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimator.contracts.geometry import F64, Rotation
+from sitl.airframe import Airframe, Avionics, Loops
+from sitl.contact import DeckShape, Ground
+from sitl.disturbances import Wind
+from sitl.sea import GRAVITY_M_S2
+from sitl.vehicle import DECK, SEA, Phase, Vehicle
+
+DT = 0.004
+SHAPE = DeckShape(fore_m=3.0, aft_m=2.0, port_m=1.4, starboard_m=1.4)
+EXACT = Avionics(
+    tilt_bias_sigma_rad=0.0, tilt_drift_sigma_rad=0.0, flow_scale=1.0, flow_noise_sigma_m_s=0.0, flow_lag_s=0.001
+)  # fmt: skip
+STILL = replace(Airframe(), avionics=EXACT)
+NOWHERE = Ground.nowhere()
+
+
+def make(airframe: Airframe = STILL, wind: Wind | None = None, seed: int = 1) -> Vehicle:
+    return Vehicle(airframe, SHAPE, DT, np.random.SeedSequence(seed), wind)
+
+
+def flying(airframe: Airframe = STILL, height_m: float = 10.0, yaw_rad: float = 0.0, wind: Wind | None = None) -> Vehicle:
+    v = make(airframe, wind)
+    v.place(np.array([0.0, 0.0, -height_m]), np.zeros(3), yaw_rad)
+    return v
+
+
+def run(v: Vehicle, seconds: float, ground: Ground = NOWHERE) -> None:
+    for _ in range(round(seconds / v.step_s)):
+        v.step(ground)
+
+
+def flat_deck() -> Ground:
+    """At z = -0.5 m, over water at 0."""
+    return Ground.of(np.array([0.0, 0.0, -0.5]), np.zeros(3), np.eye(3), np.zeros(3))
+
+
+def moving_deck(t: float) -> Ground:
+    """Heave 0.5 m in 6 s, roll 8 degrees in 5 s, surge 1 m/s, on heading 170 degrees."""
+    w1, w2, roll0, heave0, heading = math.tau / 6, math.tau / 5, math.radians(8), 0.5, math.radians(170)
+    roll = roll0 * math.sin(w2 * t)
+    R = Rotation.from_rpy(roll, 0.0, heading).matrix
+    ahead = np.array([math.cos(heading), math.sin(heading), 0.0])
+    p = np.array([0.0, 0.0, -1.0 + heave0 * math.sin(w1 * t)]) + ahead * t
+    v = np.array([0.0, 0.0, heave0 * w1 * math.cos(w1 * t)]) + ahead
+    return Ground.of(p, v, R, np.array([roll0 * w2 * math.cos(w2 * t), 0.0, 0.0]))
+
+
+def on_pad(v: Vehicle, g: Ground) -> F64:
+    """(3,) m, the body's origin in the pad frame."""
+    return np.asarray((v.p_ned - np.array(g.p)) @ np.array(g.R))
+
+
+def test_hovers_on_its_weight() -> None:
+    v = flying()
+    run(v, 10.0)
+    assert np.abs(v.p_ned - [0.0, 0.0, -10.0]).max() < 1e-6
+    assert v.thrust_n == pytest.approx(STILL.mass_kg * GRAVITY_M_S2, rel=1e-6)
+    assert v.f_body == pytest.approx([0.0, 0.0, -GRAVITY_M_S2], abs=1e-6)
+    assert v.phase == Phase.HOVERING
+
+
+def test_falls_freely_without_motors_or_air() -> None:
+    v = flying(replace(STILL, drag_per_s=(0.0, 0.0, 0.0), motor_lag_s=0.0), height_m=100.0)
+    v.cut_motors()
+    run(v, 3.0)
+    assert v.p_ned[2] + 100.0 == pytest.approx(0.5 * GRAVITY_M_S2 * 9.0, abs=1e-9)
+    energy = 0.5 * v.v_ned[2] ** 2 - GRAVITY_M_S2 * (v.p_ned[2] + 100.0)
+    assert energy == pytest.approx(0.0, abs=1e-9)
+    assert v.f_body == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_keeps_its_angular_momentum_when_tumbling() -> None:
+    v = flying(replace(STILL, drag_per_s=(0.0, 0.0, 0.0), motor_lag_s=0.0), height_m=1000.0)
+    v.cut_motors()
+    v.w = (2.0, -1.0, 3.0)
+    inertia = np.array(STILL.inertia_kg_m2)
+    before = v.R_ned_body @ (inertia * v.w_body)
+    run(v, 2.0)
+    after = v.R_ned_body @ (inertia * v.w_body)
+    assert np.linalg.norm(after - before) < 0.02 * np.linalg.norm(before)
+    assert np.abs(v.R_ned_body @ v.R_ned_body.T - np.eye(3)).max() < 1e-12
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 2.0])
+@pytest.mark.parametrize(
+    ("stick", "expected"),
+    [
+        ((0.5, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)),
+        ((0.0, -0.5, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.5, 0.0), (0.0, 0.0, -1.0, 0.0)),
+        ((0.0, 0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0)),
+    ],
+)
+def test_each_stick_moves_its_own_way(
+    yaw_rad: float, stick: tuple[float, float, float, float], expected: tuple[float, float, float, float]
+) -> None:
+    v = flying(yaw_rad=yaw_rad)
+    v.command(*stick, progressive=True)
+    run(v, 2.0)
+    level = Rotation.from_rpy(0.0, 0.0, yaw_rad).matrix.T @ v.v_ned
+    moved = np.array([*level, v.w_body[2]])
+    assert moved @ np.array(expected) > 0.3
+    assert np.abs(moved * (np.array(expected) == 0.0)).max() < 0.1
+
+
+def test_full_stick_means_the_limits() -> None:
+    v = flying()
+    v.command(0.0, -1.0, 0.0, 0.0, progressive=True)
+    run(v, 15.0)
+    roll, pitch, _ = Rotation(v.R_ned_body).rpy_rad
+    assert pitch == pytest.approx(-v.limits.euler_angle_max_rad, abs=1e-3)
+    assert abs(roll) < 1e-6
+    speed = GRAVITY_M_S2 * math.tan(v.limits.euler_angle_max_rad) / STILL.drag_per_s[0]
+    assert v.v_ned[0] == pytest.approx(speed, rel=0.02)
+    v = flying()
+    v.command(0.0, 0.0, 1.0, 1.0, progressive=True)
+    run(v, 5.0)
+    assert v.v_ned[2] == pytest.approx(-v.limits.vz_max_m_s, rel=0.03)
+    assert v.w_body[2] == pytest.approx(v.limits.yaw_rate_max_rad_s, rel=0.01)
+
+
+def test_tilt_answers_as_the_thesis_loop_does() -> None:
+    """With instant motors and no delay the loop is theta'' = P (asked - theta) - D theta'."""
+    v = flying(replace(STILL, motor_lag_s=0.0, command_delay_s=0.0))
+    v.command(1.0, 0.0, 0.0, 0.0, progressive=True)
+    asked = v.limits.euler_angle_max_rad
+    p, d = Loops().tilt_p, Loops().tilt_d
+    sigma, omega = d / 2, math.sqrt(p - d * d / 4)
+    for n in range(1, 500):
+        v.step(NOWHERE)
+        t = n * DT
+        exact = asked * (1 - math.exp(-sigma * t) * (math.cos(omega * t) + sigma / omega * math.sin(omega * t)))
+        assert Rotation(v.R_ned_body).rpy_rad[0] == pytest.approx(exact, abs=0.003)
+
+
+def test_a_command_waits_for_its_delay() -> None:
+    v = flying(replace(STILL, command_delay_s=0.1))
+    v.command(1.0, 0.0, 0.0, 0.0, progressive=True)
+    run(v, 0.1)
+    assert v.w_body[0] == 0.0
+    assert v.phase == Phase.HOVERING
+    run(v, 0.02)
+    assert v.w_body[0] > 0.0
+
+
+def test_without_progressive_the_fractions_are_ignored() -> None:
+    v = flying()
+    v.command(1.0, 1.0, 1.0, 1.0, progressive=False)
+    run(v, 2.0)
+    assert np.abs(v.p_ned - [0.0, 0.0, -10.0]).max() < 1e-6
+
+
+def test_hover_stops_and_stays_against_a_new_wind() -> None:
+    v = flying()
+    v.v = (1.5, -1.0, 0.0)
+    v.extra_wind = (3.0, 0.0, 0.0)
+    run(v, 30.0)
+    assert np.abs(v.v_ned).max() < 0.01
+    assert Rotation(v.R_ned_body).rpy_rad[1] == pytest.approx(3.0 * STILL.drag_per_s[0] / GRAVITY_M_S2, rel=0.05)
+
+
+def test_starts_in_balance_with_the_steady_wind() -> None:
+    v = flying(wind=Wind((2.0, -1.0, 0.0)), yaw_rad=0.7)
+    run(v, 5.0)
+    assert np.hypot(*v.p_ned[:2]) < 0.02
+    assert v.p_ned[2] == pytest.approx(-10.0, abs=0.01)
+
+
+def test_hover_drifts_with_the_deck_it_sees() -> None:
+    """Over the deck the optical flow measures against the deck: hovering goes along with it. Against the water it does not."""
+    for sees, speed in ((True, 1.0), (False, 0.0)):
+        v = flying(replace(STILL, avionics=replace(EXACT, flow_sees_deck=sees)), height_m=4.0)
+        v.v = (speed, 0.0, 0.0)
+        for n in range(1000):
+            v.step(Ground.of(np.array([n * DT, 0.0, -0.5]), np.array([1.0, 0.0, 0.0]), np.eye(3), np.zeros(3), 0.0))
+        assert v.v_ned[0] == pytest.approx(speed, abs=0.05)
+
+
+def test_single_and_batch_agree() -> None:
+    """Wind, noise, flight, landing on a moving deck, contact, rest, and one that goes into the water."""
+    seeds = np.random.SeedSequence(7).spawn(4)
+    wind = Wind((1.0, 0.5, 0.0), 0.5)
+    starts = np.array([[0.0, 0.1, -2.0], [0.2, -0.1, -2.2], [0.1, 5.0, -1.5], [-0.3, 0.0, -1.8]])
+    singles = [Vehicle(Airframe(), SHAPE, DT, s, wind) for s in seeds]
+    batch = Vehicle(Airframe(), SHAPE, DT, seeds, wind)
+    for v, p in zip(singles, starts, strict=True):
+        v.place(p, np.zeros(3), 0.3)
+    batch.place(starts, np.zeros(3), 0.3)
+
+    def ground(t: float, batched: bool) -> Ground:
+        g = moving_deck(t)
+        heave = np.array(g.p) - [t * math.cos(math.radians(170)), t * math.sin(math.radians(170)), 0.0]
+        p, v, R, w = heave, np.array([0.0, 0.0, g.v[2]]), np.array(g.R), np.array(g.w)
+        if batched:
+            p, v, R, w = (np.broadcast_to(x, (4, *x.shape)) for x in (p, v, R, w))
+        return Ground.of(p, v, R, w)
+
+    for n in range(2000):
+        if n == 100:
+            for v in singles:
+                v.command(0.1, -0.2, 0.1, 0.3, True)
+            batch.command(0.1, -0.2, 0.1, 0.3, True)
+        if n == 250:
+            for v in singles:
+                v.land()
+            batch.land()
+        t = (n + 1) * DT
+        for v in singles:
+            v.step(ground(t, False))
+        batch.step(ground(t, True))
+    for i, v in enumerate(singles):
+        assert v.phase == np.asarray(batch.phase)[i]
+        assert np.abs(v.p_ned - batch.p_ned[i]).max() < 1e-12
+        assert np.abs(v.v_ned - batch.v_ned[i]).max() < 1e-12
+        assert np.abs(v.R_ned_body - batch.R_ned_body[i]).max() < 1e-12
+        assert v.touched_what == np.asarray(batch.touched_what)[i]
+    assert [v.phase for v in singles] == [Phase.LANDED, Phase.LANDED, Phase.EMERGENCY, Phase.LANDED]
+    assert np.asarray(batch.tied).tolist() == [True, True, False, True]
+
+
+def test_ground_effect_lifts_and_fades() -> None:
+    """T/T_free = 1 / (1 - (R/4z)^2) with R of one disc as large as the four rotors."""
+    frozen = replace(STILL, drag_per_s=(0.0, 0.0, 0.0))
+    gained = []
+    for height in (0.12, 0.3, 3.0):
+        v = flying(frozen, height_m=0.5 + height)
+        v.step(flat_deck())
+        gained.append(-v.v_ned[2] / DT / GRAVITY_M_S2)
+    z = np.array([0.12, 0.3, 3.0]) + frozen.rotors_above_m
+    expected = 1.0 / (1.0 - (2.0 * frozen.rotor_radius_m / 4.0 / z) ** 2) - 1.0
+    assert gained == pytest.approx(expected, rel=0.02, abs=1e-5)
+    assert gained[0] > gained[1] > gained[2] > 0.0
+
+
+def test_lands_by_itself_and_stands() -> None:
+    v = flying(height_m=2.5)
+    v.land()
+    assert v.phase == Phase.LANDING
+    run(v, 2.0, flat_deck())
+    assert v.v_ned[2] == pytest.approx(STILL.landing_speed_m_s, abs=0.05)
+    run(v, 8.0, flat_deck())
+    assert v.phase == Phase.LANDED
+    assert v.touched_what == DECK
+    assert 0.02 < v.touched_v[2] < STILL.landing_speed_m_s
+    assert v.thrust_n < 1e-3
+    assert on_pad(v, flat_deck()) == pytest.approx([0.0, 0.0, -STILL.feet.below_m], abs=0.004)
+    assert v.f_body == pytest.approx([0.0, 0.0, -GRAVITY_M_S2], abs=1e-6)
+
+
+def test_a_drop_does_not_bounce_or_sink() -> None:
+    v = flying(height_m=0.5 + STILL.feet.below_m + 0.1)
+    v.cut_motors()
+    v.thrust_n = 0.0
+    lowest, rebound, landed = -1.0, -1.0, False
+    for _ in range(400):
+        v.step(flat_deck())
+        z = on_pad(v, flat_deck())[2] + STILL.feet.below_m
+        landed = landed or z > 0.0
+        lowest, rebound = max(lowest, z), max(rebound, -z if landed else -1.0)
+    assert lowest < 0.03
+    assert rebound < 0.01
+    assert v.tied
+
+
+@pytest.mark.parametrize(("roll_deg", "height_m"), [(180.0, 1.0), (120.0, 2.0), (0.0, 20.0), (60.0, 8.0)])
+def test_any_fall_ends_on_the_deck_not_in_it(roll_deg: float, height_m: float) -> None:
+    v = flying(height_m=0.5 + height_m)
+    v.q = tuple(Rotation.from_rpy(math.radians(roll_deg), 0.1, 0.0).quat_wxyz.tolist())
+    v.cut_motors()
+    v.thrust_n = 0.0
+    run(v, 5.0, flat_deck())
+    assert v.touched_what == DECK
+    assert not v.ditched
+    assert v.tied
+    assert -0.25 < on_pad(v, flat_deck())[2] < 0.0
+
+
+def test_stands_on_a_moving_deck_without_drifting() -> None:
+    v = make()
+    v.stand(moving_deck(0.0), np.array([0.1, -0.2, -STILL.feet.below_m]), 0.4)
+    worst = 0.0
+    for n in range(1, 5000):
+        g = moving_deck(n * DT)
+        v.step(g)
+        worst = max(worst, float(np.abs(on_pad(v, g) - [0.1, -0.2, -STILL.feet.below_m]).max()))
+    assert worst < 1e-9
+    assert v.tied
+    R_pad_body = np.array(g.R).T @ v.R_ned_body
+    assert Rotation(R_pad_body).rpy_rad == pytest.approx((0.0, 0.0, 0.4), abs=1e-9)
+    assert v.w_body == pytest.approx(Rotation.from_rpy(0.0, 0.0, 0.4).matrix.T @ np.array(g.w), abs=1e-9)
+    t = n * DT
+    heave_acc = -0.5 * (math.tau / 6) ** 2 * math.sin(math.tau / 6 * (t - DT / 2))
+    assert (v.R_ned_body @ v.f_body)[2] == pytest.approx(heave_acc - GRAVITY_M_S2, abs=0.08)
+
+
+def test_lands_on_a_moving_deck_and_goes_with_it() -> None:
+    v = make()
+    v.place(np.array([0.0, 0.0, -3.5]), np.array([*moving_deck(0.0).v[:2], 0.0]), math.radians(170))
+    v.land()
+    at_rest = None
+    for n in range(1, 6000):
+        g = moving_deck(n * DT)
+        v.step(g)
+        if v.phase == Phase.LANDED and v.tied and at_rest is None:
+            at_rest = on_pad(v, g)
+    assert at_rest is not None
+    assert np.abs(on_pad(v, g) - at_rest).max() < 1e-9
+    assert np.hypot(*at_rest[:2]) < 0.5
+
+
+def test_slides_off_a_deck_too_steep_to_stand_on() -> None:
+    R = Rotation.from_rpy(math.radians(40), 0.0, 0.0).matrix
+    steep = Ground.of(np.array([0.0, 0.0, -5.0]), np.zeros(3), R, np.zeros(3))
+    v = make()
+    v.stand(steep, np.array([0.0, 0.0, -STILL.feet.below_m]), 0.0)
+    run(v, 0.5, steep)
+    assert not v.tied
+    slid = on_pad(v, steep)[1]
+    mu = STILL.feet.friction
+    assert slid == pytest.approx(
+        0.5 * GRAVITY_M_S2 * (math.sin(math.radians(40)) - mu * math.cos(math.radians(40))) * 0.25, rel=0.25
+    )
+
+
+def test_friction_stops_a_sideways_touch() -> None:
+    v = make()
+    v.place(np.array([-0.5, 0.0, -0.5 - STILL.feet.below_m]), np.array([0.6, 0.0, 0.1]), 0.0)
+    v.cut_motors()
+    v.thrust_n = 0.0
+    run(v, 2.0, flat_deck())
+    assert v.tied
+    slid = on_pad(v, flat_deck())[0] + 0.5
+    assert 0.01 < slid < 0.2
+    assert abs(on_pad(v, flat_deck())[1]) < 0.01
+
+
+def test_takes_off_and_hovers() -> None:
+    v = make()
+    v.stand(flat_deck(), np.array([0.0, 0.0, -STILL.feet.below_m]), 0.2)
+    v.land()
+    assert v.phase == Phase.LANDED
+    v.take_off()
+    run(v, 10.0, flat_deck())
+    assert v.phase == Phase.HOVERING
+    assert -v.p_ned[2] - 0.5 == pytest.approx(STILL.take_off_height_m, abs=0.25)
+    assert np.hypot(*v.p_ned[:2]) < 0.05
+
+
+def test_water_ends_the_flight() -> None:
+    v = flying(height_m=2.0)
+    v.p = (0.0, 4.0, -2.0)
+    v.land()
+    run(v, 12.0, flat_deck())
+    assert v.phase == Phase.EMERGENCY
+    assert v.touched_what == SEA
+    assert v.ditched
+    assert v.p_ned[2] == pytest.approx(0.0, abs=0.1)
+    v.leave_emergency()
+    v.take_off()
+    assert v.phase == Phase.EMERGENCY
+
+
+def test_emergency_ends_on_deck_only() -> None:
+    v = flying(height_m=0.8)
+    v.cut_motors()
+    v.leave_emergency()
+    assert v.phase == Phase.EMERGENCY
+    run(v, 2.0, flat_deck())
+    v.leave_emergency()
+    assert v.phase == Phase.LANDED
+
+
+def test_a_weak_rotor_drops_its_corner_and_a_dead_one_ends_the_flight() -> None:
+    v = flying()
+    v.rotor_health = (0.9, 1.0, 1.0, 1.0)
+    run(v, 0.3)
+    roll, pitch, _ = Rotation(v.R_ned_body).rpy_rad
+    assert roll < -0.01
+    assert pitch < -0.01
+    run(v, 5.0)
+    assert v.phase == Phase.HOVERING
+    v.rotor_health = (0.0, 1.0, 1.0, 1.0)
+    run(v, 3.0)
+    assert v.phase == Phase.EMERGENCY
+
+
+def test_rotors_add_up() -> None:
+    v = flying()
+    v.thrust_n, v.torque_n_m = 14.0, (0.1, -0.2, 0.03)
+    f = STILL
+    x, y = np.array([1, 1, -1, -1]) * f.arm_m, np.array([-1, 1, 1, -1]) * f.arm_m
+    t = np.array(v.rotors_n)
+    assert t.sum() == pytest.approx(14.0)
+    assert [-(y * t).sum(), (x * t).sum()] == pytest.approx([0.1, -0.2])
+
+
+def test_gusts_have_their_size_and_memory() -> None:
+    wind = Wind(gust_sigma_m_s=1.5, gust_time_s=2.0)
+    v = Vehicle(Airframe(), SHAPE, DT, np.random.SeedSequence(3).spawn(2000), wind)
+    v.place(np.array([0.0, 0.0, -50.0]), np.zeros(3), 0.0)
+    first = np.array(v.gust)
+    run(v, 2.0)
+    last = np.array(v.gust)
+    assert last.std(axis=1) == pytest.approx([1.5, 1.5, 0.75], rel=0.06)
+    assert (first * last).mean(axis=1) / (first.std(axis=1) * last.std(axis=1)) == pytest.approx([math.exp(-1)] * 3, abs=0.07)
+
+
+def test_deck_outline_with_pad_turned() -> None:
+    shape = DeckShape(3.0, 2.0, 1.0, 1.5, taper_m=1.0, pad_yaw_rad=math.pi / 2)
+    assert shape.holds(0.0, -1.9)
+    assert not shape.holds(0.0, -3.1)
+    assert shape.holds(1.4, 0.0)
+    assert not shape.holds(1.6, 0.0)
+    assert not shape.holds(-1.1, 0.0)
+    assert not shape.holds(1.4, -2.9)
+    with pytest.raises(ValueError, match="length and a width"):
+        DeckShape(-1.0, 1.0, 1.0, 1.0)
+
+
+def test_step_length_is_bounded() -> None:
+    with pytest.raises(ValueError, match="step_s"):
+        Vehicle(Airframe(), SHAPE, 0.02, np.random.SeedSequence(1))

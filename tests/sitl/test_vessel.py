@@ -1,0 +1,147 @@
+"""Hull responses against limits and published peaks; motion against its own derivatives and the sea it rides on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation
+from sitl.sea import GRAVITY_M_S2, SEA_STATES, SHELTERED_SLIGHT, Waves
+from sitl.seakeeping import FERRY, HULLS, OTTER, SUPPLY_SHIP, Hull, hull, responses
+from sitl.vessel import Mooring, Vessel
+
+PERIODS = np.arange(5.0, 18.0, 0.25)
+
+
+def test_the_supply_ship_answers_as_its_published_tables_say() -> None:
+    # Fossen's MSS supply vessel at rest: roll peaks at 3.1 deg/m near 9.5 s in beam seas, pitch at 2.4 deg/m near 8.5 s in
+    # head seas.
+    w = math.tau / PERIODS
+    roll = np.degrees(np.abs(responses(SUPPLY_SHIP, w, np.full_like(w, math.pi / 2))[3]))
+    pitch = np.degrees(np.abs(responses(SUPPLY_SHIP, w, np.full_like(w, math.pi))[4]))
+    assert roll.max() == pytest.approx(3.1, rel=0.1)
+    assert PERIODS[roll.argmax()] == pytest.approx(9.5, abs=0.75)
+    assert pitch.max() == pytest.approx(2.4, rel=0.25)
+    assert PERIODS[pitch.argmax()] == pytest.approx(8.5, abs=0.75)
+
+
+@pytest.mark.parametrize("which", HULLS.values(), ids=lambda h: h.name)
+@pytest.mark.parametrize("beta", [0.0, 0.9, math.pi / 2, 2.5, math.pi, -0.9])
+def test_very_long_waves_carry_the_hull_like_a_cork(which: Hull, beta: float) -> None:
+    w = math.tau / (120.0 if which is SUPPLY_SHIP else 20.0)
+    k = w**2 / GRAVITY_M_S2
+    H = responses(which, np.array(w), np.array(beta))
+    assert H[2] == pytest.approx(-1.0, abs=0.06), "heave is the surface's, down positive"
+    assert H[0] == pytest.approx(1j * math.cos(beta), abs=0.06), "surge is the water's own"
+    assert H[1] == pytest.approx(1j * math.sin(beta), abs=0.06)
+    assert H[4] / k == pytest.approx(1j * math.cos(beta), abs=0.06), "the bow rises with the slope ahead"
+    assert H[3] / k == pytest.approx(-1j * math.sin(beta), abs=0.1), "starboard rises with the slope to starboard"
+
+
+@pytest.mark.parametrize("which", HULLS.values(), ids=lambda h: h.name)
+def test_short_waves_hardly_move_it(which: Hull) -> None:
+    w = np.full(3, math.sqrt(math.tau * GRAVITY_M_S2 / (0.12 * which.length_m)))
+    H = responses(which, w, np.array([0.3, 2.0, math.pi]))
+    assert np.all(np.abs(H[2]) < 0.2)
+    assert np.all(np.isfinite(H))
+
+
+@given(st.sampled_from(list(HULLS.values())), st.floats(0.05, 12.0), st.floats(-7, 7), st.floats(0, 8))
+@settings(deadline=None, max_examples=200)
+def test_responses_are_finite_at_any_frequency_heading_and_speed(which: Hull, w: float, beta: float, speed: float) -> None:
+    assert np.all(np.isfinite(responses(which, np.array(w), np.array(beta), speed)))
+
+
+def test_a_boat_follows_the_surface_that_waves_show() -> None:
+    # Sea state 4 is long for a 2 m boat: what `elevation` and `slope` say at its place is what it does.
+    waves = Waves.draw(SEA_STATES[4], 3, towards_rad=0.4)
+    vessel = Vessel(OTTER, waves, heading_rad=1.1, p0_ne_m=(20.0, -7.0))
+    t = np.arange(0.0, 60.0, 0.1)
+    eta = vessel.motion(t).eta[0]
+    surface = waves.elevation((20.0, -7.0), t)[0]
+    assert np.std(eta[:, 2] + surface) < 0.15 * surface.std()
+    slope = waves.slope((20.0, -7.0), t)[0]
+    ahead = slope @ [math.cos(1.1), math.sin(1.1)]
+    assert np.corrcoef(ahead, eta[:, 4])[0, 1] > 0.9
+
+
+def test_under_way_it_meets_the_waves_of_the_places_it_passes() -> None:
+    waves = Waves.draw(SEA_STATES[4], 8, towards_rad=2.6)
+    vessel = Vessel(OTTER, waves, heading_rad=-0.5, speed_m_s=2.0, p0_ne_m=(5.0, 9.0))
+    t = np.arange(0.0, 40.0, 0.1)
+    way = np.array([5.0, 9.0]) + 2.0 * t[:, None] * [math.cos(-0.5), math.sin(-0.5)]
+    surface = waves.elevation(way, t)[0]
+    assert np.std(vessel.motion(t).eta[0, :, 2] + surface) < 0.25 * surface.std()
+
+
+@given(
+    which=st.sampled_from([FERRY, SUPPLY_SHIP]),
+    seed=st.integers(0, 10**6),
+    heading_rad=st.floats(-4, 4),
+    speed_m_s=st.floats(0, 5),
+    t=st.floats(0, 300),
+    pad_yaw_rad=st.floats(-3, 3),
+)
+@settings(deadline=None, max_examples=40)
+def test_velocity_and_acceleration_are_the_derivatives_of_place_and_attitude(
+    which: Hull, seed: int, t: float, heading_rad: float, speed_m_s: float, pad_yaw_rad: float
+) -> None:
+    course = {"heading_rad": heading_rad, "speed_m_s": speed_m_s, "pad_yaw_rad": pad_yaw_rad}
+    vessel = Vessel(which, Waves.draw(SEA_STATES[4], seed), mooring=Mooring(), seeds=seed, **course)
+    h = 1e-3
+    before, now, later = (vessel.pad_at(t + s) for s in (-h, 0.0, h))
+    np.testing.assert_allclose(now.v_ned, (later.p_ned - before.p_ned) / (2 * h), atol=3e-5)
+    np.testing.assert_allclose(now.a_ned, (later.v_ned - before.v_ned) / (2 * h), atol=3e-5)
+    turned = Rotation(before.R_ned).inv @ Rotation(later.R_ned)
+    np.testing.assert_allclose(now.w, turned.rotvec_rad / (2 * h), atol=3e-5)
+
+
+def test_the_pad_stands_at_its_lever_arm() -> None:
+    vessel = Vessel(SUPPLY_SHIP, Waves.draw(SEA_STATES[5], 1), heading_rad=0.6, pad_yaw_rad=0.25)
+    p, R = vessel.pose(17.0)
+    pad = vessel.pad_at(17.0)
+    np.testing.assert_allclose(pad.p_ned, p + R @ np.array([-22.0, 0.0, -3.0]), atol=1e-12)
+    np.testing.assert_allclose(pad.R_ned, (R @ Rotation.from_rpy(0, 0, 0.25)).matrix, atol=1e-9)
+
+
+def test_batches_of_seeds_and_times_equal_single_ones() -> None:
+    seeds = [4, 9, 2]
+    batch = Vessel(FERRY, Waves.draw(SHELTERED_SLIGHT, seeds), mooring=Mooring(), seeds=seeds)
+    t = np.array([[0.0, 3.3], [8.0, 100.0]])
+    many = batch.pad(t)
+    assert many.p_ned.shape == (3, 2, 2, 3)
+    assert many.R_ned.shape == (3, 2, 2, 3, 3)
+    for i, seed in enumerate(seeds):
+        one = Vessel(FERRY, Waves.draw(SHELTERED_SLIGHT, seed), mooring=Mooring(), seeds=seed).pad_at(100.0)
+        for name in ("p_ned", "v_ned", "a_ned", "R_ned", "w"):
+            np.testing.assert_allclose(getattr(many, name)[i, 1, 1], getattr(one, name), atol=1e-12)
+
+
+def test_at_anchor_in_a_slight_sea_it_moves_a_little_but_moves() -> None:
+    # A real 5 m ferry in a calm harbour: roll 0.2-0.7 deg, pitch 0.3-0.4 deg, heave 9-22 mm (standard deviations): a lower bound.
+    vessel = Vessel(FERRY, Waves.draw(SHELTERED_SLIGHT, range(10), towards_rad=2.0), mooring=Mooring(), seeds=range(10))
+    sd = vessel.motion(np.arange(0.0, 180.0, 0.2)).eta.reshape(-1, 6).std(axis=0)
+    assert 0.022 < sd[2] < 0.10
+    assert math.radians(0.4) < sd[3] < math.radians(3.0)
+    assert math.radians(0.4) < sd[4] < math.radians(3.0)
+
+
+def test_no_waves_no_motion() -> None:
+    vessel = Vessel(FERRY, Waves.flat(), heading_rad=0.3, speed_m_s=1.5)
+    pad = vessel.pad_at(10.0)
+    np.testing.assert_allclose(pad.v_ned, 1.5 * np.array([math.cos(0.3), math.sin(0.3), 0.0]), atol=1e-12)
+    assert np.all(pad.a_ned == 0.0)
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(BadInput, match="hull must be one of otter, ferry, supply_ship"):
+        hull("titanic")
+    with pytest.raises(ValueError, match="speed_m_s"):
+        Vessel(FERRY, Waves.flat(), speed_m_s=-1.0)
+    with pytest.raises(ValueError, match="2 seeds for 1 vessels"):
+        Vessel(FERRY, Waves.flat(), mooring=Mooring(), seeds=[1, 2])

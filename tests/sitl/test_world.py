@@ -1,0 +1,273 @@
+"""The simulated flight as its users meet it: time, commands, readings, pictures, truth, faults, touchdown."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.time import MonoNs, after
+from sitl.scenario import Fault, Scenario, Sea, SensorSettings, Start, VesselSettings, WindSettings, load
+from sitl.vehicle import Phase
+from sitl.world import Picture, Readings, Stick, Truth, World
+
+CALM = Scenario(
+    title="bench",
+    sea=Sea(significant_height_m=0.0),
+    vessel=VesselSettings(moored=False),
+    wind=WindSettings(speed_m_s=0.0, gust_sigma_m_s=0.0),
+    start=Start(height_m=3.0),
+)
+
+
+def with_(scenario: Scenario, **parts: Any) -> Scenario:
+    return msgspec.structs.replace(scenario, **parts)
+
+
+def run(world: World, seconds: float) -> None:
+    world.advance(after(world.now, seconds))
+
+
+def phase_of(world: World) -> Phase:
+    return world.phase
+
+
+class Pilot:
+    """Flies by the truth: follows the pad with a tilt for the velocity wanted, descends when above it, lands low."""
+
+    def __init__(self, world: World) -> None:
+        self._world, self._sum = world, np.zeros(2)
+
+    def steer(self, period_s: float) -> None:
+        t, limits = self._world.truth(), self._world.limits
+        d, v = t.d_body_pad_level[:2], -t.v_pad_level[:2]
+        error = np.clip(0.7 * d, -0.8, 0.8) - v
+        self._sum = np.clip(self._sum + 0.4 * period_s * error, -2.0, 2.0)
+        tilt = np.clip((1.4 * error + self._sum) / 9.81 / limits.euler_angle_max_rad, -1.0, 1.0)
+        lateral, height = float(np.hypot(*d)), float(t.d_body_pad_level[2])
+        sink = 0.4 if lateral < 0.15 + 0.1 * height else 0.0
+        gaz = -sink / limits.vz_max_m_s
+        self._world.stick(Stick(float(tilt[1]), float(-tilt[0]), gaz, 0.0, True))
+        if height < 0.35 and lateral < 0.15:
+            self._world.land()
+
+
+def land(world: World, limit_s: float) -> Truth:
+    pilot, period = Pilot(world), 0.02
+    for _ in range(round(limit_s / period)):
+        if world.phase == Phase.FLYING or world.phase == Phase.HOVERING:
+            pilot.steer(period)
+        run(world, period)
+        if world.phase in (Phase.LANDED, Phase.EMERGENCY):
+            run(world, 1.0)
+            break
+    return world.truth()
+
+
+@pytest.mark.parametrize("name", ["demo", "calm", "moderate"])
+def test_a_pilot_who_knows_the_truth_lands_on_the_pad(name: str) -> None:
+    scenario = load(name)
+    truth = land(World(scenario, 3), scenario.duration_limit_s)
+    touch = truth.touchdown
+    assert truth.phase == Phase.LANDED
+    assert touch is not None
+    assert touch.on_pad
+    assert touch.surface == "deck"
+    assert touch.lateral_m < 0.25
+    assert touch.lateral_m == pytest.approx(float(np.hypot(*touch.p_body_pad[:2])))
+    assert touch.p_body_pad[2] == pytest.approx(-0.045, abs=0.04)
+    assert 0.0 < touch.vertical_speed_m_s < 0.8
+    assert abs(truth.d_body_pad_level[2] - 0.045) < 0.02
+    assert np.abs(truth.v_pad_level).max() < 0.15
+
+
+def test_starts_where_the_scenario_says() -> None:
+    for heading in (0.0, 35.0, -170.0):
+        start = Start(height_m=5.0, pad_forward_m=1.5, pad_right_m=2.6, heading_deg=heading)
+        ship = VesselSettings(heading_deg=70.0, pad_yaw_deg=20.0)
+        world = World(with_(CALM, start=start, vessel=ship, sea=Sea()), 1)
+        truth = world.truth()
+        assert truth.d_body_pad_level == pytest.approx([1.5, 2.6, 5.0], abs=1e-9)
+        assert math.degrees(truth.yaw_rad) == pytest.approx(heading, abs=1e-9)
+        assert truth.phase == Phase.HOVERING
+        assert truth.touchdown is None
+    world = World(with_(CALM, start=Start(where="pad", heading_deg=15.0)), 1)
+    run(world, 1.0)
+    truth = world.truth()
+    assert truth.phase == Phase.LANDED
+    assert truth.d_body_pad_level == pytest.approx([0.0, 0.0, 0.045], abs=1e-9)
+    assert math.degrees(truth.yaw_rad) == pytest.approx(15.0)
+
+
+def test_truth_keeps_the_conventions() -> None:
+    """d_body_pad_level by rotations of the contracts; v_pad_level is its rate in a frame that does not turn."""
+    world = World(load("demo"), 2)
+    world.stick(Stick(0.3, -0.2, 0.1, 0.5, True))
+    run(world, 2.0)
+    t = world.truth()
+    R_level_ned = Rotation.from_rpy(0.0, 0.0, t.R_ned_body.rpy_rad[2]).inv
+    assert t.d_body_pad_level == pytest.approx(R_level_ned @ (t.p_pad_ned - t.p_body_ned), abs=1e-12)
+    before = t.p_pad_ned - t.p_body_ned
+    run(world, 0.004)
+    later = world.truth()
+    rate = R_level_ned @ ((later.p_pad_ned - later.p_body_ned - before) / 0.004)
+    assert t.v_pad_level == pytest.approx(rate, abs=0.02)
+    yaw = (t.R_ned_pad.inv @ t.R_ned_body).rpy_rad[2]
+    assert t.yaw_rad == pytest.approx(yaw, abs=0.01)
+
+
+def test_time_runs_in_whole_steps_and_never_back() -> None:
+    world = World(CALM, 1, MonoNs(1_000_000_007))
+    world.advance(MonoNs(1_000_000_007 + 4_000_000 * 3 + 1))
+    assert world.at == 1_000_000_007 + 12_000_000
+    assert world.now == 1_000_000_007 + 12_000_001
+    assert world.truth().at == world.readings().at == world.render().taken == world.at
+    world.advance(MonoNs(0))
+    assert world.now == 1_000_000_007 + 12_000_001
+
+
+def same(a: Readings | Truth | Picture, b: Readings | Truth | Picture) -> bool:
+    def bits(x: Any) -> Any:
+        if isinstance(x, np.ndarray):
+            return x.tobytes()
+        return x.matrix.tobytes() if isinstance(x, Rotation) else x
+
+    return all(bits(getattr(a, n)) == bits(getattr(b, n)) for n in type(a).__slots__)
+
+
+def test_same_seed_same_flight_to_the_bit() -> None:
+    """However the time is cut into calls, and whatever is asked in between; another seed flies otherwise."""
+    scenario = load("demo")
+    one, two, other = World(scenario, 5), World(scenario, 5), World(scenario, 6)
+    for world in (one, two, other):
+        world.stick(Stick(0.1, -0.1, -0.2, 0.3, True))
+    for n in range(400):
+        one.advance(MonoNs(n * 7_000_000))
+        if n % 3 == 0:
+            one.readings()
+        if n % 100 == 0:
+            one.render()
+            one.truth()
+    end = MonoNs(399 * 7_000_000)
+    two.advance(end)
+    other.advance(end)
+    assert same(one.truth(), two.truth())
+    assert same(one.readings(), two.readings())
+    assert same(one.render(), two.render())
+    assert not same(one.readings(), other.readings())
+    assert not same(one.truth(), other.truth())
+
+
+def test_the_picture_shows_the_pad_where_the_truth_has_it() -> None:
+    """Centroid of the green paint against the projected centre of the disc."""
+    world = World(with_(load("demo"), start=Start(height_m=4.0, pad_forward_m=0.6, pad_right_m=-0.8)), 1)
+    world.stick(Stick(0.2, 0.2, 0.0, 0.0, True))
+    run(world, 0.6)
+    t, picture = world.truth(), world.render()
+    assert picture.px.shape == (360, 640, 3)
+    b, g, r = (picture.px[..., i].astype(int) for i in range(3))
+    disc = (g > 50) & (g > 2 * b) & (g > 2 * r)
+    v, u = np.nonzero(disc)
+    points = world.pad.circle(0.36) @ t.R_ned_pad.matrix.T + t.p_pad_ned
+    in_cam = (points - t.p_body_ned) @ t.R_ned_body.matrix @ world.camera.T_body_cam.R.matrix - world.camera.T_body_cam.R.inv @ (
+        world.camera.T_body_cam.t
+    )
+    expected = world.camera.project(in_cam).mean(axis=0)
+    assert u.size > 1000
+    assert [u.mean(), v.mean()] == pytest.approx(expected, abs=2.0)
+
+
+def test_takes_off_from_a_moving_deck_and_comes_back() -> None:
+    world = World(with_(load("demo"), start=Start(where="pad")), 1)
+    world.land()
+    assert phase_of(world) == Phase.LANDED
+    world.take_off()
+    assert phase_of(world) == Phase.TAKING_OFF
+    run(world, 6.0)
+    assert phase_of(world) == Phase.HOVERING
+    assert world.truth().d_body_pad_level[2] > 0.6
+    assert world.truth().touchdown is None
+    world.stick(Stick(0.0, 0.0, 0.0, 0.0, True))
+    run(world, 0.1)
+    assert phase_of(world) == Phase.FLYING
+    world.land()
+    run(world, 8.0)
+    assert phase_of(world) == Phase.LANDED
+    touch = world.truth().touchdown
+    assert touch is not None
+    assert touch.surface == "deck"
+
+
+def test_water_is_recorded_as_such() -> None:
+    world = World(with_(load("demo"), start=Start(height_m=2.0, pad_right_m=6.0)), 1)
+    world.land()
+    run(world, 10.0)
+    truth = world.truth()
+    assert truth.phase == Phase.EMERGENCY
+    assert truth.touchdown is not None
+    assert truth.touchdown.surface == "sea"
+    assert not truth.touchdown.on_pad
+
+
+def test_emergency_stops_the_motors_at_once() -> None:
+    world = World(CALM, 1)
+    world.emergency()
+    run(world, 0.4)
+    assert phase_of(world) == Phase.EMERGENCY
+    assert world.readings().motors_pwm < (60, 60, 60, 60)
+    assert world.truth().v_body_ned[2] > 2.0
+    run(world, 2.0)
+    world.leave_emergency()
+    assert phase_of(world) == Phase.LANDED
+
+
+def test_limits_can_be_set_in_flight() -> None:
+    world = World(CALM, 1)
+    world.limits.vz_max_m_s = 0.3
+    world.stick(Stick(gaz=1.0, progressive=True))
+    run(world, 3.0)
+    assert world.truth().v_body_ned[2] == pytest.approx(-0.3, abs=0.03)
+
+
+def test_faults_come_and_go() -> None:
+    faults = (
+        Fault("lens_covered", 0.5, 0.5), Fault("ultrasound_silent", 0.5, 0.5), Fault("flow_blind", 0.5, 0.5),
+        Fault("magnetometer_silent", 0.5, 0.5), Fault("video_silent", 0.5, 0.5), Fault("navdata_silent", 0.5, 0.5),
+    )  # fmt: skip
+    world = World(with_(CALM, faults=faults), 1)
+    for at, on in ((0.4, False), (0.8, True), (1.3, False)):
+        world.advance(after(world.started, at))
+        r, px = world.readings(), world.render().px
+        assert all(world.active(f.kind) is on for f in faults)
+        assert bool(px.max() < 10) is on
+        assert (r.ultrasound_m is None) is on
+        assert (r.magnetometer is None) is on
+        assert (not r.v_level_m_s.any()) is on
+
+
+def test_a_gust_pushes_and_a_weak_rotor_tilts() -> None:
+    calm, gust = World(CALM, 1), World(with_(CALM, faults=(Fault("gust", 1.0, 2.0, speed_m_s=8.0, from_deg=90.0),)), 1)
+    weak = World(with_(CALM, faults=(Fault("weak_rotor", 1.0, 5.0, rotor="front_left", thrust_share=0.9),)), 1)
+    for world in (calm, gust, weak):
+        run(world, 0.99)
+    assert same(calm.truth(), gust.truth())
+    for world in (calm, gust, weak):
+        run(world, 1.0)
+    assert gust.truth().p_body_ned[1] - calm.truth().p_body_ned[1] < -0.1
+    assert weak.truth().R_ned_body.rpy_rad[0] - calm.truth().R_ned_body.rpy_rad[0] < -0.005
+
+
+def test_velocity_may_be_told_against_the_water() -> None:
+    """Over a deck that goes 1.5 m/s the two ways of telling differ by the deck's speed, scale put in."""
+    told = []
+    for over in ("seen", "water"):
+        ship = VesselSettings(hull="supply_ship", moored=False, speed_m_s=1.5)
+        quiet = SensorSettings(velocity_over=over, tilt_bias_sigma_deg=0.0, tilt_drift_sigma_deg=0.0)
+        world = World(with_(CALM, vessel=ship, sensors=quiet), 1)
+        run(world, 0.2)
+        told.append(world.readings().v_level_m_s[0])
+    assert told[1] - told[0] == pytest.approx(0.83 * 1.5, abs=0.1)

@@ -1,0 +1,1 @@
+"""Peers that nobody here wrote, against our end of the same wires."""

@@ -1,0 +1,289 @@
+"""The house rules that no linter knows, each shown to catch an offender."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("companion", "drivers", "estimator", "sitl")
+LONGEST_MODULE = 450
+NAMELESS = {"utils", "util", "helpers", "helper", "common", "misc", "types"}
+
+DISTRIBUTION_NAMES = {
+    "opencv-python-headless": "cv2",
+    "pytest-asyncio": "pytest_asyncio",
+    "pupil-apriltags": "pupil_apriltags",
+    "pyserial": "serial",
+    "paho-mqtt": "paho",
+    "prometheus-client": "prometheus_client",
+}
+
+IMPURE_MODULES = {
+    "asyncio", "datetime", "glob", "io", "logging", "multiprocessing", "os", "pathlib", "queue", "random", "secrets", "select",
+    "selectors", "shutil", "signal", "socket", "subprocess", "sys", "tempfile", "threading", "time", "tomllib", "urllib", "uuid",
+}  # fmt: skip
+IMPURE_CALLS = {
+    "open", "print", "input", "np.random", "np.load", "np.save", "np.savez", "np.loadtxt", "np.savetxt", "np.fromfile",
+    "cv2.imread", "cv2.imwrite", "cv2.imshow", "cv2.VideoCapture", "cv2.VideoWriter", "cv2.setNumThreads",
+}  # fmt: skip
+MACHINE = [
+    re.compile("|".join([re.escape("/" + "work/"), r"/ro" + r"ot/", r"/home/\w+/", r"/Us" + r"ers/\w+/"])),
+    re.compile("index" + "-url|find" + "-links|files.python" + r"hosted|\"resolved\": *\"http|registry = \"http"),
+]
+UNFINISHED = re.compile("|".join(["TO" + "DO", "FIX" + "ME", "XX" + "X", "NotImplemented" + "Error"]))
+
+
+@cache
+def files() -> tuple[Path, ...]:
+    """Every file of the project that git knows or would take."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, check=False
+    )
+    if listed.returncode != 0:
+        pytest.skip("not a git checkout")
+    return tuple(path for name in listed.stdout.decode().split("\0") if name and (path := ROOT / name).is_file())
+
+
+def modules() -> list[Path]:
+    return [p for p in files() if p.suffix == ".py" and p.relative_to(ROOT).parts[0] in PACKAGES]
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(tree: ast.AST) -> Iterator[str]:
+    """Every module that is imported anywhere in the file, functions and type-checking blocks included."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield "." * node.level + (node.module or "")
+            yield from (f"{node.module}.{alias.name}" for alias in node.names if node.module in (*PACKAGES, "companion.cli"))
+
+
+def within(module: str, *roots: str) -> bool:
+    return any(module == root or module.startswith(root + ".") for root in roots)
+
+
+def wrong_imports(module: str, source: str) -> list[str]:
+    """Imports that the direction `drivers -> estimator.contracts <- estimator <- companion`, `sitl` above all, forbids."""
+    found = set(imports(ast.parse(source)))
+    ours = {name for name in found if within(name, *PACKAGES, "tests")}
+    wrong = {name for name in found if name.startswith(".")} | {name for name in ours if within(name, "tests")}
+    if within(module, "estimator.contracts"):
+        wrong |= {name for name in ours if not within(name, "estimator.contracts") and name != "estimator"}
+        wrong |= {n for n in found - ours if n.partition(".")[0] not in sys.stdlib_module_names | {"numpy"}}
+    elif within(module, "estimator"):
+        wrong |= {name for name in ours if not within(name, "estimator")}
+    elif within(module, "drivers"):
+        wrong |= {name for name in ours if not within(name, "drivers", "estimator.contracts") and name != "estimator"}
+    elif not within(module, "companion.cli", "sitl"):
+        wrong |= {name for name in ours if within(name, "sitl")}
+    if not within(module, "companion.cli"):
+        wrong |= {name for name in ours if within(name, "companion.cli")}
+    return sorted(wrong)
+
+
+def impurities(source: str) -> list[str]:
+    """What reaches out of a module that must be values in, values out."""
+    tree = ast.parse(source)
+    reached = {name for name in imports(tree) if name.partition(".")[0] in IMPURE_MODULES}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call | ast.Attribute):
+            text = ast.unparse(node.func if isinstance(node, ast.Call) else node)
+            reached |= {text} & IMPURE_CALLS
+    return sorted(reached)
+
+
+def unbounded_queues(source: str) -> list[int]:
+    """Lines that make a queue without a size."""
+    kinds = {"Queue", "LifoQueue", "PriorityQueue", "SimpleQueue"}
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Call)
+        and ast.unparse(node.func).split("[")[0].rpartition(".")[2] in kinds
+        and (not node.args or ast.unparse(node.args[0]) in ("0", "-1"))
+        and not any(k.arg == "maxsize" and ast.unparse(k.value) not in ("0", "-1") for k in node.keywords)
+    ]
+
+
+def makes_group(expression: ast.expr) -> bool:
+    return ast.unparse(expression) in ("asyncio.TaskGroup()", "TaskGroup()")
+
+
+def detached_tasks(source: str) -> list[int]:
+    """Lines that start a task outside a TaskGroup: by `create_task` of anything else, or by `ensure_future`."""
+    tree = ast.parse(source)
+    groups = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.withitem) and node.optional_vars is not None and makes_group(node.context_expr):
+            groups.add(ast.unparse(node.optional_vars))
+        elif isinstance(node, ast.Assign) and isinstance(node.value, ast.Await) and isinstance(node.value.value, ast.Call):
+            entering = node.value.value
+            if ast.unparse(entering.func).endswith("enter_async_context") and makes_group(entering.args[0]):
+                groups |= {ast.unparse(target) for target in node.targets}
+        elif isinstance(node, ast.arg) and node.annotation is not None and ast.unparse(node.annotation).endswith("TaskGroup"):
+            groups.add(node.arg)
+    return [
+        node.lineno
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and (
+            (
+                isinstance(node.func, ast.Attribute)
+                and node.func.attr == "create_task"
+                and ast.unparse(node.func.value) not in groups
+            )
+            or ast.unparse(node.func) in ("create_task", "asyncio.ensure_future", "ensure_future")
+        )
+    ]
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "wrong"),
+    [
+        ("estimator.contracts.time", "import estimator.vision.pad", ["estimator.vision.pad"]),
+        ("estimator.contracts.time", "import cv2", ["cv2"]),
+        ("estimator.contracts.time", "import numpy, math\nfrom estimator.contracts.errors import BadInput", []),
+        ("estimator.ekf.step", "from drivers.mailbox import Latest", ["drivers.mailbox"]),
+        ("drivers.v4l2", "def f():\n    from estimator.vision import pad", ["estimator.vision"]),
+        ("drivers.v4l2", "from estimator import filters", ["estimator.filters"]),
+        ("drivers.v4l2", "from estimator.contracts import samples\nfrom drivers import mailbox", []),
+        ("companion.daemon", "if TYPE_CHECKING:\n    import sitl.world", ["sitl.world"]),
+        ("companion.daemon", "from companion import cli", ["companion.cli"]),
+        ("companion.cli.demo", "import sitl.world, companion.daemon, companion.cli.main", []),
+        ("sitl.world", "from companion.cli import main", ["companion.cli", "companion.cli.main"]),
+        ("sitl.world", "from .sea import waves", [".sea"]),
+        ("sitl.world", "import tests.data", ["tests.data"]),
+    ],
+)
+def test_the_import_rule_catches_an_offender(module: str, source: str, wrong: list[str]) -> None:
+    assert wrong_imports(module, source) == wrong
+
+
+def test_the_other_rules_catch_an_offender() -> None:
+    assert impurities("import time\nimport os.path\nx = np.random.default_rng()\nprint(open('x'))") == [
+        "np.random",
+        "open",
+        "os.path",
+        "print",
+        "time",
+    ]
+    assert impurities("from estimator.contracts.time import MonoNs\nx = np.zeros(3)\nself.opened()") == []
+    assert unbounded_queues(
+        "asyncio.Queue()\nasyncio.Queue(8)\nQueue(maxsize=4)\nqueue.SimpleQueue()\nasyncio.Queue[int](maxsize=0)"
+    ) == [1, 4, 5]
+    tasks = """
+async def f(given: asyncio.TaskGroup):
+    given.create_task(g())
+    asyncio.create_task(g())
+    async with asyncio.TaskGroup() as tg:
+        tg.create_task(g())
+    entered = await stack.enter_async_context(asyncio.TaskGroup())
+    entered.create_task(g())
+    loop.create_task(g())
+    ensure_future(g())
+"""
+    assert detached_tasks(tasks) == [4, 9, 10]
+    assert MACHINE[0].search("at /" + "work/main")
+    assert MACHINE[1].search("--extra-index" + "-url")
+
+
+def test_imports_run_one_way() -> None:
+    wrong = {str(p.relative_to(ROOT)): found for p in modules() if (found := wrong_imports(name_of(p), p.read_text()))}
+    assert wrong == {}
+
+
+def test_the_estimator_is_values_in_values_out() -> None:
+    pure = [p for p in modules() if within(name_of(p), "estimator")]
+    assert {str(p.relative_to(ROOT)): found for p in pure if (found := impurities(p.read_text()))} == {}
+
+
+def test_no_queue_is_unbounded_and_no_task_detached() -> None:
+    found = {
+        str(p.relative_to(ROOT)): lines
+        for p in modules()
+        if (lines := unbounded_queues(p.read_text()) + detached_tasks(p.read_text()))
+    }
+    assert found == {}
+
+
+def test_modules_are_short_and_named_for_what_is_in_them() -> None:
+    python = [p for p in files() if p.suffix == ".py"]
+    long = {str(p.relative_to(ROOT)): n for p in python if (n := len(p.read_text().splitlines())) > LONGEST_MODULE}
+    assert long == {}
+    assert [str(p.relative_to(ROOT)) for p in python if p.stem in NAMELESS or p.parent.name in NAMELESS] == []
+
+
+def test_no_file_knows_this_machine_or_a_package_index() -> None:
+    found = []
+    for path in files():
+        try:
+            text = path.read_text()
+        except UnicodeDecodeError:
+            continue
+        for number, line in enumerate(text.splitlines(), 1):
+            if any(pattern.search(line) for pattern in MACHINE):
+                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:80]}")
+    assert found == []
+
+
+def test_nothing_is_left_unfinished() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in files()
+        if path.suffix == ".py"
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if UNFINISHED.search(line)
+    ]
+    assert found == []
+
+
+def test_the_readme_shows_the_two_commands_and_ci_uses_one_of_them() -> None:
+    readme, makefile = (ROOT / "README.md").read_text(), (ROOT / "Makefile").read_text()
+    for command in ("demo", "test"):
+        assert f"make {command}" in readme
+        assert re.search(rf"^{command}:", makefile, re.MULTILINE)
+    assert (ROOT / ".ci/run").read_text().rstrip().endswith("make test")
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", readme):
+        assert (ROOT / target).exists(), f"README links to {target}"
+
+
+def test_what_is_imported_is_declared() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    runtime = {DISTRIBUTION_NAMES.get(n, n) for n in map(bare_name, project["dependencies"])}
+    dev = runtime | {DISTRIBUTION_NAMES.get(n, n) for n in map(bare_name, project["optional-dependencies"]["dev"])}
+    undeclared = set()
+    for path in files():
+        if path.suffix == ".py":
+            declared = runtime if path.relative_to(ROOT).parts[0] in PACKAGES else dev
+            tops = {name.partition(".")[0] for name in imports(ast.parse(path.read_text()))}
+            ours = {*PACKAGES, "configs", "tests", "benches"}
+            undeclared |= {(str(path.relative_to(ROOT)), top) for top in tops - sys.stdlib_module_names - declared - ours}
+    assert undeclared == set()
+
+
+def bare_name(requirement: str) -> str:
+    return re.split(r"[<>=~!\[ ;]", requirement)[0].lower()
+
+
+def test_every_dependency_is_pinned_by_version_and_hash() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = {"runtime": project["dependencies"], "dev": project["dependencies"] + project["optional-dependencies"]["dev"]}
+    for name, requirements in wanted.items():
+        text = (ROOT / f"requirements/{name}.txt").read_text()
+        pinned = dict(re.findall(r"^([a-z0-9._-]+)==(\S+) \\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE))
+        assert len(pinned) == sum(not line.startswith((" ", "#")) for line in text.splitlines() if line)
+        assert set(map(bare_name, requirements)) <= set(pinned)

@@ -1,0 +1,121 @@
+"""The V4L2 driver on a real kernel device: judged from what the guest reports. One boot for all of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.v4l2_vm import machine
+
+LACKING = machine.missing()
+pytestmark = [
+    # Where everything is installed on purpose, its absence is a failure and not a reason to skip.
+    pytest.mark.skipif(LACKING is not None and "CI" not in os.environ, reason=str(LACKING)),
+    pytest.mark.timeout(400),
+]
+
+Seen = Mapping[str, Any]
+BARS = [(190, 190, 190), (0, 190, 190), (190, 190, 0), (0, 190, 0), (190, 0, 190), (0, 0, 190), (190, 0, 0), (0, 0, 0)]
+"""BGR of the 75 % colour bars: white, yellow, cyan, green, magenta, red, blue, black."""
+
+
+@pytest.fixture(scope="module")
+def seen() -> dict[str, Seen]:
+    assert LACKING is None, LACKING
+    reports = {report["name"]: report for report in machine.run(300.0)}
+    assert {name: report["error"] for name, report in reports.items() if "error" in report} == {}
+    assert all(report.get("descriptors_left", 0) == 0 for report in reports.values())
+    return reports
+
+
+def accounted(counters: Seen) -> bool:
+    parts = ("frames", "frames_overtaken", "frames_damaged", "frames_waiting")
+    return bool(counters["buffers"] == sum(counters[part] for part in parts) > 0)
+
+
+def test_each_format_shows_the_colour_bars(seen: dict[str, Seen]) -> None:
+    for name in ("YUYV", "NV12"):
+        assert np.abs(np.array(seen["formats"][name]["bars_bgr"]) - BARS).max() <= 4
+    grey = np.array(seen["formats"]["GREY"]["bars_bgr"])
+    luma = np.array(BARS) @ (0.0722, 0.7152, 0.2126)  # the test camera's grey is Rec. 709 luma
+    assert np.abs(grey - luma[:, None]).max() <= 4
+    for name in ("YUYV", "NV12", "GREY"):
+        assert seen["formats"][name]["shape"] == [360, 640, 3]
+        assert accounted(seen["formats"][name])
+    assert seen["automatic"]["shape"] == [360, 640, 3]
+    assert np.abs(np.array(seen["automatic"]["bars_bgr"]) - BARS).max() <= 4
+
+
+def test_frames_are_stamped_by_the_kernel_on_our_clock(seen: dict[str, Seen]) -> None:
+    shot = seen["formats"]["YUYV"]
+    # The test camera reckons its stamps from ticks, so under load some lie in the future; those are refused and counted.
+    assert shot["source"].count("kernel") >= len(shot["source"]) // 2
+    assert set(shot["source"]) <= {"kernel", "arrival"}
+    assert shot["stamps_refused"] == shot["source"].count("arrival")
+    assert shot["before"] < min(shot["taken"]) < max(shot["taken"]) < shot["after"]
+    elapsed_s, counted = (shot["taken"][-1] - shot["taken"][0]) * 1e-9, shot["seq"][-1] - shot["seq"][0]
+    assert counted >= 19
+    assert elapsed_s / counted == pytest.approx(1 / 30, rel=0.15)
+    assert all(-0.006 < delay_s < 0.5 for delay_s in shot["delay_s"])
+
+
+def test_the_flags_say_what_the_stamp_is_of(seen: dict[str, Seen]) -> None:
+    end, start = seen["stamps"]["End of Frame"], seen["stamps"]["Start of Exposure"]
+    assert (end["at_start"], end["monotonic"]) == (False, True)
+    assert (start["at_start"], start["monotonic"]) == (True, True)
+    assert "kernel" in start["frame"]["source"]
+    assert start["frame"]["exposure_s"] == 0.008
+
+
+def test_drops_are_counted_by_the_devices_own_number(seen: dict[str, Seen]) -> None:
+    shot = seen["drops"]
+    assert accounted(shot)
+    assert shot["frames_lost"] >= 4
+    missing = shot["seq"][-1] - shot["seq"][0] + 1 - len(shot["seq"])
+    assert missing <= shot["frames_lost"] + shot["frames_overtaken"]
+    assert shot["frames_lost"] / (shot["frames_lost"] + shot["buffers"]) == pytest.approx(0.4, abs=0.25)
+
+
+def test_buffers_marked_bad_are_dropped_and_counted(seen: dict[str, Seen]) -> None:
+    assert seen["damage"]["frames_damaged"] == 2
+    assert accounted(seen["damage"])
+
+
+def test_a_slow_reader_gets_the_newest(seen: dict[str, Seen]) -> None:
+    assert seen["slow_reader"]["frames_replaced"] >= 5
+    assert seen["slow_reader"]["age_s"] < 0.5
+    assert accounted(seen["slow_reader"])
+
+
+def test_controls_hold_and_what_cannot_be_is_refused_by_name(seen: dict[str, Seen]) -> None:
+    shot = seen["controls"]
+    assert (shot["brightness"], shot["gain"]) == (77, 33)
+    assert shot["contrast"][0] == shot["contrast"][1]
+    for name, words in {
+        "unknown": ("no control 'brightnes'", "brightness"),
+        "range": ("'brightness' must lie in 0..255, got 9999",),
+        "label": ("'Start of Exposure'", "got 'noon'"),
+        "size": ("no picture of 650x400", "640x360"),
+        "format": ("no MJPG", "YUYV"),
+    }.items():
+        kind, text = shot[name]
+        assert kind == "BadInput"
+        assert all(word in text for word in words)
+    assert shot["ambiguous_or_none"][0] == "down"
+    assert "no such camera" in shot["ambiguous_or_none"][1]
+
+
+def test_unplugging_is_noticed_and_the_camera_comes_back(seen: dict[str, Seen]) -> None:
+    shot = seen["unplugged"]
+    for way in ("button", "bus"):
+        assert "No such device" in shot[f"{way}_down"]
+        assert shot[f"{way}_noticed_s"] < 1.5
+        assert shot[f"{way}_back_s"] < 5.0
+        assert np.abs(np.array(shot[f"{way}_frames"]["bars_bgr"]) - BARS).max() <= 4
+    assert shot["restarts.unplugged"] == 2
+    assert shot["restarts.absent"] >= 1
+    assert accounted(shot)
