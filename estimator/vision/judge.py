@@ -95,7 +95,7 @@ def features(laid: Laid, pad: Pad) -> F64:
         letter, ring, edge, letter_all, ring_all, edge_all,
         min(letter, ring), min(letter, edge), min(ring, edge), two,
         _some(ring), _some(edge), _some(two), letter * (1.0 - min(1.0, 2.0 * max(shown[1:]))),
-        *(-min(1.0, 3.0 * part) * math.exp(-2.0 * max(0.0, gain)) for part, gain in zip(shown, (letter, ring, edge), strict=True)),
+        *(-min(1.0, 3.0 * part) * math.exp(-2.0 * max(0.0, gain[0])) for part, gain in zip(shown, gains, strict=True)),
         -_flanks(laid, residual, r, pad),
         abs(arrow_evidence(laid)), -_empty(laid),
         everything,

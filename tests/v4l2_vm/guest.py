@@ -47,6 +47,12 @@ def link() -> None:
     BY_ID.symlink_to(node)
 
 
+def accounted(counters: Seen) -> bool:
+    """Whether every buffer ended in exactly one verdict."""
+    parts = ("frames", "frames_overtaken", "frames_damaged", "frames_waiting")
+    return bool(counters["buffers"] == sum(counters[part] for part in parts) > 0)
+
+
 def unlink() -> None:
     BY_ID.unlink()
 
@@ -54,6 +60,16 @@ def unlink() -> None:
 async def until(true: Callable[[], bool]) -> None:
     while not true():  # noqa: ASYNC110
         await asyncio.sleep(0.02)
+
+
+async def settled(camera: Camera) -> Seen:
+    """The counters between two pictures: a buffer still being decoded has no verdict yet."""
+    for _ in range(200):
+        counted = camera.counters.as_dict()
+        if accounted(counted):
+            break
+        await asyncio.sleep(0.01)
+    return counted
 
 
 def press(name: str) -> None:
@@ -103,7 +119,7 @@ async def formats() -> Seen:
         before = time.monotonic_ns()
         async with open_camera(options(format=name), SystemClock()) as camera:
             frames = await take(camera, 20 if name == "YUYV" else 4)
-            out[name] = describe(frames) | {"before": before, "after": time.monotonic_ns(), **camera.counters.as_dict()}
+            out[name] = describe(frames) | {"before": before, "after": time.monotonic_ns(), **await settled(camera)}
     return out
 
 
@@ -138,7 +154,7 @@ async def stamps() -> Seen:
 async def drops() -> Seen:
     async with open_camera(options(controls={"percentage_of_dropped_buffers": 40}), SystemClock()) as camera:
         frames = await take(camera, 20)
-        out = describe(frames) | camera.counters.as_dict()
+        out = describe(frames) | await settled(camera)
     async with open_camera(options(controls={"percentage_of_dropped_buffers": 0}), SystemClock()) as camera:
         await take(camera, 2)
     return out
@@ -150,7 +166,7 @@ async def damage() -> Seen:
         for _ in range(2):
             press("Inject V4L2_BUF_FLAG_ERROR")
             await take(camera, 3)
-        return camera.counters.as_dict()
+        return await settled(camera)
 
 
 async def slow_reader() -> Seen:
@@ -158,7 +174,7 @@ async def slow_reader() -> Seen:
         await take(camera, 1)
         await asyncio.sleep(1.0)
         newest = await camera.frames.get()
-        return {"age_s": (time.monotonic_ns() - newest.stamp.taken) * 1e-9, **camera.counters.as_dict()}
+        return {"age_s": (time.monotonic_ns() - newest.stamp.taken) * 1e-9, **await settled(camera)}
 
 
 async def controls() -> Seen:

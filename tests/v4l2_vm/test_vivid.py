@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.v4l2_vm import machine
+from tests.v4l2_vm.guest import accounted
 
 LACKING = machine.missing()
 pytestmark = [
@@ -30,11 +31,6 @@ def seen() -> dict[str, Seen]:
     assert {name: report["error"] for name, report in reports.items() if "error" in report} == {}
     assert all(report.get("descriptors_left", 0) == 0 for report in reports.values())
     return reports
-
-
-def accounted(counters: Seen) -> bool:
-    parts = ("frames", "frames_overtaken", "frames_damaged", "frames_waiting")
-    return bool(counters["buffers"] == sum(counters[part] for part in parts) > 0)
 
 
 def test_each_format_shows_the_colour_bars(seen: dict[str, Seen]) -> None:
