@@ -32,6 +32,10 @@ _MOST_LAID = 16
 _ALIGNED, _ALIGNED_FREE, _ALIGNED_FAR = 2, 3, 6
 """Best hypotheses of one kind that the drawing is laid on: usually, with the tilt unknown, and from afar, where a hypothesis says
 little by itself and laying costs little."""
+_LEAST_GUESS = 0.04
+"""Of the variance explained at a guess: what explains less has not been the pad in 900 pictures."""
+_TRIES = 2
+"""Guesses tried for each that may be laid: most strangers are told at the first step and cost little."""
 _SMALL_PX = 28.0
 """Radius of a disc, in pixels of the coarse picture, below which the whole picture is sampled instead."""
 _STEPS, _STEPS_FREE = 4, 8
@@ -68,7 +72,9 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Guess:
-    pose: PadPose
+    flat: PadPose
+    turn_rad: float
+    """By which the pad is to be turned about its own z axis against `flat`."""
     score: float
     tilt_known: bool
 
@@ -132,9 +138,13 @@ def _lay(
 ) -> list[Candidate]:
     """The drawing laid on the best guesses of a stage, unless it was laid there before."""
     out: list[Candidate] = []
+    laid = 0
     for guess in sorted(guesses, key=lambda g: -g.score):
-        if any(_near(guess.pose, c.pose) for c in (*tried, *out)):
+        if guess.score < _LEAST_GUESS or laid == _TRIES * most:
+            break
+        if any(_near(guess.flat, c.pose) for c in (*tried, *out)):
             continue
+        laid += 1
         candidate = _laid(guess, pyramid, camera, pad)
         if candidate is not None:
             out.append(candidate)
@@ -146,8 +156,8 @@ def _lay(
 
 
 def _laid(guess: _Guess, pyramid: Pyramid, camera: Camera, pad: Pad) -> Candidate | None:
-    sigma = SIGMA_TILT_RAD if guess.tilt_known else SIGMA_TILT_FREE_RAD
-    laid = align(pyramid, camera, pad, guess.pose, sigma, _STEPS if guess.tilt_known else _STEPS_FREE, local=True)
+    sigma, steps = (SIGMA_TILT_RAD, _STEPS) if guess.tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
+    laid = align(pyramid, camera, pad, guess.flat.turned(guess.turn_rad), sigma, steps, local=True)
     if laid is None:
         return None
     arrow = arrow_evidence(laid)
@@ -191,7 +201,7 @@ def _guess(pose: PadPose, tilt_known: bool, picture: Coarse, pyramid: Pyramid, c
     radius_px = camera.fx * pad.disc_radius_m / float(pose.t_cam_pad[2])
     small, step = (picture.px, picture.step) if radius_px > _SMALL_PX * picture.step else (pyramid[0], 1)
     best = heading(small, step, camera, pad, pose)
-    return None if best is None else _Guess(pose.turned(best.turn_rad), best.score, tilt_known)
+    return None if best is None else _Guess(pose, best.turn_rad, best.score, tilt_known)
 
 
 def _tilted(outline_px: F64, places: F64, circle: Circle, camera: Camera, least: float) -> list[tuple[Plane, Circle]]:
@@ -243,7 +253,7 @@ def circle_normals(centre: F64, half_axes: F64, angle_rad: float) -> list[F64]:
 
 def _from_strokes(pyramid: Pyramid, level: int, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:
     """From the letter's strokes, near enough for a stroke to be a few pixels wide in the coarse picture."""
-    return [_Guess(f.pose, f.score, plane.known) for f in letters(pyramid[level], 1 << level, camera, pad, plane)]
+    return [_Guess(f.pose, 0.0, f.score, plane.known) for f in letters(pyramid[level], 1 << level, camera, pad, plane)]
 
 
 def _from_specks(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:
@@ -262,7 +272,7 @@ def _from_specks(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> li
             out.append(best)
     # A few pixels of drawing say little of themselves, and prominence says little of the drawing: the best of both come first.
     by_drawing = {id(g): k for k, g in enumerate(sorted(out, key=lambda g: -g.score))}
-    return [_Guess(g.pose, 1.0 / (1 + min(k, by_drawing[id(g)])), g.tilt_known) for k, g in enumerate(out)]
+    return [_Guess(g.flat, g.turn_rad, 1.0 / (1 + min(k, by_drawing[id(g)])), g.tilt_known) for k, g in enumerate(out)]
 
 
 def _near(a: PadPose, b: PadPose) -> bool:

@@ -45,6 +45,9 @@ SIGMA_TILT_RAD = math.radians(3.0)
 SIGMA_TILT_FREE_RAD = math.radians(15.0)
 """Where nothing is known of either."""
 _LENS_BLUR_PX = 0.7
+_LEAST_AT_START, _LEAST_HALFWAY, _LEAST_AT_END = 0.10, 0.15, 0.40
+"""Of the variation about the pad that the drawing must explain where a search lays it, after half of the steps, and where it
+comes to rest: of 290 pads that were found 2 % had less than 0.12 at first and 0.55 at last, of 2200 strangers 40 % and 65 %."""
 _SOUND, _SPREAD, _SPREAD_SHARP = 0.25, 2.0, 1.6
 """Share of the samples that are surely neither hidden nor outshone, and what makes their largest residual a usual one: while the
 pose moves, and once it stands, when what does not fit any more is something else."""
@@ -180,12 +183,15 @@ def _move(
     trust = np.ones(len(samples.rays), np.float32)
     if len(samples.rays) < _FEW:
         steps *= 2
+    least = {steps // 2: _LEAST_HALFWAY, 0: _LEAST_AT_START}
     for i in range(steps):
         drawing = maps(pad, local)[softer if i < steps // 2 else fit]
         model = _model(drawing, samples, samples.local if local else samples.light, R, t, pad)
         if model is None:
             return None
         paints, weight, residual, spread = _paint(model.light, model.share, trust[model.used])
+        if local and i in least and _explained(model.light, residual, weight) < least[i]:
+            return None
         trust[model.used] = weight
         N, g = _normal(paints, weight, residual, spread, model)
         step = _solved(N, g, tilt, sigma_tilt_rad)
@@ -199,6 +205,8 @@ def _move(
         far = (math.hypot(step[0], step[1]) + pad.disc_radius_m * (abs(step[2]) / depth + abs(step[5]))) / samples.side_m
         if i >= steps // 2 and far < _AT_REST:
             break
+    if local and model is not None and _explained(model.light, residual, weight) < _LEAST_AT_END:
+        return None
     return PadPose(Rotation(R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)), t), math.hypot(tilt[0], tilt[1]) / sigma_tilt_rad
 
 
@@ -299,6 +307,13 @@ def _paint(light: F32, share: F32, weight: F32, standing: bool = False) -> tuple
         if standing:
             weight *= weight
     return paints, weight, residual, spread
+
+
+def _explained(light: F32, residual: F32, weight: F32) -> float:
+    """Share of the light's weighted variance that the model explains."""
+    mean = (weight @ light) / float(weight.sum())
+    total = float((weight @ np.square(light - mean)).sum())
+    return 1.0 - float((weight @ np.square(residual)).sum()) / max(total, 1e-12)
 
 
 def _normal(paints: F32, weight: F32, residual: F32, spread: float, model: _Model) -> tuple[F64, F64]:

@@ -55,11 +55,10 @@ class Plane:
         p = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ self.R_cam_plane
         return np.asarray(p[:, :2] / np.where(p[:, 2] > 0.15, p[:, 2], np.nan)[:, None])
 
-    def pose(self, centre: F64, radius: float, radius_m: float, yaw_rad: float = 0.0) -> PadPose:
+    def pose(self, centre: F64, radius: float, radius_m: float) -> PadPose:
         """The pad of which a circle of `radius_m` is seen as this circle."""
         depth = radius_m / radius
-        R = Rotation(self.R_cam_plane) @ Rotation.from_rpy(0.0, 0.0, yaw_rad)
-        return PadPose(R, self.R_cam_plane @ np.array([centre[0] * depth, centre[1] * depth, depth]))
+        return PadPose(Rotation(self.R_cam_plane), self.R_cam_plane @ np.array([centre[0] * depth, centre[1] * depth, depth]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

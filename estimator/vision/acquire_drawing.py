@@ -18,8 +18,8 @@ F32 = NDArray[np.float32]
 
 _NO_SECOND_MAP = np.empty(0, np.float32)
 
-ANGLES = 72
-_RADII = 26
+ANGLES = 48
+_RADII = 18
 _FINE = 4
 """Sub-samples a polar cell and axis: coverage to about 2 %."""
 _STEP_M = 0.004

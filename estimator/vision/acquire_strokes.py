@@ -31,7 +31,7 @@ _LEAST_WIDTH = 4
 """Px of a stroke; thinner ones are not told from noise."""
 _LEAST_SHARE = 0.22
 """Of the letter that must be in view."""
-_LEAST_SCORE = 0.35
+_LEAST_SCORE = 0.55
 
 
 @dataclass(frozen=True, slots=True, eq=False)

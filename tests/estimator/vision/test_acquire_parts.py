@@ -167,7 +167,7 @@ def test_a_lens_with_distortion_changes_nothing_for_the_plane() -> None:
     bent = sim_camera((0.0, 0.0, 0.0), (-0.1, 0.02, 0.001, -0.002, 0.0))
     R = Rotation.from_rpy(0.1, -0.2, 0.0)
     plane = Plane.of(bent, R)
-    pose = plane.pose(np.array([0.1, -0.2]), 0.2, 0.39, 0.7)
+    pose = plane.pose(np.array([0.1, -0.2]), 0.2, 0.39)
     rim = np.array([[0.39 * math.cos(a), 0.39 * math.sin(a), 0.0] for a in np.arange(0, 6.2, 0.5)])
     places = plane.places(bent, bent.project(pose.points(rim)))
     assert np.allclose(np.hypot(*(places - (0.1, -0.2)).T), 0.2, atol=1e-9)
