@@ -8,8 +8,9 @@ import numpy as np
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Baro, BodyVelocity, Range, VesselReport
+from estimator.contracts.samples import UNKNOWN_VAR, Baro, BodyVelocity, Range, VesselReport
 from estimator.ekf import gate, measure, motion
+from estimator.ekf.algebra import nis_of
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.state import (
     ATTITUDE,
@@ -25,6 +26,7 @@ from estimator.ekf.state import (
     Aid,
     Belief,
     D,
+    Gathered,
     N,
     U,
 )  # fmt: skip
@@ -36,6 +38,7 @@ _OVER_MEMORY_S = 3.0
 """How soon what the velocity samples told of what is below is forgotten."""
 _OVER_EXPECTED = 3.0
 """Log-odds of seeing the deck where the body is surely over it, of seeing the water where it surely is not."""
+_ZERO3, _NO_DOUBT = np.zeros(3), np.zeros(())
 _CORRELATION = (
     "attitude_correlation_s", "velocity_correlation_s", "range_correlation_s", "baro_correlation_s",
 )  # fmt: skip
@@ -43,24 +46,24 @@ _CORRELATION = (
 
 def fuse_velocity(b: Belief, event: BodyVelocity, tools: Tools) -> tuple[Belief, Outcome]:
     """Over the ground, or over the deck: where that is not given, the samples themselves tell, and doubt widens the noise."""
+    o = tools.options
     b = carried(b, event.stamp.taken, tools)
-    x = motion.peek(b)
+    if o.velocity_is_over == "either" and b.sighted >= 0:
+        b = _seen_below(b, event, o)
+    share = _share_over_pad(b, o)
     v, cov = event.v_level, event.cov_level
-    if tools.options.velocity_is_over == "either" and b.sighted >= 0:
-        b = _seen_below(b, x, event, tools.options)
-    share = _share_over_pad(b, tools.options)
-    row = measure.velocity(x, b.R, v, cov, share)
-    if row is None or (share == 1.0 and b.sighted < 0):
+    axes = measure.measured_axes(cov)
+    if not axes or (share == 1.0 and b.sighted < 0):
         return b, Outcome(event, Verdict.GATED)
-    doubt = share * (1.0 - share)
-    if doubt > 0.0:
-        n = row.innov.size
-        difference = measure.velocity(x, b.R, v, cov, 0.0)
-        if difference is not None:
-            gap = (row.innov - difference.innov) / share
-            slope = (row.H - difference.H) / share
-            row = row._replace(R=row.R + doubt * (np.outer(gap, gap) + slope.dot(b.P).dot(slope.T) + 1e-9 * np.eye(n)))
-    return gather(b, VELOCITY, event, row, tools)
+    over = motion.peek_velocity(b)
+    if share > 0.0:
+        over = over - share * measure.v_pad_ned(b.x)
+    innov = v - measure.told_velocity(over, b.R, float(b.x[SCALE]))
+    if axes == (0, 1):
+        innov, cov = innov[:2], cov[:2, :2]
+    elif len(axes) < 3:
+        innov, cov = innov[list(axes)], cov[np.ix_(axes, axes)]
+    return gather(b, VELOCITY, event, innov, cov, tools, axes=axes, share=share)
 
 
 def _share_over_pad(b: Belief, o: EkfOptions) -> float:
@@ -72,11 +75,12 @@ def _share_over_pad(b: Belief, o: EkfOptions) -> float:
     return 0.0 if share < 0.03 else 1.0 if share > 0.97 else share
 
 
-def _seen_below(b: Belief, x: F64, event: BodyVelocity, o: EkfOptions) -> Belief:
+def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
     """Weigh the two readings of a velocity against each other. Samples alike for a time count as one."""
     since = 1.0 if b.t_velocity < 0 else (b.t - b.t_velocity) * 1e-9
     if since < 0.5 * o.velocity_correlation_s:
         return b
+    x = motion.peek(b)
     away, spread = _foot(b, x)
     expected = 0.0
     if away + 2.0 * spread < o.deck_radius_m:
@@ -89,9 +93,8 @@ def _seen_below(b: Belief, x: F64, event: BodyVelocity, o: EkfOptions) -> Belief
         return b
     # Both are held against the doubt of both: the reading that was believed so far would else win by having made itself certain.
     S = ground.H.dot(b.P).dot(ground.H.T) + deck.H.dot(b.P).dot(deck.H.T) + ground.R
-    try:
-        misfit = [float(row.innov.dot(np.linalg.solve(S, row.innov))) for row in (ground, deck)]
-    except np.linalg.LinAlgError:
+    misfit = [nis_of(row.innov, S) for row in (ground, deck)]
+    if misfit[0] is None or misfit[1] is None:
         return b
     evidence = max(-3.0, min(3.0, 0.5 * (misfit[0] - misfit[1])))
     odds += evidence * min(1.0, 0.5 * since / o.velocity_correlation_s)
@@ -100,15 +103,15 @@ def _seen_below(b: Belief, x: F64, event: BodyVelocity, o: EkfOptions) -> Belief
 
 def fuse_range(b: Belief, event: Range, tools: Tools) -> tuple[Belief, Outcome]:
     b = carried(b, event.stamp.taken, tools)
-    x = motion.peek(b)
     if b.sighted < 0:
         return b, Outcome(event, Verdict.GATED)
-    row = measure.distance(x, b.R, event.range_m, event.sigma_m)
+    x = motion.peek(b)
     # Beyond the deck's edge there is water.
     away, spread = _foot(b, x)
-    if row is None or away + 2.0 * spread > tools.options.deck_radius_m:
+    row = None if away + 2.0 * spread > tools.options.deck_radius_m else measure.distance(x, b.R, event.range_m, event.sigma_m)
+    if row is None:
         return b, Outcome(event, Verdict.GATED)
-    return gather(b, RANGE, event, row, tools)
+    return gather(b, RANGE, event, row.innov, row.R, tools)
 
 
 def _foot(b: Belief, x: F64) -> tuple[float, float]:
@@ -123,80 +126,107 @@ def fuse_baro(b: Belief, event: Baro, tools: Tools) -> tuple[Belief, Outcome]:
     b = carried(b, event.stamp.taken, tools)
     if b.sighted < 0:
         return b, Outcome(event, Verdict.GATED)
-    return gather(b, HEIGHT, event, measure.height(motion.peek(b), event.height_m, event.sigma_m), tools)
+    innov = np.array([event.height_m - (motion.peek_height(b) + float(b.x[BARO]))])
+    return gather(b, HEIGHT, event, innov, np.array([[event.sigma_m * event.sigma_m]]), tools)
 
 
-def gather(b: Belief, kind: int, event: Event, row: measure.Row, tools: Tools) -> tuple[Belief, Outcome]:
-    """Add to what is fused at the end of the aiding period, unless it is implausible."""
+def gather(
+    b: Belief, kind: int, event: Event, innov: F64, R: F64, tools: Tools, axes: tuple[int, ...] = (), share: float = 0.0
+) -> tuple[Belief, Outcome]:
+    """Add to what is fused at the end of the aiding period, unless it is implausible.
+
+    How uncertain the prediction is changes little within a period, so it is worked out for the first sample of one.
+
+    Args:
+        innov: (m,) with its noise R (m, m).
+        axes: which components of a velocity they are.
+        share: of the pad's velocity in it.
+    """
     o = tools.options
-    S = row.H.dot(b.P).dot(row.H.T) + row.R
-    try:
-        nis = float(row.innov.dot(np.linalg.solve(S, row.innov)))
-    except np.linalg.LinAlgError:
-        return b, Outcome(event, Verdict.SINGULAR, row.innov, S)
     aid = b.aids[kind]
-    if not nis >= 0.0:
-        return b, Outcome(event, Verdict.SINGULAR, row.innov, S)
-    if nis > gate.nis_max(o.gate_probability, row.innov.size):
+    so_far = aid.gathered
+    if so_far is None or so_far.axes != axes or so_far.share != share or _stale(so_far, b.t, o):
+        H, doubt = _predicted(b, kind, axes, share)
+        if H is None:
+            return b, Outcome(event, Verdict.GATED)
+        spread = H.dot(b.P).dot(H.T) + doubt
+        so_far = Gathered(0, b.t, axes, share, H, doubt, spread, np.zeros(innov.size), np.zeros_like(R))
+    S = so_far.spread + R
+    nis = nis_of(innov, S)
+    if nis is None:
+        return b, Outcome(event, Verdict.SINGULAR, innov, S)
+    if nis > gate.nis_max(o.gate_probability, innov.size):
         since = aid.refused if aid.refused >= 0 else b.t
         if (b.t - since) * 1e-9 > _STUCK_S:
-            b = _loosened(b, kind, row)
+            b = _loosened(b, kind, innov)
             since = -1
-        return _with_aid(b, kind, aid._replace(refused=since)), Outcome(event, Verdict.GATED, row.innov, S, nis)
-    if _stale(aid, b.t, o) or aid.innov is None or aid.R is None or aid.innov.size != row.innov.size:
-        aid = Aid(1, b.t, row.innov, row.R, aid.fused, -1)
-    else:
-        aid = Aid(aid.n + 1, aid.since, aid.innov + row.innov, aid.R + row.R, aid.fused, -1)
-    b = _with_aid(b, kind, aid)
-    if max((b.t - a.since) * 1e-9 for a in b.aids if a.n > 0) >= o.aiding_period_s or aid.fused < 0:
+        return _with_aid(b, kind, aid._replace(refused=since)), Outcome(event, Verdict.GATED, innov, S, nis)
+    so_far = so_far._replace(n=so_far.n + 1, innov=so_far.innov + innov, R=so_far.R + R)
+    b = _with_aid(b, kind, Aid(so_far, aid.fused))
+    first = min([other.gathered.since for other in b.aids if other.gathered is not None])
+    if (b.t - first) * 1e-9 >= o.aiding_period_s or aid.fused < 0:
         b = aided(b, tools)
-    return b, Outcome(event, Verdict.FUSED, row.innov, S, nis)
+    return b, Outcome(event, Verdict.FUSED, innov, S, nis)
 
 
-def _stale(aid: Aid, t: int, o: EkfOptions) -> bool:
-    """Nothing gathered, or what was gathered before a pause: it was compared with a state long past."""
-    return aid.n == 0 or (t - aid.since) * 1e-9 > 2.0 * o.aiding_period_s
+def _stale(gathered: Gathered, t: int, o: EkfOptions) -> bool:
+    """From before a pause: compared with a state long past."""
+    return (t - gathered.since) * 1e-9 > 2.0 * o.aiding_period_s
 
 
 def _with_aid(b: Belief, kind: int, aid: Aid) -> Belief:
-    return b._replace(aids=(*b.aids[:kind], aid, *b.aids[kind + 1 :]))
+    aids = list(b.aids)
+    aids[kind] = aid
+    return b._replace(aids=tuple(aids))
 
 
-def _jacobian(b: Belief, kind: int, size: int, share_pad: float) -> F64 | None:
-    """Of what was gathered, at the instant it is fused."""
+def _predicted(b: Belief, kind: int, axes: tuple[int, ...], share: float) -> tuple[F64 | None, F64]:
+    """(m, N) Jacobian of what a kind of aiding reads, and (m, m) what a doubt about the velocity's share adds to its noise."""
     if kind == ATTITUDE:
-        return measure.attitude(b.x, b.R, b.R, np.eye(3)).H
-    if kind == VELOCITY:
-        cov = np.diag([0.0, 0.0, 0.0 if size == 3 else 1e9])
-        row = measure.velocity(b.x, b.R, np.zeros(3), cov, share_pad)
-    elif kind == RANGE:
-        row = measure.distance(b.x, b.R, 0.0, 1.0)
-    else:
-        row = measure.height(b.x, 0.0, 1.0)
-    return None if row is None or row.innov.size != size else row.H
+        return measure.BY_ATTITUDE, _NO_DOUBT
+    if kind == HEIGHT:
+        return measure.BY_HEIGHT, _NO_DOUBT
+    x = motion.peek(b)
+    if kind == RANGE:
+        row = measure.distance(x, b.R, 0.0, 1.0)
+        return None if row is None else row.H, _NO_DOUBT
+    row = measure.velocity(x, b.R, _ZERO3, _axes_only(axes), share)
+    doubt = share * (1.0 - share)
+    if row is None or doubt == 0.0:
+        return None if row is None else row.H, _NO_DOUBT
+    ground = measure.velocity(x, b.R, _ZERO3, _axes_only(axes), 0.0)
+    if ground is None:
+        return None, _NO_DOUBT
+    gap = (row.innov - ground.innov) / share
+    slope = (row.H - ground.H) / share
+    return row.H, doubt * (np.outer(gap, gap) + slope.dot(b.P).dot(slope.T) + 1e-9 * np.eye(gap.size))
+
+
+def _axes_only(axes: tuple[int, ...]) -> F64:
+    """(3, 3) covariance that says that these axes are measured."""
+    return np.diag([0.0 if i in axes else UNKNOWN_VAR for i in range(3)])
 
 
 def aided(b: Belief, tools: Tools) -> Belief:
     """Fuse the means of everything gathered, at once. Nothing gathered may outlive another correction: it would be made twice."""
     o = tools.options
-    if not any(aid.n for aid in b.aids):
+    if not any(aid.gathered for aid in b.aids):
         return b
     b = motion.settle(b, o, tools.walk, tools.algebra)
     innov, H, R = [], [], []
     aids = list(b.aids)
     for kind, aid in enumerate(b.aids):
-        if _stale(aid, b.t, o) or aid.innov is None or aid.R is None:
-            aids[kind] = Aid(fused=aid.fused, refused=aid.refused)
+        some = aid.gathered
+        if some is None or _stale(some, b.t, o):
+            aids[kind] = Aid(None, aid.fused, aid.refused)
             continue
-        jacobian = _jacobian(b, kind, aid.innov.size, _share_over_pad(b, o))
-        if jacobian is not None:
-            # Errors alike over a time tau leave one independent look in 2 tau, however many samples there are.
-            window = (b.t - aid.fused) * 1e-9 if aid.fused >= 0 else math.inf
-            share = max(1.0 / aid.n, 2.0 * float(getattr(o, _CORRELATION[kind])) / max(window, 1e-3))
-            innov.append(aid.innov / aid.n)
-            H.append(jacobian)
-            R.append(aid.R * (share / aid.n))
-        aids[kind] = Aid(fused=b.t, refused=aid.refused)
+        # Errors alike over a time tau leave one independent look in 2 tau, however many samples there are.
+        window = (b.t - aid.fused) * 1e-9 if aid.fused >= 0 else math.inf
+        share = max(1.0 / some.n, 2.0 * float(getattr(o, _CORRELATION[kind])) / max(window, 1e-3))
+        innov.append(some.innov / some.n)
+        H.append(some.H)
+        R.append((some.R / some.n + some.doubt) * share)
+        aids[kind] = Aid(None, b.t, aid.refused)
     b = b._replace(aids=tuple(aids))
     if not innov:
         return b
@@ -209,7 +239,7 @@ def aided(b: Belief, tools: Tools) -> Belief:
     return b if fix is None else corrected(b, fix.dx, fix.P)
 
 
-def _loosened(b: Belief, kind: int, row: measure.Row) -> Belief:
+def _loosened(b: Belief, kind: int, innov: F64) -> Belief:
     """Doubt what a stubborn sensor contradicts, in the directions in which the place of the pad does not suffer."""
     P = b.P.copy()
     if kind == ATTITUDE:
@@ -221,19 +251,19 @@ def _loosened(b: Belief, kind: int, row: measure.Row) -> Belief:
             x, y, _ = b.x[part]
             g[part] = (-y, x, 0.0)
         g[U] = (-b.x[17], b.x[16])
-        angle = float(row.innov.dot(b.R.T[:, 2]))
+        angle = float(innov.dot(b.R.T[:, 2]))
         P += np.outer(g, g) * angle**2
-        size = min(float(row.innov.dot(row.innov)), 0.1)
+        size = min(float(innov.dot(innov)), 0.1)
         P[TH, TH] += np.eye(3) * (0.1 * size)
         P[TILT, TILT] += size
     elif kind == VELOCITY:
         # Body and vessel drift together.
         g = np.zeros((N, 2))
         g[6, 0] = g[16, 0] = g[7, 1] = g[17, 1] = 1.0
-        P += g.dot(g.T) * float(row.innov[:2].dot(row.innov[:2]))
+        P += g.dot(g.T) * float(innov[:2].dot(innov[:2]))
         P[SCALE, SCALE] += 0.01
     elif kind == HEIGHT:
-        P[BARO, BARO] += float(row.innov[0]) ** 2
+        P[BARO, BARO] += float(innov[0]) ** 2
     return b._replace(P=P)
 
 

@@ -1,11 +1,13 @@
 """The filter's algebra, by filterpy: `P = F P F' + Q`, gain, innovation covariance, Joseph form.
 
-filterpy keeps its quantities in an object that it overwrites with fresh arrays and never writes into, so one object can serve
-every belief in turn: each call puts its own numbers in first. Not for two threads at once.
+filterpy keeps its quantities in an object. Each call works on a shallow copy of an empty one, so calls from two threads do not
+meet; the arrays in it are replaced and never written into.
 """
 
 from __future__ import annotations
 
+import math
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +27,28 @@ class Correction(NamedTuple):
     nis: float
 
 
+def nis_of(innov: F64, S: F64) -> float | None:
+    """innov' inv(S) innov of (m,) and (m, m), by Cholesky's elimination in plain numbers; None where S is not positive.
+
+    For the one to three numbers of a sensor's sample this takes a third of the time of a call to LAPACK.
+    """
+    rest, rows = innov.tolist(), S.tolist()
+    m = len(rest)
+    nis = 0.0
+    for i in range(m):
+        row = rows[i]
+        pivot = row[i]
+        if not pivot > 0.0:
+            return None
+        nis += rest[i] * rest[i] / pivot
+        for j in range(i + 1, m):
+            factor = row[j] / pivot
+            rest[j] -= factor * rest[i]
+            for k in range(j, m):
+                rows[j][k] -= factor * row[k]
+    return nis if math.isfinite(nis) else None
+
+
 class Algebra:
     """Linear algebra for error states of one size.
 
@@ -42,7 +66,7 @@ class Algebra:
 
     def predict(self, P: F64, F: F64, Q: F64) -> F64:
         """(n, n): F P F' + Q, symmetric."""
-        kf = self._kf
+        kf = copy(self._kf)
         kf.x, kf.P, kf.F, kf.Q = self._zero, P, F, Q
         kf.predict()
         moved: F64 = kf.P
@@ -50,7 +74,7 @@ class Algebra:
 
     def correct(self, P: F64, innov: F64, H: F64, R: F64) -> Correction | None:
         """Innovation (m,), its (m, n) Jacobian and (m, m) noise to a correction; None where S cannot be inverted."""
-        kf = self._kf
+        kf = copy(self._kf)
         kf.x, kf.P = self._zero, P
         m = kf.dim_z = innov.size
         # Metres beside radians and certain beside unknown: rows scaled to unit innovation variance keep S well conditioned.

@@ -18,7 +18,7 @@ from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, RATE, SCALE, TH, Belief, D, N, U, V
-from estimator.ekf.stride import Event, Outcome, Tools, settled
+from estimator.ekf.stride import Event, Outcome, Tools, carried, settled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,8 +59,11 @@ def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
     b = ekf.history.before(now)
     if b is None or b.sighted < 0 or (now - b.sighted) * 1e-9 > ekf.options.forget_s:
         return None
-    b = measure.aligned(settled(b, now, ekf.tools))
-    x = b.x
+    b = carried(b, now, ekf.tools)
+    P = b.P
+    # Seven numbers leave: their covariance is brought here, not the whole state's.
+    b, F, Q = motion.moved(b, ekf.options, ekf.tools.walk)
+    x, T = measure.aligned(b)
     psi = so3.heading(b.R)
     Z = so3.about_down(-psi)
     d, v = Z.dot(x[D]), Z.dot(measure.v_pad_ned(x) - x[V])
@@ -74,7 +77,10 @@ def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
     J[3:6, TH] = np.outer([v[1], -v[0], 0.0], turning)
     J[6, TH] = turning
     J[6, HEAD] = -1.0
-    cov = J.dot(b.P).dot(J.T)
+    J = J.dot(T)
+    cov = J.dot(Q).dot(J.T)
+    J = J.dot(F)
+    cov += J.dot(P).dot(J.T)
     yaw: float | None = wrap_pi(psi - float(x[HEAD]))
     if not b.heading_known:
         yaw = None
@@ -105,7 +111,10 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
     b = ekf.history.before(now)
     if b is None or b.sighted < 0 or (now - b.sighted) * 1e-9 > ekf.options.forget_s:
         return None
-    return forecasting.forecast(measure.aligned(settled(b, now, ekf.tools)), now, h, ekf.options.asd_vessel_velocity_m_s2)
+    b = settled(b, now, ekf.tools)
+    x, T = measure.aligned(b)
+    b = b._replace(x=x, P=T.dot(b.P).dot(T.T))
+    return forecasting.forecast(b, now, h, ekf.options.asd_vessel_velocity_m_s2)
 
 
 def moving(ekf: Ekf) -> float | None:
@@ -116,27 +125,23 @@ def moving(ekf: Ekf) -> float | None:
     return forecasting.probability_of_motion(b)
 
 
+_AXES = "xyz"
+_CHANNELS = ("north", "east", "down", "roll", "pitch")
+_NAMES = (
+    "nis_mean", "probability_moving", "velocity_scale", "camera_delay_s", "baro_offset_m",
+    "v_vessel_north_m_s", "v_vessel_east_m_s", "sigma_velocity_scale", "sigma_camera_delay_s",
+    *(f"sigma_mount_{k}_rad" for k in _AXES), *(f"mount_{k}_rad" for k in _AXES),
+    *(f"gyro_bias_{k}_rad_s" for k in _AXES), *(f"accel_bias_{k}_m_s2" for k in _AXES),
+    *(f"period_{k}_s" for k in _CHANNELS), *(f"damping_{k}" for k in _CHANNELS), *(f"swing_{k}" for k in _CHANNELS),
+)  # fmt: skip
+_PLAIN = np.r_[SCALE, DELAY, BARO, U]
+_SURE = np.r_[SCALE, DELAY, MOUNT]
+
+
 def _details(b: Belief) -> tuple[tuple[str, float], ...]:
-    x, var = b.x, np.diag(b.P)
-    sea = b.sea
-    named: list[tuple[str, float]] = [
-        ("nis_mean", b.nis_mean),
-        ("velocity_scale", float(x[SCALE])),
-        ("sigma_velocity_scale", math.sqrt(max(float(var[SCALE]), 0.0))),
-        ("camera_delay_s", float(x[DELAY])),
-        ("sigma_camera_delay_s", math.sqrt(max(float(var[DELAY]), 0.0))),
-        ("baro_offset_m", float(x[BARO])),
-        ("v_vessel_north_m_s", float(x[U][0])),
-        ("v_vessel_east_m_s", float(x[U][1])),
-        ("probability_moving", forecasting.probability_of_motion(b)),
-    ]
-    for k, axis in enumerate("xyz"):
-        named.append((f"mount_{axis}_rad", float(x[MOUNT][k])))
-        named.append((f"sigma_mount_{axis}_rad", math.sqrt(max(float(var[MOUNT][k]), 0.0))))
-        named.append((f"gyro_bias_{axis}_rad_s", float(x[BG][k])))
-        named.append((f"accel_bias_{axis}_m_s2", float(x[BA][k])))
-    for k, channel in enumerate(("north", "east", "down", "roll", "pitch")):
-        named.append((f"period_{channel}_s", math.tau / float(sea.w_rad_s[k])))
-        named.append((f"damping_{channel}", float(sea.zeta[k])))
-        named.append((f"swing_{channel}", float(sea.sigma[k])))
-    return tuple(named)
+    x, sea = b.x, b.sea
+    values = [b.nis_mean, forecasting.probability_of_motion(b), *x[_PLAIN].tolist()]
+    values += np.sqrt(np.maximum(b.P[_SURE, _SURE], 0.0)).tolist()
+    values += [*x[MOUNT].tolist(), *x[BG].tolist(), *x[BA].tolist()]
+    values += [*(math.tau / sea.w_rad_s).tolist(), *sea.zeta.tolist(), *sea.sigma.tolist()]
+    return tuple(zip(_NAMES, values, strict=True))

@@ -116,10 +116,12 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, asd_vessel_m_s2: float) -> 
 def probability_of_motion(b: Belief, prior_rest: float = 0.5) -> float:
     """That the vessel is under way, or rocking: from the bank's evidence and from the steady velocity."""
     evidence = sea.log_evidence_of_rest(b.sea)
-    u, P = b.x[U], b.P[U, U]
+    north, east = b.x[U].tolist()
+    (nn, ne), (_, ee) = b.P[U, U].tolist()
     # Standing still to a few cm/s against moving with some 1 m/s.
     for var, sign in ((0.03**2, 1.0), (1.0, -1.0)):
-        S = P + var * np.eye(2)
-        evidence += sign * -0.5 * (math.log(float(np.linalg.det(S))) + float(u.dot(np.linalg.solve(S, u))))
+        n, e = nn + var, ee + var
+        det = n * e - ne * ne
+        evidence += sign * -0.5 * (math.log(det) + (e * north * north - 2.0 * ne * north * east + n * east * east) / det)
     odds = prior_rest / (1.0 - prior_rest) * math.exp(max(-60.0, min(60.0, evidence)))
     return 1.0 / (1.0 + odds)

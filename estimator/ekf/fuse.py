@@ -111,11 +111,11 @@ def _attitude(b: Belief, event: Attitude, tools: Tools) -> tuple[Belief, Outcome
         b = _tied(_turned_to(settled(b, t, tools), event.R_ned_body.matrix, o), o)
         return _levelled(b, event), Outcome(event, Verdict.FUSED)
     b = carried(b, t, tools)
-    if float(np.diag(b.P)[TH].max()) > _ASTRAY_VAR:
+    if max(b.P[0, 0], b.P[1, 1], b.P[2, 2]) > _ASTRAY_VAR:
         b = _tied(_set_attitude(settled(b, t, tools), event.R_ned_body.matrix, o), o)
         return _levelled(b, event), Outcome(event, Verdict.FUSED)
-    row = measure.attitude(motion.peek(b), b.R, event.R_ned_body.matrix, event.cov_body)
-    b, outcome = gather(b, ATTITUDE, event, row, tools)
+    innov = measure.attitude_innov(b.x, b.R, event.R_ned_body.matrix)
+    b, outcome = gather(b, ATTITUDE, event, innov, event.cov_body, tools)
     return _levelled(b, event), outcome
 
 

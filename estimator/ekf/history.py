@@ -72,7 +72,7 @@ def put(history: History, event: Event, tools: Tools) -> tuple[History, Outcome]
     again = [Node(key, event, b)]
     for node in nodes[i:]:
         b, _ = fold(b, node.event, tools)
-        again.append(node._replace(after=b))
+        again.append(Node(node.key, node.event, b))
     nodes = nodes[:i] + tuple(again)
     return _trimmed(history._replace(nodes=nodes, heard=heard), round(o.history_s * 1e9)), outcome
 

@@ -25,6 +25,14 @@ NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
 KNOWN_YAW_VAR = 2.0
 """rad^2; a heading with more says nothing."""
 
+BY_ATTITUDE, BY_HEIGHT = np.zeros((3, N)), np.zeros((1, N))
+"""(3, N), (1, N): the Jacobians of `attitude` and `height`, the same at any state."""
+BY_ATTITUDE[:, TH] = _I3
+BY_ATTITUDE[[0, 1], TILT] = 1.0
+BY_HEIGHT[0, [5, DISPLACEMENT[2], BARO]] = 1.0, -1.0, 1.0
+BY_ATTITUDE.setflags(write=False)
+BY_HEIGHT.setflags(write=False)
+
 
 class Row(NamedTuple):
     """A linearised measurement of m numbers."""
@@ -163,8 +171,11 @@ def sighting(x: F64, R: F64, w: F64, s: Sighting, levelled_by: F64 | None, cov_l
     return Row(innov, H, 0.5 * (R_noise + R_noise.T), by_rate)
 
 
-def aligned(b: Belief) -> Belief:
-    """The belief with the deck brought from the camera's time to the body's: for what leaves the filter, not for going on."""
+def aligned(b: Belief) -> tuple[F64, F64]:
+    """(N,) state with the deck brought from the camera's time to the body's, and (N, N) what that does to errors.
+
+    For what leaves the filter, not for going on.
+    """
     late, rate = float(b.x[DELAY]), b.x[RATE]
     x = b.x.copy()
     x[DISPLACEMENT] -= late * rate
@@ -173,7 +184,7 @@ def aligned(b: Belief) -> Belief:
     T[DISPLACEMENT, RATE] = T[_D3, RATE[:3]] = -late
     T[DISPLACEMENT, DELAY] = -rate
     T[_D3, DELAY] = -rate[:3]
-    return b._replace(x=x, P=T.dot(b.P).dot(T.T))
+    return x, T
 
 
 def levelling(R: F64, levelled_by: F64 | None) -> F64:
@@ -208,12 +219,14 @@ def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
 
 def attitude(x: F64, R: F64, seen: F64, cov_body: F64) -> Row:
     """The vehicle's own attitude, (3, 3) R_ned_body, and its constant error of tilt."""
-    H = np.zeros((3, N))
-    H[:, TH] = _I3
-    H[[0, 1], TILT] = 1.0
+    return Row(attitude_innov(x, R, seen), BY_ATTITUDE, cov_body, _NONE)
+
+
+def attitude_innov(x: F64, R: F64, seen: F64) -> F64:
+    """(3,) of `attitude`."""
     innov = so3.log(R.T.dot(seen))
-    innov[:2] -= x[TILT]
-    return Row(innov, H, cov_body, _NONE)
+    innov[:2] -= x[TILT[0] : TILT[1] + 1]
+    return innov
 
 
 def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> Row | None:
@@ -222,23 +235,39 @@ def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> 
     Args:
         share_pad: 0 for a velocity over the ground, 1 for one over the pad's deck, between for a doubt between the two.
     """
-    known = np.diag(cov_level) < NOT_MEASURED_VAR
-    if not known.any():
+    axes = measured_axes(cov_level)
+    if not axes:
         return None
     scale = float(x[SCALE])
     Z = so3.about_down(-so3.heading(R))
-    v = Z.dot(x[V] - share_pad * v_pad_ned(x))
+    over = x[V] - share_pad * v_pad_ned(x)
+    v = Z.dot(over)
     k = np.array([scale, scale, 1.0])
     H = np.zeros((3, N))
-    H[:, TH] = np.outer(k * np.array([v[1], -v[0], 0.0]), so3.heading_row(R).dot(R))
+    H[:, TH] = (k * np.array([v[1], -v[0], 0.0]))[:, None] * so3.heading_row(R).dot(R)
     H[:, V] = k[:, None] * Z
     H[:, U] = -share_pad * H[:, 6:8]
     H[:, RATE[:3]] = -share_pad * H[:, V]
     H[:2, SCALE] = v[:2]
-    innov = v_level - k * v
-    if known.all():
+    innov = v_level - told_velocity(over, R, scale)
+    if len(axes) == 3:
         return Row(innov, H, cov_level, _NONE)
-    return Row(innov[known], H[known], cov_level[known][:, known], _NONE)
+    pick = list(axes)
+    return Row(innov[pick], H[pick], cov_level[pick][:, pick], _NONE)
+
+
+def measured_axes(cov_level: F64) -> tuple[int, ...]:
+    """Which of forward, right, down a velocity has."""
+    var = cov_level.diagonal().tolist()
+    return tuple([i for i in (0, 1, 2) if var[i] < NOT_MEASURED_VAR])
+
+
+def told_velocity(v_ned: F64, R: F64, scale: float) -> F64:
+    """(3,) in `level`, what a sensor with that scale tells of a velocity."""
+    x, y, z = v_ned.tolist()
+    ahead, aside = float(R[0, 0]), float(R[1, 0])
+    k = scale / math.hypot(ahead, aside)
+    return np.array([k * (ahead * x + aside * y), k * (ahead * y - aside * x), z])
 
 
 def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> Row | None:
@@ -253,7 +282,7 @@ def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> Row | None:
     H[0, D] = n / cosine
     H[0, TH] = (r / cosine) * n.dot(R).dot(so3.cross_matrix(_DOWN))
     reach = (x[D] - r * c) / cosine
-    by_axis = np.array([float(np.cross(pad.axes[:, i], n).dot(reach)) for i in range(3)])
+    by_axis = so3.cross_matrix(n).dot(reach).dot(pad.axes)
     H[0, _ROLL] = H[0, LIST[0]] = by_axis[0]
     H[0, _PITCH] = H[0, LIST[1]] = by_axis[1]
     H[0, HEAD] = by_axis[2]
@@ -262,10 +291,8 @@ def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> Row | None:
 
 def height(x: F64, height_m: float, sigma_m: float) -> Row:
     """Barometric height: over the pad's mean level, plus an offset of its own."""
-    down = int(DISPLACEMENT[2])
-    H = np.zeros((1, N))
-    H[0, 5], H[0, down], H[0, BARO] = 1.0, -1.0, 1.0
-    return Row(np.array([height_m - (x[5] - x[down] + x[BARO])]), H, np.array([[sigma_m * sigma_m]]), _NONE)
+    below = x[5] - x[DISPLACEMENT[2]]
+    return Row(np.array([height_m - (below + x[BARO])]), BY_HEIGHT, np.array([[sigma_m * sigma_m]]), _NONE)
 
 
 def vessel_velocity(x: F64, v_ned: F64, cov_ned: F64) -> Row:

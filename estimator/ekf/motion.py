@@ -43,7 +43,12 @@ _IN = np.eye(N)
 _D3 = np.arange(3, 6)
 _ROUGH = 1.5
 """Waves are driven by this much more noise than the learned oscillators, which real ones only resemble."""
-_ROWS, _COLUMNS = WAVES[:, :, None], WAVES[:, None, :]
+_SEA = slice(int(WAVES[0, 0]), int(WAVES[-1, -1]) + 1)
+# Places in a flattened (N, N) matrix: assigning by one list of them takes a third of the time of assigning by two.
+_BLOCKS = (WAVES[:, :, None] * N + WAVES[:, None, :]).ravel()
+_D_BY_WAVES = (_D3[:, None] * N + WAVES[:3]).ravel()
+_WAVES_BY_D = (WAVES[:3] * N + _D3[:, None]).ravel()
+_D_BY_V, _V_BY_D = slice(3 * N + 6, 6 * N, N + 1), slice(6 * N + 3, 9 * N, N + 1)
 _FIRST = np.array([1.0, 0.0, 0.0, 0.0])
 _ZERO3, _ZERO33 = np.zeros(3), np.zeros((3, 3))
 
@@ -103,9 +108,15 @@ def carry(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, **also: Any
 
 def settle(b: Belief, o: EkfOptions, walk: Walk, algebra: Algebra) -> Belief:
     """Bring `x` and `P` from `t_cov` to `t`."""
-    T = (b.t - b.t_cov) * 1e-9
-    if T <= 0.0:
+    if b.t <= b.t_cov:
         return b
+    after, F, Q = moved(b, o, walk)
+    return after._replace(P=algebra.predict(b.P, F, Q))
+
+
+def moved(b: Belief, o: EkfOptions, walk: Walk) -> tuple[Belief, F64, F64]:
+    """The belief with all but `P` brought from `t_cov` to `t`, and the (N, N) F and Q by which `P` goes there."""
+    T = (b.t - b.t_cov) * 1e-9
     sea = b.sea
     A, q_unit = transition(sea.w_rad_s, sea.zeta, T, sea.at_rest)
     q_waves = (_ROUGH * sea.sigma**2)[:, None, None] * q_unit
@@ -113,9 +124,9 @@ def settle(b: Belief, o: EkfOptions, walk: Walk, algebra: Algebra) -> Belief:
     reach = o.turn_rate_memory_s * (1.0 - fade)
 
     x = b.x.copy()
-    waves = b.x[WAVES]
+    waves = b.x[_SEA].reshape(WAVES.shape)
     after = (A @ waves[:, :, None])[:, :, 0]
-    x[WAVES] = after
+    x[_SEA] = after.ravel()
     fall = 0.5 * GRAVITY_M_S2 * T * T
     moved = (after - waves)[:3, 0] - b.x[V] * T - b.dp
     moved[2] -= fall
@@ -144,8 +155,9 @@ def settle(b: Belief, o: EkfOptions, walk: Walk, algebra: Algebra) -> Belief:
     F[D, BG] = (-T / 3.0) * dp_R
     F[D, BA] = (0.5 * T) * b.turned
     F[3, 16] = F[4, 17] = T
-    F[_ROWS, _COLUMNS] = A
-    F[_D3[:, None], WAVES[:3]] = A[:3, 0] - _FIRST
+    flat = F.reshape(-1)
+    flat[_BLOCKS] = A.ravel()
+    flat[_D_BY_WAVES] = (A[:3, 0] - _FIRST).ravel()
     F[HEAD, TURN] = reach
     F[TURN, TURN] = fade
 
@@ -162,21 +174,18 @@ def settle(b: Belief, o: EkfOptions, walk: Walk, algebra: Algebra) -> Belief:
     q[TURN] = sigma2 * (1.0 - fade * fade)
     memory2 = o.turn_rate_memory_s**2
     q[HEAD] = max(0.0, sigma2 * memory2 * (2.0 * T / o.turn_rate_memory_s - 3.0 + 4.0 * fade - fade * fade))
-    Q.ravel()[:: N + 1] = q
-    Q[_ROWS, _COLUMNS] = q_waves
-    q_dv = -0.5 * T * force
-    for i in range(3):
-        Q[3 + i, 6 + i] = Q[6 + i, 3 + i] = q_dv
     # What the noise does to a pad's displacement it does to its distance as well.
-    Q[_D3[:, None], WAVES[:3]] = Q[WAVES[:3], _D3[:, None]] = q_waves[:3, 0]
-    Q[_D3, _D3] += q_waves[:3, 0, 0]
+    q[D] += q_waves[:3, 0, 0]
+    flat = Q.reshape(-1)
+    flat[:: N + 1] = q
+    flat[_BLOCKS] = q_waves.ravel()
+    flat[_D_BY_WAVES] = flat[_WAVES_BY_D] = q_waves[:3, 0].ravel()
+    flat[_D_BY_V] = flat[_V_BY_D] = -0.5 * T * force
     Q[HEAD, TURN] = Q[TURN, HEAD] = sigma2 * o.turn_rate_memory_s * (1.0 - fade) ** 2
 
-    P = algebra.predict(b.P, F, Q)
     R = so3.orthonormalised(b.R)
-    return b._replace(
-        R=R, x=x, P=P, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v
-    )
+    belief = b._replace(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v)
+    return belief, F, Q
 
 
 def peek(b: Belief) -> F64:
@@ -194,3 +203,17 @@ def peek(b: Belief) -> F64:
     x[8] += GRAVITY_M_S2 * T
     x[HEAD] += b.x[TURN] * T
     return x
+
+
+def peek_velocity(b: Belief) -> F64:
+    """(3,) of `peek`, v_body_ned alone."""
+    v = b.x[V] + b.dv
+    v[2] += GRAVITY_M_S2 * 1e-9 * (b.t - b.t_cov)
+    return v
+
+
+def peek_height(b: Belief) -> float:
+    """Of `peek`, how far below the body the pad's mean level is, m."""
+    T = (b.t - b.t_cov) * 1e-9
+    x = b.x
+    return float(x[5] - x[DISPLACEMENT[2]] - x[8] * T - b.dp[2]) - 0.5 * GRAVITY_M_S2 * T * T

@@ -55,16 +55,32 @@ ATTITUDE, VELOCITY, RANGE, HEIGHT = range(4)
 """Kinds of aiding that are averaged before they are fused."""
 
 
-class Aid(NamedTuple):
-    """One kind of aiding: what has been gathered since it was last fused."""
+class Gathered(NamedTuple):
+    """Samples of one kind of aiding that wait to be fused at once."""
 
-    n: int = 0
-    since: int = 0
-    """ns, of the first one gathered."""
-    innov: F64 | None = None
-    """Sum."""
-    R: F64 | None = None
-    """Sum of the covariances."""
+    n: int
+    since: int
+    """ns, of the first."""
+    axes: tuple[int, ...]
+    """Which components of a velocity were measured."""
+    share: float
+    """Of a velocity: how much of the pad's was taken to be in it."""
+    H: F64
+    """(m, N) Jacobian at `since`."""
+    doubt: F64
+    """(m, m) what a doubt about `share` adds to the noise."""
+    spread: F64
+    """(m, m) of what was predicted at `since`, with that doubt."""
+    innov: F64
+    """(m,) sum."""
+    R: F64
+    """(m, m) sum of the covariances."""
+
+
+class Aid(NamedTuple):
+    """One kind of aiding."""
+
+    gathered: Gathered | None = None
     fused: int = -1
     """ns, when last fused; -1 never."""
     refused: int = -1

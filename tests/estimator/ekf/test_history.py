@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+import threading
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +63,34 @@ def test_an_older_memory_is_not_touched() -> None:
     for event in heard[600:900]:
         step(half, event)
     assert same(before, at(half, ns(3.0))) == 0.0
+
+
+def test_reading_on_another_thread_changes_nothing() -> None:
+    """The eyes ask where the pad is expected while the loop goes on stepping."""
+    heard = events(Flight(replace(SETTING, duration_s=2.0)))
+    alone, _ = run(heard)
+    half, _ = run(heard[: len(heard) // 2])
+    done, read = threading.Event(), [0]
+
+    def eyes() -> None:
+        while not done.is_set():
+            assert at(half, ns(1.1)) is not None
+            read[0] += 1
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    thread = threading.Thread(target=eyes)
+    thread.start()
+    try:
+        watched = half
+        for event in heard[len(heard) // 2 :]:
+            watched, _ = step(watched, event)
+    finally:
+        done.set()
+        thread.join()
+        sys.setswitchinterval(interval)
+    assert read[0] > 20
+    assert same(at(watched, ns(1.99)), at(alone, ns(1.99))) == 0.0
 
 
 def test_too_old_and_too_new() -> None:

@@ -20,6 +20,7 @@ def test_imports() -> None:
                 assert name.split(".")[0] in {
                     "__future__",
                     "collections",
+                    "copy",
                     "dataclasses",
                     "math",
                     "typing",
