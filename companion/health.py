@@ -165,7 +165,11 @@ class Health:
 
     @property
     def all_up(self) -> bool:
-        return all(part.up for part in self.parts.values())
+        return self.fault() is None
+
+    def fault(self) -> str | None:
+        """The first part that is down, and why; None while all are up."""
+        return next((f"{name} is down: {part.last_error}" for name, part in self.parts.items() if not part.up), None)
 
     def snapshot(self) -> HealthSnapshot:
         """Health as it is now."""

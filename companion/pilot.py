@@ -5,6 +5,8 @@ The daemon and the simulator drive the same pilot, so what is proved in virtual 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from enum import Enum
 
 from companion.guidance.pid import Gains, Pid, SetPoint, pid_step
@@ -12,7 +14,7 @@ from companion.guidance.planner import Phase, Plan, Planner, planner_step
 from companion.observer import Decision
 from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land
-from estimator.contracts.estimates import PathName, Verdict
+from estimator.contracts.estimates import PathName, RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.vision.camera import Camera
@@ -57,6 +59,8 @@ class Pilot:
         self._land_timeout_s = land_timeout_s
         self._automatic = automatic
         self._status: VehicleStatus | None = None
+        self.engage: Callable[[], None] = lambda: None
+        """Called when the operator begins: a vehicle that a person took from us may be taken back."""
         self._new_flight()
 
     def _new_flight(self) -> None:
@@ -86,6 +90,7 @@ class Pilot:
     def begin(self) -> None:
         """The operator: start (or, after a pause, go on with) the approach."""
         self._begun, self._paused = True, False
+        self.engage()
 
     def pause(self) -> None:
         """The operator: hover where it is until `begin`."""
@@ -110,6 +115,16 @@ class Pilot:
         except ValueError as why:
             return str(why)
         return None
+
+    def retune(self, plan: Plan, gains: Gains, land_timeout_s: float, *, min_confidence: float, max_delay_s: float) -> None:
+        """Other numbers from now on; what is going on goes on."""
+        self._plan, self._gains, self._land_timeout_s = plan, gains, land_timeout_s
+        options = replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
+        self._memory = replace(self._memory, options=options)
+
+    def belief(self, now: MonoNs) -> RelativeState | None:
+        """What is steered by, at this instant."""
+        return pipeline.belief(self._memory, now)
 
     def hear(self, sample: Sample) -> tuple[pipeline.Outcome, ...]:
         """Take a sample; what became of it, path by path."""

@@ -14,19 +14,27 @@ from companion.settings_model import (
     Settings,
     VerticalGainsSettings,
 )
+from companion.settings_vehicle import ArDroneSettings
 from companion.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import SampleOptions
 from drivers.ardrone.velocity_loop import LoopOptions
 from estimator import dead_reckoning, pipeline
+from estimator.contracts.errors import BadInput
 from estimator.rest_calibration import RestOptions
 from estimator.vision.eyes import Eyes
 from estimator.vision.segmentation import COLOUR_SETS
 
 
 def ardrone_options(settings: Settings) -> ArDroneOptions:
-    """How the drone is reached and what it is told to be."""
+    """How the drone is reached and what it is told to be.
+
+    Raises:
+        BadInput: the vehicle is another one.
+    """
     v = settings.vehicle
+    if not isinstance(v, ArDroneSettings):
+        raise BadInput('vehicle.kind must be "ardrone" here')
     return ArDroneOptions(
         host=v.host,
         navdata_port=v.navdata_port,

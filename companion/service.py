@@ -6,23 +6,26 @@ import asyncio
 import logging
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import AbstractAsyncContextManager
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from companion import rig
-from companion.daemon import Daemon, Link
+from companion.daemon import Daemon
 from companion.health import Health
 from companion.notify import Manager, Pulse, watchdog_interval_s
 from companion.observer import Observer
 from companion.pilot import Outcome, Pilot
-from companion.rig_camera import camera_options, with_camera
+from companion.rig_vehicle import vehicle_parts
 from companion.settings_model import Settings
+from companion.settings_vehicle import AutopilotSettings
 from companion.supervise import Body
-from drivers.ardrone.link import open_ardrone
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import PathName
 from estimator.contracts.ports import Clock
+
+if TYPE_CHECKING:
+    from companion.recorder.recorder import Recorder
 
 
 def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
@@ -44,22 +47,25 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
 def make_daemon(
     settings: Settings, pilot: Pilot, *, clock: Clock | None = None, observers: Sequence[Observer] = (), once: bool = False
 ) -> Daemon:
-    """The daemon around a pilot, its vehicle an AR.Drone, with the links that are set.
+    """The daemon around a pilot, with the vehicle and the links that are set.
 
     Raises:
         BadInput: a secret, certificate or folder that a link needs cannot be read or used.
     """
     ticking = clock or SystemClock()
-    options = rig.ardrone_options(settings)
     health = Health(ticking)
     watching, extras = list(observers), dict[str, Body]()
-    recording: Callable[[bool], str | None] | None = None
-    if settings.recorder.enabled or settings.mqtt.transport != "off":
+    recorder: Recorder | None = None
+    if settings.recorder.enabled or settings.mqtt.transport != "off" or isinstance(settings.vehicle, AutopilotSettings):
         from companion.recorder.setup import recorder_of
 
         recorder = recorder_of(settings, ticking, health)
         watching.append(recorder)
-        extras["recorder"], recording = recorder.run, recorder.switch
+        extras["recorder"] = recorder.run
+    recording = None if recorder is None else recorder.switch
+    vehicle = vehicle_parts(settings, pilot, health, ticking, recording, None if recorder is None else recorder.on_link)
+    watching += vehicle.observers
+    extras |= vehicle.extras
     if settings.mqtt.transport != "off":
         from companion.mqtt.make import make_mqtt
 
@@ -77,12 +83,8 @@ def make_daemon(
         watching.append(pulse)
         extras["manager"] = pulse.run
 
-    def open_link() -> AbstractAsyncContextManager[Link]:
-        return open_ardrone(options, ticking)
-
-    beside = camera_options(settings)
     return Daemon(
-        open_link if beside is None else with_camera(open_link, beside, ticking),
+        vehicle.open_link,
         pilot,
         ticking,
         restart=rig.restart(settings),

@@ -16,9 +16,10 @@ from typing import Any
 import msgspec
 
 import configs
-from companion.mqtt.settings import anchored
+from companion.settings_keys import anchored
 from companion.settings_model import PadSettings, Settings
 from companion.settings_refusal import explain
+from companion.settings_vehicle import ArDroneSettings
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -32,7 +33,7 @@ def load(name_or_path: str | Path) -> Settings:
     """The settings in a file, or of a shipped rig (`configs/*.toml`) when given its bare name.
 
     The camera and pad files are read too, so that what comes back can be flown; `camera.file` and `pad.file` of the result
-    name a shipped file or are paths that hold from the working directory; so are the paths in `mqtt`.
+    name a shipped file or are paths that hold from the working directory; so are those of keys and certificates.
 
     Raises:
         BadInput: a file that cannot be read or is not TOML; a key unknown, missing, of the wrong type or out of range; a
@@ -40,13 +41,19 @@ def load(name_or_path: str | Path) -> Settings:
     """
     path = find_file(str(name_or_path), "", Path(), "settings")
     settings = from_mapping(read_toml(path), str(path))
-    if fault := settings.camera.fault():
-        raise BadInput(f"{path}: camera.{fault}")
+    if fault := settings.fault():
+        raise BadInput(f"{path}: {fault}")
     camera = _reference(settings.camera.file, "cameras", path, "camera.file")
     pad = _reference(settings.pad.file, "pads", path, "pad.file")
     found = msgspec.structs.replace(settings.camera, file=camera)
     settings = msgspec.structs.replace(settings, camera=found, pad=PadSettings(pad))
-    settings = msgspec.structs.replace(settings, mqtt=anchored(settings.mqtt, path.parent))
+    signing = [] if isinstance(settings.vehicle, ArDroneSettings) else ["signing_key_file", "signing_time_file"]
+    settings = msgspec.structs.replace(
+        settings,
+        vehicle=anchored(settings.vehicle, path.parent, signing),
+        face=anchored(settings.face, path.parent, ["signing_key_file", "signing_time_file"]),
+        mqtt=anchored(settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "spool"]),
+    )
     camera_model(settings)
     pad_model(settings)
     return settings

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from msgspec import Meta
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TypeVar
+
+from msgspec import Meta, Struct, structs
+
+CREDENTIAL = "credential:"
+"""Before the name of a systemd credential, where a path might stand."""
+_Table = TypeVar("_Table", bound=Struct)
 
 
 def number(meaning: str, unit: str, low: float, high: float, source: str = "") -> Meta:
@@ -29,6 +37,14 @@ def name(meaning: str, longest: int, source: str = "") -> Meta:
 def choice(meaning: str, source: str = "") -> Meta:
     """A key that holds one of the words of its Literal."""
     return Meta(description=meaning, extra_json_schema=_notes("", source))
+
+
+def anchored(table: _Table, base: Path, keys: Iterable[str]) -> _Table:
+    """The same table with the relative paths in `keys` made to hold from the working directory; `base` is the settings file's."""
+    given = {key: str(getattr(table, key)) for key in keys}
+    return structs.replace(
+        table, **{key: str(base / path) for key, path in given.items() if path and not path.startswith(CREDENTIAL)}
+    )
 
 
 def _notes(unit: str, source: str) -> dict[str, str] | None:

@@ -17,72 +17,10 @@ from companion.mqtt.settings import MqttSettings
 from companion.settings_camera import CameraSettings as CameraSettings
 from companion.settings_keys import choice, number, text
 from companion.settings_recorder import RecorderSettings
+from companion.settings_vehicle import ArDroneSettings, AutopilotSettings, FaceSettings
 
 _TUNED = "tuned in simulation"
 _SHIPPED_OR_PATH = "the name of a shipped one, or a path relative to the settings file"
-
-
-class ArDroneSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """The vehicle: a Parrot AR.Drone 2.0, or the simulated one, which speaks the same protocol."""
-
-    kind: Annotated[Literal["ardrone"], choice("what kind of vehicle this is")]
-    host: Annotated[str, text("name or address of the drone", 253, "address of every AR.Drone")] = "192.168.1.1"
-    navdata_port: Annotated[int, number("where navdata is asked for (UDP)", "port", 1, 65535)] = 5554
-    video_port: Annotated[int, number("where video comes from (TCP)", "port", 1, 65535)] = 5555
-    at_port: Annotated[int, number("where AT commands go (UDP)", "port", 1, 65535)] = 5556
-    control_port: Annotated[int, number("where the configuration is read (TCP)", "port", 1, 65535)] = 5559
-    command_period_s: Annotated[
-        float,
-        number("how often a command is repeated; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary"),
-    ] = 0.03
-    command_timeout_s: Annotated[
-        float, number("a velocity command older than this is flown as hover", "s", 0.05, 2.0, "ten commands of guidance")
-    ] = 0.25
-    com_watchdog_s: Annotated[
-        int,
-        number("how long the drone itself waits for commands before it holds and then lands", "s", 1, 60, "firmware default"),
-    ] = 2
-    navdata_silence_s: Annotated[
-        float, number("without navdata for this long the stream is asked for again", "s", 0.1, 10.0, "Parrot SDK 2.0.1")
-    ] = 1.0
-    video_silence_s: Annotated[float, number("without video for this long its connection is opened again", "s", 0.2, 30.0)] = 2.0
-    video_delay_s: Annotated[
-        float,
-        number("least time from mid-exposure to the first byte of the frame", "s", 0.0, 0.5, "assumed until it is calibrated"),
-    ] = 0.04
-    exposure_s: Annotated[float, number("how long the shutter is open; 0 when not known", "s", 0.0, 0.1)] = 0.0
-    altitude_max_m: Annotated[float, number("height over the take-off point that the drone never exceeds", "m", 1.0, 100.0)] = (
-        20.0
-    )
-    euler_angle_max_deg: Annotated[
-        float,
-        number("largest tilt the drone may take; full stick asks for this much", "deg", 1.0, 30.0, "firmware default 0.21 rad"),
-    ] = 12.0
-    vz_max_m_s: Annotated[float, number("largest climb and descent rate", "m/s", 0.2, 2.0, "firmware default 700 mm/s")] = 0.7
-    yaw_rate_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 40.0, 350.0, "firmware default")] = 100.0
-    velocity_gain_1_s: Annotated[
-        float, number("acceleration asked for, for each m/s of error in velocity", "1/s", 0.0, 10.0, "tuned in simulation")
-    ] = 1.8
-    velocity_integral_1_s2: Annotated[
-        float,
-        number("the same for each metre of that error summed up: holds against wind", "1/s^2", 0.0, 10.0, "tuned in simulation"),
-    ] = 0.4
-    velocity_lead: Annotated[
-        float,
-        number(
-            "share of the tilt still lacking that is asked for on top, as tilt follows late", "1", 0.0, 5.0, "tuned in simulation"
-        ),
-    ] = 1.2
-    velocity_scale: Annotated[
-        float,
-        number(
-            "the speed that navdata reports over the true one; readings are divided by it",
-            "1",
-            0.3,
-            2.0,
-            "a recorded AR.Drone 2.0 flight under motion capture",
-        ),
-    ] = 0.83
 
 
 class PadSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -327,7 +265,7 @@ class ServiceSettings(Struct, frozen=True, forbid_unknown_fields=True):
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """Everything a person can set. `companion.settings.load` reads one from a file."""
 
-    vehicle: ArDroneSettings
+    vehicle: ArDroneSettings | AutopilotSettings
     camera: CameraSettings
     pad: PadSettings
     vision: VisionSettings = VisionSettings()
@@ -337,3 +275,15 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     recorder: RecorderSettings = RecorderSettings()
     mqtt: MqttSettings = MqttSettings()
     metrics: MetricsSettings = MetricsSettings()
+    face: FaceSettings = FaceSettings()
+
+    def fault(self) -> str | None:
+        """What does not go together, beginning with the key; None when all does."""
+        if fault := self.camera.fault():
+            return f"camera.{fault}"
+        if isinstance(self.vehicle, AutopilotSettings):
+            if self.camera.source == "vehicle":
+                return 'camera.source must be "v4l2" or "stream": an autopilot has no pictures'
+            if self.face.links:
+                return "face.links must be empty: an autopilot speaks MAVLink itself"
+        return None

@@ -10,7 +10,7 @@ import msgspec
 from msgspec import inspect
 
 from companion.settings_model import Settings
-from companion.settings_refusal import unit_of, walk
+from companion.settings_refusal import fields, unit_of, variants
 
 
 def toml(settings: Settings) -> str:
@@ -34,14 +34,13 @@ def reference() -> str:
         "A key that is unknown, of the wrong type or out of range is refused, never guessed. Whole numbers are welcome where a",
         "number is asked for; text and truth values are not. Where a default is missing the key must be given.",
     ]
-    structs = _structs(inspect.type_info(Settings), ())
-    keys = dict(walk(Settings))
-    for path, struct in structs:
-        here = {k: f for k, f in keys.items() if tuple(k.split(".")[:-1]) == path}
-        lines += ["", f"## [{'.'.join(path)}]", "", " ".join((struct.cls.__doc__ or "").split()), ""]
+    for path, struct in _structs(inspect.type_info(Settings), ()):
+        here = [f for f in fields(struct) if not variants(f.type)]
+        kind = f" with {struct.tag_field} = {_value(struct.tag)}" if struct.tag_field else ""
+        lines += ["", f"## [{'.'.join(path)}]{kind}", "", " ".join((struct.cls.__doc__ or "").split()), ""]
         if here:
             lines += ["| key | default | range | unit | meaning | source of the default |", "|---|---|---|---|---|---|"]
-            lines += [_row(k.rpartition(".")[2], f) for k, f in here.items()]
+            lines += [_row(f.encode_name, f) for f in here]
         else:
             lines.pop()
     return "\n".join(lines) + "\n"
@@ -52,11 +51,12 @@ def _row(name: str, field: inspect.Field) -> str:
     notes = field.type.extra_json_schema or {}
     default = "**required**" if field.required else f"`{_value(field.default)}`"
     unit = unit_of(field.type)
+    unit = "" if unit in ("1", "id") else unit
     cells = [
         f"`{name}`",
         default,
         _range(field.type.type),
-        "" if unit == "1" else unit,
+        unit,
         notes["description"],
         notes.get("x-source", ""),
     ]
@@ -73,12 +73,11 @@ def _range(spot: inspect.Type) -> str:
     return "text"
 
 
-def _structs(struct: inspect.Type, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], inspect.StructType]]:
-    assert isinstance(struct, inspect.StructType)
-    if path:
-        yield path, struct
-    for field in struct.fields:
-        if isinstance(field.type, inspect.StructType):
+def _structs(spot: inspect.Type, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], inspect.StructType]]:
+    for struct in variants(spot):
+        if path:
+            yield path, struct
+        for field in struct.fields:
             yield from _structs(field.type, (*path, field.encode_name))
 
 

@@ -16,7 +16,9 @@ from companion.doctor.diagnose import RULES, diagnose
 from companion.doctor.finding import Finding, Gravity
 from companion.doctor.gather import examine, examine_service
 from companion.doctor.picture import Picture, decode, encode
-from companion.settings import load
+from companion.rig_mavlink import autopilot_options
+from companion.settings import Settings, load
+from companion.settings_vehicle import AutopilotSettings
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions
 from drivers.mavlink.endpoint import parse_endpoint
@@ -41,7 +43,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="MAVLink link: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD; may be repeated",
     )
     parser.add_argument(
-        "--config", metavar="FILE", help="settings file, or the name of a shipped rig: its files are examined too"
+        "--config",
+        metavar="FILE",
+        help="settings file, or the name of a shipped rig: its files are examined too, and its links where no --link is given",
     )
     parser.add_argument("--broker", metavar="HOST:PORT", help="MQTT broker that should be there")
     parser.add_argument("--system", type=int, metavar="N", help="system id of the autopilot that is meant")
@@ -88,13 +92,18 @@ async def _examined(args: argparse.Namespace) -> Picture:
         raise BadInput(f"--broker {args.broker}: write HOST:PORT")
     settings = load(args.config) if args.config else None
     service = await examine_service(settings, args.broker)
-    if not args.link:
+    options = _options(args, settings)
+    if options is None:
         return Picture(0.0, service=service)
-    picture = await examine(_options(args), SystemClock(), args.seconds, _progress)
+    picture = await examine(options, SystemClock(), args.seconds, _progress)
     return msgspec.structs.replace(picture, service=service)
 
 
-def _options(args: argparse.Namespace) -> AutopilotOptions:
+def _options(args: argparse.Namespace, settings: Settings | None) -> AutopilotOptions | None:
+    """Of the links that are given, else of those in the settings; None where there is no link."""
+    if not args.link:
+        vehicle = None if settings is None else settings.vehicle
+        return autopilot_options(vehicle, 4096, ()) if isinstance(vehicle, AutopilotSettings) else None
     key = load_key(args.signing_key) if args.signing_key else None
     time = SigningTime(None)
     links = tuple(

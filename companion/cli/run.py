@@ -8,7 +8,8 @@ import sys
 
 from companion.pilot import Outcome
 from companion.service import live, log_to_stderr, make_daemon, make_pilot
-from companion.settings import load, shipped
+from companion.settings import Settings, load, shipped
+from companion.settings_vehicle import AutopilotSettings
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -29,15 +30,18 @@ def run(args: argparse.Namespace) -> int:
     settings = load(args.config)
     pilot = make_pilot(settings)
     if args.check:
-        v, c = settings.vehicle, pilot.camera
+        c = pilot.camera
+        make_daemon(settings, pilot)
         sys.stdout.write(
-            f"vehicle: {v.kind} at {v.host}, navdata {v.navdata_port}/udp, video {v.video_port}/tcp, "
-            f"commands {v.at_port}/udp, configuration {v.control_port}/tcp\n"
-            f"camera: {settings.camera.file}, {c.width}x{c.height} px\n"
+            f"{_vehicle(settings)}\n"
+            f"camera: {settings.camera.file}, {c.width}x{c.height} px, {_source(settings)}\n"
             f"pad: {settings.pad.file}\n"
             f"colours: {settings.vision.colours}\n"
             f"estimator: {settings.estimator.path} steers\n"
             f"start of the approach: {settings.guidance.start}\n"
+            f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
+            f"mqtt: {_broker(settings)}\n"
+            f"metrics: {settings.metrics.endpoint}\n"
         )
         return 0
     log_to_stderr(settings)
@@ -46,3 +50,26 @@ def run(args: argparse.Namespace) -> int:
     if outcome is not None:
         sys.stderr.write(f"flight ended: {outcome.value}\n")
     return 0 if not args.once or outcome in (Outcome.LANDED, Outcome.LANDED_BY_OTHERS) else 1
+
+
+def _vehicle(settings: Settings) -> str:
+    v, face = settings.vehicle, settings.face
+    if isinstance(v, AutopilotSettings):
+        signed = "signed" if v.signing_key_file else "not signed"
+        whom = f"system {v.system_id}" if v.system_id else "the first that flies"
+        return f"vehicle: autopilot over {v.links} ({signed}), {whom}; we are component {v.component_id}"
+    return (
+        f"vehicle: ardrone at {v.host}, navdata {v.navdata_port}/udp, video {v.video_port}/tcp, "
+        f"commands {v.at_port}/udp, configuration {v.control_port}/tcp"
+        + (f"; shown to ground stations as system {face.system_id} over {face.links}" if face.links else "")
+    )
+
+
+def _source(settings: Settings) -> str:
+    c = settings.camera
+    return "pictures come from the vehicle" if c.source == "vehicle" else f"pictures from {c.source} {c.device}"
+
+
+def _broker(settings: Settings) -> str:
+    m = settings.mqtt
+    return "off" if m.transport == "off" else f"{m.transport} to {m.host}:{m.port} as {m.drone}"

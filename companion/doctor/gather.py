@@ -10,6 +10,7 @@ from companion.doctor.diagnose import PARAMETERS
 from companion.doctor.picture import AutopilotPicture, LinkPicture, Picture, ServicePicture, SyncPicture
 from companion.settings import camera_model, pad_model
 from companion.settings_model import Settings
+from companion.settings_vehicle import ArDroneSettings
 from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import Heard
@@ -143,7 +144,7 @@ async def examine_service(settings: Settings | None, broker: str | None, timeout
             pad_model(settings)
         except BadInput as why:
             fault = str(why)
-        if settings.vehicle.kind == "ardrone":
+        if isinstance(settings.vehicle, ArDroneSettings):
             drone = f"{settings.vehicle.host}:{settings.vehicle.control_port}"
             drone_fault = await _unreachable(settings.vehicle.host, settings.vehicle.control_port, timeout_s)
     broker_fault = None

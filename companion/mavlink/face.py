@@ -45,11 +45,13 @@ class Face(Silent):
     Args:
         send: where messages go.
         command: to the drone; may raise Recoverable.
+        go_on: ends a hold.
     """
 
-    def __init__(self, send: Send, command: Callable[[Command], None]) -> None:
+    def __init__(self, send: Send, command: Callable[[Command], None], go_on: Callable[[], None] = lambda: None) -> None:
         self._send = send
         self._command = command
+        self._go_on = go_on
         self._status: VehicleStatus | None = None
         self._attitude: Attitude | None = None
         self._velocity: BodyVelocity | None = None
@@ -124,6 +126,9 @@ class Face(Silent):
             return self._give(TakeOff()), []
         if m.command == mav.MAV_CMD_NAV_LAND:
             return self._give(Land()), []
+        if m.command == mav.MAV_CMD_DO_PAUSE_CONTINUE and m.param1 == 1.0:
+            self._go_on()
+            return ACCEPTED, []
         if m.command in _HOLDS:
             return self._give(Hover()), []
         if m.command == mav.MAV_CMD_REQUEST_MESSAGE:

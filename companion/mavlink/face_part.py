@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import Protocol, TypeVar
 
 from companion.mavlink.face import Face
 from companion.observer import Silent
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.links import LinkOptions, Links, open_links
-from estimator.contracts.commands import Command
+from drivers.mavlink.links import LinkOptions, Links, Tap, open_links
+from estimator.contracts.commands import Command, Hover
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
 
 _TICK_S = 0.02
+
+
+class _Drone(Protocol):
+    def command(self, command: Command) -> None: ...
+
+
+Taker = TypeVar("Taker", bound=_Drone)
 
 
 class FacePart(Silent):
@@ -23,15 +32,37 @@ class FacePart(Silent):
     Args:
         links: where ground stations are.
         system: MAVLink system id of the drone.
+        hold, go_on: what a station's hold does to guidance, and what ends it.
+        tap: told of every message; None for nobody.
     """
 
-    def __init__(self, links: Sequence[LinkOptions], system: int, clock: Clock) -> None:
+    def __init__(
+        self,
+        links: Sequence[LinkOptions],
+        system: int,
+        clock: Clock,
+        *,
+        hold: Callable[[], None] = lambda: None,
+        go_on: Callable[[], None] = lambda: None,
+        tap: Tap | None = None,
+    ) -> None:
         self._options = tuple(links)
         self._system = system
         self._clock = clock
+        self._hold, self._go_on = hold, go_on
+        self._tap = tap
         self._face: Face | None = None
-        self.taker: Callable[[Command], None] | None = None
-        """The open link's `command`; whoever opens the link sets it and takes it away again."""
+        self._taker: Callable[[Command], None] | None = None
+
+    @asynccontextmanager
+    async def beside(self, opening: AbstractAsyncContextManager[Taker]) -> AsyncIterator[Taker]:
+        """The drone's link, with the stations' commands going to it while it is open."""
+        async with opening as drone:
+            self._taker = drone.command
+            try:
+                yield drone
+            finally:
+                self._taker = None
 
     def command(self, command: Command) -> None:
         """To the drone.
@@ -39,9 +70,11 @@ class FacePart(Silent):
         Raises:
             Recoverable: its link is not open.
         """
-        if self.taker is None:
+        if self._taker is None:
             raise Recoverable("the drone is not there")
-        self.taker(command)
+        if isinstance(command, Hover):
+            self._hold()  # or guidance would fly on at once
+        self._taker(command)
 
     def on_sample(self, sample: Sample) -> None:
         if self._face is not None:
@@ -51,7 +84,8 @@ class FacePart(Silent):
         """For ever; the links come back by themselves."""
         identity = (self._system, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
         async with open_links(self._options, self._clock, identity) as links, asyncio.TaskGroup() as group:
-            self._face = face = Face(links.send, self.command)
+            links.tap = self._tap
+            self._face = face = Face(links.send, self.command, self._go_on)
             try:
                 listening = group.create_task(self._listen(face, links))
                 while not listening.done():

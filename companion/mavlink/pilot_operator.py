@@ -15,7 +15,6 @@ class PilotTower:
 
     Args:
         believe: the steering path's newest belief.
-        engage: called when the operator starts: a vehicle that a person took may be taken back.
         recording: switches the recorder; None where there is none.
     """
 
@@ -23,20 +22,17 @@ class PilotTower:
         self,
         pilot: Pilot,
         believe: Callable[[], RelativeState | None],
-        engage: Callable[[], None] = lambda: None,
         recording: Callable[[bool], str | None] | None = None,
     ) -> None:
         self._pilot = pilot
         self._deeds = PilotOperator(pilot, recording)
         self._believe = believe
-        self._engage = engage
         self._from_m: float | None = None
 
     def begin(self) -> str | None:
         refusal = self._deeds.start()
         if refusal is None:
             self._from_m = None
-            self._engage()
         return refusal
 
     def pause(self) -> str | None:

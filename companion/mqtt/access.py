@@ -9,7 +9,8 @@ import stat
 from collections.abc import Mapping
 from pathlib import Path
 
-from companion.mqtt.settings import CREDENTIAL, MqttSettings
+from companion.mqtt.settings import MqttSettings
+from companion.settings_keys import CREDENTIAL
 from estimator.contracts.errors import BadInput
 
 log = logging.getLogger(__name__)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
-from msgspec import Struct, structs
+from msgspec import Struct
 
 from companion.settings_keys import choice, name, number, text
 
-CREDENTIAL = "credential:"
 _FILE = 'a path relative to the settings file, or "credential:NAME" for a systemd credential; empty for none'
 
 
@@ -69,11 +67,3 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("certificate_file and key_file need each other")
         if self.password_file and not self.user:
             raise ValueError("password_file needs a user")
-
-
-def anchored(settings: MqttSettings, base: Path) -> MqttSettings:
-    """The same settings with relative paths made to hold from the working directory; `base` is where the settings file is."""
-    given = {key: getattr(settings, key) for key in ("password_file", "ca_file", "certificate_file", "key_file", "spool")}
-    return structs.replace(
-        settings, **{key: str(base / path) for key, path in given.items() if path and not path.startswith(CREDENTIAL)}
-    )

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from typing import Literal
 
 from drivers.mailbox import Line
 from drivers.mavlink.codec import Codec, CodecCounters
@@ -122,6 +123,7 @@ class Link:
                 if self._wire.send(data, address):
                     self.counters.bytes_out += len(data)
                     went = True
+                    self._links.told(self._clock.now(), self.endpoint, "out", data, message)
         self.counters.dropped += not went
         return went
 
@@ -181,6 +183,7 @@ class Link:
                 del self._peers[min(self._peers, key=lambda a: self._peers[a].heard)]
             self._peers[address] = peer
         for message in messages:
+            self._links.told(heard, self.endpoint, "in", bytes(message.get_msgbuf()), message)
             self._links.heard.offer(
                 Heard(message, self._number, heard, int(message.get_srcSystem()), int(message.get_srcComponent()))
             )
@@ -206,16 +209,26 @@ class Link:
         self.counters.codecs = [total, *(c for c in self.counters.codecs if id(c) in alive)]
 
 
+Tap = Callable[[MonoNs, str, Literal["in", "out"], bytes, str], None]
+"""Told of every message that crosses a link: when, the link's address, which way, its bytes, its name. It must be quick."""
+
+
 class Links:
     """All links. See `open_links`."""
 
     def __init__(self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int) -> None:
         self.identity = identity
         """(system, component) that messages are sent as."""
+        self.tap: Tap | None = None
         self.heard: Line[Heard] = Line(capacity)
         self.opened = [0 for _ in options]
         """How often each link was opened: grows when it comes back."""
         self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
+
+    def told(self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes, message: Message) -> None:
+        """A message crossed a link."""
+        if self.tap is not None:
+            self.tap(at, str(endpoint), way, data, message.get_type())
 
     def identify(self, system: int, component: int) -> None:
         """Speak as another system and component from now on."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -11,35 +12,55 @@ import numpy as np
 import pytest
 from msgspec import inspect
 
-from companion import rig
+from companion import rig, rig_mavlink
 from companion.guidance.pid import Gains
 from companion.guidance.planner import Plan
+from companion.mavlink.component import ComponentOptions
+from companion.mavlink.outputs import OutputOptions
 from companion.rig_camera import camera_options
 from companion.settings import Settings, from_mapping
 from companion.settings_refusal import walk
+from companion.settings_vehicle import ArDroneSettings, AutopilotSettings, FaceSettings
 from companion.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
+from drivers.mavlink.autopilot import AutopilotOptions
 from drivers.video_source_options import CameraOptions
 from estimator import pipeline
+from estimator.contracts.errors import BadInput
 
 READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz", "guidance.land_timeout_s",
-    "service.log_level", "service.health_period_s",
+    "service.log_level", "service.health_period_s", "face.links", "face.system_id",
+    *(f"{table}.signing_{what}_file" for table in ("vehicle", "face") for what in ("key", "time")),
 }  # fmt: skip
 TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.")
 """Sections that a part takes as they are."""
 MINIMAL = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
-KEYS = dict(walk(Settings))
+MINIMALS = {
+    "ardrone": MINIMAL,
+    "mavlink": MINIMAL | {"vehicle": {"kind": "mavlink", "links": "tcp://127.0.0.1:5760"}},
+}
+KEYS = [(kind, path, field) for kind in MINIMALS for path, field in walk(Settings, kind)]
 
 
 def parts(settings: Settings) -> list[object]:
     return [
         plain(part)
         for part in (
-            rig.ardrone_options(settings), rig.eyes(settings), rig.estimator_options(settings), rig.gains(settings),
+            *vehicle(settings), rig.eyes(settings), rig.estimator_options(settings), rig.gains(settings),
             rig.plan(settings), rig.restart(settings), settings.camera.source, *cameras(settings),
         )
     ]  # fmt: skip
+
+
+def vehicle(settings: Settings) -> list[object]:
+    v = settings.vehicle
+    if isinstance(v, ArDroneSettings):
+        return [rig.ardrone_options(settings)]
+    return [
+        rig_mavlink.autopilot_options(v, settings.service.sample_queue_items, ()),
+        rig_mavlink.component_options(v, 0.39, 0.5),
+    ]
 
 
 def cameras(settings: Settings) -> list[CameraOptions | None]:
@@ -65,6 +86,8 @@ def other(field: inspect.Field, path: str) -> object:
     bare = field.type.type if isinstance(field.type, inspect.Metadata) else field.type
     if path == "camera.file":
         return "photos"
+    if path == "vehicle.links":
+        return "udpin://127.0.0.1:0, serial:///dev/ttyAMA0:57600"
     if path == "pad.file":
         return "printed"
     if path == "camera.controls":
@@ -74,19 +97,28 @@ def other(field: inspect.Field, path: str) -> object:
             return next(v for v in values if v != field.default)
         case inspect.FloatType(le=high) | inspect.IntType(le=high):
             step = field.default * 1.01 if isinstance(bare, inspect.FloatType) else field.default + 1
-            return min(step, high) if field.default else high / 2
+            return min(step, high) if field.default else high / 2 if isinstance(bare, inspect.FloatType) else high // 2
+        case inspect.BoolType():
+            return not field.default
     return "elsewhere"
 
 
-@pytest.mark.parametrize("path", sorted(k for k in KEYS if k not in READ_BY_THE_SERVICE_ITSELF and not k.startswith(TAKEN_WHOLE)))
-def test_every_key_reaches_a_part(path: str) -> None:
-    data = msgspec.to_builtins(from_mapping(MINIMAL, "default"))
+@pytest.mark.parametrize(
+    ("kind", "path", "field"),
+    [
+        pytest.param(kind, path, field, id=f"{kind}-{path}")
+        for kind, path, field in KEYS
+        if path not in READ_BY_THE_SERVICE_ITSELF and not path.startswith(TAKEN_WHOLE)
+    ],
+)
+def test_every_key_reaches_a_part(kind: str, path: str, field: inspect.Field) -> None:
+    data = msgspec.to_builtins(from_mapping(MINIMALS[kind], "default"))
     before = parts(from_mapping(data, "default"))
     *tables, last = path.split(".")
     table = data
     for name in tables:
         table = table[name]
-    table[last] = other(KEYS[path], path)
+    table[last] = other(field, path)
     assert parts(from_mapping(data, "changed")) != before
 
 
@@ -111,3 +143,38 @@ def test_degrees_in_the_file_are_radians_inside() -> None:
     assert math.isclose(rig.ardrone_options(settings).loop.euler_angle_max_rad, math.pi / 10)
     assert math.isclose(rig.ardrone_options(settings).loop.yaw_rate_max_rad_s, math.pi / 2)
     assert math.isclose(rig.gains(settings).turn_max_rad_s, math.pi / 4)
+
+
+def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
+    v = from_mapping(MINIMALS["mavlink"], "default").vehicle
+    assert isinstance(v, AutopilotSettings)
+    options = rig_mavlink.autopilot_options(v, 4096, ())
+    assert options == AutopilotOptions(options.links)
+    assert rig_mavlink.component_options(v, 0.39, 0.5) == ComponentOptions(OutputOptions(0.39))
+
+
+@pytest.mark.parametrize("kind", [AutopilotSettings, FaceSettings])
+def test_links_are_signed_with_one_key_and_ids_of_their_own(
+    tmp_path: Path, kind: type[AutopilotSettings] | type[FaceSettings]
+) -> None:
+    key, time = tmp_path / "link.key", tmp_path / "time"
+    key.write_bytes(bytes(range(32)))
+    key.chmod(0o600)
+    urls = "tcp://127.0.0.1:1, tcp://127.0.0.1:2"
+    first, second = rig_mavlink.links(kind(urls, signing_key_file=str(key), signing_time_file=str(time)))
+    assert first.signing is not None
+    assert second.signing is not None
+    assert first.signing.key.secret == bytes(range(32))
+    assert (first.signing.link_id, second.signing.link_id) == (0, 1)
+    assert first.signing.time is second.signing.time
+    first.signing.time.next()
+    assert time.exists()
+    credential = kind(urls, signing_key_file="credential:link.key")
+    environment = {"CREDENTIALS_DIRECTORY": str(tmp_path), "STATE_DIRECTORY": str(tmp_path / "state")}
+    signing = rig_mavlink.links(credential, environment)[0].signing
+    assert signing is not None
+    signing.time.next()
+    assert (tmp_path / "state/mavlink-signing-time").exists()
+    with pytest.raises(BadInput, match="signing key"):
+        rig_mavlink.links(kind(urls, signing_key_file=str(tmp_path / "none")))
+    assert rig_mavlink.links(FaceSettings()) == ()

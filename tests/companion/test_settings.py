@@ -18,10 +18,15 @@ from msgspec import inspect
 from companion import settings_pages
 from companion.settings import Settings, camera_model, from_mapping, load, pad_model, shipped
 from companion.settings_refusal import walk
+from companion.settings_vehicle import AutopilotSettings
 from estimator.contracts.errors import BadInput
 
 ROOT = Path(__file__).parents[2]
 MINIMAL = '[vehicle]\nkind = "ardrone"\n[camera]\nfile = "sim"\n[pad]\nfile = "thesis"\n'
+AUTOPILOT = MINIMAL.replace('"ardrone"', '"mavlink"\nlinks = "serial:///dev/ttyAMA0:921600"').replace(
+    'file = "sim"', 'file = "sim"\nsource = "v4l2"\ndevice = "Test camera"'
+)
+MINIMALS = {"ardrone": MINIMAL, "mavlink": AUTOPILOT}
 KEYS = dict(walk(Settings))
 
 
@@ -33,9 +38,13 @@ def numeric(field: inspect.Field) -> inspect.FloatType | inspect.IntType | None:
 NUMBERS = {path: numeric(field) for path, field in KEYS.items() if numeric(field)}
 
 
-def minimal(**changes: Any) -> dict[str, Any]:
+KIND_OF = {path: kind for kind in MINIMALS for path, _ in walk(Settings, kind)}
+"""A kind of vehicle that has this key."""
+
+
+def minimal(kind: str = "ardrone", **changes: Any) -> dict[str, Any]:
     """The smallest good file with keys set by dotted path (`__` for a dot)."""
-    data: dict[str, Any] = tomllib.loads(MINIMAL)
+    data: dict[str, Any] = tomllib.loads(MINIMALS[kind])
     for path, value in changes.items():
         *tables, last = path.split("__")
         table = data
@@ -74,13 +83,13 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         ({"vehicle__at_port": 0}, "vehicle.at_port must be a whole number from 1 to 65535, found 0"),
         ({"vehicle__host": ""}, 'vehicle.host must be text of 1 to 253 characters, found ""'),
         ({"vision__colours": "sim"}, 'vision.colours must be one of "indoor", "outdoor", "simulator", found "sim"'),
-        ({"vehicle__kind": "balloon"}, 'vehicle.kind must be "ardrone", found "balloon"'),
+        ({"vehicle__kind": "balloon"}, 'vehicle.kind must be one of "ardrone", "mavlink", found "balloon"'),
         ({"vehicle__hots": "x"}, "vehicle.hots is not a known key; did you mean vehicle.host?"),
         ({"guidance__speed_m_s": 1.0}, "guidance.speed_m_s is not a known key here; did you mean guidance.planner.speed_m_s?"),
         (
             {"a b": 1},
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
-            "mqtt, metrics",
+            "mqtt, metrics, face",
         ),
         ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
         ({"vision": 3}, "vision must be a table of keys, found 3"),
@@ -112,14 +121,14 @@ def test_every_number_refuses_nan_infinities_and_what_lies_outside_its_range(pat
     assert kind.ge is not None
     assert kind.le is not None
     for bad in (math.nan, math.inf, -math.inf, kind.ge - 1, kind.le + 1, "1", True):
-        said = refusal(minimal(**{path.replace(".", "__"): bad}))
+        said = refusal(minimal(KIND_OF[path], **{path.replace(".", "__"): bad}))
         assert path in said, said
 
 
 UNITS = {
     "s": "_s", "m": "_m", "m/s": "_m_s", "m/s^2": "_m_s2", "deg": "_deg", "deg/s": "_deg_s", "Hz": "_hz", "port": "_port",
     "1/s": "_1_s", "1/s^2": "_1_s2", "threads": "threads", "samples": "_items",
-    "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames",
+    "id": "_id", "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames",
 }  # fmt: skip
 GAINS_AND_RATIOS = {
     "kp",
@@ -149,9 +158,10 @@ def test_every_key_is_explained_and_a_number_carries_its_unit_in_its_name(path: 
 
 @st.composite
 def good_settings(draw: st.DrawFn) -> Settings:
-    data = minimal()
-    for path, field in KEYS.items():
-        if draw(st.booleans()):
+    kind = draw(st.sampled_from(sorted(MINIMALS)))
+    data = minimal(kind)
+    for path, field in walk(Settings, kind):
+        if path.endswith("links") or draw(st.booleans()):
             continue
         bare = field.type.type if isinstance(field.type, inspect.Metadata) else field.type
         match bare:
@@ -178,6 +188,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     service.update(restart_first_s=0.1, restart_cap_s=1.0)
     data.setdefault("recorder", {}).update(max_file_mb=1.0, max_total_mb=10.0)
     data.setdefault("mqtt", {}).update(reconnect_first_s=0.1, reconnect_cap_s=1.0, user="a", certificate_file="", key_file="")
+    data["vehicle"].pop("vessel_id", None)
     planner.update(final_height_m=0.2, approach_height_m=1.0, climb_after_s=1.0, give_up_after_s=9.0)
     return from_mapping(data, "drawn")
 
@@ -195,6 +206,47 @@ junk = st.recursive(
     ),
     max_leaves=12,
 )
+
+
+def test_the_kind_of_vehicle_decides_which_keys_there_are(tmp_path: Path) -> None:
+    for kind, other_key in (("ardrone", "links"), ("mavlink", "host")):
+        said = refusal(minimal(kind, **{f"vehicle__{other_key}": "tcp://127.0.0.1:5760"}))
+        assert said.endswith(f"vehicle.{other_key} is not a known key of this kind of vehicle")
+    assert refusal({**minimal(), "vehicle": {}}).endswith('vehicle.kind is missing: it must be one of "ardrone", "mavlink"')
+    assert refusal({**minimal(), "vehicle": {"kind": "mavlink"}}).endswith(
+        "vehicle.links is missing: it must be text of 1 to 4096 characters"
+    )
+    assert "'udp' should be" not in refusal(minimal("mavlink", vehicle__links="udp:14550"))
+    assert "links: MAVLink link 'udp:14550': write udpin://" in refusal(minimal("mavlink", vehicle__links="udp:14550"))
+    assert "vessel_id must not be" in refusal(minimal("mavlink", vehicle__vessel_id=3, vehicle__system_id=3))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            ('source = "v4l2"\ndevice = "Test camera"', ""),
+            'camera.source must be "v4l2" or "stream": an autopilot has no pictures',
+        ),
+        (("[camera]", '[face]\nlinks = "udpin://0.0.0.0:14550"\n[camera]'), "face.links must be empty"),
+    ],
+)
+def test_what_an_autopilot_does_not_go_with(tmp_path: Path, change: tuple[str, str], said: str) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text(AUTOPILOT)
+    assert load(file).fault() is None
+    file.write_text(AUTOPILOT.replace(*change))
+    with pytest.raises(BadInput, match=f"^{file}: {said}"):
+        load(file)
+
+
+def test_keys_of_links_are_relative_to_the_settings_file(tmp_path: Path) -> None:
+    file = tmp_path / "rig.toml"
+    more = 'signing_key_file = "link.key"\n[camera]'
+    file.write_text(AUTOPILOT.replace("[camera]", more))
+    vehicle = load(file).vehicle
+    assert isinstance(vehicle, AutopilotSettings)
+    assert vehicle.signing_key_file == str(tmp_path / "link.key")
 
 
 @given(st.dictionaries(st.sampled_from(["vehicle", "camera", "pad", "vision", "guidance", "x"]), junk))

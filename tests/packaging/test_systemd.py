@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.mqtt.settings import CREDENTIAL
+from companion.settings_keys import CREDENTIAL
 
 ROOT = Path(__file__).parents[2]
 UNIT = ROOT / "configs/systemd/decklander.service"

@@ -140,7 +140,7 @@ async def test_mavsdk_flies_it() -> None:
     part = FacePart([LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))], 7, clock)
     with pytest.raises(Recoverable, match="not there"):
         part.command(Land())
-    part.taker = commands.append
+    part._taker = commands.append
     async with asyncio.TaskGroup() as group:
         flying = False
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -11,15 +12,13 @@ import numpy as np
 import companion.settings as settings_of
 from companion import rig
 from companion.daemon import Daemon, Link
-from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.mavlink.outputs import OutputOptions
-from companion.mavlink.pilot_operator import PilotTower
+from companion.health import Health
+from companion.mavlink.make import AutopilotPart
 from companion.pilot import Outcome
 from companion.service import make_pilot
-from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
+from companion.settings_vehicle import AutopilotSettings
+from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions
 from tests.companion.mavlink.aircraft import TICK_S, Aircraft, VirtualClock, settled
 from tests.drivers.fake_ardrone import until
 
@@ -27,7 +26,7 @@ HOST = "127.0.0.1"
 FRAME_EVERY = 8
 """Ticks: 12.5 pictures a second."""
 SETTINGS = {
-    "vehicle": {"kind": "ardrone"},
+    "vehicle": {"kind": "mavlink", "links": f"udpin://{HOST}:0", "command_period_s": 0.02},
     "camera": {"file": "sim"},
     "pad": {"file": "thesis"},
     "vision": {"colours": "simulator"},
@@ -42,19 +41,30 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
     loaded = settings_of.from_mapping(SETTINGS, "test")
     pilot = make_pilot(loaded)
     craft = Aircraft(clock, "demo", height_m=1.8, forward_m=0.3, right_m=-0.2)
-    tower = PilotTower(pilot, lambda: component.belief)
-    component = Component(ComponentOptions(OutputOptions(pad_radius_m=0.39)), tower, None, healthy=lambda: None, clock=clock)
-    options = AutopilotOptions((LinkOptions(parse_endpoint(f"udpin://{HOST}:0")),), period_s=0.02)
+    crossed: Counter[tuple[str, str]] = Counter()
+    health = Health(clock)
+    assert isinstance(loaded.vehicle, AutopilotSettings)
+    part = AutopilotPart(
+        loaded, loaded.vehicle, pilot, health, clock, tap=lambda at, link, way, data, name: crossed.update([(way, name)])
+    )
     opened: list[Autopilot] = []
 
     @asynccontextmanager
     async def open_link() -> AsyncIterator[Link]:
-        async with open_autopilot(options, clock) as autopilot, speaking(component, autopilot, clock):
-            opened.append(autopilot)
-            yield autopilot
+        async with part.open() as link:
+            assert isinstance(link, Autopilot)
+            opened.append(link)
+            yield link
 
     daemon = Daemon(
-        open_link, pilot, clock, restart=rig.restart(loaded), guidance_rate_hz=50.0, observers=(component,), once=True
+        open_link,
+        pilot,
+        clock,
+        restart=rig.restart(loaded),
+        guidance_rate_hz=50.0,
+        observers=(part.component,),
+        once=True,
+        health=health,
     )
     outcomes: list[Outcome | None] = []
 
@@ -95,3 +105,6 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
     assert len(percents) > 3, "the landing reports on"
     assert len(craft.told_off_m) > 100
     assert np.median(craft.told_off_m) < 0.06, "what was told of the pad is where it is"
+    assert crossed["in", "ATTITUDE_QUATERNION"] > 1000
+    assert crossed["out", "LANDING_TARGET"] == len(craft.of("LANDING_TARGET"))
+    assert health.snapshot().counters["mavlink"]["bytes_out"] > 10_000

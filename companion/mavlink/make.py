@@ -1,0 +1,94 @@
+"""The service's vehicle where that is an autopilot: its links, the component that speaks over them, and the pilot's hand."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+
+from companion import rig, rig_mavlink
+from companion.daemon import Link
+from companion.health import Health
+from companion.mavlink.component import Component, speaking
+from companion.mavlink.pilot_operator import PilotTower
+from companion.mavlink.tunables import Tunables
+from companion.pilot import Pilot
+from companion.settings_model import Settings
+from companion.settings_vehicle import AutopilotSettings
+from drivers.mavlink.autopilot import Autopilot, open_autopilot
+from drivers.mavlink.links import Links, Tap
+from estimator.contracts.ports import Clock
+
+
+class AutopilotPart:
+    """Opens the autopilot with our component on its links. The component is an observer of the service.
+
+    Args:
+        recording: switches the recorder; None where there is none.
+        tap: told of every MAVLink message; None for nobody.
+
+    Raises:
+        BadInput: a signing key that cannot be read.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        vehicle: AutopilotSettings,
+        pilot: Pilot,
+        health: Health,
+        clock: Clock,
+        recording: Callable[[bool], str | None] | None = None,
+        tap: Tap | None = None,
+    ) -> None:
+        self._pilot = pilot
+        self._clock = clock
+        self._tap = tap
+        self._open: Autopilot | None = None
+        self._links: Links | None = None
+        said = rig_mavlink.component_options(vehicle, pilot.pad.disc_radius_m, settings.guidance.stale_after_s)
+        self._options = rig_mavlink.autopilot_options(vehicle, settings.service.sample_queue_items, said.parameters)
+        self.component = Component(
+            said,
+            PilotTower(pilot, lambda: self.component.belief, recording),
+            Tunables(settings, self._apply),
+            healthy=health.fault,
+            believe=pilot.belief,
+            clock=clock,
+        )
+        pilot.engage = self._engage
+        health.counters("mavlink", self._counted)
+
+    @asynccontextmanager
+    async def open(self) -> AsyncIterator[Link]:
+        """The autopilot as the daemon's link."""
+        async with open_autopilot(self._options, self._clock) as autopilot:
+            self._links, autopilot.links.tap = autopilot.links, self._tap
+            async with speaking(self.component, autopilot, self._clock):
+                self._open = autopilot
+                try:
+                    yield autopilot
+                finally:
+                    self._open = None
+
+    def _engage(self) -> None:
+        if self._open is not None:
+            self._open.engage()
+
+    def _apply(self, settings: Settings) -> None:
+        estimator = settings.estimator
+        self._pilot.retune(
+            rig.plan(settings),
+            rig.gains(settings),
+            settings.guidance.land_timeout_s,
+            min_confidence=estimator.min_confidence,
+            max_delay_s=estimator.max_delay_s,
+        )
+
+    def _counted(self) -> Mapping[str, float]:
+        """Of the links since they were opened last, and of targets that were due and not sent."""
+        out: dict[str, float] = {f"withheld_{why.replace(' ', '_')}": n for why, n in self.component.outputs.withheld.items()}
+        if self._links is not None:
+            for link in self._links.all:
+                for name, n in link.counters.as_dict().items():
+                    out[name] = out.get(name, 0) + n
+        return out

@@ -1,0 +1,79 @@
+"""The vehicle as settings describe it: what opens it, what listens beside it, and what runs along."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from companion import rig
+from companion.daemon import Link, OpenLink
+from companion.health import Health
+from companion.observer import Observer
+from companion.pilot import Pilot
+from companion.rig_camera import camera_options, with_camera
+from companion.settings_model import Settings
+from companion.settings_vehicle import AutopilotSettings
+from companion.supervise import Body
+from drivers.ardrone.link import open_ardrone
+from estimator.contracts.ports import Clock
+
+if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a face does without
+    from drivers.mavlink.links import Tap
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleParts:
+    """What the daemon needs of the vehicle."""
+
+    open_link: OpenLink
+    observers: tuple[Observer, ...] = ()
+    extras: dict[str, Body] = field(default_factory=dict)
+    """Bodies to be supervised, by name."""
+
+
+def vehicle_parts(
+    settings: Settings,
+    pilot: Pilot,
+    health: Health,
+    clock: Clock,
+    recording: Callable[[bool], str | None] | None = None,
+    tap: Tap | None = None,
+) -> VehicleParts:
+    """The vehicle that is set, with the camera beside it where there is one.
+
+    Args:
+        recording: switches the recorder; None where there is none.
+        tap: told of every MAVLink message; None for nobody.
+
+    Raises:
+        BadInput: a signing key or a camera's controls that cannot be read.
+    """
+    vehicle = settings.vehicle
+    if isinstance(vehicle, AutopilotSettings):
+        from companion.mavlink.make import AutopilotPart
+
+        autopilot = AutopilotPart(settings, vehicle, pilot, health, clock, recording, tap)
+        parts = VehicleParts(autopilot.open, (autopilot.component,))
+    else:
+        parts = _ardrone(settings, pilot, clock, tap)
+    beside = camera_options(settings)
+    if beside is None:
+        return parts
+    return VehicleParts(with_camera(parts.open_link, beside, clock), parts.observers, parts.extras)
+
+
+def _ardrone(settings: Settings, pilot: Pilot, clock: Clock, tap: Tap | None) -> VehicleParts:
+    options = rig.ardrone_options(settings)
+    if not settings.face.links:
+        return VehicleParts(lambda: open_ardrone(options, clock))
+    from companion.mavlink.face_part import FacePart
+    from companion.rig_mavlink import links
+
+    face = FacePart(links(settings.face), settings.face.system_id, clock, hold=pilot.pause, go_on=pilot.begin, tap=tap)
+
+    def open_link() -> AbstractAsyncContextManager[Link]:
+        return face.beside(open_ardrone(options, clock))
+
+    return VehicleParts(open_link, (face,), {"face": face.run})
