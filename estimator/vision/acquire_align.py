@@ -27,8 +27,8 @@ from estimator.vision.pad_pose import PadPose
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 
-_SAMPLES, _STANDING_SAMPLES = 700, 2600
-"""At most, in the disc's box: while the pose moves, and to judge it by."""
+_SAMPLES, _APPROACH_SAMPLES, _STANDING_SAMPLES = 700, 1000, 2600
+"""At most, in the disc's box: while the pose moves in a search, on the way to a registration, and to judge it by."""
 _LOG_BLURS = np.log(np.array(BLURS_M))
 _LEAST_SAMPLES = 40
 _FEW = 350
@@ -141,7 +141,7 @@ def align(
     """
     tilt_sigmas = 0.0
     if steps > 0:
-        moved = _move(pyramid, camera, pad, pose, sigma_tilt_rad, steps, local)
+        moved = _move(pyramid, camera, pad, pose, sigma_tilt_rad, steps, local, _SAMPLES)
         if moved is None:
             return None
         pose, tilt_sigmas = moved
@@ -168,11 +168,17 @@ def align(
     )  # fmt: skip
 
 
+def approach(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float, steps: int = 6) -> PadPose | None:
+    """`align` without what the judge needs: a pose that edge-based registration can start from, out of a rough one."""
+    moved = _move(pyramid, camera, pad, pose, sigma_tilt_rad, steps, False, _APPROACH_SAMPLES)
+    return None if moved is None else moved[0]
+
+
 def _move(
-    pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float, steps: int, local: bool
+    pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float, steps: int, local: bool, most: int
 ) -> tuple[PadPose, float] | None:
     """The pose after some steps, and its tilt away from the start in sigmas."""
-    samples = _gather(pyramid, camera, pad, pose, _SAMPLES)
+    samples = _gather(pyramid, camera, pad, pose, most)
     if samples is None:
         return None
     R, t = pose.R_cam_pad.matrix.copy(), pose.t_cam_pad.copy()
@@ -218,6 +224,8 @@ def _blur_of(samples: _Samples, t: F64, camera: Camera) -> int:
 
 def _gather(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, most: int) -> _Samples | None:
     """The pixels about the disc, from the level of the pyramid that has neither too many nor too few of them there."""
+    if pose.t_cam_pad[2] < 0.02:
+        return None
     edge = pose.points(pad.circle(1.15 * pad.disc_radius_m, 24))
     near = edge[:, 2] < 0.05
     if near.any():

@@ -148,8 +148,8 @@ class Blurred:
     scale2: F32
     """(N,) factor on the covariance at each point: the square of its depth against the reference."""
 
-    def circles(self, *radii_m: float) -> list[Share]:
-        """The share inside each of some circles about the centre."""
+    def circles(self, *radii_m: float | F32) -> list[Share]:
+        """The share inside each of some circles about the centre; radii all for all points, or all (N,) for each its own."""
         x, y, m = self.x, self.y, self.scale2
         xx, xy, yy = self.blur_m2
         r2 = x * x + y * y
@@ -160,7 +160,8 @@ class Blurred:
         per_r = 1.0 / np.sqrt(m_cc * xx + m_cs * xy + m_ss * yy)
         seen = np.sqrt(r2 + (m_ss * xx - m_cs * xy + m_cc * yy))
         per = 1.0 / seen
-        c, c_d, c_v = _phi(np.array(radii_m, np.float32)[:, None] - seen, per_r)
+        radii = np.array(radii_m, np.float32)
+        c, c_d, c_v = _phi((radii[:, None] if radii.ndim == 1 else radii) - seen, per_r)
         c_x = -c_d * per
         inward = 0.5 * c_x
         d = np.empty((len(radii_m), 5, len(x)), np.float32)
@@ -171,13 +172,11 @@ class Blurred:
         np.add(c_v * m_ss, inward * m_cc, out=d[:, 4])
         return [(c[i], d[i]) for i in range(len(radii_m))]
 
-    def ring(self) -> Share:
-        """The ring's stroke, without the arrowhead."""
-        (outer, d_outer), (inner, d_inner) = self.circles(self.pad.ring_outer_m, self.pad.ring_inner_m)
-        return outer - inner, d_outer - d_inner
-
     def arrow(self, beyond: Share) -> Share:
-        """The arrowhead's part beyond the ring. `beyond` is the share inside the ring's outer edge."""
+        """The arrowhead's part beyond the ring. `beyond` is the share inside the ring's outer edge.
+
+        Holds where the blur is small against the arrowhead.
+        """
         pad, x, y, m = self.pad, self.x, self.y, self.scale2
         xx, xy, yy = self.blur_m2
         slant = math.hypot(pad.arrow_half_base_m, pad.arrow_depth_m)
@@ -202,12 +201,6 @@ class Blurred:
         d[2] += both * b_v * m
         both = both * b
         return both * out, d * out - both * d_ring
-
-    def orange(self) -> Share:
-        """Ring and arrowhead, where the blur is small against them."""
-        outer, inner = self.circles(self.pad.ring_outer_m, self.pad.ring_inner_m)
-        arrow, d_arrow = self.arrow(outer)
-        return outer[0] - inner[0] + arrow, outer[1] - inner[1] + d_arrow
 
     def arrow_small(self) -> Share:
         """The arrowhead's part beyond the ring where the blur is not small against it: a sum of strips along the arrow.

@@ -35,7 +35,9 @@ from estimator.vision.segmentation import ColourSet
 SpeaksFor = Literal["fused", "registration", "thesis"]
 """What steers: all methods fused; registration alone; or the thesis' three with its selection by priority."""
 
-_TRACKED = RegistrationOptions(coarse=True)
+_CLOSE, _ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
+_CLOSE_PX = 1.0
+"""Standard deviation of the believed place in the picture, up to which registration starts right from it."""
 _CANDIDATES = 2
 """Of acquisition that are registered."""
 _WORTH_A_TRY = 0.05
@@ -124,13 +126,14 @@ def _registered(
     if belief is not None and attitude is not None and _near_enough(belief, eyes.pad):
         start = expected(belief, attitude, eyes.camera)
         if start is not None and start.t_cam_pad[2] > 0.05:
-            best = _lay(eyes, paint, frame, pyramid, start, orientation, judge.TRACKED_LOG_ODDS)
+            options = _CLOSE if _sigma_m(belief) * eyes.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else _ROUGH
+            best = _lay(eyes, paint, frame, pyramid, start, orientation, options, judge.TRACKED_LOG_ODDS)
     if best is None or best.sighting.confidence < _FITS:
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
         for candidate in acquire(frame.px, eyes.camera, eyes.pad, R_level_body, paint)[:_CANDIDATES]:
             if candidate.score < _WORTH_A_TRY:
                 break
-            laid = _lay(eyes, paint, frame, pyramid, candidate.pose, orientation)
+            laid = _lay(eyes, paint, frame, pyramid, candidate.pose, orientation, _CLOSE)
             if laid is not None and (best is None or laid.sighting.confidence > best.sighting.confidence):
                 best = laid
             if best is not None and best.sighting.confidence >= _FITS:
@@ -147,10 +150,11 @@ def _lay(
     pyramid: Pyramid,
     start: PadPose,
     orientation: Orientation,
+    options: RegistrationOptions,
     prior_log_odds: float = 0.0,
 ) -> _Registered | None:
     """Register from a start and judge the drawing where it came to lie, given what speaks for the place beside the picture."""
-    found = register(frame.px, eyes.camera, eyes.pad, start, orientation, _TRACKED)
+    found = register(frame.px, eyes.camera, eyes.pad, start, orientation, options)
     if found is None:
         return None
     laid = align(pyramid, eyes.camera, eyes.pad, found.pose, SIGMA_TILT_RAD, 0)
@@ -164,7 +168,11 @@ def _lay(
 
 def _near_enough(belief: RelativeState, pad: Pad) -> bool:
     """Whether the belief is sharp enough to start from."""
-    sigma_m = math.sqrt(float(np.linalg.eigvalsh(belief.cov[:3, :3])[-1]))
     sigma_yaw = math.sqrt(float(belief.cov[6, 6]))
     reach_m = _REACH_OF_DISC * pad.disc_radius_m + _REACH_OF_HEIGHT * belief.height_m
-    return 2.0 * sigma_m < reach_m and sigma_yaw < 0.3
+    return 2.0 * _sigma_m(belief) < reach_m and sigma_yaw < 0.3
+
+
+def _sigma_m(belief: RelativeState) -> float:
+    """Standard deviation of the pad's place along its worst direction."""
+    return math.sqrt(float(np.linalg.eigvalsh(belief.cov[:3, :3])[-1]))

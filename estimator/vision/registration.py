@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.vision import registration_profiles as profiles_
 from estimator.vision import registration_whole as whole_
+from estimator.vision.acquire_align import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, Pyramid, approach
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
@@ -44,11 +45,10 @@ class Options:
     """
 
     coarse: bool = True
-    """Search round the start on a reduced picture first; False for a start good to a pixel and a half."""
+    """Approach from the start on a reduced picture first; False for a start good to a pixel and a half."""
     max_profiles: int = 180
     whole_pixels: int = 1700
     """A picture of the disc of up to so many pixels is registered whole."""
-    coarse_pixels: int = 600
     blur_px: float = 0.6
     """Sigma of the lens' point spread to begin with; it is estimated."""
     edge_sigma_px: float = 0.004
@@ -157,11 +157,10 @@ def register(
         raise ValueError(f"want a picture of shape {(camera.height, camera.width, 3)}, got {px.shape}")
     options = options if options is not None else Options()
     tilt = TiltTarget.of(prior, camera) if prior is not None else None
-    pose: PadPose | None = start
+    pose = start
     if options.coarse:
-        pose = _coarse(px, camera, pad, start, tilt, options)
-    if pose is None:
-        return None
+        sigma = SIGMA_TILT_RAD if prior is not None and prior.measured else SIGMA_TILT_FREE_RAD
+        pose = approach(Pyramid(px), camera, pad, start, sigma) or start
     state = State.of(pose, camera, options.blur_px, depth_in_view(pose, camera))
     solved = _refine(px, camera, pad, state, tilt, options)
     if solved is None:
@@ -183,24 +182,6 @@ def _refine(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget | N
             return solved
         state = solved.state
     return _by_whole(px, camera, pad, state, tilt, options)
-
-
-def _coarse(px: U8, camera: Camera, pad: Pad, start: PadPose, tilt: TiltTarget | None, options: Options) -> PadPose | None:
-    state = State.of(start, camera, options.blur_px, depth_in_view(start, camera))
-    got = whole_.patch(px, camera, pad, state, 3.0, options.coarse_pixels, options.gamma, exact=False)
-    if got is None:
-        return None
-    cut, state = got
-    # A wider blur than the picture's widens the catch.
-    state = replace(state, blur_px2=np.array([1.5, 0.0, 1.5]))
-    solver = Solver(state, tilt, pad)
-    fit: whole_.WholeFit | None = None
-    for n in range(8):
-        fit = whole_.fit(state, cut, pad, fit, options.whole_edge_sigma_px)
-        state, moved = solver.step(state, fit.H, fit.g, 2.0, blur_too=n > 2)
-        if n >= 2 and moved < 0.12:
-            break
-    return state.pose if np.all(np.isfinite(state.t)) and state.t[2] > -1.0 else None
 
 
 def _by_whole(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget | None, options: Options) -> _Solved | None:

@@ -190,12 +190,20 @@ class ProfileFit:
 def shares(state: State, profiles: Profiles, pad: Pad) -> tuple[F64, F64, F64]:
     """(N,) share of the paint inside, (9, N) its change with the state, (N,) its change as the edge moves outward by one px."""
     fp = state.footprint(profiles.rays, pad)
-    disc, ring, arrow, h = profiles.kind_parts
+    disc, _, arrow, h = profiles.kind_parts
     n = len(profiles.usable)
     value, d = np.empty(n, np.float32), np.empty((5, n), np.float32)
-    ((value[disc], d[:, disc]),) = fp.part(disc).circles(pad.disc_radius_m - pad.rim_width_m)
-    value[ring], d[:, ring] = fp.part(ring).ring()
-    value[arrow], d[:, arrow] = fp.part(arrow).orange()
+    round_ = slice(0, arrow.stop)
+    radii = np.empty((2, arrow.stop), np.float32)
+    radii[:, disc] = ((pad.disc_radius_m - pad.rim_width_m,), (0.0,))
+    radii[:, disc.stop :] = ((pad.ring_outer_m,), (pad.ring_inner_m,))
+    (outer, d_outer), (inner, d_inner) = fp.part(round_).circles(*radii)
+    np.subtract(outer, inner, out=value[round_])
+    np.subtract(d_outer, d_inner, out=d[:, round_])
+    if arrow.stop > arrow.start:
+        head, d_head = fp.part(arrow).arrow((outer[arrow], d_outer[:, arrow]))
+        value[arrow] += head
+        d[:, arrow] += d_head
     value[h], d[:, h] = fp.part(h).h()
     steepness = np.sqrt(d[0] * d[0] + d[1] * d[1]) * (state.m_per_px * np.sqrt(fp.places.scale2))
     return value.astype(float), fp.jacobian(d).astype(float), steepness.astype(float)
@@ -332,10 +340,10 @@ def arrow_amplitude(state: State, profiles: Profiles, pad: Pad, mixed: F64) -> t
     w = profiles.usable[part]
     if float(w.sum()) < 12:
         return 0.0, math.inf
-    places = state.footprint(profiles.rays, pad)
-    b = places.part(part)
-    ring = b.ring()[0].astype(float)
-    arrow = b.orange()[0] - ring
+    b = state.footprint(profiles.rays[part], pad).places
+    outer, inner = b.circles(pad.ring_outer_m, pad.ring_inner_m)
+    ring = (outer[0] - inner[0]).astype(float)
+    arrow = b.arrow(outer)[0].astype(float)
     columns = np.stack([np.ones_like(ring), ring, arrow])
     M = (columns * w) @ columns.T + 1e-6 * np.eye(3)
     a = np.linalg.solve(M, (columns * w) @ mixed[part])

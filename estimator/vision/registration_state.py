@@ -119,9 +119,9 @@ class Footprint:
         return Blurred(b.pad, b.x[part], b.y[part], b.blur_m2, b.scale2[part])
 
     def jacobian(self, d: F32) -> F32:
-        """(5, N) change with x, y and the blur in m^2, to (9, N) change with the state."""
+        """(5, ..., N) change with x, y and the blur in m^2, to (9, ..., N) change with the state."""
         x, y = self.places.x, self.places.y
-        out = np.empty((N_STATE, d.shape[1]), np.float32)
+        out = np.empty((N_STATE, *d.shape[1:]), np.float32)
         g = self.k1 * d[0] + self.k2 * d[1]
         np.negative(d[:2], out=out[:2])
         out[2] = g

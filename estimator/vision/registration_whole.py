@@ -185,60 +185,65 @@ def fit(state: State, cut: Patch, pad: Pad, last: WholeFit | None, edge_sigma_px
     fp = state.footprint(cut.rays, pad)
     values, changes = basis(fp, cut)
     K, n = values.shape
-    H = np.zeros((N_STATE, N_STATE))
-    paints, cov = np.empty((K, 3)), np.full((K, 3), np.nan)
-    weight, model, steep2 = np.ones((3, n)), np.empty((3, n)), np.empty((3, n))
-    scores, meat = np.zeros((N_STATE, n)), np.zeros((N_STATE, N_STATE))
-    squares = 0.0
-    ridge = 1e-7 * n * np.eye(K)
-    flat_changes = changes.reshape(K - 3, 5 * n)
-    light = cut.light if last is None else last.model
+    y = cut.light
+    light = y if last is None else last.model
     judged = light > 0.1 * float(light.max())
-    for c in range(3):
-        y, bright = cut.light[c], judged[c]
-        if int(bright.sum()) < 3 * K:
-            bright = np.ones(n, np.bool_)
-        level = np.maximum(light[c], 0.0) + _DARK
-        unsharp = 0.0 if last is None else edge_sigma_px**2 * last.steep2[c]
-        var = level if last is None else last.noise * level + unsharp
-        w = 1.0 / var
-        for round_ in range(2):
-            vw = values * w
-            M = vw @ values.T + ridge * float(w.mean())
-            a = np.linalg.solve(M, vw @ y)
-            r = y - a @ values
-            r2 = r * r
-            if last is None or round_ == 1:
-                break
-            noise = max(median(((r2 - unsharp) / level)[bright]) / 0.4549, 1e-7)
-            var = noise * level + unsharp
-            u = np.maximum(1.0 - r2 / (TUKEY**2 * var), 0.0)
-            weight[c] = u * u
-            w = weight[c] / var
-        inside = weight[c] > 0.0
-        spent = int(inside.sum()) / max(1, int(inside.sum()) - K - 3)
-        scale = max(float((r2 / var)[inside & bright].mean()) * spent, 1e-7) if (inside & bright).any() else 1.0
-        change = (a[3:].astype(np.float32) @ flat_changes).reshape(5, n)
-        steep2[c] = (change[0] ** 2 + change[1] ** 2) * state.m_per_px**2
-        J = fp.jacobian(change).astype(float)
-        Jw = J * (w / scale)
-        C = Jw @ values.T
-        H += Jw @ J.T - C @ np.linalg.solve(M / scale, C.T)
-        scores += Jw * r
-        paints[:, c] = a
-        model[c] = y - r
-        if final:
-            cov[:, c] = np.diag(np.linalg.inv(M)) * scale
+    judged[judged.sum(axis=1) < 3 * K] = True
+    level = np.maximum(light, 0.0) + _DARK
+    unsharp = np.zeros((3, n)) if last is None else edge_sigma_px**2 * last.steep2
+    var = level if last is None else last.noise * level + unsharp
+    w = 1.0 / var
+    weight = np.ones((3, n))
+    ridge = 1e-7 * n * np.eye(K)
+    for round_ in range(2):
+        vw = values * w[:, None]
+        M = vw @ values.T + ridge * w.mean(axis=1)[:, None, None]
+        a = np.linalg.solve(M, vw @ y[:, :, None])[:, :, 0]
+        model = a @ values
+        r = y - model
+        r2 = r * r
+        if last is None or round_ == 1:
+            break
+        noise = np.array([max(median(x) / 0.4549, 1e-7) for x in _each((r2 - unsharp) / level, judged)])
+        var = noise[:, None] * level + unsharp
+        u = np.maximum(1.0 - r2 / (TUKEY**2 * var), 0.0)
+        weight = u * u
+        w = weight / var
+    inside = weight > 0.0
+    count = inside.sum(axis=1)
+    spent = count / np.maximum(1, count - K - 3)
+    kept = inside & judged
+    chi2 = np.where(kept, r2 / var, 0.0).sum(axis=1) / np.maximum(kept.sum(axis=1), 1)
+    scale = np.where(kept.any(axis=1), np.maximum(chi2 * spent, 1e-7), 1.0)
+    change = (a[:, 3:].astype(np.float32) @ changes.reshape(K - 3, 5 * n)).reshape(3, 5, n).transpose(1, 0, 2)
+    steep2 = (change[0] ** 2 + change[1] ** 2).astype(float) * state.m_per_px**2
+    J = fp.jacobian(change).astype(float)
+    w = w / scale[:, None]
+    Jw = J * w
+    M = M / scale[:, None, None]
+    C = Jw.transpose(1, 0, 2) @ values.T
+    out = np.linalg.solve(M, C.transpose(0, 2, 1))
+    H = Jw.reshape(N_STATE, -1) @ J.reshape(N_STATE, -1).T - (C @ out).sum(axis=0)
+    scores = (Jw * r).sum(axis=1)
+    cov, meat = np.full((K, 3), np.nan), np.zeros((N_STATE, N_STATE))
+    if final:
+        cov = np.linalg.inv(M).diagonal(axis1=1, axis2=2).T
+        for c in range(3):
             # Weights have a fixed shape, so that no wrong start can talk itself into it; the covariance has the noise as it is.
-            seen = _noise_of_paints(r, values, inside, spent) / NOISE_LEFT
-            projected = Jw - C @ np.linalg.solve(M / scale, values * (w / scale))
+            seen = _noise_of_paints(r[c], values, inside[c], float(spent[c])) / NOISE_LEFT
+            projected = Jw[:, c] - out[c].T @ (values * w[c])
             # Smoothing shares noise between neighbours; its transpose, which is itself, brings the sums back to pixels.
             spread = np.zeros((cut.grid[0] * cut.grid[1], N_STATE))
             spread[cut.at] = projected.T
             alone = smooth(spread.reshape(*cut.grid, N_STATE)).reshape(-1, N_STATE)[cut.at].T
             meat += (alone * seen) @ alone.T
-        squares += median(r2[bright] / level[bright]) / 0.4549
-    return WholeFit(H, scores.sum(axis=1), paints, cov, model, steep2, max(squares / 3, 1e-7), weight, scores, meat, values)
+    left = np.mean([median(x) for x in _each(r2 / level, judged)]) / 0.4549
+    return WholeFit(H, scores.sum(axis=1), a.T, cov, model, steep2, max(float(left), 1e-7), weight, scores, meat, values)
+
+
+def _each(rows: F64, of: NDArray[np.bool_]) -> list[F64]:
+    """The chosen values of each row."""
+    return [row[chosen] for row, chosen in zip(rows, of, strict=True)]
 
 
 def _noise_of_paints(r: F64, values: F64, inside: NDArray[np.bool_], grow: float) -> F64:
