@@ -41,6 +41,8 @@ async def met() -> AsyncIterator[tuple[Stage, Any]]:
                 await asyncio.sleep(0.05)
             while 191 not in await systems[0].component_ids():  # noqa: ASYNC110
                 await asyncio.sleep(0.05)
+            while not await systems[0].is_connected():  # noqa: ASYNC110
+                await asyncio.sleep(0.05)
         yield stage, systems[0]
 
 
@@ -58,7 +60,6 @@ async def test_mavsdk_discovers_hears_and_commands_us() -> None:
 
     async with met() as (stage, system):
         assert await system.get_system_id() == 7
-        assert await system.is_connected()
         direct = MavlinkDirectAsync(system)
         targets = []
         async with asyncio.timeout(10):

@@ -1,0 +1,113 @@
+"""The whole service as a process beside an autopilot: settings from a file, a video as camera, a station's words, a recording."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import socket
+import sys
+from collections import Counter
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from companion.recorder.reading import open_recording
+from companion.recorder.records import LinkRecord
+from drivers.mavlink.dialect import mav
+from tests.drivers.fake_ardrone import until
+from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+
+US = 191
+RIG = """
+[vehicle]
+kind = "mavlink"
+links = "udpin://127.0.0.1:{port}"
+[camera]
+file = "sim"
+source = "stream"
+device = "{video}"
+[pad]
+file = "thesis"
+[recorder]
+folder = "{folder}"
+min_free_mb = 0.0
+flush_s = 0.2
+"""
+
+
+def free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def grey_video(path: Path) -> None:
+    """A camera that sees nothing: half a minute of grey."""
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("mpeg4", rate=10)
+        stream.width, stream.height = 640, 360
+        frame = av.VideoFrame.from_ndarray(np.full((360, 640, 3), 120, np.uint8), format="bgr24")
+        for _ in range(300):
+            out.mux(stream.encode(frame))
+        out.mux(stream.encode())
+
+
+@pytest.mark.timeout(120)
+async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) -> None:
+    port = free_udp_port()
+    video, rig, folder = tmp_path / "grey.mp4", tmp_path / "rig.toml", tmp_path / "kept"
+    grey_video(video)
+    rig.write_text(RIG.format(port=port, video=video, folder=folder))
+    said = tmp_path / "stderr"
+    with said.open("wb") as errors:
+        service = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "companion.cli.main", "run", "--config", str(rig), stderr=errors
+        )
+    craft = FakeAutopilot()
+    try:
+        async with craft.talking_to(f"udpout://127.0.0.1:{port}"):
+            await until(lambda: bool(ours(craft, "HEARTBEAT")), 30.0)
+            assert ours(craft, "HEARTBEAT")[0].type == mav.MAV_TYPE_ONBOARD_CONTROLLER
+            assert not craft.setpoints, "nobody has told it to fly"
+
+            craft.send(mav.MAVLink_param_request_list_message(7, US))
+            await until(lambda: any(m.param_id == "PLAN_SPEED" for m in ours(craft, "PARAM_VALUE")), 20.0)
+            craft.send(mav.MAVLink_param_set_message(7, US, b"PLAN_SPEED", 0.25, 9))
+            await until(
+                lambda: any(m.param_value == 0.25 for m in ours(craft, "PARAM_VALUE") if m.param_id == "PLAN_SPEED"), 10.0
+            )
+
+            assert await told(craft, mav.MAV_CMD_LOGGING_START) == mav.MAV_RESULT_ACCEPTED
+            # The pad is not in sight: it is asked to begin, hovers in its own mode and does not sink
+            assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
+            await until(lambda: any(m.get_type() == "NAMED_VALUE_FLOAT" for m in craft.heard), 10.0)
+            await asyncio.sleep(1.5)
+            assert all(m.vz <= 0.0 for _, m in craft.setpoints)
+            assert await told(craft, mav.MAV_CMD_LOGGING_STOP) == mav.MAV_RESULT_ACCEPTED
+        service.send_signal(signal.SIGTERM)
+        assert await asyncio.wait_for(service.wait(), 15.0) == 0, said.read_text()
+    finally:
+        if service.returncode is None:
+            service.kill()
+            await service.wait()
+    crossed = Counter(
+        (event.direction, event.name)
+        for event in open_recording(sorted(folder.glob("*.mcap"))).events()
+        if isinstance(event, LinkRecord)
+    )
+    assert crossed["in", "ATTITUDE_QUATERNION"] > 10
+    assert crossed["out", "HEARTBEAT"] >= 1
+
+
+def ours(craft: FakeAutopilot, kind: str) -> list[mav.MAVLink_message]:
+    return [m for m in craft.of(kind) if m.get_srcComponent() == US]
+
+
+async def told(craft: FakeAutopilot, command: int, param1: float = 0.0) -> int:
+    """The answer to a command."""
+    before = len(craft.of("COMMAND_ACK"))
+    craft.send(mav.MAVLink_command_long_message(7, US, command, 0, param1, 0, 0, 0, 0, 0, 0))
+    await until(lambda: any(m.command == command for m in craft.of("COMMAND_ACK")[before:]), 10.0)
+    return next(int(m.result) for m in craft.of("COMMAND_ACK")[before:] if m.command == command)
