@@ -14,6 +14,7 @@ from companion.health import Health
 from companion.metrics.exposition import families
 from companion.metrics.settings import MetricsSettings
 from companion.settings import load
+from companion.settings_vehicle import ArDroneSettings, endpoints
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
 from tests.packaging.image import stages
@@ -77,6 +78,9 @@ def test_the_rig_of_compose_fits_its_services() -> None:
     rig = load(COMPOSE / "decklander.toml")
     text = (ROOT / "compose.yaml").read_text()
     services = set(re.findall(r"^  (\w+):$", text, re.MULTILINE))
+    assert isinstance(rig.vehicle, ArDroneSettings)
+    (face,) = endpoints(rig.face.links)
+    assert f":{face.port}/udp" in text
     assert {rig.vehicle.host, rig.mqtt.host} <= services
     assert rig.metrics.port == MetricsSettings().port
     assert f"daemon:{rig.metrics.port}" in (COMPOSE / "prometheus.yml").read_text()
