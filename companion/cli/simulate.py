@@ -47,11 +47,21 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write the flight's report there")
     record_option.add_arguments(parser)
+    beside = parser.add_argument_group("a real autopilot program (docs/sitl.md)")
+    beside.add_argument("--autopilot", choices=("arducopter", "px4"), help="fly this program, our sea and vehicle its physics")
+    beside.add_argument("--binary", metavar="PATH", help="the program")
+    beside.add_argument("--keep", type=Path, metavar="DIR", help="keep what the program wrote: its logs, its output")
 
 
 def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    if args.autopilot is not None:
+        from companion.cli import simulate_autopilot
+
+        return simulate_autopilot.run(args)
+    if args.binary is not None or args.keep is not None:
+        raise BadInput("--binary and --keep go with --autopilot")
     scenario = load_scenario(args.scenario)
     settings = load(args.config or "sim")
     if args.config is None:

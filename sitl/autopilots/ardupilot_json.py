@@ -12,11 +12,12 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from drivers.mailbox import Latest
 from sitl.autopilots.body import Body, BodyState
 from sitl.autopilots.motors import Motors
 
@@ -24,6 +25,9 @@ PORT = 9002
 _MAGIC = {18458: 16, 29569: 32}
 """Magic number of a packet to its number of channels."""
 _HEADER = struct.Struct("<HHI")
+STEP_S = 0.00125
+"""Of the physics: half a turn of ArduCopter's main loop, which at whole turns misses one in four. The program starts out asking
+for 1200 Hz and takes up the rate of our timestamps."""
 CURVE = 0.65
 """MOT_THST_EXPO that ArduCopter assumes by default."""
 
@@ -100,7 +104,7 @@ class JsonBackend:
             return self._answer
         if self.body is None or (self._frame is not None and servos.frame < self._frame):
             self.restarts += self.body is not None
-            self.body = self._make(1.0 / max(servos.rate_hz, 200))
+            self.body = self._make(STEP_S)
         self._frame = servos.frame
         for _ in range(max(round(1.0 / servos.rate_hz / self.body.step_s), 1)):
             self.body.step(servos.motors)
@@ -109,30 +113,60 @@ class JsonBackend:
         return self._answer
 
 
+Settle = Callable[[], Awaitable[None]]
+"""Waited for before each answer: the program's time stands still until it is done."""
+
+
+async def _at_once() -> None:
+    return None
+
+
 class _Datagrams(asyncio.DatagramProtocol):
-    def __init__(self, backend: JsonBackend) -> None:
-        self._backend = backend
+    def __init__(self) -> None:
+        self.inbox: Latest[tuple[bytes, Any]] = Latest()
+        self.answering = b""
+        """The packet that is being answered: the program repeats it after a second without an answer."""
         self._transport: Any = None  # the loops' datagram transports share no class that has sendto
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = transport
 
     def datagram_received(self, data: bytes, addr: Any) -> None:
-        answer = self._backend.hear(data)
-        if answer is not None:
-            self._transport.sendto(answer, addr)
+        if data != self.answering:
+            self.inbox.offer((data, addr))
+
+    async def answer(self, backend: JsonBackend, settle: Settle) -> None:
+        async for data, addr in self.inbox:
+            self.answering = data
+            answer = backend.hear(data)
+            if answer is not None:
+                await settle()
+                self._transport.sendto(answer, addr)
+            self.answering = b""
 
 
 @asynccontextmanager
-async def serve_json(backend: JsonBackend, host: str = "127.0.0.1", port: int = PORT) -> AsyncIterator[int]:
+async def serve_json(
+    backend: JsonBackend, host: str = "127.0.0.1", port: int = PORT, *, settle: Settle = _at_once
+) -> AsyncIterator[int]:
     """Answer the program on this port (0: any free one) until the context ends; gives the port.
 
     Raises:
         OSError: the port is in use.
     """
     loop = asyncio.get_running_loop()
-    transport, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(backend), local_addr=(host, port))
+    transport, protocol = await loop.create_datagram_endpoint(_Datagrams, local_addr=(host, port))
+    failed: Exception | None = None
     try:
-        yield int(transport.get_extra_info("sockname")[1])
+        async with asyncio.TaskGroup() as group:
+            task = group.create_task(protocol.answer(backend, settle))
+            try:
+                yield int(transport.get_extra_info("sockname")[1])
+            except Exception as why:  # the caller's own error must not come out wrapped in a group
+                failed = why
+            finally:
+                task.cancel()
     finally:
         transport.close()
+    if failed is not None:
+        raise failed

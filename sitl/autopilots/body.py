@@ -14,7 +14,7 @@ from sitl.camera import Renderer, Shot
 from sitl.contact import Ground
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.stage import airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
-from sitl.vehicle import DECK, SEA
+from sitl.vehicle import DECK, SEA, Phase
 from sitl.world import Picture
 
 _CHUNK_S = 0.25
@@ -43,11 +43,18 @@ class BodyState:
 class Landing:
     """The newest contact after flight."""
 
+    t_s: float
     on_deck: bool
+    on_pad: bool
+    """On deck, with the body's origin over the pad's disc."""
     lateral_m: float
     """From the pad's centre, along the deck."""
+    yaw_rad: float
+    """Heading against the arrow, clockwise from above."""
     speed_m_s: float
     """Closing speed into the deck."""
+    slide_m_s: float
+    """Along the deck, against it."""
 
 
 class Body:
@@ -116,13 +123,25 @@ class Body:
         """(3,) m/s."""
         return np.array(self._ground.v)
 
+    @property
+    def R_ned_pad(self) -> Rotation:
+        return Rotation(np.array(self._ground.R))
+
     def landing(self) -> Landing | None:
         """How it came down, None before it did."""
         v = self._vehicle
         if v.touched_what not in (DECK, SEA):
             return None
-        d = np.array(v.touched_d)
-        return Landing(v.touched_what == DECK, float(np.hypot(d[0], d[1])), float(np.array(v.touched_v)[2]))
+        d, u = np.array(v.touched_d), np.array(v.touched_v)
+        on_deck, lateral_m = v.touched_what == DECK, float(np.hypot(d[0], d[1]))
+        on_pad = on_deck and lateral_m <= self.pad.disc_radius_m
+        slide_m_s = float(np.hypot(u[0], u[1]))
+        return Landing(float(v.touched_s), on_deck, on_pad, lateral_m, float(v.touched_yaw), float(u[2]), slide_m_s)
+
+    @property
+    def upright(self) -> bool:
+        """Whether it can still fly: neither turned over nor in the water."""
+        return self._vehicle.phase != Phase.EMERGENCY
 
     def expose(self) -> Callable[[], Picture]:
         """The scene is fixed now, the call makes the picture. One such call at a time."""

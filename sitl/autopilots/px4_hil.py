@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
@@ -116,6 +116,12 @@ class HilBackend:
         """The first readings: PX4 says nothing before it has the time from them."""
         return self._readings()
 
+    def nudge(self) -> list[Message]:
+        """The readings one step on, the motors at rest."""
+        self.body.step((0.0, 0.0, 0.0, 0.0))
+        self._stepped(self.body)
+        return self._readings()
+
     def hear(self, message: Message) -> list[Message]:
         """The readings one step after an actuator message; nothing for any other message."""
         if message.get_type() != "HIL_ACTUATOR_CONTROLS":
@@ -133,7 +139,17 @@ class HilBackend:
         return out
 
 
-async def _converse(backend: HilBackend, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, nudge_s: float) -> None:
+Settle = Callable[[], Awaitable[None]]
+"""Waited for after each step, before PX4 hears of it: its time stands still until it is done."""
+
+
+async def _at_once() -> None:
+    return None
+
+
+async def _converse(
+    backend: HilBackend, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, nudge_s: float, settle: Settle
+) -> None:
     codec = Codec(1, 51)
     first = True
     try:
@@ -145,15 +161,19 @@ async def _converse(backend: HilBackend, reader: asyncio.StreamReader, writer: a
                     data = await reader.read(4096)
             except TimeoutError:
                 # Before its loops run PX4 answers nothing, yet needs time to pass.
-                backend.body.step((0.0, 0.0, 0.0, 0.0))
-                for message in backend.begin():
+                messages = backend.nudge()
+                await settle()
+                for message in messages:
                     writer.write(codec.pack(message))
                 continue
             if not data:
                 return
             for heard in codec.feed(data):
-                for message in backend.hear(heard):
+                messages = backend.hear(heard)
+                if messages:
                     first = False
+                    await settle()
+                for message in messages:
                     writer.write(codec.pack(message))
             await writer.drain()
     except ConnectionError:
@@ -163,7 +183,9 @@ async def _converse(backend: HilBackend, reader: asyncio.StreamReader, writer: a
 
 
 @asynccontextmanager
-async def serve_hil(backend: HilBackend, host: str = "127.0.0.1", port: int = PORT, nudge_s: float = 0.004) -> AsyncIterator[int]:
+async def serve_hil(
+    backend: HilBackend, host: str = "127.0.0.1", port: int = PORT, nudge_s: float = 0.004, *, settle: Settle = _at_once
+) -> AsyncIterator[int]:
     """Wait for PX4 on this port (0: any free one) and step with it until the context ends; gives the port.
 
     Args:
@@ -177,7 +199,7 @@ async def serve_hil(backend: HilBackend, host: str = "127.0.0.1", port: int = PO
     async def met(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         open_writers.add(writer)
         try:
-            await _converse(backend, reader, writer, nudge_s)
+            await _converse(backend, reader, writer, nudge_s, settle)
         finally:
             open_writers.discard(writer)
 

@@ -1,0 +1,90 @@
+"""`decklander simulate SCENARIO --autopilot ...`: one flight of a real autopilot program on our physics."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+
+from companion.cli.progress import Progress
+from companion.cli.verdict import Contact, Ending
+from companion.observer import Observer
+from companion.settings import load
+from companion.settings_model import CameraSettings, PadSettings, Settings
+from estimator.contracts.errors import BadInput
+from estimator.contracts.time import NS_PER_S, MonoNs
+from sitl.autopilots.flight import Autopilot, AutopilotFlight, FlightEnd
+from sitl.autopilots.program import executable
+from sitl.scenario import Scenario
+from sitl.scenario import load as load_scenario
+
+
+def run(args: argparse.Namespace) -> int:
+    """The flight that the arguments ask for."""
+    if args.report is not None:
+        raise BadInput("--report is for flights without --autopilot; its own logs are kept with --keep DIR")
+    binary = executable(args.binary, args.autopilot)
+    scenario = load_scenario(args.scenario)
+    settings = rig(scenario, args.config)
+    progress = None if args.json else Progress()
+    observers: list[Observer] = [] if progress is None else [progress]
+    autopilot = Autopilot(args.autopilot, binary)
+    began = time.monotonic()
+    with _folder(args.keep) as folder:
+        flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers)
+        end = asyncio.run(flight.fly())
+        said = (folder / "texts.txt").open("w")
+        with said:
+            said.writelines(f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
+    if progress is not None:
+        progress.close()
+    ending = ending_of(args.scenario, args.seed, end)
+    if args.json:
+        sys.stdout.write(json.dumps({**ending.as_json(), "autopilot": args.autopilot, "failure": end.failure or None}) + "\n")
+    else:
+        sys.stdout.write(f"{end.failure or ending.in_words()}\n")
+        sys.stdout.write(
+            f"{ending.duration_s:.1f} s from the order to land; {time.monotonic() - began:.0f} s on the wall clock\n"
+        )
+    return 0 if ending.on_pad else 1
+
+
+def rig(scenario: Scenario, config: str | None) -> Settings:
+    """The settings asked for, or the rig `sim` with the camera and pad of the scenario."""
+    settings = load(config or "sim")
+    if config is not None:
+        return settings
+    own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
+    return msgspec.structs.replace(settings, **own)
+
+
+def ending_of(scenario: str, seed: int, end: FlightEnd) -> Ending:
+    """How it ended, as `simulate` tells it."""
+    contact = None
+    if end.landing is not None:
+        t = end.landing
+        at, surface = MonoNs(round(t.t_s * NS_PER_S)), "deck" if t.on_deck else "sea"
+        contact = Contact(at, surface, t.on_pad, t.lateral_m, t.yaw_rad, t.speed_m_s, t.slide_m_s)
+    return Ending(scenario, seed, end.outcome, contact, end.duration_s, end.health.frames)
+
+
+@contextmanager
+def _folder(keep: Path | None) -> Iterator[Path]:
+    """A fresh folder for the program; what it wrote is kept where that is asked for."""
+    if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
+        raise BadInput(f"--keep: {str(keep)!r} is there already and is not an empty folder")
+    with tempfile.TemporaryDirectory(prefix="decklander-") as name:
+        try:
+            yield Path(name)
+        finally:
+            if keep is not None:
+                shutil.copytree(name, keep, dirs_exist_ok=True)

@@ -1,0 +1,91 @@
+"""How ArduCopter is started on our physics. Source: its own --help; the documentation of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from sitl.autopilots.ardupilot_json import CURVE
+from sitl.autopilots.px4_hil import Home
+
+DEFAULTS = "decklander.parm"
+PARAMETERS: dict[str, float] = {
+    # A quad X whose motors are those of `sitl.autopilots.motors`
+    "FRAME_CLASS": 1,
+    "FRAME_TYPE": 1,
+    "MOT_THST_EXPO": CURVE,
+    "MOT_THST_HOVER": 0.48,
+    # Calibrated sensors: what its simulated compass and accelerometers have to be told of themselves
+    "COMPASS_OFS_X": 5,
+    "COMPASS_OFS_Y": 13,
+    "COMPASS_OFS_Z": -18,
+    "COMPASS_OFS2_X": 5,
+    "COMPASS_OFS2_Y": 13,
+    "COMPASS_OFS2_Z": -18,
+    "COMPASS_OFS3_X": 5,
+    "COMPASS_OFS3_Y": 13,
+    "COMPASS_OFS3_Z": -18,
+    "INS_ACCOFFS_X": 0.001,
+    "INS_ACCOFFS_Y": 0.001,
+    "INS_ACCOFFS_Z": 0.001,
+    "INS_ACCSCAL_X": 1.001,
+    "INS_ACCSCAL_Y": 1.001,
+    "INS_ACCSCAL_Z": 1.001,
+    "INS_ACC2OFFS_X": 0.001,
+    "INS_ACC2OFFS_Y": 0.001,
+    "INS_ACC2OFFS_Z": 0.001,
+    "INS_ACC2SCAL_X": 1.001,
+    "INS_ACC2SCAL_Y": 1.001,
+    "INS_ACC2SCAL_Z": 1.001,
+    "INS_GYR_CAL": 0,
+    # Without a remote control and without a ground station's heartbeat
+    "FS_THR_ENABLE": 0,
+    "FS_GCS_ENABLE": 0,
+    "DISARM_DELAY": 10,
+    # A lidar that looks down, of its own simulation, fed by our `rng_1`
+    "RNGFND1_TYPE": 100,
+    "RNGFND1_ORIENT": 25,
+    "RNGFND1_MIN_CM": 2,
+    "RNGFND1_MAX_CM": 4000,
+    # As docs/ardupilot.md says
+    "PLND_ENABLED": 1,
+    "PLND_TYPE": 1,
+    "PLND_EST_TYPE": 1,
+    "PLND_OPTIONS": 1,
+    "PLND_STRICT": 1,
+    "PLND_LAG": 0.05,
+    "LOG_DISARMED": 0,
+}
+"""What differs from its own defaults."""
+
+
+def argv(
+    binary: Path,
+    folder: Path,
+    *,
+    physics_port: int,
+    mavlink_ports: tuple[int, int],
+    heading_deg: float = 0.0,
+    home: Home | None = None,
+    parameters: Mapping[str, float] | None = None,
+    speedup: float = 1.0,
+) -> list[str]:
+    """The command line; writes the file with its parameters.
+
+    Args:
+        physics_port: where `serve_json` answers.
+        mavlink_ports: UDP ports of the loopback to which its first two MAVLink ports send.
+        heading_deg: of the vehicle at first.
+    """
+    at = home or Home()
+    defaults = folder / DEFAULTS
+    asked = {**PARAMETERS, **(parameters or {})}
+    defaults.write_text("".join(f"{name} {value:g}\n" for name, value in asked.items()))
+    place = f"{at.latitude_deg:.7f},{at.longitude_deg:.7f},{at.altitude_m:g},{heading_deg:g}"
+    first, second = (f"udpclient:127.0.0.1:{port}" for port in mavlink_ports)
+    others = [word for n in (2, 5, 6, 7, 8) for word in (f"--serial{n}", f"none:{n}")]
+    return [
+        str(binary), "--model", "JSON:127.0.0.1", "--sim-address", "127.0.0.1", "--sim-port-out", str(physics_port),
+        "--home", place, "--defaults", str(defaults), "--speedup", f"{speedup:g}", "--rc-in-port", "0", "--wipe",
+        "--serial0", first, "--serial1", second, *others,
+    ]  # fmt: skip

@@ -1,0 +1,84 @@
+"""The daemon as it runs beside an autopilot, with pictures that somebody else takes."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+
+import msgspec
+
+from companion import rig
+from companion.daemon import Daemon, Link
+from companion.health import Health
+from companion.observer import Observer
+from companion.pilot import Pilot
+from companion.rig_vehicle import vehicle_parts
+from companion.settings_model import CameraSettings, Settings
+from companion.settings_vehicle import AutopilotSettings
+from drivers.mavlink.autopilot import Autopilot
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Frame
+
+
+class Beside:
+    """The daemon of one flight, and the way into it.
+
+    Args:
+        settings: as `beside_autopilot` makes them.
+    """
+
+    def __init__(self, settings: Settings, pilot: Pilot, clock: Clock, observers: Sequence[Observer] = ()) -> None:
+        health = Health(clock)
+        self._parts = vehicle_parts(settings, pilot, health, clock)
+        self._opened: list[Link] = []
+        self.daemon = Daemon(
+            self._open,
+            pilot,
+            clock,
+            restart=rig.restart(settings),
+            guidance_rate_hz=settings.guidance.rate_hz,
+            threads=settings.vision.threads,
+            observers=(*self._parts.observers, *observers),
+            once=True,
+            health=health,
+            extras=self._parts.extras,
+        )
+
+    @asynccontextmanager
+    async def _open(self) -> AsyncIterator[Link]:
+        async with self._parts.open_link() as link:
+            self._opened.append(link)
+            try:
+                yield link
+            finally:
+                self._opened.remove(link)
+
+    @property
+    def autopilot(self) -> Autopilot | None:
+        """The link while it is open."""
+        link = self._opened[-1] if self._opened else None
+        return link if isinstance(link, Autopilot) else None
+
+    def offer(self, frame: Frame) -> None:
+        """A picture that has arrived."""
+        for link in self._opened:
+            link.frames.offer(frame)
+
+    def concluded(self) -> int:
+        """How many of them have been dealt with."""
+        return sum(self.daemon.health.frames.values())
+
+
+def beside_autopilot(settings: Settings, links: str) -> Settings:
+    """These settings with an autopilot at `links` as the vehicle, begun by order, pictures brought by us, nothing recorded."""
+    vehicle = settings.vehicle
+    if isinstance(vehicle, AutopilotSettings):
+        vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")
+    else:
+        vehicle = AutopilotSettings(links=links)
+    return msgspec.structs.replace(
+        settings,
+        vehicle=vehicle,
+        camera=CameraSettings(settings.camera.file),
+        guidance=msgspec.structs.replace(settings.guidance, start="signal"),
+    )

@@ -1,0 +1,87 @@
+"""The bottom camera where time is the physics' own: pictures are developed and looked at while the world stands still."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp, after
+from sitl.autopilots.body import Body
+from sitl.autopilots.lock_step import LockStepClock
+from sitl.world import Picture
+
+_STAMP_SIGMA_S = 0.002
+_NAP_S, _PATIENCE_S = 0.0005, 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTiming:
+    """How late pictures are, in the flight's own time."""
+
+    period_s: float = 1.0 / 30.0
+    delay_s: float = 0.05
+    """From mid-exposure to the frame in hand: half the exposure, read-out, driver; of a camera on a short cable."""
+    vision_s: float = 0.03
+    """That vision may take: the world waits for a slower machine."""
+
+
+class LockStepCamera:
+    """Takes pictures of a body's deck while it is `on`.
+
+    Args:
+        offer: takes each frame when it has arrived.
+        concluded: how many of them have been dealt with.
+        pool: where pictures are developed.
+    """
+
+    def __init__(
+        self,
+        clock: LockStepClock,
+        offer: Callable[[Frame], object],
+        concluded: Callable[[], int],
+        pool: Executor,
+        timing: CameraTiming | None = None,
+    ) -> None:
+        self.on = False
+        self.frames = 0
+        self.waited_out = 0
+        """Times the world went on although a picture had not been dealt with in reasonable time."""
+        self._clock, self._offer, self._concluded, self._pool = clock, offer, concluded, pool
+        self._timing = timing or CameraTiming()
+        self._due: MonoNs | None = None
+        self._on_the_way: deque[tuple[MonoNs, asyncio.Future[Picture]]] = deque()
+        self._looking_until: MonoNs | None = None
+
+    def stepped(self, body: Body) -> None:
+        """Call after each step of the physics."""
+        now = self._clock.now()
+        if not self.on or (self._due is not None and now < self._due):
+            return
+        self._due = after(self._due or now, self._timing.period_s)
+        picture = asyncio.get_running_loop().run_in_executor(self._pool, body.expose())
+        self._on_the_way.append((now, picture))
+
+    async def settle(self) -> None:
+        """Until every picture that should have arrived has, and those that should have been looked at were."""
+        now = self._clock.now()
+        while self._on_the_way and after(self._on_the_way[0][0], self._timing.delay_s) <= now:
+            taken, developing = self._on_the_way.popleft()
+            picture = await developing
+            self.frames += 1
+            self._offer(Frame(Stamp(taken, now, _STAMP_SIGMA_S, "sim"), self.frames, picture.px, picture.exposure_s))
+            self._looking_until = after(now, self._timing.vision_s)
+        if self._looking_until is None or now < self._looking_until:
+            return
+        began = time.monotonic()
+        while self._concluded() < self.frames:
+            if time.monotonic() - began > _PATIENCE_S:
+                # It may be waiting for time to go on.
+                self.waited_out += 1
+                return
+            await asyncio.sleep(_NAP_S)
+        self._looking_until = None

@@ -1,0 +1,258 @@
+"""One flight of a real autopilot program: our sea, deck, vehicle and camera are its physics, our daemon flies beside it.
+
+Four parties, one time. The program asks for a step of the physics and waits for the answer; the daemon's clock, the camera and
+the person at the ground station go by the steps. Between the program and the two others is MAVLink over UDP, as in earnest.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncIterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import msgspec
+import numpy as np
+
+from companion.health import Health
+from companion.observer import Observer
+from companion.pilot import Outcome, Pilot
+from companion.service import make_pilot
+from companion.settings_model import Settings
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import LinkOptions, Links, open_links
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.time import seconds_between
+from sitl.autopilots import arducopter, px4
+from sitl.autopilots.ardupilot_json import CURVE, JsonBackend, serve_json
+from sitl.autopilots.beside import Beside, beside_autopilot
+from sitl.autopilots.body import Body, Landing
+from sitl.autopilots.camera import LockStepCamera
+from sitl.autopilots.lock_step import LockStepClock
+from sitl.autopilots.program import Program, free_udp_port, running
+from sitl.autopilots.px4_hil import HilBackend, serve_hil
+from sitl.autopilots.station import STATION, GroundStation, Task, View
+from sitl.scenario import Scenario
+
+Name = Literal["arducopter", "px4"]
+HOST = "127.0.0.1"
+_STATION_S = 0.05
+_AFTER_S = 1.5
+"""Flown on after the end, so that a contact that follows is seen."""
+_SILENT_S = 60.0
+"""Of wall time without a step of the physics: the program hangs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Autopilot:
+    """Which program is flown, and how."""
+
+    name: Name
+    binary: Path
+    pace: float = 10.0
+    """Times real time that the program may run at; the lock step holds it to what the machine can do."""
+    parameters: tuple[tuple[str, float], ...] = ()
+    """Of the program, beside those it is started with anyway."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEnd:
+    """How it ended."""
+
+    outcome: Outcome | None
+    """As the pilot saw it; None when the time ran out."""
+    landing: Landing | None
+    duration_s: float
+    """Since the landing was ordered."""
+    health: Health
+    texts: tuple[tuple[float, int, str], ...]
+    """What autopilot and companion said: s since the program's start, component, text."""
+    upright: bool
+    failure: str = ""
+    """Why it never came to a landing."""
+
+
+@dataclass(slots=True)
+class AutopilotFlight:
+    """See `fly`."""
+
+    scenario: Scenario
+    seed: int
+    settings: Settings
+    """Of the daemon; the autopilot becomes its vehicle."""
+    autopilot: Autopilot
+    folder: Path
+    """The program's working directory."""
+    observers: Sequence[Observer] = ()
+    clock: LockStepClock = field(default_factory=LockStepClock)
+    body: Body | None = None
+    station: GroundStation = field(init=False)
+    _camera: LockStepCamera | None = None
+    _stepped_at: float = 0.0
+
+    def __post_init__(self) -> None:
+        stack = Stack.PX4 if self.autopilot.name == "px4" else Stack.ARDUPILOT
+        self.station = GroundStation(stack, height_m=self.height_m, flies_there=stack is Stack.ARDUPILOT)
+
+    @property
+    def height_m(self) -> float:
+        """Of the take-off."""
+        return max(self.scenario.start.height_m, 2.0)
+
+    async def fly(self) -> FlightEnd:
+        """From the program's start to the landing or whatever comes instead.
+
+        Raises:
+            BadInput: the program cannot be run.
+            Recoverable: it ended by itself, or hangs.
+        """
+        cv2.setNumThreads(1)
+        to_daemon, to_station = px4.MAVLINK_PORTS if self.autopilot.name == "px4" else (free_udp_port(), free_udp_port())
+        settings = beside_autopilot(self.settings, f"udpin://{HOST}:{to_daemon}")
+        pilot = make_pilot(settings)
+        side = Beside(settings, pilot, self.clock, self.observers)
+        link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
+        failed: Recoverable | None = None
+        with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
+            self._camera = LockStepCamera(self.clock, side.offer, side.concluded, pool)
+            async with AsyncExitStack() as stack:
+                links = await stack.enter_async_context(open_links((link,), self.clock, STATION))
+                program = await stack.enter_async_context(self._program((to_daemon, to_station)))
+                self._stepped_at = time.monotonic()
+                try:
+                    async with asyncio.TaskGroup() as group:
+                        others = [
+                            group.create_task(program.ended()),
+                            group.create_task(self._watch(program)),
+                            group.create_task(self._listen(links)),
+                        ]
+                        daemon = group.create_task(side.daemon.run())
+                        end = await self._conduct(links, side, pilot, daemon)
+                        side.daemon.stop()
+                        await daemon
+                        for task in others:
+                            task.cancel()
+                except* Recoverable as why:
+                    failed = _first(why)
+        if failed is not None:
+            raise failed
+        return end
+
+    async def _conduct(self, links: Links, side: Beside, pilot: Pilot, daemon: asyncio.Task[Outcome | None]) -> FlightEnd:
+        station, camera = self.station, self._camera
+        assert camera is not None
+        while station.task is not Task.FAILED:
+            await self.clock.sleep(_STATION_S)
+            if self.body is None:
+                continue
+            camera.on = station.task not in (Task.MEET, Task.ARM)
+            for message in station.period(self.clock.now(), self._view(self.body)):
+                links.send(message)
+            lost = not self.body.upright
+            if station.began is not None:
+                flown_s = seconds_between(station.began, self.clock.now())
+                if daemon.done() or flown_s > self.scenario.duration_limit_s or lost:
+                    break
+            elif lost or daemon.done():
+                station.failure = "it turned over or fell into the water before the landing was ordered"
+                break
+        await self.clock.sleep(_AFTER_S)
+        began = station.began or self.clock.now()
+        texts = tuple((seconds_between(self.clock.started, at), component, text) for at, component, text in station.texts)
+        return FlightEnd(
+            pilot.outcome,
+            None if self.body is None or station.began is None else self.body.landing(),
+            max(seconds_between(began, self.clock.now()) - _AFTER_S, 0.0),
+            side.daemon.health,
+            texts,
+            self.body is not None and self.body.upright,
+            station.failure,
+        )
+
+    def _view(self, body: Body) -> View:
+        state, start = body.state(), self.scenario.start
+        yaw = state.R_ned_body.rpy_rad[2]
+        heading = body.R_ned_pad.rpy_rad[2] + math.radians(start.heading_deg)
+        to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, start.height_m])
+        level = Rotation.from_rpy(0.0, 0.0, yaw).inv
+        # The ship's steady way, without what the waves do to the pad.
+        v_start = self._way() if start.with_vessel else np.zeros(3)
+        return View(
+            level @ (body.p_pad_ned - to_pad - state.p_ned),
+            level @ v_start,
+            level @ (v_start - state.v_ned),
+            yaw,
+            wrap_pi(heading - yaw),
+            float(body.p_pad_ned[2] - state.p_ned[2]),
+        )
+
+    def _way(self) -> F64:
+        course, speed = math.radians(self.scenario.vessel.heading_deg), self.scenario.vessel.speed_m_s
+        return speed * np.array([math.cos(course), math.sin(course), 0.0])
+
+    async def _listen(self, links: Links) -> None:
+        async for heard in links.heard:
+            self.station.hear(heard.message, heard.heard)
+
+    async def _watch(self, program: Program) -> None:
+        """Whether the program goes on stepping."""
+        while True:
+            await asyncio.sleep(1.0)
+            if time.monotonic() - self._stepped_at > _SILENT_S:
+                raise Recoverable(
+                    f"the autopilot program asked for no step in {_SILENT_S:.0f} s; it said last: {program.last_line}"
+                )
+
+    def _make(self, step_s: float, curve: float) -> Body:
+        on_pad = msgspec.structs.replace(self.scenario, start=msgspec.structs.replace(self.scenario.start, where="pad"))
+        self.body = Body(on_pad, self.seed, step_s, curve)
+        return self.body
+
+    def _stepped(self, body: Body) -> None:
+        self._stepped_at = time.monotonic()
+        self.clock.advance(body.step_s)
+        assert self._camera is not None
+        self._camera.stepped(body)
+
+    async def _settle(self) -> None:
+        assert self._camera is not None
+        await self.clock.settle()
+        await self._camera.settle()
+
+    @asynccontextmanager
+    async def _program(self, ports: tuple[int, int]) -> AsyncIterator[Program]:
+        """The physics served and the program running on it."""
+        chosen = self.autopilot
+        if chosen.name == "px4":
+            hil = HilBackend(self._make(px4.STEP_S, 0.0), seed=self.seed, stepped=self._stepped)
+            argv, environment = px4.start(chosen.binary, height_m=self.height_m)
+            async with (
+                serve_hil(hil, HOST, px4.PHYSICS_PORT, settle=self._settle),
+                running(argv, self.folder, environment) as program,
+            ):
+                yield program
+            return
+        backend = JsonBackend(lambda step_s: self._make(step_s, CURVE), self._stepped)
+        async with serve_json(backend, HOST, 0, settle=self._settle) as port:
+            argv = arducopter.argv(
+                chosen.binary, self.folder, physics_port=port, mavlink_ports=ports, speedup=chosen.pace,
+                parameters=dict(chosen.parameters),
+            )  # fmt: skip
+            async with running(argv, self.folder) as program:
+                yield program
+
+
+def _first(group: BaseExceptionGroup[Recoverable]) -> Recoverable:
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, Recoverable)
+    return error

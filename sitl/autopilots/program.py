@@ -1,0 +1,114 @@
+"""An autopilot program as a child of ours: started in a folder of its own, on loopback, ended in any case."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ctypes
+import os
+import signal
+import socket
+import sys
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from estimator.contracts.errors import BadInput, Recoverable
+
+GUIDE = "docs/sitl.md"
+OUTPUT = "output.txt"
+_END_S = 2.0
+_PR_SET_PDEATHSIG = 1
+
+
+class Program:
+    """A running program."""
+
+    def __init__(self, process: asyncio.subprocess.Process, folder: Path) -> None:
+        self._process = process
+        self.folder = folder
+
+    @property
+    def last_line(self) -> str:
+        """The newest that it printed, for people."""
+        with contextlib.suppress(OSError):
+            lines = [line.strip() for line in (self.folder / OUTPUT).read_text(errors="replace").splitlines()]
+            return next((line for line in reversed(lines) if line), "nothing")[:200]
+        return "nothing"
+
+    async def ended(self) -> None:
+        """Wait until it is no more.
+
+        Raises:
+            Recoverable: always, with the last that it said.
+        """
+        code = await self._process.wait()
+        raise Recoverable(f"the autopilot program ended with code {code}; it said last: {self.last_line} (see {GUIDE})")
+
+
+def executable(path: str | None, name: str) -> Path:
+    """The program at a path.
+
+    Raises:
+        BadInput: none given, or nothing that can be run.
+    """
+    if not path:
+        raise BadInput(f"--autopilot {name} needs --binary PATH, the program itself: {GUIDE} says which one and where from")
+    found = Path(path).expanduser().absolute()
+    if not found.is_file() or not os.access(found, os.X_OK):
+        raise BadInput(f"--binary: {str(found)!r} is no program that can be run ({GUIDE} says what to point at)")
+    return found
+
+
+@asynccontextmanager
+async def running(argv: Sequence[str], folder: Path, environment: Mapping[str, str] | None = None) -> AsyncIterator[Program]:
+    """The program while the context is open. It ends with us, even if we are killed (on Linux).
+
+    Args:
+        folder: its working directory; what it prints goes to a file there.
+
+    Raises:
+        BadInput: it cannot be run on this machine.
+    """
+    with (folder / OUTPUT).open("wb") as output:
+        try:
+            process = await asyncio.create_subprocess_exec(
+                *argv,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=output,
+                stderr=asyncio.subprocess.STDOUT,
+                cwd=folder,
+                env={**os.environ, **(environment or {})},
+                start_new_session=True,
+                preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+            )
+        except OSError as why:
+            raise BadInput(f"--binary: {argv[0]!r} cannot be run: {why.strerror} (see {GUIDE})") from why
+    try:
+        yield Program(process, folder)
+    finally:
+        await _end(process)
+
+
+async def _end(process: asyncio.subprocess.Process) -> None:
+    if process.returncode is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_END_S):
+                await process.wait()
+    # Children of its own may be left behind even where it is gone itself.
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    await process.wait()
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def free_udp_port() -> int:
+    """A UDP port of the loopback that nobody uses at this moment."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

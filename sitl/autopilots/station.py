@@ -1,0 +1,213 @@
+"""The person at the ground station: arms, takes off, flies to where the landing is to begin, orders it. No I/O.
+
+Where the vehicle is against the ship this person sees, as people do: what is told here is the truth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.setpoint import velocity_setpoint
+from drivers.mavlink.vehicle import ARMED, TAKE_OFF_MODE, Stack, mode_name, set_mode
+from estimator.contracts.commands import Velocity
+from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.time import MonoNs, seconds_between
+
+STATION = (255, int(mav.MAV_COMP_ID_MISSIONPLANNER))
+COMPANION = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
+_AUTOPILOT = int(mav.MAV_COMP_ID_AUTOPILOT1)
+_REPEAT_S = 1.0
+
+
+class Task(Enum):
+    """What is being done."""
+
+    MEET = "waiting for the autopilot"
+    ARM = "arming"
+    TAKE_OFF = "taking off"
+    GO = "flying to the start"
+    ORDER = "ordering the landing"
+    WATCH = "watching the landing"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long each task may take, in s."""
+
+    meet_s: float = 60.0
+    arm_s: float = 90.0
+    take_off_s: float = 30.0
+    go_s: float = 60.0
+    order_s: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What the person sees."""
+
+    to_start_level: F64
+    """(3,) m forward, right, down from the body to where the landing is to begin."""
+    v_start_level: F64
+    """(3,) m/s, of that place."""
+    v_rel_level: F64
+    """(3,) m/s, of that place less that of the body."""
+    yaw_rad: float
+    """Heading of the body in ned."""
+    turn_rad: float
+    """From it to the heading wanted, clockwise."""
+    height_m: float
+    """Over the pad."""
+
+
+class GroundStation:
+    """Hears the autopilot and the companion, and says what is to be sent.
+
+    Args:
+        height_m: that is climbed to before going to the start.
+        flies_there: steer to the start by velocities in GUIDED; else the landing begins where the take-off ends.
+    """
+
+    def __init__(
+        self, stack: Stack, *, height_m: float, flies_there: bool = True, system: int = 1, patience: Patience | None = None
+    ) -> None:
+        self._stack, self._height_m, self._flies_there = stack, height_m, flies_there
+        self._autopilot, self._companion = (system, _AUTOPILOT), (system, COMPANION)
+        self._patience = patience or Patience()
+        self._since: MonoNs | None = None
+        self._asked: dict[str, MonoNs] = {}
+        self._there_since: MonoNs | None = None
+        self.task = Task.MEET
+        self.failure = ""
+        """Why it came to nothing."""
+        self.mode = ""
+        self.armed = False
+        self.began: MonoNs | None = None
+        """When the companion took the order."""
+        self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=400)
+        """STATUSTEXTs: when, from which component, text."""
+        self.results: list[tuple[int, int]] = []
+        """COMMAND_ACKs of the autopilot other than accepted ones: command, result."""
+
+    def hear(self, message: Message, now: MonoNs) -> None:
+        """Any message of the vehicle's system."""
+        kind, component = message.get_type(), message.get_srcComponent()
+        if message.get_srcSystem() != self._autopilot[0]:
+            return
+        if kind == "STATUSTEXT":
+            self.texts.append((now, component, str(message.text)))
+        elif kind == "HEARTBEAT" and component == _AUTOPILOT:
+            self.mode = mode_name(self._stack, message.custom_mode)
+            self.armed = bool(message.base_mode & ARMED)
+            if self.task is Task.MEET:
+                self._next(Task.ARM, now)
+            elif self.task is Task.ARM and self.armed:
+                self._next(Task.TAKE_OFF, now)
+        elif kind == "COMMAND_ACK":
+            self._answered(int(message.command), int(message.result), component, now)
+
+    def _answered(self, command: int, result: int, component: int, now: MonoNs) -> None:
+        if component == _AUTOPILOT and result != mav.MAV_RESULT_ACCEPTED:
+            self.results.append((command, result))
+        ordered = command == mav.MAV_CMD_NAV_LAND and component == COMPANION and self.task is Task.ORDER
+        if ordered and result in (mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_IN_PROGRESS):
+            self.began = now
+            self._next(Task.WATCH, now)
+        elif ordered:
+            self._fail(f"the companion refused the landing with result {result}")
+
+    def period(self, now: MonoNs, view: View) -> list[Message]:
+        """What to send; call it at 10 Hz and more."""
+        if self._since is None:
+            self._since = now
+        out = [_heartbeat()] if self._due("heartbeat", now) else []
+        return out + self._deeds[self.task](self, now, view)
+
+    def _meet(self, now: MonoNs, view: View) -> list[Message]:
+        self._give_up_after(self._patience.meet_s, now, "no heartbeat of the autopilot was heard")
+        return []
+
+    def _arm(self, now: MonoNs, view: View) -> list[Message]:
+        self._give_up_after(self._patience.arm_s, now, f"the autopilot would not arm: {self._last_words}")
+        mode = TAKE_OFF_MODE[self._stack]
+        if self._stack is Stack.ARDUPILOT and self.mode != mode:
+            return [set_mode(self._stack, self._autopilot, mode)] if self._due("mode", now) else []
+        return [self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)] if self._due("arm", now) else []
+
+    def _take_off(self, now: MonoNs, view: View) -> list[Message]:
+        self._give_up_after(self._patience.take_off_s, now, f"it did not take off: {self._last_words}")
+        if view.height_m > 0.85 * self._height_m:
+            self._next(Task.GO if self._flies_there else Task.ORDER, now)
+            return []
+        if view.height_m > 0.5 or not self._due("take off", now):
+            return []
+        if self._stack is Stack.PX4 and self.mode != TAKE_OFF_MODE[self._stack]:
+            return [set_mode(self._stack, self._autopilot, TAKE_OFF_MODE[self._stack])]
+        return [self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._height_m)]
+
+    def _go(self, now: MonoNs, view: View) -> list[Message]:
+        self._give_up_after(self._patience.go_s, now, "it did not reach the start of the landing")
+        close = bool(np.linalg.norm(view.to_start_level) < 0.6 and np.linalg.norm(view.v_rel_level) < 0.5)
+        near = close and abs(view.turn_rad) < math.radians(8.0)
+        self._there_since = (self._there_since or now) if near else None
+        if self._there_since is not None and seconds_between(self._there_since, now) > 1.0:
+            self._next(Task.ORDER, now)
+        pull = 0.6 * view.to_start_level
+        size = float(np.linalg.norm(pull))
+        v_level = view.v_start_level + pull * min(1.0, 1.5 / max(size, 1e-9))
+        rate = min(max(0.8 * wrap_pi(view.turn_rad), -0.5), 0.5)
+        return [velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
+
+    def _order(self, now: MonoNs, view: View) -> list[Message]:
+        self._give_up_after(self._patience.order_s, now, "the companion did not answer the order to land")
+        return [self._command(mav.MAV_CMD_NAV_LAND, to=self._companion)] if self._due("order", now) else []
+
+    def _nothing(self, now: MonoNs, view: View) -> list[Message]:
+        return []
+
+    _deeds: dict[Task, Callable[[GroundStation, MonoNs, View], list[Message]]] = {  # noqa: RUF012
+        Task.MEET: _meet,
+        Task.ARM: _arm,
+        Task.TAKE_OFF: _take_off,
+        Task.GO: _go,
+        Task.ORDER: _order,
+        Task.WATCH: _nothing,
+        Task.FAILED: _nothing,
+    }
+
+    @property
+    def _last_words(self) -> str:
+        said = [text for _, component, text in self.texts if component == _AUTOPILOT]
+        return said[-1] if said else "it said nothing"
+
+    def _next(self, task: Task, now: MonoNs) -> None:
+        self.task, self._since = task, now
+        self._asked.clear()
+
+    def _fail(self, why: str) -> None:
+        self.task, self.failure = Task.FAILED, why
+
+    def _give_up_after(self, seconds: float, now: MonoNs, why: str) -> None:
+        if self._since is not None and seconds_between(self._since, now) > seconds:
+            self._fail(why)
+
+    def _due(self, what: str, now: MonoNs) -> bool:
+        last = self._asked.get(what)
+        if last is not None and seconds_between(last, now) < _REPEAT_S:
+            return False
+        self._asked[what] = now
+        return True
+
+    def _command(self, number: int, param1: float = 0.0, *, height_m: float = 0.0, to: tuple[int, int] | None = None) -> Message:
+        return mav.MAVLink_command_long_message(*(to or self._autopilot), number, 0, param1, 0, 0, 0, 0, 0, height_m)
+
+
+def _heartbeat() -> Message:
+    return mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, 3)
