@@ -14,7 +14,8 @@ import msgspec
 
 from companion.doctor.diagnose import RULES, diagnose
 from companion.doctor.finding import Finding, Gravity
-from companion.doctor.gather import examine, examine_service
+from companion.doctor.gather import examine
+from companion.doctor.gather_service import examine_service
 from companion.doctor.picture import Picture, decode, encode
 from companion.rig_mavlink import autopilot_options
 from companion.settings import Settings, load
@@ -91,7 +92,7 @@ async def _examined(args: argparse.Namespace) -> Picture:
     if args.broker and ":" in args.broker and not args.broker.rpartition(":")[2].isdigit():
         raise BadInput(f"--broker {args.broker}: write HOST:PORT")
     settings = load(args.config) if args.config else None
-    service = await examine_service(settings, args.broker)
+    service = await examine_service(settings, args.broker, SystemClock())
     options = _options(args, settings)
     if options is None:
         return Picture(0.0, service=service)

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from companion.doctor.diagnose import PARAMETERS
-from companion.doctor.picture import AutopilotPicture, LinkPicture, Picture, ServicePicture, SyncPicture
-from companion.settings import camera_model, pad_model
-from companion.settings_model import Settings
-from companion.settings_vehicle import ArDroneSettings
+from companion.doctor.picture import AutopilotPicture, LinkPicture, Picture, SyncPicture
 from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import Heard
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import is_autopilot
-from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -133,35 +128,3 @@ def _picture(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], secon
         ),
         SyncPicture(sync.locked, sync.round_trip_s, sync.jumps),
     )
-
-
-async def examine_service(settings: Settings | None, broker: str | None, timeout_s: float = 2.0) -> ServicePicture:
-    """What can be found out without the service running: files, broker, drone."""
-    fault, drone, drone_fault = None, None, None
-    if settings is not None:
-        try:
-            camera_model(settings)
-            pad_model(settings)
-        except BadInput as why:
-            fault = str(why)
-        if isinstance(settings.vehicle, ArDroneSettings):
-            drone = f"{settings.vehicle.host}:{settings.vehicle.control_port}"
-            drone_fault = await _unreachable(settings.vehicle.host, settings.vehicle.control_port, timeout_s)
-    broker_fault = None
-    if broker is not None:
-        host, _, port = broker.rpartition(":")
-        broker_fault = await _unreachable(host or broker, int(port) if host else 1883, timeout_s)
-    return ServicePicture(camera_fault=fault, broker=broker, broker_fault=broker_fault, drone=drone, drone_fault=drone_fault)
-
-
-async def _unreachable(host: str, port: int, timeout_s: float) -> str | None:
-    """Why a TCP connection cannot be made, None when it can."""
-    try:
-        async with asyncio.timeout(timeout_s):
-            _, writer = await asyncio.open_connection(host, port)
-    except TimeoutError:
-        return f"no answer within {timeout_s:g} s"
-    except OSError as why:
-        return why.strerror or str(why)
-    writer.close()
-    return None

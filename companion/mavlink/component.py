@@ -227,6 +227,11 @@ class Component(Silent):
         return self._belief
 
     @property
+    def sends_ranges(self) -> bool:
+        """Whether the autopilot's rangefinder is us."""
+        return self._autopilot is not None and self.outputs.sends_ranges(_View(self._autopilot))
+
+    @property
     def _sighted(self) -> MonoNs | None:
         return None if self._belief is None else self._belief.sighted
 

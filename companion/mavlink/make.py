@@ -86,7 +86,9 @@ class AutopilotPart:
 
     def _counted(self) -> Mapping[str, float]:
         """Of the links since they were opened last, and of targets that were due and not sent."""
-        out: dict[str, float] = {f"withheld_{why.replace(' ', '_')}": n for why, n in self.component.outputs.withheld.items()}
+        component = self.component
+        out: dict[str, float] = {f"withheld_{why.replace(' ', '_')}": n for why, n in component.outputs.withheld.items()}
+        out |= {"targets_sent": component.outputs.sent, "sends_ranges": component.sends_ranges}
         if self._links is not None:
             for link in self._links.all:
                 for name, n in link.counters.as_dict().items():

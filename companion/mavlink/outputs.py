@@ -89,6 +89,8 @@ class Outputs:
         self._target_at: MonoNs | None = None
         self._range_at: MonoNs | None = None
         self._newest: MonoNs | None = None
+        self.sent = 0
+        """Targets."""
         self.withheld: Counter[str] = Counter()
         """Why a target that was due was not sent."""
 
@@ -138,6 +140,7 @@ class Outputs:
             self.withheld["not below"] += 1
             return []
         self._newest = seen.at
+        self.sent += 1
         if vehicle.stack is Stack.PX4 and self._o.vision_target_estimator:
             relative = target_relative(
                 time_us, seen.d_body_pad_ned, seen.cov_ned, seen.R_ned_body, seen.R_ned_pad, seen.sigma_yaw_rad

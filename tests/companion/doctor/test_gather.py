@@ -6,15 +6,23 @@ import asyncio
 import json
 import socket
 from pathlib import Path
+from typing import Any
 
+import av
+import numpy as np
 import pytest
 
 import companion.settings as settings_of
 from companion.cli import doctor
 from companion.cli.main import Parser
 from companion.doctor.diagnose import PARAMETERS, diagnose
-from companion.doctor.gather import examine, examine_service
+from companion.doctor.gather import examine
+from companion.doctor.gather_service import examine_service
 from companion.doctor.picture import Picture, encode
+from companion.health import Health
+from companion.metrics.endpoint import MetricsEndpoint
+from companion.metrics.settings import MetricsSettings
+from companion.settings import Settings
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions
 from drivers.mavlink.dialect import Event, mav
@@ -79,14 +87,54 @@ async def test_the_service_s_own_files_broker_and_drone() -> None:
     with socket.socket() as sock:
         sock.bind((HOST, 0))
         closed = sock.getsockname()[1]
-    picture = await examine_service(settings_of.load("sim"), f"{HOST}:{closed}", timeout_s=0.5)
+    picture = await examine_service(settings_of.load("sim"), f"{HOST}:{closed}", SystemClock(), timeout_s=0.5)
     assert picture.camera_fault is None
     assert picture.broker_fault
     assert picture.drone is not None
     server = await asyncio.start_server(lambda r, w: w.close(), HOST, 0)
     async with server:
         port = server.sockets[0].getsockname()[1]
-        assert (await examine_service(None, f"{HOST}:{port}")).broker_fault is None
+        assert (await examine_service(None, f"{HOST}:{port}", SystemClock())).broker_fault is None
+
+
+def rig(video: Path, **more: dict[str, Any]) -> Settings:
+    camera = {"file": "sim", "source": "stream", "device": str(video)}
+    vehicle = {"kind": "mavlink", "links": f"udpin://{HOST}:0"}
+    return settings_of.from_mapping({"vehicle": vehicle, "camera": camera, "pad": {"file": "thesis"}, **more}, "test")
+
+
+async def test_a_camera_of_another_size_that_is_slow(tmp_path: Path) -> None:
+    video = tmp_path / "slow.mp4"
+    with av.open(str(video), "w") as out:
+        stream = out.add_stream("mpeg4", rate=8)
+        stream.width, stream.height = 320, 180
+        for _ in range(60):
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(np.full((180, 320, 3), 99, np.uint8), format="bgr24")))
+        out.mux(stream.encode())
+    service = await examine_service(rig(video), None, SystemClock(), seconds=1.0)
+    assert service.frame_size == (320, 180)
+    assert service.frame_rate_hz == pytest.approx(8.0, abs=2.0)
+    assert {f.rule for f in diagnose(Picture(0.0, service=service))} >= {"camera-size", "camera-slow"}
+    gone = await examine_service(rig(tmp_path / "none.mp4"), None, SystemClock(), seconds=0.1)
+    assert "none.mp4" in str(gone.camera_fault)
+
+
+async def test_a_service_that_runs_is_asked() -> None:
+    health = Health(SystemClock())
+    for _ in range(5):
+        health.beat("Frame")
+        health.delay("exposure_to_belief", 0.08)
+    health.counters("mavlink", lambda: {"targets_sent": 0.0, "sends_ranges": 1.0, "withheld_not_seen": 12.0})
+    endpoint = MetricsEndpoint(MetricsSettings("http", HOST, 0), health)
+    serving = asyncio.create_task(endpoint.run())
+    await until(lambda: endpoint.port is not None)
+    metrics = {"endpoint": "http", "host": HOST, "port": endpoint.port}
+    service = await examine_service(rig(Path("no camera is opened"), metrics=metrics), None, SystemClock())
+    serving.cancel()
+    assert service.camera_fault is None
+    assert service.exposure_to_belief_s == 0.08
+    assert service.frame_rate_hz
+    assert (service.targets_sent, service.sends_ranges, service.withheld) == (0, True, {"not seen": 12})
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:

@@ -1,0 +1,132 @@
+"""Finding out about the service itself: its files, its camera, broker and drone, and what it says where it runs already."""
+
+from __future__ import annotations
+
+import asyncio
+
+import aiohttp
+from msgspec import structs
+from prometheus_client.parser import text_string_to_metric_families
+from prometheus_client.samples import Sample
+
+from companion.doctor.picture import ServicePicture
+from companion.rig_camera import camera_options
+from companion.settings import camera_model, pad_model
+from companion.settings_model import Settings
+from companion.settings_vehicle import ArDroneSettings
+from drivers.video_source import open_camera
+from estimator.contracts.errors import BadInput, DecklanderError
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import seconds_between
+
+_FIRST_FRAME_S = 5.0
+"""What a camera may take to open."""
+_WITHHELD = "withheld_"
+
+
+async def examine_service(
+    settings: Settings | None, broker: str | None, clock: Clock, seconds: float = 2.0, timeout_s: float = 2.0
+) -> ServicePicture:
+    """Files, broker and drone; of a service that runs and tells its metrics those, else of the camera what it sends.
+
+    Args:
+        broker: HOST:PORT to look for; None for the one in the settings.
+        seconds: how long to count the camera's pictures.
+    """
+    picture = ServicePicture()
+    if settings is not None:
+        picture = await _of_rig(settings, clock, seconds, timeout_s)
+        if broker is None and settings.mqtt.transport != "off":
+            broker = f"{settings.mqtt.host}:{settings.mqtt.port}"
+    if broker is None:
+        return picture
+    host, _, port = broker.rpartition(":")
+    fault = await _unreachable(host or broker, int(port) if host else 1883, timeout_s)
+    return structs.replace(picture, broker=broker, broker_fault=fault)
+
+
+async def _of_rig(settings: Settings, clock: Clock, seconds: float, timeout_s: float) -> ServicePicture:
+    picture = ServicePicture()
+    try:
+        model = camera_model(settings)
+        pad_model(settings)
+    except BadInput as why:
+        return structs.replace(picture, camera_fault=str(why))
+    picture = structs.replace(picture, camera_size=(model.width, model.height))
+    vehicle = settings.vehicle
+    if isinstance(vehicle, ArDroneSettings):
+        fault = await _unreachable(vehicle.host, vehicle.control_port, timeout_s)
+        picture = structs.replace(picture, drone=f"{vehicle.host}:{vehicle.control_port}", drone_fault=fault)
+    told = await _told(settings, timeout_s)
+    if told is not None:
+        return _of_metrics(picture, told)
+    return await _of_camera(picture, settings, clock, seconds)
+
+
+async def _of_camera(picture: ServicePicture, settings: Settings, clock: Clock, seconds: float) -> ServicePicture:
+    try:
+        options = camera_options(settings)
+        if options is None:
+            return picture
+        async with open_camera(options, clock) as camera:
+            try:
+                async with asyncio.timeout(_FIRST_FRAME_S):
+                    frame = await camera.frames.get()
+            except TimeoutError:
+                return structs.replace(picture, camera_fault=camera.down or "the camera sends no picture")
+            height, width = frame.px.shape[:2]
+            began, before = clock.now(), camera.counters.frames
+            await clock.sleep(seconds)
+            rate_hz = (camera.counters.frames - before) / seconds_between(began, clock.now())
+    except DecklanderError as why:
+        return structs.replace(picture, camera_fault=str(why))
+    return structs.replace(picture, frame_size=(width, height), frame_rate_hz=rate_hz)
+
+
+async def _told(settings: Settings, timeout_s: float) -> list[Sample] | None:
+    """The metrics of the service where it runs; None where nobody answers."""
+    m = settings.metrics
+    if m.endpoint == "off":
+        return None
+    host = "127.0.0.1" if m.host in ("0.0.0.0", "::") else m.host
+    try:
+        async with (
+            aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(timeout_s)) as session,
+            session.get(f"http://{host}:{m.port}/metrics") as answer,
+        ):
+            page = await answer.text()
+        return [sample for family in text_string_to_metric_families(page) for sample in family.samples]
+    except (OSError, TimeoutError, aiohttp.ClientError, ValueError):
+        return None
+
+
+def _of_metrics(picture: ServicePicture, told: list[Sample]) -> ServicePicture:
+    counted = {s.labels["name"]: s.value for s in told if s.name == "decklander_count"}
+    rates_hz = {s.labels["kind"]: s.value for s in told if s.name == "decklander_item_rate_hertz"}
+    medians_s = {
+        s.labels["stage"]: s.value for s in told if s.name == "decklander_stage_seconds" and s.labels["quantile"] == "0.5"
+    }
+    sent, ranges = counted.get("targets_sent"), counted.get("sends_ranges")
+    return structs.replace(
+        picture,
+        frame_rate_hz=rates_hz.get("Frame"),
+        exposure_to_belief_s=medians_s.get("exposure_to_belief"),
+        targets_sent=None if sent is None else int(sent),
+        sends_ranges=None if ranges is None else bool(ranges),
+        withheld={
+            name.removeprefix(_WITHHELD).replace("_", " "): int(n) for name, n in counted.items() if name.startswith(_WITHHELD)
+        },
+    )
+
+
+async def _unreachable(host: str, port: int, timeout_s: float) -> str | None:
+    """Why a TCP connection cannot be made, None when it can."""
+    try:
+        async with asyncio.timeout(timeout_s):
+            _, writer = await asyncio.open_connection(host, port)
+    except TimeoutError:
+        return f"no answer within {timeout_s:g} s"
+    except OSError as why:
+        return why.strerror or str(why)
+    writer.close()
+    return None
