@@ -9,6 +9,7 @@ from companion import rig, rig_mavlink
 from companion.daemon import Link
 from companion.health import Health
 from companion.mavlink.component import Component, speaking
+from companion.mavlink.deck_way import DeckWay
 from companion.mavlink.pilot_operator import PilotTower
 from companion.mavlink.tunables import Tunables
 from companion.pilot import Pilot
@@ -63,6 +64,7 @@ class AutopilotPart:
         """The autopilot as the daemon's link."""
         async with open_autopilot(self._options, self._clock) as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
+            autopilot.carried = DeckWay(self._pilot.belief, autopilot)
             async with speaking(self.component, autopilot, self._clock):
                 self._open = autopilot
                 try:

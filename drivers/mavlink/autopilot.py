@@ -9,6 +9,8 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
@@ -18,8 +20,9 @@ from drivers.mavlink.requests import RATES_HZ, Parameters, Streams
 from drivers.mavlink.samples import LocalPosition, SampleOptions, Sampler
 from drivers.mavlink.timesync import TimeSync, TimeSyncOptions, answer_to
 from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
-from estimator.contracts.commands import Command
+from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.errors import Recoverable
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs, seconds_between
@@ -107,6 +110,8 @@ class Autopilot:
         self.counts: Counter[str] = Counter()
         """Messages of the autopilot, by name."""
         self.connects = 0
+        self.carried: Callable[[MonoNs], F64] = lambda now: np.zeros(3)
+        """(3,) m/s in ned, of what the commanded velocities are against: a deck under way. Still ground unless it is set."""
 
     @property
     def identity(self) -> Identity | None:
@@ -158,7 +163,12 @@ class Autopilot:
             raise Recoverable("the link to the autopilot is closed")
         if self._known is None or self._known.lost:
             raise Recoverable("no autopilot is heard")
-        self._known.helm.take(command, self._clock.now())
+        now = self._clock.now()
+        if isinstance(command, Velocity) and self.attitude is not None:
+            # The autopilot's velocities are over the ground.
+            way_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.carried(now)
+            command = Velocity(command.v_level + way_level, command.yaw_rate_rad_s)
+        self._known.helm.take(command, now)
 
     def engage(self) -> None:
         """The operator starts: a vehicle that a person took from us may be taken back."""

@@ -1,0 +1,79 @@
+"""How the pad itself moves over the ground, so that a vehicle whose velocities are over the ground can fly against the pad.
+
+Guidance commands velocities as if what lies below stood still. An AR.Drone's own velocity is against what its camera sees, which
+is the deck; an autopilot's is over the ground, and a ship under way would leave it behind. The pad's velocity over the ground is
+the autopilot's own plus that of the pad against the body; the mean of some seconds is the ship's way without the waves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from drivers.mavlink.samples import LocalPosition
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, seconds_between
+
+MEAN_S = 2.0
+FORGET_S = 20.0
+"""A pad not seen for this long is another pad when it comes back."""
+_FRESH_S = 0.3
+_SIGMA_MAX_M_S = 0.6
+_MOST_M_S = 15.0
+
+
+class Moving(Protocol):
+    """What is needed to know of the autopilot."""
+
+    @property
+    def attitude(self) -> Attitude | None: ...
+
+    @property
+    def positions(self) -> tuple[LocalPosition, ...]: ...
+
+
+class DeckWay:
+    """Ask it at each command.
+
+    Args:
+        believe: what is known of the pad at an instant.
+    """
+
+    def __init__(self, believe: Callable[[MonoNs], RelativeState | None], autopilot: Moving) -> None:
+        self._believe, self._autopilot = believe, autopilot
+        self._way = np.zeros(3)
+        self._known_s = 0.0
+        self._at: MonoNs | None = None
+
+    def __call__(self, now: MonoNs) -> F64:
+        """(3,) m/s in ned, the last component zero; zeros while nothing is known of the pad."""
+        seen = self._seen(now)
+        if self._at is not None and seconds_between(self._at, now) > FORGET_S:
+            self._way, self._known_s, self._at = np.zeros(3), 0.0, None
+        if seen is not None:
+            since_s = 0.0 if self._at is None else min(seconds_between(self._at, now), 0.2)
+            self._known_s += since_s
+            share = 1.0 if self._at is None else since_s / max(min(self._known_s, MEAN_S), since_s, 1e-9)
+            self._way = self._way + share * (seen - self._way)
+            self._at = now
+        speed = math.hypot(self._way[0], self._way[1])
+        return self._way * min(1.0, _MOST_M_S / max(speed, 1e-9))
+
+    def _seen(self, now: MonoNs) -> F64 | None:
+        """The pad's velocity over the ground at this instant, None where it cannot be told."""
+        belief, attitude, positions = self._believe(now), self._autopilot.attitude, self._autopilot.positions
+        if belief is None or attitude is None or not positions or not belief.consistent:
+            return None
+        newest = positions[-1]
+        late = max(belief.age_s(now), seconds_between(newest.stamp.taken, now), seconds_between(attitude.stamp.taken, now))
+        sigma_m_s = math.sqrt(max(float(belief.cov[3, 3] + belief.cov[4, 4]), 0.0))
+        if late > _FRESH_S or sigma_m_s > _SIGMA_MAX_M_S:
+            return None
+        level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2])
+        v = newest.v_body_ned + level @ belief.v_pad_level
+        return np.array([v[0], v[1], 0.0])

@@ -1,0 +1,127 @@
+"""The pad's own velocity over the ground: found under a moving pad, none under one that lies still, held and forgotten."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from companion.mavlink.deck_way import FORGET_S, DeckWay
+from drivers.clock import SystemClock
+from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
+from drivers.mavlink.dialect import Message
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.samples import LocalPosition
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.commands import Velocity
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+from tests.drivers.fake_ardrone import until
+from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+
+HOST = "127.0.0.1"
+YAW = math.radians(130.0)
+
+
+@dataclass
+class Scene:
+    """A body with its nose to the south-east over a pad that is believed in with some noise."""
+
+    v_pad_ned: F64
+    v_body_ned: F64 = field(default_factory=lambda: np.array([0.4, -0.3, 0.2]))
+    t_s: float = 1.0
+    sighted_s: float | None = None
+    """When the pad was last seen; None for just now."""
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(4))
+
+    @property
+    def now(self) -> MonoNs:
+        return MonoNs(round(self.t_s * NS_PER_S))
+
+    @property
+    def attitude(self) -> Attitude | None:
+        return Attitude(Stamp(self.now, self.now, 0.0, "synced"), Rotation.from_rpy(0.05, -0.1, YAW), np.eye(3) * 1e-4)
+
+    @property
+    def positions(self) -> tuple[LocalPosition, ...]:
+        return (LocalPosition(Stamp(self.now, self.now, 0.0, "synced"), np.zeros(3), self.v_body_ned),)
+
+    def believe(self, now: MonoNs) -> RelativeState | None:
+        v = Rotation.from_rpy(0.0, 0.0, YAW).inv @ (self.v_pad_ned - self.v_body_ned + self.rng.normal(0.0, 0.1, 3))
+        sighted = now if self.sighted_s is None else MonoNs(round(self.sighted_s * NS_PER_S))
+        return RelativeState(now, "ekf", np.array([0.1, 0.2, 3.0]), v, 0.3, np.eye(7) * 0.01, sighted, True)
+
+
+def run(way: DeckWay, scene: Scene, seconds: float) -> F64:
+    found = np.zeros(3)
+    for _ in range(round(50 * seconds)):
+        scene.t_s += 0.02
+        found = way(scene.now)
+    return found
+
+
+def test_a_ship_under_way_is_found_whatever_the_body_does_and_its_heave_is_left_out() -> None:
+    scene = Scene(np.array([1.2, -0.9, 0.8]))
+    way = DeckWay(scene.believe, scene)
+    assert run(way, scene, 3.0) == pytest.approx([1.2, -0.9, 0.0], abs=0.06)
+    scene.v_body_ned = np.array([-2.0, 1.0, 0.0])
+    assert run(way, scene, 0.1) == pytest.approx([1.2, -0.9, 0.0], abs=0.06)
+
+
+def test_a_pad_that_lies_still_has_none() -> None:
+    scene = Scene(np.zeros(3))
+    assert run(DeckWay(scene.believe, scene), scene, 3.0) == pytest.approx([0.0, 0.0, 0.0], abs=0.06)
+
+
+def test_it_is_held_without_sight_and_forgotten_in_the_end() -> None:
+    scene = Scene(np.array([1.5, 0.0, 0.0]))
+    way = DeckWay(scene.believe, scene)
+    run(way, scene, 3.0)
+    scene.sighted_s = scene.t_s
+    held = run(way, scene, 5.0)
+    assert held == pytest.approx([1.5, 0.0, 0.0], abs=0.06)
+    assert np.all(run(way, scene, FORGET_S) == 0.0)
+
+
+def test_waves_are_averaged() -> None:
+    scene = Scene(np.zeros(3))
+    way = DeckWay(scene.believe, scene)
+    found = []
+    for n in range(1000):
+        scene.v_pad_ned = np.array([1.5 + 0.6 * math.sin(math.tau * n / 400), 0.0, 0.0])
+        scene.t_s += 0.02
+        found.append(way(scene.now)[0])
+    assert np.mean(found[400:]) == pytest.approx(1.5, abs=0.05)
+    assert np.ptp(found[400:]) < 0.75, "of 1.2 m/s"
+
+
+async def test_velocities_go_to_the_autopilot_with_the_decks_way_on_top() -> None:
+    clock = SystemClock()
+    fake = FakeAutopilot(Stack.ARDUPILOT, mode="guided")
+    fake.armed, fake.landed_state = True, 2
+    fake.rpy = lambda t: (0.0, 0.0, YAW)
+    options = AutopilotOptions((LinkOptions(parse_endpoint(f"udpin://{HOST}:0")),), period_s=0.02)
+
+    def told() -> list[Message]:
+        return fake.of("SET_POSITION_TARGET_LOCAL_NED")
+
+    async with open_autopilot(options, clock) as autopilot:
+        await until(lambda: autopilot.links.all[0].local is not None)
+        host, port = autopilot.links.all[0].local or ("", 0)
+        async with fake.talking_to(f"udpout://{host}:{port}"):
+            await until(lambda: autopilot.attitude is not None)
+            autopilot.carried = lambda now: np.array([1.5, -0.5, 0.0])
+            forward = Rotation.from_rpy(0.0, 0.0, YAW) @ np.array([0.3, 0.0, 0.0])
+
+            def arrived() -> bool:
+                autopilot.command(Velocity(np.array([0.3, 0.0, 0.2]), 0.0))
+                return bool(told()) and told()[-1].vz > 0.1
+
+            await until(arrived)
+    last = next(m for m in reversed(told()) if m.vz > 0.1)
+    assert (last.vx, last.vy, last.vz) == pytest.approx((forward[0] + 1.5, forward[1] - 0.5, 0.2), abs=1e-3)
