@@ -1,8 +1,10 @@
 """How often the pad is found in a whole picture, by height and condition, how calibrated the score is, and how long it takes.
 
-`python benches/acquisition.py [--frames N] [--seed S] [--failures DIR]` from the repository's root. A pad is found when the best
-candidate keeps the judge's claim (centre, range, heading) with a score of 0.5 or more. Times are processor time on one thread,
-beside a floor measured in between: one BGR to HSV conversion and one inRange of a picture of the same size.
+`python -m benches.acquisition [--frames N] [--seed S] [--failures DIR] [--write DIR]` from the repository's root. A pad is found
+when the best candidate keeps the judge's claim (centre, range, heading) with a score of 0.5 or more. Times are processor time on
+one thread, beside a floor measured in between: one BGR to HSV conversion and one inRange of a picture of the same size. No frame
+has part in the judge's fit. On the photographs of the real pad what is found is registered, without attitude, and the corners of
+the H are held against hand labels. `--write` leaves the reliability diagram as reliability.png.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -33,11 +36,13 @@ from benches.pad_scenes import (  # noqa: E402
     photo_pose,
     visible_share,
 )
+from estimator.contracts.geometry import F64  # noqa: E402
 from estimator.vision.acquire import Candidate, acquire  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.judge import keeps_claim  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
+from estimator.vision.registration import Options, register  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 0.8, 1.5, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0)
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.001)
@@ -74,6 +79,41 @@ def sheet(pictures: list[np.ndarray], path: Path) -> None:
     cv2.imwrite(str(path), np.vstack([np.hstack(pictures[i : i + 4]) for i in range(0, len(pictures), 4)]))
 
 
+def reliability(score: F64, right: NDArray[np.bool_], frames: int, path: Path) -> None:
+    """The diagram: of the frames called so, as many are right; with 95 % intervals (Wilson, JASA 22, 1927)."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (top, low) = plt.subplots(2, 1, figsize=(5, 6), height_ratios=(3, 1), sharex=True, constrained_layout=True)
+    top.plot((0, 1), (0, 1), "k--", lw=0.8)
+    called, share, below, above, counts = [], [], [], [], []
+    for a, b in itertools.pairwise(BINS):
+        of = (score >= a) & (score < b)
+        n = int(of.sum())
+        counts.append(n)
+        if n == 0:
+            continue
+        p = float(right[of].mean())
+        middle, half = (p + 1.92 / n) / (1 + 3.84 / n), 1.96 * math.sqrt(p * (1 - p) / n + 0.96 / n**2) / (1 + 3.84 / n)
+        called.append(float(score[of].mean()))
+        share.append(p)
+        below.append(max(0.0, p - (middle - half)))
+        above.append(max(0.0, middle + half - p))
+    top.errorbar(called, share, yerr=(below, above), fmt="o-", ms=4, lw=1.2, capsize=3)
+    top.set_ylabel("share that is right")
+    top.set_title(f"best candidate of {frames} frames")
+    top.grid(alpha=0.3)
+    edges = np.array(BINS)
+    low.bar(edges[:-1], counts, width=np.diff(edges), align="edge", edgecolor="white")
+    low.set_yscale("log")
+    low.set_ylabel("frames")
+    low.set_xlabel("confidence")
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
 def photographs(failures: Path | None) -> None:
     folder = DATA / "pad_photos"
     if not folder.exists():
@@ -81,7 +121,10 @@ def photographs(failures: Path | None) -> None:
         return
     camera, pad = load_camera("photos"), load_pad("printed")
     found = half_in_view = 0
-    took, bad = [], []
+    took, bad, corner_px, range_off = [], [], [], []
+    with (folder / "corner_labels.csv").open() as file:
+        # The labels go round the H the other way.
+        labels = {row[0]: np.array(row[1:25], float).reshape(12, 2)[::-1] for row in itertools.islice(csv.reader(file), 1, None)}
     with (folder / "pose.csv").open() as file:
         for row in csv.DictReader(file):
             truth = photo_pose(row)
@@ -97,8 +140,18 @@ def photographs(failures: Path | None) -> None:
             found += good
             if not good:
                 bad.append(picture_of(px, camera, pad, None, best, row["frame"]))
+            result = None if best is None else register(px, camera, pad, best.pose, None, Options(coarse=False))
+            if result is not None:
+                ways = [result.pose, result.pose.turned(math.pi)][: 2 if result.yaw_ambiguous else 1]
+                off = [np.hypot(*(camera.project(way.points(pad.h_corners())) - labels[row["frame"]]).T) for way in ways]
+                corner_px.append(min(float(np.median(d)) for d in off))
+                range_off.append(100 * float(np.linalg.norm(result.pose.t_cam_pad - truth.t_cam_pad)) / truth.range_m)
     print(
-        f"photographs with half of the pad in view: {found} of {half_in_view} found, median {np.median(took):.1f} ms, no attitude"
+        f"photographs with half of the pad in view: {found} of {half_in_view} found, "
+        f"median {np.median(took):.1f} ms, no attitude; "
+        f"{len(corner_px)} registered, corners of the H off the labels by {np.median(corner_px):.2f} px (median), "
+        f"{np.percentile(corner_px, 95):.2f} (95 %); place off the labels' by {np.median(range_off):.2f} % of range, "
+        f"{np.percentile(range_off, 95):.2f} % (95 %)"
     )
     if failures is not None and bad:
         sheet(bad, failures / "photographs.png")
@@ -109,6 +162,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=5, help="at each height in each condition")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--failures", type=Path, help="write sheets of failed frames into this folder")
+    parser.add_argument("--write", type=Path, metavar="DIR", help="write reliability.png there")
     parser.add_argument("--attitude", choices=("mixed", "known", "none"), default="mixed")
     args = parser.parse_args()
     cv2.setNumThreads(1)
@@ -168,12 +222,14 @@ def main() -> None:
         "ms, median  " + "".join(f"{np.median(took[h]):8.1f} " for h in HEIGHTS_M) + f"  without a pad {np.median(empty_ms):.1f}"
     )
     print("over floor  " + "".join(f"{np.median(took[h]) / floor:8.1f} " for h in HEIGHTS_M) + f"  floor {floor:.2f} ms")
-    score, right_ = (np.array(v) for v in zip(*called, strict=True))
+    score, right_ = np.array([c[0] for c in called]), np.array([c[1] for c in called])
     print("called      n   right   (best candidate of each frame, with and without a pad)")
     for low, high in itertools.pairwise(BINS):
         k = (score >= low) & (score < high)
         if k.any():
             print(f"{low:.2f}-{min(high, 1):.2f} {int(k.sum()):6d}  {right_[k].mean():.3f}   (mean called {score[k].mean():.3f})")
+    if args.write is not None:
+        reliability(score, right_, len(score), args.write / "reliability.png")
     photographs(args.failures)
     if args.failures is not None:
         args.failures.mkdir(parents=True, exist_ok=True)

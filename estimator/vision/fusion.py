@@ -24,6 +24,9 @@ _AGREE_XYZ = 16.27
 """Chi-square, 3 degrees of freedom, 99.9 %."""
 _AGREE_YAW = 10.83
 """Chi-square, 1 degree of freedom, 99.9 %."""
+_COARSE = 0.003
+"""Of the distance: one standard deviation of what worn paint, shade and a deck not quite level do to the thesis' methods beyond
+what they say. Less than a few of it is no reason to doubt the pad."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +67,8 @@ def _agree(a: Sighting, b: Sighting) -> bool:
     if a is b:
         return True
     apart = a.d_body_pad_level - b.d_body_pad_level
-    S = a.cov[:3, :3] + b.cov[:3, :3]
+    away_m = float(np.linalg.norm(a.d_body_pad_level))
+    S = a.cov[:3, :3] + b.cov[:3, :3] + np.eye(3) * (_COARSE * away_m) ** 2
     if not float(apart @ np.linalg.solve(S, apart)) <= _AGREE_XYZ:
         return False
     if a.yaw_rad is None or b.yaw_rad is None:

@@ -46,7 +46,7 @@ class Options:
 
     coarse: bool = True
     """Approach from the start on a reduced picture first; False for a start good to a pixel and a half."""
-    max_profiles: int = 180
+    max_profiles: int = 120
     whole_pixels: int = 1700
     """A picture of the disc of up to so many pixels is registered whole."""
     blur_px: float = 0.6
