@@ -7,7 +7,7 @@ out are the sockets, the video codec and threads, so that a scenario and a seed 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -26,8 +26,9 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
+from sitl.darkroom import Darkroom
 from sitl.scenario import Scenario
-from sitl.world import Touchdown, Truth, World
+from sitl.world import Picture, Touchdown, Truth, World
 
 NAVDATA_DELAY_S = 0.004
 COMMAND_DELAY_S = 0.004
@@ -94,6 +95,8 @@ class Flight:
     ) -> None:
         cv2.setNumThreads(1)
         self.world = World(scenario, seed)
+        self.room: Darkroom | None = None
+        """Makes the pictures, where one is set before the first step; else they are made in place. The same bits either way."""
         self._pilot = pilot
         self._observers = tuple(observers)
         self._timing = timing or Timing()
@@ -110,7 +113,7 @@ class Flight:
             self._send([at.Config(key, value), at.Ctrl(at.CTRL_ACK)])
         self._guidance_period_s = 1.0 / settings.guidance.rate_hz
         self._due_guidance = self._due_frame = self._due_command = start
-        self._on_the_way: deque[tuple[MonoNs, Frame]] = deque()
+        self._on_the_way: deque[tuple[MonoNs, Callable[[], Picture]]] = deque()
         self._looking: tuple[MonoNs, FrameSeen] | None = None
         self._frames = 0
 
@@ -159,11 +162,7 @@ class Flight:
         self._due_frame = after(self._due_frame, self._timing.frame_period_s)
         if self.world.active("video_silent"):
             return
-        picture = self.world.render()
-        heard = after(picture.taken, self._timing.frame_delay_s)
-        self._frames += 1
-        stamp = Stamp(picture.taken, heard, STAMP_SIGMA_S, "sim")
-        self._on_the_way.append((heard, Frame(stamp, self._frames, picture.px, picture.exposure_s)))
+        self._on_the_way.append((after(self.world.at, self._timing.frame_delay_s), self.world.expose(self.room)))
 
     def _see(self, now: MonoNs) -> None:
         if self._looking is not None and now >= self._looking[0]:
@@ -173,7 +172,11 @@ class Flight:
         while self._on_the_way and self._on_the_way[0][0] <= now and self._looking is None:
             if arrived is not None:
                 self.health.frame(Verdict.REPLACED)
-            arrived = self._on_the_way.popleft()[1]
+            heard, developed = self._on_the_way.popleft()
+            picture = developed()
+            self._frames += 1
+            stamp = Stamp(picture.taken, heard, STAMP_SIGMA_S, "sim")
+            arrived = Frame(stamp, self._frames, picture.px, picture.exposure_s)
         if arrived is None:
             return
         attitude = self._pilot.attitude_at(arrived.stamp)

@@ -23,6 +23,7 @@ from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.airframe import Limits
 from sitl.camera import Renderer, Shot
 from sitl.contact import Ground
+from sitl.darkroom import Darkroom
 from sitl.scenario import Fault, FaultKind, Scenario, camera_model, pad_model
 from sitl.sensors import Readings, Sensors
 from sitl.stage import airframe, blowing, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind
@@ -211,18 +212,26 @@ class World:
         """What the bottom camera sees, the newest step being the middle of the exposure."""
         return self.expose()()
 
-    def expose(self) -> Callable[[], Picture]:
+    @property
+    def renderer(self) -> Renderer:
+        """Of the bottom camera."""
+        if self._renderer is None:
+            self._renderer = renderer(self.scenario, self.waves, self.vessel)
+        return self._renderer
+
+    def expose(self, room: Darkroom | None = None) -> Callable[[], Picture]:
         """`render` in two parts: the scene is fixed now, and the call makes the picture, in another thread if need be, while
         the world goes on. One such call at a time.
+
+        Args:
+            room: makes the picture from now on; the call then waits for it.
         """
         rng = np.random.default_rng([self._camera_seed, self._tick])
         at, exposure_s = self.at, self.scenario.camera.exposure_s
         if "lens_covered" in self._active:
             dark = rng.integers(0, 8, (self.camera.height, self.camera.width, 3), dtype=np.uint8)
             return lambda: Picture(dark, at, exposure_s)
-        if self._renderer is None:
-            self._renderer = renderer(self.scenario, self.waves, self.vessel)
-        v, g, develop = self._vehicle, self._ground, self._renderer.render
+        v, g, develop = self._vehicle, self._ground, self.renderer.render
         shot = Shot(
             t_s=self._seconds,
             R_ned_body=Rotation(v.R_ned_body),
@@ -234,6 +243,9 @@ class World:
             v_pad_ned=np.array(g.v),
             w_pad=np.array(g.w),
         )
+        if room is not None:
+            made = room.order(shot, rng)
+            return lambda: Picture(made(), at, exposure_s)
         return lambda: Picture(develop(shot, rng), at, exposure_s)
 
     def truth(self) -> Truth:

@@ -23,6 +23,7 @@ from companion.settings_model import CameraSettings, PadSettings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
+from sitl.darkroom import darkroom
 from sitl.flight import Flight, FlightResult
 from sitl.scenario import load as load_scenario
 
@@ -50,12 +51,21 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     beside = parser.add_argument_group("a real autopilot program (docs/sitl.md)")
     beside.add_argument("--autopilot", choices=("arducopter", "px4"), help="fly this program, our sea and vehicle its physics")
     beside.add_argument("--binary", metavar="PATH", help="the program")
+    beside.add_argument(
+        "--follow", metavar="URL", help="take the pose of a vehicle that another simulator flies; our deck, camera and daemon"
+    )
     beside.add_argument("--keep", type=Path, metavar="DIR", help="keep what the program wrote: its logs, its output")
 
 
 def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    if args.follow is not None:
+        from companion.cli import simulate_follow
+
+        if args.autopilot is not None or args.binary is not None or args.keep is not None:
+            raise BadInput("--follow does not go with --autopilot, --binary or --keep")
+        return simulate_follow.run(args)
     if args.autopilot is not None:
         from companion.cli import simulate_autopilot
 
@@ -67,7 +77,8 @@ def run(args: argparse.Namespace) -> int:
     if args.config is None:
         own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
         settings = msgspec.structs.replace(settings, **own)
-    pilot = make_pilot(settings, shadows=SHADOWS)
+    kept = args.report is not None or args.record is not None
+    pilot = make_pilot(settings, shadows=SHADOWS if kept else ())
     progress = None if args.json else Progress()
     observers: list[Observer] = [] if progress is None else [progress]
     log = FlightLog(scenario.title, started=MonoNs(0), pad=pilot.pad, camera=pilot.camera, steering=settings.estimator.path)
@@ -82,15 +93,16 @@ def run(args: argparse.Namespace) -> int:
         flight = Flight(scenario, args.seed, settings, pilot, observers=observers)
         if recorder is not None:
             recorder.watch(flight.health)
-        while flight.step():
-            steps += 1
-            if steps % TRUTH_EACH:
-                continue
-            truth = flight.world.truth()
-            if recorder is not None:
-                recorder.on_truth(record_option.truth_record(truth))
-            if args.report is not None:
-                log.truth.append(TruthSample(truth.at, truth.d_body_pad_level, truth.v_pad_level, truth.yaw_rad))
+        with darkroom(flight.world.renderer) as flight.room:
+            while flight.step():
+                steps += 1
+                if steps % TRUTH_EACH:
+                    continue
+                truth = flight.world.truth()
+                if recorder is not None:
+                    recorder.on_truth(record_option.truth_record(truth))
+                if args.report is not None:
+                    log.truth.append(TruthSample(truth.at, truth.d_body_pad_level, truth.v_pad_level, truth.yaw_rad))
         if recorder is not None:
             recorder.on_truth(record_option.truth_record(flight.world.truth()))
     wall_s = time.monotonic() - began

@@ -13,6 +13,7 @@ from companion.service import make_pilot
 from companion.settings import load
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.estimates import Verdict
+from sitl.darkroom import darkroom
 from sitl.flight import Flight, FlightResult
 from sitl.scenario import Fault, Scenario
 from sitl.scenario import load as load_scenario
@@ -82,6 +83,18 @@ def test_a_seed_is_a_flight_to_the_bit_and_another_seed_another() -> None:
     one, again, other = (fly(LOW, seed, limit_s=2.0)[1].digest for seed in (3, 3, 4))
     assert one == again
     assert one != other
+
+
+def test_pictures_made_by_a_process_beside_are_the_same_to_the_bit() -> None:
+    covered = Fault("lens_covered", start_s=0.8, duration_s=0.3)
+    short = msgspec.structs.replace(LOW, duration_limit_s=1.8, faults=(*LOW.faults, covered))
+    in_place = fly(short, 3)[1]
+    diary = Diary()
+    flight = Flight(short, 3, SIM, make_pilot(SIM, shadows=("median_mean",)), observers=[diary])
+    with darkroom(flight.world.renderer) as flight.room:
+        flight.run()
+    assert len(diary.verdicts) > 40
+    assert diary.digest == in_place.digest
 
 
 @pytest.mark.parametrize("kind", ["lens_covered", "video_silent", "navdata_silent"])
