@@ -145,7 +145,7 @@ def _lay(
         if any(_near(guess.flat, c.pose) for c in (*tried, *out)):
             continue
         laid += 1
-        candidate = _laid(guess, pyramid, camera, pad)
+        candidate = laid_at(guess.flat.turned(guess.turn_rad), guess.tilt_known, pyramid, camera, pad)
         if candidate is not None:
             out.append(candidate)
             if candidate.score >= sure:
@@ -155,9 +155,10 @@ def _lay(
     return out
 
 
-def _laid(guess: _Guess, pyramid: Pyramid, camera: Camera, pad: Pad) -> Candidate | None:
-    sigma, steps = (SIGMA_TILT_RAD, _STEPS) if guess.tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
-    laid = align(pyramid, camera, pad, guess.flat.turned(guess.turn_rad), sigma, steps, local=True)
+def laid_at(pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad) -> Candidate | None:
+    """The drawing laid on the picture from one rough pose, and judged; None where it does not fit at all."""
+    sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
+    laid = align(pyramid, camera, pad, pose, sigma, steps, local=True)
     if laid is None:
         return None
     arrow = arrow_evidence(laid)

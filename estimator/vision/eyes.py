@@ -2,7 +2,8 @@
 
 Tracking starts `registration` from the filter's belief at the exposure. Where there is none, or the drawing does not fit there,
 acquisition searches the whole picture and registration refines what it finds. Either way the whole drawing is judged where it was
-laid, and that judgement is the sighting's confidence.
+laid, and that judgement is the sighting's confidence. Where one of the thesis' methods is alone with what it says, the drawing is
+laid there too: a green disc is not a pad, and where it is one, registration starts from it.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ from typing import Literal
 import numpy as np
 
 from estimator.contracts.estimates import Method, RelativeState, Sighting
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision import judge
-from estimator.vision.acquire import acquire
+from estimator.vision.acquire import Candidate, acquire, laid_at
 from estimator.vision.acquire_align import SIGMA_TILT_RAD, Pyramid, align
+from estimator.vision.acquire_heading import heading
 from estimator.vision.camera import Camera
-from estimator.vision.fusion import fuse
+from estimator.vision.fusion import agree, fuse
 from estimator.vision.look import Look, look
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -41,6 +43,8 @@ _CLOSE_PX = 1.0
 _CANDIDATES = 2
 """Of acquisition that are registered."""
 _WORTH_A_TRY = 0.05
+_HEADING_PX = 28.0
+"""Radius of the disc, at least, in the picture that a heading is looked for in."""
 _FITS = 0.5
 """Confidence below which a tracked pose is thrown away for a new search."""
 _REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
@@ -89,13 +93,17 @@ def see(
     """
     if eyes.speaks == "thesis":
         return look(frame, attitude, eyes.camera, eyes.pad, eyes.colours, sigma_deck_rad=eyes.sigma_deck_rad), memory
-    found, paint = _registered(eyes, memory.paint, frame, attitude, belief)
-    memory = EyesMemory(paint)
+    pyramid = Pyramid(frame.px)
+    best = _registered(eyes, memory.paint, frame, pyramid, attitude, belief)
     if eyes.speaks == "registration":
+        found = None if best is None else best.sighting
         methods: dict[Method, Sighting | None] = {"registration": found}
-        return Look(found, None if found is None else "registration", MappingProxyType(methods)), memory
-    thesis = look(frame, attitude, eyes.camera, eyes.pad, eyes.colours, sigma_deck_rad=eyes.sigma_deck_rad)
-    return together(thesis, found), memory
+        seen = Look(found, None if found is None else "registration", MappingProxyType(methods))
+    else:
+        thesis = look(frame, attitude, eyes.camera, eyes.pad, eyes.colours, sigma_deck_rad=eyes.sigma_deck_rad)
+        thesis, best = _second_look(eyes, memory.paint, frame, pyramid, attitude, thesis, best)
+        seen = together(thesis, None if best is None else best.sighting)
+    return seen, EyesMemory(missed(memory.paint) if best is None else best.memory)
 
 
 def together(thesis: Look, registered: Sighting | None) -> Look:
@@ -111,17 +119,19 @@ def expected(belief: RelativeState, attitude: Attitude, camera: Camera) -> PadPo
     """Where the belief puts the pad in the camera, the deck taken as level; None without a heading."""
     if belief.yaw_rad is None:
         return None
-    R_level_body = attitude.R_ned_body.without_heading()
+    return _in_camera(belief.d_body_pad_level, belief.yaw_rad, attitude.R_ned_body.without_heading(), camera)
+
+
+def _in_camera(d_body_pad_level: F64, yaw_rad: float, R_level_body: Rotation, camera: Camera) -> PadPose:
     R_cam_level = camera.T_body_cam.R.inv @ R_level_body.inv
-    t = R_cam_level @ belief.d_body_pad_level - camera.T_body_cam.R.inv @ camera.T_body_cam.t
-    return PadPose(R_cam_level @ Rotation.from_rpy(0.0, 0.0, -belief.yaw_rad), t)
+    t = R_cam_level @ d_body_pad_level - camera.T_body_cam.R.inv @ camera.T_body_cam.t
+    return PadPose(R_cam_level @ Rotation.from_rpy(0.0, 0.0, -yaw_rad), t)
 
 
 def _registered(
-    eyes: Eyes, paint: PaintMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None
-) -> tuple[Sighting | None, PaintMemory]:
+    eyes: Eyes, paint: PaintMemory, frame: Frame, pyramid: Pyramid, attitude: Attitude | None, belief: RelativeState | None
+) -> _Registered | None:
     orientation = Orientation.of(attitude, eyes.sigma_deck_rad)
-    pyramid = Pyramid(frame.px)
     best: _Registered | None = None
     if belief is not None and attitude is not None and _near_enough(belief, eyes.pad):
         start = expected(belief, attitude, eyes.camera)
@@ -133,14 +143,54 @@ def _registered(
         for candidate in acquire(frame.px, eyes.camera, eyes.pad, R_level_body, paint)[:_CANDIDATES]:
             if candidate.score < _WORTH_A_TRY:
                 break
-            laid = _lay(eyes, paint, frame, pyramid, candidate.pose, orientation, _CLOSE)
-            if laid is not None and (best is None or laid.sighting.confidence > best.sighting.confidence):
-                best = laid
+            best = _better(best, _lay(eyes, paint, frame, pyramid, candidate.pose, orientation, _CLOSE))
             if best is not None and best.sighting.confidence >= _FITS:
                 break
-    if best is None:
-        return None, missed(paint)
-    return best.sighting, best.memory
+    return best
+
+
+def _second_look(
+    eyes: Eyes,
+    paint: PaintMemory,
+    frame: Frame,
+    pyramid: Pyramid,
+    attitude: Attitude | None,
+    thesis: Look,
+    best: _Registered | None,
+) -> tuple[Look, _Registered | None]:
+    """The thesis' methods, no surer than the whole drawing laid where they say, unless a sure registration says the same; and the
+    best registration, theirs included."""
+    orientation = Orientation.of(attitude, eyes.sigma_deck_rad)
+    sure = best.sighting if best is not None and best.sighting.confidence >= _FITS else None
+    methods: dict[Method, Sighting | None] = dict(thesis.methods)
+    for method, cue in thesis.methods.items():
+        if cue is None or (sure is not None and agree(cue, sure)):
+            continue
+        candidate = _judged(eyes, pyramid, cue, orientation)
+        score = 0.0 if candidate is None else candidate.score
+        methods[method] = replace(cue, confidence=min(cue.confidence, score))
+        if candidate is not None and sure is None and score >= _FITS:
+            best = _better(best, _lay(eyes, paint, frame, pyramid, candidate.pose, orientation, _CLOSE))
+    return replace(thesis, methods=MappingProxyType(methods)), best
+
+
+def _judged(eyes: Eyes, pyramid: Pyramid, cue: Sighting, orientation: Orientation) -> Candidate | None:
+    """The drawing laid where a method says the pad is; by the heading that fits best where it says none."""
+    flat = _in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, eyes.camera)
+    if flat.t_cam_pad[2] < 0.05:
+        return None
+    if cue.yaw_rad is None:
+        radius_px = eyes.camera.fx * eyes.pad.disc_radius_m / float(flat.t_cam_pad[2])
+        level = max(0, math.floor(math.log2(radius_px / _HEADING_PX)))
+        told = heading(pyramid[level], 1 << level, eyes.camera, eyes.pad, flat)
+        if told is None:
+            return None
+        flat = flat.turned(told.turn_rad)
+    return laid_at(flat, orientation.measured, pyramid, eyes.camera, eyes.pad)
+
+
+def _better(a: _Registered | None, b: _Registered | None) -> _Registered | None:
+    return b if a is None or (b is not None and b.sighting.confidence > a.sighting.confidence) else a
 
 
 def _lay(

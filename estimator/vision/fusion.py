@@ -49,9 +49,9 @@ def fuse(cues: Iterable[Sighting]) -> Fused | None:
     seen = [cue for cue in cues if cue.confidence > 0.0]
     if not seen:
         return None
-    votes = [sum(other.confidence for other in seen if _agree(cue, other)) for cue in seen]
+    votes = [sum(other.confidence for other in seen if agree(cue, other)) for cue in seen]
     best = max(range(len(seen)), key=lambda i: (round(votes[i], 9), -_size(seen[i])))
-    inliers = [cue for cue in seen if cue is seen[best] or _agree(seen[best], cue)]
+    inliers = [cue for cue in seen if cue is seen[best] or agree(seen[best], cue)]
     inliers.sort(key=_size)
     share = sum(cue.confidence for cue in inliers) / sum(cue.confidence for cue in seen)
     confidence = max(cue.confidence for cue in inliers) * share
@@ -62,7 +62,7 @@ def fuse(cues: Iterable[Sighting]) -> Fused | None:
     )
 
 
-def _agree(a: Sighting, b: Sighting) -> bool:
+def agree(a: Sighting, b: Sighting) -> bool:
     """Whether two cues can both be right, as far as their covariances say."""
     if a is b:
         return True

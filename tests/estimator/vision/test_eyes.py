@@ -9,11 +9,13 @@ import pytest
 from companion.settings import camera_model, load, pad_model
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import Rotation, wrap_pi
-from estimator.contracts.samples import Attitude
+from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.eyes import Eyes, EyesMemory, SpeaksFor, expected, see
 from estimator.vision.segmentation import COLOUR_SETS
 from sitl.light import Light
-from sitl.surroundings import Surroundings
+from sitl.surroundings import Decal, Surroundings
+from tests.estimator.vision.deck_pictures import shown
+from tests.estimator.vision.picture import STAMP
 from tests.estimator.vision.shots import Stage, View
 
 SIM = load("sim")
@@ -79,6 +81,17 @@ def test_nothing_is_seen_where_there_is_no_pad_even_where_one_is_expected() -> N
     frame = type(view.frame())(view.frame().stamp, 0, sea)
     seen, _ = see(eyes(), EyesMemory(), frame, attitude(view), belief(view))
     assert seen.selected is None or seen.selected.confidence < 0.2
+
+
+def test_a_bare_green_disc_is_doubted_although_the_ellipse_is_sure_of_it() -> None:
+    seen = shown(CAMERA, None, 3.0, decals=(Decal("green_disc", (0.1, -0.1), 0.78, 0.3, "deck"),))
+    frame = Frame(STAMP, 0, seen.px)
+    told = Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3))
+    alone, _ = see(eyes("thesis"), EyesMemory(), frame, told)
+    assert alone.selected is not None
+    assert alone.selected.confidence > 0.5
+    together, _ = see(eyes(), EyesMemory(), frame, told)
+    assert together.selected is None or together.selected.confidence < 0.2
 
 
 def test_the_thesis_alone_is_the_thesis() -> None:
