@@ -7,8 +7,6 @@ flight is the same on a machine however busy.
 from __future__ import annotations
 
 import asyncio
-import heapq
-import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -19,7 +17,7 @@ from drivers.mavlink.links import Heard, Links
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.contracts.time import Stamp, after
 from sitl.airframe import Airframe
 from sitl.autopilots.body import Body
 from sitl.scenario import load
@@ -29,31 +27,6 @@ from tests.sitl.autopilots.pilot import Cascade
 
 STEP_S = 0.005
 TICK_S = 0.01
-
-
-class VirtualClock:
-    """Time that goes on when it is told to."""
-
-    def __init__(self) -> None:
-        self._now = MonoNs(1_000_000_000_000)
-        self._sleepers: list[tuple[int, int, asyncio.Future[None]]] = []
-        self._order = itertools.count()
-
-    def now(self) -> MonoNs:
-        return self._now
-
-    async def sleep(self, seconds: float) -> None:
-        sleeper = asyncio.get_running_loop().create_future()
-        heapq.heappush(self._sleepers, (after(self._now, max(seconds, 1e-6)), next(self._order), sleeper))
-        await sleeper
-
-    def advance(self, seconds: float) -> None:
-        """Wake whoever's time has come."""
-        self._now = after(self._now, seconds)
-        while self._sleepers and self._sleepers[0][0] <= self._now:
-            sleeper = heapq.heappop(self._sleepers)[2]
-            if not sleeper.done():
-                sleeper.set_result(None)
 
 
 async def settled(one: Links, other: Links, also: Callable[[], bool], over: Callable[[], bool]) -> None:

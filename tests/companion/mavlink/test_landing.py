@@ -19,7 +19,8 @@ from companion.service import make_pilot
 from companion.settings_vehicle import AutopilotSettings
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
-from tests.companion.mavlink.aircraft import TICK_S, Aircraft, VirtualClock, settled
+from sitl.autopilots.lock_step import LockStepClock
+from tests.companion.mavlink.aircraft import TICK_S, Aircraft, settled
 from tests.drivers.fake_ardrone import until
 
 HOST = "127.0.0.1"
@@ -37,7 +38,7 @@ SETTINGS = {
 
 
 async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
-    clock = VirtualClock()
+    clock = LockStepClock()
     loaded = settings_of.from_mapping(SETTINGS, "test")
     pilot = make_pilot(loaded)
     craft = Aircraft(clock, "demo", height_m=1.8, forward_m=0.3, right_m=-0.2)
