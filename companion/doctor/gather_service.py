@@ -73,13 +73,13 @@ async def _of_camera(picture: ServicePicture, settings: Settings, clock: Clock, 
                 async with asyncio.timeout(_FIRST_FRAME_S):
                     frame = await camera.frames.get()
             except TimeoutError:
-                return structs.replace(picture, camera_fault=camera.down or "the camera sends no picture")
+                return structs.replace(picture, device_fault=camera.down or "it sends no picture")
             height, width = frame.px.shape[:2]
             began, before = clock.now(), camera.counters.frames
             await clock.sleep(seconds)
             rate_hz = (camera.counters.frames - before) / seconds_between(began, clock.now())
     except DecklanderError as why:
-        return structs.replace(picture, camera_fault=str(why))
+        return structs.replace(picture, device_fault=str(why))
     return structs.replace(picture, frame_size=(width, height), frame_rate_hz=rate_hz)
 
 

@@ -69,6 +69,8 @@ class ServicePicture(Struct, frozen=True):
 
     camera_fault: str | None = None
     """What is wrong with the camera or pad file."""
+    device_fault: str | None = None
+    """Why the camera gives no pictures."""
     frame_rate_hz: float | None = None
     frame_size: tuple[int, int] | None = None
     """As the device sends them."""

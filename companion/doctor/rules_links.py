@@ -199,6 +199,18 @@ def camera_fault(p: Picture) -> Finding | None:
     return None
 
 
+def camera_device(p: Picture) -> Finding | None:
+    """A camera that is not there, not allowed, or cannot do what is asked."""
+    if p.service.device_fault is not None:
+        return error(
+            "camera-device",
+            f"camera: {p.service.device_fault}",
+            "check cable and power; v4l2-ctl --list-devices names what is there, and its user must be in the group video; "
+            "stop whatever else holds it",
+        )
+    return None
+
+
 def camera_size(p: Picture) -> Finding | None:
     """A calibration of another resolution."""
     s = p.service
@@ -245,6 +257,7 @@ def drone_fault(p: Picture) -> Finding | None:
 
 RULES: tuple[Rule, ...] = (
     link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, no_autopilot, several_autopilots,
-    stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, camera_fault, camera_size, camera_slow,
+    stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, camera_fault, camera_device,
+    camera_size, camera_slow,
     broker_fault, drone_fault,
 )  # fmt: skip

@@ -116,7 +116,7 @@ async def test_a_camera_of_another_size_that_is_slow(tmp_path: Path) -> None:
     assert service.frame_rate_hz == pytest.approx(8.0, abs=2.0)
     assert {f.rule for f in diagnose(Picture(0.0, service=service))} >= {"camera-size", "camera-slow"}
     gone = await examine_service(rig(tmp_path / "none.mp4"), None, SystemClock(), seconds=0.1)
-    assert "none.mp4" in str(gone.camera_fault)
+    assert "none.mp4" in str(gone.device_fault)
 
 
 async def test_a_service_that_runs_is_asked() -> None:

@@ -114,6 +114,7 @@ BROKEN: dict[str, tuple[str, Picture, str]] = {
     "telemetry radio": ("clock-far", replace(GOOD, sync=SyncPicture(True, 0.180)), "wire"),
     "PX4 over Wi-Fi": ("clock-far", replace(GOOD_PX4, sync=SyncPicture(True, 0.022)), "wire"),
     "clock set while listening": ("clock-jumps", replace(GOOD, sync=SyncPicture(True, 0.004, jumps=2)), "power"),
+    "camera not plugged in": ("camera-device", service(device_fault="usb: no such camera; there is none at all"), "cable"),
     "camera file with a fault": ("camera-file", service(camera_fault="cam.toml: fx: expected a number"), "config check"),
     "camera at another size": ("camera-size", service(frame_size=(1280, 720)), "calibrate"),
     "camera in the dark": ("camera-slow", service(frame_rate_hz=4.0), "light"),
