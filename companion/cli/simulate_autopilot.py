@@ -23,6 +23,7 @@ from companion.settings_model import CameraSettings, PadSettings, Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.flight import Autopilot, AutopilotFlight, FlightEnd
+from sitl.autopilots.follow import FollowEnd
 from sitl.autopilots.program import executable
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
@@ -30,8 +31,8 @@ from sitl.scenario import load as load_scenario
 
 def run(args: argparse.Namespace) -> int:
     """The flight that the arguments ask for."""
-    if args.report is not None:
-        raise BadInput("--report is for flights without --autopilot; its own logs are kept with --keep DIR")
+    if args.report is not None or args.record is not None:
+        raise BadInput("--report and --record do not go with --autopilot; --keep DIR keeps the program's own logs")
     binary = executable(args.binary, args.autopilot)
     scenario = load_scenario(args.scenario)
     settings = rig(scenario, args.config)
@@ -67,7 +68,7 @@ def rig(scenario: Scenario, config: str | None) -> Settings:
     return msgspec.structs.replace(settings, **own)
 
 
-def ending_of(scenario: str, seed: int, end: FlightEnd) -> Ending:
+def ending_of(scenario: str, seed: int, end: FlightEnd | FollowEnd) -> Ending:
     """How it ended, as `simulate` tells it."""
     contact = None
     if end.landing is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from typing import Literal
 
 import msgspec
 
@@ -69,8 +70,8 @@ class Beside:
         return sum(self.daemon.health.frames.values())
 
 
-def beside_autopilot(settings: Settings, links: str) -> Settings:
-    """These settings with an autopilot at `links` as the vehicle, begun by order, pictures brought by us, nothing recorded."""
+def beside_autopilot(settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal") -> Settings:
+    """These settings with an autopilot at `links` as the vehicle, pictures brought by us, and begun as `start` says."""
     vehicle = settings.vehicle
     if isinstance(vehicle, AutopilotSettings):
         vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")
@@ -80,5 +81,5 @@ def beside_autopilot(settings: Settings, links: str) -> Settings:
         settings,
         vehicle=vehicle,
         camera=CameraSettings(settings.camera.file),
-        guidance=msgspec.structs.replace(settings.guidance, start="signal"),
+        guidance=msgspec.structs.replace(settings.guidance, start=start),
     )

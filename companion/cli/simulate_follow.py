@@ -1,0 +1,38 @@
+"""`decklander simulate SCENARIO --follow URL`: our deck and camera under a vehicle that another simulator flies."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+
+from companion.cli.progress import Progress
+from companion.cli.simulate_autopilot import ending_of, rig
+from companion.observer import Observer
+from drivers.mavlink.endpoint import parse_endpoint
+from estimator.contracts.errors import BadInput
+from sitl.autopilots.follow import follow
+from sitl.scenario import load as load_scenario
+
+
+def run(args: argparse.Namespace) -> int:
+    """Until the landing has ended."""
+    if args.report is not None or args.record is not None:
+        raise BadInput("--report and --record do not go with --follow")
+    parse_endpoint(args.follow)
+    scenario = load_scenario(args.scenario)
+    settings = rig(scenario, args.config)
+    progress = None if args.json else Progress()
+    observers: list[Observer] = [] if progress is None else [progress]
+    end = asyncio.run(follow(scenario, args.seed, settings, args.follow, observers))
+    if progress is not None:
+        progress.close()
+    ending = ending_of(args.scenario, args.seed, end)
+    if args.json:
+        more = {"follow": args.follow, "by_truth": end.by_truth, "failure": end.failure or None}
+        sys.stdout.write(json.dumps({**ending.as_json(), **more}) + "\n")
+    else:
+        source = "the simulator's own truth" if end.by_truth else "the autopilot's own estimate of its place"
+        sys.stdout.write(f"{end.failure or ending.in_words()}\njudged by {source}\n")
+    return 0 if ending.on_pad else 1

@@ -1,0 +1,214 @@
+"""A vehicle that another simulator flies, over our deck: its pose is taken over MAVLink, our camera looks from there, our daemon
+works. The deck moves, the ground of that simulator does not: touchdown is judged by place alone where the deck heaves."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from companion.health import Health
+from companion.observer import Observer
+from companion.pilot import Outcome
+from companion.service import make_pilot
+from companion.settings_model import Settings
+from drivers.clock import SystemClock
+from drivers.mavlink.links import Heard
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from sitl.airframe import Airframe
+from sitl.autopilots.beside import Beside, beside_autopilot
+from sitl.autopilots.body import Landing
+from sitl.autopilots.pose import Pose, PoseSource
+from sitl.camera import Shot
+from sitl.scenario import Scenario, pad_model
+from sitl.stage import flight_seeds, renderer, sea_and_vessel
+from sitl.world import Picture
+
+PERIOD_S = 0.04
+_STAMP_SIGMA_S = 0.002
+_OLD_S = 0.3
+_MEET_S, _PLACE_S = 30.0, 180.0
+_CLEAR_M = 0.15
+"""Higher than this it is not down yet: the speed at which it came down is the last from there."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowEnd:
+    """How it ended."""
+
+    outcome: Outcome | None
+    landing: Landing | None
+    duration_s: float
+    """Since the vehicle was first seen to fly."""
+    health: Health
+    by_truth: bool
+    """The simulator told where the vehicle really was; else it is what the autopilot thinks."""
+    failure: str = ""
+
+
+class DeckUnder:
+    """The scenario's sea and vessel, laid under a vehicle whose place counts from somewhere else.
+
+    Args:
+        first: where the vehicle is at first; the pad lies from there as the scenario's start says.
+        stands: it is on its feet: then the pad lies at their height.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, first: Pose, stands: bool) -> None:
+        seeds = flight_seeds(seed)
+        self._waves, self._vessel = sea_and_vessel(scenario, [seeds.sea])
+        self._renderer = renderer(scenario, self._waves, self._vessel)
+        self._camera_seed = seeds.camera
+        self._exposure_s = scenario.camera.exposure_s
+        self._began, self._pictures = first.at, 0
+        start, pad = scenario.start, self._vessel.pad_at(0.0)
+        below_m = Airframe().feet.below_m if stands else start.height_m
+        # The arrow keeps its heading in the world; the vehicle has the one it has.
+        heading = first.R_ned_body.rpy_rad[2]
+        to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, below_m])
+        self._shift = pad.p_ned - (first.p_ned + to_pad)
+        self.pad_radius_m = pad_model(scenario).disc_radius_m
+
+    def _deck(self, at: MonoNs) -> tuple[float, F64, F64, F64, F64]:
+        t_s = max(seconds_between(self._began, at), 0.0)
+        pad = self._vessel.pad_at(t_s)
+        return t_s, pad.p_ned, pad.v_ned, pad.R_ned, pad.w
+
+    def look(self, pose: Pose) -> Callable[[], Picture]:
+        """The picture from there, made when it is called."""
+        t_s, p, v, R, w = self._deck(pose.at)
+        shot = Shot(
+            t_s=t_s, R_ned_body=pose.R_ned_body, p_body_ned=pose.p_ned + self._shift, R_ned_pad=Rotation(R), p_pad_ned=p,
+            v_body_ned=pose.v_ned, w_body=pose.w_body, v_pad_ned=v, w_pad=w,
+        )  # fmt: skip
+        self._pictures += 1
+        rng = np.random.default_rng([self._camera_seed, self._pictures])
+        return lambda: Picture(self._renderer.render(shot, rng), pose.at, self._exposure_s)
+
+    def height_m(self, pose: Pose) -> float:
+        """Over the pad's centre."""
+        return float((self._deck(pose.at)[1] - pose.p_ned - self._shift)[2])
+
+    def landing(self, pose: Pose, sink_m_s: float) -> Landing:
+        """As if it stood on the deck there.
+
+        Args:
+            sink_m_s: at which it came down.
+        """
+        t_s, p, v, R, _ = self._deck(pose.at)
+        d = R.T @ (pose.p_ned + self._shift - p)
+        lateral_m = float(np.hypot(d[0], d[1]))
+        yaw = wrap_pi(pose.R_ned_body.rpy_rad[2] - Rotation(R).rpy_rad[2])
+        slide = pose.v_ned - v
+        return Landing(t_s, True, lateral_m <= self.pad_radius_m, lateral_m, yaw, sink_m_s, math.hypot(slide[0], slide[1]))
+
+
+async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, observers: Sequence[Observer] = ()) -> FollowEnd:
+    """Until the daemon's flight has ended or the scenario's time is over.
+
+    Raises:
+        BadInput: the URL is none.
+    """
+    cv2.setNumThreads(1)
+    clock = SystemClock()
+    settings = beside_autopilot(settings, url, start=settings.guidance.start)
+    pilot = make_pilot(settings)
+    side = Beside(settings, pilot, clock, observers)
+    watcher = _Watcher(scenario, seed, side, clock)
+    with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
+        async with asyncio.TaskGroup() as group:
+            daemon = group.create_task(side.daemon.run())
+            failure = await watcher.film(pool, daemon)
+            side.daemon.stop()
+            await daemon
+    return FollowEnd(pilot.outcome, watcher.landing, watcher.flown_s, side.daemon.health, watcher.by_truth, failure)
+
+
+class _Watcher:
+    """Takes poses, makes pictures, notes how it came down."""
+
+    def __init__(self, scenario: Scenario, seed: int, side: Beside, clock: SystemClock) -> None:
+        self._scenario, self._seed, self._side, self._clock = scenario, seed, side, clock
+        self._source = PoseSource()
+        self._deck: DeckUnder | None = None
+        self._flew: MonoNs | None = None
+        self._newest: Pose | None = None
+        self._sink_m_s = 0.0
+        self._listening: object = None
+        self.landing: Landing | None = None
+        self.by_truth = False
+        self.frames = 0
+
+    @property
+    def flown_s(self) -> float:
+        return 0.0 if self._flew is None else seconds_between(self._flew, self._clock.now())
+
+    async def film(self, pool: ThreadPoolExecutor, daemon: asyncio.Task[Outcome | None]) -> str:
+        """Pictures, period by period; why there was no flight, empty where there was one."""
+        loop, began = asyncio.get_running_loop(), self._clock.now()
+        while not daemon.done():
+            turn = self._clock.now()
+            pose = self._look_around(turn)
+            if pose is None:
+                met = self._side.autopilot is not None and self._side.autopilot.identity is not None
+                limit_s = _PLACE_S if met else _MEET_S
+                if self._deck is None and seconds_between(began, turn) > limit_s:
+                    return f"{'it did not tell where it is' if met else 'no autopilot was heard'} within {limit_s:.0f} s"
+            elif self._ready_for(pose):
+                assert self._deck is not None
+                self._newest = pose
+                picture = await loop.run_in_executor(pool, self._deck.look(pose))
+                self.frames += 1
+                stamp = Stamp(pose.at, max(self._clock.now(), pose.at), _STAMP_SIGMA_S, "sim")
+                self._side.offer(Frame(stamp, self.frames, picture.px, picture.exposure_s))
+            if self.flown_s > self._scenario.duration_limit_s:
+                return ""
+            await self._clock.sleep(max(PERIOD_S - seconds_between(turn, self._clock.now()), 0.002))
+        return ""
+
+    def _ready_for(self, pose: Pose) -> bool:
+        """Whether there is something new to see, and the eyes are free: a machine that is too slow sees less often, not later."""
+        if self._deck is None or (self._newest is not None and pose.at <= self._newest.at):
+            return False
+        waited_s = _OLD_S if self._newest is None else seconds_between(self._newest.at, pose.at)
+        return self._side.concluded() >= self.frames or waited_s >= _OLD_S
+
+    def _look_around(self, now: MonoNs) -> Pose | None:
+        autopilot = self._side.autopilot
+        if autopilot is None or autopilot.identity is None:
+            return None
+        if autopilot is not self._listening:
+            self._listening = autopilot
+            autopilot.listen(self._hear)
+        if autopilot.streams is not None and autopilot.streams.settled:
+            for message in self._source.ask(autopilot.identity.stack, autopilot.identity.address, now):
+                autopilot.send(message)
+        pose = self._source.newest(now, autopilot.positions, autopilot.attitude)
+        flying = autopilot.condition.flying
+        if pose is None or flying is None or abs(seconds_between(pose.at, now)) > _OLD_S:
+            return None
+        if self._deck is None or (self._flew is None and pose.is_truth and not self.by_truth):
+            # Laid anew where the simulator begins to tell the truth: it counts from another place.
+            self._deck, self.by_truth = DeckUnder(self._scenario, self._seed, pose, not flying), pose.is_truth
+        if pose.is_truth is not self.by_truth:
+            return None
+        if flying and self._flew is None:
+            self._flew = now
+        if self._deck.height_m(pose) > _CLEAR_M:
+            self._sink_m_s = float(pose.v_ned[2])
+        if not flying and self._flew is not None and self.landing is None:
+            self.landing = self._deck.landing(pose, self._sink_m_s)
+        return pose
+
+    def _hear(self, heard: Heard) -> None:
+        autopilot = self._side.autopilot
+        if autopilot is None or autopilot.identity is None or heard.system != autopilot.identity.system:
+            return
+        self._source.hear(heard.message, heard.heard, autopilot.positions)

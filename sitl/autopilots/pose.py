@@ -1,0 +1,127 @@
+"""Where a vehicle is that somebody else simulates, from what its simulator or its autopilot says over MAVLink. No I/O."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.requests import message_id
+from drivers.mavlink.samples import LocalPosition
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, seconds_between
+
+TRUTH = {Stack.ARDUPILOT: "SIM_STATE", Stack.PX4: "HIL_STATE_QUATERNION"}
+"""The message in which a simulated vehicle's simulator tells the truth."""
+_EARTH_M = 6_371_000.0
+_ASK_S = 5.0
+_TRUTH_LAST_S = 1.0
+_GAP_S = 0.2
+_MEAN_S = 3.0
+"""Over which the distance between truth and estimate is averaged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """The body at one instant."""
+
+    at: MonoNs
+    p_ned: F64
+    """(3,) m from where the source begins to count."""
+    v_ned: F64
+    """(3,) m/s."""
+    R_ned_body: Rotation
+    w_body: F64
+    """(3,) rad/s; zeros where nobody says."""
+    is_truth: bool
+    """Its place is the simulator's; else the autopilot's own estimate."""
+
+
+class PoseSource:
+    """Feed it every message; ask it for the newest pose.
+
+    The pose is the autopilot's own, which is smooth and stamped. Where the simulator tells the truth it is shifted by the mean of
+    how far the two lie apart: truth comes in steps of a centimetre and without a stamp of the autopilot's clock.
+    """
+
+    def __init__(self) -> None:
+        self._origin: tuple[float, float, float] | None = None
+        self._told: MonoNs | None = None
+        self._w_body = np.zeros(3)
+        self._apart = np.zeros(3)
+        """(3,) m, mean of truth less the autopilot's own."""
+        self._known_s = 0.0
+        self._asked: MonoNs | None = None
+
+    def ask(self, stack: Stack, target: tuple[int, int], now: MonoNs, rate_hz: float = 50.0) -> list[Message]:
+        """The request for the truth, when it is due; a simulator that has none leaves it at that."""
+        name = TRUTH.get(stack)
+        if name is None or self.truthful(now) or (self._asked is not None and seconds_between(self._asked, now) < _ASK_S):
+            return []
+        self._asked = now
+        interval_us = round(1e6 / rate_hz)
+        number = message_id(name)
+        return [
+            mav.MAVLink_command_long_message(*target, mav.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, interval_us, 0, 0, 0, 0, 0)
+        ]
+
+    def truthful(self, now: MonoNs) -> bool:
+        """Whether the simulator itself tells lately."""
+        return self._told is not None and seconds_between(self._told, now) < _TRUTH_LAST_S
+
+    def hear(self, message: Message, now: MonoNs, positions: tuple[LocalPosition, ...]) -> None:
+        """Any message of the vehicle.
+
+        Args:
+            positions: the autopilot's own at that time, the newest last.
+        """
+        kind = message.get_type()
+        if kind == "SIM_STATE":
+            lat, lon = (getattr(message, f"{n}_int", 0) for n in ("lat", "lon"))
+            place = (1e-7 * lat, 1e-7 * lon) if lat or lon else (float(message.lat), float(message.lon))
+            self._tell(now, (*place, float(message.alt)), (message.xgyro, message.ygyro, message.zgyro), positions)
+        elif kind == "HIL_STATE_QUATERNION":
+            place = (1e-7 * message.lat, 1e-7 * message.lon)
+            rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
+            self._tell(now, (*place, 1e-3 * message.alt), rates, positions)
+
+    def newest(self, now: MonoNs, positions: tuple[LocalPosition, ...], attitude: Attitude | None) -> Pose | None:
+        """As of the newest attitude; None before the autopilot said where it is.
+
+        Args:
+            positions: the autopilot's own, the newest last.
+            attitude: its newest.
+        """
+        if not positions or attitude is None:
+            return None
+        last, at = positions[-1], attitude.stamp.taken
+        since_s = seconds_between(last.stamp.taken, at)
+        if abs(since_s) > _GAP_S:
+            return None
+        truthful = self.truthful(now)
+        p = last.p_body_ned + since_s * last.v_body_ned + self._apart
+        return Pose(at, p, last.v_body_ned, attitude.R_ned_body, self._w_body if truthful else np.zeros(3), truthful)
+
+    def _tell(
+        self, now: MonoNs, place: tuple[float, float, float], rates: tuple[float, ...], positions: tuple[LocalPosition, ...]
+    ) -> None:
+        if not all(map(math.isfinite, (*place, *rates))) or not positions:
+            return
+        lat, lon, alt_m = place
+        if self._origin is None:
+            self._origin = place
+        lat0, lon0, alt0_m = self._origin
+        north = math.radians(lat - lat0) * _EARTH_M
+        east = math.radians(lon - lon0) * _EARTH_M * math.cos(math.radians(lat0))
+        last = positions[-1]
+        there = last.p_body_ned + seconds_between(last.stamp.taken, now) * last.v_body_ned
+        apart = np.array([north, east, alt0_m - alt_m]) - there
+        since_s = 0.0 if self._told is None else min(max(seconds_between(self._told, now), 1e-3), _TRUTH_LAST_S)
+        self._known_s += since_s
+        share = 1.0 if self._told is None else since_s / min(max(self._known_s, since_s), _MEAN_S)
+        self._apart = self._apart + share * (apart - self._apart)
+        self._told, self._w_body = now, np.array(rates, dtype=float)
