@@ -167,10 +167,11 @@ def _second_look(
         if cue is None or (sure is not None and agree(cue, sure)):
             continue
         candidate = _judged(eyes, pyramid, cue, orientation)
-        score = 0.0 if candidate is None else candidate.score
-        methods[method] = replace(cue, confidence=min(cue.confidence, score))
-        if candidate is not None and sure is None and score >= _FITS:
-            best = _better(best, _lay(eyes, paint, frame, pyramid, candidate.pose, orientation, _CLOSE))
+        laid = None
+        if candidate is not None and candidate.score >= _WORTH_A_TRY:
+            laid = _lay(eyes, paint, frame, pyramid, candidate.pose, orientation, _CLOSE)
+        methods[method] = replace(cue, confidence=0.0 if laid is None else min(cue.confidence, laid.sighting.confidence))
+        best = _better(best, laid)
     return replace(thesis, methods=MappingProxyType(methods)), best
 
 
@@ -190,6 +191,7 @@ def _judged(eyes: Eyes, pyramid: Pyramid, cue: Sighting, orientation: Orientatio
 
 
 def _better(a: _Registered | None, b: _Registered | None) -> _Registered | None:
+    """The surer one, the first where they are alike."""
     return b if a is None or (b is not None and b.sighting.confidence > a.sighting.confidence) else a
 
 

@@ -52,7 +52,7 @@ def test_a_piece_of_the_letter_gives_a_pose_to_start_from_but_no_certainty(camer
         best = best_of(acquire(seen.px, camera, pad, seen.R_level_body))
         assert best.in_view < 0.25
         assert best.yaw_ambiguous
-        assert best.score < 0.5 or keeps_claim(best.pose, seen.truth, camera, pad, True)
+        assert best.score < 0.5
         assert best.score < 0.9, "it may as well be another helipad's H"
 
 

@@ -65,8 +65,10 @@ def test_light_that_burns_nothing_out_does_not_count(camera: Camera, pad: Pad, l
     plain, other = (
         named(at(shown(camera, pad, 1.5, light=k).px, camera, pad, shown(camera, pad, 1.5).truth), pad) for k in (Light(), light)
     )
+    # A quarter of the light against the same noise costs up to log 4 of a gain that is 3.3 here.
+    kept = 0.55 if light.exposure_ev < 0.0 else 0.7
     for part in ("letter", "ring", "edge", "arrow"):
-        assert other[part] > 0.55 * plain[part]
+        assert other[part] > kept * plain[part]
     assert other["orange_place"] > plain["orange_place"] - 0.15
 
 
