@@ -1,8 +1,10 @@
 """How the pad itself moves over the ground, so that a vehicle whose velocities are over the ground can fly against the pad.
 
-Guidance commands velocities as if what lies below stood still. An AR.Drone's own velocity is against what its camera sees, which
-is the deck; an autopilot's is over the ground, and a ship under way would leave it behind. The pad's velocity over the ground is
-the autopilot's own plus that of the pad against the body; the mean of some seconds is the ship's way without the waves.
+Guidance commands velocities as if what lies below stood still. An AR.Drone's own velocity and height are against what it sees
+below, which is the deck; an autopilot's are over the ground: a ship under way would leave it behind, and a deck that heaves would
+come up at it faster than guidance makes up for. The pad's velocity over the ground is the autopilot's own plus that of the pad
+against the body. Horizontally the mean of some seconds is taken, the ship's way without the waves, and held while the pad is out
+of sight; vertically the heave of this moment, and none without sight.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
 
 MEAN_S = 2.0
+HEAVE_S = 0.15
 FORGET_S = 20.0
 """A pad not seen for this long is another pad when it comes back."""
 _FRESH_S = 0.3
@@ -51,16 +54,19 @@ class DeckWay:
         self._at: MonoNs | None = None
 
     def __call__(self, now: MonoNs) -> F64:
-        """(3,) m/s in ned, the last component zero; zeros while nothing is known of the pad."""
+        """(3,) m/s in ned; zeros while nothing is known of the pad."""
         seen = self._seen(now)
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
             self._way, self._known_s, self._at = np.zeros(3), 0.0, None
         if seen is not None:
             since_s = 0.0 if self._at is None else min(seconds_between(self._at, now), 0.2)
             self._known_s += since_s
-            share = 1.0 if self._at is None else since_s / max(min(self._known_s, MEAN_S), since_s, 1e-9)
+            spans_s = np.minimum(self._known_s, (MEAN_S, MEAN_S, HEAVE_S))
+            share = 1.0 if self._at is None else since_s / np.maximum(spans_s, max(since_s, 1e-9))
             self._way = self._way + share * (seen - self._way)
             self._at = now
+        elif self._at is not None and seconds_between(self._at, now) > HEAVE_S:
+            self._way = self._way * (1.0, 1.0, 0.0)
         speed = math.hypot(self._way[0], self._way[1])
         return self._way * min(1.0, _MOST_M_S / max(speed, 1e-9))
 
@@ -75,5 +81,4 @@ class DeckWay:
         if late > _FRESH_S or sigma_m_s > _SIGMA_MAX_M_S:
             return None
         level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2])
-        v = newest.v_body_ned + level @ belief.v_pad_level
-        return np.array([v[0], v[1], 0.0])
+        return newest.v_body_ned + level @ belief.v_pad_level
