@@ -1,0 +1,110 @@
+"""`simulate --autopilot` from start to landing on a stand-in program, and on a real one where the environment names it."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import sys
+from pathlib import Path
+
+import pytest
+
+from companion.cli.main import main
+
+ROOT = Path(__file__).parents[3]
+REAL = os.environ.get("DECKLANDER_ARDUCOPTER", "")
+NEAR = """
+title = "A motionless pad close by"
+duration_limit_s = 40.0
+[sea]
+significant_height_m = 0.0
+[vessel]
+moored = false
+[wind]
+speed_m_s = 0.0
+gust_sigma_m_s = 0.0
+[start]
+height_m = 2.0
+pad_right_m = 0.3
+pad_forward_m = -0.2
+heading_deg = 20.0
+"""
+
+
+def program(folder: Path, body: str) -> str:
+    """A program that can be run, as a shell script."""
+    path = folder / "arducopter"
+    path.write_text(f"#!/bin/sh\n{body}\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return str(path)
+
+
+@pytest.fixture
+def near(tmp_path: Path) -> str:
+    path = tmp_path / "near.toml"
+    path.write_text(NEAR)
+    return str(path)
+
+
+def simulate(*words: str) -> int:
+    return main(["simulate", *words, "--autopilot", "arducopter"])
+
+
+@pytest.mark.timeout(400)
+def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(
+    tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    binary = program(tmp_path, f'PYTHONPATH={ROOT} exec {sys.executable} -m tests.sitl.autopilots.stand_in "$@"')
+    kept = tmp_path / "kept"
+    code = simulate(near, "--seed", "2", "--binary", binary, "--json", "--keep", str(kept))
+    told = json.loads(capsys.readouterr().out)
+    assert code == 0, (told, (kept / "texts.txt").read_text(), (kept / "output.txt").read_text())
+    assert told["landed_on_pad"]
+    assert told["outcome"] == "landed"
+    assert told["touchdown"]["lateral_m"] < 0.15
+    assert told["touchdown"]["vertical_speed_m_s"] < 0.8
+    assert told["frames"]["fused"] > 100
+    assert told["touchdown"]["yaw_deg"] == pytest.approx(20.0, abs=5.0), "the heading it was brought to"
+    texts = (kept / "texts.txt").read_text()
+    assert "Arm: Need Position Estimate" in texts, "asked again until it armed"
+    assert "Decklander: land" in texts
+    assert "PLND_LAG 0.05" in (kept / "decklander.parm").read_text()
+
+
+@pytest.mark.skipif(not REAL, reason="DECKLANDER_ARDUCOPTER does not name an ArduCopter program")
+@pytest.mark.timeout(600)
+def test_a_real_program_is_landed_on_the_pad(near: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert simulate(near, "--binary", REAL, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["touchdown"]["lateral_m"] < 0.15
+
+
+def test_a_program_that_ends_is_told_with_its_last_words(tmp_path: Path, near: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert simulate(near, "--binary", program(tmp_path, "echo Vehicle model not found; exit 1")) == 1
+    said = capsys.readouterr().err
+    assert "ended with code 1" in said
+    assert "Vehicle model not found" in said
+    assert "docs/sitl.md" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "needs --binary PATH"),
+        (["--binary", "/no/such/program"], "is no program that can be run"),
+        (["--binary", __file__], "is no program that can be run"),
+        (["--binary", "/bin/sh", "--report", "there"], "do not go with --autopilot"),
+        (["--binary", "/bin/sh", "--follow", "udpin://127.0.0.1:0"], "does not go with"),
+        (["--binary", "/bin/sh", "--keep", "/dev/null"], "not an empty folder"),
+    ],
+)
+def test_wrong_use_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert simulate("calm", *words) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_px4_without_its_start_up_files_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "calm", "--autopilot", "px4", "--binary", "/bin/sh"]) == 2
+    assert "rcS" in capsys.readouterr().err
