@@ -54,6 +54,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     beside.add_argument(
         "--follow", metavar="URL", help="take the pose of a vehicle that another simulator flies; our deck, camera and daemon"
     )
+    beside.add_argument(
+        "--param", action="append", default=[], metavar="NAME=VALUE", help="a parameter of the program's; may be given again"
+    )
     beside.add_argument("--keep", type=Path, metavar="DIR", help="keep what the program wrote: its logs, its output")
 
 
@@ -63,15 +66,15 @@ def run(args: argparse.Namespace) -> int:
     if args.follow is not None:
         from companion.cli import simulate_follow
 
-        if args.autopilot is not None or args.binary is not None or args.keep is not None:
-            raise BadInput("--follow does not go with --autopilot, --binary or --keep")
+        if args.autopilot is not None or args.binary is not None or args.keep is not None or args.param:
+            raise BadInput("--follow does not go with --autopilot, --binary, --param or --keep")
         return simulate_follow.run(args)
     if args.autopilot is not None:
         from companion.cli import simulate_autopilot
 
         return simulate_autopilot.run(args)
-    if args.binary is not None or args.keep is not None:
-        raise BadInput("--binary and --keep go with --autopilot")
+    if args.binary is not None or args.keep is not None or args.param:
+        raise BadInput("--binary, --param and --keep go with --autopilot")
     scenario = load_scenario(args.scenario)
     settings = load(args.config or "sim")
     if args.config is None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import math
+import re
 import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -38,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     settings = rig(scenario, args.config)
     progress = None if args.json else Progress()
     observers: list[Observer] = [] if progress is None else [progress]
-    autopilot = Autopilot(args.autopilot, binary)
+    autopilot = Autopilot(args.autopilot, binary, parameters=parameters(args.param))
     began = time.monotonic()
     with _folder(args.keep) as folder:
         flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers)
@@ -57,6 +59,25 @@ def run(args: argparse.Namespace) -> int:
             f"{ending.duration_s:.1f} s from the order to land; {time.monotonic() - began:.0f} s on the wall clock\n"
         )
     return 0 if ending.on_pad else 1
+
+
+def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:
+    """Of `NAME=VALUE`.
+
+    Raises:
+        BadInput: one that is not of that form.
+    """
+    out = []
+    for text in given:
+        found = re.fullmatch(r"([A-Z][A-Z0-9_]{0,15})=(.+)", text)
+        try:
+            value = float(found[2]) if found else math.nan
+        except ValueError:
+            value = math.nan
+        if found is None or not math.isfinite(value):
+            raise BadInput(f"--param {text!r}: write NAME=VALUE, a name in capitals and a number")
+        out.append((found[1], value))
+    return tuple(out)
 
 
 def rig(scenario: Scenario, config: str | None) -> Settings:

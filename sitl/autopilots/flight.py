@@ -233,7 +233,7 @@ class AutopilotFlight:
         chosen = self.autopilot
         if chosen.name == "px4":
             hil = HilBackend(self._make(px4.STEP_S, 0.0), seed=self.seed, stepped=self._stepped)
-            argv, environment = px4.start(chosen.binary, height_m=self.height_m)
+            argv, environment = px4.start(chosen.binary, height_m=self.height_m, parameters=dict(chosen.parameters))
             async with (
                 serve_hil(hil, HOST, px4.PHYSICS_PORT, settle=self._settle),
                 running(argv, self.folder, environment) as program,

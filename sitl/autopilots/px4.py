@@ -5,6 +5,7 @@ Its ports are fixed: it calls 4560 for the physics, speaks to companions on 1454
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from estimator.contracts.errors import BadInput
@@ -27,7 +28,9 @@ PARAMETERS: dict[str, float] = {
 }
 
 
-def start(binary: Path, *, height_m: float, home: Home | None = None) -> tuple[list[str], dict[str, str]]:
+def start(
+    binary: Path, *, height_m: float, home: Home | None = None, parameters: Mapping[str, float] | None = None
+) -> tuple[list[str], dict[str, str]]:
     """The command line and what is added to the environment.
 
     Args:
@@ -42,7 +45,7 @@ def start(binary: Path, *, height_m: float, home: Home | None = None) -> tuple[l
             f"--binary: there is no {etc / 'init.d-posix' / 'rcS'}; PX4 needs its build's etc beside bin (see {GUIDE})"
         )
     at = home or Home()
-    parameters = {**PARAMETERS, "MIS_TAKEOFF_ALT": height_m}
+    asked = {**PARAMETERS, "MIS_TAKEOFF_ALT": height_m, **(parameters or {})}
     environment = {
         "PX4_SIM_MODEL": "none_iris",
         "PX4_SYS_AUTOSTART": "10016",
@@ -50,6 +53,6 @@ def start(binary: Path, *, height_m: float, home: Home | None = None) -> tuple[l
         "PX4_HOME_LAT": f"{at.latitude_deg:.7f}",
         "PX4_HOME_LON": f"{at.longitude_deg:.7f}",
         "PX4_HOME_ALT": f"{at.altitude_m:g}",
-        **{f"PX4_PARAM_{name}": f"{value:g}" for name, value in parameters.items()},
+        **{f"PX4_PARAM_{name}": f"{value:g}" for name, value in asked.items()},
     }
     return [str(binary), "-d", "-i", "0", str(etc)], environment
