@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
@@ -37,7 +38,8 @@ from estimator.vision.acquire import acquire  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.look import look  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
-from estimator.vision.registration import Options, register  # noqa: E402
+from estimator.vision.pose import Orientation  # noqa: E402
+from estimator.vision.registration import Options, Registration, register  # noqa: E402
 from estimator.vision.segmentation import COLOUR_SETS  # noqa: E402
 from sitl.light import FLAT, Sensor  # noqa: E402
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad  # noqa: E402
@@ -45,12 +47,14 @@ from tests.estimator.vision.picture import STAMP  # noqa: E402
 from tests.estimator.vision.shots import PLAIN, Stage, View  # noqa: E402
 
 U8 = NDArray[np.uint8]
+T = TypeVar("T")
 HEIGHTS_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 FINE = 6
 """Subsamples a pixel side for the markers' pictures."""
 FLOOR_LIGHT, WHITE_LIGHT, BLACK_LIGHT = 0.16, 0.8, 0.02
 
 
+_CLOSE = Options(coarse=False)
 APRILTAG = Detector(families="tag36h11", nthreads=1, quad_decimate=1.0)
 """One for the whole run, and never taken down: its destructor corrupts the heap."""
 
@@ -157,7 +161,7 @@ def pnp(uv: F64, side_m: float, view: View, camera: Camera) -> tuple[F64, float]
     return in_level(view, camera, tvec[:, 0]), -math.atan2(up[1], up[0])
 
 
-def timed(work: Callable[[], tuple[F64, float | None] | None]) -> tuple[tuple[F64, float | None] | None, float]:
+def timed(work: Callable[[], T]) -> tuple[T, float]:
     began = time.process_time_ns()
     found = work()
     return found, (time.process_time_ns() - began) * 1e-6
@@ -195,19 +199,18 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
 
         start = stage.start(view, 0.5)
 
-        def tracked(view: View = view, start: PadPose = start, orientation: object = orientation) -> tuple[F64, float] | None:
-            found = register(view.px, camera, pad, start, orientation, Options(coarse=False))  # type: ignore[arg-type]
-            return None if found is None else of_pose(view, camera, found.pose)
+        def tracked(view: View = view, start: PadPose = start, orientation: Orientation = orientation) -> Registration | None:
+            return register(view.px, camera, pad, start, orientation, _CLOSE)
 
-        def searched(view: View = view, orientation: object = orientation) -> tuple[F64, float] | None:
+        def searched(view: View = view, orientation: Orientation = orientation) -> Registration | None:
             level = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0)
-            for candidate in acquire(view.px, camera, pad, level)[:1]:
-                found = register(view.px, camera, pad, candidate.pose, orientation)  # type: ignore[arg-type]
-                return None if found is None else of_pose(view, camera, found.pose)
-            return None
+            candidates = acquire(view.px, camera, pad, level)
+            return register(view.px, camera, pad, candidates[0].pose, orientation, _CLOSE) if candidates else None
 
-        tallies["registration, tracked"].add(*_swap(timed(tracked), view))
-        tallies["registration, searched"].add(*_swap(timed(searched), view))
+        for name, work in (("registration, tracked", tracked), ("registration, searched", searched)):
+            result, ms = timed(work)
+            place = None if result is None else of_pose(view, camera, result.pose)
+            tallies[name].add(place, view, ms, either_way=result is not None and result.yaw_ambiguous)
 
         px = aruco_scene.picture(view.pose)
 
@@ -268,6 +271,9 @@ def write(folder: Path, rows: list[list[str]], frames: int) -> None:
         *(__doc__ or "").strip().splitlines()[4:], "", "![by height](benchmarks.png)", "",
         "| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER),
         *("| " + " | ".join(row) + " |" for row in rows), "",
+        f"The machine's load meanwhile was {os.getloadavg()[2]:.1f} on {os.cpu_count()} cores; where it is above one a core, "
+        "processor times come out longer than on a machine at rest, ratios less so.", "",
+        "How vision works, its false pads, photographs and targets: [vision.md](vision.md).", "",
     ]  # fmt: skip
     (folder / "benchmarks.md").write_text("\n".join(lines), encoding="utf-8")
     plot(folder / "benchmarks.png", rows)

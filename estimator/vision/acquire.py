@@ -126,9 +126,9 @@ def _stages(
     near = picture.share() > _NEAR_SHARE
     if near:
         yield iter([(_from_strokes(pyramid, level, camera, pad, plane), most)])
+    yield iter([(_from_specks(pyramid, camera, pad, plane), _ALIGNED_FAR)])
     finer = coarse(pyramid[level - 1], 1 << (level - 1), pad)
     yield ((guesses, most) for guesses in _from_discs(finer, memory, pyramid, camera, pad, plane))
-    yield iter([(_from_specks(pyramid, camera, pad, plane), _ALIGNED_FAR)])
     if not near:
         yield iter([(_from_strokes(pyramid, level, camera, pad, plane), most)])
 

@@ -28,6 +28,9 @@ _NAT = 255.0 / float(np.log1p(1.0 / _FLOOR))
 _CAST = 0.5 * _NAT
 """How far the light alone may shift the measure: 3000 K, or a white balance 20 % off in two channels."""
 _WEAK, _STRONG = 0.28 * _NAT, 0.9 * _NAT
+_LEAST_CONTRAST = 0.4
+"""Of the measure, in natural logarithms, between a patch and what surrounds it: 99 of 100 discs have 0.56 or more, in any light;
+noise has less."""
 _MIN_AREA = 9
 _KEPT = 6
 _SIDE_PX, _BESIDE_PX = 9, 18
@@ -130,6 +133,8 @@ def spots(picture: Coarse, limit: float) -> list[Spot]:
         inside = cv2.mean(window, own)[0]
         outside = cv2.mean(window, cv2.bitwise_not(mask[y0:y1, x0:x1]))[0]
         contrast = (inside - outside) / _NAT
+        if contrast < _LEAST_CONTRAST:
+            continue
         weight = contrast * min(float(area[i]), 2000.0) ** 0.35
         contours, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         contour = max(contours, key=len)[:, 0].astype(float)
