@@ -1,0 +1,142 @@
+"""The person at the ground station: the way to the order, and every way in which it comes to nothing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.vehicle import ARMED, Stack, custom_mode
+from estimator.contracts.time import NS_PER_S, MonoNs
+from sitl.autopilots.station import GroundStation, Task, View
+
+FAR = View(np.array([3.0, 4.0, 0.0]), np.array([1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]), 0.3, 0.5, 0.05)
+
+
+def spoken(message: Message, component: int = 1, system: int = 1) -> Message:
+    """As heard from that component."""
+    sender = mav.MAVLink(None, srcSystem=system, srcComponent=component)
+    return mav.MAVLink(None).decode(bytearray(message.pack(sender)))
+
+
+def beat(mode: str, armed: bool) -> Message:
+    base = ARMED if armed else 0
+    return spoken(mav.MAVLink_heartbeat_message(2, 3, base, custom_mode(Stack.ARDUPILOT, mode), 4, 3))
+
+
+def ack(command: int, result: int, component: int = 1) -> Message:
+    return spoken(mav.MAVLink_command_ack_message(command, result), component)
+
+
+class Desk:
+    """The station and its clock."""
+
+    def __init__(self, stack: Stack = Stack.ARDUPILOT, **options: bool) -> None:
+        self.station = GroundStation(stack, height_m=4.0, **options)
+        self.t_s = 10.0
+        self.view = FAR
+
+    def wait(self, seconds: float) -> list[Message]:
+        out = []
+        for _ in range(round(10 * seconds)):
+            self.t_s += 0.1
+            out += self.station.period(self.now, self.view)
+        return out
+
+    @property
+    def now(self) -> MonoNs:
+        return MonoNs(round(self.t_s * NS_PER_S))
+
+    def hear(self, message: Message) -> None:
+        self.station.hear(message, self.now)
+
+
+def commands(messages: list[Message]) -> list[tuple[int, int]]:
+    return [(m.command, m.target_component) for m in messages if m.get_type() == "COMMAND_LONG"]
+
+
+def test_from_the_first_heartbeat_to_the_order() -> None:
+    desk = Desk()
+    assert {m.get_type() for m in desk.wait(2.0)} == {"HEARTBEAT"}
+    desk.hear(beat("stabilize", False))
+    assert set(commands(desk.wait(2.0))) == {(mav.MAV_CMD_DO_SET_MODE, 1)}
+    desk.hear(beat("guided", False))
+    assert set(commands(desk.wait(2.0))) == {(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}
+    desk.hear(beat("guided", True))
+    climbing = [m for m in desk.wait(1.0) if m.get_type() == "COMMAND_LONG"]
+    assert [(m.command, m.param7) for m in climbing] == [(mav.MAV_CMD_NAV_TAKEOFF, 4.0)]
+    desk.view = replace(FAR, height_m=2.0)
+    assert commands(desk.wait(2.0)) == [], "it climbs: nothing to repeat"
+    desk.view = replace(FAR, height_m=3.9)
+    flying = [m for m in desk.wait(1.0) if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+    # 5 m away: 1.5 m/s towards it on top of the ship's 1.5 m/s ahead, in ned by a heading of 0.3 rad
+    c, s = math.cos(0.3), math.sin(0.3)
+    ahead, right = 1.5 + 1.5 * 0.6, 1.5 * 0.8
+    assert (flying[-1].vx, flying[-1].vy) == pytest.approx((c * ahead - s * right, s * ahead + c * right), abs=1e-5)
+    assert flying[-1].yaw_rate == pytest.approx(0.4)
+    desk.view = replace(FAR, height_m=4.0, to_start_level=np.zeros(3), v_rel_level=np.zeros(3), turn_rad=0.0)
+    assert (mav.MAV_CMD_NAV_LAND, 191) in commands(desk.wait(1.6))
+    desk.hear(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_IN_PROGRESS, 191))
+    assert desk.station.task is Task.WATCH
+    assert desk.station.began == desk.now
+    assert {m.get_type() for m in desk.wait(2.0)} == {"HEARTBEAT"}, "the companion has it"
+
+
+def test_px4_begins_where_its_take_off_ends() -> None:
+    desk = Desk(Stack.PX4, flies_there=False)
+    message = mav.MAVLink_heartbeat_message(2, 12, ARMED, custom_mode(Stack.PX4, "auto.loiter"), 4, 3)
+    desk.hear(spoken(message))
+    assert set(commands(desk.wait(1.0))) == {(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}
+    desk.hear(spoken(message))
+    assert set(commands(desk.wait(1.0))) == {(mav.MAV_CMD_DO_SET_MODE, 1)}
+    desk.view = replace(FAR, height_m=3.9)
+    assert commands(desk.wait(0.5)) == [(mav.MAV_CMD_NAV_LAND, 191)]
+
+
+@pytest.mark.parametrize(
+    ("heard", "waited_s", "said"),
+    [
+        ([], 61.0, "no heartbeat"),
+        ([beat("guided", False), spoken(mav.MAVLink_statustext_message(2, b"PreArm: Compass"))], 91.0, "arm: PreArm: Compass"),
+        ([beat("guided", False)], 91.0, "it said nothing"),
+        ([beat("guided", False), beat("guided", True)], 31.0, "did not take off"),
+    ],
+)
+def test_what_does_not_come_about_is_given_up_with_the_autopilots_words(heard: list[Message], waited_s: float, said: str) -> None:
+    desk = Desk()
+    for message in heard:
+        desk.hear(message)
+    desk.wait(waited_s)
+    assert desk.station.task is Task.FAILED
+    assert said in desk.station.failure
+
+
+def ready_to_order() -> Desk:
+    desk = Desk(flies_there=False)
+    desk.hear(beat("guided", False))
+    desk.hear(beat("guided", True))
+    desk.view = replace(FAR, height_m=3.9)
+    desk.wait(0.3)
+    assert desk.station.task is Task.ORDER
+    return desk
+
+
+def test_a_companion_that_refuses_or_is_silent_ends_it() -> None:
+    desk = ready_to_order()
+    desk.hear(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_DENIED, 1))
+    assert desk.station.task is Task.ORDER, "that was the autopilot's answer"
+    desk.hear(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_DENIED, 191))
+    assert "refused" in desk.station.failure
+    desk = ready_to_order()
+    desk.wait(11.0)
+    assert "did not answer" in desk.station.failure
+
+
+def test_another_system_is_not_listened_to() -> None:
+    desk = Desk()
+    ship = mav.MAVLink_heartbeat_message(2, 3, ARMED, 0, 4, 3)
+    desk.hear(spoken(ship, system=17))
+    assert desk.station.task is Task.MEET
