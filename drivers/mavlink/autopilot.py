@@ -223,7 +223,7 @@ class Autopilot:
         known.parameters.hear(message)
         self._offer(known.sampler.samples(message, heard.heard))
         known.helm.hear(known.sampler.condition)
-        if name == "ATTITUDE_QUATERNION" and known.sampler.attitude is not None:
+        if name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
             known.helm.hear_attitude(known.sampler.attitude)
 
     def _offer(self, samples: list[Sample]) -> None:

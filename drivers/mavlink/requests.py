@@ -27,6 +27,8 @@ RATES_HZ: dict[Stack, dict[str, float]] = {
     Stack.OTHER: COMMON_RATES_HZ,
 }
 """What a fresh link is asked for; ArduPilot sends HEARTBEAT and TIMESYNC only until then."""
+INSTEAD = {"ATTITUDE_QUATERNION": "ATTITUDE"}
+"""What is asked for where the first is refused: ArduCopter 4.0 has no stream of the quaternion."""
 
 
 def message_id(name: str) -> int:
@@ -102,14 +104,18 @@ class Streams:
 
     def hear(self, message: Message, heard: MonoNs) -> None:
         """Any message of the autopilot."""
-        name = message.get_type()
-        if name == "COMMAND_ACK":
+        kind = message.get_type()
+        if kind == "COMMAND_ACK":
             if message.command == mav.MAV_CMD_SET_MESSAGE_INTERVAL and self._waiting is not None:
-                waiting, self._waiting = self._streams[self._waiting], None
+                name, self._waiting = self._waiting, None
+                waiting = self._streams[name]
                 waiting.result = None if message.result == _BUSY else int(message.result)
                 waiting.heard = heard
-        elif name in self._streams:
-            self._streams[name].heard = heard
+                other = INSTEAD.get(name)
+                if waiting.result not in (None, _ACCEPTED) and other is not None and other not in self._streams:
+                    self._streams[other], self._ids[other] = _Stream(waiting.interval_s), message_id(other)
+        elif kind in self._streams:
+            self._streams[kind].heard = heard
 
     def _check_silence(self, stream: _Stream, now: MonoNs) -> None:
         if stream.result != _ACCEPTED or stream.heard is None:

@@ -85,6 +85,7 @@ class Sampler:
         self.refused: Counter[str] = Counter()
         """Messages that made no sense, by name."""
         self._landed_state = 0
+        self._quaternions = False
         self._status_at: MonoNs | None = None
         self._vessel_clock = ClockMap(ClockMapOptions(wrap_ns=MS_WRAP_NS, resolution_s=0.001, floor_sigma_s=0.05))
         self._table: dict[str, Callable[[Message, MonoNs], list[Sample]]] = {
@@ -92,6 +93,7 @@ class Sampler:
             "EXTENDED_SYS_STATE": self._extended,
             "SYS_STATUS": self._sys_status,
             "ATTITUDE_QUATERNION": self._attitude,
+            "ATTITUDE": self._attitude_angles,
             "LOCAL_POSITION_NED": self._position,
             "RAW_IMU": self._raw_imu,
             "HIGHRES_IMU": self._highres_imu,
@@ -163,7 +165,15 @@ class Sampler:
         return []
 
     def _attitude(self, m: Message, heard: MonoNs) -> list[Sample]:
-        rotation = Rotation.from_quat([m.q1, m.q2, m.q3, m.q4])
+        self._quaternions = True
+        return self._turned(m, Rotation.from_quat([m.q1, m.q2, m.q3, m.q4]), heard)
+
+    def _attitude_angles(self, m: Message, heard: MonoNs) -> list[Sample]:
+        if self._quaternions:
+            return []  # the same once more
+        return self._turned(m, Rotation.from_rpy(*_finite(m.roll, m.pitch, m.yaw)), heard)
+
+    def _turned(self, m: Message, rotation: Rotation, heard: MonoNs) -> list[Sample]:
         cov = np.diag([self._o.sigma_tilt_rad**2, self._o.sigma_tilt_rad**2, self._o.sigma_yaw_rad**2])
         self.attitude = Attitude(self._clock.stamp(boot_ms(m.time_boot_ms), heard), rotation, cov)
         return [self.attitude]

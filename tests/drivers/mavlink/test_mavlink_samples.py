@@ -35,6 +35,18 @@ def test_attitude() -> None:
     assert np.degrees(sample.R_ned_body.rpy_rad) == pytest.approx((3.0, -5.0, 70.0))
 
 
+def test_attitude_in_angles_where_no_quaternion_comes() -> None:
+    s = sampler()
+    angles = mav.MAVLink_attitude_message(4000, *np.radians((3.0, -5.0, 70.0)), 0.1, 0.2, 0.3)
+    (sample,) = s.samples(angles, NOW)
+    assert isinstance(sample, Attitude)
+    assert np.degrees(sample.R_ned_body.rpy_rad) == pytest.approx((3.0, -5.0, 70.0))
+    assert s.samples(mav.MAVLink_attitude_message(4000, math.nan, 0, 0, 0, 0, 0), NOW) == []
+    assert s.refused["ATTITUDE"] == 1
+    s.samples(attitude(70.0), NOW)
+    assert s.samples(angles, NOW) == [], "one attitude an instant"
+
+
 @pytest.mark.parametrize("yaw_deg", range(-135, 181, 45))
 def test_velocity_is_turned_into_level_by_the_heading_alone(yaw_deg: int) -> None:
     s = sampler()

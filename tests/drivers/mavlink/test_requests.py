@@ -37,6 +37,22 @@ def test_one_stream_at_a_time_since_the_answer_does_not_say_which() -> None:
     assert streams.refused == {"LOCAL_POSITION_NED": 2}
 
 
+def test_where_the_quaternion_is_refused_the_angles_are_asked_for() -> None:
+    streams = Streams({"ATTITUDE_QUATERNION": 100.0, "RAW_IMU": 50.0})
+    streams.due(at(0), TARGET)
+    streams.hear(ack(4), at(0.1))
+    asked = []
+    for n in (1, 2):
+        (request,) = streams.due(at(0.2 * n), TARGET)
+        asked.append((request.param1, request.param2))
+        streams.hear(ack(), at(0.2 * n + 0.1))
+    assert asked == [(27, 20_000), (30, 10_000)]
+    assert streams.settled
+    assert streams.refused == {"ATTITUDE_QUATERNION": 4}
+    streams.restart()
+    assert not streams.settled
+
+
 def test_an_unanswered_request_is_repeated_and_then_given_up() -> None:
     streams = Streams({"RAW_IMU": 100.0}, tries=3)
     asked = [m for n in range(40) for m in streams.due(at(0.1 * n), TARGET)]
