@@ -18,7 +18,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 TRUTH = {Stack.ARDUPILOT: "SIM_STATE", Stack.PX4: "HIL_STATE_QUATERNION"}
 """The message in which a simulated vehicle's simulator tells the truth."""
 _EARTH_M = 6_371_000.0
-_ASK_S = 5.0
+_ASK_S, _ASKS = 5.0, 3
 _TRUTH_LAST_S = 1.0
 _GAP_S = 0.2
 _MEAN_S = 3.0
@@ -56,13 +56,15 @@ class PoseSource:
         """(3,) m, mean of truth less the autopilot's own."""
         self._known_s = 0.0
         self._asked: MonoNs | None = None
+        self._asks = 0
 
     def ask(self, stack: Stack, target: tuple[int, int], now: MonoNs, rate_hz: float = 50.0) -> list[Message]:
         """The request for the truth, when it is due; a simulator that has none leaves it at that."""
         name = TRUTH.get(stack)
-        if name is None or self.truthful(now) or (self._asked is not None and seconds_between(self._asked, now) < _ASK_S):
+        waits = self._asked is not None and seconds_between(self._asked, now) < _ASK_S
+        if name is None or self.truthful(now) or waits or self._asks >= _ASKS:
             return []
-        self._asked = now
+        self._asked, self._asks = now, self._asks + 1
         interval_us = round(1e6 / rate_hz)
         number = message_id(name)
         return [
