@@ -4,8 +4,8 @@
 when the best candidate keeps the judge's claim (centre, range, heading) with a score of 0.5 or more. Times are processor time on
 one thread, beside a floor measured in between: one BGR to HSV conversion and one inRange of a picture of the same size. No frame
 has part in the judge's fit. On the photographs of the real pad what is found is registered, without attitude, and the corners of
-the H are held against hand labels. As many frames have no pad as have one; `--write` leaves the reliability diagram of all of
-them as reliability.png.
+the H are held against hand labels. What is found is registered and judged as the eyes do; as many frames have no pad as have one,
+and `--write` leaves the reliability diagram of all of them as reliability.png.
 """
 
 from __future__ import annotations
@@ -38,11 +38,16 @@ from benches.pad_scenes import (  # noqa: E402
     visible_share,
 )
 from estimator.contracts.geometry import F64  # noqa: E402
+from estimator.contracts.samples import Attitude  # noqa: E402
+from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.acquire import Candidate, acquire  # noqa: E402
+from estimator.vision.acquire_align import SIGMA_TILT_RAD, Pyramid, align  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.judge import keeps_claim  # noqa: E402
+from estimator.vision.judge_registered import confidence, evidence  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
+from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.registration import Options, register  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 0.8, 1.5, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0)
@@ -80,6 +85,21 @@ def sheet(pictures: list[np.ndarray], path: Path) -> None:
     cv2.imwrite(str(path), np.vstack([np.hstack(pictures[i : i + 4]) for i in range(0, len(pictures), 4)]))
 
 
+def registered(scene: Scene, candidates: list[Candidate], camera: Camera, pad: Pad) -> tuple[float, bool] | None:
+    """What the eyes make of the candidates: their confidence in the best registration, and whether it keeps the judge's claim."""
+    attitude = None
+    if scene.R_level_body is not None:
+        attitude = Attitude(Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
+    out: list[tuple[float, bool]] = []
+    for c in candidates[:2]:
+        found = register(scene.px, camera, pad, c.pose, Orientation.of(attitude, math.radians(2.0)), Options(coarse=False))
+        laid = None if found is None else align(Pyramid(scene.px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
+        if found is not None and laid is not None:
+            right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
+            out.append((confidence(evidence(laid, found, pad)), right))
+    return max(out, default=None)
+
+
 def reliability(score: F64, right: NDArray[np.bool_], frames: int, path: Path) -> None:
     """The diagram: of the frames called so, as many are right; with 95 % intervals (Wilson, JASA 22, 1927)."""
     import matplotlib
@@ -104,7 +124,7 @@ def reliability(score: F64, right: NDArray[np.bool_], frames: int, path: Path) -
         above.append(max(0.0, middle + half - p))
     top.errorbar(called, share, yerr=(below, above), fmt="o-", ms=4, lw=1.2, capsize=3)
     top.set_ylabel("share that is right")
-    top.set_title(f"best candidate of {frames} frames")
+    top.set_title(f"best registration of {frames} frames")
     top.grid(alpha=0.3)
     edges = np.array(BINS)
     low.bar(edges[:-1], counts, width=np.diff(edges), align="edge", edgecolor="white")
@@ -179,7 +199,11 @@ def main() -> None:
         R = scene.R_level_body if args.attitude != "none" else None
         began = time.process_time_ns()
         candidates = acquire(scene.px, camera, pad, R)
-        return (candidates[0] if candidates else None), (time.process_time_ns() - began) * 1e-6
+        ms = (time.process_time_ns() - began) * 1e-6
+        sure = registered(scene, candidates, camera, pad)
+        if sure is not None:
+            called.append(sure)
+        return (candidates[0] if candidates else None), ms
 
     acquire(np.zeros((360, 640, 3), np.uint8), camera, pad)
     for height in HEIGHTS_M:
@@ -195,8 +219,6 @@ def main() -> None:
                     and scene.truth is not None
                     and keeps_claim(best.pose, scene.truth, camera, pad, best.yaw_ambiguous)
                 )
-                if best is not None:
-                    called.append((best.score, right))
                 good = best is not None and right and best.score >= 0.5
                 found[condition, height].append(good)
                 took[height].append(ms)
@@ -210,10 +232,7 @@ def main() -> None:
     empty_ms = []
     for _ in range(len(HEIGHTS_M) * len(CONDITIONS) * args.frames):
         scene = empty_scene(rng, camera, float(np.exp(rng.uniform(math.log(0.3), math.log(30)))))
-        best, ms = look(scene)
-        empty_ms.append(ms)
-        if best is not None:
-            called.append((best.score, False))
+        empty_ms.append(look(scene)[1])
     floor = float(np.median(floors))
     print("found, %    " + "".join(f"{h:>7g} m" for h in HEIGHTS_M) + "     all")
     for condition in CONDITIONS:
@@ -229,7 +248,7 @@ def main() -> None:
     )
     print("over floor  " + "".join(f"{np.median(took[h]) / floor:8.1f} " for h in HEIGHTS_M) + f"  floor {floor:.2f} ms")
     score, right_ = np.array([c[0] for c in called]), np.array([c[1] for c in called])
-    print("called      n   right   (best candidate of each frame, with and without a pad)")
+    print("called      n   right   (best registration of each frame, with and without a pad)")
     for low, high in itertools.pairwise(BINS):
         k = (score >= low) & (score < high)
         if k.any():

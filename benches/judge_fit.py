@@ -1,9 +1,10 @@
-"""Fit the judge's coefficients on rendered frames: `python benches/judge_fit.py [--frames N] [--workers K] [--keep FILE]`.
+"""Fit the judge's coefficients on rendered frames: `python -m benches.judge_fit [--frames N] [--workers K] [--keep FILE]`.
 
 Half of the frames show a pad (of two kinds, 0.2 to 30 m, all conditions of `pad_scenes`), half show none. Every candidate of
 every stage is an example; it is right when its pose keeps the judge's claim. The fit is logistic regression with a small ridge,
 false candidates that score high counted several times, since a false pad costs more than a missed one. Prints the coefficients as
-they stand in estimator/vision/judge.py, and how the fit does on frames it did not see.
+they stand in estimator/vision/judge.py, and how the fit does on frames it did not see. With `--registered` the examples are
+what registration makes of the best candidates, on other frames, and the coefficients stand in judge_registered.py beside it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import math
 import multiprocessing
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -21,29 +23,64 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benches.pad_scenes import CONDITIONS, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
+from benches.pad_scenes import CONDITIONS, Scene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
+from estimator.contracts.samples import Attitude  # noqa: E402
+from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.acquire import acquire  # noqa: E402
+from estimator.vision.acquire_align import SIGMA_TILT_RAD, Pyramid, align  # noqa: E402
 from estimator.vision.judge import FEATURES, keeps_claim  # noqa: E402
+from estimator.vision.judge_registered import EVIDENCE, evidence  # noqa: E402
+from estimator.vision.pad import Pad  # noqa: E402
+from estimator.vision.pose import Orientation  # noqa: E402
+from estimator.vision.registration import Options, register  # noqa: E402
 
 F64 = NDArray[np.float64]
 _CHUNK = 50
+_REGISTERED_FROM = 10_000
+"""Chunk that the frames of the second model begin with: the first has not seen them."""
 _RIDGE = 1e-3
+
+
+def scenes(seed: int) -> Iterator[tuple[int, bool, Pad, Scene]]:
+    """Frame, whether it has a pad, which, and the scene; of one chunk of frames."""
+    rng = np.random.default_rng([seed, 0x51DE])
+    camera, pads = load_camera("sim"), [load_pad("thesis"), load_pad("printed")]
+    for i in range(_CHUNK):
+        height = float(np.exp(rng.uniform(math.log(0.2), math.log(30.0))))
+        with_pad, pad = i % 2 == 0, pads[i // 2 % 2]
+        scene = pad_scene(rng, camera, pad, height, str(rng.choice(CONDITIONS))) if with_pad else empty_scene(rng, camera, height)
+        yield seed * _CHUNK + i, with_pad, pad, scene
 
 
 def examples(seed: int) -> F64:
     """(n, 3 + len(FEATURES)): frame, 1 for a right candidate, 1 for a frame with a pad, features; of one chunk of frames."""
     cv2.setNumThreads(1)
-    rng = np.random.default_rng([seed, 0x51DE])
-    camera, pads = load_camera("sim"), [load_pad("thesis"), load_pad("printed")]
-    rows = []
-    for i in range(_CHUNK):
-        height = float(np.exp(rng.uniform(math.log(0.2), math.log(30.0))))
-        with_pad, pad = i % 2 == 0, pads[i // 2 % 2]
-        scene = pad_scene(rng, camera, pad, height, str(rng.choice(CONDITIONS))) if with_pad else empty_scene(rng, camera, height)
+    camera, rows = load_camera("sim"), []
+    for frame, with_pad, pad, scene in scenes(seed):
         for c in acquire(scene.px, camera, pad, scene.R_level_body, sure=2.0)[:4]:
             right = scene.truth is not None and keeps_claim(c.pose, scene.truth, camera, pad, c.yaw_ambiguous)
-            rows.append([seed * _CHUNK + i, float(right), float(with_pad), *c.features])
+            rows.append([frame, float(right), float(with_pad), *c.features])
     return np.array(rows).reshape(-1, 3 + len(FEATURES))
+
+
+def registered_examples(seed: int) -> F64:
+    """(n, 3 + len(EVIDENCE)), as `examples`."""
+    cv2.setNumThreads(1)
+    camera, rows = load_camera("sim"), []
+    for frame, with_pad, pad, scene in scenes(seed):
+        attitude = None
+        if scene.R_level_body is not None:
+            stamp = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
+            attitude = Attitude(stamp, scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
+        orientation = Orientation.of(attitude, math.radians(2.0))
+        for c in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
+            found = register(scene.px, camera, pad, c.pose, orientation, Options(coarse=False))
+            laid = None if found is None else align(Pyramid(scene.px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
+            if found is None or laid is None:
+                continue
+            right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
+            rows.append([frame, float(right), float(with_pad), *evidence(laid, found, pad)])
+    return np.array(rows).reshape(-1, 3 + len(EVIDENCE))
 
 
 def fit(x: F64, y: F64, weight: F64) -> F64:
@@ -64,14 +101,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=6000)
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--registered", action="store_true")
     parser.add_argument("--keep", type=Path, help="write the examples here, or read them if the file is there")
     args = parser.parse_args()
+    names, work, first = (EVIDENCE, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
     if args.keep is not None and args.keep.exists():
         data = np.load(args.keep)
     else:
         with multiprocessing.Pool(args.workers) as pool:
             parts = []
-            for i, part in enumerate(pool.imap(examples, range(args.frames // _CHUNK))):
+            for i, part in enumerate(pool.imap(work, range(first, first + args.frames // _CHUNK))):
                 parts.append(part)
                 print(f"\r{(i + 1) * _CHUNK} frames", end="", file=sys.stderr, flush=True)
         print(file=sys.stderr)
@@ -87,7 +126,7 @@ def main() -> None:
         weight = np.where((y == 0) & (with_pad == 0) & (p > 0.25), 8.0, 1.0)
         b = fit(x[train], y[train], weight[train])
     print("_COEFFICIENTS = np.array([" + ", ".join(f"{v:.3f}" for v in b) + "])")
-    for name, v, s in zip(FEATURES, b, x.std(axis=0), strict=True):
+    for name, v, s in zip(names, b, x.std(axis=0), strict=True):
         print(f"  {name:16s} {v:8.3f}   times its spread {v * s:7.2f}")
     p = 1.0 / (1.0 + np.exp(-x @ b))
     test = ~train

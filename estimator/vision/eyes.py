@@ -2,8 +2,8 @@
 
 Tracking starts `registration` from the filter's belief at the exposure. Where there is none, or the drawing does not fit there,
 acquisition searches the whole picture and registration refines what it finds. Either way the whole drawing is judged where it was
-laid, and that judgement is the sighting's confidence. Where one of the thesis' methods is alone with what it says, the drawing is
-laid there too: a green disc is not a pad, and where it is one, registration starts from it.
+laid, together with how well its edges agree, and that judgement is the sighting's confidence. Where one of the thesis' methods is
+alone with what it says, the drawing is laid there too: a green disc is not a pad, and where it is one, registration starts from it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from estimator.contracts.estimates import Method, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision import judge
+from estimator.vision import judge, judge_registered
 from estimator.vision.acquire import Candidate, acquire, laid_at
 from estimator.vision.acquire_align import SIGMA_TILT_RAD, Pyramid, align
 from estimator.vision.acquire_heading import heading
@@ -212,7 +212,7 @@ def _lay(
     laid = align(pyramid, eyes.camera, eyes.pad, found.pose, SIGMA_TILT_RAD, 0)
     if laid is None:
         return None
-    sure = judge.confidence(judge.features(laid, eyes.pad), prior_log_odds)
+    sure = judge_registered.confidence(judge_registered.evidence(laid, found, eyes.pad), prior_log_odds)
     sighting = registered_sighting(frame, found, eyes.camera, orientation)
     sighting = replace(sighting, confidence=min(1.0, sure))
     return _Registered(sighting, learn(paint, laid, sure) if sure >= _FITS else missed(paint))

@@ -162,8 +162,13 @@ def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
     Args:
         prior_log_odds: what speaks for it beside the picture; 0 for a candidate of acquisition.
     """
-    z = float(values @ _COEFFICIENTS) + prior_log_odds
+    z = log_odds(values) + prior_log_odds
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, z))))
+
+
+def log_odds(values: F64) -> float:
+    """The logarithm of the odds that `confidence` makes a probability of."""
+    return float(values @ _COEFFICIENTS)
 
 
 def arrow_evidence(laid: Laid) -> float:

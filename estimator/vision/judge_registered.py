@@ -1,0 +1,54 @@
+"""Is what registration found the pad? The judge's opinion of the drawing where it came to lie, and how well its edges agree.
+
+A helipad of other proportions passes for the pad while the drawing lies on it roughly; once the letter fits to a fraction of a
+pixel, its ring or the disc's edge does not.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.vision import judge
+from estimator.vision.acquire_align import Laid
+from estimator.vision.drawing import EdgeKind
+from estimator.vision.pad import Pad
+from estimator.vision.registration import Registration
+
+EVIDENCE = (
+    "one", "drawn", "inliers", "disc_off", "ring_off", "letter_off", "ring_unseen", "letter_unseen", "whole", "whole_inliers",
+    "rms", "visible",
+)  # fmt: skip
+"""Names of the model's inputs, in order."""
+
+_TELLING = 5.0
+"""A kind of edge of which a fifth is in view counts as fully in view."""
+
+_COEFFICIENTS = np.array([1.472, 1.709, 0.600, 1.382, -0.510, -0.099, 0.858, -0.312, -0.064, 0.346, 0.135, 0.062])
+"""In the order of `EVIDENCE`. Fitted by `python -m benches.judge_fit --registered --frames 1800`: 1696 registrations."""
+
+
+def evidence(laid: Laid, found: Registration, pad: Pad) -> F64:
+    """(len(EVIDENCE),) inputs of the model, each of order one.
+
+    Args:
+        laid: the drawing at the registered pose.
+    """
+    drawn = float(judge.log_odds(judge.features(laid, pad)))
+    kinds = (EdgeKind.DISC, EdgeKind.RING, EdgeKind.H)
+    shown = {kind: min(1.0, _TELLING * found.edges[kind].in_view) for kind in kinds}
+    off = {kind: -shown[kind] * (1.0 - found.edges[kind].inliers) for kind in kinds}
+    unseen = {kind: -shown[kind] * (not found.edges[kind].seen) for kind in kinds}
+    whole = float(found.whole)
+    return np.array([
+        1.0, max(-8.0, min(8.0, drawn)), found.inliers, *off.values(), unseen[EdgeKind.RING], unseen[EdgeKind.H],
+        whole, whole * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
+    ])  # fmt: skip
+
+
+def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
+    """0..1 of the evidence of a registration; `prior_log_odds` as for `judge.confidence`."""
+    z = float(values @ _COEFFICIENTS) + prior_log_odds
+    return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, z))))
