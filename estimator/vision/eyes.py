@@ -3,7 +3,7 @@
 Tracking starts `registration` from the filter's belief at the exposure. Where there is none, or the drawing does not fit there,
 acquisition searches the whole picture and registration refines what it finds. Either way the whole drawing is judged where it was
 laid, together with how well its edges agree, and that judgement is the sighting's confidence. Where one of the thesis' methods is
-alone with what it says, the drawing is laid there too: a green disc is not a pad, and where it is one, registration starts from it.
+alone with what it says, the drawing is laid there too: a green disc is no pad, and where it is one, registration starts from it.
 """
 
 from __future__ import annotations
