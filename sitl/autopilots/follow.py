@@ -34,6 +34,8 @@ from sitl.world import Picture
 PERIOD_S = 0.04
 _STAMP_SIGMA_S = 0.002
 _OLD_S = 0.3
+_TRUTH_S = 3.0
+"""From the first place told until the simulator's truth is no longer waited for."""
 _MEET_S, _PLACE_S = 30.0, 180.0
 _CLEAR_M = 0.15
 """Higher than this it is not down yet: the speed at which it came down is the last from there."""
@@ -128,7 +130,10 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
             failure = await watcher.film(pool, daemon)
             side.daemon.stop()
             await daemon
-    return FollowEnd(pilot.outcome, watcher.landing, watcher.flown_s, side.daemon.health, watcher.by_truth, failure)
+    stands = pilot.outcome in (Outcome.LANDED, Outcome.LANDED_BY_OTHERS)
+    return FollowEnd(
+        pilot.outcome, watcher.landing if stands else None, watcher.flown_s, side.daemon.health, watcher.by_truth, failure
+    )
 
 
 class _Watcher:
@@ -140,11 +145,20 @@ class _Watcher:
         self._deck: DeckUnder | None = None
         self._flew: MonoNs | None = None
         self._newest: Pose | None = None
+        self._placed: MonoNs | None = None
+        """When it first told where it is."""
         self._sink_m_s = 0.0
         self._listening: object = None
-        self.landing: Landing | None = None
+        self._last: Pose | None = None
         self.by_truth = False
         self.frames = 0
+
+    @property
+    def landing(self) -> Landing | None:
+        """As it stood when it was last heard of; None where it never was."""
+        if self._deck is None or self._last is None:
+            return None
+        return self._deck.landing(self._last, self._sink_m_s)
 
     @property
     def flown_s(self) -> float:
@@ -187,15 +201,18 @@ class _Watcher:
         if autopilot is not self._listening:
             self._listening = autopilot
             autopilot.listen(self._hear)
-        if autopilot.streams is not None and autopilot.streams.settled:
+        late = self._deck is not None and not self.by_truth
+        if autopilot.streams is not None and autopilot.streams.settled and not late:
             for message in self._source.ask(autopilot.identity.stack, autopilot.identity.address, now):
                 autopilot.send(message)
-        pose = self._source.newest(now, autopilot.positions, autopilot.attitude)
+        pose = self._source.newest(now, autopilot.positions, autopilot.attitude, by_truth=not late)
         flying = autopilot.condition.flying
         if pose is None or flying is None or abs(seconds_between(pose.at, now)) > _OLD_S:
             return None
-        if self._deck is None or (self._flew is None and pose.is_truth and not self.by_truth):
-            # Laid anew where the simulator begins to tell the truth: it counts from another place.
+        if self._deck is None:
+            self._placed = self._placed or now
+            if not pose.is_truth and seconds_between(self._placed, now) < _TRUTH_S:
+                return None  # the simulator may tell where it really is: that is another place to count from
             self._deck, self.by_truth = DeckUnder(self._scenario, self._seed, pose, not flying), pose.is_truth
         if pose.is_truth is not self.by_truth:
             return None
@@ -203,8 +220,7 @@ class _Watcher:
             self._flew = now
         if self._deck.height_m(pose) > _CLEAR_M:
             self._sink_m_s = float(pose.v_ned[2])
-        if not flying and self._flew is not None and self.landing is None:
-            self.landing = self._deck.landing(pose, self._sink_m_s)
+        self._last = pose
         return pose
 
     def _hear(self, heard: Heard) -> None:

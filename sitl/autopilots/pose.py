@@ -91,12 +91,15 @@ class PoseSource:
             rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
             self._tell(now, (*place, 1e-3 * message.alt), rates, positions)
 
-    def newest(self, now: MonoNs, positions: tuple[LocalPosition, ...], attitude: Attitude | None) -> Pose | None:
+    def newest(
+        self, now: MonoNs, positions: tuple[LocalPosition, ...], attitude: Attitude | None, *, by_truth: bool = True
+    ) -> Pose | None:
         """As of the newest attitude; None before the autopilot said where it is.
 
         Args:
             positions: the autopilot's own, the newest last.
             attitude: its newest.
+            by_truth: shifted onto the truth where that is told.
         """
         if not positions or attitude is None:
             return None
@@ -104,8 +107,10 @@ class PoseSource:
         since_s = seconds_between(last.stamp.taken, at)
         if abs(since_s) > _GAP_S:
             return None
-        truthful = self.truthful(now)
-        p = last.p_body_ned + since_s * last.v_body_ned + self._apart
+        truthful = by_truth and self.truthful(now)
+        p = last.p_body_ned + since_s * last.v_body_ned
+        if truthful:
+            p = p + self._apart
         return Pose(at, p, last.v_body_ned, attitude.R_ned_body, self._w_body if truthful else np.zeros(3), truthful)
 
     def _tell(

@@ -1,0 +1,177 @@
+"""A vehicle that somebody else simulates: its pose from messages, our deck under it, and a landing in real time."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from companion.pilot import Outcome
+from companion.settings import load as load_settings
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.samples import LocalPosition
+from drivers.mavlink.vehicle import Stack
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
+from sitl.autopilots.follow import DeckUnder, follow
+from sitl.autopilots.pose import Pose, PoseSource
+from sitl.autopilots.program import free_udp_port
+from sitl.scenario import load
+from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+
+HOST = "127.0.0.1"
+
+EARTH_M = 6_371_000.0
+LAT, LON = 63.44, 10.40
+
+
+def at(seconds: float) -> MonoNs:
+    return MonoNs(round(seconds * NS_PER_S))
+
+
+def stamped(seconds: float) -> Stamp:
+    return Stamp(at(seconds), at(seconds), 0.0, "synced")
+
+
+def position(seconds: float, p: F64, v: F64) -> LocalPosition:
+    return LocalPosition(stamped(seconds), p, v)
+
+
+def attitude(seconds: float) -> Attitude:
+    return Attitude(stamped(seconds), Rotation.from_rpy(0.1, -0.05, 1.0), np.eye(3) * 1e-4)
+
+
+def truth(kind: str, p: F64) -> Message:
+    """What a simulator says of a place: in steps of 1e-7 degrees."""
+    lat = LAT + math.degrees(p[0] / EARTH_M)
+    lon = LON + math.degrees(p[1] / (EARTH_M * math.cos(math.radians(LAT))))
+    q = [1.0, 0.0, 0.0, 0.0]
+    if kind == "HIL_STATE_QUATERNION":
+        millimetres = round(-1e3 * p[2])
+        return mav.MAVLink_hil_state_quaternion_message(
+            0, q, 0.1, 0.2, 0.3, round(lat * 1e7), round(lon * 1e7), millimetres, 0, 0, 0, 0, 0, 0, 0, 0
+        )
+    return mav.MAVLink_sim_state_message(
+        *q, 0, 0, 0, 0, 0, 0, 0.1, 0.2, 0.3, lat, lon, -p[2], 0, 0, 0, 0, 0, round(lat * 1e7), round(lon * 1e7)
+    )
+
+
+@pytest.mark.parametrize("kind", ["SIM_STATE", "HIL_STATE_QUATERNION"])
+def test_the_autopilots_place_is_shifted_onto_the_truth_smoothly(kind: str) -> None:
+    source, v, off = PoseSource(), np.array([0.7, -0.4, 0.2]), np.array([1.3, -2.1, 0.6])
+    found = []
+    for n in range(500):
+        t = 0.02 * n
+        p = v * t
+        there = (position(t, p + off, v),)
+        source.hear(truth(kind, p), at(t), there)
+        pose = source.newest(at(t), there, attitude(t))
+        assert pose is not None
+        assert pose.is_truth
+        found.append(pose.p_ned - p)
+    errors = np.array(found)[200:]
+    assert np.abs(errors - errors.mean(0)).max() < 2e-3, "truth comes in steps of a centimetre, the pose does not"
+    # It counts from the first truth heard, itself in such steps
+    assert errors.mean(0) == pytest.approx([0.0, 0.0, 0.0], abs=0.012)
+    assert pose.w_body == pytest.approx((0.1, 0.2, 0.3))
+
+
+def test_without_truth_it_is_the_autopilots_own_and_of_the_attitudes_instant() -> None:
+    source = PoseSource()
+    there = (position(5.00, np.array([1.0, 2.0, -3.0]), np.array([0.5, 0.0, -1.0])),)
+    pose = source.newest(at(5.03), there, attitude(5.02))
+    assert pose is not None
+    assert not pose.is_truth
+    assert pose.at == at(5.02)
+    assert pose.p_ned == pytest.approx((1.01, 2.0, -3.02))
+    assert source.newest(at(6.0), there, attitude(6.0)) is None, "too far apart"
+    assert source.newest(at(6.0), (), attitude(6.0)) is None
+    assert source.newest(at(6.0), there, None) is None
+
+
+def test_rubbish_is_no_truth() -> None:
+    source = PoseSource()
+    there = (position(1.0, np.zeros(3), np.zeros(3)),)
+    message = truth("SIM_STATE", np.zeros(3))
+    message.alt = math.nan
+    source.hear(message, at(1.0), there)
+    assert not source.truthful(at(1.0))
+
+
+def test_the_truth_is_asked_for_a_few_times() -> None:
+    source = PoseSource()
+    asked = [m for n in range(400) for m in source.ask(Stack.ARDUPILOT, (1, 1), at(0.1 * n))]
+    assert [m.param1 for m in asked] == [108, 108, 108]
+    assert PoseSource().ask(Stack.PX4, (1, 1), at(0.0))[0].param1 == 115
+    assert PoseSource().ask(Stack.OTHER, (1, 1), at(0.0)) == []
+
+
+def test_the_pad_lies_where_the_scenarios_start_says() -> None:
+    scenario = load("calm")
+    turned = Rotation.from_rpy(0.0, 0.0, math.radians(90.0))
+    first = Pose(at(1.0), np.array([50.0, -20.0, -100.0]), np.zeros(3), turned, np.zeros(3), True)
+    flying = DeckUnder(scenario, 1, first, stands=False)
+    assert flying.height_m(first) == pytest.approx(scenario.start.height_m)
+    # ahead is east, to the right is south
+    ahead, right = scenario.start.pad_forward_m, scenario.start.pad_right_m
+    over = Pose(at(1.0), first.p_ned + np.array([-right, ahead, 0.0]), np.zeros(3), turned, np.zeros(3), True)
+    landing = flying.landing(over, 0.4)
+    assert landing.on_pad
+    assert landing.lateral_m == pytest.approx(0.0, abs=1e-6)
+    assert landing.speed_m_s == 0.4
+    beside = flying.landing(first, 0.4)
+    assert not beside.on_pad
+    assert beside.lateral_m == pytest.approx(math.hypot(ahead, right))
+    standing = DeckUnder(scenario, 1, first, stands=True)
+    assert standing.height_m(first) == pytest.approx(0.045)
+    assert flying.look(over)().px.shape == (360, 640, 3)
+
+
+class Elsewhere(FakeAutopilot):
+    """A copter that another simulator flies, with a level attitude; its LAND sinks to the ground at 0."""
+
+    def _streams(self, t: float) -> list[Message]:
+        if self.mode == "land" and self.armed:
+            self.v_ned = np.array([0.0, 0.0, 0.4])
+            if self.p_ned[2] > -0.05:
+                self.v_ned, self.landed_state, self.armed = np.zeros(3), 1, False
+        out = [m for m in super()._streams(t) if m.get_type() != "RAW_IMU"]
+        if t >= self._next.get(-1, 0.0):
+            self._next[-1] = t + 0.01
+            out.append(mav.MAVLink_raw_imu_message(self.boot_ns // 1000, 0, 0, -1000, 0, 0, 0, 0, 0, 0))
+        if t >= self._next.get(-2, 0.0) and mav.MAVLINK_MSG_ID_SIM_STATE in self.intervals:
+            self._next[-2] = t + 0.02
+            out.append(truth("SIM_STATE", self.p_ned))
+        return out
+
+
+@pytest.mark.timeout(240)
+async def test_followed_seen_and_landed_in_real_time() -> None:
+    scenario = load("calm")
+    start = replace(scenario.start, height_m=1.6, pad_forward_m=0.2, pad_right_m=-0.15)
+    scenario = replace(scenario, start=start, duration_limit_s=90.0)
+    settings = load_settings("sim")
+    planner = replace(settings.guidance.planner, approach_height_m=1.2, speed_m_s=0.6)
+    settings = replace(
+        settings,
+        # Real time on a busy machine: a few pictures a second must do.
+        guidance=replace(settings.guidance, planner=planner, stale_after_s=2.0),
+        estimator=replace(settings.estimator, path="dead_reckoning"),
+    )
+    fake, port = Elsewhere(mode="loiter", p_ned=np.array([3.0, 4.0, -1.6])), free_udp_port()
+    async with asyncio.timeout(200), fake.talking_to(f"udpout://{HOST}:{port}"):
+        end = await follow(scenario, 1, settings, f"udpin://{HOST}:{port}")
+    assert end.failure == ""
+    assert end.outcome is Outcome.LANDED
+    assert end.by_truth
+    assert end.landing is not None
+    assert end.landing.lateral_m < 0.15
+    assert end.landing.on_pad
+    assert end.landing.speed_m_s == pytest.approx(0.4, abs=0.05)
+    # It began at (3, 4); the pad lay 0.2 m ahead of it and 0.15 m to the left.
+    assert fake.p_ned[:2] == pytest.approx((3.2, 3.85), abs=0.15)
+    assert fake.of("LANDING_TARGET"), "and the autopilot was told of the pad"
