@@ -1,11 +1,11 @@
-"""How often the pad is found in a whole picture, by height and condition, how calibrated the score is, and how long it takes.
+"""How often the pad is found in a whole picture, by height and condition, how calibrated that is, and how long it takes.
 
-`python -m benches.acquisition [--frames N] [--seed S] [--failures DIR] [--write DIR]` from the repository's root. A pad is found
-when the best candidate keeps the judge's claim (centre, range, heading) with a score of 0.5 or more. Times are processor time on
-one thread, beside a floor measured in between: one BGR to HSV conversion and one inRange of a picture of the same size. No frame
-has part in the judge's fit. On the photographs of the real pad what is found is registered, without attitude, and the corners of
-the H are held against hand labels. What is found is registered and judged as the eyes do; as many frames have no pad as have one,
-and `--write` leaves the reliability diagram of all of them as reliability.png.
+`python -m benches.acquisition [--frames N] [--seed S] [--failures DIR] [--write DIR]` from the repository's root. What is found is
+registered and judged as the eyes do. A pad is found when that keeps the judge's claim (centre, range, heading) with a confidence
+of 0.5 or more. Times are of acquisition alone, processor time on one thread, beside a floor measured in between: one BGR to HSV
+conversion and one inRange of a picture of the same size. As many frames have no pad as have one, and none had part in the judge's
+fit; `--write` leaves the reliability diagram of all of them as reliability.png. On the photographs of the real pad, without
+attitude, the corners of the H are held against hand labels.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def main() -> None:
     called: list[tuple[float, bool]] = []
     bad: list[np.ndarray] = []
 
-    def look(scene: Scene) -> tuple[Candidate | None, float]:
+    def look(scene: Scene) -> tuple[Candidate | None, float, tuple[float, bool] | None]:
         R = scene.R_level_body if args.attitude != "none" else None
         began = time.process_time_ns()
         candidates = acquire(scene.px, camera, pad, R)
@@ -203,7 +203,7 @@ def main() -> None:
         sure = registered(scene, candidates, camera, pad)
         if sure is not None:
             called.append(sure)
-        return (candidates[0] if candidates else None), ms
+        return (candidates[0] if candidates else None), ms, sure
 
     acquire(np.zeros((360, 640, 3), np.uint8), camera, pad)
     for height in HEIGHTS_M:
@@ -212,20 +212,15 @@ def main() -> None:
                 scene = pad_scene(rng, camera, pad, height, condition)
                 while args.attitude == "known" and scene.R_level_body is None:
                     scene = pad_scene(rng, camera, pad, height, condition)
-                best, ms = look(scene)
+                best, ms, sure = look(scene)
                 floors.append(floor_ms(scene.px))
-                right = (
-                    best is not None
-                    and scene.truth is not None
-                    and keeps_claim(best.pose, scene.truth, camera, pad, best.yaw_ambiguous)
-                )
-                good = best is not None and right and best.score >= 0.5
+                good = sure is not None and sure[1] and sure[0] >= 0.5
                 found[condition, height].append(good)
                 took[height].append(ms)
                 if not good and best is not None:
-                    verdict = "right" if right else "wrong"
+                    said = "none" if sure is None else f"{sure[0]:.2f} {'right' if sure[1] else 'wrong'}"
                     told = "" if scene.R_level_body else "no attitude"
-                    text = f"{condition} {height} {best.score:.2f} {verdict} vis {scene.visible:.2f} {told}"
+                    text = f"{condition} {height} {said} vis {scene.visible:.2f} {told}"
                     bad.append(picture_of(scene.px, camera, pad, scene.truth, best, text))
                 elif not good:
                     bad.append(picture_of(scene.px, camera, pad, scene.truth, None, f"{condition} {height} none"))

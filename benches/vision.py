@@ -285,15 +285,16 @@ def plot(path: Path, rows: list[list[str]]) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4), constrained_layout=True)
-    for name in dict.fromkeys(row[1] for row in rows):
+    figure, axes = plt.subplots(1, 4, figsize=(16, 4), constrained_layout=True)
+    for index, name in enumerate(dict.fromkeys(row[1] for row in rows)):
         mine = [row for row in rows if row[1] == name]
-        for axis, column in zip(axes, (3, 4, 6), strict=True):
+        for axis, column in zip(axes, (3, 4, 6, 8), strict=True):
             points = [(float(r[0]), float(r[column])) for r in mine if r[column]]
             if points:
-                style = "k--" if name == "bound" else "o-"
+                style = "k--" if name == "bound" else f"C{index}o-"
                 axis.loglog(*zip(*points, strict=True), style, label=name, lw=1.2, ms=3)
-    for axis, title in zip(axes, ("lateral std, mm", "range std, mm", "heading std, degrees"), strict=True):
+    titles = ("lateral std, mm", "range std, mm", "heading std, degrees", "time over the floor")
+    for axis, title in zip(axes, titles, strict=True):
         axis.set_title(title)
         axis.set_xlabel("height, m")
         axis.grid(alpha=0.3, which="both")
