@@ -1,11 +1,11 @@
 """How often the pad is found in a whole picture, by height and condition, how calibrated that is, and how long it takes.
 
-`python -m benches.acquisition [--frames N] [--seed S] [--failures DIR] [--write DIR]` from the repository's root. What is found is
-registered and judged as the eyes do. A pad is found when that keeps the judge's claim (centre, range, heading) with a confidence
-of 0.5 or more. Times are of acquisition alone, processor time on one thread, beside a floor measured in between: one BGR to HSV
-conversion and one inRange of a picture of the same size. As many frames have no pad as have one, and none had part in the judge's
-fit; `--write` leaves the reliability diagram of all of them as reliability.png. On the photographs of the real pad, without
-attitude, the corners of the H are held against hand labels.
+`python -m benches.acquisition [--frames N] [--seed S] [--failures DIR] [--write DIR]` from the repository's root. What is found
+is registered and judged as the eyes do. A pad is found when that keeps the judge's claim (centre, range, heading) with a
+confidence of 0.5 or more. Times are of acquisition alone, processor time on one thread, beside a floor measured in between: one
+BGR to HSV conversion and one inRange of a picture of the same size. As many frames have no pad as have one, and none had part in
+the judge's fit; `--write` leaves the reliability diagram of all of them as reliability.png. On the photographs of the real pad,
+without attitude, the corners of the H are held against hand labels.
 """
 
 from __future__ import annotations
