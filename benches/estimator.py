@@ -42,7 +42,16 @@ LEGS = (
 )
 DURATION_S = 40.0
 HORIZONS_S = (1.0, 2.0, 3.0)
-OPTIONS = ekf.EkfOptions(sigma_accel_bias_m_s2=0.2, sigma_gyro_bias_rad_s=0.01, sigma_mount_rad=math.radians(0.5))
+OPTIONS = ekf.EkfOptions(
+    asd_gyro_rad_s=0.0025,
+    asd_accel_m_s2=0.02,
+    sigma_accel_bias_m_s2=0.15,
+    sigma_gyro_bias_rad_s=0.005,
+    sigma_attitude_bias_rad=math.radians(0.2),
+    asd_attitude_bias_rad_s=2e-4,
+    sigma_mount_rad=math.radians(0.4),
+)
+"""The filter is told what a data sheet would tell of these sensors, and nothing of the errors drawn."""
 CHI2_7 = (1.690, 16.013)
 """2.5 % and 97.5 % of chi-square with 7 degrees of freedom."""
 CHI2_NIS = {3: (0.216, 9.348), 4: (0.484, 11.143), 6: (1.237, 14.449)}

@@ -17,7 +17,7 @@ from estimator.ekf.algebra import Algebra
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, RATE, SCALE, TH, Belief, D, N, U, V
+from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, RATE, SCALE, SHORT, TH, Belief, D, N, U, V
 from estimator.ekf.stride import Event, Outcome, Tools, carried, settled
 
 
@@ -128,13 +128,13 @@ def moving(ekf: Ekf) -> float | None:
 _AXES = "xyz"
 _CHANNELS = ("north", "east", "down", "roll", "pitch")
 _NAMES = (
-    "nis_mean", "probability_moving", "velocity_scale", "camera_delay_s", "baro_offset_m",
+    "nis_mean", "probability_moving", "velocity_scale", "camera_delay_s", "baro_offset_m", "range_offset_m",
     "v_vessel_north_m_s", "v_vessel_east_m_s", "sigma_velocity_scale", "sigma_camera_delay_s",
     *(f"sigma_mount_{k}_rad" for k in _AXES), *(f"mount_{k}_rad" for k in _AXES),
     *(f"gyro_bias_{k}_rad_s" for k in _AXES), *(f"accel_bias_{k}_m_s2" for k in _AXES),
     *(f"period_{k}_s" for k in _CHANNELS), *(f"damping_{k}" for k in _CHANNELS), *(f"swing_{k}" for k in _CHANNELS),
 )  # fmt: skip
-_PLAIN = np.r_[SCALE, DELAY, BARO, U]
+_PLAIN = np.r_[SCALE, DELAY, BARO, SHORT, U]
 _SURE = np.r_[SCALE, DELAY, MOUNT]
 
 

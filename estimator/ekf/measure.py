@@ -14,7 +14,26 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.ekf import so3
-from estimator.ekf.state import BARO, BG, DELAY, DISPLACEMENT, HEAD, LIST, MOUNT, RATE, SCALE, TH, TILT, TURN, Belief, D, N, U, V
+from estimator.ekf.state import (
+    BARO,
+    BG,
+    DELAY,
+    DISPLACEMENT,
+    HEAD,
+    LIST,
+    MOUNT,
+    RATE,
+    SCALE,
+    SHORT,
+    TH,
+    TILT,
+    TURN,
+    Belief,
+    D,
+    N,
+    U,
+    V,
+)
 
 _I3 = np.eye(3)
 _D3 = np.arange(3, 6)
@@ -271,7 +290,7 @@ def told_velocity(v_ned: F64, R: F64, scale: float) -> F64:
 
 
 def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> Row | None:
-    """Along the body's down axis to the plane of the deck; None where that axis does not meet it."""
+    """Along the body's down axis to the plane of the deck, plus an error of its own; None where that axis does not meet it."""
     pad = deck(x)
     n, c = pad.R[:, 2], R[:, 2]
     cosine = float(n.dot(c))
@@ -286,7 +305,8 @@ def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> Row | None:
     H[0, _ROLL] = H[0, LIST[0]] = by_axis[0]
     H[0, _PITCH] = H[0, LIST[1]] = by_axis[1]
     H[0, HEAD] = by_axis[2]
-    return Row(np.array([range_m - r]), H, np.array([[sigma_m * sigma_m]]), _NONE)
+    H[0, SHORT] = 1.0
+    return Row(np.array([range_m - r - x[SHORT]]), H, np.array([[sigma_m * sigma_m]]), _NONE)
 
 
 def height(x: F64, height_m: float, sigma_m: float) -> Row:

@@ -15,6 +15,7 @@ from estimator.ekf import so3
 from estimator.ekf.algebra import Algebra
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.oscillator import transition
+from estimator.ekf.sea import carrying
 from estimator.ekf.state import (
     BA,
     BARO,
@@ -27,6 +28,7 @@ from estimator.ekf.state import (
     MOUNT,
     RATE,
     SCALE,
+    SHORT,
     TH,
     TILT,
     TURN,
@@ -41,8 +43,9 @@ from estimator.ekf.state import (
 _I3 = np.eye(3)
 _IN = np.eye(N)
 _D3 = np.arange(3, 6)
-_ROUGH = 1.5
-"""Waves are driven by this much more noise than the learned oscillators, which real ones only resemble."""
+_SHORT_SHARE = 0.005
+"""Of a direction's energy, in waves too short for the learned oscillators: these leave next to nothing above twice their own
+frequency, a sea does not. It enters as white acceleration, the drive of a single oscillator with that energy."""
 _SEA = slice(int(WAVES[0, 0]), int(WAVES[-1, -1]) + 1)
 # Places in a flattened (N, N) matrix: assigning by one list of them takes a third of the time of assigning by two.
 _BLOCKS = (WAVES[:, :, None] * N + WAVES[:, None, :]).ravel()
@@ -66,8 +69,10 @@ class Walk:
         q[DELAY] = o.delay_drift_s_sqrt_s**2
         q[MOUNT] = o.mount_drift_rad_sqrt_s**2
         q[BARO] = o.asd_baro_offset_m**2
+        q[SHORT] = o.asd_range_offset_m**2
         q[TILT] = o.asd_attitude_bias_rad_s**2
         self.psd = q
+        self.carrying = carrying(o.asd_accel_m_s2, o.asd_gyro_rad_s, o.asd_accel_bias_m_s3)
         self.psd_accel = o.asd_accel_m_s2**2
         self.psd_coast = o.asd_coast_m_s2**2
         self.psd_coast_turn = o.asd_coast_rad_s**2
@@ -119,7 +124,10 @@ def moved(b: Belief, o: EkfOptions, walk: Walk) -> tuple[Belief, F64, F64]:
     T = (b.t - b.t_cov) * 1e-9
     sea = b.sea
     A, q_unit = transition(sea.w_rad_s, sea.zeta, T, sea.at_rest)
-    q_waves = (_ROUGH * sea.sigma**2)[:, None, None] * q_unit
+    q_unit[:, :2, :2] += (4.0 * _SHORT_SHARE * sea.zeta * sea.w_rad_s**3)[:, None, None] * np.array(
+        [[T**3 / 3.0, T * T / 2.0], [T * T / 2.0, T]]
+    )
+    q_waves = (sea.sigma**2)[:, None, None] * q_unit
     fade = math.exp(-T / o.turn_rate_memory_s)
     reach = o.turn_rate_memory_s * (1.0 - fade)
 

@@ -62,6 +62,9 @@ class EkfOptions:
     """Direction of the arrow against the bow, clockwise from above."""
     deck_radius_m: float = 0.6
     """A range sensor is believed only where the deck is certainly below: this far around the pad's centre."""
+    sigma_range_offset_m: float = 0.05
+    """Of the range sensor's constant error: where it sits under the body's origin, and sound slower or faster than thought."""
+    asd_range_offset_m: float = 2e-3
     sigma_baro_offset_m: float = 100.0
     asd_baro_offset_m: float = 0.02
 

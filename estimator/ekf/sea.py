@@ -2,7 +2,8 @@
 
 Every member is a Kalman filter of its own on one number, where the pad was seen plus where the IMU has carried the body since
 the start; the IMU's drift (an offset, its rate, a wandering acceleration) is part of each member's state. The main filter is not
-involved, so nothing it believes of the sea can confirm itself. Member 0 says that the deck stands still.
+involved, so nothing it believes of the sea can confirm itself. Member 0 says that the deck stands still: it does so in all
+directions or in none, because no vessel surges without heaving.
 Source: Magill, Optimal adaptive estimation of sampled stochastic processes, IEEE Trans. Automatic Control 10(4), 1965.
 """
 
@@ -20,8 +21,9 @@ PERIODS_S = np.geomspace(2.2, 14.0, 9)
 ZETAS = np.array([0.2, 0.35, 0.55])
 SIGMAS_M = np.array([0.02, 0.055, 0.15, 0.42, 1.15])
 SIGMAS_RAD = np.radians([0.25, 0.7, 2.0, 5.5, 15.0])
-STATIC_PRIOR = 0.3
-"""Of each direction, before anything is seen."""
+STATIC_PRIOR = 0.5
+"""Before anything is seen."""
+_REST_ODDS = math.log(STATIC_PRIOR / (1.0 - STATIC_PRIOR))
 MEMORY_S = 180.0
 """Evidence fades over this time, so that another sea is learned."""
 PERIOD_S = 0.2
@@ -45,13 +47,33 @@ W, ZETA, SIGMA, LOG_PRIOR = _grid()
 AT_REST = stationary(W, ZETA)
 """(G, 4, 4) for sigma = 1."""
 
-ASD_ACCEL = np.array([0.09, 0.09, 0.03, 0.0, 0.0])
-"""m/s^2/sqrt(Hz) of the IMU's carrying on: half a degree of tilt error that wanders within a second makes as much."""
-ASD_DRIFT = np.array([0.015, 0.015, 0.004, 0.0, 0.0])
-"""m/s^3/sqrt(Hz): tilt errors and biases wander by this much acceleration in 1 s."""
 DRIFT_VAR = np.array([[25.0, 9.0, 0.25]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
 """(5, 3) prior of offset, its rate, acceleration. A deck's list is an offset that does not drift."""
 _SIZE = 7
+
+
+class Carrying(NamedTuple):
+    """How the IMU's carrying on errs, (5,) by direction; a deck's roll and pitch are seen whole, so nothing carries them."""
+
+    asd_accel: F64
+    """m/s^2/sqrt(Hz)"""
+    asd_drift: F64
+    """m/s^3/sqrt(Hz): the acceleration's error wanders by this much in 1 s."""
+    asd_tilt: F64
+    """rad/sqrt(s): the tilt wanders by this much in 1 s, and with it, times the distance, the place where the pad is seen."""
+
+
+def carrying(asd_accel_m_s2: float, asd_gyro_rad_s: float, asd_accel_bias_m_s3: float) -> Carrying:
+    """Of an IMU: the accelerometer's noise everywhere, its bias's wandering downwards, and sideways the tilt's, times gravity.
+
+    A tilt that is held level wanders by the gyro's noise and by as much again that the levelling brings in.
+    """
+    sideways, asd_tilt = np.array([1.0, 1.0, 0.0, 0.0, 0.0]), math.sqrt(2.0) * asd_gyro_rad_s
+    return Carrying(
+        asd_accel_m_s2 * np.array([1.0, 1.0, 1.0, 0.0, 0.0]),
+        9.81 * asd_tilt * sideways + np.array([0.0, 0.0, asd_accel_bias_m_s3, 0.0, 0.0]),
+        asd_tilt * sideways,
+    )
 
 
 class Sea(NamedTuple):
@@ -84,13 +106,15 @@ def unknown() -> Sea:
     return Sea(-1, log_weight, np.zeros((*SIGMA.shape, _SIZE)), P, *_summary(log_weight))
 
 
-def look(sea: Sea, t: int, y: F64, var: F64) -> Sea:
+def look(sea: Sea, t: int, y: F64, var: F64, by: Carrying, reach_m: float) -> Sea:
     """Take one look at the deck.
 
     Args:
         t: ns.
         y: (5,) pad north, east, down plus the body's place by the IMU alone (m); deck roll and pitch (rad).
         var: (5,) of each; 1e6 and more where it was not seen.
+        by: how the body was carried.
+        reach_m: how far away the pad is.
     """
     x, P, fade = sea.x, sea.P, 1.0
     seen = var < 1e5
@@ -99,7 +123,7 @@ def look(sea: Sea, t: int, y: F64, var: F64) -> Sea:
         x = x.copy()
         x[:3, :, 4] = np.where(seen, y, 0.0)[:3, None]
     elif t > sea.t:
-        x, P = _carried(x, P, (t - sea.t) * 1e-9)
+        x, P = _carried(x, P, (t - sea.t) * 1e-9, by, reach_m)
         fade = math.exp(-(t - sea.t) * 1e-9 / MEMORY_S)
     PH = P[..., 0] + P[..., 4]
     S = PH[..., 0] + PH[..., 4] + var[:, None]
@@ -113,16 +137,16 @@ def look(sea: Sea, t: int, y: F64, var: F64) -> Sea:
     return Sea(t, log_weight, x + K * innov[..., None], P, *_summary(log_weight))
 
 
-def _carried(x: F64, P: F64, dt: float) -> tuple[F64, F64]:
+def _carried(x: F64, P: F64, dt: float, by: Carrying, reach_m: float) -> tuple[F64, F64]:
     A, q = transition(W, ZETA, dt, AT_REST)
     F = np.zeros((W.size, _SIZE, _SIZE))
     F[:, :4, :4] = A
     F[:, 4:, 4:] = [[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]]
     P = F @ P @ F.transpose(0, 2, 1)
     P[:, :, :4, :4] += (SIGMA**2)[:, :, None, None] * q
-    qa, qb = ASD_ACCEL**2, ASD_DRIFT**2
+    qa, qb = by.asd_accel**2, by.asd_drift**2
     noise = np.zeros((5, 3, 3))
-    noise[:, 0, 0] = qa * dt**3 / 3 + qb * dt**5 / 20
+    noise[:, 0, 0] = qa * dt**3 / 3 + qb * dt**5 / 20 + (reach_m * by.asd_tilt) ** 2 * dt
     noise[:, 0, 1] = noise[:, 1, 0] = qa * dt**2 / 2 + qb * dt**4 / 8
     noise[:, 0, 2] = noise[:, 2, 0] = qb * dt**3 / 6
     noise[:, 1, 1] = qa * dt + qb * dt**3 / 3
@@ -133,14 +157,21 @@ def _carried(x: F64, P: F64, dt: float) -> tuple[F64, F64]:
 
 
 def log_evidence_of_rest(sea: Sea) -> float:
-    """Log of how much likelier all that was seen is from a deck at rest than from one of which only the prior is known."""
-    return float(np.sum(np.log(np.maximum(sea.weight[:, 0], 1e-12)) - LOG_PRIOR[0]))
+    """Log of how much likelier all that was seen is from a deck at rest than from one that moves."""
+    rest = min(max(float(sea.weight[0, 0]), 1e-12), 1.0 - 1e-12)
+    return math.log(rest / (1.0 - rest)) - _REST_ODDS
 
 
 def _summary(log_weight: F64) -> tuple[F64, F64, F64, F64, F64]:
     """(5, G) weights; (5,) rad/s, damping, standard deviation: from mean variance and mean logarithms; at rest."""
-    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
-    weight /= weight.sum(axis=1, keepdims=True)
+    top = log_weight.max(axis=1, keepdims=True)
+    weight = np.exp(log_weight - top)
+    moving = weight[:, 1:].sum(axis=1)
+    # Each direction's odds of rest without its prior; the prior comes in once, for all of them.
+    odds = float(np.sum(log_weight[:, 0] - top[:, 0] - np.log(moving)) - (log_weight.shape[0] - 1) * _REST_ODDS)
+    rest = 1.0 / (1.0 + math.exp(min(-odds, 500.0)))
+    weight[:, 1:] *= ((1.0 - rest) / moving)[:, None]
+    weight[:, 0] = rest
     energy = weight * SIGMA**2
     total = energy.sum(axis=1)
     share = energy / total[:, None]

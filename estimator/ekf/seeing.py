@@ -23,7 +23,7 @@ from estimator.ekf.state import (
 )  # fmt: skip
 from estimator.ekf.stride import Outcome, Tools, corrected, forgotten, settled
 
-_WAVES_M = 0.1
+_WAVES_M = 0.4
 """Standard deviation of the deck's motion at which constants learn by half the gain."""
 _RATE_KNOWN_VAR = 0.35**2
 """(m/s)^2, of what a sighting shows: with more nothing is learned of the camera's delay."""
@@ -59,7 +59,7 @@ def fuse_sighting(b: Belief, event: Sighting, tools: Tools) -> tuple[Belief, Out
     b = corrected(b, fix.dx, fix.P)
     known = b.heading_known or (dof >= 4 and not event.yaw_ambiguous)
     b = b._replace(sighted=max(t, b.sighted), agreed=1 if fresh or lost else b.agreed + 1, doubt=Doubt(), heading_known=known)
-    return _learned(b, event, row), Outcome(event, Verdict.FUSED, row.innov, fix.S, nis)
+    return _learned(b, event, row, tools), Outcome(event, Verdict.FUSED, row.innov, fix.S, nis)
 
 
 def _compared(b: Belief, event: Sighting, tools: Tools) -> tuple[measure.Row, Correction | None]:
@@ -116,7 +116,7 @@ def _opened(b: Belief, event: Sighting, *, anew: bool) -> Belief:
     return b._replace(x=x, P=P, doubt=Doubt())
 
 
-def _learned(b: Belief, event: Sighting, row: measure.Row) -> Belief:
+def _learned(b: Belief, event: Sighting, row: measure.Row, tools: Tools) -> Belief:
     """Show the bank of oscillators where the pad was seen, and how it stood."""
     if b.sea.t >= 0 and (b.t - b.sea.t) * 1e-9 < 0.9 * sea.PERIOD_S:
         return b
@@ -132,4 +132,4 @@ def _learned(b: Belief, event: Sighting, row: measure.Row) -> Belief:
         y[4] = math.asin(max(-1.0, min(1.0, -float(R_ned_pad[2, 0]))))
         into_pad = R_ned_pad.T.dot(back.dot(A.T))
         var[3:] = np.diag(into_pad.dot(row.R[3:, 3:]).dot(into_pad.T))[:2]
-    return b._replace(sea=sea.look(b.sea, b.t, y, var))
+    return b._replace(sea=sea.look(b.sea, b.t, y, var, tools.walk.carrying, float(np.linalg.norm(seen))))

@@ -46,7 +46,9 @@ BARO = 46
 """Height shown by the barometer less height over the pad's mean level, m."""
 TILT = np.arange(47, 49)
 """Constant error of the vehicle's own attitude about the body's x and y axes, rad: told less true."""
-N = 49
+SHORT = 49
+"""Constant error of the range sensor, m: told less true. Where it sits, and the air's temperature."""
+N = 50
 
 LOST_VAR_M2 = 1e4
 """Of the pad's place before the first sighting."""
@@ -184,6 +186,7 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
     var[MOUNT] = options.sigma_mount_rad**2
     var[BARO] = options.sigma_baro_offset_m**2
     var[TILT] = options.sigma_attitude_bias_rad**2
+    var[SHORT] = options.sigma_range_offset_m**2
     P[np.diag_indices(N)] += var
     P[WAVES[:, :, None], WAVES[:, None, :]] = waves_unknown(sea)
     z3 = np.zeros(3)

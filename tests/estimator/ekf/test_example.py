@@ -40,7 +40,7 @@ def test_thirty_lines_on_a_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str
     state = at(ekf, ns(5.9))
     assert state is not None
     truth = flight.relative(np.array([5.9]))[0][0]
-    assert np.linalg.norm(state.d_body_pad_level - truth) < 0.15
+    assert np.linalg.norm(state.d_body_pad_level - truth) < 0.2  # at 5.6 m, with no attitude but the accelerometer's
     printed = capsys.readouterr().out.splitlines()
     assert len(printed) >= 5
     assert "deck in 2 s" in printed[-1]
