@@ -87,5 +87,5 @@ def _work(renderer: Renderer, orders: Any, not_ours: Any, shelves: NDArray[np.ui
             shelf, shot, rng = orders.recv()
             shelves[shelf] = renderer.render(shot, rng)
             orders.send(shelf)
-    except (EOFError, BrokenPipeError, KeyboardInterrupt):
-        return
+    except (EOFError, OSError, KeyboardInterrupt):
+        return  # the other side has ended
