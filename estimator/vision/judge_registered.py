@@ -26,8 +26,8 @@ EVIDENCE = (
 _TELLING = 5.0
 """A kind of edge of which a fifth is in view counts as fully in view."""
 
-_COEFFICIENTS = np.array([1.472, 1.709, 0.600, 1.382, -0.510, -0.099, 0.858, -0.312, -0.064, 0.346, 0.135, 0.062])
-"""In the order of `EVIDENCE`. Fitted by `python -m benches.judge_fit --registered --frames 1800`: 1696 registrations."""
+_COEFFICIENTS = np.array([0.141, 1.986, 0.683, 1.426, 0.000, 0.000, 0.935, 0.000, 0.161, 0.145, 0.000, 0.723])
+"""In the order of `EVIDENCE`. Fitted by `python -m benches.judge_fit --registered --frames 1800`: 1699 registrations."""
 
 
 def evidence(laid: Laid, found: Registration, pad: Pad) -> F64:
