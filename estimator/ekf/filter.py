@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -54,6 +55,7 @@ def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[Outcome]]:
     return replace(ekf, history=history), [outcome]
 
 
+@lru_cache(maxsize=4)  # guidance, recorder and links ask for one instant in turn; nothing in the answer can be written to
 def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
     """The belief about the pad at an instant: carried on from the last event not later than it. None without a pad."""
     b = ekf.history.before(now)

@@ -163,3 +163,17 @@ def test_first_imu_alone_levels_the_body() -> None:
     down = ekf.belief.R.T @ np.array([0.0, 0.0, 1.0])
     np.testing.assert_allclose(down, -f / np.linalg.norm(f), atol=1e-3)
     assert ekf.belief.t == EPOCH_NS + 190_000_000
+
+
+def test_an_offset_of_the_range_sensor_is_learned_and_not_believed() -> None:
+    """An AR.Drone's ultrasound sits 3.4 cm under what motion capture calls the drone."""
+    flight = Flight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
+    ekf = start()
+    for event in events(flight):
+        if isinstance(event, Range):
+            event = Range(event.stamp, event.range_m - 0.06, event.sigma_m)
+        ekf, _ = step(ekf, event)
+    state = at(ekf, ns(8.9))
+    assert state is not None
+    assert abs(dict(state.details)["range_offset_m"] + 0.06) < 0.02
+    assert abs(state.d_body_pad_level[2] - flight.relative(np.array([8.9]))[0][0, 2]) < 0.02

@@ -27,6 +27,7 @@ def test_imports() -> None:
                     "numpy",
                     "estimator",
                     "filterpy",
+                    "functools",
                 }, path
                 assert not name.startswith("estimator.vision"), path
 
