@@ -57,7 +57,7 @@ def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(
 ) -> None:
     binary = program(tmp_path, f'PYTHONPATH={ROOT} exec {sys.executable} -m tests.sitl.autopilots.stand_in "$@"')
     kept = tmp_path / "kept"
-    code = simulate(near, "--seed", "2", "--binary", binary, "--json", "--keep", str(kept))
+    code = simulate(near, "--seed", "2", "--binary", binary, "--json", "--keep", str(kept), "--param", "LAND_SPEED=40")
     told = json.loads(capsys.readouterr().out)
     assert code == 0, (told, (kept / "texts.txt").read_text(), (kept / "output.txt").read_text())
     assert told["landed_on_pad"]
@@ -69,7 +69,9 @@ def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(
     texts = (kept / "texts.txt").read_text()
     assert "Arm: Need Position Estimate" in texts, "asked again until it armed"
     assert "Decklander: land" in texts
-    assert "PLND_LAG 0.05" in (kept / "decklander.parm").read_text()
+    asked = (kept / "decklander.parm").read_text()
+    assert "PLND_LAG 0.05\n" in asked
+    assert "LAND_SPEED 40\n" in asked
 
 
 @pytest.mark.skipif(not REAL, reason="DECKLANDER_ARDUCOPTER does not name an ArduCopter program")
@@ -96,6 +98,9 @@ def test_a_program_that_ends_is_told_with_its_last_words(tmp_path: Path, near: s
         (["--binary", "/bin/sh", "--report", "there"], "do not go with --autopilot"),
         (["--binary", "/bin/sh", "--follow", "udpin://127.0.0.1:0"], "does not go with"),
         (["--binary", "/bin/sh", "--keep", "/dev/null"], "not an empty folder"),
+        (["--binary", "/bin/sh", "--param", "PLND_LAG"], "write NAME=VALUE"),
+        (["--binary", "/bin/sh", "--param", "PLND_LAG=long"], "write NAME=VALUE"),
+        (["--binary", "/bin/sh", "--param", "PLND_LAG=nan"], "write NAME=VALUE"),
     ],
 )
 def test_wrong_use_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
