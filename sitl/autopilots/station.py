@@ -24,6 +24,7 @@ STATION = (255, int(mav.MAV_COMP_ID_MISSIONPLANNER))
 COMPANION = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
 _AUTOPILOT = int(mav.MAV_COMP_ID_AUTOPILOT1)
 _REPEAT_S = 1.0
+_HEAVE_M = 2.0
 
 
 class Task(Enum):
@@ -154,8 +155,9 @@ class GroundStation:
 
     def _go(self, now: MonoNs, view: View) -> list[Message]:
         self._give_up_after(self._patience.go_s, now, "it did not reach the start of the landing")
-        close = bool(np.linalg.norm(view.to_start_level) < 0.6 and np.linalg.norm(view.v_rel_level) < 0.5)
-        near = close and abs(view.turn_rad) < math.radians(8.0)
+        # The place heaves with the pad: nobody flies after that.
+        close = math.hypot(*view.to_start_level[:2]) < 0.6 and abs(view.to_start_level[2]) < _HEAVE_M
+        near = close and math.hypot(*view.v_rel_level[:2]) < 0.5 and abs(view.turn_rad) < math.radians(8.0)
         self._there_since = (self._there_since or now) if near else None
         if self._there_since is not None and seconds_between(self._there_since, now) > 1.0:
             self._next(Task.ORDER, now)

@@ -77,7 +77,11 @@ def test_from_the_first_heartbeat_to_the_order() -> None:
     ahead, right = 1.5 + 1.5 * 0.6, 1.5 * 0.8
     assert (flying[-1].vx, flying[-1].vy) == pytest.approx((c * ahead - s * right, s * ahead + c * right), abs=1e-5)
     assert flying[-1].yaw_rate == pytest.approx(0.4)
-    desk.view = replace(FAR, height_m=4.0, to_start_level=np.zeros(3), v_rel_level=np.zeros(3), turn_rad=0.0)
+    # A pad that heaves takes the start up and down with it
+    there = replace(FAR, height_m=4.0, to_start_level=np.array([0.3, 0.2, 1.2]), v_rel_level=np.array([0.1, 0.1, -0.9]))
+    desk.view = there
+    assert commands(desk.wait(3.0)) == [], "not on the heading yet"
+    desk.view = replace(there, turn_rad=0.05)
     assert (mav.MAV_CMD_NAV_LAND, 191) in commands(desk.wait(1.6))
     desk.hear(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_IN_PROGRESS, 191))
     assert desk.station.task is Task.WATCH
