@@ -96,7 +96,7 @@ def registered_examples(seed: int) -> F64:
             if found is None or laid is None:
                 continue
             right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
-            rows.append([frame, float(right), float(with_pad), *evidence(laid, found, pad)])
+            rows.append([frame, float(right), float(with_pad), *evidence(laid, found, pad)[: len(EVIDENCE)]])
     return np.array(rows).reshape(-1, 3 + len(EVIDENCE))
 
 

@@ -21,17 +21,23 @@ EVIDENCE = (
     "one", "drawn", "inliers", "disc_off", "ring_off", "letter_off", "ring_unseen", "letter_unseen", "whole", "whole_inliers",
     "rms", "visible",
 )  # fmt: skip
-"""Names of the model's inputs, in order."""
+"""Names of the model's inputs, in order; `no_disc` comes last and is not fitted."""
 
 _TELLING = 5.0
 """A kind of edge of which a fifth is in view counts as fully in view."""
+
+_PLAIN_DISC = 0.1
+"""Contrast of the disc to its surroundings over the letter's to the disc: 0.15 on a grey deck, less on a dark one."""
+_NO_DISC = -4.0
+"""Log odds of a distant disc that does not stand out of its surroundings. None of 177 right registrations of whole discs had one
+and 90 of 223 without a pad; too few of these look like the pad otherwise for a fit to weigh it."""
 
 _COEFFICIENTS = np.array([0.141, 1.986, 0.683, 1.426, 0.000, 0.000, 0.935, 0.000, 0.161, 0.145, 0.000, 0.723])
 """In the order of `EVIDENCE`. Fitted by `python -m benches.judge_fit --registered --frames 1800`: 1699 registrations."""
 
 
 def evidence(laid: Laid, found: Registration, pad: Pad) -> F64:
-    """(len(EVIDENCE),) inputs of the model, each of order one.
+    """(len(EVIDENCE) + 1,) inputs of the model, each of order one.
 
     Args:
         laid: the drawing at the registered pose.
@@ -44,11 +50,18 @@ def evidence(laid: Laid, found: Registration, pad: Pad) -> F64:
     whole = float(found.whole)
     return np.array([
         1.0, max(-8.0, min(8.0, drawn)), found.inliers, *off.values(), unseen[EdgeKind.RING], unseen[EdgeKind.H],
-        whole, whole * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
+        whole, whole * found.inliers, -min(1.0, found.edge_rms_px), found.visible, whole * _faint(found),
     ])  # fmt: skip
+
+
+def _faint(found: Registration) -> float:
+    """0..1: how surely the disc stands out less than a third as much as paint of its kind does."""
+    disc, letter = (float(np.linalg.norm(found.edges[kind].contrast_bgr)) for kind in (EdgeKind.DISC, EdgeKind.H))
+    less = math.log(_PLAIN_DISC * max(letter, 1e-3) / max(disc, 1e-6))
+    return min(1.0, max(0.0, 2.0 * (less - 0.5)))
 
 
 def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
     """0..1 of the evidence of a registration; `prior_log_odds` as for `judge.confidence`."""
-    z = float(values @ _COEFFICIENTS) + prior_log_odds
+    z = float(values[:-1] @ _COEFFICIENTS) + _NO_DISC * float(values[-1]) + prior_log_odds
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, z))))

@@ -30,7 +30,7 @@ def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_leve
     if laid is None:
         return 0.0
     values = evidence(laid, found, pad)
-    assert values.shape == (len(EVIDENCE),)
+    assert values.shape == (len(EVIDENCE) + 1,)
     assert np.all(np.isfinite(values))
     return confidence(values)
 
