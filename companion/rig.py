@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 from companion.guidance.pid import AxisGains, Gains
 from companion.guidance.planner import Plan
@@ -14,13 +15,14 @@ from companion.settings_model import (
     Settings,
     VerticalGainsSettings,
 )
-from companion.settings_vehicle import ArDroneSettings
+from companion.settings_vehicle import ArDroneSettings, AutopilotSettings
 from companion.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import SampleOptions
 from drivers.ardrone.velocity_loop import LoopOptions
 from estimator import dead_reckoning, pipeline
 from estimator.contracts.errors import BadInput
+from estimator.ekf.options import EkfOptions
 from estimator.rest_calibration import RestOptions
 from estimator.vision.eyes import Eyes
 from estimator.vision.segmentation import COLOUR_SETS
@@ -78,12 +80,15 @@ def estimator_options(settings: Settings) -> pipeline.Options:
     """How sightings become a belief. A frame that `max_delay_s` lets in, dead reckoning can still place."""
     e, d = settings.estimator, settings.estimator.dead_reckoning
     defaults = dead_reckoning.Options()
+    # An AR.Drone's optical flow is against what it sees, deck or water; an autopilot's velocity is over the ground.
+    over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotSettings) else "either"
     return pipeline.Options(
         steering=e.path,
         max_delay_s=e.max_delay_s,
         min_confidence=e.min_confidence,
         history_s=e.history_s,
         max_gap_s=e.max_gap_s,
+        ekf=EkfOptions(velocity_is_over=over),
         dead_reckoning=replace(
             defaults,
             dead_band_v_m_s=d.velocity_dead_band_m_s,

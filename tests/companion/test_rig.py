@@ -148,6 +148,8 @@ def test_degrees_in_the_file_are_radians_inside() -> None:
 def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
     v = from_mapping(MINIMALS["mavlink"], "default").vehicle
     assert isinstance(v, AutopilotSettings)
+    estimator = rig.estimator_options(from_mapping(MINIMALS["mavlink"], "default"))
+    assert estimator.ekf.velocity_is_over == "ground"
     options = rig_mavlink.autopilot_options(v, 4096, ())
     assert options == AutopilotOptions(options.links)
     assert rig_mavlink.component_options(v, 0.39, 0.5) == ComponentOptions(OutputOptions(0.39))
