@@ -50,7 +50,6 @@ def ardrone_options(settings: Settings) -> ArDroneOptions:
             gain_1_s=v.velocity_gain_1_s,
             integral_1_s2=v.velocity_integral_1_s2,
             lead=v.velocity_lead,
-            lead_damping_s=v.velocity_lead_damping_s,
         ),
         samples=SampleOptions(velocity_scale=v.velocity_scale),
         altitude_max_m=v.altitude_max_m,

@@ -68,7 +68,7 @@ class ArDroneSettings(Struct, frozen=True, forbid_unknown_fields=True, tag_field
     yaw_rate_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 40.0, 350.0, "firmware default")] = 100.0
     velocity_gain_1_s: Annotated[
         float, number("acceleration asked for, for each m/s of error in velocity", "1/s", 0.0, 10.0, "tuned in simulation")
-    ] = 2.0
+    ] = 1.8
     velocity_integral_1_s2: Annotated[
         float,
         number("the same for each metre of that error summed up: holds against wind", "1/s^2", 0.0, 10.0, "tuned in simulation"),
@@ -78,10 +78,7 @@ class ArDroneSettings(Struct, frozen=True, forbid_unknown_fields=True, tag_field
         number(
             "share of the tilt still lacking that is asked for on top, as tilt follows late", "1", 0.0, 5.0, "tuned in simulation"
         ),
-    ] = 2.5
-    velocity_lead_damping_s: Annotated[
-        float, number("how much of the tilt's present change is taken off that again", "s", 0.0, 5.0, "tuned in simulation")
-    ] = 0.6
+    ] = 1.2
     velocity_scale: Annotated[
         float,
         number(

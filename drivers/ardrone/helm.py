@@ -6,15 +6,13 @@ and is cleared only for a commanded landing or on the ground; while the drone's 
 
 from __future__ import annotations
 
-import numpy as np
-
 from drivers.ardrone.at import PCMD_PROGRESSIVE, REF_BASE, REF_EMERGENCY, REF_TAKE_OFF, AtCommand, ComWdg, Pcmd, Ref
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata import ControlState, Navdata, State
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.velocity_loop import RESET, Tilt, step
+from drivers.ardrone.velocity_loop import RESET, acceleration_of, step
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
-from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
+from estimator.contracts.samples import Attitude, BodyVelocity, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 
 HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
@@ -44,7 +42,6 @@ class Helm:
         self._control: ControlState | None = None
         self._velocity: BodyVelocity | None = None
         self._attitude: Attitude | None = None
-        self._w_body = np.zeros(3)
         self._loop = RESET
         self._stepped: MonoNs | None = None
 
@@ -85,13 +82,11 @@ class Helm:
             self._landing = False
 
     def hear_sample(self, sample: Sample) -> None:
-        """What the drone measured; velocity, attitude and turning are what steering needs."""
+        """What the drone measured; velocity and attitude are what steering needs."""
         if isinstance(sample, BodyVelocity):
             self._velocity = sample
         elif isinstance(sample, Attitude):
             self._attitude = sample
-        elif isinstance(sample, Imu):
-            self._w_body = sample.w_body
 
     def period(self, now: MonoNs) -> list[AtCommand]:
         """The commands of this period, one datagram's worth."""
@@ -142,8 +137,8 @@ class Helm:
         dt_s = 0.0 if self._stepped is None else seconds_between(self._stepped, now)
         attitude = self._attitude
         recent = attitude is not None and seconds_between(attitude.stamp.taken, now) <= self._o.velocity_timeout_s
-        tilt = Tilt.of(attitude.R_ned_body, self._w_body) if attitude is not None and recent else None
-        self._loop, sticks = step(self._loop, wanted, measured.v_level, tilt, dt_s, self._o.loop)
+        a_level = acceleration_of(attitude.R_ned_body) if attitude is not None and recent else None
+        self._loop, sticks = step(self._loop, wanted, measured.v_level, a_level, dt_s, self._o.loop)
         self._stepped = now
         return Pcmd(PCMD_PROGRESSIVE, sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw)
 

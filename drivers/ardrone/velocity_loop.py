@@ -2,8 +2,7 @@
 
 The drone takes roll and pitch as fractions of a tilt angle, so a velocity needs a loop here: a PI controller on the measured
 velocity with the drag of the wanted speed fed forward, solved for the tilt that gives that acceleration, limited as a vector.
-The tilt follows its command late; asking for more than the tilt still lacks (`lead`), less what its present turning will bring
-(`lead_damping_s`), makes up for part of that lateness.
+The tilt follows its command late; asking for more than the tilt still lacks (`lead`) makes up for part of that lateness.
 Climb and turn rates are closed by the drone itself and only scaled.
 
 The default drag, 0.43 1/s, is the regression of acceleration on tilt and speed in a flight under motion capture.
@@ -36,15 +35,13 @@ class LoopOptions:
     """Climb rate of a full stick."""
     yaw_rate_max_rad_s: float = math.radians(100.0)
     """Turn rate of a full stick."""
-    gain_1_s: float = 2.0
+    gain_1_s: float = 1.8
     """Acceleration per metre a second of error."""
     integral_1_s2: float = 0.4
     """Acceleration per metre of error summed up: holds against wind."""
     integral_max_m_s2: float = 2.5
-    lead: float = 2.5
+    lead: float = 1.2
     """How much of the acceleration that the present tilt does not give yet is asked for on top; 0 for none."""
-    lead_damping_s: float = 0.6
-    """How much of the present change of that acceleration is taken off again, so that the lead does not overshoot."""
     drag_1_s: float = 0.43
     """Deceleration per metre a second of speed through the air."""
 
@@ -79,31 +76,20 @@ class LoopState:
 RESET = LoopState()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tilt:
-    """What hovering thrust does at the present tilt."""
-
-    a_level: F64
-    """(2,) m/s^2 forward and right."""
-    jerk_level: F64
-    """(2,) m/s^3, its change as the body turns."""
-
-    @staticmethod
-    def of(R_ned_body: Rotation, w_body: F64) -> Tilt:
-        """At this attitude, turning with `w_body` (3,) rad/s, both small enough to fly."""
-        roll, pitch, _ = R_ned_body.rpy_rad
-        a = _G_M_S2 * np.array([-math.tan(pitch), math.tan(roll) / math.cos(pitch)])
-        return Tilt(a, _G_M_S2 * np.array([-w_body[1], w_body[0]]))
+def acceleration_of(R_ned_body: Rotation) -> F64:
+    """(2,) m/s^2 forward and right: what hovering thrust gives at this tilt."""
+    roll, pitch, _ = R_ned_body.rpy_rad
+    return _G_M_S2 * np.array([-math.tan(pitch), math.tan(roll) / math.cos(pitch)])
 
 
 def step(
-    state: LoopState, wanted: Velocity, v_level: F64, tilt: Tilt | None, dt_s: float, options: LoopOptions
+    state: LoopState, wanted: Velocity, v_level: F64, a_level: F64 | None, dt_s: float, options: LoopOptions
 ) -> tuple[LoopState, Sticks]:
     """One period of the loop.
 
     Args:
         v_level: (3,) m/s forward, right, down as measured; down is not looked at.
-        tilt: as it is now; None for no lead.
+        a_level: (2,) m/s^2 forward and right of the present tilt (`acceleration_of`); None for no lead.
         dt_s: since the last step, for the integral; 0 on the first.
     Returns:
         The next memory and the sticks. The integral stands still while the tilt is at its limit and it would push on.
@@ -116,12 +102,11 @@ def step(
     if float(np.hypot(*(feed_forward + pushed))) <= most_m_s2 or float(error @ (feed_forward + integral)) <= 0.0:
         integral = pushed
     accelerate = _within(feed_forward + integral, most_m_s2)
-    if tilt is not None:
-        lacking = options.lead * (accelerate - tilt.a_level) - options.lead_damping_s * tilt.jerk_level
-        accelerate = _within(accelerate + lacking, most_m_s2)
+    if a_level is not None:
+        accelerate = _within(accelerate + options.lead * (accelerate - a_level), most_m_s2)
     size = float(np.hypot(accelerate[0], accelerate[1]))
-    share = math.atan2(size, _G_M_S2) / options.euler_angle_max_rad
-    forward, right = accelerate / size * share if size > 0 else (0.0, 0.0)
+    tilt = math.atan2(size, _G_M_S2) / options.euler_angle_max_rad
+    forward, right = accelerate / size * tilt if size > 0 else (0.0, 0.0)
     return LoopState(float(integral[0]), float(integral[1])), Sticks(
         roll=_unit(float(right)),
         pitch=_unit(-float(forward)),

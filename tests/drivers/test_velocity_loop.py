@@ -2,16 +2,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.ardrone.velocity_loop import RESET, LoopOptions, LoopState, Sticks, Tilt, step
+from drivers.ardrone.velocity_loop import RESET, LoopOptions, LoopState, Sticks, step
 from estimator.contracts.commands import Velocity
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64
 
 OPTIONS = LoopOptions()
 STILL = np.zeros(3)
@@ -65,38 +64,6 @@ def test_a_slow_drone_stays_stable() -> None:
     v = fly(0.4, lag_s=0.3, delay_s=0.12) / 0.4
     assert v.max() < 1.4
     assert v[-200:] == pytest.approx(np.ones(200), abs=0.05)
-
-
-def swung(options: LoopOptions, target: float = 0.4) -> F64:
-    """Forward speed over 12 s of a drone whose tilt is a slow second-order loop and whose commands arrive late."""
-    dt, v, tilt, rate, asked = 0.005, 0.0, 0.0, 0.0, deque([0.0] * 14)
-    state, out = RESET, []
-    for k in range(2400):
-        if k % 6 == 0:
-            now = Tilt.of(Rotation.from_rpy(0.0, -tilt, 0.0), np.array([0.0, -rate, 0.0]))
-            state, s = step(state, wanted(target), np.array([v, 0.0, 0.0]), now, 0.03, options)
-        asked.append(-s.pitch * options.euler_angle_max_rad)
-        rate += (10.0 * (asked.popleft() - tilt) - 5.0 * rate) * dt
-        tilt += rate * dt
-        v += (9.80665 * math.tan(tilt) - 0.43 * v) * dt
-        out.append(v)
-    return np.array(out) / target
-
-
-def test_a_tilt_that_follows_late_is_led_without_swinging() -> None:
-    led, not_led = swung(OPTIONS), swung(replace(OPTIONS, lead=0.0))
-    undamped = swung(replace(OPTIONS, lead_damping_s=0.0))
-    assert led.max() < 1.25 < not_led.max()
-    assert led[600:] == pytest.approx(np.ones(1800), abs=0.12)
-    assert np.std(led[600:]) < 0.5 * min(np.std(not_led[600:]), np.std(undamped[600:]))
-
-
-@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
-def test_what_turning_does_to_the_tilt(roll: float, pitch: float, yaw: float, p: float, q: float) -> None:
-    R, w, dt = Rotation.from_rpy(roll, pitch, yaw), np.array([p, q, 0.0]), 1e-4
-    turned = R @ Rotation.from_rpy(p * dt, q * dt, 0.0)
-    change = (Tilt.of(turned, w).a_level - Tilt.of(R, w).a_level) / dt
-    assert Tilt.of(R, w).jerk_level == pytest.approx(change, abs=1.5 * 9.8 * math.hypot(p, q) * math.hypot(roll, pitch) + 1e-2)
 
 
 def test_the_integral_holds_against_wind() -> None:
