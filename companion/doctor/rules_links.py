@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from companion.doctor.finding import Finding, Rule, error, warning
 from companion.doctor.picture import LinkPicture, Picture
+from drivers.mavlink.requests import INSTEAD
 
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 """Without these nothing can be told to, or flown by, an autopilot."""
@@ -115,7 +116,10 @@ def several_autopilots(p: Picture) -> Finding | None:
 
 def stream_refused(p: Picture) -> Finding | None:
     """A stream that the autopilot will not send."""
-    refused = {n: r for n, r in (p.autopilot.refused if p.autopilot else {}).items() if n in ESSENTIAL}
+    a = p.autopilot
+    if a is None:
+        return None
+    refused = [n for n in a.refused if n in ESSENTIAL and a.rates_hz.get(INSTEAD.get(n, ""), 0.0) < 0.2]
     if refused:
         return error(
             "stream-refused",
@@ -146,7 +150,7 @@ def stream_slow(p: Picture) -> Finding | None:
     a = p.autopilot
     if a is None:
         return None
-    rate = a.rates_hz.get("ATTITUDE_QUATERNION", 0.0)
+    rate = max(a.rates_hz.get(name, 0.0) for name in ("ATTITUDE_QUATERNION", INSTEAD["ATTITUDE_QUATERNION"]))
     if 0.2 <= rate < 30.0:
         return warning(
             "attitude-slow",

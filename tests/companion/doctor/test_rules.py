@@ -217,3 +217,10 @@ def test_a_file_that_is_no_picture_is_bad_input() -> None:
     for data in (b"", b"[1]", b'{"seconds": "x"}', b"\xff"):
         with pytest.raises(BadInput, match=r"pic\.json: no picture"):
             decode(data, "pic.json")
+
+
+def test_another_message_of_the_same_is_as_good() -> None:
+    old = {k: v for k, v in ARDUPILOT.rates_hz.items() if k != "ATTITUDE_QUATERNION"} | {"ATTITUDE": 90.0}
+    assert diagnose(ardupilot(refused={"ATTITUDE_QUATERNION": 2}, rates_hz=old)) == ()
+    slow = diagnose(ardupilot(refused={"ATTITUDE_QUATERNION": 2}, rates_hz=old | {"ATTITUDE": 4.0}))
+    assert [f.rule for f in slow] == ["attitude-slow"]
