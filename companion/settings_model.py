@@ -189,7 +189,7 @@ class PlannerSettings(Struct, frozen=True, forbid_unknown_fields=True):
             2.0,
             "0.01 in the thesis, where it held for the set point, not the drone",
         ),
-    ] = 0.1
+    ] = 0.12
     sigma_land_m: Annotated[
         float,
         number("the drone does not land while one horizontal standard deviation of the estimate is above this", "m", 0.01, 2.0),

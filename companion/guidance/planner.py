@@ -121,7 +121,7 @@ class Plan:
         return Plan(
             (
                 WayPoint(np.array([pad_ahead_m, 0.0, via_height_m]), reached_m=0.25, reached_height_m=0.25, dwell_s=0.3),
-                WayPoint(np.array([pad_ahead_m, 0.0, final_height_m]), reached_m=0.1, reached_height_m=0.12, dwell_s=0.2),
+                WayPoint(np.array([pad_ahead_m, 0.0, final_height_m]), reached_m=0.12, reached_height_m=0.12, dwell_s=0.2),
             )
         )
 
