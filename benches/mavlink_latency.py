@@ -23,7 +23,6 @@ from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.vehicle import Stack
-from estimator import pipeline
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Stamp, after
@@ -51,7 +50,7 @@ async def measure(rate_hz: float) -> None:
         PilotTower(pilot, lambda: None),
         None,
         healthy=lambda: None,
-        believe=lambda now: pipeline.belief(pilot._memory, now),
+        believe=pilot.belief,
         clock=clock,
     )
     options = AutopilotOptions((LinkOptions(parse_endpoint(f"udpin://{HOST}:0")),), period_s=0.02)

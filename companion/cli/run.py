@@ -7,6 +7,7 @@ import asyncio
 import sys
 
 from companion.pilot import Outcome
+from companion.rig_camera import camera_options
 from companion.service import live, log_to_stderr, make_daemon, make_pilot
 from companion.settings import Settings, load, shipped
 from companion.settings_vehicle import AutopilotSettings
@@ -31,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     pilot = make_pilot(settings)
     if args.check:
         c = pilot.camera
-        make_daemon(settings, pilot)
+        camera_options(settings)  # its controls are text of its own
         sys.stdout.write(
             f"{_vehicle(settings)}\n"
             f"camera: {settings.camera.file}, {c.width}x{c.height} px, {_source(settings)}\n"
