@@ -27,10 +27,12 @@ DECK_PAINTS: tuple[RGB, ...] = ((112, 118, 122), (150, 152, 150), (78, 84, 90), 
 CONDITIONS = ("plain", "light", "glare", "wet", "shadow", "cut", "occluded")
 
 
+@lru_cache
 def load_camera(name: str) -> Camera:
     return Camera.from_mapping(tomllib.loads((ROOT / "configs" / "cameras" / f"{name}.toml").read_text()))
 
 
+@lru_cache
 def load_pad(name: str) -> Pad:
     return Pad.from_mapping(tomllib.loads((ROOT / "configs" / "pads" / f"{name}.toml").read_text()))
 

@@ -186,7 +186,7 @@ class DeckDrawing:
     """Of the first texel's outer corner, in the deck's axes; rows run with x, columns with y."""
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def draw_deck(deck: Deck) -> DeckDrawing:
     """Plates, weld seams, non-slip lanes, safety lines, hatches and cleats; nothing within 0.75 m of the pad's centre.
 
