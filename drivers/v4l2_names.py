@@ -21,6 +21,10 @@ class Found:
     """/dev/videoN as of now."""
     card: str
     """What the driver calls it."""
+    body: Path
+    """The piece of hardware in sysfs; several nodes may be of one."""
+    index: int = 0
+    """Among the nodes of one body: the first gives pictures, a second often metadata."""
 
 
 def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path = Path("/dev")) -> list[Found]:
@@ -33,19 +37,16 @@ def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path 
     for entry in sysfs.iterdir() if sysfs.is_dir() else ():
         if not entry.name.startswith("video"):
             continue
-        try:
-            card = (entry / "name").read_text().strip()
-        except OSError:
-            card = ""
-        node = dev / entry.name
-        found.append(Found(stable.get(node, node), node, card))
+        node, device = dev / entry.name, entry / "device"
+        body = device.resolve() if device.exists() else entry
+        found.append(Found(stable.get(node, node), node, _text(entry / "name"), body, int(_text(entry / "index") or 0)))
     return sorted(found, key=lambda f: str(f.path))
 
 
 def find(text: str, there: list[Found]) -> Path | None:
     """The path that `text` means: itself when it is a path, else the one camera whose stable name or card holds it.
 
-    Of several nodes of one camera (many have one for pictures and one for metadata) the first of its stable names is meant.
+    Of several nodes of one camera (many have one for pictures and one for metadata) the first is meant.
     None when there is no such camera at the moment.
 
     Raises:
@@ -56,12 +57,14 @@ def find(text: str, there: list[Found]) -> Path | None:
         return path if path.exists() else None
     matches = [f for f in there if text.lower() in f.path.name.lower() or text.lower() in f.card.lower() or text == f.node.name]
     exact = [f for f in matches if text in (f.path.name, f.node.name)]
-    matches = exact or matches
-    if len({f.card for f in matches}) > 1 or len({_camera(f) for f in matches}) > 1:
+    matches = sorted(exact or matches, key=lambda f: f.index)
+    if len({f.body for f in matches}) > 1:
         raise BadInput(f"camera {text!r} may be any of {', '.join(str(f.path) for f in matches)}; give more of its name")
     return matches[0].path if matches else None
 
 
-def _camera(found: Found) -> str:
-    """The stable name without the number of the node."""
-    return found.path.name.partition("-video-index")[0]
+def _text(file: Path) -> str:
+    try:
+        return file.read_text().strip()
+    except OSError:
+        return ""

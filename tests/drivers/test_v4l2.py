@@ -302,26 +302,32 @@ def test_no_kernel_stamp_whatever_makes_an_impossible_one(
 
 def test_cameras_are_found_by_what_does_not_move(tmp_path: Path) -> None:
     by_id, sysfs, dev = tmp_path / "by-id", tmp_path / "sys", tmp_path / "dev"
-    for folder in (by_id, sysfs, dev):
+    for folder in (by_id, sysfs, dev, tmp_path / "usb1", tmp_path / "usb2", tmp_path / "usb3"):
         folder.mkdir()
-    for node, card, name in [
-        ("video0", "Nice Cam", "usb-Nice_Cam_A1-video-index0"),
-        ("video1", "Nice Cam", "usb-Nice_Cam_A1-video-index1"),
-        ("video2", "Nice Cam", "usb-Nice_Cam_B2-video-index0"),
-        ("video3", "bcm2835-isp", ""),
+    for node, card, body, index, name in [
+        ("video0", "Nice Cam", "usb1", 0, "usb-Nice_Cam_A1-video-index0"),
+        ("video1", "Nice Cam", "usb1", 1, "usb-Nice_Cam_A1-video-index1"),
+        ("video2", "Nice Cam", "usb2", 0, "usb-Nice_Cam_B2-video-index0"),
+        ("video3", "bcm2835-isp", "", 0, ""),
+        ("video10", "Nameless", "usb3", 1, ""),
+        ("video9", "Nameless", "usb3", 0, ""),
     ]:
         (dev / node).touch()
         (sysfs / node).mkdir()
         (sysfs / node / "name").write_text(card + "\n")
+        (sysfs / node / "index").write_text(f"{index}\n")
+        if body:
+            (sysfs / node / "device").symlink_to(tmp_path / body)
         if name:
             (by_id / name).symlink_to(dev / node)
     there = cameras((by_id,), sysfs, dev)
-    assert Found(by_id / "usb-Nice_Cam_B2-video-index0", dev / "video2", "Nice Cam") in there
+    assert Found(by_id / "usb-Nice_Cam_B2-video-index0", dev / "video2", "Nice Cam", tmp_path / "usb2") in there
+    assert find("nameless", there) == dev / "video9"
     assert find("cam_a1", there) == by_id / "usb-Nice_Cam_A1-video-index0"
     assert find("video3", there) == dev / "video3"
     assert find("bcm2835", there) == dev / "video3"
     assert find(str(dev / "video0"), there) == dev / "video0"
-    assert find(str(dev / "video9"), there) is None
+    assert find(str(dev / "video8"), there) is None
     assert find("other", there) is None
     with pytest.raises(BadInput, match=r"may be any of .*A1.*B2"):
         find("nice", there)

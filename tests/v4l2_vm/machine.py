@@ -1,4 +1,4 @@
-"""A throw-away virtual machine with a kernel of Debian's, this file system read-only, and the vivid cameras.
+"""A throw-away virtual machine with a kernel of Debian's, this file system read-only, the vivid camera and a USB bus of its own.
 
 Nothing is installed into it: its first file system holds busybox and kernel modules; then it goes over to the host's own tree.
 """
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-MODULES = ("virtio_pci", "9pnet_virtio", "9p", "virtio_rng", "vivid")
+MODULES = ("virtio_pci", "9pnet_virtio", "9p", "virtio_rng", "vivid", "vhci-hcd", "uvcvideo")
 MARK = "@@ "
 """Begins a line that the guest reports; the value after it is JSON."""
 
@@ -126,7 +126,7 @@ def _with_dependencies(folder: Path, wanted: Iterable[str]) -> list[Path]:
         needs[file] = rest.split()
     stems = {Path(file).name.partition(".")[0].replace("-", "_"): file for file in needs}
     order: list[str] = []
-    for name in wanted:
+    for name in (name.replace("-", "_") for name in wanted):
         if name in stems:
             order += [*reversed(needs[stems[name]]), stems[name]]
     return [folder / file for file in dict.fromkeys(order)]

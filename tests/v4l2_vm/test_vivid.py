@@ -1,36 +1,16 @@
-"""The V4L2 driver on a real kernel device: judged from what the guest reports. One boot for all of them."""
+"""The V4L2 driver on the kernel's `vivid` camera: judged from what the guest reports."""
 
 from __future__ import annotations
-
-import os
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.v4l2_vm import machine
-from tests.v4l2_vm.guest import accounted
+from tests.v4l2_vm.conftest import NEEDS_A_MACHINE
+from tests.v4l2_vm.look import Seen, accounted
 
-LACKING = machine.missing()
-pytestmark = [
-    # Where everything is installed on purpose, its absence is a failure and not a reason to skip.
-    pytest.mark.skipif(LACKING is not None and "CI" not in os.environ, reason=str(LACKING)),
-    pytest.mark.timeout(400),
-]
-
-Seen = Mapping[str, Any]
+pytestmark = NEEDS_A_MACHINE
 BARS = [(190, 190, 190), (0, 190, 190), (190, 190, 0), (0, 190, 0), (190, 0, 190), (0, 0, 190), (190, 0, 0), (0, 0, 0)]
 """BGR of the 75 % colour bars: white, yellow, cyan, green, magenta, red, blue, black."""
-
-
-@pytest.fixture(scope="module")
-def seen() -> dict[str, Seen]:
-    assert LACKING is None, LACKING
-    reports = {report["name"]: report for report in machine.run(300.0)}
-    assert {name: report["error"] for name, report in reports.items() if "error" in report} == {}
-    assert all(report.get("descriptors_left", 0) == 0 for report in reports.values())
-    return reports
 
 
 def test_each_format_shows_the_colour_bars(seen: dict[str, Seen]) -> None:
@@ -56,7 +36,7 @@ def test_frames_are_stamped_by_the_kernel_on_our_clock(seen: dict[str, Seen]) ->
     elapsed_s, counted = (shot["taken"][-1] - shot["taken"][0]) * 1e-9, shot["seq"][-1] - shot["seq"][0]
     assert counted >= 19
     assert elapsed_s / counted == pytest.approx(1 / 30, rel=0.15)
-    assert all(-0.006 < delay_s < 0.5 for delay_s in shot["delay_s"])
+    assert all(-0.006 < delay_s < 2.0 for delay_s in shot["delay_s"])
 
 
 def test_the_flags_say_what_the_stamp_is_of(seen: dict[str, Seen]) -> None:

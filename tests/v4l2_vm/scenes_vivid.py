@@ -1,0 +1,180 @@
+"""The driver on the vivid camera, whose drops, damages and disconnections come at the press of a button."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from linuxpy.video import device as kernel
+
+from drivers.clock import SystemClock
+from drivers.v4l2_device import KernelDevice
+from drivers.v4l2_names import cameras
+from drivers.video_source import open_camera
+from drivers.video_source_options import Patience, V4l2Options
+from estimator.contracts.errors import DecklanderError
+from tests.v4l2_vm.look import Seen, describe, settled, take, until
+
+BY_ID = Path("/dev/v4l/by-id/usb-Decklander_test_camera_0001-video-index0")
+DRIVER = Path("/sys/bus/platform/drivers/vivid")
+SIZE = (640, 360)
+
+
+def options(**more: Any) -> V4l2Options:
+    settings: dict[str, Any] = {"device": str(BY_ID), "width": SIZE[0], "height": SIZE[1], "format": "YUYV"}
+    # The test camera stamps its end of frame 0.9 periods ahead of its handing over, as no real one does; its start is true.
+    fixed = {"timestamp_source": "Start of Exposure"} | more.pop("controls", {})
+    return V4l2Options(**(settings | {"patience": Patience(2.0, 0.1, 0.4), "controls": fixed} | more))
+
+
+def link() -> None:
+    """What udev does on a real system."""
+    BY_ID.parent.mkdir(parents=True, exist_ok=True)
+    BY_ID.unlink(missing_ok=True)
+    node = next(f.node for f in cameras() if "vivid" in f.card)
+    BY_ID.symlink_to(node)
+
+
+def unlink() -> None:
+    BY_ID.unlink()
+
+
+def press(name: str) -> None:
+    """A button of the test camera, from outside the driver."""
+    with kernel.Device(str(BY_ID.resolve())) as device:
+        for control in kernel.iter_read_controls(device):
+            if control.name.decode() == name:
+                kernel.set_control(device, control.id, 1)
+                return
+    raise LookupError(name)
+
+
+def held(name: str) -> int:
+    with kernel.Device(str(BY_ID.resolve())) as device:
+        return next(int(kernel.get_control(device, c.id)) for c in kernel.iter_read_controls(device) if c.name.decode() == name)
+
+
+async def formats() -> Seen:
+    out: Seen = {}
+    for name in ("YUYV", "NV12", "GREY"):
+        before = time.monotonic_ns()
+        async with open_camera(options(format=name), SystemClock()) as camera:
+            frames = await take(camera, 20 if name == "YUYV" else 4)
+            out[name] = describe(frames) | {"before": before, "after": time.monotonic_ns(), **await settled(camera)}
+    return out
+
+
+async def automatic() -> Seen:
+    async with open_camera(options(format="auto", device="vivid"), SystemClock()) as camera:
+        return describe(await take(camera, 3))
+
+
+async def stamps() -> Seen:
+    """The flags as the kernel sets them, and what half an exposure does to the instant."""
+    out: Seen = {}
+    for label in ("End of Frame", "Start of Exposure"):
+        fixed = {"timestamp_source": label}
+        device = KernelDevice(str(BY_ID), options(controls=fixed))
+        try:
+            buffer = device.dequeue()
+            while buffer is None:
+                await asyncio.sleep(0.01)
+                buffer = device.dequeue()
+            out[label] = {
+                "at_start": buffer.at_start,
+                "monotonic": buffer.monotonic,
+                "age_ns": time.monotonic_ns() - buffer.stamp_ns,
+            }
+        finally:
+            device.close()
+        async with open_camera(options(controls=fixed, exposure_s=0.008, latency_s=0.003), SystemClock()) as camera:
+            out[label]["frame"] = describe(await take(camera, 3))
+    return out
+
+
+async def drops() -> Seen:
+    async with open_camera(options(controls={"percentage_of_dropped_buffers": 40}), SystemClock()) as camera:
+        frames = await take(camera, 20)
+        out = describe(frames) | await settled(camera)
+    async with open_camera(options(controls={"percentage_of_dropped_buffers": 0}), SystemClock()) as camera:
+        await take(camera, 2)
+    return out
+
+
+async def damage() -> Seen:
+    async with open_camera(options(), SystemClock()) as camera:
+        await take(camera, 3)
+        for _ in range(2):
+            press("Inject V4L2_BUF_FLAG_ERROR")
+            await take(camera, 3)
+        return await settled(camera)
+
+
+async def slow_reader() -> Seen:
+    async with open_camera(options(), SystemClock()) as camera:
+        await take(camera, 1)
+        await asyncio.sleep(1.0)
+        newest = await camera.frames.get()
+        return {"age_s": (time.monotonic_ns() - newest.stamp.taken) * 1e-9, **await settled(camera)}
+
+
+async def controls() -> Seen:
+    left = held("Contrast")
+    async with open_camera(options(controls={"brightness": 77, "gain_automatic": False, "gain": 33}), SystemClock()) as camera:
+        await take(camera, 1)
+        out: Seen = {"brightness": held("Brightness"), "gain": held("Gain"), "contrast": [left, held("Contrast")]}
+    for name, more in {
+        "unknown": {"controls": {"brightnes": 1}},
+        "range": {"controls": {"brightness": 9999}},
+        "label": {"controls": {"timestamp_source": "noon"}},
+        "size": {"width": 650, "height": 400},
+        "format": {"format": "MJPG"},
+        "ambiguous_or_none": {"device": "no such camera", "patience": Patience(0.3, 0.1, 0.1)},
+    }.items():
+        try:
+            async with open_camera(options(**more), SystemClock()) as camera:
+                async with asyncio.timeout(0.5):
+                    await camera.frames.get()
+        except DecklanderError as why:
+            out[name] = [type(why).__name__, str(why)]
+        except TimeoutError:
+            out[name] = ["down", camera.down]
+    return out
+
+
+async def unplugged() -> Seen:
+    """Twice: the driver's own disconnect, then the device torn off its bus; each time it comes back under another name."""
+    out: Seen = {}
+    async with open_camera(options(), SystemClock()) as camera:
+        await take(camera, 3)
+        out["first"] = os.readlink(BY_ID)
+        for way in ("button", "bus"):
+            began = time.monotonic()
+            if way == "button":
+                press("Disconnect")
+                unlink()
+                await until(lambda: camera.down is not None)
+                out["button_down"] = camera.down
+                (DRIVER / "unbind").write_text("vivid.0")
+            else:
+                (DRIVER / "unbind").write_text("vivid.0")
+                unlink()
+                await until(lambda: camera.down is not None)
+                out["bus_down"] = camera.down
+            out[f"{way}_noticed_s"] = round(time.monotonic() - began, 3)
+            await asyncio.sleep(0.5)
+            (DRIVER / "bind").write_text("vivid.0")
+            link()
+            back = time.monotonic()
+            await until(lambda: camera.down is None)
+            newest = await take(camera, 4)
+            out[f"{way}_back_s"] = round(time.monotonic() - back, 3)
+            out[f"{way}_frames"] = describe(newest)
+        out |= camera.counters.as_dict()
+    return out
+
+
+SCENES = (formats, automatic, stamps, drops, damage, slow_reader, controls, unplugged)

@@ -1,0 +1,158 @@
+"""The driver on a USB camera: the kernel's own `uvcvideo`, with a device in software on the other end of the bus."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from functools import lru_cache
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.clock import SystemClock
+from drivers.v4l2_names import cameras
+from drivers.video_source import Camera, open_camera
+from drivers.video_source_options import Patience, V4l2Options
+from estimator.contracts.errors import DecklanderError
+from tests.v4l2_vm.look import Seen, describe, settled, take, until
+from tests.v4l2_vm.webcam import CARD, Format, Webcam
+
+SMALL = (320, 240)
+FORMATS = (Format("YUYV", (SMALL,)), Format("MJPG", (SMALL, (640, 480))), Format("H264", (SMALL,)))
+BARS = np.array([(b, g, r) for g in (190, 0) for r in (190, 0) for b in (190, 0)], np.uint8)
+GROUP = 10
+"""Pictures from one IDR to the next."""
+
+
+class Faults:
+    """What befalls the next pictures, one each."""
+
+    def __init__(self) -> None:
+        self.next: list[str] = []
+
+    def picture(self, fourcc: str, size: tuple[int, int], n: int) -> tuple[bytes, bool] | None:
+        whole = _encoded(fourcc, *size)
+        data = whole[n % len(whole)]
+        fault = self.next.pop(0) if self.next else ""
+        if fault == "torn":
+            return data[: len(data) // 2], False
+        return None if fault == "left out" else (data, fault == "marked")
+
+
+@lru_cache
+def _encoded(fourcc: str, width: int, height: int) -> tuple[bytes, ...]:
+    px = np.empty((height, width, 3), np.uint8)
+    px[:] = np.repeat(BARS, width // 8, axis=0)
+    if fourcc == "YUYV":
+        return (cv2.cvtColor(px, cv2.COLOR_BGR2YUV_YUYV).tobytes(),)
+    if fourcc == "MJPG":
+        return (cv2.imencode(".jpg", px)[1].tobytes(),)
+    codec = av.CodecContext.create("libx264", "w")
+    codec.width, codec.height, codec.pix_fmt, codec.framerate = width, height, "yuv420p", 30
+    codec.options = {"preset": "ultrafast", "tune": "zerolatency", "x264-params": f"keyint={GROUP}:scenecut=0"}
+    units = []
+    for n in range(2 * GROUP):
+        px[-16:, :] = 16 * (n % 16)  # something must move, or nothing is coded
+        units += codec.encode(av.VideoFrame.from_ndarray(px, format="bgr24"))
+    return tuple(bytes(unit) for unit in units + codec.encode(None))
+
+
+def farthest_from_bars(px: NDArray[np.uint8]) -> int:
+    """Grey values, over the middle of each bar but the lowest lines, where the coded picture moves."""
+    middle = np.s_[: -px.shape[0] // 8, px.shape[1] // 16 :: px.shape[1] // 8]
+    return int(np.abs(px[middle].astype(int) - BARS).max())
+
+
+@asynccontextmanager
+async def plugged() -> AsyncIterator[tuple[Webcam, Faults]]:
+    faults = Faults()
+    webcam = Webcam(FORMATS, faults.picture)
+    webcam.plug()
+    try:
+        async with asyncio.timeout(20):
+            await until(lambda: any(CARD in f.card for f in cameras()))
+        yield webcam, faults
+    finally:
+        webcam.unplug()
+        async with asyncio.timeout(20):
+            await until(lambda: not any(CARD in f.card for f in cameras()))
+
+
+def options(**more: Any) -> V4l2Options:
+    settings: dict[str, Any] = {"device": "Webcam", "width": SMALL[0], "height": SMALL[1], "format": "auto"}
+    return V4l2Options(**(settings | {"patience": Patience(2.0, 0.1, 0.4)} | more))
+
+
+async def look(camera: Camera, n: int) -> Seen:
+    return describe(await take(camera, n)) | await settled(camera)
+
+
+async def webcam_formats() -> Seen:
+    out: Seen = {}
+    async with plugged():
+        out["nodes"] = [f.card for f in cameras() if CARD in f.card]
+        for name in ("YUYV", "MJPG", "H264", "auto"):
+            before = time.monotonic_ns()
+            async with open_camera(options(format=name), SystemClock()) as camera:
+                out[name] = await look(camera, 12) | {"before": before, "after": time.monotonic_ns()}
+        async with open_camera(options(width=640, height=480), SystemClock()) as camera:
+            out["larger"] = await look(camera, 3)
+    return out
+
+
+async def webcam_controls() -> Seen:
+    out: Seen = {}
+    async with plugged() as (webcam, _):
+        fixed = {"exposure_time_absolute": 50, "auto_exposure": "Manual Mode", "gain": 33}
+        async with open_camera(options(controls=fixed), SystemClock()) as camera:
+            out["fixed"] = await look(camera, 3) | {"mode": webcam.mode.now, "exposure": webcam.exposure.now}
+        try:
+            fixed = {"exposure_time_absolute": 60, "auto_exposure": "Aperture Priority Mode"}
+            async with open_camera(options(controls=fixed), SystemClock()) as camera:
+                await take(camera, 1)
+        except DecklanderError as why:
+            out["refused"] = [type(why).__name__, str(why)]
+    return out
+
+
+async def webcam_damage() -> Seen:
+    out: Seen = {}
+    async with plugged() as (_, faults):
+        for name in ("YUYV", "MJPG", "H264"):
+            out[name] = {}
+            for fault in ("torn", "marked"):
+                async with open_camera(options(format=name), SystemClock()) as camera:
+                    await take(camera, 3)
+                    faults.next = [fault]
+                    frames = await take(camera, 2 * GROUP)
+                    worst = max(farthest_from_bars(frame.px) for frame in frames)
+                    out[name][fault] = {"worst": worst} | await settled(camera)
+    return out
+
+
+async def webcam_unplugged() -> Seen:
+    """While it streams; then back on the bus, as another node, with its controls where a power-on leaves them."""
+    out: Seen = {}
+    async with plugged() as (webcam, _):
+        fixed = {"auto_exposure": 1, "exposure_time_absolute": 50}
+        async with open_camera(options(format="MJPG", controls=fixed), SystemClock()) as camera:
+            await take(camera, 3)
+            webcam.unplug()
+            began = time.monotonic()
+            await until(lambda: camera.down is not None)
+            out |= {"noticed_s": time.monotonic() - began, "down": camera.down}
+            webcam.reset()
+            webcam.plug()
+            async with asyncio.timeout(20):
+                await until(lambda: camera.down is None)
+            out["back"] = await look(camera, 4) | {"exposure": webcam.exposure.now}
+            out |= camera.counters.as_dict()
+    return out
+
+
+SCENES = (webcam_formats, webcam_controls, webcam_damage, webcam_unplugged)
