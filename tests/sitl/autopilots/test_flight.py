@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import stat
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -87,6 +90,22 @@ def test_a_program_that_ends_is_told_with_its_last_words(tmp_path: Path, near: s
     assert "ended with code 1" in said
     assert "Vehicle model not found" in said
     assert "docs/sitl.md" in said
+
+
+def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) -> None:
+    begun, folders = tmp_path / "begun", tmp_path / "folders"
+    folders.mkdir()
+    binary = program(tmp_path, f"echo $$ > {begun}.new; mv {begun}.new {begun}; exec sleep 60")
+    words = [sys.executable, "-m", "companion.cli.main", "simulate", near, "--autopilot", "arducopter", "--binary", binary]
+    with subprocess.Popen(words, cwd=ROOT, env=os.environ | {"TMPDIR": str(folders)}) as process:
+        end = time.monotonic() + 60
+        while not begun.exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        assert list(folders.iterdir())
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 143
+    assert list(folders.iterdir()) == []
+    assert not Path(f"/proc/{int(begun.read_text())}").exists()
 
 
 @pytest.mark.parametrize(
