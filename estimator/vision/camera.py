@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,10 @@ class Camera:
     distortion: F64
     """(5,) k1, k2, p1, p2, k3."""
     T_body_cam: Transform
+    distorted: bool = field(init=False)
+    _focal: F64 = field(init=False, repr=False)
+    """(2,) fx, fy, and (2,) cx, cy: made once, as pixels come in small lots."""
+    _centre: F64 = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         d = np.array(self.distortion, dtype=float)
@@ -42,6 +46,9 @@ class Camera:
             raise ValueError("fx and fy must be positive and cx, cy finite")
         d.setflags(write=False)
         object.__setattr__(self, "distortion", d)
+        object.__setattr__(self, "distorted", bool(np.any(d != 0.0)))
+        object.__setattr__(self, "_focal", np.array([self.fx, self.fy], float))
+        object.__setattr__(self, "_centre", np.array([self.cx, self.cy], float))
 
     @staticmethod
     def from_mapping(data: Mapping[str, Any], where: str = "camera") -> Camera:
@@ -85,10 +92,6 @@ class Camera:
         """(3, 3) px, zero skew."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
-    @property
-    def distorted(self) -> bool:
-        return bool(np.any(self.distortion != 0.0))
-
     def distort(self, xy: F64) -> F64:
         """(N, 2) ideal image-plane coordinates (x/z, y/z) to distorted ones."""
         k1, k2, p1, p2, k3 = self.distortion
@@ -103,19 +106,21 @@ class Camera:
         """(N, 3) m in `cam` to (N, 2) px. Points at or behind the lens (z <= 1 mm) come back as nan."""
         p = np.asarray(p_cam, dtype=float)
         z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
-        xy = p[:, :2] / z[:, None]
+        xy: F64 = p[:, :2] / z[:, None]
         if self.distorted:
             xy = self.distort(xy)
-        return np.asarray(xy * (self.fx, self.fy) + (self.cx, self.cy))
+        xy *= self._focal
+        xy += self._centre
+        return xy
 
     def rays(self, uv_px: F64) -> F64:
         """(N, 2) px to (N, 2) ideal image-plane coordinates (x/z, y/z); the inverse of `project` by Newton's method.
 
         Converges to 1e-9 wherever the distortion is one-to-one, which a calibrated lens is over its own picture.
         """
-        target = (np.asarray(uv_px, dtype=float) - (self.cx, self.cy)) / (self.fx, self.fy)
+        target: F64 = (np.asarray(uv_px, dtype=float) - self._centre) / self._focal
         if not self.distorted:
-            return np.asarray(target)
+            return target
         xy = target.copy()
         h = 1e-6
         du, dv = np.array([h, 0.0]), np.array([0.0, h])

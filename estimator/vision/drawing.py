@@ -122,17 +122,86 @@ Share = tuple[F32, F32]
 """(N,) share of a paint, and (5, N) its change with x, y (1/m) and the blur's xx, xy, yy (1/m^2)."""
 
 
-def _phi(d: F32, per: F32) -> tuple[F32, F32, F32]:
+Phi = tuple[F32, F32, F32]
+"""Normal integral of d / sigma, and its derivatives by d and by sigma squared."""
+Asked = tuple[F32, F32]
+"""d and 1 / sigma of normal integrals, of one shape."""
+
+
+def _phi(d: F32, per: F32) -> Phi:
     """Normal integral of d / sigma and its derivatives by d and by sigma squared, good to 3e-4 and smooth; `per` is 1 / sigma.
 
     Source: the tanh form of Page, Approximations to the cumulative normal function, Applied Statistics 26(1), 1977.
     """
     z = d * per
     z2 = z * z
-    t = np.tanh(z * (_A + _B * z2))
-    slope = (0.5 - 0.5 * t * t) * (_A + 3.0 * _B * z2)
+    z2 *= 3.0 * _B
+    z2 += _A
+    t = z2 + 2.0 * _A
+    t *= z
+    t *= 1.0 / 3.0
+    t = np.tanh(t, out=t)
+    slope = t * t
+    slope *= -0.5
+    slope += 0.5
+    slope *= z2
     slope *= per
-    return 0.5 + 0.5 * t, slope, slope * z * (-0.5 * per)
+    t *= 0.5
+    t += 0.5
+    z *= slope
+    z *= per
+    z *= -0.5
+    return t, slope, z
+
+
+def _phi_at_once(*asked: Asked) -> list[Phi]:
+    """The normal integrals of several shapes by one evaluation: on short arrays most of the time goes into the calls."""
+    all_ = _phi(np.concatenate([d.ravel() for d, _ in asked]), np.concatenate([per.ravel() for _, per in asked]))
+    out: list[Phi] = []
+    end = 0
+    for d, _ in asked:
+        begin, end = end, end + d.size
+        value, slope, by_var = (a[begin:end].reshape(d.shape) for a in all_)
+        out.append((value, slope, by_var))
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Round:
+    """Points as circles about the centre see them."""
+
+    x: F32
+    y: F32
+    seen: F32
+    """(N,) radius at which a blurred circle through the point would be drawn."""
+    per: F32
+    """(N,) one over it."""
+    per_sigma: F32
+    """(N,) of the blur along the radius."""
+    m_cc: F32
+    m_cs: F32
+    m_ss: F32
+
+    def change(self, c_d: F32, c_v: F32, out: F32 | None = None) -> F32:
+        """(5, ..., N) of shares (..., N) whose changes with distance and variance are given."""
+        if out is None:
+            out = np.empty((5, *c_d.shape), np.float32)
+        c_x = c_d * self.per
+        inward = c_x * -0.5
+        np.negative(c_x, out=c_x)
+        np.multiply(c_x, self.x, out=out[0])
+        np.multiply(c_x, self.y, out=out[1])
+        np.add(c_v * self.m_cc, inward * self.m_ss, out=out[2])
+        np.add(c_v * self.m_ss, inward * self.m_cc, out=out[4])
+        np.multiply(c_v - inward, self.m_cs, out=out[3])
+        return out
+
+    def part(self, part: slice) -> _Round:
+        """Some of the points."""
+        return _Round(
+            self.x[part], self.y[part], self.seen[part], self.per[part], self.per_sigma[part],
+            self.m_cc[part], self.m_cs[part], self.m_ss[part],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,59 +217,149 @@ class Blurred:
     scale2: F32
     """(N,) factor on the covariance at each point: the square of its depth against the reference."""
 
+    def part(self, part: slice) -> Blurred:
+        """Some of the points."""
+        return Blurred(self.pad, self.x[part], self.y[part], self.blur_m2, self.scale2[part])
+
     def circles(self, *radii_m: float | F32) -> list[Share]:
         """The share inside each of some circles about the centre; radii all for all points, or all (N,) for each its own."""
-        x, y, m = self.x, self.y, self.scale2
-        xx, xy, yy = self.blur_m2
-        r2 = x * x + y * y
-        per_r2 = 1.0 / np.maximum(r2, 1e-8)
-        cc, cs = x * x * per_r2, x * y * per_r2
-        ss = 1.0 - cc
-        m_cc, m_cs, m_ss = m * cc, 2.0 * m * cs, m * ss
-        per_r = 1.0 / np.sqrt(m_cc * xx + m_cs * xy + m_ss * yy)
-        seen = np.sqrt(r2 + (m_ss * xx - m_cs * xy + m_cc * yy))
-        per = 1.0 / seen
+        round_ = self._round()
         radii = np.array(radii_m, np.float32)
-        c, c_d, c_v = _phi((radii[:, None] if radii.ndim == 1 else radii) - seen, per_r)
-        c_x = -c_d * per
-        inward = 0.5 * c_x
-        d = np.empty((len(radii_m), 5, len(x)), np.float32)
-        np.multiply(c_x, x, out=d[:, 0])
-        np.multiply(c_x, y, out=d[:, 1])
-        np.add(c_v * m_cc, inward * m_ss, out=d[:, 2])
-        np.multiply(c_v - inward, m_cs, out=d[:, 3])
-        np.add(c_v * m_ss, inward * m_cc, out=d[:, 4])
+        c, c_d, c_v = _phi((radii[:, None] if radii.ndim == 1 else radii) - round_.seen, round_.per_sigma)
+        d = np.empty((len(radii_m), 5, len(self.x)), np.float32)
+        round_.change(c_d, c_v, d.transpose(1, 0, 2))
         return [(c[i], d[i]) for i in range(len(radii_m))]
+
+    def edge_shares(self, disc: slice, ring: slice, arrow: slice, h: slice) -> tuple[F32, F32, F32]:
+        """What is inside the edges that points belong to: the disc's paint, ring, ring and arrowhead, H.
+
+        Args:
+            disc, ring, arrow, h: which of the points, one after the other in this order.
+
+        Returns:
+            (N,) shares, (5, N) their changes, and of the points at the arrowhead its own share.
+        """
+        pad, n = self.pad, len(self.x)
+        round_ = self.part(slice(0, arrow.stop))._round()
+        stroke = slice(ring.start, arrow.stop)
+        edge = np.empty(arrow.stop, np.float32)
+        edge[disc], edge[stroke] = pad.disc_radius_m - pad.rim_width_m, pad.ring_outer_m
+        at_h, at_arrow = self.part(h), self.part(arrow)
+        (c, c_d, c_v), (inner, i_d, i_v), in_h, in_arrow = _phi_at_once(
+            (edge - round_.seen, round_.per_sigma),
+            (np.float32(pad.ring_inner_m) - round_.seen[stroke], round_.per_sigma[stroke]),
+            at_h._h_asks(),
+            at_arrow._arrow_asks(),
+        )
+        value, d = np.empty(n, np.float32), np.empty((5, n), np.float32)
+        head = np.empty(0, np.float32)
+        if arrow.stop > arrow.start:
+            beyond = c[arrow], round_.part(arrow).change(c_d[arrow], c_v[arrow])
+            head, d_head = at_arrow._arrow_of(in_arrow, beyond)
+        value[: arrow.stop] = c
+        value[stroke] -= inner
+        c_d[stroke] -= i_d
+        c_v[stroke] -= i_v
+        round_.change(c_d, c_v, d[:, : arrow.stop])
+        if arrow.stop > arrow.start:
+            value[arrow] += head
+            d[:, arrow] += d_head
+        at_h._h_of(in_h, value[h], d[:, h])
+        return value, d, head
 
     def arrow(self, beyond: Share) -> Share:
         """The arrowhead's part beyond the ring. `beyond` is the share inside the ring's outer edge.
 
         Holds where the blur is small against the arrowhead.
         """
-        pad, x, y, m = self.pad, self.x, self.y, self.scale2
+        return self._arrow_of(_phi(*self._arrow_asks()), beyond)
+
+    def h(self) -> Share:
+        """The H."""
+        value, d = np.empty(len(self.x), np.float32), np.empty((5, len(self.x)), np.float32)
+        self._h_of(_phi(*self._h_asks()), value, d)
+        return value, d
+
+    def _round(self) -> _Round:
+        x, y, m = self.x, self.y, self.scale2
         xx, xy, yy = self.blur_m2
-        slant = math.hypot(pad.arrow_half_base_m, pad.arrow_depth_m)
-        cu, cv = pad.arrow_half_base_m / slant, pad.arrow_depth_m / slant
-        ahead = cu * (pad.arrow_tip_m - x)
-        per = 1.0 / np.sqrt(m)
-        s, s_d, s_v = _phi(ahead - cv * y, per / math.sqrt(cu * cu * xx + 2 * cu * cv * xy + cv * cv * yy))
-        p, p_d, p_v = _phi(ahead + cv * y, per / math.sqrt(cu * cu * xx - 2 * cu * cv * xy + cv * cv * yy))
+        x2 = x * x
+        r2 = x2 + y * y
+        per_r2 = m / np.maximum(r2, 1e-8)
+        m_cc, m_cs = x2 * per_r2, (x * y) * per_r2
+        m_ss = m - m_cc
+        m_cs += m_cs
+        along = m_cc * xx + m_ss * yy
+        across = m_ss * xx + m_cc * yy
+        if xy != 0.0:
+            slant = m_cs * xy
+            along += slant
+            across -= slant
+        r2 += across
+        seen = np.sqrt(r2, out=r2)
+        return _Round(x, y, seen, 1.0 / seen, 1.0 / np.sqrt(along, out=along), m_cc, m_cs, m_ss)
+
+    def _arrow_asks(self) -> Asked:
+        """(3, N): port side, starboard side, base."""
+        pad, x, y = self.pad, self.x, self.y
+        xx, xy, yy = self.blur_m2
+        cu, cv, base = _arrow_lines(pad)
+        d, per = np.empty((3, len(x)), np.float32), np.empty((3, len(x)), np.float32)
+        ahead, aside = cu * (pad.arrow_tip_m - x), cv * y
+        np.subtract(ahead, aside, out=d[0])
+        np.add(ahead, aside, out=d[1])
+        np.subtract(x, base, out=d[2])
+        whole, slant = cu * cu * xx + cv * cv * yy, 2 * cu * cv * xy
+        sides = np.array([[whole + slant], [whole - slant], [xx]], np.float32) ** -0.5
+        np.divide(sides, np.sqrt(self.scale2), out=per)
+        return d, per
+
+    def _arrow_of(self, phi: Phi, beyond: Share) -> Share:
+        (s, p, b), (s_d, p_d, b_d), (s_v, p_v, b_v) = phi
+        m = self.scale2
+        cu, cv, _ = _arrow_lines(self.pad)
         ring, d_ring = beyond
-        out = 1.0 - ring
         both = s * p
         sp, ps = s_d * p, p_d * s
         svp, pvs = s_v * p * m, p_v * s * m
-        d = np.stack([-cu * (sp + ps), cv * (ps - sp), cu * cu * (svp + pvs), 2 * cu * cv * (svp - pvs), cv * cv * (svp + pvs)])
-        base = pad.arrow_tip_m - pad.arrow_depth_m
-        if math.hypot(base, pad.arrow_half_base_m) <= pad.ring_outer_m:
-            # The ring hides the base, and a blurred base would eat into the part beyond it: cut where the ring hides all.
-            base = 0.5 * pad.arrow_tip_m
-        b, b_d, b_v = _phi(x - base, per / math.sqrt(xx))
+        sum_v = svp + pvs
+        d = np.empty((5, len(m)), np.float32)
+        d[0], d[1] = -cu * (sp + ps), cv * (ps - sp)
+        d[2], d[3], d[4] = cu * cu * sum_v, 2 * cu * cv * (svp - pvs), cv * cv * sum_v
         d *= b
         d[0] += both * b_d
         d[2] += both * b_v * m
         both = both * b
+        out = 1.0 - ring
         return both * out, d * out - both * d_ring
+
+    def _h_asks(self) -> Asked:
+        """(8, N): for either side along x of legs and bar and along y of the H and the gap between its legs."""
+        n = len(self.x)
+        per = 1.0 / np.sqrt(self.scale2)
+        d, per8 = np.empty((8, n), np.float32), np.empty((8, n), np.float32)
+        at = d[4:]
+        at[:2], at[2:] = self.x, self.y
+        per8[:2], per8[2:4] = per * self.blur_m2[0] ** -0.5, per * self.blur_m2[2] ** -0.5
+        per8[4:] = per8[:4]
+        half = _h_halves(self.pad)
+        np.subtract(half, at, out=d[:4])
+        at += half
+        return d, per8
+
+    def _h_of(self, phi: Phi, value: F32, d: F32) -> None:
+        """Fills (N,) share and (5, N) changes."""
+        a, a_d, a_v = phi
+        m = self.scale2
+        (legs, bar, wide, gap), (legs_d, bar_d, wide_d, gap_d) = a[:4] + a[4:] - 1.0, a_d[4:] - a_d[:4]
+        legs_v, bar_v, wide_v, gap_v = (a_v[:4] + a_v[4:]) * m
+        two = wide - gap
+        np.add(legs * two, bar * gap, out=value)
+        np.add(legs_d * two, bar_d * gap, out=d[0])
+        np.add(legs * (wide_d - gap_d), bar * gap_d, out=d[1])
+        np.add(legs_v * two, bar_v * gap, out=d[2])
+        d[3] = 0.0
+        np.add(legs * (wide_v - gap_v), bar * gap_v, out=d[4])
 
     def arrow_small(self) -> Share:
         """The arrowhead's part beyond the ring where the blur is not small against it: a sum of strips along the arrow.
@@ -231,27 +390,23 @@ class Blurred:
         d[4, at] = (across_v * along).sum(axis=0) * m
         return value, d
 
-    def h(self) -> Share:
-        """The H."""
-        pad, m = self.pad, self.scale2
-        half_w = pad.h_width_m / 2
-        half = np.array([pad.h_length_m / 2, pad.bar_width_m / 2, half_w, half_w - pad.leg_width_m], np.float32)[:, None]
-        per = 1.0 / np.sqrt(m)
-        at, per4 = np.empty((4, len(m)), np.float32), np.empty((4, len(m)), np.float32)
-        at[:2], at[2:] = self.x, self.y
-        per4[:2], per4[2:] = per / math.sqrt(self.blur_m2[0]), per / math.sqrt(self.blur_m2[2])
-        a, a_d, a_v = _phi(half - at, per4)
-        b, b_d, b_v = _phi(half + at, per4)
-        (legs, bar, wide, gap), (legs_d, bar_d, wide_d, gap_d) = a + b - 1.0, b_d - a_d
-        legs_v, bar_v, wide_v, gap_v = a_v + b_v
-        two = wide - gap
-        d = np.empty((5, len(self.x)), np.float32)
-        d[0] = legs_d * two + bar_d * gap
-        d[1] = legs * (wide_d - gap_d) + bar * gap_d
-        d[2] = (legs_v * two + bar_v * gap) * m
-        d[3] = 0.0
-        d[4] = (legs * (wide_v - gap_v) + bar * gap_v) * m
-        return legs * two + bar * gap, d
+
+@lru_cache(maxsize=8)
+def _arrow_lines(pad: Pad) -> tuple[float, float, float]:
+    """Unit normal of the arrowhead's sides, along the arrow and across, and where its base lies."""
+    slant = math.hypot(pad.arrow_half_base_m, pad.arrow_depth_m)
+    base = pad.arrow_tip_m - pad.arrow_depth_m
+    if math.hypot(base, pad.arrow_half_base_m) <= pad.ring_outer_m:
+        # The ring hides the base, and a blurred base would eat into the part beyond it: cut where the ring hides all.
+        base = 0.5 * pad.arrow_tip_m
+    return pad.arrow_half_base_m / slant, pad.arrow_depth_m / slant, base
+
+
+@lru_cache(maxsize=8)
+def _h_halves(pad: Pad) -> F32:
+    """(4, 1) half lengths of legs and bar along the arrow, half widths of the H and of the gap between its legs."""
+    half_w = pad.h_width_m / 2
+    return np.array([pad.h_length_m / 2, pad.bar_width_m / 2, half_w, half_w - pad.leg_width_m], np.float32)[:, None]
 
 
 @lru_cache(maxsize=8)

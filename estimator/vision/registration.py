@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -223,81 +225,88 @@ def _by_profiles(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarge
     solver = Solver(state, tilt, pad)
     for again in range(3):
         half = min(9, max(3, math.ceil(2.2 * state.sigma_px + 1.2)))
-        taken = profiles_.sample(px, camera, pad, edges, state, options.max_profiles, half, options.gamma)
-        if taken is None:
+        got = profiles_.sample(px, camera, pad, edges, state, options.max_profiles, half, options.gamma)
+        if got is None:
             return None
-        seen = profiles_.shares(state, taken, pad)
-        mix = profiles_.channels(taken, seen[0])
+        taken, fp = got
+        seen = profiles_.shares(state, taken, pad, fp)
+        mix = profiles_.channels(taken, seen.share)
         mixed = np.concatenate([mix.mix[k] @ taken.light[:, part] for k, part in enumerate(taken.kind_parts)])
         before = state
         noise: F64 | None = None
         for n in range(5):
-            fit = profiles_.fit(state, taken, pad, mixed, noise, seen if n == 0 else None)
+            if n > 0:
+                seen = profiles_.shares(state, taken, pad)
+            fit = profiles_.fit(taken, mixed, noise, seen)
             last = state
             state, moved = solver.step(state, fit.H, fit.g, 2.0)
             delta = difference(last, state)
-            noise = profiles_.noise_after(fit, taken, delta)
+            left = profiles_.residual_after(fit, taken, delta)
             if n > 0 and moved < 0.08:
                 break
+            noise = profiles_.noise_of(left, fit, taken)
         settled = solver.moved_px(state, difference(before, state)) < 1.2 and state.sigma_px < 1.5 * before.sigma_px + 0.3
         if settled or again == 2:
             break
-    assert taken is not None
     assert noise is not None
-    if int(fit.accepted.sum()) < 3:
+    groups = int(fit.accepted.sum())
+    if groups < 3:
         return None
     judged = fit.weight > 0
-    free = int(judged.sum()) - 2 * int(fit.accepted.sum()) - N_STATE
-    left = profiles_.residual_after(fit, taken, delta)
-    scale = float((left * left * fit.per_var)[judged].sum()) / max(free, 1)
-    tau2, rms = _edge_variance(fit, delta, scale, state, options)
-    grow = _growth(fit.scores, fit.H, np.arange(len(mixed)) // taken.samples) * scale
+    free = int(judged.sum()) - 2 * groups - N_STATE
+    scale = float((left * left * fit.per_var) @ judged) / max(free, 1)
+    shifts = profiles_.shifts(fit, taken)
+    tau2, rms = _edge_variance(shifts, fit.accepted, delta, scale, state, options)
+    grow = _growth(fit, taken.samples) * scale
     H = fit.H / grow
     cov = solver.covariance(state, H)
-    pull = cov @ (fit.shift_pull / grow)
+    pull = cov @ (shifts.pull / grow)
     cov = cov + tau2 * (pull @ pull.T)
     evidence, inliers = _profile_evidence(fit, taken, mix, noise)
     if mix.mix[EdgeKind.RING].any():
-        amplitude, sigma = profiles_.arrow_amplitude(state, taken, pad, mixed)
+        amplitude, sigma = profiles_.arrow_amplitude(fit, taken, mixed, delta)
         evidence[EdgeKind.ARROW] = _arrow_evidence(
             amplitude, sigma, mix.contrast[EdgeKind.RING], float(taken.in_view[EdgeKind.ARROW])
         )
-    light = [
-        float(noise[k].mean()) / float(mix.mix[k] @ mix.mix[k]) for k in EdgeKind if noise[k].max() < 1.0 and mix.mix[k].any()
-    ]
-    noise_light = math.sqrt(float(np.mean(light))) if light else 0.0
+    size2 = (mix.mix * mix.mix).sum(axis=1)
+    shown = (noise.max(axis=1) < 1.0) & (size2 > 0.0)
+    noise_light = math.sqrt(float((noise.mean(axis=1)[shown] / size2[shown]).mean())) if shown.any() else 0.0
     visible, arrow = float(taken.in_view.mean()), evidence[EdgeKind.ARROW].seen
     return _Solved(state, H, cov, evidence, noise_light, rms, visible, inliers, moved, arrow, False, False)
 
 
-def _edge_variance(fit: profiles_.ProfileFit, delta: F64, noise: float, state: State, options: Options) -> tuple[float, float]:
+def _edge_variance(
+    shifts: profiles_.Shifts, accepted: NDArray[np.bool_], delta: F64, noise: float, state: State, options: Options
+) -> tuple[float, float]:
     """Variance (px^2) of edges' places that neither noise nor pose explains, and the square root of what was measured.
 
     Source: DerSimonian & Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7(3), 1986.
     """
-    on = fit.accepted & (fit.shift_information > 1.0)
+    on = accepted & (shifts.information > 1.0)
     floor = options.edge_sigma_px**2 + (options.edge_sigma_m / state.m_per_px) ** 2
     n = int(on.sum())
     if n <= N_STATE:
         return floor, 0.0
-    left = fit.shift[on] - (delta @ fit.shift_pull[:, on]) / fit.shift_information[on]
-    w, shift = fit.shift_information[on] / noise, np.clip(left, -2.0, 2.0)
+    left = shifts.px[on] - (delta @ shifts.pull[:, on]) / shifts.information[on]
+    w, shift = shifts.information[on] / noise, np.minimum(np.maximum(left, -2.0), 2.0)
     # Noise makes n - 9 of it, the rest is the drawing's.
-    excess = float(w @ shift**2) - (n - N_STATE)
+    excess = float(w @ (shift * shift)) - (n - N_STATE)
     tau2 = max(0.0, excess / (float(w.sum()) * (1.0 - N_STATE / n)))
     return max(floor, tau2), math.sqrt(tau2)
 
 
-def _growth(scores: F64, H: F64, cluster: NDArray[np.intp]) -> float:
-    """Factor on the covariance for residuals that neighbouring pixels share, from sums of scores over clusters; at least 1.
+def _growth(fit: profiles_.ProfileFit, samples: int) -> float:
+    """Factor on the covariance for residuals that the pixels of a profile share, from sums of scores over it; at least 1.
 
     Source: Liang & Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73(1), 1986.
     """
-    scale = np.sqrt(np.maximum(np.diag(H)[:N_POSE], 1e-300))
-    u = scores[:N_POSE] / scale[:, None]
-    alone = float((u * u).sum())
-    n = int(cluster.max()) + 1
-    together = sum(float((np.bincount(cluster, row, minlength=n) ** 2).sum()) for row in u)
+    scores = fit.Jw[:N_POSE] * fit.residual
+    per = 1.0 / np.maximum(np.diag(fit.H)[:N_POSE], 1e-300)
+    each = scores.reshape(-1, samples) @ np.ones(samples)
+    scores *= scores
+    each *= each
+    alone = float(per @ scores.sum(axis=1))
+    together = float(per @ each.reshape(N_POSE, -1).sum(axis=1))
     return max(1.0, together / alone) if alone > 0 else 1.0
 
 
@@ -315,19 +324,18 @@ def _profile_evidence(
     fit: profiles_.ProfileFit, taken: profiles_.Profiles, mix: profiles_.Channels, noise: F64
 ) -> tuple[dict[EdgeKind, Evidence], float]:
     out: dict[EdgeKind, Evidence] = {}
-    pixels = np.add.reduceat(taken.usable, taken.starts)
-    agree = np.add.reduceat(fit.weight, taken.starts)
-    for kind in EdgeKind:
-        of = taken.group_kind == kind
-        judged = of & (pixels > 8)
-        if not judged.any():
-            out[kind] = Evidence(np.zeros(3), 0.0, float(taken.in_view[kind]), 0.0)
+    pixels, agree = np.add.reduceat(np.stack([taken.usable, fit.weight]), taken.starts, axis=1)
+    enough = pixels > 8
+    # Tukey's weights are 0.9 in the mean of Gaussian noise.
+    counted, agreed = (np.stack([pixels * enough, agree * enough]) @ taken.of_kind).tolist()
+    for kind, var in zip(EdgeKind, noise.mean(axis=1).tolist(), strict=True):
+        in_view = float(taken.in_view[kind])
+        if not counted[kind]:
+            out[kind] = Evidence(np.zeros(3), 0.0, in_view, 0.0)
             continue
-        contrast = whole_.median(fit.contrast[judged])
-        snr = contrast / math.sqrt(float(noise[kind].mean())) if noise[kind].mean() < 0.5 else 0.0
-        # Tukey's weights are 0.9 in the mean of Gaussian noise.
-        share = min(1.0, float(agree[judged].sum()) / (0.9 * float(pixels[judged].sum())))
-        out[kind] = Evidence(mix.contrast[kind] * contrast, snr, float(taken.in_view[kind]), share)
+        contrast = whole_.median(fit.contrast[enough & (taken.group_kind == kind)])
+        snr = contrast / math.sqrt(var) if var < 0.5 else 0.0
+        out[kind] = Evidence(mix.contrast[kind] * contrast, snr, in_view, min(1.0, agreed[kind] / (0.9 * counted[kind])))
     return out, min(1.0, float(agree.sum()) / max(1.0, 0.9 * float(pixels.sum())))
 
 
@@ -354,17 +362,33 @@ def _arrow_evidence(amplitude: float, sigma: float, contrast: F64, in_view: floa
 
 
 def _likeness(kind: EdgeKind, contrast_bgr: F64, pad: Pad) -> float:
-    paints = pad.colours
-    inside = {EdgeKind.RING: paints.ring, EdgeKind.ARROW: paints.ring, EdgeKind.H: paints.h}.get(kind)
-    size = float(np.linalg.norm(contrast_bgr))
-    if inside is None or size < 1e-6:
-        return 1.0
-    table = light_table(True)
-    nominal = table[list(inside[::-1])] - table[list(paints.disc[::-1])]
-    return float(nominal @ contrast_bgr) / (size * max(float(np.linalg.norm(nominal)), 1e-6))
+    nominal = _contrasts(pad).get(kind)
+    size = math.sqrt(float(contrast_bgr @ contrast_bgr))
+    return 1.0 if nominal is None or size < 1e-6 else float(nominal @ contrast_bgr) / size
+
+
+@lru_cache(maxsize=8)
+def _contrasts(pad: Pad) -> Mapping[EdgeKind, F64]:
+    """(3,) BGR way from the disc's paint to those of the pad file, of length 1."""
+    table, paints = light_table(True), pad.colours
+    ways = {kind: table[list(rgb[::-1])] - table[list(paints.disc[::-1])] for kind, rgb in (
+        (EdgeKind.RING, paints.ring), (EdgeKind.ARROW, paints.ring), (EdgeKind.H, paints.h),
+    )}  # fmt: skip
+    return MappingProxyType({kind: way / max(float(np.linalg.norm(way)), 1e-6) for kind, way in ways.items()})
+
+
+@lru_cache(maxsize=8)
+def _outline(pad: Pad) -> tuple[F64, tuple[slice, ...]]:
+    """(M, 3) m points of the edges, and which of them are of each kind."""
+    edges = edges_of(pad)
+    at = edges.at_m[::4]
+    borders = np.searchsorted(edges.kind[::4], np.arange(len(EdgeKind) + 1)).tolist()
+    return np.c_[at, np.zeros(len(at))], tuple(slice(a, b) for a, b in pairwise(borders))
 
 
 def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: State, options: Options) -> bool:
+    if not _opposite_in_view(camera, pad, state):
+        return False
     got = whole_.patch(px, camera, pad, state, 3.0, options.whole_pixels, options.gamma, exact=True)
     if got is None:
         return False
@@ -374,10 +398,19 @@ def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: State, options: 
     return arrow is not None and arrow[1] - arrow[0] > max(0.5, 4.0 * arrow[2])
 
 
+def _opposite_in_view(camera: Camera, pad: Pad, state: State) -> bool:
+    """Whether a corner of an arrowhead turned by half, or its middle, lies in the picture."""
+    corners = -pad.arrowhead()[:, :2]
+    at = np.concatenate([corners, corners.mean(axis=0, keepdims=True)]) @ state.R[:, :2].T + state.t
+    uv = camera.project(at)
+    with np.errstate(invalid="ignore"):
+        return bool(((uv > 0.0) & (uv < (camera.width, camera.height))).all(axis=1).any())
+
+
 def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None) -> Registration | None:
     state = solved.state
     cov9, H = solved.cov, solved.H
-    if not (np.all(np.isfinite(cov9)) and np.all(np.isfinite(state.t))) or float(state.R[:, 2] @ state.t) <= 0:
+    if not math.isfinite(float(cov9.sum() + state.t.sum())) or float(state.R[:, 2] @ state.t) <= 0:
         return None
     # What the blur could be instead is eliminated, not ignored.
     blur = H[6:, 6:] + np.eye(3) * WEAK_BLUR_PX2**-2
@@ -386,10 +419,12 @@ def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None
     T = np.zeros((6, 6))
     T[:3, :3] = T[3:, 3:] = pose.R_cam_pad.matrix
     cov, information = T @ cov9[:6, :6] @ T.T, T @ information @ T.T
-    judged = {kind: replace(e, likeness=_likeness(kind, e.contrast_bgr, pad)) for kind, e in solved.edges.items()}
-    edges = edges_of(pad)
-    outline = camera.project(pose.points(np.c_[edges.at_m[::4], np.zeros(len(edges.at_m[::4]))]))
-    kinds = edges.kind[::4]
+    judged = {
+        kind: Evidence(e.contrast_bgr, e.snr, e.in_view, e.inliers, _likeness(kind, e.contrast_bgr, pad))
+        for kind, e in solved.edges.items()
+    }
+    points, of_kind = _outline(pad)
+    outline = camera.project(pose.points(points))
     turn = pose.R_cam_pad.matrix[:2, :2]
     b = state.blur_px2
     in_picture = turn @ np.array([[b[0], b[1]], [b[1], b[2]]]) @ turn.T
@@ -397,5 +432,5 @@ def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None
         pose, 0.5 * (cov + cov.T), 0.5 * (information + information.T), prior, MappingProxyType(judged),
         not solved.arrow_seen, np.array([in_picture[0, 0] - 1 / 12, in_picture[0, 1], in_picture[1, 1] - 1 / 12]),
         solved.noise_light, solved.edge_rms_px, solved.visible, solved.inliers, solved.last_step_px, solved.whole,
-        tuple(outline[kinds == kind] for kind in EdgeKind),
+        tuple(outline[part] for part in of_kind),
     )  # fmt: skip

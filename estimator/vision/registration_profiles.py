@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -18,12 +19,14 @@ from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, Edges
 from estimator.vision.pad import Pad
-from estimator.vision.registration_state import N_STATE, U8, State, light_table, pixel_rays
+from estimator.vision.registration_state import N_STATE, U8, Footprint, State, light_table, pixel_rays
 from estimator.vision.registration_whole import TUKEY, median
 
 KINDS = len(EdgeKind)
 _IN_GROUP = 6
 _MIN_SPACING_PX = 1.3
+_ARROW_COUNTS = 3.0
+"""The arrowhead's sides are short and tell the heading: so many times as many profiles as of other edges."""
 _STILL_OFF_PX = 0.1
 _CONTRAST_RATIO = (0.4, 2.5)
 """Contrast of a group against its kind's median: what shade, sun and wear can do to paint, and a stranger's edge cannot."""
@@ -39,100 +42,139 @@ class Profiles:
     """(3, N) BGR linear light."""
     usable: F64
     """(N,) 0 for a pixel taken twice or one that sees a third paint."""
+    worth: F64
+    """(N,) what it counts for the pose: less where profiles lie closer than elsewhere."""
     samples: int
     """Pixels of a profile: N = profiles * samples."""
-    uv_px: F64
-    """(P, 2) where the drawing's edge points were expected."""
-    kind_parts: tuple[slice, ...]
+    kind_parts: tuple[slice, slice, slice, slice]
     """Of the N pixels, for each `EdgeKind`."""
     starts: NDArray[np.intp]
     """(G,) first pixel of each group."""
-    sizes: NDArray[np.intp]
-    """(G,) pixels of each group."""
     group_kind: NDArray[np.intp]
     """(G,)."""
+    of_kind: F64
+    """(G, KINDS) 1 for the group's kind."""
+    groups: tuple[int, ...]
+    """(KINDS,) how many of each."""
+    group: NDArray[np.intp]
+    """(N,) each pixel's group."""
+    kind: NDArray[np.intp]
+    """(N,) each pixel's kind."""
     in_view: F64
     """(KINDS,) share of each kind's edges that lies in the picture."""
 
 
+@lru_cache(maxsize=8)
+def _table(edges: Edges) -> tuple[F64, NDArray[np.intp], F64, F64]:
+    """What is used of the edges at once.
+
+    Returns:
+        (5, M) x, y, 1 and the normal of every point; (KINDS,) first point of each kind, and how many there are; (M,) the length
+        of edge that a point stands for where profiles are shared out.
+    """
+    rows = np.concatenate([edges.at_m.T, np.ones((1, len(edges.at_m))), edges.normal.T])
+    first = np.searchsorted(edges.kind, np.arange(KINDS + 1))
+    length = np.where(edges.kind == EdgeKind.ARROW, _ARROW_COUNTS, 1.0) * edges.spacing_m
+    return rows, first[:-1], np.diff(first).astype(float), length
+
+
 def sample(
     px: U8, camera: Camera, pad: Pad, edges: Edges, state: State, max_profiles: int, half: int, gamma: bool
-) -> Profiles | None:
-    """Profiles of 2 * half + 1 pixels across the edges in view; None when there are too few to fix anything."""
-    R, t = state.R, state.t
-    here = edges.at_m @ R[:, :2].T + t
-    step = 1e-4
-    z = here[:, 2]
+) -> tuple[Profiles, Footprint] | None:
+    """Profiles of 2 * half + 1 pixels across the edges in view, and where they look; None when too few to fix anything."""
+    rows, first, total, length = _table(edges)
+    to_cam = np.zeros((6, 5))
+    to_cam[:3, :2] = to_cam[3:, 3:] = state.R[:, :2]
+    to_cam[:3, 2] = state.t
+    p = to_cam @ rows
+    seen = p[2] > 0.02
     if camera.distorted:
-        uv = camera.project(here)
-        out = camera.project(here + edges.normal @ R[:, :2].T * step) - uv
+        step = 1e-4
+        uv = camera.project(p[:3].T).T
+        out = (camera.project((p[:3] + step * p[3:]).T).T - uv) / step
     else:
-        with np.errstate(all="ignore"):
-            per = 1.0 / np.where(z > 0.02, z, np.nan)
-            way = edges.normal @ R[:, :2].T
-            focal = np.array([camera.fx, camera.fy])
-            uv = here[:, :2] * per[:, None] * focal + (camera.cx, camera.cy)
-            out = (way[:, :2] - here[:, :2] * (way[:, 2] * per)[:, None]) * (per[:, None] * focal) * step
-    margin = half + 1.0
-    with np.errstate(invalid="ignore"):
-        seen = (uv[:, 0] > margin) & (uv[:, 0] < camera.width - 1 - margin)
-        seen &= (uv[:, 1] > margin) & (uv[:, 1] < camera.height - 1 - margin)
-    total = np.bincount(edges.kind, minlength=KINDS)
-    in_view = np.bincount(edges.kind[seen], minlength=KINDS) / np.maximum(total, 1)
-    at = np.nonzero(seen)[0]
+        per = 1.0 / np.maximum(p[2], 0.02)
+        focal = np.array([[camera.fx], [camera.fy]])
+        xy = p[:2] * per
+        out = p[3:5] - xy * p[5]
+        out *= focal * per
+        uv = xy * focal
+        uv += ((camera.cx,), (camera.cy,))
+    middle = np.array([[0.5 * (camera.width - 1)], [0.5 * (camera.height - 1)]])
+    # nan, behind a distorting lens, compares as false.
+    within = np.abs(uv - middle) < middle - (half + 1.0)
+    seen &= within[0]
+    seen &= within[1]
+    at = seen.nonzero()[0]
     if len(at) < 8:
         return None
-    px_per_m = np.hypot(out[at, 0], out[at, 1]) / step
-    way_px = np.cumsum(edges.spacing_m[at] * px_per_m)
+    in_view = np.add.reduceat(seen, first, dtype=float) / total
+    uv, out = uv.take(at, axis=1), out.take(at, axis=1)
+    steep2 = out * out
+    way_px = np.sqrt(steep2[0] + steep2[1])
+    way_px *= length.take(at)
+    way_px = way_px.cumsum()
     spacing = max(_MIN_SPACING_PX, float(way_px[-1]) / max_profiles)
-    ticks = np.floor(way_px / spacing)
-    at = at[np.diff(ticks, prepend=-1.0) > 0]
-    uv, out = uv[at], out[at]
+    ticks = (way_px * (1.0 / spacing)).astype(np.intp)
+    first_of_tick = np.empty(len(at), np.bool_)
+    first_of_tick[0] = True
+    np.not_equal(ticks[1:], ticks[:-1], out=first_of_tick[1:])
+    chosen = first_of_tick.nonzero()[0]
+    at, uv, out = at.take(chosen), uv.take(chosen, axis=1), out.take(chosen, axis=1)
 
-    k = np.arange(-half, half + 1)
-    steep = np.abs(out[:, 1]) > np.abs(out[:, 0])
-    along = np.where(steep, out[:, 1], out[:, 0])
-    per = 1.0 / np.where(np.abs(along) > 1e-9, along, 1e-9)
-    u = np.rint(uv[:, :1] + k * (out[:, :1] * per[:, None])).astype(np.intp).ravel()
-    v = np.rint(uv[:, 1:] + k * (out[:, 1:] * per[:, None])).astype(np.intp).ravel()
-    flat = v * camera.width + u
-    owner = np.empty(int(flat.max()) + 1, np.int32)
+    n = 2 * half + 1
+    along = np.where(np.abs(out[1]) > np.abs(out[0]), out[1], out[0])
+    out /= np.where(np.abs(along) > 1e-9, along, 1e-9)
+    places = out[:, :, None] * np.arange(-half, half + 1.0)
+    places += uv[:, :, None]
+    pixels = np.rint(places, out=places).astype(np.intp).reshape(2, -1)
+    flat = pixels[1] * camera.width
+    flat += pixels[0]
+    owner = np.empty(camera.width * camera.height, np.int32)
     mine = np.arange(len(flat), dtype=np.int32)
     owner[flat] = mine
     usable = (owner[flat] == mine).astype(float)
-    light = np.ascontiguousarray(light_table(gamma)[px.reshape(-1, 3)[flat]].T)
-    rays = pixel_rays(camera, u, v)
+    light = light_table(gamma).take(px.reshape(-1, 3).take(flat, axis=0).T)
+    rays = pixel_rays(camera, pixels[0], pixels[1])
 
-    kind, piece = edges.kind[at], edges.piece[at]
-    first = np.nonzero(np.diff(piece, prepend=-1))[0]
-    rank = np.arange(len(at)) - np.repeat(first, np.diff(first, append=len(at)))
-    begins = np.nonzero(rank % _IN_GROUP == 0)[0]
-    n = 2 * half + 1
-    borders = np.searchsorted(kind, np.arange(KINDS + 1)) * n
+    kind, piece = edges.kind.take(at), edges.piece.take(at)
+    begin = np.searchsorted(piece, piece)
+    begins = ((np.arange(len(at)) - begin) % _IN_GROUP == 0).nonzero()[0]
+    borders = (np.searchsorted(kind, np.arange(KINDS + 1)) * n).tolist()
+    disc, ring, arrow, h = (slice(a, b) for a, b in pairwise(borders))
     starts = begins * n
+    sizes = np.empty_like(starts)
+    np.subtract(starts[1:], starts[:-1], out=sizes[:-1])
+    sizes[-1] = len(flat) - starts[-1]
+    group_kind = kind.take(begins)
+    of_kind = np.eye(KINDS).take(group_kind, axis=0)
+    worth = np.ones(len(flat))
+    worth[arrow] = 1.0 / _ARROW_COUNTS
     profiles = Profiles(
-        rays, light, usable, n, uv, tuple(slice(int(a), int(b)) for a, b in pairwise(borders)),
-        starts, np.diff(starts, append=len(flat)), kind[begins], in_view,
+        rays, light, usable, worth, n, (disc, ring, arrow, h), starts, group_kind, of_kind, tuple(map(int, of_kind.sum(axis=0))),
+        np.repeat(np.arange(len(starts)), sizes), np.repeat(kind, n), in_view,
     )  # fmt: skip
-    profiles.usable[_foreign(state, profiles, pad)] = 0.0
-    return profiles
+    fp = state.footprint(rays, pad)
+    usable[_foreign(state, profiles, fp, pad)] = 0.0
+    worth *= usable
+    return profiles, fp
 
 
-def _foreign(state: State, profiles: Profiles, pad: Pad) -> NDArray[np.bool_]:
+def _foreign(state: State, profiles: Profiles, fp: Footprint, pad: Pad) -> NDArray[np.bool_]:
     """(N,) pixels within three sigmas of an edge of another kind."""
-    places = state.footprint(profiles.rays, pad).places
+    places = fp.places
     x, y = np.abs(places.x), np.abs(places.y)
-    r = np.hypot(x, y)
+    r = np.sqrt(x * x + y * y)
     clear = 3.0 * state.sigma_px * state.m_per_px
     field = pad.disc_radius_m - pad.rim_width_m
-    out = np.zeros(len(r), np.bool_)
+    out = np.empty(len(r), np.bool_)
     disc, ring, arrow, h = profiles.kind_parts
-    out[disc] = r[disc] < pad.ring_outer_m + clear
-    tip = (places.x[disc] > 0) & (r[disc] < pad.arrow_tip_m + clear) & (y[disc] < pad.arrow_half_base_m + clear)
-    out[disc] |= tip
+    at = r[disc]
+    out[disc] = at < pad.ring_outer_m + clear
+    out[disc] |= (places.x[disc] > 0) & (at < pad.arrow_tip_m + clear) & (y[disc] < pad.arrow_half_base_m + clear)
     if pad.rim_width_m:
         # Where no pixel sees the rim alone, its inner edge is not to be told from its outer one.
-        out[disc] |= (r[disc] > pad.disc_radius_m - clear) | (pad.rim_width_m < 2.0 * clear)
+        out[disc] |= (at > pad.disc_radius_m - clear) | (pad.rim_width_m < 2.0 * clear)
     out[ring] = (r[ring] > field - clear) | ((x[ring] < pad.h_length_m / 2 + clear) & (y[ring] < pad.h_width_m / 2 + clear))
     out[arrow] = r[arrow] > field - clear
     out[h] = r[h] > pad.ring_inner_m - clear
@@ -141,14 +183,26 @@ def _foreign(state: State, profiles: Profiles, pad: Pad) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channels:
-    """For each kind the sum of colour channels that tells its two paints apart best, and its noise."""
+    """For each kind the sum of colour channels that tells its two paints apart best."""
 
     mix: F64
     """(KINDS, 3): of light; contrast 1 between the paints."""
     contrast: F64
     """(KINDS, 3) BGR light, inside less outside."""
-    var: F64
-    """(KINDS, 2) of the mixed light, outside and inside."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shares:
+    """What pixels see where a state puts them."""
+
+    share: F64
+    """(N,) of the paint inside."""
+    J: F64
+    """(9, N) its change with the state."""
+    per_px: F64
+    """(N,) its change as the edge moves outward by one px."""
+    head: F64
+    """Of the pixels at the arrowhead, its own share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,193 +217,233 @@ class ProfileFit:
     """(N,) mixed light less the model's."""
     per_var: F64
     """(N,) one over the variance that was taken for it."""
-    share: F64
-    """(N,) of the paint inside."""
+    w: F64
+    """(N,) what a pixel counts: the same, its worth and its robust weight."""
+    shares: Shares
     J: F64
     """(9, N) change of the model with the state, light levels held."""
+    Jw: F64
+    """(9, N) the same, weighted."""
+    sums: F64
+    """(2, 9, G) sums of weighted changes, and of them times share, over each group."""
     levels: F64
     """(2, 9, G) change of a group's light outside and contrast that makes up best for a change of the state."""
+    inverse: tuple[F64, F64, F64]
+    """(G,) the elements of the covariance of a group's light outside and contrast."""
     weight: F64
     """(N,) robust weight 0..1, of usable pixels in accepted groups."""
     contrast: F64
     """(G,) of each group in units of its kind's."""
-    level: F64
-    """(G,) mixed light outside."""
     accepted: NDArray[np.bool_]
     """(G,)."""
-    scores: F64
-    """(9, N) the gradient's summands."""
-    shift: F64
-    """(G,) px by which each group's edge lies outside of where the fit has it."""
-    shift_information: F64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shifts:
+    """What each group's edge says of its own place."""
+
+    px: F64
+    """(G,) by which it lies outside of where the fit has it."""
+    information: F64
     """(G,) px^-2."""
-    shift_pull: F64
+    pull: F64
     """(9, G) how a shift of a group by one px pulls at the gradient."""
 
 
-def shares(state: State, profiles: Profiles, pad: Pad) -> tuple[F64, F64, F64]:
-    """(N,) share of the paint inside, (9, N) its change with the state, (N,) its change as the edge moves outward by one px."""
-    fp = state.footprint(profiles.rays, pad)
-    disc, _, arrow, h = profiles.kind_parts
-    n = len(profiles.usable)
-    value, d = np.empty(n, np.float32), np.empty((5, n), np.float32)
-    round_ = slice(0, arrow.stop)
-    radii = np.empty((2, arrow.stop), np.float32)
-    radii[:, disc] = ((pad.disc_radius_m - pad.rim_width_m,), (0.0,))
-    radii[:, disc.stop :] = ((pad.ring_outer_m,), (pad.ring_inner_m,))
-    (outer, d_outer), (inner, d_inner) = fp.part(round_).circles(*radii)
-    np.subtract(outer, inner, out=value[round_])
-    np.subtract(d_outer, d_inner, out=d[:, round_])
-    if arrow.stop > arrow.start:
-        head, d_head = fp.part(arrow).arrow((outer[arrow], d_outer[:, arrow]))
-        value[arrow] += head
-        d[:, arrow] += d_head
-    value[h], d[:, h] = fp.part(h).h()
-    steepness = np.sqrt(d[0] * d[0] + d[1] * d[1]) * (state.m_per_px * np.sqrt(fp.places.scale2))
-    return value.astype(float), fp.jacobian(d).astype(float), steepness.astype(float)
+def shares(state: State, profiles: Profiles, pad: Pad, fp: Footprint | None = None) -> Shares:
+    """See `Shares`; `fp` where it has been worked out already."""
+    if fp is None:
+        fp = state.footprint(profiles.rays, pad)
+    value, d, head = fp.places.edge_shares(*profiles.kind_parts)
+    steepness = d[0] * d[0]
+    steepness += d[1] * d[1]
+    steepness *= fp.places.scale2
+    np.sqrt(steepness, out=steepness)
+    steepness *= state.m_per_px
+    return Shares(value.astype(float), fp.jacobian(d).astype(float), steepness.astype(float), head.astype(float))
 
 
 def channels(profiles: Profiles, share: F64) -> Channels:
     """The mix of colours of each kind, from all its pixels together."""
-    mix, contrast = np.zeros((KINDS, 3)), np.zeros((KINDS, 3))
-    for kind, part in enumerate(profiles.kind_parts):
-        s, w = share[part], profiles.usable[part]
-        total = float(w.sum())
-        if total < 8:
-            continue
-        light = profiles.light[:, part]
-        mean_s, mean = float(w @ s) / total, light @ w / total
-        ds = (s - mean_s) * w
-        c = (light @ ds) / max(float(ds @ (s - mean_s)), 1e-9)
-        per_var = 1.0 / (mean + 0.02)
-        norm = float(c * c @ per_var)
-        if norm < 1e-6:
-            continue
-        contrast[kind], mix[kind] = c, c * per_var / norm
-    if mix[EdgeKind.RING].any():
+    w = profiles.usable
+    rows = np.empty((9, len(w)))
+    rows[0] = w
+    np.multiply(w, share, out=rows[1])
+    np.multiply(rows[1], share, out=rows[2])
+    np.multiply(profiles.light, w, out=rows[3:6])
+    np.multiply(profiles.light, rows[1], out=rows[6:])
+    sums = np.add.reduceat(rows, profiles.starts, axis=1) @ profiles.of_kind
+    total = np.maximum(sums[0], 1e-9)
+    mean = sums[3:6] / total
+    c = (sums[6:] - mean * sums[1]) / np.maximum(sums[2] - sums[1] * sums[1] / total, 1e-9)
+    per_var = c / (mean + 0.02)
+    norm = (c * per_var).sum(axis=0)
+    good = (sums[0] >= 8.0) & (norm >= 1e-6)
+    contrast = np.where(good, c, 0.0).T
+    mix = np.where(good, per_var / np.maximum(norm, 1e-6), 0.0).T
+    if good[EdgeKind.RING]:
         # Arrowhead and ring are one paint; where no arrowhead is, none must be made out of the ring.
         contrast[EdgeKind.ARROW], mix[EdgeKind.ARROW] = contrast[EdgeKind.RING], mix[EdgeKind.RING]
-    return Channels(mix, contrast, np.full((KINDS, 2), np.nan))
+    return Channels(mix, contrast)
 
 
-def fit(
-    state: State, profiles: Profiles, pad: Pad, mixed: F64, noise: F64 | None, known: tuple[F64, F64, F64] | None = None
-) -> ProfileFit:
+def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Shares) -> ProfileFit:
     """One linearisation.
 
     Args:
         mixed: (N,) light through `Channels.mix`.
         noise: (KINDS, 2) variance outside and inside; None at first.
-        known: `shares` of this state, where they have been worked out already; changed.
+        seen: of the state.
     """
-    s, J, per_px = known if known is not None else shares(state, profiles, pad)
-    starts, sizes = profiles.starts, profiles.sizes
+    s = seen.share
+    starts, group = profiles.starts, profiles.group
     n = len(s)
+    rows = np.empty((5, n))
     if noise is None:
-        per_var = np.ones(n)
+        w = profiles.worth
     else:
-        per_var = np.empty(n)
-        for kind, part in enumerate(profiles.kind_parts):
-            per_var[part] = 1.0 / (noise[kind, 0] + (noise[kind, 1] - noise[kind, 0]) * np.clip(s[part], 0.0, 1.0))
-    w = profiles.usable * per_var
-    robust = np.ones(n)
+        per_var = (noise[:, 1] - noise[:, 0]).take(profiles.kind)
+        per_var *= s
+        per_var += noise[:, 0].take(profiles.kind)
+        np.divide(1.0, per_var, out=per_var)
+        w = profiles.worth * per_var
+    robust: F64 | None = None
     for round_ in range(2):
-        ws = w * s
-        W, S, Y, SS, SY = np.add.reduceat(np.stack([w, ws, w * mixed, ws * s, ws * mixed]), starts, axis=1)
-        W = W + 1e-9
+        rows[0] = w
+        np.multiply(w, s, out=rows[1])
+        np.multiply(w, mixed, out=rows[2])
+        np.multiply(rows[1], s, out=rows[3])
+        np.multiply(rows[1], mixed, out=rows[4])
+        W, S, Y, SS, SY = np.add.reduceat(rows, starts, axis=1)
+        W += 1e-9
         spread = SS - S * S / W
         B = (SY - S * Y / W) / np.maximum(spread, 1e-6 * W)
         A = (Y - B * S) / W
-        r = mixed - np.repeat(A, sizes) - np.repeat(B, sizes) * s
+        each_B = B.take(group)
+        r = mixed - A.take(group)
+        r -= each_B * s
         if round_ == 1:
             break
         if noise is None:
-            first = _noise(r, s, profiles.usable, profiles)
-            for kind, part in enumerate(profiles.kind_parts):
-                per_var[part] = 1.0 / float(first[kind].max())
+            per_var = (1.0 / _noise(r, s, profiles.usable, profiles).max(axis=1)).take(profiles.kind)
+            w = profiles.worth * per_var
         else:
             # The state may still be off by a little: what that makes of an edge is no outlier.
-            aside = _STILL_OFF_PX * np.repeat(np.minimum(np.abs(B), 2.0), sizes) * per_px
-            u = np.maximum(1.0 - r * r / (TUKEY**2 * (1.0 / per_var + aside * aside)), 0.0)
-            robust = u * u
-        w = profiles.usable * per_var * robust
+            aside = np.minimum(np.abs(B), 2.0).take(group)
+            aside *= seen.per_px
+            aside *= aside
+            aside *= TUKEY**2 * _STILL_OFF_PX**2
+            aside += TUKEY**2 / per_var
+            robust = r * r
+            robust /= aside
+            np.subtract(1.0, robust, out=robust)
+            np.maximum(robust, 0.0, out=robust)
+            robust *= robust
+            w = w * robust
     accepted = (_CONTRAST_RATIO[0] < B) & (_CONTRAST_RATIO[1] > B) & (spread > 0.02 * W)
-    on = np.repeat(accepted, sizes)
-    w = np.where(on, w, 0.0)
-    each_B = np.repeat(B, sizes)
-    J *= each_B
-    Jw = J * w
-    # How much lighter a pixel gets when the edge moves outward by one px.
-    per_px = each_B * per_px
-    pw = per_px * w
-    sums = np.add.reduceat(np.concatenate([Jw, Jw * s, Jw * per_px, np.stack([pw, pw * s, pw * per_px, pw * r])]), starts, axis=1)
-    C0, C1, CP = sums[:N_STATE], sums[N_STATE : 2 * N_STATE], sums[2 * N_STATE : 3 * N_STATE]
-    p0, p1, pp, pr = sums[3 * N_STATE :]
+    on = accepted.astype(float).take(group)
+    weight = profiles.usable * on
+    if robust is not None:
+        weight *= robust
+    J = seen.J * each_B
+    weighted = np.empty((2, N_STATE, n))
+    w = w * on
+    Jw = np.multiply(J, w, out=weighted[0])
+    np.multiply(Jw, s, out=weighted[1])
+    sums = np.add.reduceat(weighted, starts, axis=2)
     det = 1.0 / np.maximum(W * SS - S * S, 1e-12)
     M00, M01, M11 = SS * det, -S * det, W * det
-    cross = (C0 * M01) @ C1.T
-    H = Jw @ J.T - (C0 * M00) @ C0.T - (C1 * M11) @ C1.T - cross - cross.T
+    levels = np.empty_like(sums)
+    np.add(sums[0] * M00, sums[1] * M01, out=levels[0])
+    np.add(sums[0] * M01, sums[1] * M11, out=levels[1])
+    H = Jw @ J.T
+    H -= sums[0] @ levels[0].T
+    H -= sums[1] @ levels[1].T
+    return ProfileFit(H, Jw @ r, r, per_var, w, seen, J, Jw, sums, levels, (M00, M01, M11), weight, B, accepted)
+
+
+def shifts(fit: ProfileFit, profiles: Profiles) -> Shifts:
+    """See `Shifts`."""
+    # How much lighter a pixel gets when the edge moves outward by one px.
+    per_px = fit.contrast.take(profiles.group) * fit.shares.per_px
+    rows = np.empty((N_STATE + 4, len(per_px)))
+    np.multiply(fit.Jw, per_px, out=rows[:N_STATE])
+    pw = np.multiply(per_px, fit.w, out=rows[N_STATE])
+    np.multiply(pw, fit.shares.share, out=rows[N_STATE + 1])
+    np.multiply(pw, per_px, out=rows[N_STATE + 2])
+    np.multiply(pw, fit.residual, out=rows[N_STATE + 3])
+    sums = np.add.reduceat(rows, profiles.starts, axis=1)
+    p0, p1, pp, pr = sums[N_STATE:]
+    M00, M01, M11 = fit.inverse
     q0, q1 = M00 * p0 + M01 * p1, M01 * p0 + M11 * p1
     information = np.maximum(pp - p0 * q0 - p1 * q1, 0.0)
-    shift = np.where(information > 1e-6, pr / np.maximum(information, 1e-6), 0.0)
-    scores = Jw * r
-    weight = profiles.usable * robust * on
-    pull = CP - C0 * q0 - C1 * q1
-    levels = np.stack([C0 * M00 + C1 * M01, C0 * M01 + C1 * M11])
-    return ProfileFit(
-        H, scores.sum(axis=1), r, per_var, s, J, levels, weight, B, A, accepted, scores, shift, information, pull,
-    )  # fmt: skip
+    px = np.where(information > 1e-6, pr / np.maximum(information, 1e-6), 0.0)
+    return Shifts(px, information, sums[:N_STATE] - fit.sums[0] * q0 - fit.sums[1] * q1)
 
 
 def residual_after(fit: ProfileFit, profiles: Profiles, delta: F64) -> F64:
     """(N,) what the linearisation expects to be left of the residuals after a step (9,)."""
     a, b = delta @ fit.levels
-    return np.asarray(fit.residual - delta @ fit.J + np.repeat(a, profiles.sizes) + np.repeat(b, profiles.sizes) * fit.share)
+    left: F64 = b.take(profiles.group)
+    left *= fit.shares.share
+    left += a.take(profiles.group)
+    left += fit.residual
+    left -= delta @ fit.J
+    return left
 
 
-def noise_after(fit: ProfileFit, profiles: Profiles, delta: F64) -> F64:
-    """(KINDS, 2) variance on either side of the edges once a step (9,) has been made."""
-    return _noise(residual_after(fit, profiles, delta), fit.share, fit.weight, profiles)
+def noise_of(left: F64, fit: ProfileFit, profiles: Profiles) -> F64:
+    """(KINDS, 2) variance on either side of the edges, of what is left of the residuals (N,)."""
+    return _noise(left, fit.shares.share, fit.weight, profiles)
 
 
 def _noise(r: F64, s: F64, weight: F64, profiles: Profiles) -> F64:
     """(KINDS, 2) variance on either side of the edges, from residuals."""
-    out = np.empty((KINDS, 2))
+    q = r * r
+    on = weight > 0.0
+    usual, grow = [1.0] * KINDS, [0.0] * KINDS
     for kind, part in enumerate(profiles.kind_parts):
-        q, inside, w = r[part] ** 2, np.clip(s[part], 0.0, 1.0), weight[part] > 0
-        count = int(w.sum())
-        if count < 12:
-            out[kind] = 1.0
-            continue
-        q, inside = q[w], inside[w]
-        # Each group has spent two of its pixels on its light levels.
-        spent = 2 * int((profiles.group_kind == kind).sum())
-        robust_var = median(q) / 0.4549
-        good = q < 9.0 * robust_var
-        q, inside = q[good], inside[good]
-        grow = count / max(count - spent, 1)
-        for side, share in enumerate((1.0 - inside, inside)):
-            total = float(share.sum())
-            out[kind, side] = grow * max(float(q @ share) / total, 0.05 * robust_var) if total > 4 else grow * robust_var
-    return np.maximum(out, 1e-9)
+        some = q[part][on[part]]
+        count = len(some)
+        if count >= 12:
+            usual[kind] = median(some) / 0.4549
+            # Each group has spent two of its pixels on its light levels.
+            grow[kind] = count / max(count - 2 * profiles.groups[kind], 1)
+    good = q < (9.0 * np.array(usual)).take(profiles.kind)
+    good &= on
+    rows = np.empty((4, len(q)))
+    rows[0] = good
+    np.multiply(good, s, out=rows[1])
+    np.multiply(rows[:2], q, out=rows[2:])
+    sums = (np.add.reduceat(rows, profiles.starts, axis=1) @ profiles.of_kind).T.tolist()
+    out = np.ones((KINDS, 2))
+    for kind, (n, inside, squares, squares_inside) in enumerate(sums):
+        if grow[kind]:
+            for side, (total, of) in enumerate(((n - inside, squares - squares_inside), (inside, squares_inside))):
+                var = max(of / total, 0.05 * usual[kind]) if total > 4.0 else usual[kind]
+                out[kind, side] = max(grow[kind] * var, 1e-9)
+    return out
 
 
-def arrow_amplitude(state: State, profiles: Profiles, pad: Pad, mixed: F64) -> tuple[float, float]:
-    """How much of an arrowhead there is beside the ring's stroke, and its sigma; 1 is a whole one, (0, inf) when out of view."""
+def arrow_amplitude(fit: ProfileFit, profiles: Profiles, mixed: F64, delta: F64) -> tuple[float, float]:
+    """How much of an arrowhead there is beside the ring's stroke, and its sigma; 1 is a whole one, (0, inf) when out of view.
+
+    Args:
+        delta: (9,) the step that was made from where the fit is linearised.
+    """
     part = profiles.kind_parts[EdgeKind.ARROW]
     w = profiles.usable[part]
-    if float(w.sum()) < 12:
+    free = float(w.sum())
+    if free < 12:
         return 0.0, math.inf
-    b = state.footprint(profiles.rays[part], pad).places
-    outer, inner = b.circles(pad.ring_outer_m, pad.ring_inner_m)
-    ring = (outer[0] - inner[0]).astype(float)
-    arrow = b.arrow(outer)[0].astype(float)
-    columns = np.stack([np.ones_like(ring), ring, arrow])
-    M = (columns * w) @ columns.T + 1e-6 * np.eye(3)
-    a = np.linalg.solve(M, (columns * w) @ mixed[part])
-    r = (mixed[part] - a @ columns) * w
-    var = float(r @ r) / max(1.0, float(w.sum()) - 3.0) * float(np.linalg.inv(M)[2, 2])
-    return float(a[2]), math.sqrt(var)
+    head = fit.shares.head
+    columns = np.stack([np.ones_like(head), fit.shares.share[part] - head, head])
+    weighted = columns * w
+    light = mixed[part] - delta @ fit.J[:, part]
+    inverse = np.linalg.inv(weighted @ columns.T + 1e-6 * np.eye(3))
+    a = inverse @ (weighted @ light)
+    r = (light - a @ columns) * w
+    return float(a[2]), math.sqrt(float(r @ r) / max(1.0, free - 3.0) * float(inverse[2, 2]))
 
 
 def spacing_ok(state: State, pad: Pad) -> bool:

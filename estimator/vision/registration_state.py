@@ -7,6 +7,7 @@ slopes k = (x - cx) / h against the plane's normal, where the camera stands at (
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -54,8 +55,8 @@ class State:
 
     @property
     def pose(self) -> PadPose:
-        u, _, vt = np.linalg.svd(self.R)
-        return PadPose(Rotation(u @ vt), self.t)
+        # One Newton step to the nearest rotation: products of a few rotations are off by no more than rounding.
+        return PadPose(Rotation(self.R @ (1.5 * np.eye(3) - 0.5 * self.R.T @ self.R)), self.t)
 
     @property
     def blur_m2(self) -> tuple[float, float, float]:
@@ -65,7 +66,7 @@ class State:
     @property
     def sigma_px(self) -> float:
         """Of the point spread with the pixel, mean over directions."""
-        return float(np.sqrt(0.5 * (self.blur_px2[0] + self.blur_px2[2])))
+        return math.sqrt(0.5 * float(self.blur_px2[0] + self.blur_px2[2]))
 
     def reduced(self, k: int, smoothing_px2: float) -> State:
         """The same in pixels k times as wide, with what their square and a smoothing of them add to the blur."""
@@ -82,26 +83,27 @@ class State:
     def moved(self, delta: F64) -> State:
         """(9,) increment applied; the blur stays a covariance no smaller than a pixel's."""
         R = self.R @ cv2.Rodrigues(delta[3:6])[0]
-        xx, xy, yy = self.blur_px2 + delta[6:9]
+        xx, xy, yy = (self.blur_px2 + delta[6:9]).tolist()
         if not (
             min(xx, yy) > _PIXEL_VAR and max(xx, yy) < 0.9 * _MAX_BLUR_PX2 and (xx - _PIXEL_VAR) * (yy - _PIXEL_VAR) > xy * xy
         ):
             values, vectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
             m = (vectors * np.clip(values, _PIXEL_VAR, _MAX_BLUR_PX2)) @ vectors.T
             xx, xy, yy = m[0, 0], m[0, 1], m[1, 1]
-        return replace(self, R=R, t=self.t + self.R @ delta[:3], blur_px2=np.array([xx, xy, yy]))
+        return State(R, self.t + self.R @ delta[:3], np.array([xx, xy, yy]), self.m_per_px, self.depth_m)
 
     def footprint(self, rays: F64, pad: Pad) -> Footprint:
         """Where pixels look. `rays` (N, 2) are x/z, y/z."""
-        r = rays @ self.R[:2] + self.R[2]
-        c = -(self.R.T @ self.t)
-        h = -c[2]
-        per = 1.0 / np.maximum(r[:, 2], 1e-3)
-        k1, k2 = r[:, 0] * per, r[:, 1] * per
-        scale = (h / self.depth_m) * per
         # Single precision is 1e-7 of the pad; the transcendental functions to come take a third of the time in it.
-        x, y, scale2 = (a.astype(np.float32) for a in (c[0] + h * k1, c[1] + h * k2, scale * scale))
-        return Footprint(Blurred(pad, x, y, self.blur_m2, scale2), k1.astype(np.float32), k2.astype(np.float32), self.m_per_px**2)
+        R = self.R.astype(np.float32)
+        r = R[:2].T @ rays.T.astype(np.float32)
+        r += R[2][:, None]
+        c0, c1, c2 = (-(self.t @ self.R)).tolist()
+        per = 1.0 / np.maximum(r[2], 1e-3)
+        k1, k2 = r[:2] * per
+        per *= -c2 / self.depth_m
+        per *= per
+        return Footprint(Blurred(pad, c0 - c2 * k1, c1 - c2 * k2, self.blur_m2, per), k1, k2, self.m_per_px**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,21 +115,15 @@ class Footprint:
     k2: F32
     m2_per_px2: float
 
-    def part(self, part: slice) -> Blurred:
-        """The places of some of the pixels."""
-        b = self.places
-        return Blurred(b.pad, b.x[part], b.y[part], b.blur_m2, b.scale2[part])
-
     def jacobian(self, d: F32) -> F32:
         """(5, ..., N) change with x, y and the blur in m^2, to (9, ..., N) change with the state."""
         x, y = self.places.x, self.places.y
         out = np.empty((N_STATE, *d.shape[1:]), np.float32)
-        g = self.k1 * d[0] + self.k2 * d[1]
         np.negative(d[:2], out=out[:2])
-        out[2] = g
-        out[3] = y * g
-        out[4] = -x * g
-        out[5] = y * d[0] - x * d[1]
+        g = np.add(self.k1 * d[0], self.k2 * d[1], out=out[2])
+        np.multiply(y, g, out=out[3])
+        np.multiply(-x, g, out=out[4])
+        np.subtract(y * d[0], x * d[1], out=out[5])
         np.multiply(d[2:], self.m2_per_px2, out=out[6:])
         return out
 
@@ -143,7 +139,10 @@ def pixel_rays(camera: Camera, u: NDArray[np.intp], v: NDArray[np.intp]) -> F64:
     """(N, 2) rays of whole pixels."""
     if camera.distorted:
         return ray_map(camera)[v, u]
-    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy], axis=1)
+    rays = np.empty((2, len(u)))
+    np.multiply(u - camera.cx, 1.0 / camera.fx, out=rays[0])
+    np.multiply(v - camera.cy, 1.0 / camera.fy, out=rays[1])
+    return rays.T
 
 
 @lru_cache(maxsize=2)
