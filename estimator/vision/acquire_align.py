@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -120,9 +121,11 @@ class Local:
 
 class _Samples(NamedTuple):
     rays: F32
+    """(3, n)."""
     light: F32
+    """(3, n)."""
     local: F32
-    """(n, 3) square root of light, less its mean in the neighbourhood."""
+    """(3, n) square root of light, less its mean in the neighbourhood."""
     side_m: float
 
 
@@ -153,18 +156,19 @@ def align(
     model = _model(maps(pad)[fit], samples, samples.light, R, t, pad, slopes=False)
     if model is None:
         return None
-    even = np.ones(len(model.light), np.float32)
+    even = np.ones(model.light.shape[1], np.float32)
     paints, weight, _, _ = _paint(model.light, model.share, even, standing=True)
     drawing = maps(pad, True)[fit]
-    own_light, own_share = samples.local[model.used], sampled(drawing.share, _at(model.xy, drawing))[:, 0]
+    own_light, own_share = samples.local.take(model.used, axis=1), _sampled(drawing.share, _at(model.xy, drawing))
     own_paints, own_weight, _, _ = _paint(own_light, own_share, even, standing=True)
-    level = int(np.clip(math.floor(math.log2(max(1.0, camera.fx * pad.arrow_depth_m / (_ARROW_SAMPLES * t[2])))), 0, _LEVELS))
+    level = min(_LEVELS, math.floor(math.log2(max(1.0, camera.fx * pad.arrow_depth_m / (_ARROW_SAMPLES * t[2])))))
     arrow = arrow_places(pyramid[level], 1 << level, _ROOT, camera, pad, pose, own_paints.astype(float))
-    inside = float(np.count_nonzero((model.xy**2).sum(axis=1) < pad.disc_radius_m**2)) * samples.side_m**2
+    r2 = model.xy * model.xy
+    inside = float(np.count_nonzero(r2[0] + r2[1] < pad.disc_radius_m**2)) * samples.side_m**2
     return Laid(
-        pose, paints.astype(float), model.light, model.share, model.xy, weight, samples.side_m,
+        pose, paints.astype(float), model.light.T, model.share.T, model.xy.T, weight, samples.side_m,
         min(1.0, inside / (math.pi * pad.disc_radius_m**2 * abs(float(R[2, 2])))), tilt_sigmas,
-        Local(own_paints.astype(float), own_light, own_share, own_weight), arrow,
+        Local(own_paints.astype(float), own_light.T, own_share.T, own_weight), arrow,
     )  # fmt: skip
 
 
@@ -186,8 +190,9 @@ def _move(
     fit = _blur_of(samples, t, camera)
     softer = min(fit + 1, len(BLURS_M) - 1)
     tilt = np.zeros(2)
-    trust = np.ones(len(samples.rays), np.float32)
-    if len(samples.rays) < _FEW:
+    n = samples.rays.shape[1]
+    trust = np.ones(n, np.float32)
+    if n < _FEW:
         steps *= 2
     least = {steps // 2: _LEAST_HALFWAY, 0: _LEAST_AT_START}
     for i in range(steps):
@@ -219,122 +224,158 @@ def _move(
 def _blur_of(samples: _Samples, t: F64, camera: Camera) -> int:
     """Which of the drawing's blurs is the samples'."""
     blur = math.hypot(0.29 * samples.side_m, _LENS_BLUR_PX * float(t[2]) / camera.fx)
-    return int(np.argmin(np.abs(_LOG_BLURS - math.log(blur))))
+    return int(np.abs(_LOG_BLURS - math.log(blur)).argmin())
+
+
+@lru_cache(maxsize=8)
+def _box(pad: Pad) -> F64:
+    """(24, 3) m, a circle that what is sampled lies in."""
+    return pad.circle(1.15 * pad.disc_radius_m, 24)
+
+
+@lru_cache(maxsize=16)
+def _grid(camera: Camera, k: int, width: int, height: int) -> F32:
+    """(3, height, width) x/z, y/z and 1 of the middles of the pixels of a picture `k` times smaller, made once."""
+    u, v = np.meshgrid((np.arange(width) + 0.5) * k - 0.5, (np.arange(height) + 0.5) * k - 0.5)
+    rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).T.reshape(2, height, width)
+    return np.concatenate([rays, np.ones((1, height, width))]).astype(np.float32)
 
 
 def _gather(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, most: int) -> _Samples | None:
     """The pixels about the disc, from the level of the pyramid that has neither too many nor too few of them there."""
     if pose.t_cam_pad[2] < 0.02:
         return None
-    edge = pose.points(pad.circle(1.15 * pad.disc_radius_m, 24))
-    near = edge[:, 2] < 0.05
-    if near.any():
-        low, high = np.zeros(2), np.array([camera.width, camera.height], float)
-    else:
+    edge = pose.points(_box(pad))
+    x0, y0, x1, y1 = 0.0, 0.0, float(camera.width), float(camera.height)
+    if not float(edge[:, 2].min()) < 0.05:
         uv = camera.project(edge)
-        low, high = np.maximum(uv.min(axis=0), 0.0), np.minimum(uv.max(axis=0) + 1.0, (camera.width, camera.height))
-    if np.any(high - low < 3.0):
+        (low_u, low_v), (high_u, high_v) = uv.min(axis=0).tolist(), uv.max(axis=0).tolist()
+        x0, y0, x1, y1 = max(x0, low_u), max(y0, low_v), min(x1, high_u + 1.0), min(y1, high_v + 1.0)
+    if x1 - x0 < 3.0 or y1 - y0 < 3.0:
         return None
-    area = float(np.prod(high - low))
-    level = int(np.clip(math.ceil(0.5 * math.log2(max(1.0, area / most))), 0, _LEVELS))
+    level = min(_LEVELS, max(0, math.ceil(0.5 * math.log2((x1 - x0) * (y1 - y0) / most))))
     k = 1 << level
     px = pyramid[level]
-    a, b = np.floor(low / k).astype(int), np.minimum(np.ceil(high / k).astype(int), (px.shape[1], px.shape[0]))
-    if np.any(b - a < 3):
+    height, width = px.shape[:2]
+    left, top, right, below = (
+        math.floor(x0 / k),
+        math.floor(y0 / k),
+        min(math.ceil(x1 / k), width),
+        min(math.ceil(y1 / k), height),
+    )
+    if right - left < 3 or below - top < 3:
         return None
-    patch = px[a[1] : b[1], a[0] : b[0]]
-    u, v = np.meshgrid(np.arange(a[0], b[0]), np.arange(a[1], b[1]))
-    uv = (np.stack([u.ravel(), v.ravel()], axis=1) + 0.5) * k - 0.5
-    light = cv2.LUT(patch, _LINEAR)
+    patch = px[top:below, left:right]
     side = float(k * pose.t_cam_pad[2] / camera.fx)
-    root = cv2.sqrt(light)
+    root = cv2.LUT(patch, _ROOT)
     local = root - cv2.GaussianBlur(root, (0, 0), LOCAL_M / side, borderType=cv2.BORDER_REPLICATE)
-    xy = camera.rays(uv)
-    rays = np.ones((len(xy), 3), np.float32)
-    rays[:, :2] = xy
-    return _Samples(rays, np.asarray(light.reshape(-1, 3), np.float32), np.asarray(local.reshape(-1, 3), np.float32), side)
+    rays = _grid(camera, k, width, height)[:, top:below, left:right].reshape(3, -1)
+    return _Samples(rays, _channels(cv2.LUT(patch, _LINEAR)), _channels(local), side)
+
+
+def _channels(picture: NDArray[Any]) -> F32:
+    """(h, w, c) to (c, h * w): channel by channel, numpy's loops are long."""
+    return np.ascontiguousarray(picture.reshape(-1, picture.shape[2]).T, dtype=np.float32)
 
 
 class _Model(NamedTuple):
     """The samples that lie on or near the disc, for one pose."""
 
     light: F32
+    """(3, n)."""
     share: F32
+    """(4, n)."""
     slope_x: F32
     slope_y: F32
     xy: F32
+    """(2, n)."""
     ab: F32
-    """(n, 2) of the rays in `pad`, over their depth."""
-    used: NDArray[np.bool_]
-    """Which of all samples these are."""
+    """(2, n) of the rays in `pad`, over their depth."""
+    used: NDArray[np.intp]
+    """(n,) which of all samples these are."""
 
 
 def _model(drawing: Maps, samples: _Samples, light: F32, R: F64, t: F64, pad: Pad, slopes: bool = True) -> _Model | None:
-    r = samples.rays @ R.astype(np.float32)
-    c = (t @ R).astype(np.float32)
-    down = np.maximum(r[:, 2:], np.float32(0.05))
-    ab = r[:, :2] / down
-    xy = ab * c[2] - c[:2]
+    r = R.T.astype(np.float32) @ samples.rays
+    c0, c1, c2 = (t @ R).tolist()
+    ab = r[:2] / np.maximum(r[2], 0.05)
+    xy = ab * c2
+    xy -= np.array([[c0], [c1]], np.float32)
     limit = min(REACH * pad.disc_radius_m - 2.0 / drawing.per_m, 1.12 * pad.disc_radius_m + samples.side_m)
-    used = (r[:, 2] > 0.05) & (xy[:, 0] * xy[:, 0] + xy[:, 1] * xy[:, 1] < limit**2)
-    if np.count_nonzero(used) < _LEAST_SAMPLES:
+    r2 = xy * xy
+    used = ((r[2] > 0.05) & (r2[0] + r2[1] < limit**2)).nonzero()[0]
+    if len(used) < _LEAST_SAMPLES:
         return None
-    ab, xy = ab[used], xy[used]
+    ab, xy = ab.take(used, axis=1), xy.take(used, axis=1)
     at = _at(xy, drawing)
-    share = sampled(drawing.share, at)[:, 0]
+    share = _sampled(drawing.share, at)
+    light = light.take(used, axis=1)
     if not slopes:
-        return _Model(light[used], share, share, share, xy, ab, used)
-    slope_x, slope_y = (sampled(m, at)[:, 0] for m in (drawing.slope_x, drawing.slope_y))
-    return _Model(light[used], share, slope_x, slope_y, xy, ab, used)
+        return _Model(light, share, share, share, xy, ab, used)
+    return _Model(light, share, _sampled(drawing.slope_x, at), _sampled(drawing.slope_y, at), xy, ab, used)
 
 
 def _at(xy: F32, drawing: Maps) -> F32:
-    """Places on the pad to coordinates in the maps, whose rows run with x."""
-    return np.ascontiguousarray(
-        (xy[:, ::-1] * np.float32(drawing.per_m) + np.float32(drawing.centre))[:, None, :], dtype=np.float32
-    )
+    """(2, n) places on the pad to (n, 1, 2) coordinates in the maps, whose rows run with x."""
+    at = np.empty((xy.shape[1], 1, 2), np.float32)
+    np.multiply(xy[::-1].T, drawing.per_m, out=at[:, 0])
+    at += drawing.centre
+    return at
+
+
+def _sampled(drawing: F32, at: F32) -> F32:
+    """(4, n)."""
+    return np.ascontiguousarray(sampled(drawing, at)[:, 0].T)
 
 
 def _paint(light: F32, share: F32, weight: F32, standing: bool = False) -> tuple[F32, F32, F32, float]:
-    """Paints by weighted least squares, new weights, residuals and their spread; from the weights of the step before.
+    """Paints (4, 3) by weighted least squares, new weights, residuals (3, n) and their spread; from the weights before.
 
     While the pose moves the weights are Cauchy's; once it stands, Geman and McClure's, which let go of what does not fit.
     """
-    floor = _NOISE * math.sqrt(float((light * light).sum(axis=1).max()))
-    low = int(_SOUND * len(light))
-    rounds = 4 if standing else 2
-    for _ in range(rounds):
-        weighted = share * weight[:, None]
-        A = weighted.T @ share
-        A.flat[::5] += np.float32(1e-4 * len(light))
-        paints = np.linalg.solve(A, weighted.T @ light)
-        residual = light - share @ paints
-        squared = (residual * residual).sum(axis=1)
-        spread = max(floor, 1e-4, (_SPREAD_SHARP if standing else _SPREAD) * math.sqrt(float(np.partition(squared, low)[low])))
-        weight = 1.0 / (1.0 + squared * np.float32(0.25 / spread**2))
+    n = light.shape[1]
+    both = np.concatenate([share, light])
+    floor = max(1e-4, _NOISE * math.sqrt(float((light * light).sum(axis=0).max())))
+    low = int(_SOUND * n)
+    usual = _SPREAD_SHARP if standing else _SPREAD
+    for _ in range(4 if standing else 2):
+        normal = (share * weight) @ both.T
+        normal.flat[:28:8] += 1e-4 * n
+        ok, paints = cv2.solve(normal[:, :4], normal[:, 4:], flags=cv2.DECOMP_CHOLESKY)
+        if not ok:
+            paints = np.linalg.solve(normal[:, :4], normal[:, 4:])
+        residual = light - paints.T @ share
+        squared = (residual * residual).sum(axis=0)
+        spread = max(floor, usual * math.sqrt(float(np.partition(squared, low)[low])))
+        squared *= 0.25 / spread**2
+        squared += 1.0
+        weight = 1.0 / squared
         if standing:
             weight *= weight
-    return paints, weight, residual, spread
+    return np.asarray(paints, np.float32), weight, residual, spread
 
 
 def _explained(light: F32, residual: F32, weight: F32) -> float:
     """Share of the light's weighted variance that the model explains."""
-    mean = (weight @ light) / float(weight.sum())
-    total = float((weight @ np.square(light - mean)).sum())
-    return 1.0 - float((weight @ np.square(residual)).sum()) / max(total, 1e-12)
+    apart = light - (light @ weight / float(weight.sum()))[:, None]
+    total = float((apart * apart @ weight).sum())
+    return 1.0 - float((residual * residual @ weight).sum()) / max(total, 1e-12)
 
 
 def _normal(paints: F32, weight: F32, residual: F32, spread: float, model: _Model) -> tuple[F64, F64]:
     """Normal matrix and gradient of a small (move, turn) in `pad`."""
-    gx, gy = model.slope_x @ paints, model.slope_y @ paints
-    x, y = model.xy[:, :1], model.xy[:, 1:]
-    along = gx * model.ab[:, :1] + gy * model.ab[:, 1:]
-    columns = np.concatenate([-gx, -gy, along, along * y, along * -x, gx * y - gy * x], axis=1)
-    J = columns.reshape(len(x), 6, 3).transpose(1, 0, 2).reshape(6, -1)
-    w = np.repeat(weight, 3)
-    Jw = J * w
+    gx, gy = paints.T @ model.slope_x, paints.T @ model.slope_y
+    x, y = model.xy
+    J = np.empty((6, *gx.shape), np.float32)
+    np.negative(gx, out=J[0])
+    np.negative(gy, out=J[1])
+    along = np.add(gx * model.ab[0], gy * model.ab[1], out=J[2])
+    np.multiply(along, y, out=J[3])
+    np.multiply(along, -x, out=J[4])
+    np.subtract(gx * y, gy * x, out=J[5])
+    Jw = (J * weight).reshape(6, -1)
     scale = spread**-2
-    return (Jw @ J.T).astype(float) * scale, (Jw @ residual.ravel()).astype(float) * scale
+    return (Jw @ J.reshape(6, -1).T).astype(float) * scale, (Jw @ residual.ravel()).astype(float) * scale
 
 
 def _solved(N: F64, g: F64, tilt: F64, sigma_tilt: float) -> F64:
@@ -345,4 +386,5 @@ def _solved(N: F64, g: F64, tilt: F64, sigma_tilt: float) -> F64:
     g = g.copy()
     g[3:5] -= tilt * sigma_tilt**-2
     M.flat[::7] = M.flat[::7] * 1.001 + 1e-6
-    return np.asarray(np.linalg.solve(M, g), float)
+    ok, step = cv2.solve(M, g[:, None], flags=cv2.DECOMP_CHOLESKY)
+    return np.asarray(step[:, 0] if ok else np.linalg.solve(M, g), float)

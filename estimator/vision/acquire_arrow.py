@@ -49,6 +49,8 @@ class _Design:
     """(n,) share of the arrowhead."""
     others: F64
     """(n, 4) even, slopes, ring."""
+    own: tuple[F64, F64]
+    """(n, 4) orthogonal columns of `others`, and (n,) what they leave of the arrowhead, where all of the place is in view."""
 
 
 @lru_cache(maxsize=16)
@@ -63,7 +65,13 @@ def _design(pad: Pad, blur: int) -> _Design:
         for s in (1, -1)
     )
     others = np.stack([np.ones(len(xy)), xx.ravel() - xx.mean(), yy.ravel(), aft], axis=1)
-    return _Design(xy, (fore - aft).astype(np.float32), others)
+    arrow = (fore - aft).astype(np.float32)
+    return _Design(xy, arrow, others, _left(others, arrow.astype(float)))
+
+
+def _left(others: F64, arrow: F64) -> tuple[F64, F64]:
+    Q, _ = np.linalg.qr(others)
+    return Q, arrow - Q @ (Q.T @ arrow)
 
 
 def arrow_places(
@@ -92,17 +100,19 @@ def arrow_places(
         uv = (camera.project(sign * design.xy_m @ R.T + t) + 0.5) / step - 0.5
         with np.errstate(invalid="ignore"):
             inside = (uv[:, 0] > -0.5) & (uv[:, 0] < w - 0.5) & (uv[:, 1] > -0.5) & (uv[:, 1] < h - 0.5)
-        seen = float(energy[inside].sum() / energy.sum())
+        whole = bool(inside.all())
+        seen = 1.0 if whole else float(energy[inside].sum() / energy.sum())
         if seen < 0.6:
             out.append(nothing)
             continue
         at = np.fmax(uv, -1e4).astype(np.float32)[:, None]
-        light = cv2.LUT(sampled(picture, at), lut)[:, 0].astype(float)
-        v = (light[inside] @ way) / length
-        X, T = design.others[inside], design.arrow[inside].astype(float)
+        v = cv2.LUT(sampled(picture, at), lut)[:, 0] @ (way / length)
         # Even light, slope and ring taken out of both, what is left of one is measured by the other (Frisch and Waugh 1933).
-        Q, _ = np.linalg.qr(X)
-        T = T - Q @ (Q.T @ T)
+        if whole:
+            Q, T = design.own
+        else:
+            v = v[inside]
+            Q, T = _left(design.others[inside], design.arrow[inside].astype(float))
         rest = v - Q @ (Q.T @ v)
         total, square = float(T @ T), float(rest @ rest)
         strength = float(T @ rest) / total if total > 1e-9 else 0.0
