@@ -194,10 +194,14 @@ def _by_whole(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget |
     solver = Solver(state, tilt, pad)
     fit: whole_.WholeFit | None = None
     moved = math.inf
-    for n in range(9):
-        final = (n >= 1 and moved < 0.05) or n == 8
+    grown = 0.0
+    for n in range(12):
+        # The pose follows the blur: it may rest for a step while the blur is still on its way.
+        final = (n >= 1 and moved < 0.05 and grown < 0.1) or n == 11
         fit = whole_.fit(state, cut, pad, fit, options.whole_edge_sigma_px, final)
+        last = state
         state, moved = solver.step(state, fit.H, fit.g, 1.5, blur_too=n > 0)
+        grown = abs(state.sigma_px - last.sigma_px)
         if final:
             break
     assert fit is not None

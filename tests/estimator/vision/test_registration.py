@@ -96,6 +96,17 @@ def test_blur_does_not_bias_range(camera: Camera, pad: Pad, height_m: float) -> 
             assert float(np.mean(blur)) == pytest.approx(blur_px, rel=0.08)
 
 
+def test_the_distant_pad_is_not_left_while_its_blur_is_on_the_way(camera: Camera, pad: Pad) -> None:
+    stage = Stage(camera, pad, sensor=Sensor(exposure_s=0.0, psf_sigma_px=2.0))
+    for _ in range(12):
+        view = stage.view(12.0)
+        found = register(view.px, camera, pad, stage.start(view, 0.3), view.orientation(), TRACK)
+        assert found is not None
+        assert found.blur_px == pytest.approx(2.0, abs=0.2)
+        away = found.pose.t_cam_pad[2] - view.pose.t_cam_pad[2]
+        assert abs(away) < 4.5 * float(np.sqrt(found.cov[2, 2]))
+
+
 def test_motion_blur_is_seen_in_its_direction(camera: Camera, pad: Pad) -> None:
     stage = Stage(camera, pad, sensor=Sensor(exposure_s=0.02))
     view = stage.view(2.0, tilt_rad=0.0, yaw_rad=0.0, v_body_ned=(0.0, 1.0, 0.0))
