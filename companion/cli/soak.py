@@ -8,9 +8,10 @@ import json
 import sys
 import time
 from collections import Counter
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import msgspec
 
@@ -41,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Land again and again, each flight over a sea of its own and with faults of its own, and watch what the "
         "process takes: memory, descriptors, threads, tasks, time to start, CPU. In real time the daemon flies the simulated "
         "drone through sockets; --virtual flies without them, as fast as this machine can. Exit code 1 when something grew that "
-        "must not: memory by 2 % after warm-up, the others by one.",
+        "must not: memory by 2 % after warm-up, the others by one. Ctrl-C ends it early and says what there is.",
     )
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--hours", type=float, default=1.0, metavar="H", help="how long; with --virtual, of flight (default 1)")
@@ -72,6 +73,8 @@ class Tally:
     on_pad: int = 0
     flown_s: float = 0.0
     readings: list[Reading] = field(default_factory=list)
+    file: TextIO | None = None
+    """Each reading goes there at once: a soak that is cut keeps what it has seen."""
     _said: float = 0.0
 
     @property
@@ -82,6 +85,13 @@ class Tally:
         """A reading, and each minute a line about it."""
         reading = read(time.monotonic() - self.began, self.flights, tasks)
         self.readings.append(reading)
+        if self.file is not None:
+            try:
+                self.file.write(json.dumps(asdict(reading)) + "\n")
+                self.file.flush()
+            except OSError as why:
+                sys.stderr.write(f"--readings: {self.file.name}: {why.strerror or why}; no more are written\n")
+                self.file = None
         if not quiet and reading.at_s - self._said >= _SAY_EACH_S:
             self._said = reading.at_s
             sys.stderr.write(
@@ -99,20 +109,26 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--flights needs --virtual, and is 1 or more")
     scenario = load_scenario(args.scenario)
     settings = _rig(args, scenario)
-    tally = Tally()
-    if args.virtual:
-        _virtually(args, scenario, settings, tally)
-    else:
-        asyncio.run(_really(args, settings, tally))
-    warm_up_s = min(WARM_UP_MOST_S, WARM_UP_SHARE * tally.readings[-1].at_s)
-    found = findings(tally.readings, warm_up_s)
-    if args.readings is not None:
-        _write(args.readings, tally.readings)
+    interrupted: KeyboardInterrupt | None = None
+    with ExitStack() as stack:
+        tally = Tally(file=None if args.readings is None else stack.enter_context(_opened(args.readings)))
+        try:
+            if args.virtual:
+                _virtually(args, scenario, settings, tally)
+            else:
+                asyncio.run(_really(args, settings, tally))
+        except KeyboardInterrupt as why:
+            interrupted = why
+    found = None
+    if tally.readings:
+        found = findings(tally.readings, min(WARM_UP_MOST_S, WARM_UP_SHARE * tally.readings[-1].at_s))
     extra: dict[str, Any] = {}
-    if not args.no_cpu:
+    if not args.no_cpu and interrupted is None:
         extra["start_s"] = start_time_s(args.config or "sim")
         extra["cpu_share"] = {str(rate): asdict(asyncio.run(cpu_at(rate, scenario, settings))) for rate in FRAME_RATES_HZ}
     _say(args, tally, found, extra)
+    if interrupted is not None:
+        raise interrupted
     return 0 if found is not None and not found.faults else 1
 
 
@@ -168,10 +184,10 @@ async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) ->
             reading.cancel()
             listening.cancel()
             daemon.stop()
-        tally.flown_s = time.monotonic() - tally.began
         if ended_early:
             raise Recoverable("the simulated drone ended; what it said stands above")
     finally:
+        tally.flown_s = time.monotonic() - tally.began
         child.stdin.close()
         await child.communicate()
 
@@ -190,9 +206,9 @@ async def _read(tally: Tally, quiet: bool) -> None:
         tally.take(len(asyncio.all_tasks()), quiet)
 
 
-def _write(path: Path, readings: list[Reading]) -> None:
+def _opened(path: Path) -> TextIO:
     try:
-        path.write_text("".join(json.dumps(asdict(reading)) + "\n" for reading in readings))
+        return path.open("w", encoding="utf-8")
     except OSError as why:
         raise BadInput(f"--readings: {path}: {why.strerror or why}") from why
 

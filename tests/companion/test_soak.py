@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -11,6 +15,7 @@ import pytest
 from companion.cli import main as cli
 from companion.soak import Reading, findings, read
 
+ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="there is no /proc here")
 
 
@@ -73,3 +78,27 @@ def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.Capt
     assert said["findings"] is None, "too short to say what grows"
     assert said["flown_s"] >= 3.0
     assert len(os.listdir("/proc/self/fd")) <= descriptors
+
+
+def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
+    readings, near = tmp_path / "readings.jsonl", tmp_path / "near.toml"
+    near.write_text(
+        'title = "Close by"\nduration_limit_s = 40.0\n[sea]\nsignificant_height_m = 0.0\n[vessel]\nmoored = false\n'
+        "[start]\nheight_m = 2.0\npad_right_m = 0.3\npad_forward_m = -0.2\nheading_deg = 20.0\n"
+    )
+    words = ["--virtual", "--hours", "1", "--scenario", str(near), "--no-cpu", "--json", "--readings", str(readings)]
+    command = [sys.executable, "-m", "companion.cli.main", "soak", *words]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as soak:
+        end = time.monotonic() + 60
+        while not (readings.exists() and readings.read_text()) and time.monotonic() < end:
+            time.sleep(0.1)
+        soak.send_signal(signal.SIGTERM)
+        out, _ = soak.communicate(timeout=30)
+    assert soak.returncode == 143
+    lines = [json.loads(line) for line in readings.read_text().splitlines()]
+    assert len(lines) == lines[-1]["flights"] == json.loads(out)["flights"] >= 1
+
+
+def test_a_file_that_cannot_be_written_is_said_before_the_first_flight(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["soak", "--virtual", "--flights", "1", "--readings", "/dev/null/there"]) == 2
+    assert "--readings: /dev/null/there" in capsys.readouterr().err
