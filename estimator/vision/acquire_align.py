@@ -159,7 +159,7 @@ def align(
     even = np.ones(model.light.shape[1], np.float32)
     paints, weight, _, _ = _paint(model.light, model.share, even, standing=True)
     drawing = maps(pad, True)[fit]
-    own_light, own_share = samples.local.take(model.used, axis=1), _sampled(drawing.share, _at(model.xy, drawing))
+    own_light, own_share = samples.local.take(model.used, axis=1), _sampled(drawing.share, drawing, model.xy)
     own_paints, own_weight, _, _ = _paint(own_light, own_share, even, standing=True)
     level = min(_LEVELS, math.floor(math.log2(max(1.0, camera.fx * pad.arrow_depth_m / (_ARROW_SAMPLES * t[2])))))
     arrow = arrow_places(pyramid[level], 1 << level, _ROOT, camera, pad, pose, own_paints.astype(float))
@@ -286,6 +286,7 @@ class _Model(NamedTuple):
     share: F32
     """(4, n)."""
     slope_x: F32
+    """(4, n); empty where it is not asked for."""
     slope_y: F32
     xy: F32
     """(2, n)."""
@@ -307,25 +308,17 @@ def _model(drawing: Maps, samples: _Samples, light: F32, R: F64, t: F64, pad: Pa
     if len(used) < _LEAST_SAMPLES:
         return None
     ab, xy = ab.take(used, axis=1), xy.take(used, axis=1)
-    at = _at(xy, drawing)
-    share = _sampled(drawing.share, at)
-    light = light.take(used, axis=1)
-    if not slopes:
-        return _Model(light, share, share, share, xy, ab, used)
-    return _Model(light, share, _sampled(drawing.slope_x, at), _sampled(drawing.slope_y, at), xy, ab, used)
+    layers = _sampled(drawing.layers if slopes else drawing.share, drawing, xy)
+    return _Model(light.take(used, axis=1), layers[:4], layers[4:8], layers[8:], xy, ab, used)
 
 
-def _at(xy: F32, drawing: Maps) -> F32:
-    """(2, n) places on the pad to (n, 1, 2) coordinates in the maps, whose rows run with x."""
-    at = np.empty((xy.shape[1], 1, 2), np.float32)
-    np.multiply(xy[::-1].T, drawing.per_m, out=at[:, 0])
+def _sampled(layers: F32, drawing: Maps, xy: F32) -> F32:
+    """(c, n) layers of the maps at (2, n) places on the pad; their rows run with x."""
+    at = np.empty((1, xy.shape[1], 2), np.float32)
+    np.multiply(xy[1], drawing.per_m, out=at[0, :, 0])
+    np.multiply(xy[0], drawing.per_m, out=at[0, :, 1])
     at += drawing.centre
-    return at
-
-
-def _sampled(drawing: F32, at: F32) -> F32:
-    """(4, n)."""
-    return np.ascontiguousarray(sampled(drawing, at)[:, 0].T)
+    return np.ascontiguousarray(sampled(layers, at)[0].T)
 
 
 def _paint(light: F32, share: F32, weight: F32, standing: bool = False) -> tuple[F32, F32, F32, float]:

@@ -61,7 +61,7 @@ def _design(pad: Pad, blur: int) -> _Design:
     xy = np.stack([xx.ravel(), yy.ravel()], axis=1).astype(np.float32)
     drawing = maps(pad)[blur]
     fore, aft = (
-        sampled(drawing.share, (s * xy[:, None, ::-1] * drawing.per_m + drawing.centre).astype(np.float32))[:, 0, ORANGE]
+        sampled(drawing.share, (s * xy[None, :, ::-1] * drawing.per_m + drawing.centre).astype(np.float32))[0, :, ORANGE]
         for s in (1, -1)
     )
     others = np.stack([np.ones(len(xy)), xx.ravel() - xx.mean(), yy.ravel(), aft], axis=1)
@@ -105,8 +105,8 @@ def arrow_places(
         if seen < 0.6:
             out.append(nothing)
             continue
-        at = np.fmax(uv, -1e4).astype(np.float32)[:, None]
-        v = cv2.LUT(sampled(picture, at), lut)[:, 0] @ (way / length)
+        at = np.fmax(uv, -1e4).astype(np.float32)[None]
+        v = cv2.LUT(sampled(picture, at), lut)[0] @ (way / length)
         # Even light, slope and ring taken out of both, what is left of one is measured by the other (Frisch and Waugh 1933).
         if whole:
             Q, T = design.own

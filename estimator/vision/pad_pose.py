@@ -23,7 +23,7 @@ class PadPose:
 
     def __post_init__(self) -> None:
         t = np.array(self.t_cam_pad, dtype=float)
-        if t.shape != (3,) or not np.all(np.isfinite(t)):
+        if t.shape != (3,) or not np.isfinite(t).all():
             raise ValueError(f"t_cam_pad needs a finite (3,) vector, got {self.t_cam_pad!r}")
         t.setflags(write=False)
         object.__setattr__(self, "t_cam_pad", t)
