@@ -71,12 +71,31 @@ class Pyramid:
 
     def __getitem__(self, level: int) -> U8:
         while len(self._levels) <= level:
-            last = self._levels[-1]
-            w, h = max(1, last.shape[1] // 2), max(1, last.shape[0] // 2)
-            # An odd row or column left over would stretch the rest.
-            even = last[: 2 * h, : 2 * w]
-            self._levels.append(np.asarray(cv2.resize(even, (w, h), interpolation=cv2.INTER_AREA), np.uint8))
+            self._levels.append(_halved(self._levels[-1]))
         return self._levels[level]
+
+    def size(self, level: int) -> tuple[int, int]:
+        """Columns and rows."""
+        h, w = self._levels[0].shape[:2]
+        return max(1, w >> level), max(1, h >> level)
+
+    def cut(self, level: int, left: int, top: int, right: int, below: int) -> U8:
+        """Part of a level, of which no more is made than that where it is a small one."""
+        made = len(self._levels) - 1
+        w, h = self.size(level)
+        if level <= made or 2 * (right - left) * (below - top) > w * h:
+            return self[level][top:below, left:right]
+        up = level - made
+        part = self._levels[made][top << up : below << up, left << up : right << up]
+        for _ in range(up):
+            part = _halved(part)
+        return part
+
+
+def _halved(px: U8) -> U8:
+    w, h = max(1, px.shape[1] // 2), max(1, px.shape[0] // 2)
+    # An odd row or column left over would stretch the rest.
+    return np.asarray(cv2.resize(px[: 2 * h, : 2 * w], (w, h), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,8 +274,7 @@ def _gather(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, most: int
         return None
     level = min(_LEVELS, max(0, math.ceil(0.5 * math.log2((x1 - x0) * (y1 - y0) / most))))
     k = 1 << level
-    px = pyramid[level]
-    height, width = px.shape[:2]
+    width, height = pyramid.size(level)
     left, top, right, below = (
         math.floor(x0 / k),
         math.floor(y0 / k),
@@ -265,7 +283,7 @@ def _gather(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, most: int
     )
     if right - left < 3 or below - top < 3:
         return None
-    patch = px[top:below, left:right]
+    patch = pyramid.cut(level, left, top, right, below)
     side = float(k * pose.t_cam_pad[2] / camera.fx)
     root = cv2.LUT(patch, _ROOT)
     local = root - cv2.GaussianBlur(root, (0, 0), LOCAL_M / side, borderType=cv2.BORDER_REPLICATE)

@@ -156,13 +156,13 @@ def _phi(d: F32, per: F32) -> Phi:
 
 def _phi_at_once(*asked: Asked) -> list[Phi]:
     """The normal integrals of several shapes by one evaluation: on short arrays most of the time goes into the calls."""
-    all_ = _phi(np.concatenate([d.ravel() for d, _ in asked]), np.concatenate([per.ravel() for _, per in asked]))
+    value, slope, by_var = _phi(np.concatenate([d.ravel() for d, _ in asked]), np.concatenate([per.ravel() for _, per in asked]))
     out: list[Phi] = []
     end = 0
     for d, _ in asked:
         begin, end = end, end + d.size
-        value, slope, by_var = (a[begin:end].reshape(d.shape) for a in all_)
-        out.append((value, slope, by_var))
+        shape = d.shape
+        out.append((value[begin:end].reshape(shape), slope[begin:end].reshape(shape), by_var[begin:end].reshape(shape)))
     return out
 
 
