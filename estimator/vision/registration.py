@@ -246,9 +246,9 @@ def _by_profiles(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarge
             state, moved = solver.step(state, fit.H, fit.g, 2.0)
             delta = difference(last, state)
             left = profiles_.residual_after(fit, taken, delta)
+            noise = profiles_.noise_of(left, fit, taken)
             if n > 0 and moved < 0.08:
                 break
-            noise = profiles_.noise_of(left, fit, taken)
         settled = solver.moved_px(state, difference(before, state)) < 1.2 and state.sigma_px < 1.5 * before.sigma_px + 0.3
         if settled or again == 2:
             break
@@ -268,7 +268,7 @@ def _by_profiles(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarge
     cov = cov + tau2 * (pull @ pull.T)
     evidence, inliers = _profile_evidence(fit, taken, mix, noise)
     if mix.mix[EdgeKind.RING].any():
-        amplitude, sigma = profiles_.arrow_amplitude(fit, taken, mixed, delta)
+        amplitude, sigma = profiles_.arrow_amplitude(state, taken, pad, mixed)
         evidence[EdgeKind.ARROW] = _arrow_evidence(
             amplitude, sigma, mix.contrast[EdgeKind.RING], float(taken.in_view[EdgeKind.ARROW])
         )

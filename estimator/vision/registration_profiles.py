@@ -25,8 +25,6 @@ from estimator.vision.registration_whole import TUKEY, median
 KINDS = len(EdgeKind)
 _IN_GROUP = 6
 _MIN_SPACING_PX = 1.3
-_ARROW_COUNTS = 3.0
-"""The arrowhead's sides are short and tell the heading: so many times as many profiles as of other edges."""
 _STILL_OFF_PX = 0.1
 _CONTRAST_RATIO = (0.4, 2.5)
 """Contrast of a group against its kind's median: what shade, sun and wear can do to paint, and a stranger's edge cannot."""
@@ -42,8 +40,6 @@ class Profiles:
     """(3, N) BGR linear light."""
     usable: F64
     """(N,) 0 for a pixel taken twice or one that sees a third paint."""
-    worth: F64
-    """(N,) what it counts for the pose: less where profiles lie closer than elsewhere."""
     samples: int
     """Pixels of a profile: N = profiles * samples."""
     kind_parts: tuple[slice, slice, slice, slice]
@@ -65,24 +61,18 @@ class Profiles:
 
 
 @lru_cache(maxsize=8)
-def _table(edges: Edges) -> tuple[F64, NDArray[np.intp], F64, F64]:
-    """What is used of the edges at once.
-
-    Returns:
-        (5, M) x, y, 1 and the normal of every point; (KINDS,) first point of each kind, and how many there are; (M,) the length
-        of edge that a point stands for where profiles are shared out.
-    """
+def _table(edges: Edges) -> tuple[F64, NDArray[np.intp], F64]:
+    """(5, M) x, y, 1 and the normal of every edge point; (KINDS,) first point of each kind, and how many there are."""
     rows = np.concatenate([edges.at_m.T, np.ones((1, len(edges.at_m))), edges.normal.T])
     first = np.searchsorted(edges.kind, np.arange(KINDS + 1))
-    length = np.where(edges.kind == EdgeKind.ARROW, _ARROW_COUNTS, 1.0) * edges.spacing_m
-    return rows, first[:-1], np.diff(first).astype(float), length
+    return rows, first[:-1], np.diff(first).astype(float)
 
 
 def sample(
     px: U8, camera: Camera, pad: Pad, edges: Edges, state: State, max_profiles: int, half: int, gamma: bool
 ) -> tuple[Profiles, Footprint] | None:
     """Profiles of 2 * half + 1 pixels across the edges in view, and where they look; None when too few to fix anything."""
-    rows, first, total, length = _table(edges)
+    rows, first, total = _table(edges)
     to_cam = np.zeros((6, 5))
     to_cam[:3, :2] = to_cam[3:, 3:] = state.R[:, :2]
     to_cam[:3, 2] = state.t
@@ -112,10 +102,10 @@ def sample(
     uv, out = uv.take(at, axis=1), out.take(at, axis=1)
     steep2 = out * out
     way_px = np.sqrt(steep2[0] + steep2[1])
-    way_px *= length.take(at)
+    way_px *= edges.spacing_m.take(at)
     way_px = way_px.cumsum()
     spacing = max(_MIN_SPACING_PX, float(way_px[-1]) / max_profiles)
-    ticks = (way_px * (1.0 / spacing)).astype(np.intp)
+    ticks = (way_px / spacing).astype(np.intp)
     first_of_tick = np.empty(len(at), np.bool_)
     first_of_tick[0] = True
     np.not_equal(ticks[1:], ticks[:-1], out=first_of_tick[1:])
@@ -148,15 +138,12 @@ def sample(
     sizes[-1] = len(flat) - starts[-1]
     group_kind = kind.take(begins)
     of_kind = np.eye(KINDS).take(group_kind, axis=0)
-    worth = np.ones(len(flat))
-    worth[arrow] = 1.0 / _ARROW_COUNTS
     profiles = Profiles(
-        rays, light, usable, worth, n, (disc, ring, arrow, h), starts, group_kind, of_kind, tuple(map(int, of_kind.sum(axis=0))),
+        rays, light, usable, n, (disc, ring, arrow, h), starts, group_kind, of_kind, tuple(map(int, of_kind.sum(axis=0))),
         np.repeat(np.arange(len(starts)), sizes), np.repeat(kind, n), in_view,
     )  # fmt: skip
     fp = state.footprint(rays, pad)
     usable[_foreign(state, profiles, fp, pad)] = 0.0
-    worth *= usable
     return profiles, fp
 
 
@@ -201,8 +188,6 @@ class Shares:
     """(9, N) its change with the state."""
     per_px: F64
     """(N,) its change as the edge moves outward by one px."""
-    head: F64
-    """Of the pixels at the arrowhead, its own share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,7 +203,7 @@ class ProfileFit:
     per_var: F64
     """(N,) one over the variance that was taken for it."""
     w: F64
-    """(N,) what a pixel counts: the same, its worth and its robust weight."""
+    """(N,) what a pixel counts: the same times its robust weight, 0 where it does not count."""
     shares: Shares
     J: F64
     """(9, N) change of the model with the state, light levels held."""
@@ -254,13 +239,13 @@ def shares(state: State, profiles: Profiles, pad: Pad, fp: Footprint | None = No
     """See `Shares`; `fp` where it has been worked out already."""
     if fp is None:
         fp = state.footprint(profiles.rays, pad)
-    value, d, head = fp.places.edge_shares(*profiles.kind_parts)
+    value, d, _ = fp.places.edge_shares(*profiles.kind_parts)
     steepness = d[0] * d[0]
     steepness += d[1] * d[1]
     steepness *= fp.places.scale2
     np.sqrt(steepness, out=steepness)
     steepness *= state.m_per_px
-    return Shares(value.astype(float), fp.jacobian(d).astype(float), steepness.astype(float), head.astype(float))
+    return Shares(value.astype(float), fp.jacobian(d).astype(float), steepness.astype(float))
 
 
 def channels(profiles: Profiles, share: F64) -> Channels:
@@ -300,13 +285,13 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Shares) -> Prof
     n = len(s)
     rows = np.empty((5, n))
     if noise is None:
-        w = profiles.worth
+        w = profiles.usable
     else:
         per_var = (noise[:, 1] - noise[:, 0]).take(profiles.kind)
         per_var *= s
         per_var += noise[:, 0].take(profiles.kind)
         np.divide(1.0, per_var, out=per_var)
-        w = profiles.worth * per_var
+        w = profiles.usable * per_var
     robust: F64 | None = None
     for round_ in range(2):
         rows[0] = w
@@ -326,7 +311,7 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Shares) -> Prof
             break
         if noise is None:
             per_var = (1.0 / _noise(r, s, profiles.usable, profiles).max(axis=1)).take(profiles.kind)
-            w = profiles.worth * per_var
+            w = profiles.usable * per_var
         else:
             # The state may still be off by a little: what that makes of an edge is no outlier.
             aside = np.minimum(np.abs(B), 2.0).take(group)
@@ -425,21 +410,19 @@ def _noise(r: F64, s: F64, weight: F64, profiles: Profiles) -> F64:
     return out
 
 
-def arrow_amplitude(fit: ProfileFit, profiles: Profiles, mixed: F64, delta: F64) -> tuple[float, float]:
-    """How much of an arrowhead there is beside the ring's stroke, and its sigma; 1 is a whole one, (0, inf) when out of view.
-
-    Args:
-        delta: (9,) the step that was made from where the fit is linearised.
-    """
+def arrow_amplitude(state: State, profiles: Profiles, pad: Pad, mixed: F64) -> tuple[float, float]:
+    """How much of an arrowhead there is beside the ring's stroke, and its sigma; 1 is a whole one, (0, inf) when out of view."""
     part = profiles.kind_parts[EdgeKind.ARROW]
     w = profiles.usable[part]
     free = float(w.sum())
     if free < 12:
         return 0.0, math.inf
-    head = fit.shares.head
-    columns = np.stack([np.ones_like(head), fit.shares.share[part] - head, head])
-    weighted = columns * w
-    light = mixed[part] - delta @ fit.J[:, part]
+    none, n = slice(0, 0), len(w)
+    value, _, head = state.footprint(profiles.rays[part], pad).places.edge_shares(none, none, slice(0, n), slice(n, n))
+    columns = np.ones((3, n))
+    np.subtract(value, head, out=columns[1])
+    columns[2] = head
+    weighted, light = columns * w, mixed[part]
     inverse = np.linalg.inv(weighted @ columns.T + 1e-6 * np.eye(3))
     a = inverse @ (weighted @ light)
     r = (light - a @ columns) * w
