@@ -27,16 +27,15 @@ from estimator.vision.drawing import EdgeKind, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.registration_solver import WEAK_BLUR_PX2, Solver, TiltTarget, depth_in_view, difference
-from estimator.vision.registration_state import N_POSE, N_STATE, U8, State, light_table
+from estimator.vision.registration_evidence import Evidence, arrow_evidence, profile_evidence, whole_evidence
+from estimator.vision.registration_sampling import sample
+from estimator.vision.registration_solver import WEAK_BLUR_PX2, Solver, TiltTarget, depth_in_view, difference, inverse
+from estimator.vision.registration_state import N_POSE, N_STATE, U8, State
 
 _NOISE_DOUBTED = 5e-4
 """Variance of smoothed light over light: four times what worn paint on a patchy deck comes to. More is something on the pad."""
 _EDGE_DOUBTED_PX = 2.0
 """Sigma of the distant disc's edges then: half of it hidden moves it so far."""
-_SNR_SEEN = 5.0
-_LIKENESS_SEEN = 0.4
-"""White balance off by 20 % and light of 3000 K leave white against green and orange against green above 0.8."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,26 +60,6 @@ class Options:
     """How well the pad is painted."""
     gamma: bool = True
     """Pixel values are sRGB; False for light itself."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """What the picture says about one kind of edge."""
-
-    contrast_bgr: F64
-    """(3,) linear light inside less outside."""
-    snr: float
-    """Contrast over its standard deviation, best channel mix."""
-    in_view: float
-    """Share of these edges within the picture, 0..1."""
-    inliers: float
-    """Share of those in view that agree with the drawing, 0..1."""
-    likeness: float = 1.0
-    """Cosine between the contrast and that of the pad file's paints; 1 for the disc, whose surroundings nobody knows."""
-
-    @property
-    def seen(self) -> bool:
-        return self.snr > _SNR_SEEN and self.inliers > 0.5 and self.in_view > 0.0 and self.likeness > _LIKENESS_SEEN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,7 +194,7 @@ def _by_whole(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget |
     cov = solver.covariance(state, H) + _whole_edges_off(state, pad, options, _EDGE_DOUBTED_PX if doubted else 0.0)
     arrow = whole_.arrow_amplitudes(state, cut, pad, fit)
     seen = arrow is not None and arrow[0] - arrow[1] > max(0.5, 4.0 * arrow[2])
-    edges, inliers = _whole_evidence(fit, arrow)
+    edges, inliers = whole_evidence(fit, arrow)
     if doubted:
         inliers *= 0.5
     visible = float(np.mean([e.in_view for e in edges.values()]))
@@ -229,7 +208,7 @@ def _by_profiles(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarge
     solver = Solver(state, tilt, pad)
     for again in range(3):
         half = min(9, max(3, math.ceil(2.2 * state.sigma_px + 1.2)))
-        got = profiles_.sample(px, camera, pad, edges, state, options.max_profiles, half, options.gamma)
+        got = sample(px, camera, pad, edges, state, options.max_profiles, half, options.gamma)
         if got is None:
             return None
         taken, fp = got
@@ -266,10 +245,10 @@ def _by_profiles(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarge
     cov = solver.covariance(state, H)
     pull = cov @ (shifts.pull / grow)
     cov = cov + tau2 * (pull @ pull.T)
-    evidence, inliers = _profile_evidence(fit, taken, mix, noise)
+    evidence, inliers = profile_evidence(fit, taken, mix, noise)
     if mix.mix[EdgeKind.RING].any():
         amplitude, sigma = profiles_.arrow_amplitude(state, taken, pad, mixed)
-        evidence[EdgeKind.ARROW] = _arrow_evidence(
+        evidence[EdgeKind.ARROW] = arrow_evidence(
             amplitude, sigma, mix.contrast[EdgeKind.RING], float(taken.in_view[EdgeKind.ARROW])
         )
     size2 = (mix.mix * mix.mix).sum(axis=1)
@@ -324,63 +303,6 @@ def _whole_edges_off(state: State, pad: Pad, options: Options, more_px: float) -
     return out
 
 
-def _profile_evidence(
-    fit: profiles_.ProfileFit, taken: profiles_.Profiles, mix: profiles_.Channels, noise: F64
-) -> tuple[dict[EdgeKind, Evidence], float]:
-    out: dict[EdgeKind, Evidence] = {}
-    pixels, agree = np.add.reduceat(np.stack([taken.usable, fit.weight]), taken.starts, axis=1)
-    enough = pixels > 8
-    # Tukey's weights are 0.9 in the mean of Gaussian noise.
-    counted, agreed = (np.stack([pixels * enough, agree * enough]) @ taken.of_kind).tolist()
-    for kind, var in zip(EdgeKind, noise.mean(axis=1).tolist(), strict=True):
-        in_view = float(taken.in_view[kind])
-        if not counted[kind]:
-            out[kind] = Evidence(np.zeros(3), 0.0, in_view, 0.0)
-            continue
-        contrast = whole_.median(fit.contrast[enough & (taken.group_kind == kind)])
-        snr = contrast / math.sqrt(var) if var < 0.5 else 0.0
-        out[kind] = Evidence(mix.contrast[kind] * contrast, snr, in_view, min(1.0, agreed[kind] / (0.9 * counted[kind])))
-    return out, min(1.0, float(agree.sum()) / max(1.0, 0.9 * float(pixels.sum())))
-
-
-def _whole_evidence(fit: whole_.WholeFit, arrow: tuple[float, float, float] | None) -> tuple[dict[EdgeKind, Evidence], float]:
-    weight = fit.weight.mean(axis=0)
-    out: dict[EdgeKind, Evidence] = {}
-    for kind, row in ((EdgeKind.DISC, 3), (EdgeKind.RING, 4), (EdgeKind.H, 5)):
-        share = fit.values[row]
-        edge = share * (1.0 - share)
-        total = float(edge.sum())
-        snr = math.sqrt(float((fit.paints[row] ** 2 / np.maximum(fit.cov_paints[row], 1e-12)).sum()))
-        inliers = min(1.0, float(edge @ weight) / (0.9 * total)) if total > 1e-6 else 0.0
-        out[kind] = Evidence(fit.paints[row], snr, 1.0, inliers)
-    if arrow is None:
-        out[EdgeKind.ARROW] = Evidence(np.zeros(3), 0.0, 0.0, 0.0)
-    else:
-        out[EdgeKind.ARROW] = _arrow_evidence(arrow[0], arrow[2], fit.paints[4], 1.0)
-    return out, min(1.0, float(weight.mean()) / 0.9)
-
-
-def _arrow_evidence(amplitude: float, sigma: float, contrast: F64, in_view: float) -> Evidence:
-    agree = min(1.0, max(0.0, 1.0 - abs(amplitude - 1.0)))
-    return Evidence(contrast * amplitude, max(0.0, amplitude) / max(sigma, 1e-6), in_view, agree)
-
-
-def _likeness(kind: EdgeKind, contrast_bgr: F64, pad: Pad) -> float:
-    nominal = _contrasts(pad).get(kind)
-    size = math.sqrt(float(contrast_bgr @ contrast_bgr))
-    return 1.0 if nominal is None or size < 1e-6 else float(nominal @ contrast_bgr) / size
-
-
-@lru_cache(maxsize=8)
-def _contrasts(pad: Pad) -> Mapping[EdgeKind, F64]:
-    """(3,) BGR way from the disc's paint to those of the pad file, of length 1."""
-    table, paints = light_table(True), pad.colours
-    ways = {kind: table[list(rgb[::-1])] - table[list(paints.disc[::-1])] for kind, rgb in (
-        (EdgeKind.RING, paints.ring), (EdgeKind.ARROW, paints.ring), (EdgeKind.H, paints.h),
-    )}  # fmt: skip
-    return MappingProxyType({kind: way / max(float(np.linalg.norm(way)), 1e-6) for kind, way in ways.items()})
-
-
 @lru_cache(maxsize=8)
 def _outline(pad: Pad) -> tuple[F64, tuple[slice, ...]]:
     """(M, 3) m points of the edges, and which of them are of each kind."""
@@ -418,15 +340,12 @@ def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None
         return None
     # What the blur could be instead is eliminated, not ignored.
     blur = H[6:, 6:] + np.eye(3) * WEAK_BLUR_PX2**-2
-    information = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(blur, H[6:, :6])
+    information = H[:6, :6] - H[:6, 6:] @ inverse(blur) @ H[6:, :6]
     pose = state.pose
     T = np.zeros((6, 6))
     T[:3, :3] = T[3:, 3:] = pose.R_cam_pad.matrix
     cov, information = T @ cov9[:6, :6] @ T.T, T @ information @ T.T
-    judged = {
-        kind: Evidence(e.contrast_bgr, e.snr, e.in_view, e.inliers, _likeness(kind, e.contrast_bgr, pad))
-        for kind, e in solved.edges.items()
-    }
+    judged = {kind: e.beside(kind, pad) for kind, e in solved.edges.items()}
     points, of_kind = _outline(pad)
     outline = camera.project(pose.points(points))
     turn = pose.R_cam_pad.matrix[:2, :2]

@@ -115,7 +115,13 @@ class Solver:
         return max(parts) / state.m_per_px
 
     def covariance(self, state: State, H: F64) -> F64:
-        return np.asarray(np.linalg.inv(H + self.prior(state)[0]), float)
+        return inverse(H + self.prior(state)[0])
+
+
+def inverse(M: F64) -> F64:
+    """Of a symmetric positive matrix, as `_solved`."""
+    ok, out = cv2.invert(M, flags=cv2.DECOMP_CHOLESKY)
+    return np.asarray(out if ok else np.linalg.inv(M), float)
 
 
 def _solved(H: F64, g: F64) -> F64:

@@ -25,6 +25,20 @@ from tests.estimator.vision.deck_pictures import shown
 from tests.estimator.vision.picture import sim_camera
 
 
+def test_a_part_of_a_small_picture_is_that_part_of_the_small_picture() -> None:
+    px = np.random.default_rng(0).integers(0, 256, (361, 643, 3), np.uint8)
+    for level, box in (
+        (0, (3, 5, 40, 50)),
+        (1, (7, 9, 60, 70)),
+        (2, (0, 0, 30, 20)),
+        (3, (50, 30, 80, 45)),
+        (2, (0, 0, 160, 90)),
+    ):
+        left, top, right, below = box
+        assert np.array_equal(Pyramid(px).cut(level, *box), Pyramid(px)[level][top:below, left:right])
+        assert Pyramid(px).size(level) == Pyramid(px)[level].shape[1::-1]
+
+
 @given(
     roll=st.floats(-0.6, 0.6), pitch=st.floats(-0.6, 0.6), x=st.floats(-0.4, 0.4), y=st.floats(-0.3, 0.3),
     depth=st.floats(0.5, 20.0),

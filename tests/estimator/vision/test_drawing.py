@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -75,6 +76,23 @@ def test_circles_of_points_own_radii_are_circles() -> None:
     for k in range(2):
         assert np.array_equal(own[k][..., ::2], even[k][..., ::2])
         assert np.array_equal(own[k][..., 1::2], odd[k][..., 1::2])
+
+
+@pytest.mark.parametrize("pad", PADS, ids=lambda p: p.name)
+def test_edges_shares_together_are_those_of_each_by_itself(pad: Pad) -> None:
+    rng = np.random.default_rng(3)
+    edges = edges_of(pad)
+    near = (edges.at_m[::7] + rng.normal(0.0, 0.003, edges.at_m[::7].shape)).astype(np.float32)
+    borders = np.searchsorted(edges.kind[::7], np.arange(len(EdgeKind) + 1)).tolist()
+    disc, ring_, arrow, h = (slice(a, b) for a, b in itertools.pairwise(borders))
+    b = Blurred(pad, near[:, 0], near[:, 1], (9e-6, 2e-6, 7e-6), np.linspace(0.8, 1.2, len(near), dtype=np.float32))
+    share, d, head = b.edge_shares(disc, ring_, arrow, h)
+    field = pad.disc_radius_m - pad.rim_width_m
+    for part, shape in ((disc, lambda b: b.circles(field)[0]), (ring_, ring), (arrow, orange_of), (h, lambda b: b.h())):
+        alone = shape(b.part(part))
+        assert share[part] == pytest.approx(alone[0], abs=1e-6)
+        assert d[:, part] == pytest.approx(alone[1], rel=1e-4, abs=0.02)
+    assert head == pytest.approx(share[arrow] - ring(b.part(arrow))[0], abs=1e-6)
 
 
 @settings(deadline=None, max_examples=25)
