@@ -75,22 +75,15 @@ class State:
         return replace(self, blur_px2=b, m_per_px=self.m_per_px * k)
 
     def restored(self, k: int, smoothing_px2: float) -> State:
-        """Undoes `reduced`."""
+        """Undoes `reduced`, as far as what is left is as wide as a pixel: a blur found in wide pixels may be less than they add."""
         added = _PIXEL_VAR * (1.0 - 1.0 / k**2) + smoothing_px2
         b = (self.blur_px2 - added * np.array([1.0, 0.0, 1.0])) * k**2
-        return replace(self, blur_px2=b, m_per_px=self.m_per_px / k)
+        return replace(self, blur_px2=_possible(b), m_per_px=self.m_per_px / k)
 
     def moved(self, delta: F64) -> State:
         """(9,) increment applied; the blur stays a covariance no smaller than a pixel's."""
         R = self.R @ cv2.Rodrigues(delta[3:6])[0]
-        xx, xy, yy = (self.blur_px2 + delta[6:9]).tolist()
-        if not (
-            min(xx, yy) > _PIXEL_VAR and max(xx, yy) < 0.9 * _MAX_BLUR_PX2 and (xx - _PIXEL_VAR) * (yy - _PIXEL_VAR) > xy * xy
-        ):
-            values, vectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
-            m = (vectors * np.clip(values, _PIXEL_VAR, _MAX_BLUR_PX2)) @ vectors.T
-            xx, xy, yy = m[0, 0], m[0, 1], m[1, 1]
-        return State(R, self.t + self.R @ delta[:3], np.array([xx, xy, yy]), self.m_per_px, self.depth_m)
+        return State(R, self.t + self.R @ delta[:3], _possible(self.blur_px2 + delta[6:9]), self.m_per_px, self.depth_m)
 
     def footprint(self, rays: F64, pad: Pad) -> Footprint:
         """Where pixels look. `rays` (N, 2) are x/z, y/z."""
@@ -104,6 +97,16 @@ class State:
         per *= -c2 / self.depth_m
         per *= per
         return Footprint(Blurred(pad, c0 - c2 * k1, c1 - c2 * k2, self.blur_m2, per), k1, k2, self.m_per_px**2)
+
+
+def _possible(blur_px2: F64) -> F64:
+    """(3,) xx, xy, yy: the nearest covariance no smaller than a pixel's in any direction."""
+    xx, xy, yy = blur_px2.tolist()
+    if min(xx, yy) > _PIXEL_VAR and max(xx, yy) < 0.9 * _MAX_BLUR_PX2 and (xx - _PIXEL_VAR) * (yy - _PIXEL_VAR) > xy * xy:
+        return blur_px2
+    values, vectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
+    m = (vectors * np.clip(values, _PIXEL_VAR, _MAX_BLUR_PX2)) @ vectors.T
+    return np.array([m[0, 0], m[0, 1], m[1, 1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
