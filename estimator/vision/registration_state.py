@@ -75,7 +75,7 @@ class State:
         return replace(self, blur_px2=b, m_per_px=self.m_per_px * k)
 
     def restored(self, k: int, smoothing_px2: float) -> State:
-        """Undoes `reduced`, as far as what is left is as wide as a pixel: a blur found in wide pixels may be less than they add."""
+        """Undoes `reduced`; what is left is at least a pixel's, since a blur found in wide pixels may be less than they add."""
         added = _PIXEL_VAR * (1.0 - 1.0 / k**2) + smoothing_px2
         b = (self.blur_px2 - added * np.array([1.0, 0.0, 1.0])) * k**2
         return replace(self, blur_px2=_possible(b), m_per_px=self.m_per_px / k)
