@@ -18,12 +18,15 @@ from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import Blurred
 from estimator.vision.pad import Pad
+from estimator.vision.registration_glare import CLIPPED, Spot, find
 from estimator.vision.registration_state import N_STATE, U8, Footprint, State, light_table
 
 _DARK = 0.01
 """Light at which a sensor's noise in the dark, read-out and rounding, equals the noise of the light: variance goes as light plus
 this. Pixel values with even noise come to about the same, by the tone curve's slope. The scale is told by pixels brighter than
 a tenth of the brightest: darker ones are cut off at zero and look quieter than they are."""
+_GLARE_DOUBTED = 5e-4
+"""Variance of light over light that the paints leave at first, from which on a reflection is looked for."""
 TUKEY = 4.7
 """Cut-off in standard deviations: 95 % efficient under Gaussian noise. Source: Holland & Welsch 1977."""
 
@@ -72,6 +75,10 @@ class WholeFit:
     """(9, 9) covariance of the gradient, from residuals."""
     values: F64
     """(K, N) what each paint coefficient multiplies."""
+    spot: Spot | None
+    """A reflection of the sun, where the residuals asked for one."""
+    glare: F64
+    """(3, N) light that it adds."""
 
 
 def patch(
@@ -183,8 +190,8 @@ def fit(state: State, cut: Patch, pad: Pad, last: WholeFit | None, edge_sigma_px
         final: work out `WholeFit.meat` too.
     """
     fp = state.footprint(cut.rays, pad)
-    values, changes = basis(fp, cut)
-    K, n = values.shape
+    painted, changes = basis(fp, cut)
+    K, n = painted.shape
     y = cut.light
     light = y if last is None else last.model
     judged = light > 0.1 * float(light.max())
@@ -194,11 +201,20 @@ def fit(state: State, cut: Patch, pad: Pad, last: WholeFit | None, edge_sigma_px
     var = level if last is None else last.noise * level + unsharp
     w = 1.0 / var
     weight = np.ones((3, n))
-    ridge = 1e-7 * n * np.eye(K)
+    values, sound, spot = painted, weight, None if last is None else last.spot
+    if last is None:
+        _, a = _paints(painted, w, y)
+        r = y - a @ painted
+        if float((w * r * r).mean()) > _GLARE_DOUBTED:
+            spot = find(fp.places.x, fp.places.y, r, w, painted, pad)
+    if spot is not None:
+        values = np.concatenate([painted, spot.columns(fp.places.x, fp.places.y)])
+        sound = (y < CLIPPED).astype(float)
+        w = w * sound
+        told = judged & (y < CLIPPED)
+        judged = np.where(told.sum(axis=1, keepdims=True) < 3 * K, judged, told)
     for round_ in range(2):
-        vw = values * w[:, None]
-        M = vw @ values.T + ridge * w.mean(axis=1)[:, None, None]
-        a = np.linalg.solve(M, vw @ y[:, :, None])[:, :, 0]
+        M, a = _paints(values, w, y)
         model = a @ values
         r = y - model
         r2 = r * r
@@ -207,15 +223,15 @@ def fit(state: State, cut: Patch, pad: Pad, last: WholeFit | None, edge_sigma_px
         noise = np.array([max(median(x) / 0.4549, 1e-7) for x in _each((r2 - unsharp) / level, judged)])
         var = noise[:, None] * level + unsharp
         u = np.maximum(1.0 - r2 / (TUKEY**2 * var), 0.0)
-        weight = u * u
+        weight = u * u * sound
         w = weight / var
     inside = weight > 0.0
     count = inside.sum(axis=1)
-    spent = count / np.maximum(1, count - K - 3)
+    spent = count / np.maximum(1, count - len(values) - 3)
     kept = inside & judged
     chi2 = np.where(kept, r2 / var, 0.0).sum(axis=1) / np.maximum(kept.sum(axis=1), 1)
     scale = np.where(kept.any(axis=1), np.maximum(chi2 * spent, 1e-7), 1.0)
-    change = (a[:, 3:].astype(np.float32) @ changes.reshape(K - 3, 5 * n)).reshape(3, 5, n).transpose(1, 0, 2)
+    change = (a[:, 3:K].astype(np.float32) @ changes.reshape(K - 3, 5 * n)).reshape(3, 5, n).transpose(1, 0, 2)
     steep2 = (change[0] ** 2 + change[1] ** 2).astype(float) * state.m_per_px**2
     J = fp.jacobian(change).astype(float)
     w = w / scale[:, None]
@@ -227,10 +243,10 @@ def fit(state: State, cut: Patch, pad: Pad, last: WholeFit | None, edge_sigma_px
     scores = (Jw * r).sum(axis=1)
     cov, meat = np.full((K, 3), np.nan), np.zeros((N_STATE, N_STATE))
     if final:
-        cov = np.linalg.inv(M).diagonal(axis1=1, axis2=2).T
+        cov = np.linalg.inv(M).diagonal(axis1=1, axis2=2).T[:K]
         for c in range(3):
             # Weights have a fixed shape, so that no wrong start can talk itself into it; the covariance has the noise as it is.
-            seen = _noise_of_paints(r[c], values, inside[c], float(spent[c])) / NOISE_LEFT
+            seen = _noise_of_paints(r[c], painted, inside[c], float(spent[c])) / NOISE_LEFT
             projected = Jw[:, c] - out[c].T @ (values * w[c])
             # Smoothing shares noise between neighbours; its transpose, which is itself, brings the sums back to pixels.
             spread = np.zeros((cut.grid[0] * cut.grid[1], N_STATE))
@@ -238,7 +254,18 @@ def fit(state: State, cut: Patch, pad: Pad, last: WholeFit | None, edge_sigma_px
             alone = smooth(spread.reshape(*cut.grid, N_STATE)).reshape(-1, N_STATE)[cut.at].T
             meat += (alone * seen) @ alone.T
     left = np.mean([median(x) for x in _each(r2 / level, judged)]) / 0.4549
-    return WholeFit(H, scores.sum(axis=1), a.T, cov, model, steep2, max(float(left), 1e-7), weight, scores, meat, values)
+    return WholeFit(
+        H, scores.sum(axis=1), a.T[:K], cov, model, steep2, max(float(left), 1e-7), weight, scores, meat, painted,
+        None if spot is None else spot.moved(a[:, K:].sum(axis=0), pad), a[:, K:] @ values[K:],
+    )  # fmt: skip
+
+
+def _paints(values: F64, w: F64, y: F64) -> tuple[F64, F64]:
+    """(3, K, K) normal matrices and (3, K) solutions of each channel's weighted least squares."""
+    K, n = values.shape
+    vw = values * w[:, None]
+    M = vw @ values.T + 1e-7 * n * np.eye(K) * w.mean(axis=1)[:, None, None]
+    return M, np.linalg.solve(M, vw @ y[:, :, None])[:, :, 0]
 
 
 def _each(rows: F64, of: NDArray[np.bool_]) -> list[F64]:
@@ -275,7 +302,7 @@ def arrow_amplitudes(state: State, cut: Patch, pad: Pad, fit: WholeFit) -> tuple
     if size < 1e-4:
         return None
     mix = mix / size
-    y = mix @ cut.light
+    y = mix @ (cut.light - fit.glare)
     b = state.footprint(cut.rays, pad).places
     here = b.arrow_small()[0]
     there = Blurred(pad, -b.x, -b.y, b.blur_m2, b.scale2).arrow_small()[0]
