@@ -54,6 +54,10 @@ _ONE_WAY = (
     "ring_unseen",
     "letter_unseen",
     "rms",
+    "whole_disc",
+    "whole_ring",
+    "whole_letter",
+    "whole_orange",
 )
 """Evidence that a fit must not turn round."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from estimator.vision.acquire_align import SIGMA_TILT_FREE_RAD, SIGMA_TILT_RAD, 
 from estimator.vision.acquire_circles import Circle, Plane, circles, tolerance_of
 from estimator.vision.acquire_drawing import disc_edge_m
 from estimator.vision.acquire_heading import heading
-from estimator.vision.acquire_scan import Coarse, coarse, limits, specks, spots
+from estimator.vision.acquire_scan import Coarse, Speck, coarse, limits, specks, spots
 from estimator.vision.acquire_strokes import letters
 from estimator.vision.camera import Camera
 from estimator.vision.judge import arrow_evidence, confidence, features
@@ -50,6 +50,8 @@ _LEAST_FACING = math.cos(math.radians(38.0))
 """Of the pad's normal along the camera's axis when nobody knows the tilt: 25 degrees of it and some of error."""
 _SPECK_RADII = (0.95, 1.5)
 """Of a speck: it is the disc, or what of it lies within the ring."""
+_COVERED_ARC_RAD = 4.6
+"""Of a disc's outline: less of it is the outline of a disc half covered."""
 _NEAR_SHARE = 0.10
 """Of the picture in the disc's colour, from which on the letter is looked for before specks are."""
 
@@ -77,6 +79,8 @@ class _Guess:
     """By which the pad is to be turned about its own z axis against `flat`."""
     score: float
     tilt_known: bool
+    side: F64 | None = None
+    """(2,) of unit length, x and y of the turned pad: the half that is to be looked at, where the other is covered."""
 
 
 def acquire(
@@ -145,7 +149,7 @@ def _lay(
         if any(_near(guess.flat, c.pose) for c in (*tried, *out)):
             continue
         laid += 1
-        candidate = laid_at(guess.flat.turned(guess.turn_rad), guess.tilt_known, pyramid, camera, pad)
+        candidate = laid_at(guess.flat.turned(guess.turn_rad), guess.tilt_known, pyramid, camera, pad, guess.side)
         if candidate is not None:
             out.append(candidate)
             if candidate.score >= sure:
@@ -155,15 +159,23 @@ def _lay(
     return out
 
 
-def laid_at(pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad) -> Candidate | None:
-    """The drawing laid on the picture from one rough pose, and judged; None where it does not fit at all."""
+def laid_at(
+    pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None = None
+) -> Candidate | None:
+    """The drawing laid on the picture from one rough pose, and judged; None where it does not fit at all.
+
+    Args:
+        side: as for `align`.
+    """
     sigma, steps = (SIGMA_TILT_RAD, _STEPS) if tilt_known else (SIGMA_TILT_FREE_RAD, _STEPS_FREE)
-    laid = align(pyramid, camera, pad, pose, sigma, steps, local=True)
+    laid = align(pyramid, camera, pad, pose, sigma, steps, local=True, side=side)
     if laid is None:
         return None
     arrow = arrow_evidence(laid)
     if arrow < -0.5 * _ARROW_SEEN:
-        turned = align(pyramid, camera, pad, laid.pose.turned(math.pi), sigma, 2, local=True)
+        turned = align(
+            pyramid, camera, pad, laid.pose.turned(math.pi), sigma, 2, local=True, side=None if side is None else -side
+        )
         if turned is not None:
             laid, arrow = turned, arrow_evidence(turned)
     values = features(laid, pad)
@@ -198,11 +210,24 @@ def _from_discs(
         yield out
 
 
-def _guess(pose: PadPose, tilt_known: bool, picture: Coarse, pyramid: Pyramid, camera: Camera, pad: Pad) -> _Guess | None:
+def _guess(
+    pose: PadPose,
+    tilt_known: bool,
+    picture: Coarse,
+    pyramid: Pyramid,
+    camera: Camera,
+    pad: Pad,
+    side: F64 | None = None,
+) -> _Guess | None:
     radius_px = camera.fx * pad.disc_radius_m / float(pose.t_cam_pad[2])
     small, step = (picture.px, picture.step) if radius_px > _SMALL_PX * picture.step else (pyramid[0], 1)
-    best = heading(small, step, camera, pad, pose)
-    return None if best is None else _Guess(pose, best.turn_rad, best.score, tilt_known)
+    best = heading(small, step, camera, pad, pose, side)
+    if best is None:
+        return None
+    if side is not None:
+        c, s = math.cos(best.turn_rad), math.sin(best.turn_rad)
+        side = np.array([c * side[0] + s * side[1], c * side[1] - s * side[0]])
+    return _Guess(pose, best.turn_rad, best.score, tilt_known, side)
 
 
 def _tilted(outline_px: F64, places: F64, circle: Circle, camera: Camera, least: float) -> list[tuple[Plane, Circle]]:
@@ -271,9 +296,36 @@ def _from_specks(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> li
         best = max((g for g in guesses if g is not None), key=lambda g: g.score, default=None)
         if best is not None:
             out.append(best)
+        half = _half(speck, picture, pyramid, camera, pad, plane)
+        if half is not None:
+            out.append(half)
     # A few pixels of drawing say little of themselves, and prominence says little of the drawing: the best of both come first.
     by_drawing = {id(g): k for k, g in enumerate(sorted(out, key=lambda g: -g.score))}
-    return [_Guess(g.flat, g.turn_rad, 1.0 / (1 + min(k, by_drawing[id(g)])), g.tilt_known) for k, g in enumerate(out)]
+    return [replace(g, score=1.0 / (1 + min(k, by_drawing[id(g)]))) for k, g in enumerate(out)]
+
+
+def _half(speck: Speck, picture: Coarse, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> _Guess | None:
+    """From the arc in a speck's outline, where what is left of the disc beside something in front of it makes half a circle."""
+    places = plane.places(camera, speck.outline_px)
+    found = circles(places, 1.2 / camera.fx, tolerance_of(plane), 1)
+    side = _side(found[0], places) if found else None
+    if side is None:
+        return None
+    pose = plane.pose(found[0].centre, found[0].radius, disc_edge_m(pad))
+    return _guess(pose, plane.known, picture, pyramid, camera, pad, side)
+
+
+def _side(circle: Circle, places: F64) -> F64 | None:
+    """(2,) of unit length, from the circle's centre towards the outline on it, where half of the circle has none."""
+    if circle.arc_rad > _COVERED_ARC_RAD:
+        return None
+    from_centre = places[np.isfinite(places).all(axis=1)] - circle.centre
+    on = np.abs(np.hypot(from_centre[:, 0], from_centre[:, 1]) - circle.radius) < 0.15 * circle.radius
+    if not on.any():
+        return None
+    toward = from_centre[on].mean(axis=0)
+    length = float(np.hypot(toward[0], toward[1]))
+    return toward / length if length > 0.1 * circle.radius else None
 
 
 def _near(a: PadPose, b: PadPose) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.contracts.geometry import F64
 from estimator.vision.acquire_drawing import ANGLES, polar_drawing, sampled
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -38,11 +39,12 @@ class Heading:
     """Share of the disc's area inside the picture."""
 
 
-def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose) -> Heading | None:
+def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F64 | None = None) -> Heading | None:
     """The best heading of the drawing at a place, or None where hardly any of it is in view.
 
     Args:
         px: the picture, `step` times smaller than the camera's.
+        side: (2,) of unit length, x and y of `pose`: the half of the disc that is to be looked at, where the other is covered.
     """
     drawing = polar_drawing(pad)
     uv = ((camera.project(drawing.xy_m @ pose.R_cam_pad.matrix[:, :2].T + pose.t_cam_pad) + 0.5) / step - 0.5).astype(np.float32)
@@ -51,6 +53,8 @@ def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose) -> Headi
     u, v = uv[:, 0], uv[:, 1]
     seen = ((u > -0.5) & (u < w - 0.5) & (v > -0.5) & (v < h - 0.5)).reshape(shape)
     weight = seen * drawing.area_inside
+    if side is not None:
+        weight = weight * (drawing.xy_m @ side > 0.0).reshape(shape)
     total = float(drawing.area_inside.sum()) * ANGLES
     in_view = float(weight.sum()) / total
     if in_view < 0.02:

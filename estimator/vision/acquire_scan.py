@@ -39,6 +39,8 @@ beyond which the coarse picture shows it well."""
 _SPECKS = 12
 _SPECK = 0.18 * _NAT
 _SPECK_AREA = 12
+_LONGEST = 2.6
+"""Length of a speck to its width: 2 of half a disc."""
 _CLOSE = np.ones((3, 3), np.uint8)
 
 
@@ -155,6 +157,8 @@ class Speck:
     radius_px: float
     contrast: float
     """Of the measure against what lies around, in natural logarithms."""
+    outline_px: F64
+    """(N, 2) along its outer border."""
 
 
 def specks(picture: Coarse) -> list[Speck]:
@@ -176,7 +180,9 @@ def specks(picture: Coarse) -> list[Speck]:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     w, h, area = stats[1:, 2], stats[1:, 3], stats[1:, 4]
     shortest, longest = np.minimum(w, h), np.maximum(w, h)
-    fit = np.nonzero((area >= _SPECK_AREA) & (longest <= 2.0 * shortest) & (longest < 2 * _BESIDE_PX) & (area > 0.25 * w * h))[0]
+    fit = np.nonzero(
+        (area >= _SPECK_AREA) & (longest <= _LONGEST * shortest) & (longest < 2 * _BESIDE_PX) & (area > 0.25 * w * h)
+    )[0]
     if len(fit) > 40:
         fit = fit[np.argsort(-area[fit], kind="stable")[:40]]
     out = []
@@ -186,7 +192,10 @@ def specks(picture: Coarse) -> list[Speck]:
         own = cv2.inRange(labels[window], int(i) + 1, int(i) + 1)
         contrast = cv2.minMaxLoc(over[window], own)[1] / _NAT
         centre = np.array([[x + (w[i] - 1) / 2, y + (h[i] - 1) / 2]])
-        out.append(Speck(picture.to_full(centre)[0], picture.step * math.sqrt(float(w[i] * h[i])) / 2, contrast))
+        contours, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        contour = max(contours, key=len)[:, 0].astype(float)
+        outline = picture.to_full((_moved_out(contour) if len(contour) >= 6 else contour) + np.array([x, y]))
+        out.append(Speck(picture.to_full(centre)[0], picture.step * math.sqrt(float(w[i] * h[i])) / 2, contrast, outline))
     out.sort(key=lambda s: -s.contrast * min(s.radius_px, 6.0))
     return out[:_SPECKS]
 

@@ -99,6 +99,17 @@ def test_found_with_almost_half_of_it_hidden(camera: Camera, pad: Pad, height_m:
     assert keeps_claim(best.pose, seen.truth, camera, pad, best.yaw_ambiguous)
 
 
+@pytest.mark.parametrize("height_m", [10.0, 15.0])
+@pytest.mark.parametrize("angle_deg", [20, 140, 260])
+def test_found_from_afar_with_half_of_it_hidden(camera: Camera, pad: Pad, height_m: float, angle_deg: int) -> None:
+    seen = shown(camera, pad, height_m)
+    a = math.radians(angle_deg)
+    side, along = np.array([math.cos(a), math.sin(a)]), np.array([-math.sin(a), math.cos(a)])
+    outline = np.array([0.02 * side - along, 0.02 * side + along, side + along, side - along])
+    best = best_of(acquire(covered(seen, camera, outline, (70, 60, 150)), camera, pad, seen.R_level_body))
+    assert keeps_claim(best.pose, seen.truth, camera, pad, True), "the arrowhead is hidden in some of them"
+
+
 def test_cut_off_by_the_picture_s_edge(camera: Camera, pad: Pad) -> None:
     for aside in ((0.85, 0.0), (0.0, 0.48), (-0.8, -0.4)):
         seen = shown(camera, pad, 1.5, aside=aside)

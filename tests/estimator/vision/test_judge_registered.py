@@ -11,7 +11,7 @@ from estimator.contracts.samples import Attitude
 from estimator.vision.acquire import acquire
 from estimator.vision.acquire_align import SIGMA_TILT_RAD, Pyramid, align
 from estimator.vision.camera import Camera
-from estimator.vision.judge_registered import EVIDENCE, confidence, evidence
+from estimator.vision.judge_registered import EVIDENCE, SET, confidence, evidence
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
@@ -30,7 +30,7 @@ def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_leve
     if laid is None:
         return 0.0
     values = evidence(laid, found, pad)
-    assert values.shape == (len(EVIDENCE) + 1,)
+    assert values.shape == (len(EVIDENCE) + len(SET),)
     assert np.all(np.isfinite(values))
     return confidence(values)
 

@@ -195,6 +195,20 @@ def test_half_of_the_distant_pad_hidden_is_said(camera: Camera, pad: Pad) -> Non
             assert found.inliers < 0.6
 
 
+@pytest.mark.parametrize("height_m", [10.0, 15.0, 20.0])
+def test_a_reflection_on_the_distant_pad_moves_it_less_than_half_a_pixel(camera: Camera, pad: Pad, height_m: float) -> None:
+    for n in range(6):
+        a = n * math.tau / 6
+        light = Light(glare=0.4 + 0.15 * n, glare_centre_m=(0.2 * math.cos(a), 0.2 * math.sin(a)))
+        stage = Stage(camera, pad, light=light, seed=n)
+        view = stage.view(height_m, lateral=0.02)
+        found = register(view.px, camera, pad, stage.start(view, 0.4), view.orientation(), TRACK)
+        assert found is not None
+        d, _ = pad_error(found.pose, view.pose)
+        assert np.hypot(*d[:2]) < 0.5 * height_m / camera.fx
+        assert abs(d[2]) < 0.08 * height_m
+
+
 def test_what_the_edges_do_not_fix_is_uncertain(camera: Camera, pad: Pad) -> None:
     stage = Stage(camera, pad)
     view = stage.view(1.0, lateral=0.0)
