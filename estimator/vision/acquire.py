@@ -52,6 +52,8 @@ _SPECK_RADII = (0.95, 1.5)
 """Of a speck: it is the disc, or what of it lies within the ring."""
 _COVERED_ARC_RAD = 4.6
 """Of a disc's outline: less of it is the outline of a disc half covered."""
+_HALVES = 6
+"""Most prominent specks that are also taken for half a disc."""
 _NEAR_SHARE = 0.10
 """Of the picture in the disc's colour, from which on the letter is looked for before specks are."""
 
@@ -286,7 +288,7 @@ def _from_specks(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> li
     """From specks of the disc's colour in the whole picture at full size: the pad from afar."""
     picture = coarse(pyramid[0], 1, pad)
     out: list[_Guess] = []
-    for speck in specks(picture):
+    for rank, speck in enumerate(specks(picture)):
         places = plane.places(camera, speck.centre_px + np.array([[0.0, 0.0], [1.0, 0.0]]))
         if not np.isfinite(places).all():
             continue
@@ -296,7 +298,7 @@ def _from_specks(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> li
         best = max((g for g in guesses if g is not None), key=lambda g: g.score, default=None)
         if best is not None:
             out.append(best)
-        half = _half(speck, picture, pyramid, camera, pad, plane)
+        half = _half(speck, picture, pyramid, camera, pad, plane) if rank < _HALVES else None
         if half is not None:
             out.append(half)
     # A few pixels of drawing say little of themselves, and prominence says little of the drawing: the best of both come first.
