@@ -18,7 +18,7 @@ from estimator.vision.acquire_heading import heading
 from estimator.vision.acquire_scan import Coarse, Speck, coarse, limits, specks, spots
 from estimator.vision.acquire_strokes import letters
 from estimator.vision.camera import Camera
-from estimator.vision.judge import arrow_evidence, confidence, features
+from estimator.vision.judge import ALONE_LOG_ODDS, alone, arrow_evidence, confidence, features
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.paint import FRESH, PaintMemory
@@ -181,7 +181,9 @@ def laid_at(
         if turned is not None:
             laid, arrow = turned, arrow_evidence(turned)
     values = features(laid, pad)
-    return Candidate(laid.pose, confidence(values), arrow < _ARROW_SEEN, laid.in_view, values, laid)
+    return Candidate(
+        laid.pose, confidence(values, ALONE_LOG_ODDS * alone(values)), arrow < _ARROW_SEEN, laid.in_view, values, laid
+    )
 
 
 def _from_discs(

@@ -92,7 +92,7 @@ def features(laid: Laid, pad: Pad) -> F64:
     two = sorted((letter, ring, edge))[1]
     everything = _gain(residual, residual - local.light, local.weight)
     white, orange, green = (local.paints[k] for k in (H, ORANGE, DISC))
-    off = _orange_place(white, orange, green, pad)
+    off = min(1.0, _TELLING * shown[1]) * _orange_place(white, orange, green, pad)
     size_px = pad.disc_radius_m / laid.sample_m
     return np.array([
         1.0,
@@ -154,6 +154,16 @@ _COEFFICIENTS = np.array(
 
 TRACKED_LOG_ODDS = 3.0
 """For `confidence`, of a drawing laid where the filter expects the pad: right twenty times as often as a guess out of nowhere."""
+
+
+ALONE_LOG_ODDS = -2.5
+"""For `confidence`, times `alone`, of a candidate of acquisition: an H on something green may be of any size."""
+
+
+def alone(values: F64) -> float:
+    """0..1: how much of what is in view is letter, with neither ring nor edge beside it."""
+    letter = float(values[FEATURES.index("letter")])
+    return min(1.0, float(values[FEATURES.index("letter_alone")]) / letter) if letter > 0.1 else 0.0
 
 
 def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
