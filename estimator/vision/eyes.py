@@ -47,6 +47,8 @@ _HEADING_PX = 28.0
 """Radius of the disc, at least, in the picture that a heading is looked for in."""
 _FITS = 0.5
 """Confidence below which a tracked pose is thrown away for a new search."""
+_EXPECTED_SIGMAS = 3.0
+"""Of the belief's place: what acquisition finds so near to it is where the pad was expected."""
 _REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
 """Of the disc's radius and of the height: how far off the pad may be, two standard deviations, for tracking to be tried.
 
@@ -133,7 +135,10 @@ def _registered(
 ) -> _Registered | None:
     orientation = Orientation.of(attitude, eyes.sigma_deck_rad)
     best: _Registered | None = None
+    start: PadPose | None = None
+    within_m = 0.0
     if belief is not None and attitude is not None and _near_enough(belief, eyes.pad):
+        within_m = _EXPECTED_SIGMAS * _sigma_m(belief)
         start = expected(belief, attitude, eyes.camera)
         if start is not None and start.t_cam_pad[2] > 0.05:
             options = _CLOSE if _sigma_m(belief) * eyes.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else _ROUGH
@@ -143,7 +148,9 @@ def _registered(
         for candidate in acquire(frame.px, eyes.camera, eyes.pad, R_level_body, paint)[:_CANDIDATES]:
             if candidate.score < _WORTH_A_TRY:
                 break
-            best = _better(best, _lay(eyes, paint, frame, pyramid, candidate.pose, orientation, _CLOSE))
+            there = start is not None and float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad)) < within_m
+            prior = judge.TRACKED_LOG_ODDS if there else 0.0
+            best = _better(best, _lay(eyes, paint, frame, pyramid, candidate.pose, orientation, _CLOSE, prior))
             if best is not None and best.sighting.confidence >= _FITS:
                 break
     return best
