@@ -9,6 +9,7 @@ light that is not burnt out.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,18 +67,23 @@ def keeps_claim(pose: PadPose, truth: PadPose, camera: Camera, pad: Pad, yaw_amb
 
 def features(laid: Laid, pad: Pad) -> F64:
     """(len(FEATURES),) inputs of the model, each of order one."""
-    r = np.hypot(laid.xy_m[:, 0], laid.xy_m[:, 1])
+    local = laid.local
+    # Channel by channel: numpy's loops are long.
+    xy, light, share = laid.xy_m.T, local.light.T, local.share.T
+    paints = local.paints.astype(np.float32)
+    residual = light - paints.T @ share
+    squared = (residual * residual).sum(axis=0)
+    r2 = xy * xy
+    r = np.sqrt(r2[0] + r2[1])
+    x, y = np.abs(xy)
     reach = max(0.02, 1.0 * laid.sample_m)
-    x, y = np.abs(laid.xy_m[:, 0]), np.abs(laid.xy_m[:, 1])
     disc = disc_edge_m(pad)
     zones = (
         (x < pad.h_length_m / 2 + reach) & (y < pad.h_width_m / 2 + reach),
         (r > pad.ring_inner_m - 2 * reach) & (r < pad.ring_outer_m + 2 * reach),
         r > disc - 2.5 * reach,
     )
-    local = laid.local
-    residual = local.light - local.share @ local.paints.astype(np.float32)
-    around = np.floor((np.arctan2(laid.xy_m[:, 1], laid.xy_m[:, 0]) + math.pi) * (_SECTORS / math.tau)).astype(int) % _SECTORS
+    around = ((np.arctan2(xy[1], xy[0]) + math.pi) * (_SECTORS / math.tau)).astype(np.intp) % _SECTORS
     areas = (
         pad.h_length_m * pad.h_width_m,
         math.pi * ((pad.ring_outer_m + 2 * reach) ** 2 - (pad.ring_inner_m - 2 * reach) ** 2),
@@ -85,12 +91,13 @@ def features(laid: Laid, pad: Pad) -> F64:
     )
     gains, shown = [], []
     for zone, paint, area in zip(zones, (H, ORANGE, AROUND), areas, strict=True):
-        without = local.share[zone, paint, None] * (local.paints[DISC] - local.paints[paint]).astype(np.float32)
-        gains.append(_gains(residual[zone], without, around[zone]))
-        shown.append(min(1.0, float(np.count_nonzero(zone)) * laid.sample_m**2 / area))
+        at = zone.nonzero()[0]
+        way = (local.paints[DISC] - local.paints[paint]).astype(np.float32)
+        gains.append(_gains(squared.take(at), way @ residual.take(at, axis=1), share[paint].take(at), way, around.take(at)))
+        shown.append(min(1.0, len(at) * laid.sample_m**2 / area))
     (letter, letter_all), (ring, ring_all), (edge, edge_all) = gains
     two = sorted((letter, ring, edge))[1]
-    everything = _gain(residual, residual - local.light, local.weight)
+    everything = _gain(squared, (light * light).sum(axis=0), local.weight)
     white, orange, green = (local.paints[k] for k in (H, ORANGE, DISC))
     off = min(1.0, _TELLING * shown[1]) * _orange_place(white, orange, green, pad)
     size_px = pad.disc_radius_m / laid.sample_m
@@ -207,10 +214,14 @@ def _flanks(laid: Laid, residual: F32, r: F32, pad: Pad) -> float:
     width = pad.ring_outer_m - pad.ring_inner_m
     if length < 1e-4:
         return 0.0
+    aside = r - pad.ring_radius_m
+    near = (np.abs(aside) < 1.3 * width).nonzero()[0]
+    aside, much = aside.take(near), way @ residual.take(near, axis=1)
     sides = []
     for sign in (-1.0, 1.0):
-        beside = np.abs(sign * (r - pad.ring_radius_m) - 0.9 * width) < 0.4 * width
-        sides.append(float((residual[beside] @ way).mean()) / length if np.count_nonzero(beside) >= 6 else 0.0)
+        beside = np.abs(sign * aside - 0.9 * width) < 0.4 * width
+        n = int(np.count_nonzero(beside))
+        sides.append(float(much @ beside) / n / length if n >= 6 else 0.0)
     return _clip(max(sides) + min(0.0, *sides), 0.0, 1.0)
 
 
@@ -219,37 +230,45 @@ def _some(gain: float) -> float:
     return max(0.0, gain) / (max(0.0, gain) + 0.4)
 
 
-def _gains(residual: F32, without: F32, sector: NDArray[np.intp]) -> tuple[float, float]:
-    """`_gain` by direction from the centre: mean of the better half of the directions in view, and of all of them."""
-    if len(residual) < 6:
+def _gains(squared: F32, along: F32, share: F32, way: F32, sector: NDArray[np.intp]) -> tuple[float, float]:
+    """`_gain` by direction from the centre: mean of the better half of the directions in view, and of all of them.
+
+    Args:
+        squared: (n,) length of the residuals of the whole drawing, squared.
+        along: (n,) the residuals times `way`.
+        share: (n,) of the part's paint.
+        way: (3,) by which a sample wholly of that paint changes when the part is taken off.
+    """
+    if len(squared) < 6:
         return 0.0, 0.0
     n = np.bincount(sector, minlength=_SECTORS)
     floor = _NOISE**2 * 3.0 * n + 1e-9
-    change = np.bincount(sector, (without**2).sum(axis=1), _SECTORS)
-    with_it = np.bincount(sector, (residual**2).sum(axis=1), _SECTORS) + floor
-    without_it = np.bincount(sector, ((residual - without) ** 2).sum(axis=1), _SECTORS) + floor
-    gain = np.clip(np.log(without_it / with_it), -1.0, _ENOUGH)[change > 0.2 * float(change.max()) + 1e-9]
+    without = share * share
+    without *= float(way @ way)
+    change = np.bincount(sector, without, _SECTORS)
+    with_it = np.bincount(sector, squared, _SECTORS) + floor
+    without -= 2.0 * share * along
+    without_it = np.maximum(np.bincount(sector, without, _SECTORS) + with_it, floor)
+    gain = np.log(without_it / with_it)[change > 0.2 * float(change.max()) + 1e-9]
     if not len(gain):
         return 0.0, 0.0
-    gain = np.sort(gain)
-    return float(gain[len(gain) // 2 :].mean()) * min(1.0, len(gain) / 3.0), float(gain.mean())
+    each = sorted(_clip(g, -1.0, _ENOUGH) for g in gain.tolist())
+    best = each[len(each) // 2 :]
+    return sum(best) / len(best) * min(1.0, len(each) / 3.0), sum(each) / len(each)
 
 
-def _gain(residual: F32, without: F32, weight: F32) -> float:
-    """What a part of the drawing gains: the logarithm of the residuals' squares without it over those with it.
+def _gain(squared: F32, nothing: F32, weight: F32) -> float:
+    """What the drawing gains: the logarithm of the residuals' squares without it over those with it.
 
     Args:
-        residual: (n, 3) of the whole drawing.
-        without: (n, 3) by which the model changes when the part is taken off.
+        squared: (n,) with it.
+        nothing: (n,) without it: of the light itself.
         weight: (n,).
     """
-    if len(residual) < 6:
+    if len(squared) < 6:
         return 0.0
-    w = weight[:, None]
     floor = _NOISE**2 * 3.0 * float(weight.sum())
-    with_it = float((w * residual**2).sum()) + floor
-    without_it = float((w * (residual - without) ** 2).sum()) + floor
-    return _clip(math.log(without_it / with_it), 0.0, _ENOUGH)
+    return _clip(math.log((float(weight @ nothing) + floor) / (float(weight @ squared) + floor)), 0.0, _ENOUGH)
 
 
 def _orange_place(white: F64, orange: F64, green: F64, pad: Pad) -> float:
@@ -259,6 +278,7 @@ def _orange_place(white: F64, orange: F64, green: F64, pad: Pad) -> float:
     return float(np.abs(place - _nominal_place(pad)).mean())
 
 
+@lru_cache(maxsize=8)
 def _nominal_place(pad: Pad) -> F64:
     white, orange, green = (np.sqrt(_linear(rgb)) for rgb in (pad.colours.h, pad.colours.ring, pad.colours.disc))
     return np.asarray((orange - green) / (white - green))
