@@ -34,6 +34,10 @@ from estimator.vision.registration_state import N_POSE, N_STATE, U8, State
 
 _NOISE_DOUBTED = 5e-4
 """Variance of smoothed light over light: four times what worn paint on a patchy deck comes to. More is something on the pad."""
+_MERGED_EDGES_PX3, _MERGED_EDGES_MOST_PX = 4.0, 0.08
+"""Sigma of the distant disc's edges times the square of its radius, and the most of it, px: what wear, stains and uneven light
+move merged edges by. On rendered worn decks it makes errors as large as they are called, at 10 to 30 m; on an even floor they are
+smaller."""
 _EDGE_DOUBTED_PX = 2.0
 """Sigma of the distant disc's edges then: half of it hidden moves it so far."""
 
@@ -295,11 +299,13 @@ def _growth(fit: profiles_.ProfileFit, samples: int) -> float:
 
 def _whole_edges_off(state: State, pad: Pad, options: Options, more_px: float) -> F64:
     """(9, 9) what unexplained places of edges cost: eight sectors of the disc and four strokes of the H, each by itself."""
-    sigma_m = math.hypot(math.hypot(options.whole_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)
+    merged_px = min(_MERGED_EDGES_PX3 * (state.m_per_px / pad.disc_radius_m) ** 2, _MERGED_EDGES_MOST_PX)
+    letter_m = math.hypot(math.hypot(options.whole_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)
+    sigma_m = math.hypot(letter_m, merged_px * state.m_per_px)
     out = np.zeros((N_STATE, N_STATE))
     out[0, 0] = out[1, 1] = sigma_m**2 / 4.0
     out[2, 2] = (sigma_m * state.depth_m / pad.disc_radius_m) ** 2 / 8.0
-    out[5, 5] = (sigma_m / (0.5 * pad.h_length_m)) ** 2
+    out[5, 5] = (letter_m / (0.5 * pad.h_length_m)) ** 2
     return out
 
 
