@@ -10,7 +10,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import UNKNOWN_VAR, Baro, BodyVelocity, Range, VesselReport
 from estimator.ekf import gate, measure, motion
-from estimator.ekf.algebra import nis_of
+from estimator.ekf.algebra import log_likelihood, nis_of
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.state import (
     ATTITUDE,
@@ -38,6 +38,8 @@ _OVER_MEMORY_S = 3.0
 """How soon what the velocity samples told of what is below is forgotten."""
 _OVER_EXPECTED = 3.0
 """Log-odds of seeing the deck where the body is surely over it, of seeing the water where it surely is not."""
+_MISFIT_MAX = 30.0
+"""A worse misfit of a reading counts no more: it may be a bad sample."""
 _ZERO3, _NO_DOUBT = np.zeros(3), np.zeros(())
 _CORRELATION = (
     "attitude_correlation_s", "velocity_correlation_s", "range_correlation_s", "baro_correlation_s",
@@ -91,12 +93,11 @@ def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
     ground, deck = (measure.velocity(x, b.R, event.v_level, event.cov_level, share) for share in (0.0, 1.0))
     if ground is None or deck is None:
         return b
-    # Both are held against the doubt of both: the reading that was believed so far would else win by having made itself certain.
-    S = ground.H.dot(b.P).dot(ground.H.T) + deck.H.dot(b.P).dot(deck.H.T) + ground.R
-    misfit = [nis_of(row.innov, S) for row in (ground, deck)]
-    if misfit[0] is None or misfit[1] is None:
+    # Each by its own doubt: an unsure reading forgives the same misfit that refutes a sure one, and pays for it in likelihood.
+    by_ground, by_deck = (log_likelihood(r.innov, r.H.dot(b.P).dot(r.H.T) + r.R, _MISFIT_MAX) for r in (ground, deck))
+    if by_ground is None or by_deck is None:
         return b
-    evidence = max(-3.0, min(3.0, 0.5 * (misfit[0] - misfit[1])))
+    evidence = max(-3.0, min(3.0, by_deck - by_ground))
     odds += evidence * min(1.0, 0.5 * since / o.velocity_correlation_s)
     return b._replace(over_pad=max(-6.0, min(6.0, odds)), t_velocity=b.t)
 
@@ -212,7 +213,7 @@ def aided(b: Belief, tools: Tools) -> Belief:
     o = tools.options
     if not any(aid.gathered for aid in b.aids):
         return b
-    b = motion.settle(b, o, tools.walk, tools.algebra)
+    b = motion.settle(b, tools.walk, tools.algebra)
     innov, H, R = [], [], []
     aids = list(b.aids)
     for kind, aid in enumerate(b.aids):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -52,7 +52,7 @@ def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[Outcome]]:
         TypeError: an object that is no measurement (a picture, say).
     """
     history, outcome = put(ekf.history, event, ekf.tools)
-    return replace(ekf, history=history), [outcome]
+    return Ekf(ekf.options, ekf.tools, history), [outcome]
 
 
 @lru_cache(maxsize=4)  # guidance, recorder and links ask for one instant in turn; nothing in the answer can be written to
@@ -64,7 +64,7 @@ def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
     b = carried(b, now, ekf.tools)
     P = b.P
     # Seven numbers leave: their covariance is brought here, not the whole state's.
-    b, F, Q = motion.moved(b, ekf.options, ekf.tools.walk)
+    b, F, Q = motion.moved(b, ekf.tools.walk)
     x, T = measure.aligned(b)
     psi = so3.heading(b.R)
     Z = so3.about_down(-psi)

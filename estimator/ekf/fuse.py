@@ -101,7 +101,7 @@ def _imu(b: Belief, event: Imu, tools: Tools) -> tuple[Belief, Outcome]:
     else:
         b = carried(b, t, tools)._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=event.f_body)
     if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
-        b = motion.settle(b, o, tools.walk, tools.algebra)
+        b = motion.settle(b, tools.walk, tools.algebra)
     return forgotten(b, o), Outcome(event, Verdict.FUSED)
 
 

@@ -227,6 +227,12 @@ def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
     if not part.any():
         return cov
     try:
+        np.linalg.cholesky((1.0 - keep) * cov - part)
+    except np.linalg.LinAlgError:
+        pass
+    else:
+        return np.asarray(cov - part)
+    try:
         L = np.linalg.cholesky(cov)
     except np.linalg.LinAlgError:
         return cov

@@ -6,7 +6,8 @@ Derivation: docs/estimator.md, sections "Motion" and "Error".
 from __future__ import annotations
 
 import math
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,6 +61,7 @@ class Walk:
     """Noise that enters in proportion to time: (N,) densities, computed once."""
 
     def __init__(self, o: EkfOptions) -> None:
+        self.options = o
         q = np.zeros(N)
         q[TH] = o.asd_gyro_rad_s**2
         q[BG] = o.asd_gyro_bias_rad_s2**2
@@ -111,57 +113,45 @@ def carry(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, **also: Any
     )
 
 
-def settle(b: Belief, o: EkfOptions, walk: Walk, algebra: Algebra) -> Belief:
+def settle(b: Belief, walk: Walk, algebra: Algebra) -> Belief:
     """Bring `x` and `P` from `t_cov` to `t`."""
     if b.t <= b.t_cov:
         return b
-    after, F, Q = moved(b, o, walk)
+    after, F, Q = moved(b, walk)
     return after._replace(P=algebra.predict(b.P, F, Q))
 
 
-def moved(b: Belief, o: EkfOptions, walk: Walk) -> tuple[Belief, F64, F64]:
-    """The belief with all but `P` brought from `t_cov` to `t`, and the (N, N) F and Q by which `P` goes there."""
-    T = (b.t - b.t_cov) * 1e-9
-    sea = b.sea
-    A, q_unit = transition(sea.w_rad_s, sea.zeta, T, sea.at_rest)
-    q_unit[:, :2, :2] += (4.0 * _SHORT_SHARE * sea.zeta * sea.w_rad_s**3)[:, None, None] * np.array(
+class Linear(NamedTuple):
+    """What moving on over some time does that the IMU has no part in. Shared by all who move so far: never written to."""
+
+    A: F64
+    """(5, 4, 4) of the oscillators."""
+    fade: float
+    """What is left of the rate of turn."""
+    reach: float
+    """s: what the rate of turn does to the heading."""
+    F: F64
+    """(N, N) but for what is turned or pushed."""
+    Q: F64
+    """(N, N)"""
+
+
+# A late sighting has the same steps made again, and the sea's summary stays for some of them.
+@lru_cache(maxsize=48)
+def _linear(walk: Walk, T: float, coast_s: float, summary: bytes) -> Linear:
+    """Over T s, `coast_s` of them without an IMU. `summary`: w_rad_s, zeta, sigma of the sea, one after the other."""
+    o = walk.options
+    w, zeta, sigma = np.frombuffer(summary).reshape(3, 5)
+    A, q_unit = transition(w, zeta, T)
+    q_unit[:, :2, :2] += (4.0 * _SHORT_SHARE * zeta * w**3)[:, None, None] * np.array(
         [[T**3 / 3.0, T * T / 2.0], [T * T / 2.0, T]]
     )
-    q_waves = (sea.sigma**2)[:, None, None] * q_unit
+    q_waves = (sigma**2)[:, None, None] * q_unit
     fade = math.exp(-T / o.turn_rate_memory_s)
     reach = o.turn_rate_memory_s * (1.0 - fade)
 
-    x = b.x.copy()
-    waves = b.x[_SEA].reshape(WAVES.shape)
-    after = (A @ waves[:, :, None])[:, :, 0]
-    x[_SEA] = after.ravel()
-    fall = 0.5 * GRAVITY_M_S2 * T * T
-    moved = (after - waves)[:3, 0] - b.x[V] * T - b.dp
-    moved[2] -= fall
-    moved[:2] += b.x[U] * T
-    x[D] += moved
-    x[V] += b.dv
-    x[8] += GRAVITY_M_S2 * T
-    x[HEAD] += b.x[TURN] * reach
-    x[TURN] *= fade
-    ins_p = b.ins_p + b.ins_v * T + b.dp
-    ins_v = b.ins_v + b.dv
-    ins_p[2] += fall
-    ins_v[2] += GRAVITY_M_S2 * T
-
     F = _IN.copy()
-    back = b.R.T.dot(b.R_cov)
-    F[TH, TH] = back
-    F[TH, BG] = (-0.5 * T) * (_I3 + back)
-    dv_R = so3.cross_matrix(b.dv).dot(b.R_cov)
-    dp_R = so3.cross_matrix(b.dp).dot(b.R_cov)
-    F[V, TH] = -dv_R
-    F[V, BG] = (0.5 * T) * dv_R
-    F[V, BA] = -b.turned
-    F[D, TH] = dp_R
     F[D, V] = -T * _I3
-    F[D, BG] = (-T / 3.0) * dp_R
-    F[D, BA] = (0.5 * T) * b.turned
     F[3, 16] = F[4, 17] = T
     flat = F.reshape(-1)
     flat[_BLOCKS] = A.ravel()
@@ -172,9 +162,9 @@ def moved(b: Belief, o: EkfOptions, walk: Walk) -> tuple[Belief, F64, F64]:
     Q = np.zeros((N, N))
     q = walk.psd * T
     force, spin = walk.psd_accel * T, 0.0
-    if b.coast_s > 0.0:
-        force += walk.psd_coast * b.coast_s
-        spin = walk.psd_coast_turn * b.coast_s
+    if coast_s > 0.0:
+        force += walk.psd_coast * coast_s
+        spin = walk.psd_coast_turn * coast_s
     q[TH] += spin
     q[V] = force
     q[D] = force * (T * T / 3.0)
@@ -190,10 +180,51 @@ def moved(b: Belief, o: EkfOptions, walk: Walk) -> tuple[Belief, F64, F64]:
     flat[_D_BY_WAVES] = flat[_WAVES_BY_D] = q_waves[:3, 0].ravel()
     flat[_D_BY_V] = flat[_V_BY_D] = -0.5 * T * force
     Q[HEAD, TURN] = Q[TURN, HEAD] = sigma2 * o.turn_rate_memory_s * (1.0 - fade) ** 2
+    for part in (A, F, Q):
+        part.setflags(write=False)
+    return Linear(A, fade, reach, F, Q)
+
+
+def moved(b: Belief, walk: Walk) -> tuple[Belief, F64, F64]:
+    """The belief with all but `P` brought from `t_cov` to `t`, and the (N, N) F and Q by which `P` goes there."""
+    T = (b.t - b.t_cov) * 1e-9
+    sea = b.sea
+    same = _linear(walk, T, b.coast_s, sea.w_rad_s.tobytes() + sea.zeta.tobytes() + sea.sigma.tobytes())
+
+    x = b.x.copy()
+    waves = b.x[_SEA].reshape(WAVES.shape)
+    after = (same.A @ waves[:, :, None])[:, :, 0]
+    x[_SEA] = after.ravel()
+    fall = 0.5 * GRAVITY_M_S2 * T * T
+    moved = (after - waves)[:3, 0] - b.x[V] * T - b.dp
+    moved[2] -= fall
+    moved[:2] += b.x[U] * T
+    x[D] += moved
+    x[V] += b.dv
+    x[8] += GRAVITY_M_S2 * T
+    x[HEAD] += b.x[TURN] * same.reach
+    x[TURN] *= same.fade
+    ins_p = b.ins_p + b.ins_v * T + b.dp
+    ins_v = b.ins_v + b.dv
+    ins_p[2] += fall
+    ins_v[2] += GRAVITY_M_S2 * T
+
+    F = same.F.copy()
+    back = b.R.T.dot(b.R_cov)
+    dv_R = so3.cross_matrix(b.dv).dot(b.R_cov)
+    dp_R = so3.cross_matrix(b.dp).dot(b.R_cov)
+    F[TH, TH] = back
+    F[TH, BG] = (-0.5 * T) * (_I3 + back)
+    F[V, TH] = -dv_R
+    F[V, BG] = (0.5 * T) * dv_R
+    F[V, BA] = -b.turned
+    F[D, TH] = dp_R
+    F[D, BG] = (-T / 3.0) * dp_R
+    F[D, BA] = (0.5 * T) * b.turned
 
     R = so3.orthonormalised(b.R)
     belief = b._replace(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v)
-    return belief, F, Q
+    return belief, F, same.Q
 
 
 def peek(b: Belief) -> F64:

@@ -10,6 +10,7 @@ Source: Magill, Optimal adaptive estimation of sampled stochastic processes, IEE
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -138,12 +139,12 @@ def look(sea: Sea, t: int, y: F64, var: F64, by: Carrying, reach_m: float) -> Se
 
 
 def _carried(x: F64, P: F64, dt: float, by: Carrying, reach_m: float) -> tuple[F64, F64]:
-    A, q = transition(W, ZETA, dt, AT_REST)
-    F = np.zeros((W.size, _SIZE, _SIZE))
-    F[:, :4, :4] = A
-    F[:, 4:, 4:] = [[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]]
-    P = F @ P @ F.transpose(0, 2, 1)
-    P[:, :, :4, :4] += (SIGMA**2)[:, :, None, None] * q
+    F, q = _moved_on(dt)
+    # F P F' = F (F P)' as P is symmetric, the five directions side by side: one product a member and not one each.
+    half = (F @ P.transpose(1, 2, 0, 3).reshape(W.size, _SIZE, -1)).reshape(W.size, _SIZE, 5, _SIZE)
+    P = (F @ half.transpose(0, 3, 2, 1).reshape(W.size, _SIZE, -1)).reshape(W.size, _SIZE, 5, _SIZE)
+    P = np.ascontiguousarray(P.transpose(2, 0, 1, 3))
+    P[:, :, :4, :4] += q
     qa, qb = by.asd_accel**2, by.asd_drift**2
     noise = np.zeros((5, 3, 3))
     noise[:, 0, 0] = qa * dt**3 / 3 + qb * dt**5 / 20 + (reach_m * by.asd_tilt) ** 2 * dt
@@ -154,6 +155,19 @@ def _carried(x: F64, P: F64, dt: float, by: Carrying, reach_m: float) -> tuple[F
     noise[:, 2, 2] = qb * dt
     P[:, :, 4:, 4:] += noise[:, None]
     return (F @ x[..., None])[..., 0], P
+
+
+@lru_cache(maxsize=8)  # cameras keep their rate
+def _moved_on(dt: float) -> tuple[F64, F64]:
+    """(G, 7, 7) transition of the members over `dt` s, (5, G, 4, 4) noise of their oscillators."""
+    A, q = transition(W, ZETA, dt, AT_REST)
+    F = np.zeros((W.size, _SIZE, _SIZE))
+    F[:, :4, :4] = A
+    F[:, 4:, 4:] = [[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]]
+    Q = (SIGMA**2)[:, :, None, None] * q
+    F.setflags(write=False)
+    Q.setflags(write=False)
+    return F, Q
 
 
 def log_evidence_of_rest(sea: Sea) -> float:

@@ -47,13 +47,13 @@ def carried(b: Belief, t: int, tools: Tools) -> Belief:
         b = motion.carry(b, b.t_imu + hold_ns, b.w, b.f, hold_ns)
     b = motion.carry(b, t, b.w, b.f, hold_ns)
     if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
-        b = motion.settle(b, o, tools.walk, tools.algebra)
+        b = motion.settle(b, tools.walk, tools.algebra)
     return b
 
 
 def settled(b: Belief, t: int, tools: Tools) -> Belief:
     """As `carried`, with the covariance at `t` too."""
-    return motion.settle(carried(b, t, tools), tools.options, tools.walk, tools.algebra)
+    return motion.settle(carried(b, t, tools), tools.walk, tools.algebra)
 
 
 def forgotten(b: Belief, o: EkfOptions) -> Belief:

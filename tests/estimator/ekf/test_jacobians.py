@@ -195,7 +195,7 @@ def test_transition(seed: int) -> None:
         c = c._replace(t_imu=0)
         for k in range(6):
             c = motion.carry(c, (k + 1) * 4_000_000, ws[k], fs[k], 10**9)
-        return motion.settle(c, OPTIONS, WALK, probe)  # type: ignore[arg-type]
+        return motion.settle(c, WALK, probe)  # type: ignore[arg-type]
 
     end = run(b)
     F = probe.F
