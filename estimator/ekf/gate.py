@@ -17,8 +17,10 @@ _CHI2 = {
 }
 """Chi-square by probability of exceeding it, for 1 to 9 degrees of freedom."""
 
-_GROWTH_M_S = 0.5
-"""By how much two looks at the same thing may come to differ a second, the belief drifting between them."""
+_GROWTH_M_S = 2.0
+"""By how much two looks at the same thing may come to differ a second, the belief drifting between them: a deck whose heave is
+not learned yet leaves it at 1 to 2 m/s."""
+_GROWTH_MAX_M = 0.6
 
 
 def nis_max(probability: float, dof: int) -> float:
@@ -40,7 +42,7 @@ def doubted(doubt: Doubt, t: int, offset_ned: F64, var_m2: float) -> Doubt:
         return fresh
     dt = (t - doubt.last) * 1e-9
     step = math.dist((x, y, z), doubt.offset_ned)
-    limit = 4.0 * math.sqrt(var_m2 + doubt.var_m2) + _GROWTH_M_S * dt + 0.02 * math.hypot(x, y, z)
+    limit = 4.0 * math.sqrt(var_m2 + doubt.var_m2) + min(_GROWTH_M_S * dt, _GROWTH_MAX_M) + 0.02 * math.hypot(x, y, z)
     if step > limit or dt > 2.0:
         return fresh
     return Doubt(doubt.n + 1, doubt.since, t, (x, y, z), var_m2)

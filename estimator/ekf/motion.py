@@ -44,7 +44,7 @@ from estimator.ekf.state import (
 _I3 = np.eye(3)
 _IN = np.eye(N)
 _D3 = np.arange(3, 6)
-_SHORT_SHARE = 0.005
+_SHORT_SHARE = 0.002
 """Of a direction's energy, in waves too short for the learned oscillators: these leave next to nothing above twice their own
 frequency, a sea does not. It enters as white acceleration, the drive of a single oscillator with that energy."""
 _SEA = slice(int(WAVES[0, 0]), int(WAVES[-1, -1]) + 1)

@@ -1,10 +1,9 @@
-"""How a deck moves on waves, in one direction: a damped oscillator pushed by a force that is one itself.
+"""How a deck moves on waves, in one direction: a damped oscillator pushed by the rate of another one like it.
 
-    x'' = -w^2 x - 2 zeta w x' + f        f'' = -w^2 f - 2 zeta w f' + white noise
+    x'' = -w^2 x - 2 zeta w x' + f'        f'' = -w^2 f - 2 zeta w f' + white noise
 
-Two in a row, because one alone has a jump in its acceleration at every instant, which no hull has: its velocity estimates are a
-quarter worse and its forecasts a fifth (docs/estimator.md). The noise is such that x keeps the standard deviation `sigma`.
-States: [x, x', f, f'].
+One alone has a jump in its acceleration at every instant, which no hull has; pushed by f itself it would wander slowly, where a
+sea has no energy (docs/estimator.md). The noise is such that x keeps the standard deviation `sigma`. States: [x, x', f, f'].
 """
 
 from __future__ import annotations
@@ -33,16 +32,14 @@ def stationary(w_rad_s: F64, zeta: F64) -> F64:
     Solution of the Lyapunov equation by hand; docs/estimator.md, section "Waves".
     """
     w, delta = np.asarray(w_rad_s), np.asarray(zeta * w_rad_s)
-    w2 = w * w
-    force = w2 / (1.0 / (8.0 * delta * delta) + 1.0 / (2.0 * w2))
+    w2, force = w * w, 8.0 * delta * delta
     P = np.zeros((*w.shape, 4, 4))
     P[..., 0, 0] = 1.0
-    P[..., 1, 1] = force / (8.0 * delta * delta)
+    P[..., 1, 1] = w2
     P[..., 2, 2] = force
     P[..., 3, 3] = force * w2
-    P[..., 0, 2] = P[..., 2, 0] = force / (2.0 * w2)
-    P[..., 0, 3] = P[..., 3, 0] = -force / (4.0 * delta)
-    P[..., 1, 2] = P[..., 2, 1] = force / (4.0 * delta)
+    P[..., 0, 2] = P[..., 2, 0] = 2.0 * delta
+    P[..., 1, 3] = P[..., 3, 1] = 2.0 * delta * w2
     return P
 
 
@@ -50,7 +47,7 @@ def transition(w_rad_s: F64, zeta: F64, dt_s: float, at_rest: F64 | None = None)
     """Exact over `dt_s`, for 0 < zeta < 1.
 
     The two blocks on the diagonal are the single oscillator's exp(J T), J = K - delta, K^2 = -wd^2; the one above is the integral
-    of exp(J (T - s)) B exp(J s), B passing the force on to the acceleration.
+    of exp(J (T - s)) B exp(J s), B passing the force's rate on to the acceleration.
 
     Args:
         at_rest: `stationary(w_rad_s, zeta)` where it is at hand.
@@ -67,10 +64,10 @@ def transition(w_rad_s: F64, zeta: F64, dt_s: float, at_rest: F64 | None = None)
     A[..., 0, 1] = A[..., 2, 3] = s
     A[..., 1, 0] = A[..., 3, 2] = -w2 * s
     A[..., 1, 1] = A[..., 3, 3] = c - delta * s
-    A[..., 0, 2] = cs + delta * ss
-    A[..., 0, 3] = ss
-    A[..., 1, 2] = cc - delta * delta * ss
-    A[..., 1, 3] = cs - delta * ss
+    # The integral for a force that pushes by itself, [[fa, fb], [fc, fd]], times J: its rate is one J further.
+    fa, fb, fc, fd = cs + delta * ss, ss, cc - delta * delta * ss, cs - delta * ss
+    A[..., 0, 2], A[..., 0, 3] = -w2 * fb, fa - 2.0 * delta * fb
+    A[..., 1, 2], A[..., 1, 3] = -w2 * fd, fc - 2.0 * delta * fd
     P = stationary(w_rad_s, zeta) if at_rest is None else at_rest
     q = P - A @ P @ np.swapaxes(A, -1, -2)
     return Transition(A, 0.5 * (q + np.swapaxes(q, -1, -2)))

@@ -177,7 +177,7 @@ def log_evidence_of_rest(sea: Sea) -> float:
 
 
 def _summary(log_weight: F64) -> tuple[F64, F64, F64, F64, F64]:
-    """(5, G) weights; (5,) rad/s, damping, standard deviation: from mean variance and mean logarithms; at rest."""
+    """(5, G) weights; (5,) rad/s, damping, standard deviation: from mean variances and mean logarithm; at rest."""
     top = log_weight.max(axis=1, keepdims=True)
     weight = np.exp(log_weight - top)
     moving = weight[:, 1:].sum(axis=1)
@@ -189,5 +189,6 @@ def _summary(log_weight: F64) -> tuple[F64, F64, F64, F64, F64]:
     energy = weight * SIGMA**2
     total = energy.sum(axis=1)
     share = energy / total[:, None]
-    w, zeta = np.exp(share @ np.log(W)), np.exp(share @ np.log(ZETA))
+    # Of the mixture's displacement and rate the variances stay: while the period is unknown, the quick members count.
+    w, zeta = np.sqrt(share @ W**2), np.exp(share @ np.log(ZETA))
     return weight, w, zeta, np.sqrt(total), stationary(w, zeta)

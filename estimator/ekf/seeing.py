@@ -18,13 +18,10 @@ from estimator.ekf.state import (
     Belief,
     D,
     Doubt,
-    N,
     waves_unknown,
 )  # fmt: skip
 from estimator.ekf.stride import Outcome, Tools, corrected, forgotten, settled
 
-_WAVES_M = 0.4
-"""Standard deviation of the deck's motion at which constants learn by half the gain."""
 _RATE_KNOWN_VAR = 0.35**2
 """(m/s)^2, of what a sighting shows: with more nothing is learned of the camera's delay."""
 
@@ -75,22 +72,7 @@ def _compared(b: Belief, event: Sighting, tools: Tools) -> tuple[measure.Row, Co
         R[:3, :3] += var * cov_rate
         H[:, DELAY] = 0.0
         row = row._replace(H=H, R=R)
-    fix = tools.algebra.correct(b.P, row.innov, row.H, row.R)
-    return row, None if fix is None else _shy(b, fix)
-
-
-def _shy(b: Belief, fix: Correction) -> Correction:
-    """Let mount and delay learn by a share of the gain only, a smaller one the higher the waves.
-
-    Waves are no oscillators driven by white noise: what the model misses of them is alike from one sighting to the next, and
-    constants would take it for a message. The other states forget it in time.
-    Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017, eq. 18.
-    """
-    kept = 1.0 - 1.0 / (1.0 + float(b.sea.sigma[:3].max()) / _WAVES_M)
-    g = np.zeros(N)
-    g[MOUNT] = g[DELAY] = kept
-    dx = fix.dx * (1.0 - g)
-    return fix._replace(dx=dx, P=fix.P + np.outer(g, g) * (b.P - fix.P))
+    return row, tools.algebra.correct(b.P, row.innov, row.H, row.R)
 
 
 def _opened(b: Belief, event: Sighting, *, anew: bool) -> Belief:

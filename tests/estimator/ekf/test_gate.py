@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benches.estimator import OPTIONS, setting
 from benches.estimator_truth import EPOCH_NS, Flight, Setting, events, ns, stamp
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Imu, Range
-from estimator.ekf import Ekf, EkfOptions, at, start, step
+from estimator.ekf import Ekf, EkfOptions, at, gate, start, step
 from estimator.ekf.algebra import Algebra
-from estimator.ekf.state import N
+from estimator.ekf.state import SCALE, Doubt, N
 
 CALM = Setting(seed=1, sea=2, duration_s=9.0, imu_hz=100.0, sighting_hz=20.0, attitude_hz=20.0, velocity_hz=20.0)
 
@@ -87,6 +88,40 @@ def test_a_pad_that_has_moved_for_good_is_believed_after_a_while() -> None:
     assert np.linalg.norm(state.d_body_pad_level - truth) < 0.12
 
 
+def test_a_belief_that_drifts_away_from_what_is_seen_finds_back() -> None:
+    """Waves not learned yet, the deck rises 1.5 m/s more than believed: refused sightings agree, though each is farther."""
+    doubt = Doubt()
+    for k in range(8):
+        offset = np.array([0.0, 0.0, 0.3 + 1.5 * 0.1 * k])
+        doubt = gate.doubted(doubt, k * 100_000_000, offset, 0.01**2)
+    assert doubt.n == 8
+    assert gate.convinced(doubt, 50, EkfOptions())
+    far = gate.doubted(doubt, 8 * 100_000_000, np.array([1.5, 0.0, 1.4]), 0.01**2)
+    assert far.n == 1, "two false pads do not agree"
+
+    flight, ekf, last, longest = Flight(setting(86)), start(OPTIONS), ns(2.0), 0.0
+    for event in events(flight):
+        ekf, outcomes = step(ekf, event)
+        if isinstance(event, Sighting) and outcomes[0].verdict is Verdict.FUSED and event.stamp.taken > last:
+            longest = max(longest, (event.stamp.taken - last) * 1e-9)
+            last = event.stamp.taken
+        if event.stamp.heard > ns(10.0):
+            break
+    assert longest < 1.5
+
+
+def test_a_slow_vessel_s_ground_is_not_taken_for_its_deck() -> None:
+    """0.2 m/s under way, a sensor over the ground, and an accelerometer that errs by more than that within two seconds."""
+    ekf = start(OPTIONS)
+    for event in events(Flight(setting(37))):
+        ekf, _ = step(ekf, event)
+        if event.stamp.heard > ns(10.0):
+            break
+    assert ekf.belief is not None
+    assert ekf.belief.over_pad < -1.0
+    assert abs(ekf.belief.x[SCALE] / setting(37).velocity_scale - 1.0) < 0.05
+
+
 def test_a_wrong_first_sighting_is_soon_overthrown() -> None:
     flight = Flight(CALM)
     ekf, first = start(), True
@@ -116,9 +151,9 @@ def test_the_deck_edge_is_gated_and_not_believed() -> None:
 def test_range_is_of_use_over_the_deck_and_refused_far_from_it() -> None:
     over = replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0)
     beside = replace(CALM, legs=((0.0, 2.5, 0.0, 2.0), (9.0, 2.5, 0.0, 2.0)), lively=0.2, range_hz=20.0)
-    for setting, wanted in ((over, Verdict.FUSED), (beside, Verdict.GATED)):
+    for chosen, wanted in ((over, Verdict.FUSED), (beside, Verdict.GATED)):
         ekf, verdicts = start(), []
-        for event in events(Flight(setting)):
+        for event in events(Flight(chosen)):
             ekf, outcomes = step(ekf, event)
             if isinstance(event, Range) and event.stamp.taken > ns(4.0):
                 verdicts.append(outcomes[0].verdict)
