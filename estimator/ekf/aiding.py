@@ -10,7 +10,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import UNKNOWN_VAR, Baro, BodyVelocity, Range, VesselReport
 from estimator.ekf import gate, measure, motion
-from estimator.ekf.algebra import log_likelihood, nis_of
+from estimator.ekf.algebra import nis_of
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.state import (
     ATTITUDE,
@@ -38,8 +38,8 @@ _OVER_MEMORY_S = 3.0
 """How soon what the velocity samples told of what is below is forgotten."""
 _OVER_EXPECTED = 3.0
 """Log-odds of seeing the deck where the body is surely over it, of seeing the water where it surely is not."""
-_MISFIT_MAX = 30.0
-"""A worse misfit of a reading counts no more: it may be a bad sample."""
+_REFUTED = 6.0
+"""A reading that misfits more by its own doubt is refuted by that much: one true sample in twenty does."""
 _ZERO3, _NO_DOUBT = np.zeros(3), np.zeros(())
 _CORRELATION = (
     "attitude_correlation_s", "velocity_correlation_s", "range_correlation_s", "baro_correlation_s",
@@ -93,13 +93,24 @@ def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
     ground, deck = (measure.velocity(x, b.R, event.v_level, event.cov_level, share) for share in (0.0, 1.0))
     if ground is None or deck is None:
         return b
-    # Each by its own doubt: an unsure reading forgives the same misfit that refutes a sure one, and pays for it in likelihood.
-    by_ground, by_deck = (log_likelihood(r.innov, r.H.dot(b.P).dot(r.H.T) + r.R, _MISFIT_MAX) for r in (ground, deck))
-    if by_ground is None or by_deck is None:
-        return b
-    evidence = max(-3.0, min(3.0, by_deck - by_ground))
+    evidence = _for_the_deck(ground, deck, b.P)
     odds += evidence * min(1.0, 0.5 * since / o.velocity_correlation_s)
     return b._replace(over_pad=max(-6.0, min(6.0, odds)), t_velocity=b.t)
+
+
+def _for_the_deck(ground: measure.Row, deck: measure.Row, P: F64) -> float:
+    """Log-odds, -3..3, that one sample gives to reading it as a velocity over the deck and not over the ground."""
+    by_ground, by_deck = (row.H.dot(P).dot(row.H.T) + row.R for row in (ground, deck))
+    misfit_ground, misfit_deck = nis_of(ground.innov, by_ground), nis_of(deck.innov, by_deck)
+    least = _REFUTED
+    if misfit_ground is not None and misfit_deck is not None and max(misfit_ground, misfit_deck) < _REFUTED:
+        # Neither is refuted. Both are held against the doubt of both: the reading that was believed so far would else win by
+        # having made itself certain.
+        both, least = by_ground + by_deck - ground.R, 0.0
+        misfit_ground, misfit_deck = nis_of(ground.innov, both), nis_of(deck.innov, both)
+    if misfit_ground is None or misfit_deck is None:
+        return 0.0
+    return max(-3.0, min(3.0, 0.5 * (max(misfit_ground, least) - max(misfit_deck, least))))
 
 
 def fuse_range(b: Belief, event: Range, tools: Tools) -> tuple[Belief, Outcome]:

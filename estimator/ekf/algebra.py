@@ -27,41 +27,25 @@ class Correction(NamedTuple):
 
 
 def nis_of(innov: F64, S: F64) -> float | None:
-    """innov' inv(S) innov of (m,) and (m, m); None where S is not positive."""
-    nis, _ = _eliminated(innov, S)
-    return nis if math.isfinite(nis) else None
-
-
-def log_likelihood(innov: F64, S: F64, nis_max: float) -> float | None:
-    """Of (m,) under a normal law of covariance (m, m), less what depends on m alone; None where S is not positive.
-
-    Beyond `nis_max` a surprise counts no more.
-    """
-    nis, det = _eliminated(innov, S)
-    return -0.5 * (min(nis, nis_max) + math.log(det)) if math.isfinite(nis) else None
-
-
-def _eliminated(innov: F64, S: F64) -> tuple[float, float]:
-    """innov' inv(S) innov and det S, by Cholesky's elimination in plain numbers; nan where S is not positive.
+    """innov' inv(S) innov of (m,) and (m, m), by Cholesky's elimination in plain numbers; None where S is not positive.
 
     For the one to three numbers of a sensor's sample this takes a third of the time of a call to LAPACK.
     """
     rest, rows = innov.tolist(), S.tolist()
     m = len(rest)
-    nis, det = 0.0, 1.0
+    nis = 0.0
     for i in range(m):
         row = rows[i]
         pivot = row[i]
         if not pivot > 0.0:
-            return math.nan, math.nan
-        det *= pivot
+            return None
         nis += rest[i] * rest[i] / pivot
         for j in range(i + 1, m):
             factor = row[j] / pivot
             rest[j] -= factor * rest[i]
             for k in range(j, m):
                 rows[j][k] -= factor * row[k]
-    return nis, det
+    return nis if math.isfinite(nis) else None
 
 
 class Algebra:

@@ -91,8 +91,8 @@ class EkfOptions:
     """How late a measurement may come."""
     max_ahead_s: float = 0.05
     """How far past everything heard so far a measurement may lie."""
-    tick_s: float = 0.04
-    """The covariance moves on at least this often; the nominal state at every IMU sample."""
+    tick_s: float = 0.1
+    """The covariance moves on at least this often, and wherever something is fused; the nominal state at every IMU sample."""
     hold_s: float = 0.06
     """How long an IMU sample holds; past that the body is taken to keep its velocity."""
     asd_coast_m_s2: float = 1.5
