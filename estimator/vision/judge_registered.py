@@ -93,13 +93,13 @@ def _orange_off(found: Registration, pad: Pad) -> float:
 
 
 def _no_ring(values: F64, found: Registration) -> float:
-    """0..1: how surely no ring is seen; less where half of one shows clearly and the rest may be covered."""
+    """0..1: how surely no ring is seen; less where enough of it is in view, half of that clearly, and the rest may be covered."""
     ring = found.edges[EdgeKind.RING]
     if ring.seen:
         return 0.0
     if found.whole:
         return 1.0
-    half = ring.snr > 2.0 * _HARDLY and ring.likeness > 0.8 and ring.inliers > 0.25
+    half = ring.in_view > 0.25 and ring.snr > 2.0 * _HARDLY and ring.likeness > 0.8 and ring.inliers > 0.25
     low, high = _RING_GAINS
     shown = (float(values[judge.FEATURES.index("ring")]) - low) / (high - low)
     return (_HALF_A_RING if half else 1.0) * (1.0 - min(1.0, max(0.0, shown)))
