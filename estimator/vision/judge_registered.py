@@ -24,7 +24,7 @@ EVIDENCE = (
 )  # fmt: skip
 """Names of the model's inputs, in order. The last five are of a distant pad, of which contrasts say more than shapes do."""
 
-SET = ("no_ring", "disc_unseen", "painted", "no_disc", "letter_faint")
+SET = ("no_ring", "disc_unseen", "painted", "no_disc", "letter_odd")
 """What comes after those; its coefficients are set and not fitted."""
 
 _TELLING = 5.0
@@ -37,16 +37,17 @@ _RING_GAINS, _HALF_A_RING = (1.6, 2.2), 0.4
 where a quarter of it agrees."""
 _PLAIN_DISC = 0.1
 """Contrast of the disc to its surroundings over the letter's to the disc: 0.15 on a grey deck, less on a dark one."""
-_FAINT_LETTER = 0.6
-"""Contrast of the letter over the ring's: 1 to 2 on pads in all lights, a tenth where glare on green passes for a letter."""
-_NO_RING, _DISC_UNSEEN, _PAINTED, _NO_DISC, _LETTER_FAINT = -3.0, -1.5, 1.5, -4.0, -4.0
+_LETTER_OVER_RING = (0.6, 3.0)
+"""Contrast of the letter over the ring's: 1 to 2.4 on pads in nearly all lights; glare on green that passes for a letter has a
+tenth of it, or four times as much."""
+_NO_RING, _DISC_UNSEEN, _PAINTED, _NO_DISC, _LETTER_ODD = -3.0, -1.5, 1.5, -4.0, -4.0
 """Log odds, since too few of the fit's strangers look like the pad for a fit to weigh these. `no_ring`: a ring out of view, or
 that does not show or is not of the ring's paint, where no track told of it before: an H on something green may be of any size.
 `disc_unseen`: the edge of a nearby disc is in view and has no contrast. `painted`: ring and letter of a distant pad show in their
 paints; a helipad's ring on green is off by half of the way from disc to letter and more. `no_disc`: a distant disc that does not
 stand out of its surroundings; none of 177 right registrations of whole discs had one and 90 of 223 without a pad.
-`letter_faint`: a distant letter that shows less than its ring does; one of 170 sure and right registrations had one, of a
-half-covered pad."""
+`letter_odd`: a distant letter that shows much less or more than a ring beside it lets expect; four of 300 sure and right
+registrations had one, two of half-covered pads."""
 
 _COEFFICIENTS = np.array(
     [0.167, 2.068, 1.423, 0.878, 0.000, 0.000, 0.760, 1.500, -0.107, 1.009, 0.000, -0.560, -0.542, 0.337, 0.000, 0.000, 1.462]
@@ -73,7 +74,7 @@ def evidence(laid: Laid, found: Registration, pad: Pad) -> F64:
         whole, whole * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
         whole * max(-8.0, min(8.0, drawn)), *(whole * _clear(found, kind) for kind in kinds), -whole * _orange_off(found, pad),
         _no_ring(values, found), (1.0 - whole) * shown[EdgeKind.DISC] * (found.edges[EdgeKind.DISC].snr < _HARDLY),
-        whole * _painted(found, pad), whole * _faint(found), whole * _letter_faint(found),
+        whole * _painted(found, pad), whole * _faint(found), whole * _letter_odd(found),
     ])  # fmt: skip
 
 
@@ -119,17 +120,18 @@ def _faint(found: Registration) -> float:
     return min(1.0, max(0.0, 2.0 * (less - 0.5)))
 
 
-def _letter_faint(found: Registration) -> float:
-    """0..1: how surely the letter shows less than a ring beside it lets expect."""
-    ring, letter = (float(np.linalg.norm(found.edges[kind].contrast_bgr)) for kind in (EdgeKind.RING, EdgeKind.H))
-    return min(1.0, max(0.0, math.log(_FAINT_LETTER * max(ring, 1e-6) / max(letter, 1e-6))))
+def _letter_odd(found: Registration) -> float:
+    """0..1: how surely the letter shows less or more than a ring beside it lets expect."""
+    ring, letter = (max(float(np.linalg.norm(found.edges[kind].contrast_bgr)), 1e-6) for kind in (EdgeKind.RING, EdgeKind.H))
+    low, high = _LETTER_OVER_RING
+    return min(1.0, 2.0 * max(0.0, math.log(low * ring / letter), math.log(letter / (high * ring))))
 
 
 def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
     """0..1 of the evidence of a registration; `prior_log_odds` as for `judge.confidence`."""
-    no_ring, disc_unseen, painted, no_disc, letter_faint = values[len(EVIDENCE) :].tolist()
+    no_ring, disc_unseen, painted, no_disc, letter_odd = values[len(EVIDENCE) :].tolist()
     z = float(values[: len(EVIDENCE)] @ _COEFFICIENTS) + prior_log_odds
-    z += _DISC_UNSEEN * disc_unseen + _PAINTED * painted + _NO_DISC * no_disc + _LETTER_FAINT * letter_faint
+    z += _DISC_UNSEEN * disc_unseen + _PAINTED * painted + _NO_DISC * no_disc + _LETTER_ODD * letter_odd
     if prior_log_odds <= 0.0:
         z += _NO_RING * no_ring
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, z))))
