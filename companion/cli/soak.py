@@ -8,10 +8,11 @@ import json
 import sys
 import time
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
+from io import FileIO
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import msgspec
 
@@ -73,8 +74,8 @@ class Tally:
     on_pad: int = 0
     flown_s: float = 0.0
     readings: list[Reading] = field(default_factory=list)
-    file: TextIO | None = None
-    """Each reading goes there at once: a soak that is cut keeps what it has seen."""
+    file: FileIO | None = None
+    """Each reading goes there at once, past any buffer: a soak that is cut keeps what it has seen."""
     _said: float = 0.0
 
     @property
@@ -87,10 +88,9 @@ class Tally:
         self.readings.append(reading)
         if self.file is not None:
             try:
-                self.file.write(json.dumps(asdict(reading)) + "\n")
-                self.file.flush()
+                self.file.write(json.dumps(asdict(reading)).encode() + b"\n")
             except OSError as why:
-                sys.stderr.write(f"--readings: {self.file.name}: {why.strerror or why}; no more are written\n")
+                sys.stderr.write(f"--readings: {self.file.name!s}: {why.strerror or why}; no more are written\n")
                 self.file = None
         if not quiet and reading.at_s - self._said >= _SAY_EACH_S:
             self._said = reading.at_s
@@ -110,8 +110,8 @@ def run(args: argparse.Namespace) -> int:
     scenario = load_scenario(args.scenario)
     settings = _rig(args, scenario)
     interrupted: KeyboardInterrupt | None = None
-    with ExitStack() as stack:
-        tally = Tally(file=None if args.readings is None else stack.enter_context(_opened(args.readings)))
+    with nullcontext() if args.readings is None else _opened(args.readings) as file:
+        tally = Tally(file=file)
         try:
             if args.virtual:
                 _virtually(args, scenario, settings, tally)
@@ -206,9 +206,9 @@ async def _read(tally: Tally, quiet: bool) -> None:
         tally.take(len(asyncio.all_tasks()), quiet)
 
 
-def _opened(path: Path) -> TextIO:
+def _opened(path: Path) -> FileIO:
     try:
-        return path.open("w", encoding="utf-8")
+        return path.open("wb", buffering=0)
     except OSError as why:
         raise BadInput(f"--readings: {path}: {why.strerror or why}") from why
 

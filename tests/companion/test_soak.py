@@ -14,6 +14,7 @@ import pytest
 
 from companion.cli import main as cli
 from companion.soak import Reading, findings, read
+from tests.sitl.near import NEAR
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="there is no /proc here")
@@ -82,10 +83,7 @@ def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.Capt
 
 def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
     readings, near = tmp_path / "readings.jsonl", tmp_path / "near.toml"
-    near.write_text(
-        'title = "Close by"\nduration_limit_s = 40.0\n[sea]\nsignificant_height_m = 0.0\n[vessel]\nmoored = false\n'
-        "[start]\nheight_m = 2.0\npad_right_m = 0.3\npad_forward_m = -0.2\nheading_deg = 20.0\n"
-    )
+    near.write_text(NEAR)
     words = ["--virtual", "--hours", "1", "--scenario", str(near), "--no-cpu", "--json", "--readings", str(readings)]
     command = [sys.executable, "-m", "companion.cli.main", "soak", *words]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as soak:
@@ -102,3 +100,13 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_written_is_said_before_the_first_flight(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["soak", "--virtual", "--flights", "1", "--readings", "/dev/null/there"]) == 2
     assert "--readings: /dev/null/there" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_said_and_flown_through(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    near = tmp_path / "near.toml"
+    near.write_text(NEAR)
+    words = ["--virtual", "--flights", "2", "--scenario", str(near), "--no-cpu", "--json", "--readings", "/dev/full"]
+    assert cli.main(["soak", *words]) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["flights"] == 2
+    assert said.err.count("--readings: /dev/full: No space left on device") == 1
