@@ -55,8 +55,6 @@ _ONE_WAY = (
     "letter_unseen",
     "rms",
     "whole_disc",
-    "whole_ring",
-    "whole_letter",
     "whole_orange",
 )
 """Evidence that a fit must not turn round."""

@@ -185,19 +185,24 @@ def specks(picture: Coarse) -> list[Speck]:
     )[0]
     if len(fit) > 40:
         fit = fit[np.argsort(-area[fit], kind="stable")[:40]]
-    out = []
+    found = []
     for i in fit:
         x, y = stats[i + 1, 0], stats[i + 1, 1]
         window = np.s_[y : y + h[i], x : x + w[i]]
         own = cv2.inRange(labels[window], int(i) + 1, int(i) + 1)
         contrast = cv2.minMaxLoc(over[window], own)[1] / _NAT
-        centre = np.array([[x + (w[i] - 1) / 2, y + (h[i] - 1) / 2]])
+        radius_px = picture.step * math.sqrt(float(w[i] * h[i])) / 2
+        found.append((-contrast * min(radius_px, 6.0), contrast, radius_px, x, y, own))
+    found.sort(key=lambda f: f[0])
+    out = []
+    for _, contrast, radius_px, x, y, own in found[:_SPECKS]:
+        rows, columns = own.shape
+        centre = np.array([[x + (columns - 1) / 2, y + (rows - 1) / 2]])
         contours, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         contour = max(contours, key=len)[:, 0].astype(float)
         outline = picture.to_full((_moved_out(contour) if len(contour) >= 6 else contour) + np.array([x, y]))
-        out.append(Speck(picture.to_full(centre)[0], picture.step * math.sqrt(float(w[i] * h[i])) / 2, contrast, outline))
-    out.sort(key=lambda s: -s.contrast * min(s.radius_px, 6.0))
-    return out[:_SPECKS]
+        out.append(Speck(picture.to_full(centre)[0], radius_px, contrast, outline))
+    return out
 
 
 def _moved_out(contour: F64) -> F64:

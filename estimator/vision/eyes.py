@@ -136,20 +136,19 @@ def _registered(
     orientation = Orientation.of(attitude, eyes.sigma_deck_rad)
     best: _Registered | None = None
     start: PadPose | None = None
-    within_m = 0.0
-    if belief is not None and attitude is not None and _near_enough(belief, eyes.pad):
-        within_m = _EXPECTED_SIGMAS * _sigma_m(belief)
+    sigma_m = math.inf if belief is None else _sigma_m(belief)
+    if belief is not None and attitude is not None and _near_enough(belief, sigma_m, eyes.pad):
         start = expected(belief, attitude, eyes.camera)
         if start is not None and start.t_cam_pad[2] > 0.05:
-            options = _CLOSE if _sigma_m(belief) * eyes.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else _ROUGH
+            options = _CLOSE if sigma_m * eyes.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else _ROUGH
             best = _lay(eyes, paint, frame, pyramid, start, orientation, options, judge.TRACKED_LOG_ODDS)
     if best is None or best.sighting.confidence < _FITS:
         R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
         for candidate in acquire(frame.px, eyes.camera, eyes.pad, R_level_body, paint)[:_CANDIDATES]:
             if candidate.score < _WORTH_A_TRY:
                 break
-            there = start is not None and float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad)) < within_m
-            prior = judge.TRACKED_LOG_ODDS if there else 0.0
+            off_m = math.inf if start is None else float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad))
+            prior = judge.TRACKED_LOG_ODDS if off_m < _EXPECTED_SIGMAS * sigma_m else 0.0
             best = _better(best, _lay(eyes, paint, frame, pyramid, candidate.pose, orientation, _CLOSE, prior))
             if best is not None and best.sighting.confidence >= _FITS:
                 break
@@ -225,11 +224,11 @@ def _lay(
     return _Registered(sighting, learn(paint, laid, sure) if sure >= _FITS else missed(paint))
 
 
-def _near_enough(belief: RelativeState, pad: Pad) -> bool:
+def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad) -> bool:
     """Whether the belief is sharp enough to start from."""
     sigma_yaw = math.sqrt(float(belief.cov[6, 6]))
     reach_m = _REACH_OF_DISC * pad.disc_radius_m + _REACH_OF_HEIGHT * belief.height_m
-    return 2.0 * _sigma_m(belief) < reach_m and sigma_yaw < 0.3
+    return 2.0 * sigma_m < reach_m and sigma_yaw < 0.3
 
 
 def _sigma_m(belief: RelativeState) -> float:

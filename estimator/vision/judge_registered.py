@@ -20,9 +20,9 @@ from estimator.vision.registration_state import light_table
 
 EVIDENCE = (
     "one", "drawn", "inliers", "disc_off", "ring_off", "letter_off", "ring_unseen", "letter_unseen", "whole", "whole_inliers",
-    "rms", "visible", "whole_drawn", "whole_disc", "whole_ring", "whole_letter", "whole_orange",
+    "rms", "visible", "whole_drawn", "whole_disc", "whole_orange",
 )  # fmt: skip
-"""Names of the model's inputs, in order. The last five are of a distant pad, of which contrasts say more than shapes do."""
+"""Names of the model's inputs, in order. The last three are of a distant pad, of which contrasts say more than shapes do."""
 
 SET = ("no_ring", "disc_unseen", "painted", "no_disc", "letter_odd")
 """What comes after those; its coefficients are set and not fitted."""
@@ -50,7 +50,7 @@ stand out of its surroundings; none of 177 right registrations of whole discs ha
 registrations had one, two of half-covered pads."""
 
 _COEFFICIENTS = np.array(
-    [0.167, 2.068, 1.423, 0.878, 0.000, 0.000, 0.760, 1.500, -0.107, 1.009, 0.000, -0.560, -0.542, 0.337, 0.000, 0.000, 1.462]
+    [0.167, 2.068, 1.423, 0.878, 0.000, 0.000, 0.760, 1.500, -0.107, 1.009, 0.000, -0.560, -0.542, 0.337, 1.462]
 )
 """In the order of `EVIDENCE`. Fitted by `python -m benches.judge_fit --registered --frames 2400`: 2526 registrations.
 `letter_unseen` is set and not fitted: glare on a green disc with a ring leaves open whether it has a letter."""
@@ -72,7 +72,7 @@ def evidence(laid: Laid, found: Registration, pad: Pad) -> F64:
     return np.array([
         1.0, max(-8.0, min(8.0, drawn)), found.inliers, *off.values(), unseen[EdgeKind.RING], unseen[EdgeKind.H],
         whole, whole * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
-        whole * max(-8.0, min(8.0, drawn)), *(whole * _clear(found, kind) for kind in kinds), -whole * _orange_off(found, pad),
+        whole * max(-8.0, min(8.0, drawn)), whole * _clear(found, EdgeKind.DISC), -whole * _orange_off(found, pad),
         _no_ring(values, found), (1.0 - whole) * shown[EdgeKind.DISC] * (found.edges[EdgeKind.DISC].snr < _HARDLY),
         whole * _painted(found, pad), whole * _faint(found), whole * _letter_odd(found),
     ])  # fmt: skip

@@ -7,14 +7,14 @@ import pytest
 
 from tests.v4l2_vm.conftest import NEEDS_A_MACHINE
 from tests.v4l2_vm.look import Seen, accounted
+from tests.v4l2_vm.scenes_webcam import BARS
 from tests.v4l2_vm.webcam import CARD
 
 pytestmark = NEEDS_A_MACHINE
-BARS = [(b, g, r) for g in (190, 0) for r in (190, 0) for b in (190, 0)]
 
 
 def shows_bars(shot: Seen, within: float = 4.0) -> bool:
-    return bool(np.abs(np.array(shot["bars_bgr"]) - BARS).max() <= within)
+    return bool(np.abs(np.array(shot["bars_bgr"]) - BARS.astype(int)).max() <= within)
 
 
 def test_each_format_arrives_whole_and_stamped(seen: dict[str, Seen]) -> None:

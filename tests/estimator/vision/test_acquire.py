@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.acquire import Candidate, acquire
 from estimator.vision.camera import Camera
 from estimator.vision.judge import keeps_claim
@@ -88,14 +88,18 @@ def test_found_tilted_by_25_degrees_at_any_heading(camera: Camera, pad: Pad, yaw
         assert keeps_claim(best.pose, seen.truth, camera, pad, False)
 
 
+def half_plane(angle_deg: float, from_m: float) -> F64:
+    """(4, 2) m of a metre's width, all that lies further than that from the pad's centre in one direction."""
+    a = math.radians(angle_deg)
+    side, along = np.array([math.cos(a), math.sin(a)]), np.array([-math.sin(a), math.cos(a)])
+    return np.array([from_m * side - along, from_m * side + along, side + along, side - along])
+
+
 @pytest.mark.parametrize("height_m", [1.0, 3.0])
 @pytest.mark.parametrize("angle_deg", [20, 140, 260])
 def test_found_with_almost_half_of_it_hidden(camera: Camera, pad: Pad, height_m: float, angle_deg: int) -> None:
     seen = shown(camera, pad, height_m)
-    a = math.radians(angle_deg)
-    side, along = np.array([math.cos(a), math.sin(a)]), np.array([-math.sin(a), math.cos(a)])
-    outline = np.array([0.05 * side - along, 0.05 * side + along, side + along, side - along])
-    best = best_of(acquire(covered(seen, camera, outline, (120, 90, 70)), camera, pad, seen.R_level_body))
+    best = best_of(acquire(covered(seen, camera, half_plane(angle_deg, 0.05), (120, 90, 70)), camera, pad, seen.R_level_body))
     assert keeps_claim(best.pose, seen.truth, camera, pad, best.yaw_ambiguous)
 
 
@@ -103,10 +107,7 @@ def test_found_with_almost_half_of_it_hidden(camera: Camera, pad: Pad, height_m:
 @pytest.mark.parametrize("angle_deg", [20, 140, 260])
 def test_found_from_afar_with_half_of_it_hidden(camera: Camera, pad: Pad, height_m: float, angle_deg: int) -> None:
     seen = shown(camera, pad, height_m)
-    a = math.radians(angle_deg)
-    side, along = np.array([math.cos(a), math.sin(a)]), np.array([-math.sin(a), math.cos(a)])
-    outline = np.array([0.02 * side - along, 0.02 * side + along, side + along, side - along])
-    best = best_of(acquire(covered(seen, camera, outline, (70, 60, 150)), camera, pad, seen.R_level_body))
+    best = best_of(acquire(covered(seen, camera, half_plane(angle_deg, 0.02), (70, 60, 150)), camera, pad, seen.R_level_body))
     assert keeps_claim(best.pose, seen.truth, camera, pad, True), "the arrowhead is hidden in some of them"
 
 
