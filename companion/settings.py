@@ -52,6 +52,7 @@ def load(name_or_path: str | Path) -> Settings:
         settings,
         vehicle=anchored(settings.vehicle, path.parent, signing),
         face=anchored(settings.face, path.parent, ["signing_key_file", "signing_time_file"]),
+        metrics=anchored(settings.metrics, path.parent, ["token_file"]),
         mqtt=anchored(settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "spool"]),
     )
     camera_model(settings)

@@ -9,6 +9,7 @@ from msgspec import structs
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
+from companion import secret_files
 from companion.doctor.picture import ServicePicture
 from companion.rig_camera import camera_options
 from companion.settings import camera_model, pad_model
@@ -89,11 +90,14 @@ async def _told(settings: Settings, timeout_s: float) -> list[Sample] | None:
     if m.endpoint == "off":
         return None
     host = "127.0.0.1" if m.host in ("0.0.0.0", "::") else m.host
+    token = secret_files.text(m.token_file, "metrics", "token_file")
+    headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     try:
         async with (
             aiohttp.ClientSession(timeout=aiohttp.ClientTimeout(timeout_s)) as session,
-            session.get(f"http://{host}:{m.port}/metrics") as answer,
+            session.get(f"http://{host}:{m.port}/metrics", headers=headers) as answer,
         ):
+            answer.raise_for_status()
             page = await answer.text()
         return [sample for family in text_string_to_metric_families(page) for sample in family.samples]
     except (OSError, TimeoutError, aiohttp.ClientError, ValueError):

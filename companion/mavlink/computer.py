@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
+import os
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.time import MonoNs
 
 _UNKNOWN_8, _UNKNOWN_16, _UNKNOWN_32 = 255, 32767, 0xFFFFFFFF
 _NO_TEMPERATURE = 127
+_LONGEST = 1 << 20
+"""Characters read of one file."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,29 +39,26 @@ class ComputerReader:
         self._before: list[tuple[int, int]] = []
 
     def read(self) -> Computer:
-        """The state now. Never raises: what cannot be read is None."""
-        memory = self._memory()
+        """Return the state now. It never raises: what cannot be read, or reads as nonsense, is None."""
+        memory = _tried(self._memory) or {}
         used = memory["MemTotal"] - memory["MemAvailable"] if {"MemTotal", "MemAvailable"} <= memory.keys() else None
         total = memory.get("MemTotal")
-        uptime = self._text("proc/uptime").split()
         return Computer(
-            cores_percent=self._load(),
+            cores_percent=_tried(self._load) or (),
             memory_used_mib=None if used is None else used // 1024,
             memory_total_mib=None if total is None else total // 1024,
-            temperature_c=self._temperature(),
-            uptime_s=float(uptime[0]) if uptime else None,
+            temperature_c=_tried(self._temperature),
+            uptime_s=_tried(self._uptime_s),
         )
 
     def _text(self, path: str) -> str:
-        try:
-            return (self._root / path).read_text()
-        except (OSError, UnicodeDecodeError):
-            return ""
+        with (self._root / path).open() as file:
+            return file.read(_LONGEST)
 
     def _load(self) -> tuple[int, ...]:
         now: list[tuple[int, int]] = []
         for line in self._text("proc/stat").splitlines():
-            name, *numbers = line.split()
+            name, *numbers = line.split() or [""]
             if name.startswith("cpu") and name != "cpu" and len(numbers) >= 5:
                 ticks = [int(n) for n in numbers]
                 now.append((sum(ticks) - ticks[3] - ticks[4], sum(ticks)))
@@ -67,13 +72,33 @@ class ComputerReader:
         pairs = (line.split() for line in self._text("proc/meminfo").splitlines())
         return {p[0].rstrip(":"): int(p[1]) for p in pairs if len(p) >= 2 and p[1].isdigit()}
 
+    def _uptime_s(self) -> float | None:
+        uptime_s = float(self._text("proc/uptime").split()[0])
+        return uptime_s if math.isfinite(uptime_s) else None
+
     def _temperature(self) -> int | None:
         readings = []
-        for zone in sorted((self._root / "sys/class/thermal").glob("thermal_zone*")):
-            text = self._text(str(zone.relative_to(self._root) / "temp")).strip()
-            if text.lstrip("-").isdigit():
-                readings.append(round(int(text) / 1000))
-        return max(readings) if readings else None
+        for entry in os.listdir(self._root / "sys/class/thermal"):
+            if entry.startswith("thermal_zone"):
+                # A zone whose sensor does not answer says so by an error; the others are still worth reading.
+                path = f"sys/class/thermal/{entry}/temp"
+                readings.append(_tried(partial(self._celsius, path)))
+        told = [reading for reading in readings if reading is not None]
+        return max(told) if told else None
+
+    def _celsius(self, path: str) -> int:
+        return round(int(self._text(path)) / 1000)
+
+
+def _tried(read: Callable[[], T]) -> T | None:
+    """Return what `read` returns; None where the host does not tell it, or tells something else than a number.
+
+    Every reading goes through here, so that one that fails (no descriptors left, a sensor gone) costs only itself.
+    """
+    try:
+        return read()
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 def computer_status(computer: Computer, now: MonoNs) -> Message:
@@ -93,8 +118,8 @@ def computer_status(computer: Computer, now: MonoNs) -> Message:
         temperature,
         [temperature] + [_NO_TEMPERATURE] * 7,
         [_UNKNOWN_16] * 4,
-        _UNKNOWN_32 if computer.memory_used_mib is None else computer.memory_used_mib,
-        _UNKNOWN_32 if computer.memory_total_mib is None else computer.memory_total_mib,
+        _memory_field(computer.memory_used_mib),
+        _memory_field(computer.memory_total_mib),
         [_UNKNOWN_32] * 4,
         [_UNKNOWN_32] * 4,
         [_UNKNOWN_32] * 4,
@@ -104,3 +129,7 @@ def computer_status(computer: Computer, now: MonoNs) -> Message:
         [_UNKNOWN_32] * 6,
         [_UNKNOWN_32] * 6,
     )
+
+
+def _memory_field(mib: int | None) -> int:
+    return _UNKNOWN_32 if mib is None else min(max(mib, 0), _UNKNOWN_32 - 1)

@@ -3,31 +3,61 @@
 from __future__ import annotations
 
 import asyncio
+import hmac
 import json
 import logging
+import math
 
 from aiohttp import web
 
+from companion import secret_files
 from companion.health import Health
 from companion.metrics.exposition import CONTENT_TYPE, text
+from companion.metrics.limits import Limits, bounded
 from companion.metrics.settings import MetricsSettings
 from companion.vital import stuck
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import BadInput, Recoverable
 
 log = logging.getLogger(__name__)
 
+_SHORTEST_TOKEN = 16
+_PAGE_S = 0.2
+"""A page is made at most this often: a flood of requests must not cost the flight more than that."""
+
 
 class MetricsEndpoint:
-    """Serves /metrics (Prometheus) and /health (200 when every part is up and none is stuck, else 503, the reasons as JSON)."""
+    """Serves /metrics (Prometheus) and /health (200 when every part is up and none is stuck, else 503, the reasons as JSON).
 
-    def __init__(self, settings: MetricsSettings, health: Health) -> None:
+    With a token, /metrics answers 401 without it, and /health says no more than yes or no.
+
+    Raises:
+        BadInput: the token cannot be read or is too short.
+    """
+
+    def __init__(self, settings: MetricsSettings, health: Health, limits: Limits | None = None) -> None:
         self._settings = settings
         self._health = health
+        self._limits = limits or Limits()
+        self._token = _token(settings)
+        self._page = b""
+        self._made_s = -math.inf
         self.port: int | None = None
         """Where it listens, while it does."""
+        self.refused = 0
+        """Requests for the metrics without the right token."""
+        health.counters("metrics", self.counts)
+
+    def counts(self) -> dict[str, float]:
+        """Return the counters for health."""
+        return {
+            "refused": self.refused,
+            "connections_evicted": self._limits.evicted,
+            "connections_overdue": self._limits.overdue,
+            "connections_oversized": self._limits.oversized,
+        }
 
     async def run(self) -> None:
-        """Until cancelled.
+        """Serve until cancelled.
 
         Raises:
             Recoverable: the port is taken, or the address is none of this machine's.
@@ -38,28 +68,63 @@ class MetricsEndpoint:
         runner = web.AppRunner(app, access_log=None, shutdown_timeout=0.5)
         await runner.setup()
         try:
-            site = web.TCPSite(runner, self._settings.host, self._settings.port)
+            server = await self._listen(runner)
             try:
-                await site.start()
-            except OSError as why:
-                where = f"{self._settings.host}:{self._settings.port}"
-                raise Recoverable(f"metrics cannot be served on {where}: {why.strerror or why}") from why
-            self.port = runner.addresses[0][1]
-            log.info("metrics on http://%s:%d/metrics", self._settings.host, self.port)
-            await asyncio.Event().wait()
+                self.port = server.sockets[0].getsockname()[1]
+                log.info("metrics on http://%s:%d/metrics", self._settings.host, self.port)
+                await asyncio.Event().wait()
+            finally:
+                server.close()
         finally:
             self.port = None
             await runner.cleanup()
 
-    async def _metrics(self, _: web.Request) -> web.Response:
-        return web.Response(body=text(self._health.snapshot()), headers={"Content-Type": CONTENT_TYPE})
+    async def _listen(self, runner: web.AppRunner) -> asyncio.Server:
+        assert runner.server is not None
+        host, port = self._settings.host, self._settings.port
+        make = bounded(runner.server, self._limits)
+        try:
+            return await asyncio.get_running_loop().create_server(make, host, port, backlog=self._limits.connections)
+        except OSError as why:
+            raise Recoverable(f"metrics cannot be served on {host}:{port}: {why.strerror or why}") from why
 
-    async def _state(self, _: web.Request) -> web.Response:
+    async def _metrics(self, request: web.Request) -> web.Response:
+        if not self._allows(request):
+            self.refused += 1
+            return _closing(web.Response(status=401, headers={"WWW-Authenticate": "Bearer"}))
+        now_s = asyncio.get_running_loop().time()
+        if now_s >= self._made_s + _PAGE_S:
+            self._page, self._made_s = text(self._health.snapshot()), now_s
+        return _closing(web.Response(body=self._page, headers={"Content-Type": CONTENT_TYPE}))
+
+    async def _state(self, request: web.Request) -> web.Response:
         down = {name: part.last_error for name, part in self._health.parts.items() if not part.up}
         if "Decision" in self._health.flows and (why := stuck(self._health.snapshot(), flying=False)) is not None:
             down["pipeline"] = why
-        return web.Response(
-            text=json.dumps({"ok": not down, "down": down}) + "\n",
-            status=503 if down else 200,
-            content_type="application/json",
-        )
+        said: dict[str, object] = {"ok": not down}
+        if self._allows(request):
+            said["down"] = down
+        return _closing(web.Response(text=json.dumps(said) + "\n", status=503 if down else 200, content_type="application/json"))
+
+    def _allows(self, request: web.Request) -> bool:
+        """Return whether the request carries the token, compared in a time that does not depend on where they differ."""
+        if self._token is None:
+            return True
+        scheme, _, given = request.headers.get("Authorization", "").partition(" ")
+        right = hmac.compare_digest(given.strip().encode(errors="replace"), self._token)
+        return right and scheme.lower() == "bearer"
+
+
+def _closing(answer: web.Response) -> web.Response:
+    """One request a connection: its time is bounded, and an idle one holds no descriptor."""
+    answer.force_close()
+    return answer
+
+
+def _token(settings: MetricsSettings) -> bytes | None:
+    secret = secret_files.text(settings.token_file, "metrics", "token_file")
+    if secret is None:
+        return None
+    if len(secret) < _SHORTEST_TOKEN or not secret.isascii() or any(c.isspace() for c in secret):
+        raise BadInput(f"metrics.token_file: a token has {_SHORTEST_TOKEN} or more ASCII characters without spaces")
+    return secret.encode()

@@ -6,6 +6,7 @@ RUN apt-get update \
  && rm -rf /var/lib/apt/lists/* /var/cache/apt/*.bin /usr/share/doc/* /usr/share/man/*
 RUN useradd --uid 10001 --no-create-home --home-dir /var/lib/mosquitto --shell /usr/sbin/nologin decklander \
  && install --directory --owner decklander --group decklander --mode 0700 /keys \
+ && install --directory --owner decklander --group nogroup --mode 2750 /scrape \
  && chown --recursive decklander:decklander /var/lib/mosquitto \
  && rm -rf /etc/mosquitto/certs \
  && ln -s /var/lib/mosquitto/certs /etc/mosquitto/certs \

@@ -1,4 +1,5 @@
-# Makes what a broker needs the first time, then is the broker. /var/lib/mosquitto is its own; /keys is what its clients get.
+# Makes what a broker needs the first time, then is the broker. /var/lib/mosquitto is its own; /keys is what its clients get,
+# /scrape what the daemon and Prometheus share: the folder's group, which Prometheus runs in, is passed on to the token.
 set -eu
 umask 077
 cd /var/lib/mosquitto
@@ -22,6 +23,12 @@ if [ ! -f decklander.passwords ]; then
         mosquitto_passwd -b passwords.new "$user" "$(cat "/keys/$user.password")"
     done
     mv passwords.new decklander.passwords
+fi
+
+if [ ! -s /scrape/metrics.token ]; then
+    openssl rand -hex 32 > /scrape/token.new
+    chmod 640 /scrape/token.new
+    mv /scrape/token.new /scrape/metrics.token
 fi
 
 exec mosquitto -c /etc/mosquitto/conf.d/decklander.conf

@@ -61,7 +61,7 @@ def _until(what: str, condition: Callable[[], object], seconds: float, children:
 def main(work: Path, config: Path) -> None:
     plan = json.loads((work / "plan.json").read_text())
     service, broker = _image(plan["service"]), _image(plan["broker"])
-    folders = {name: work / f"volume-{name}" for name in ("broker", "keys", "state")}
+    folders = {name: work / f"volume-{name}" for name in ("broker", "keys", "scrape", "state")}
     for folder in folders.values():
         folder.mkdir()
         folder.chmod(0o700)
@@ -84,8 +84,9 @@ def main(work: Path, config: Path) -> None:
 
     children: dict[str, subprocess.Popen[str]] = {}
     keys, state = f"{folders['keys']}:/keys", f"{folders['state']}:/var/lib/decklander:rw"
+    scrape = f"{folders['scrape']}:/scrape"
     try:
-        start("broker", broker, broker.entry, [f"{folders['broker']}:/var/lib/mosquitto:rw", f"{keys}:rw"])
+        start("broker", broker, broker.entry, [f"{folders['broker']}:/var/lib/mosquitto:rw", f"{keys}:rw", f"{scrape}:rw"])
         sub = ["mosquitto_sub", "-h", "localhost", "-p", "8883", "--cafile", "/keys/ca.crt"]
         ground = ["-u", "ground", "-P", '"$(cat /keys/ground.password)"']
         alive = ["sh", "-c", " ".join([*sub, *ground, "-t", "decklander/v1/#", "-E", "-W", "2"])]
@@ -98,7 +99,7 @@ def main(work: Path, config: Path) -> None:
             "daemon",
             service,
             [*service.entry, "run", "--config", "/etc/decklander/rig.toml"],
-            [f"{config}:/etc/decklander/rig.toml", keys, state],
+            [f"{config}:/etc/decklander/rig.toml", keys, scrape, state],
         )
         _until("the health check says yes", lambda: ask(service, service.health, []).returncode == 0, 60, children)
         print(f"image runs as: {ask(service, ['id'], []).stdout.strip()}", flush=True)
@@ -110,7 +111,9 @@ def main(work: Path, config: Path) -> None:
         _until(
             "the next flight has begun", lambda: json.loads(ask(broker, hear, [keys]).stdout)["vehicle"]["flying"], 60, children
         )
-        text = urllib.request.urlopen("http://127.0.0.1:9464/metrics", timeout=5).read().decode()
+        token = (folders["scrape"] / "metrics.token").read_text().strip()
+        scraping = urllib.request.Request("http://127.0.0.1:9464/metrics", headers={"Authorization": f"Bearer {token}"})
+        text = urllib.request.urlopen(scraping, timeout=5).read().decode()
         wanted = set(re.findall(r"decklander_\w+", DASHBOARD.read_text()))
         missing = sorted(name for name in wanted if not re.search(rf"^# TYPE {name} ", text, re.MULTILINE))
         assert missing == [], f"the dashboard asks for what is not told: {missing}"

@@ -85,6 +85,8 @@ def test_the_rig_of_compose_fits_its_services() -> None:
     assert rig.metrics.port == MetricsSettings().port
     assert f"daemon:{rig.metrics.port}" in (COMPOSE / "prometheus.yml").read_text()
     assert f"127.0.0.1:{rig.metrics.port}/health" in (ROOT / "Dockerfile").read_text()
+    assert f"credentials_file: {rig.metrics.token_file}" in (COMPOSE / "prometheus.yml").read_text()
+    assert rig.metrics.token_file in (COMPOSE / "broker.sh").read_text()
     assert rig.mqtt.drone == rig.mqtt.user, "the access list gives a user the subtree of its name"
     assert rig.mqtt.user in re.findall(r"for user in (.*); do", (COMPOSE / "broker.sh").read_text())[0].split()
 

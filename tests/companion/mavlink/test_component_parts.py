@@ -23,6 +23,7 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
+from tests.descriptors import no_descriptors
 
 S = 1_000_000_000
 US, STATION = (7, 191), (255, 190)
@@ -387,6 +388,27 @@ def test_a_host_that_tells_nothing(tmp_path: Path) -> None:
     assert computer == Computer((), None, None, None, None)
     m = wired(computer_status(computer, at(0)))
     assert (m.cpu_combined[0], m.ram_total, m.temperature_board) == (255, 0xFFFFFFFF, 127)
+
+
+def test_a_host_without_descriptors_or_with_nonsense_is_read_all_the_same(tmp_path: Path) -> None:
+    reader = ComputerReader()
+    with no_descriptors():
+        assert reader.read() == Computer((), None, None, None, None)
+    assert reader.read().memory_total_mib is not None
+    host(tmp_path, 100, 100)
+    for path, nonsense in (
+        ("proc/stat", "\ncpu0 1 2 3 4 x\n"),
+        ("proc/meminfo", "MemTotal:\n\nMemAvailable: much kB\n"),
+        ("proc/uptime", "nan soon\n"),
+        ("sys/class/thermal/thermal_zone0/temp", "--5\n"),
+        ("sys/class/thermal/thermal_zone1/temp", "\n"),
+    ):
+        (tmp_path / path).write_text(nonsense)
+    assert ComputerReader(tmp_path).read() == Computer((), None, None, None, None)
+    (tmp_path / "sys/class/thermal/thermal_zone1/temp").write_text("51900\n")
+    assert ComputerReader(tmp_path).read().temperature_c == 52, "one sensor that does not answer costs only itself"
+    m = wired(computer_status(Computer((), -5, 1 << 40, None, None), at(0)))
+    assert (m.ram_usage, m.ram_total) == (0, 0xFFFFFFFE)
 
 
 def test_this_host_is_read() -> None:

@@ -7,6 +7,7 @@ import json
 import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import aiohttp
 import pytest
@@ -15,12 +16,15 @@ from prometheus_client.parser import text_string_to_metric_families
 from companion.health import Health
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.exposition import text
+from companion.metrics.limits import Limits
 from companion.metrics.settings import MetricsSettings
+from companion.settings import from_mapping
 from companion.supervise import Restart, run
 from drivers.clock import SystemClock
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
+from tests.descriptors import no_descriptors
 
 
 class Clock:
@@ -95,11 +99,11 @@ def test_a_flow_that_stops_slows_down_instead_of_keeping_its_rate() -> None:
 
 
 @asynccontextmanager
-async def serving(health: Health, **changes: object) -> AsyncIterator[MetricsEndpoint]:
+async def serving(health: Health, limits: Limits | None = None, token_file: str = "") -> AsyncIterator[MetricsEndpoint]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=port), health)
+    endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=port, token_file=token_file), health, limits)
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(run({"metrics": endpoint.run}, Restart(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended))
@@ -137,3 +141,111 @@ async def test_a_taken_port_is_waited_for() -> None:
         endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=holder.getsockname()[1]), health)
         with pytest.raises(Recoverable, match=r"metrics cannot be served on 127\.0\.0\.1:\d+: .*in use"):
             await endpoint.run()
+
+
+async def dialled(endpoint: MetricsEndpoint, said: bytes) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    """A connection on which so much was sent."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", endpoint.port)
+    writer.write(said)
+    return reader, writer
+
+
+async def ended(reader: asyncio.StreamReader) -> bytes:
+    """Everything until the endpoint closes."""
+    try:
+        async with asyncio.timeout(5):
+            return await reader.read()
+    except ConnectionResetError:
+        return b""
+
+
+@pytest.mark.parametrize(
+    "said", [b"", b"GET /metrics HTTP/1.1\r\nHost: x\r\n", b"POST /metrics HTTP/1.1\r\nContent-Length: 900\r\n\r\nabc"]
+)
+async def test_a_request_that_never_ends_is_closed_in_time(said: bytes) -> None:
+    limits = Limits(connection_s=0.1)
+    async with serving(Health(SystemClock()), limits) as endpoint:
+        reader, writer = await dialled(endpoint, said)
+        await ended(reader)
+        writer.close()
+        assert not limits.open
+        assert limits.overdue == 1 or said.startswith(b"POST"), "a POST is answered at once"
+
+
+async def test_many_half_open_requests_neither_pile_up_nor_shut_out_a_whole_one() -> None:
+    limits = Limits(connections=8, connection_s=30.0)
+    health = Health(SystemClock())
+    async with serving(health, limits) as endpoint:
+        lines = [await dialled(endpoint, b"GET /metrics HTTP/1.1\r\n") for _ in range(60)]
+        for reader, _ in lines[: 60 - 8]:
+            await ended(reader)
+        assert len(limits.open) == 8
+        assert health.snapshot().counters["metrics"]["connections_evicted"] == 52
+        reader, whole = await dialled(endpoint, b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert (await ended(reader)).startswith(b"HTTP/1.1 200")
+        for _, writer in (*lines, (reader, whole)):
+            writer.close()
+
+
+async def test_an_endless_request_is_cut_off() -> None:
+    limits = Limits()
+    async with serving(Health(SystemClock()), limits) as endpoint:
+        reader, writer = await dialled(endpoint, b"GET /health HTTP/1.1\r\n")
+        for k in range(10):
+            writer.write(b"X-%d: %s\r\n" % (k, b"y" * 4000))
+        assert await ended(reader) == b""
+        writer.close()
+    assert limits.oversized == 1
+
+
+async def test_no_descriptors_left_is_waited_out(caplog: pytest.LogCaptureFixture) -> None:
+    """asyncio itself stops accepting for a second; the endpoint goes on afterwards."""
+    health = Health(SystemClock())
+    async with serving(health) as endpoint:
+        with socket.socket() as client:
+            client.setblocking(False)
+            with no_descriptors():
+                await asyncio.get_running_loop().sock_connect(client, ("127.0.0.1", endpoint.port))
+                await asyncio.sleep(0.1)
+            await asyncio.get_running_loop().sock_sendall(client, b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
+            async with asyncio.timeout(5):
+                assert (await asyncio.get_running_loop().sock_recv(client, 100)).startswith(b"HTTP/1.1 200")
+        assert health.parts["metrics"].restarts == 0
+
+
+async def test_with_a_token_nothing_is_told_without_it(tmp_path: Path) -> None:
+    file = tmp_path / "token"
+    file.write_text("0123456789abcdef\n")
+    file.chmod(0o600)
+    health = Health(SystemClock())
+    health.down("vehicle", Recoverable("no route to 10.0.0.7"))
+    async with (
+        serving(health, token_file=str(file)) as endpoint,
+        aiohttp.ClientSession(f"http://127.0.0.1:{endpoint.port}") as client,
+    ):
+        for wrong in ({}, {"Authorization": "Bearer 0123456789abcdeF"}, {"Authorization": "Basic 0123456789abcdef"}):
+            async with client.get("/metrics", headers=wrong) as answer:
+                assert (answer.status, await answer.text()) == (401, "")
+            async with client.get("/health", headers=wrong) as answer:
+                assert (answer.status, await answer.json()) == (503, {"ok": False})
+        right = {"Authorization": "Bearer 0123456789abcdef"}
+        async with client.get("/metrics", headers=right) as answer:
+            assert value(await answer.read(), "decklander_count", part="metrics", name="refused") == 3
+        async with client.get("/health", headers=right) as answer:
+            assert "10.0.0.7" in await answer.text()
+
+
+def test_off_loopback_a_token_must_be_set(tmp_path: Path) -> None:
+    def table(**metrics: object) -> dict[str, object]:
+        return {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}, "metrics": metrics}
+
+    for host in ("0.0.0.0", "::", "192.168.1.2", "deck.local"):
+        with pytest.raises(BadInput, match=rf"metrics.*token_file is needed because host \({host}\) is not a loopback"):
+            from_mapping(table(endpoint="http", host=host), "rig.toml")
+        from_mapping(table(endpoint="http", host=host, token_file="t"), "rig.toml")
+    for host in ("127.0.0.1", "127.8.0.1", "::1", "localhost"):
+        from_mapping(table(endpoint="http", host=host), "rig.toml")
+    short = tmp_path / "token"
+    short.write_text("short\n")
+    with pytest.raises(BadInput, match="16 or more"):
+        MetricsEndpoint(MetricsSettings(endpoint="http", token_file=str(short)), Health(SystemClock()))

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion import secret_files
 from companion.health import Health
 from companion.mqtt import access, encode, messages
 from companion.mqtt.commands import FARTHEST_S, LONGEST_BYTES, Desk
@@ -238,14 +239,14 @@ def test_secrets_come_from_files_or_credentials(tmp_path: Path, caplog: pytest.L
     file.chmod(0o644)
     assert access.password(MqttSettings(user="u", password_file=str(file))) == "hush"
     assert "can be read by everyone" in caplog.text
-    assert access.find("credential:mqtt", {"CREDENTIALS_DIRECTORY": "/run/x"}) == Path("/run/x/mqtt")
+    assert secret_files.find("credential:mqtt", "mqtt", {"CREDENTIALS_DIRECTORY": "/run/x"}) == Path("/run/x/mqtt")
     for reference, environment in (
         ("credential:mqtt", {}),
         ("credential:", {"CREDENTIALS_DIRECTORY": "/x"}),
         ("credential:../a", {"CREDENTIALS_DIRECTORY": "/x"}),
     ):
         with pytest.raises(BadInput, match="mqtt: 'credential:"):
-            access.find(reference, environment)
+            secret_files.find(reference, "mqtt", environment)
     file.write_text("\n")
     with pytest.raises(BadInput, match="is empty"):
         access.password(MqttSettings(user="u", password_file=str(file)))

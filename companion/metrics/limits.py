@@ -1,0 +1,83 @@
+"""Bounds for whoever connects to the metrics port: how many, for how long, how many bytes.
+
+aiohttp itself waits for ever for the first byte of a request. Here each connection has one deadline from its opening to its
+end, whatever it does meanwhile, and the newest connection is served: when there are too many, the oldest is closed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from aiohttp import web
+
+
+@dataclass(slots=True)
+class Limits:
+    """The bounds, and how often each was met."""
+
+    connections: int = 16
+    """Open at once."""
+    connection_s: float = 5.0
+    """From the opening of a connection until it is closed."""
+    request_bytes: int = 16_384
+    """A connection may send this many bytes in all."""
+    evicted: int = 0
+    overdue: int = 0
+    oversized: int = 0
+    open: dict[_Bounded, asyncio.Transport] = field(default_factory=dict)
+    """Connections from the oldest to the newest."""
+
+
+def bounded(server: web.Server, limits: Limits) -> Callable[[], asyncio.Protocol]:
+    """Return a factory of protocols that serve one bounded connection each."""
+    return lambda: _Bounded(server(), limits)
+
+
+class _Bounded(asyncio.Protocol):
+    """One connection: everything goes on to aiohttp's own protocol while the bounds hold."""
+
+    def __init__(self, inner: asyncio.Protocol, limits: Limits) -> None:
+        self._inner = inner
+        self._limits = limits
+        self._deadline: asyncio.TimerHandle | None = None
+        self._received = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        limits = self._limits
+        while len(limits.open) >= limits.connections:
+            limits.evicted += 1
+            limits.open.pop(next(iter(limits.open))).abort()
+        limits.open[self] = transport
+        self._deadline = asyncio.get_running_loop().call_later(limits.connection_s, self._overdue, transport)
+        self._inner.connection_made(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._limits.open.pop(self, None)
+        self._inner.connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        self._received += len(data)
+        if self._received > self._limits.request_bytes:
+            self._limits.oversized += 1
+            if (transport := self._limits.open.get(self)) is not None:
+                transport.abort()
+            return
+        self._inner.data_received(data)
+
+    def eof_received(self) -> bool | None:
+        return self._inner.eof_received()
+
+    def pause_writing(self) -> None:
+        self._inner.pause_writing()
+
+    def resume_writing(self) -> None:
+        self._inner.resume_writing()
+
+    def _overdue(self, transport: asyncio.Transport) -> None:
+        self._limits.overdue += 1
+        transport.abort()
