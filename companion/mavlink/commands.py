@@ -34,6 +34,8 @@ _ABOUT_MESSAGES = frozenset(
     {int(mav.MAV_CMD_REQUEST_MESSAGE), int(mav.MAV_CMD_SET_MESSAGE_INTERVAL), int(mav.MAV_CMD_GET_MESSAGE_INTERVAL)}
 )
 _REPORT_S = 1.0
+_INTERVAL_MIN_S, _INTERVAL_MAX_S = 0.01, 2000.0
+"""Of a message that is sent by itself; MESSAGE_INTERVAL carries no longer one."""
 
 Params = tuple[float, float, float, float, float, float, float]
 
@@ -68,11 +70,12 @@ class Offered:
         return round(interval_s * 1e6) if interval_s > 0 else -1
 
     def set_interval(self, number: int, interval_us: float) -> bool:
-        """-1 stops it, 0 sets the default; False where that is not possible."""
-        if number not in self._makers or not math.isfinite(interval_us) or (interval_us != -1 and interval_us < 0):
+        """-1 stops it, 0 sets the default; False where that is not possible or longer than 2000 s."""
+        if number not in self._makers or not (interval_us == -1 or 0 <= interval_us <= _INTERVAL_MAX_S * 1e6):
             return False
         default = self._defaults.get(number, 0.0)
-        self._intervals_s[number] = 0.0 if interval_us == -1 else max(0.01, interval_us * 1e-6) if interval_us else default
+        wanted_s = max(_INTERVAL_MIN_S, interval_us * 1e-6) if interval_us else default
+        self._intervals_s[number] = 0.0 if interval_us == -1 else wanted_s
         self._next.pop(number, None)
         return True
 

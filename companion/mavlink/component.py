@@ -15,6 +15,7 @@ import math
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import metadata
 
 from companion.mavlink.commands import CommandServer, Offered
@@ -208,13 +209,25 @@ class Component(Silent):
     # What it says
 
     def tick(self, now: MonoNs) -> None:
-        """Everything that is due."""
-        self._check_health(now)
-        self._send(self._offered.due(now))
-        self._send(self._commands.due(now))
-        self._send(self.texts.due(now))
+        """Send everything that is due. A bug in one part of it is held, and the others are sent all the same."""
+        if self._links is None:
+            return
+        parts: dict[str, Callable[[MonoNs], None]] = {
+            "health": self._check_health,
+            "the messages sent by themselves": lambda now: self._send(self._offered.due(now)),
+            "the progress of commands": lambda now: self._send(self._commands.due(now)),
+            "the texts": lambda now: self._send(self.texts.due(now)),
+            "the parameters": self._tell_parameters,
+            "the target": self._tell_target,
+        }
+        for name, part in parts.items():
+            self._links.contained.run(f"telling {name}", "us", partial(part, now))
+
+    def _tell_parameters(self, now: MonoNs) -> None:
         if self._parameters is not None:
             self._send(self._parameters.due())
+
+    def _tell_target(self, now: MonoNs) -> None:
         if self._autopilot is not None and self._autopilot.connected:
             self._update_belief(now)
             view = _View(self._autopilot)

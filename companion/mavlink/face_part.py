@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from functools import partial
 from typing import Protocol, TypeVar
 
 from companion.mavlink.face import Face
@@ -89,11 +90,12 @@ class FacePart(Silent):
             try:
                 listening = group.create_task(self._listen(face, links))
                 while not listening.done():
-                    face.tick(self._clock.now())
+                    links.contained.run("the bridge's tick", "us", lambda: face.tick(self._clock.now()))
                     await self._clock.sleep(_TICK_S)
             finally:
                 self._face = None
 
     async def _listen(self, face: Face, links: Links) -> None:
         async for heard in links.heard:
-            face.hear(heard, self._system, self._clock.now())
+            hear = partial(face.hear, heard, self._system, self._clock.now())
+            links.contained.run(heard.place, heard.source_text, hear)

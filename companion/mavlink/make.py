@@ -95,4 +95,5 @@ class AutopilotPart:
             for link in self._links.all:
                 for name, n in link.counters.as_dict().items():
                     out[name] = out.get(name, 0) + n
+            out |= {"faults": self._links.contained.total, "unfit": self._links.unfit.total()}
         return out

@@ -8,6 +8,7 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -192,9 +193,8 @@ class Autopilot:
         async for heard in self.links.heard:
             if (heard.system, heard.component) == self.links.identity:
                 continue  # our own, routed back
-            self._hear(heard)
-            for listener in self._listeners:
-                listener(heard)
+            for handler in (self._hear, *self._listeners):
+                self.links.contained.run(heard.place, heard.source_text, partial(handler, heard))
 
     def _hear(self, heard: Heard) -> None:
         message, name = heard.message, heard.message.get_type()

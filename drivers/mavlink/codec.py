@@ -11,12 +11,24 @@ import struct
 from collections import Counter
 from dataclasses import dataclass, field
 
-from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.dialect import Message, mav, unfit_field
 from drivers.mavlink.signing import Signing
 
 _V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
 _SIGNED = mav.MAVLINK_IFLAG_SIGNED
 _SIGNATURE = mav.MAVLINK_SIGNATURE_BLOCK_LEN
+
+
+class Unfit(ValueError):
+    """A message whose value does not fit the wire.
+
+    Attributes:
+        field: "MESSAGE.field".
+    """
+
+    def __init__(self, message: Message, why: Exception) -> None:
+        self.field = f"{message.get_type()}.{unfit_field(message)}"
+        super().__init__(f"{self.field} does not fit its wire format: {why}")
 
 
 @dataclass(slots=True)
@@ -78,7 +90,7 @@ class Codec:
             component: speak as this component of our system; None for the usual one. Each counts its own sequence.
 
         Raises:
-            ValueError: a field does not fit its type on the wire.
+            Unfit: a field does not fit its type on the wire.
         """
         if self._signing is not None:
             self._mav.signing.timestamp = self._signing.time.next(self._mav.signing.timestamp)
@@ -87,8 +99,8 @@ class Codec:
         self._mav.srcComponent, self._mav.seq = speaker, self._spoken.get(speaker, 0)
         try:
             data = bytes(message.pack(self._mav))
-        except (struct.error, TypeError, OverflowError) as why:
-            raise ValueError(f"{message.get_type()} does not fit its wire format: {why}") from why
+        except (struct.error, TypeError, ValueError, OverflowError, AttributeError, IndexError) as why:
+            raise Unfit(message, why) from why
         finally:
             self._mav.srcComponent = usual
         self._spoken[speaker] = (self._mav.seq + 1) % 256

@@ -26,6 +26,7 @@ __all__ = [
     "crc_extra_of",
     "define",
     "mav",
+    "unfit_field",
 ]
 
 Message = Any
@@ -126,6 +127,21 @@ def define(
     made = type(f"MAVLink_{name.lower()}_message", (mav.MAVLink_message,), attributes)
     mav.mavlink_map[msg_id] = made
     return made
+
+
+def unfit_field(message: Message) -> str:
+    """Return the name of the first field whose value does not fit its type on the wire, "?" where each alone does."""
+    kinds = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
+    for name, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True):
+        value = getattr(message, name)
+        try:
+            if kinds[name] == "char":
+                bytes(value.encode() if isinstance(value, str) else value)
+            else:
+                struct.pack(f"<{length or 1}{_FORMATS[kinds[name]][0]}", *(value[:length] if length else [value]))
+        except (struct.error, TypeError, ValueError, OverflowError, AttributeError):
+            return str(name)
+    return "?"
 
 
 TimeSyncV2 = define(

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
 from drivers.mailbox import Line
-from drivers.mavlink.codec import Codec, CodecCounters
+from drivers.mavlink.codec import Codec, CodecCounters, Unfit
+from drivers.mavlink.containment import Containment
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.endpoint import Endpoint
 from drivers.mavlink.signing import Signing
@@ -81,6 +83,16 @@ class Heard:
     system: int
     component: int
 
+    @property
+    def place(self) -> str:
+        """Where an error that it causes is counted."""
+        return f"the handling of {self.message.get_type()}"
+
+    @property
+    def source_text(self) -> str:
+        """Who sent it, for people."""
+        return f"system {self.system}, component {self.component}, link {self.link}"
+
 
 @dataclass(slots=True)
 class _Peer:
@@ -119,7 +131,11 @@ class Link:
         if self._wire is not None:
             self._forget_silent()
             for address, peer in self._peers.items():
-                data = peer.codec.pack(message, component)
+                try:
+                    data = peer.codec.pack(message, component)
+                except Unfit as why:
+                    self._links.refuse(why)
+                    return False
                 if self._wire.send(data, address):
                     self.counters.bytes_out += len(data)
                     went = True
@@ -166,6 +182,9 @@ class Link:
         return codec
 
     def _received(self, data: bytes, heard: MonoNs, address: Address | None) -> None:
+        self._links.contained.run("the MAVLink codec", f"{self.endpoint}", lambda: self._decode(data, heard, address))
+
+    def _decode(self, data: bytes, heard: MonoNs, address: Address | None) -> None:
         self.counters.bytes_in += len(data)
         peer = self._peers.get(address)
         known = peer is not None
@@ -209,6 +228,9 @@ class Link:
         self.counters.codecs = [total, *(c for c in self.counters.codecs if id(c) in alive)]
 
 
+_SECRET = frozenset({"SETUP_SIGNING"})
+"""Messages that carry a key in clear: no tap, and so no recording, sees them."""
+
 Tap = Callable[[MonoNs, str, Literal["in", "out"], bytes, str], None]
 """Told of every message that crosses a link: when, the link's address, which way, its bytes, its name. It must be quick."""
 
@@ -220,6 +242,10 @@ class Links:
         self.identity = identity
         """(system, component) that messages are sent as."""
         self.tap: Tap | None = None
+        self.contained = Containment(clock)
+        """Holds the errors of whoever handles what came in."""
+        self.unfit: Counter[str] = Counter()
+        """Messages of ours that were not sent since a value does not fit the wire, by "MESSAGE.field"."""
         self.heard: Line[Heard] = Line(capacity)
         self.opened = [0 for _ in options]
         """How often each link was opened: grows when it comes back."""
@@ -227,8 +253,15 @@ class Links:
 
     def told(self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes, message: Message) -> None:
         """A message crossed a link."""
-        if self.tap is not None:
-            self.tap(at, str(endpoint), way, data, message.get_type())
+        tap, name = self.tap, message.get_type()
+        if tap is not None and name not in _SECRET:
+            self.contained.run(f"the tap of {name}", str(endpoint), lambda: tap(at, str(endpoint), way, data, name))
+
+    def refuse(self, why: Unfit) -> None:
+        """A message of ours does not fit the wire: count it, and log each field once."""
+        if why.field not in self.unfit:
+            _log.error("MAVLink: not sent: %s", why)
+        self.unfit[why.field] += 1
 
     def identify(self, system: int, component: int) -> None:
         """Speak as another system and component from now on."""
@@ -237,13 +270,10 @@ class Links:
             link.identify(system, component)
 
     def send(self, message: Message, to: int | None = None, *, component: int | None = None) -> bool:
-        """To every peer of every link, or of link number `to`; whether it went to any. Never blocks.
+        """To every peer of every link, or of link number `to`; whether it went to any. Never blocks, never raises for a value.
 
         Args:
             component: speak as this component of our system instead of the usual one.
-
-        Raises:
-            ValueError: a field does not fit its type on the wire.
         """
         sent = [link.send(message, component) for link in (self.all if to is None else (self.all[to],))]
         return any(sent)

@@ -1,0 +1,189 @@
+"""Everything that MAVLink reaches, alive on a real socket, and frames with any payload and the right checksum to throw at it."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import socket
+import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+import companion.settings as settings_of
+from companion.mavlink.component import Component, ComponentOptions, speaking
+from companion.mavlink.face import Face
+from companion.mavlink.outputs import OutputOptions
+from companion.mavlink.tunables import Tunables
+from drivers.clock import SystemClock
+from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import LinkOptions
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.time import MonoNs
+from tests.companion.mavlink.test_component_parts import Tower
+from tests.drivers.fake_ardrone import until
+
+HOST = "127.0.0.1"
+AUTOPILOT, US, STATION = (7, 1), (7, 191), (255, 190)
+_RANGES = {f"{sign}int{bits}_t": (0, 2**bits - 1) if sign else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+           for bits in (8, 16, 32, 64) for sign in ("u", "")}  # fmt: skip
+_FLOATS = [0.0, -0.0, 1.0, -1.0, 0.5, 1e-40, 1e6, -1e6, 1e38, -1e38, math.inf, -math.inf, math.nan]
+_COMMANDS = [21, 22, 17, 176, 191, 193, 400, 510, 511, 512, 2510, 2511, 31010]
+_MESSAGES = [0.0, 1.0, 2.0, 148.0, 251.0, 390.0, 396.0, 65535.0, 65536.0]
+NAMED: dict[str, st.SearchStrategy[Any]] = {
+    "target_system": st.sampled_from([0, 7, 255]),
+    "target_component": st.sampled_from([0, 1, 191]),
+    "command": st.sampled_from(_COMMANDS) | st.integers(0, 65535),
+    "param1": st.sampled_from(_MESSAGES + _FLOATS),
+    "param2": st.sampled_from(_FLOATS),
+    "param_id": st.sampled_from([b"PLND_LAG", b"PID_H_KP", b"RNGFND1_TYPE", b"\xff" * 16]) | st.binary(min_size=16, max_size=16),
+    "param_type": st.sampled_from([0, 1, 3, 5, 6, 9, 10, 255]),
+    "orientation": st.sampled_from([0, 25, 255]),
+}
+"""Fields whose values our handlers look at: mostly values that they would take."""
+
+
+def frame(cls: Any, payload: bytes, source: tuple[int, int] = AUTOPILOT, sequence: int = 0) -> bytes:
+    """A MAVLink 2 frame with this payload and the right checksum."""
+    header = struct.pack("<BBBBBBB", len(payload), 0, 0, sequence, *source, cls.id & 0xFF) + struct.pack("<H", cls.id >> 8)
+    crc = mav.x25crc(header + payload + bytes([cls.crc_extra]))
+    return b"\xfd" + header + payload + struct.pack("<H", crc.crc)
+
+
+def _values(kind: str, name: str) -> st.SearchStrategy[Any]:
+    if kind == "char":
+        return NAMED.get(name, st.binary(max_size=50))
+    if kind in ("float", "double"):
+        return NAMED.get(name, st.sampled_from(_FLOATS) | st.floats(width=32))
+    low, high = _RANGES[kind]
+    return NAMED.get(name, st.sampled_from([0, 1, high, low, high // 2]) | st.integers(low, high))
+
+
+@st.composite
+def messages(draw: st.DrawFn, cls: Any | None = None) -> bytes:
+    """Any message of the dialect with any fields, from the autopilot or from others behind it."""
+    chosen = draw(st.sampled_from(list(mav.mavlink_map.values()))) if cls is None else cls
+    kinds = dict(zip(chosen.fieldnames, chosen.fieldtypes, strict=True))
+    flat: list[Any] = []
+    for name, length in zip(chosen.ordered_fieldnames, chosen.array_lengths, strict=True):
+        kind = kinds[name]
+        count = length if length and kind != "char" else 1
+        flat += [draw(_values(kind, name)) for _ in range(min(count, 4))] + [0] * (count - 4)
+    payload = chosen.unpacker.pack(*flat)
+    return frame(chosen, payload, draw(st.sampled_from([AUTOPILOT, AUTOPILOT, STATION, (0, 0), (17, 1)])))
+
+
+class Border:
+    """The service's MAVLink side: autopilot, component and bridge behind one listening socket.
+
+    Attributes:
+        wire: the autopilot's socket.
+    """
+
+    def __init__(self, autopilot: Autopilot, component: Component, bridge: Face, tower: Tower) -> None:
+        self.autopilot, self.component, self.bridge, self.tower = autopilot, component, bridge, tower
+        self.links = autopilot.links
+        self.wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.wire.setblocking(False)
+        self.codec = Codec(*AUTOPILOT, datagrams=True)
+        local = self.links.all[0].local
+        assert local is not None
+        self.address = local
+
+    async def throw(self, *data: bytes, wire: socket.socket | None = None) -> None:
+        """Send datagrams, and wait until all of them have been handled."""
+        counters = self.links.all[0].counters
+        for one in data:
+            expected = counters.bytes_in + len(one)
+            (wire or self.wire).sendto(one, self.address)
+            while counters.bytes_in < expected or len(self.links.heard):  # noqa: ASYNC110 - no event tells of bytes
+                await asyncio.sleep(0)
+        await asyncio.sleep(0)
+
+    async def send(self, *messages: Message, wire: socket.socket | None = None, source: tuple[int, int] = AUTOPILOT) -> None:
+        """Throw messages as `source`."""
+        codec = self.codec if source == AUTOPILOT else Codec(*source)
+        await self.throw(*(codec.pack(m) for m in messages), wire=wire)
+
+    def answers(self, wire: socket.socket | None = None) -> list[Message]:
+        """Everything that came back to a socket."""
+        out: list[Message] = []
+        reader = Codec(1, 1, datagrams=True)
+        while True:
+            try:
+                out += reader.feed((wire or self.wire).recv(2048))
+            except BlockingIOError:
+                return out
+
+    async def alive(self) -> None:
+        """Fail unless the service answers a command as it should, and no handler raised."""
+        assert dict(self.links.contained.faults) == {}
+        assert dict(self.links.unfit) == {}
+        await self.send(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
+        self.answers()
+        await self.send(mav.MAVLink_command_long_message(*US, 512, 0, 396, 0, 0, 0, 0, 0, 0))
+        answered: list[str] = []
+
+        def both() -> bool:
+            answered.extend(m.get_type() for m in self.answers())
+            return {"COMMAND_ACK", "COMPONENT_INFORMATION_BASIC"} <= set(answered)
+
+        await until(both)
+
+    async def told_of_the_pad(self) -> None:
+        """Fail unless an autopilot that flies and tells its attitude is sent LANDING_TARGETs, whatever it said before."""
+        flies = mav.MAVLink_extended_sys_state_message(0, mav.MAV_LANDED_STATE_IN_AIR)
+        got: list[str] = []
+        for n in range(200):
+            boot_ms = 20_000 + 20 * n
+            level = mav.MAVLink_attitude_quaternion_message(boot_ms, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            await self.send(mav.MAVLink_heartbeat_message(2, 3, 128, 0, 4, 3), flies, level)
+            await asyncio.sleep(0.02)
+            got += [m.get_type() for m in self.answers()]
+            if "LANDING_TARGET" in got:
+                return
+        raise AssertionError(f"no target: {self.component.outputs.withheld}")
+
+
+@asynccontextmanager
+async def bordered(**options: Any) -> AsyncIterator[Border]:
+    """The service's MAVLink side with its autopilot found."""
+    clock, tower = SystemClock(), Tower()
+    pad = np.array([0.3, -0.2, 4.0])
+
+    def believe(now: MonoNs) -> RelativeState:
+        return RelativeState(now, "dead_reckoning", pad, np.zeros(3), 0.2, np.eye(7) * 1e-4, now, True)
+
+    component = Component(
+        ComponentOptions(OutputOptions(pad_radius_m=0.39)),
+        tower,
+        Tunables(settings_of.load("sim"), lambda settings: None),
+        healthy=lambda: None,
+        believe=believe,
+        clock=clock,
+    )
+    link = LinkOptions(parse_endpoint(f"udpin://{HOST}:0"), **options)
+    async with open_autopilot(AutopilotOptions((link,), vessel_system=17, parameters=("PLND_LAG",)), clock) as autopilot:
+        await until(lambda: autopilot.links.all[0].local is not None)
+        bridge = Face(autopilot.links.send, lambda command: None)
+        autopilot.listen(lambda heard: bridge.hear(heard, AUTOPILOT[0], clock.now()))
+        border = Border(autopilot, component, bridge, tower)
+
+        async def pump() -> None:
+            async for sample in autopilot.samples:
+                autopilot.links.contained.run("the test's pump", "", partial(component.on_sample, sample))
+
+        async with speaking(component, autopilot, clock), asyncio.TaskGroup() as group:
+            pumping = group.create_task(pump())
+            await border.send(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
+            await until(lambda: autopilot.connected)
+            yield border
+            pumping.cancel()
+        border.wire.close()
