@@ -28,15 +28,16 @@ def camera_options(settings: Settings) -> CameraOptions | None:
         raise BadInput(f"camera.{fault}")
     if c.source == "vehicle":
         return None
+    model = camera_model(settings)
     if c.source == "stream":
         return StreamOptions(
             c.device,
+            size=(model.width, model.height),
             latency_s=c.latency_s,
             sigma_s=c.latency_sigma_s,
             exposure_s=c.exposure_s,
             patience=Patience(silence_s=c.silence_s),
         )
-    model = camera_model(settings)
     return V4l2Options(
         c.device,
         model.width,

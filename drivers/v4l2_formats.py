@@ -11,6 +11,9 @@ from av.error import FFmpegError
 from av.video.codeccontext import VideoCodecContext
 from numpy.typing import NDArray
 
+from drivers.images import ImageRefused, decode
+from drivers.videos import most_pixels
+
 U8 = NDArray[np.uint8]
 
 
@@ -26,7 +29,7 @@ class Layout:
 
 
 def to_bgr(data: bytes, layout: Layout) -> U8 | None:
-    """One buffer of a format whose pictures stand alone, as (H, W, 3) BGR; None when it is torn or damaged.
+    """One buffer of a format whose pictures stand alone, as (H, W, 3) BGR; None when it is torn, damaged or of another size.
 
     YUYV and NV12 are taken as BT.601 with studio swing, what webcams send and V4L2 assumes for standard definition.
     """
@@ -50,12 +53,9 @@ def _jpeg(data: bytes, layout: Layout) -> U8 | None:
     if not (whole.startswith(b"\xff\xd8") and whole.endswith(b"\xff\xd9")):
         return None
     try:
-        px = cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:
+        return decode(whole, (layout.width, layout.height))
+    except ImageRefused:
         return None
-    if px is None or px.shape[:2] != (layout.height, layout.width):
-        return None
-    return _u8(px)
 
 
 def _u8(px: NDArray[np.generic]) -> U8:
@@ -84,7 +84,11 @@ class H264Decoder:
                 return None
             self._codec = VideoCodecContext.create("h264", "r")
             self._codec.thread_type = "NONE"
-            self._codec.options = {"err_detect": "explode", "max_pixels": str(8192 * 8192), "flags": "low_delay"}
+            self._codec.options = {
+                "err_detect": "explode",
+                "max_pixels": str(most_pixels((layout.width, layout.height))),
+                "flags": "low_delay",
+            }
         try:
             pictures = self._codec.decode(av.Packet(unit))
         except FFmpegError:

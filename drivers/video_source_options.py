@@ -87,6 +87,8 @@ class StreamOptions:
     """From mid-exposure to the arrival of the picture's last byte; for a file from its time in the file."""
     sigma_s: float = 0.02
     exposure_s: float = 0.0
+    size: tuple[int, int] | None = None
+    """Width and height that are expected, px: frames of more than four times as many pixels are not decoded."""
     repeat: bool = False
     """Begin a file again at its end."""
     patience: Patience = field(default_factory=lambda: Patience(silence_s=5.0))
@@ -94,6 +96,8 @@ class StreamOptions:
     def __post_init__(self) -> None:
         if not self.source:
             raise ValueError("source must name a stream or a file")
+        if self.size is not None:
+            _size(*self.size)
         _seconds("latency_s", self.latency_s, least=0.0, most=5.0)
         _seconds("sigma_s", self.sigma_s, least=0.0, most=0.5)
         _seconds("exposure_s", self.exposure_s, least=0.0, most=1.0)
@@ -118,7 +122,7 @@ class CameraCounters:
     frames_overtaken: int = 0
     """A newer one was already there before this one was looked at."""
     frames_damaged: int = 0
-    """Marked bad by the kernel, torn, or refused by the decoder."""
+    """Marked bad by the kernel, torn, of another size than was agreed, or refused by the decoder."""
     frames_waiting: int = 0
     """Dropped until the next picture that stands alone (H.264)."""
     frames_lost: int = 0

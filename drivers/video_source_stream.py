@@ -22,8 +22,10 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from drivers.clock_map import ClockMap, ClockMapOptions
+from drivers.images import ImageRefused
 from drivers.video_source import Camera, CameraLost
 from drivers.video_source_options import CameraCounters, StreamOptions
+from drivers.videos import MOST_PACKET_BYTES, open_video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
@@ -121,9 +123,17 @@ class _Reader:
             raise BadInput(f"{o.source}: no such file")
         silence_s = o.patience.silence_s
         try:
-            self._container = av.open(
-                o.source, options=_LIVE if o.is_address else {}, timeout=(silence_s, silence_s) if o.is_address else None
+            self._container = open_video(
+                o.source,
+                o.size,
+                options=_LIVE if o.is_address else {},
+                codec_options={"err_detect": "explode"} if o.is_address else {},
+                timeout=(silence_s, silence_s) if o.is_address else None,
             )
+        except ImageRefused as why:
+            if o.is_address:
+                raise CameraLost("failed", f"{o.source}: {why}") from why
+            raise BadInput(f"{o.source}: {why}") from why
         except FFmpegError as why:
             if o.is_address:
                 raise CameraLost("absent", f"{o.source}: {why.strerror}") from why
@@ -132,8 +142,6 @@ class _Reader:
             raise BadInput(f"{o.source}: there is no video in it")
         stream = self._container.streams.video[0]
         stream.thread_type = "SLICE" if o.is_address else "AUTO"
-        if o.is_address:
-            stream.codec_context.options = {"err_detect": "explode"}
         rate = stream.average_rate
         self.rate_hz = float(rate) if rate else 30.0
         if not math.isfinite(self.rate_hz) or self.rate_hz <= 0:
@@ -166,6 +174,10 @@ class _Reader:
     def _decode(self, packet: Packet, heard: MonoNs) -> None:
         flush = packet.size == 0
         self._counters.buffers += not flush
+        if packet.size > MOST_PACKET_BYTES:
+            self._counters.frames_damaged += 1
+            self._waiting = True
+            return
         if self._waiting and not flush:
             if not packet.is_keyframe:
                 self._counters.frames_waiting += 1

@@ -7,14 +7,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import av
-import cv2
 import numpy as np
 
 from companion.calibrate.judge import missing_before
 from companion.calibrate.views import Collection
+from drivers import images
 from drivers.clock import SystemClock
 from drivers.video_source import open_camera
 from drivers.video_source_options import CameraOptions
+from drivers.videos import open_video
 from estimator.contracts.errors import BadInput, Recoverable
 
 PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
@@ -49,17 +50,22 @@ def look_at(file: Path, collection: Collection, tell: Told) -> None:
         BadInput: it is neither, or of another size than those before it.
     """
     if file.suffix.lower() in PICTURES:
-        px = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_COLOR) if file.stat().st_size else None
-        if px is None:
-            raise BadInput(f"{file}: not a picture that can be read")
-        collection.add(file.name, np.asarray(px, np.uint8))
+        try:
+            px = images.decode(file.read_bytes(), turned=True)
+        except OSError as why:
+            raise BadInput(f"{file}: {why.strerror or why}") from why
+        except images.ImageRefused as why:
+            raise BadInput(f"{file}: not a picture that can be read ({why})") from why
+        collection.add(file.name, px)
         tell(collection)
         return
     try:
-        with av.open(str(file)) as container:
+        with open_video(str(file), collection.size) as container:
             for i, frame in enumerate(container.decode(video=0)):
                 collection.add(f"{file.name}#{i}", np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
                 tell(collection)
+    except images.ImageRefused as why:
+        raise BadInput(f"{file}: {why}") from why
     except (av.FFmpegError, OSError, IndexError) as why:
         raise BadInput(f"{file}: neither a picture nor a video that can be read") from why
 

@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.settings import find_file, read_toml
+from drivers import images
+from drivers.videos import open_video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import Rotation
@@ -114,8 +116,7 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.write(_HEADER)
     for file in files:
         try:
-            for picture in _pictures(file):
-                _check_size(picture, camera, camera_file)
+            for picture in _pictures(file, camera, camera_file):
                 attitude = _attitude(tilts, picture, math.radians(args.attitude_sigma_deg))
                 frame = Frame(_STAMP, picture.index, picture.px)
                 began = time.perf_counter()
@@ -171,34 +172,40 @@ def _files(paths: Sequence[str]) -> list[Path]:
     return files
 
 
-def _pictures(file: Path) -> Iterator[_Picture]:
+def _pictures(file: Path, camera: Camera, camera_file: Path) -> Iterator[_Picture]:
+    size = camera.width, camera.height
     if file.suffix.lower() not in VIDEOS:
         try:
-            data = np.fromfile(file, np.uint8)
+            data = file.read_bytes()
         except OSError as why:
             raise _NoPictureError(f"{file}: {why.strerror or why}") from why
-        px = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-        if px is not None:
-            yield _Picture(str(file), 0, np.asarray(px, np.uint8))
+        claimed = images.claimed_size(data)
+        if claimed is not None and size not in (claimed, claimed[::-1]):
+            raise _wrong_size(str(file), claimed, camera, camera_file)
+        try:
+            yield _Picture(str(file), 0, images.decode(data, size, turned=True))
             return
-        if file.suffix.lower() in PICTURES:
-            raise _NoPictureError(f"{file}: not a picture that can be read")
+        except images.ImageRefused as why:
+            if file.suffix.lower() in PICTURES:
+                raise _NoPictureError(f"{file}: not a picture that can be read ({why})") from why
     index = 0
     try:
-        with av.open(str(file)) as container:
+        with open_video(str(file), size) as container:
             for frame in container.decode(video=0):
+                if (frame.width, frame.height) != size:
+                    raise _wrong_size(str(file), (frame.width, frame.height), camera, camera_file)
                 yield _Picture(str(file), index, np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
                 index += 1
+    except images.ImageRefused as why:
+        raise BadInput(f"{file}: {why} ({camera_file})") from why
     except (av.FFmpegError, OSError, IndexError) as why:
         raise _NoPictureError(f"{file}: neither a picture nor a video that can be read (stopped at frame {index})") from why
     if index == 0:
         raise _NoPictureError(f"{file}: a video without frames")
 
 
-def _check_size(picture: _Picture, camera: Camera, camera_file: Path) -> None:
-    h, w = picture.px.shape[:2]
-    if (w, h) != (camera.width, camera.height):
-        raise BadInput(f"{picture.source}: {w}x{h} px, but {camera_file} is of a camera of {camera.width}x{camera.height} px")
+def _wrong_size(source: str, size: tuple[int, int], camera: Camera, camera_file: Path) -> BadInput:
+    return BadInput(f"{source}: {size[0]}x{size[1]} px, but {camera_file} is of a camera of {camera.width}x{camera.height} px")
 
 
 def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, _Tilt]:

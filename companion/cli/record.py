@@ -121,14 +121,14 @@ class _Source:
     path: Path
     offset_ns: int
 
-    def data(self) -> Iterator[Sample | Frame]:
-        """What it holds, in order, on the common clock."""
-        for datum in self._own():
+    def data(self, size: tuple[int, int]) -> Iterator[Sample | Frame]:
+        """What it holds, in order, on the common clock; `size` is the camera's, px."""
+        for datum in self._own(size):
             s = datum.stamp
             moved = Stamp(MonoNs(s.taken + self.offset_ns), MonoNs(s.heard + self.offset_ns), s.sigma_s, s.source)
             yield replace(datum, stamp=moved)
 
-    def _own(self) -> Iterator[Sample | Frame]:
+    def _own(self, size: tuple[int, int]) -> Iterator[Sample | Frame]:
         path = self.path
         try:
             with path.open("rb") as file:
@@ -145,7 +145,7 @@ class _Source:
             return iter(attitude_csv.read(path))
         if head.startswith(b"PaVE") or path.suffix.lower() == ".pave":
             return ardrone_capture.frames(path)
-        return video.frames(path)
+        return video.frames(path, size)
 
 
 def _source(text: str) -> _Source:
@@ -174,7 +174,7 @@ def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -
     described = about(settings, {"kind": "import", "sources": ", ".join(s.path.name for s in sources)})
     counts: Counter[str] = Counter()
     with recorder_to_file(output, camera, described) as recorder:
-        for datum in heapq.merge(*(s.data() for s in sources), key=lambda d: d.stamp.heard):
+        for datum in heapq.merge(*(s.data((camera.width, camera.height)) for s in sources), key=lambda d: d.stamp.heard):
             if isinstance(datum, Frame):
                 height, width = datum.px.shape[:2]
                 if (width, height) != (camera.width, camera.height):

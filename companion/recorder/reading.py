@@ -10,9 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, cast
 
-import cv2
 import msgspec
-import numpy as np
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
@@ -23,6 +21,7 @@ from companion.recorder import channels, decode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
 from companion.settings import Settings, from_mapping
+from drivers import images
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Attitude, Frame, Sample
@@ -62,14 +61,22 @@ class RecordedFrame:
         """What vision saw then, without the features in pixels; None where it was not asked."""
         return decode.look(self.record)
 
-    def frame(self) -> Frame | None:
-        """The picture again; None where it was not kept or does not decode."""
+    def frame(self, size: tuple[int, int]) -> Frame | None:
+        """Decode the image again.
+
+        Args:
+            size: width and height of the camera, px.
+
+        Returns:
+            None where the image was not kept, is damaged, or claims another size.
+        """
         if self.picture is None:
             return None
-        px = cv2.imdecode(np.frombuffer(self.picture, np.uint8), cv2.IMREAD_COLOR)
-        if px is None:
+        try:
+            px = images.decode(self.picture, size)
+        except images.ImageRefused:
             return None
-        return Frame(self.stamp, self.record.seq, np.asarray(px, dtype=np.uint8), self.record.exposure_s)
+        return Frame(self.stamp, self.record.seq, px, self.record.exposure_s)
 
 
 Event = Sample | RecordedFrame | Decision | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord

@@ -120,7 +120,8 @@ class Replay:
             observer.on_sample(sample)
 
     def _frame(self, recorded: RecordedFrame) -> None:
-        frame = None if self._sightings else recorded.frame()
+        size = self._pilot.camera.width, self._pilot.camera.height
+        frame = None if self._sightings else recorded.frame(size)
         began, done = (MonoNs(t + self._shift_ns) for t in (recorded.record.began_ns, recorded.record.done_ns))
         stamp = self._moved(recorded.stamp)
         self.counts.frames += 1
@@ -128,13 +129,13 @@ class Replay:
         attitude = self._pilot.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
         look: Look | None = None
         verdict = Verdict.NO_ATTITUDE
-        if frame is None:
+        if frame is None and not self._sightings and (recorded.record.width, recorded.record.height) != size:
+            frame, verdict = _black(recorded), Verdict.FAILED
+        elif frame is None:
             self.counts.as_recorded += 1
             look = self._seen_then(recorded)
             verdict = Verdict(recorded.record.verdict) if look is None else self._pilot.saw(look)
             frame = _black(recorded)
-        elif (frame.px.shape[1], frame.px.shape[0]) != (self._pilot.camera.width, self._pilot.camera.height):
-            verdict = Verdict.FAILED
         elif attitude is not None:
             self.counts.looked += 1
             look = self._pilot.look(replace(frame, stamp=stamp), attitude)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from companion.report.flight_log import FlightLog, FrameRecord
 from companion.report.overlay import Overlay, annotate, annotated_size
+from drivers import images
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.time import MonoNs, seconds_between
@@ -160,5 +161,7 @@ def _decode(frame: FrameRecord) -> NDArray[np.uint8] | None:
         return np.asarray(p, np.uint8) if (p := cv2.imread(str(frame.picture), cv2.IMREAD_COLOR)) is not None else None
     if not frame.picture:
         return None
-    decoded = cv2.imdecode(np.frombuffer(frame.picture, np.uint8), cv2.IMREAD_COLOR)
-    return None if decoded is None else np.asarray(decoded, np.uint8)
+    try:
+        return images.decode(frame.picture)
+    except images.ImageRefused:
+        return None

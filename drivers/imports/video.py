@@ -5,24 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import av
 import numpy as np
 from av.error import FFmpegError
 
+from drivers.images import ImageRefused
 from drivers.imports.stamps import FRAME_DELAY_S, stamp
+from drivers.videos import open_video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
 
 
-def frames(path: Path) -> Iterator[Frame]:
+def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
     """Every picture in order, the first at 0; a file that breaks off ends there.
+
+    Args:
+        size: width and height that are expected; frames that are far larger are refused before they are decoded.
 
     Raises:
         BadInput: the file cannot be read, holds no video, or not one picture of it decodes.
     """
     try:
-        container = av.open(str(path))
-    except (FFmpegError, OSError) as why:
+        container = open_video(str(path), size)
+    except (FFmpegError, OSError, ImageRefused) as why:
         raise BadInput(f"{path}: not a readable video: {getattr(why, 'strerror', None) or why}") from why
     with container:
         if len(container.streams.video) == 0:

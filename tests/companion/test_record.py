@@ -75,7 +75,7 @@ def test_a_video_and_an_attitude_table_become_a_recording_that_replays(
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 360))
     lines = ["time_s,roll_deg,pitch_deg,yaw_deg"]
     for i, recorded in enumerate(frames):
-        frame = recorded.frame()
+        frame = recorded.frame((640, 360))
         assert frame is not None
         assert recorded.record.attitude is not None
         writer.write(frame.px)

@@ -57,7 +57,7 @@ async def test_a_file_is_played_at_its_own_speed_to_its_end(tmp_path: Path) -> N
     assert frames[-1].seq == 19
     last, first = frames[-1], frames[0]
     assert (last.stamp.taken - first.stamp.taken) * 1e-9 == pytest.approx((last.seq - first.seq) / RATE, abs=1e-4)
-    assert last.stamp.heard - first.stamp.heard == pytest.approx(last.stamp.taken - first.stamp.taken, abs=0.1e9)
+    assert last.stamp.heard - first.stamp.heard > last.stamp.taken - first.stamp.taken - 0.1e9, "a busy machine is only later"
     assert abs(int(last.px.mean()) - (30 + 3 * 19)) <= 3
     assert camera.counters.restarts == {}
 
@@ -113,3 +113,11 @@ async def test_a_camera_that_is_not_there_is_waited_for() -> None:
         await until(lambda: camera.counters.restarts["absent"] >= 3)
         assert camera.down is not None
         assert "no-such-camera" in camera.down
+
+
+async def test_a_video_of_far_larger_frames_than_the_camera_s_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "large.mp4"
+    write(str(path), 2)
+    with pytest.raises(BadInput, match=r"large\.mp4: frames of 64x48 px, expected 16x16 px"):
+        async with asyncio.timeout(10), open_camera(StreamOptions(str(path), size=(16, 16)), CLOCK) as camera:
+            await camera.frames.get()
