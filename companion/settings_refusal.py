@@ -31,6 +31,9 @@ def explain(model: type[Struct], data: Mapping[str, Any], said: str) -> str:
     if not isinstance(found, Mapping):
         return _one_line(f"{dotted} must be a table of keys, found {_show(found)}")
     known = {f.encode_name: f for f in _fields(spot)}
+    kinds = variants(spot)
+    if len(kinds) > 1 and (tag := kinds[0].tag_field) and tag not in found:
+        return _one_line(_missing(known[tag], path))
     if unknown := [name for name in found if name not in known]:
         return _one_line(_unknown(model, path, unknown[0], list(known)))
     if missing := [f for name, f in known.items() if f.required and name not in found]:
@@ -59,6 +62,7 @@ def expectation(spot: inspect.Type) -> str:
 
 def unit_of(spot: inspect.Type) -> str:
     """The unit of a key, "1" for a plain ratio, "" for text and choices."""
+    spot = _given(spot)
     extra = spot.extra_json_schema if isinstance(spot, inspect.Metadata) else None
     return str((extra or {}).get("x-unit", ""))
 
@@ -101,7 +105,15 @@ def _tag(name: str, *values: str | int | None) -> inspect.Field:
 
 
 def _bare(spot: inspect.Type) -> inspect.Type:
+    """The type without its notes."""
+    spot = _given(spot)
     return spot.type if isinstance(spot, inspect.Metadata) else spot
+
+
+def _given(spot: inspect.Type) -> inspect.Type:
+    """Of a value that may be left out, the type that it has where it is given."""
+    kinds = [kind for kind in spot.types if not isinstance(kind, inspect.NoneType)] if isinstance(spot, inspect.UnionType) else []
+    return kinds[0] if len(kinds) == 1 else spot
 
 
 def _chosen(spot: inspect.Type, found: object) -> inspect.Type:

@@ -21,14 +21,18 @@ from drivers.ardrone import at
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.helm import Helm
 from drivers.ardrone.samples import Sampler
+from drivers.ardrone.setup import configuration_commands
+from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.state import refusal
 from sitl.darkroom import Darkroom
+from sitl.faults import ServiceKilled
 from sitl.scenario import Scenario
-from sitl.world import Picture, Touchdown, Truth, World
+from sitl.world import Phase, Picture, Touchdown, Truth, World
 
 NAVDATA_DELAY_S = 0.004
 COMMAND_DELAY_S = 0.004
@@ -81,6 +85,11 @@ class Flight:
 
     Args:
         observers: told what the daemon would tell them.
+        renew: makes the pilot of a service that begins anew after it was killed.
+
+    Raises:
+        BadInput: the scenario kills the service for a while and there is no `renew`.
+        SetupImpossible: the simulated drone refuses a key of the configuration.
     """
 
     def __init__(
@@ -92,29 +101,34 @@ class Flight:
         *,
         observers: Sequence[Observer] = (),
         timing: Timing | None = None,
+        renew: Callable[[], Pilot] | None = None,
     ) -> None:
         cv2.setNumThreads(1)
         self.world = World(scenario, seed)
         self.room: Darkroom | None = None
         """Makes the pictures, where one is set before the first step; else they are made in place. The same bits either way."""
-        self._pilot = pilot
+        if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
+            raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
+        self._renew = renew or (lambda: pilot)
         self._observers = tuple(observers)
         self._timing = timing or Timing()
         self._limit_s = scenario.duration_limit_s
         self._options = ardrone_options(settings)
-        self._helm = Helm(self._options, Counters())
-        self._sampler = Sampler(self._options.samples)
         self._sequence = 0
         start = self.world.now
         self._clock = _VirtualClock(start)
-        self.health = Health(self._clock)
-        self._drone = Drone(self.world, DroneClock(start))
-        for key, value in self._options.configuration().items():
-            self._send([at.Config(key, value), at.Ctrl(at.CTRL_ACK)])
-        self._guidance_period_s = 1.0 / settings.guidance.rate_hz
-        self._due_guidance = self._due_frame = self._due_command = start
         self._on_the_way: deque[tuple[MonoNs, Callable[[], Picture]]] = deque()
         self._looking: tuple[MonoNs, FrameSeen] | None = None
+        self._due_guidance = self._due_frame = self._due_command = start
+        self._gone = False
+        self._begin_service(pilot)
+        self.health = Health(self._clock)
+        self._drone = Drone(self.world, DroneClock(start))
+        for key, commands in configuration_commands(self._options):
+            self._send([*commands, at.Ctrl(at.CTRL_ACK)])
+            if refused := refusal(self._drone.state.counters):
+                raise SetupImpossible(f"the simulated drone refused the configuration key {key}: {refused}")
+        self._guidance_period_s = 1.0 / settings.guidance.rate_hz
         self._frames = 0
 
     def step(self) -> bool:
@@ -122,7 +136,10 @@ class Flight:
         now = after(self._clock.t, TICK_S)
         self._clock.t = now
         self._drone.tick(now)
-        if not self.world.active("navdata_silent"):
+        if self._killed():
+            ended = self.world.phase in (Phase.LANDED, Phase.EMERGENCY)
+            return not ended and seconds_between(self.world.started, now) < self._limit_s
+        if not self.world.active("navdata_silent") and not self.world.active("link_lost"):
             self._hear(now)
         self._film(now)
         self._see(now)
@@ -140,16 +157,38 @@ class Flight:
             pass
         return self.result()
 
+    def _killed(self) -> bool:
+        """Whether the service's process is gone; when it is back, it is a new one."""
+        if self.world.active("service_killed"):
+            self._gone = True
+            return True
+        if self._gone:
+            self._gone = False
+            self._begin_service(self._renew())
+        return False
+
+    def _begin_service(self, pilot: Pilot) -> None:
+        """What a process of the service holds, as it is when it has just begun."""
+        now = self._clock.t
+        self._pilot = pilot
+        self._helm = Helm(self._options, Counters())
+        self._sampler = Sampler(self._options.samples)
+        self._due_guidance = self._due_frame = self._due_command = now
+        self._on_the_way.clear()
+        self._looking = None
+
     def _send(self, commands: Sequence[at.AtCommand]) -> None:
         for command in commands:
             self._sequence += 1
+            if self.world.active("link_lost"):
+                continue
             self._drone.take(at.encode(self._sequence, command), self._clock.t)
 
     def _hear(self, now: MonoNs) -> None:
         navdata = self._drone.navdata()
         heard = after(now, NAVDATA_DELAY_S)
         self._helm.hear(navdata, heard)
-        for sample in self._sampler.samples(navdata, Stamp(self.world.at, heard, STAMP_SIGMA_S, "sim")):
+        for sample in self._sampler.samples(navdata, _stamp(self._drone.measured_at, heard)):
             self._helm.hear_sample(sample)
             for outcome in self._pilot.hear(sample):
                 self.health.input(outcome.kind, outcome.verdict)
@@ -160,9 +199,10 @@ class Flight:
         if now < self._due_frame:
             return
         self._due_frame = after(self._due_frame, self._timing.frame_period_s)
-        if self.world.active("video_silent"):
+        if self.world.frame_lost or self.world.active("link_lost"):
             return
-        self._on_the_way.append((after(self.world.at, self._timing.frame_delay_s), self.world.expose(self.room)))
+        delay_s = self._timing.frame_delay_s + self.world.frame_delay_s
+        self._on_the_way.append((after(self.world.at, delay_s), self.world.expose(self.room)))
 
     def _see(self, now: MonoNs) -> None:
         if self._looking is not None and now >= self._looking[0]:
@@ -175,7 +215,7 @@ class Flight:
             heard, developed = self._on_the_way.popleft()
             picture = developed()
             self._frames += 1
-            stamp = Stamp(picture.taken, heard, STAMP_SIGMA_S, "sim")
+            stamp = _stamp(after(picture.taken, picture.stamp_error_s), heard)
             arrived = Frame(stamp, self._frames, picture.px, picture.exposure_s)
         if arrived is None:
             return
@@ -199,6 +239,7 @@ class Flight:
         decision = self._pilot.decide(now)
         if decision.command is not None:
             self._helm.take(decision.command, now)
+        self.world.guidance_phase = decision.phase
         for observer in self._observers:
             observer.on_decision(decision)
 
@@ -207,3 +248,8 @@ class Flight:
         return FlightResult(
             self._pilot.outcome, seconds_between(self.world.started, self.world.at), truth.touchdown, self.health, truth
         )
+
+
+def _stamp(taken: MonoNs, received: MonoNs) -> Stamp:
+    """A sample that claims to be from the future is received, as far as its stamp can say, when it claims to be true."""
+    return Stamp(taken, max(taken, received), STAMP_SIGMA_S, "sim")

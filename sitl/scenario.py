@@ -22,10 +22,13 @@ from companion.settings_refusal import explain
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from sitl.faults import AnyFault
 from sitl.seakeeping import HULLS
 
 _MEASURED = "a recorded AR.Drone 2.0 flight against motion capture"
 _THESIS = "the thesis' simulator"
+FAULTS = "faults"
+"""Folder of the shipped scenarios with a fault each."""
 
 
 def _switch(meaning: str) -> Meta:
@@ -205,30 +208,6 @@ class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 100.0
 
 
-FaultKind = Literal[
-    "lens_covered",
-    "gust",
-    "weak_rotor",
-    "ultrasound_silent",
-    "flow_blind",
-    "magnetometer_silent",
-    "video_silent",
-    "navdata_silent",
-]
-
-
-class Fault(Struct, frozen=True, forbid_unknown_fields=True):
-    """Something that goes wrong for a while."""
-
-    kind: Annotated[FaultKind, choice("what goes wrong")]
-    start_s: Annotated[float, number("after the start", "s", 0.0, 36000.0)]
-    duration_s: Annotated[float, number("how long it lasts", "s", 0.01, 36000.0)]
-    speed_m_s: Annotated[float, number("gust: added wind at its height, half way through", "m/s", 0.0, 25.0)] = 5.0
-    from_deg: Annotated[float, number("gust: where it blows from, clockwise from north", "deg", -360.0, 360.0)] = 0.0
-    rotor: Annotated[Literal["front_left", "front_right", "rear_right", "rear_left"], choice("weak_rotor: which")] = "front_left"
-    thrust_share: Annotated[float, number("weak_rotor: thrust it still gives", "1", 0.0, 1.0)] = 0.8
-
-
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     """One flight to simulate."""
 
@@ -243,30 +222,79 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     light: LightSettings = LightSettings()
     sensors: SensorSettings = SensorSettings()
     vehicle: VehicleSettings = VehicleSettings()
-    faults: Annotated[tuple[Fault, ...], Meta(max_length=100, description="in any order")] = ()
+    faults: Annotated[tuple[AnyFault, ...], Meta(max_length=100, description="in any order")] = ()
+    expect: Annotated[
+        Literal["land", "refuse", "either"],
+        choice("the right outcome: it lands on the pad, it refuses to (hovers or climbs and says so), or either"),
+    ] = "land"
+    because: Annotated[str, text("one line that says why that is right", 300, shortest=0)] = ""
+
+    def __post_init__(self) -> None:
+        for n, fault in enumerate(self.faults):
+            if fault.at_s is not None and fault.at_s >= self.duration_limit_s:
+                raise ValueError(f"faults[{n}].at_s is {fault.at_s:g} s, but the flight ends after {self.duration_limit_s:g} s")
+            below = fault.below_height_m
+            if below is not None and self.start.where == "air" and self.start.height_m < below:
+                raise ValueError(f"faults[{n}].below_height_m is {below:g} m, but the flight starts at {self.start.height_m:g} m")
 
 
 def load(name_or_path: str | Path) -> Scenario:
-    """The scenario in a file, or a shipped one (`configs/scenarios/*.toml`) when given its bare name.
+    """The scenario in a file, or a shipped one (`configs/scenarios/*.toml`, `faults/*.toml` there) when given its bare name.
 
+    A file may name a `base`: it then says only what differs, and its faults come on top of those of the base.
     Camera and pad files are read too; `camera.file` and `pad.file` of the result hold from the working directory.
 
     Raises:
-        BadInput: a file that cannot be read or is not TOML; a key unknown, missing, of the wrong type or out of range; a camera
-            or pad file with such a fault. One line that names the file and the key.
+        BadInput: a file that cannot be read or is not TOML; a key unknown, missing, of the wrong type or out of range; a base
+            that is its own; a camera or pad file with such a fault. One line that names the file and the key.
     """
     path = _find(str(name_or_path), "scenarios", Path(), "scenario")
-    scenario = from_mapping(read_toml(path), str(path))
-    camera = _find(scenario.camera.file, "cameras", path.parent, f"{path}: camera.file")
-    pad = _find(scenario.pad.file, "pads", path.parent, f"{path}: pad.file")
-    scenario = msgspec.structs.replace(
-        scenario,
-        camera=msgspec.structs.replace(scenario.camera, file=str(camera)),
-        pad=msgspec.structs.replace(scenario.pad, file=str(pad)),
-    )
+    scenario = from_mapping(_with_base(path, ()), str(path))
     camera_model(scenario)
     pad_model(scenario)
     return scenario
+
+
+def _with_base(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+    """What the file and its bases hold together; each one is checked by itself so that an error names the file it is in."""
+    if path.resolve() in above:
+        raise BadInput(f"{path}: base leads back to this file")
+    data = read_toml(path)
+    name = data.pop("base", None)
+    base: dict[str, Any] = {}
+    if name is not None:
+        if not isinstance(name, str):
+            raise BadInput(f"{path}: base must be the name of a scenario or a path, found {name!r}")
+        base = _with_base(_find(name, "scenarios", path.parent, f"{path}: base"), (*above, path.resolve()))
+    whole = _merged(base, data)
+    try:
+        scenario = msgspec.convert(whole, Scenario, strict=True)
+    except msgspec.ValidationError as why:
+        raise BadInput(f"{path}: {_explain(whole, str(why), len(base.get('faults', ())))}") from why
+    for table, folder, named in (("camera", "cameras", scenario.camera.file), ("pad", "pads", scenario.pad.file)):
+        if table not in base or table in data:
+            found = _find(named, folder, path.parent, f"{path}: {table}.file")
+            whole[table] = {**whole.get(table, {}), "file": str(found)}
+    return whole
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """The tables of both, key by key; the faults of the base come first."""
+    out = dict(base)
+    for key, value in over.items():
+        under = out.get(key)
+        if isinstance(under, dict) and isinstance(value, dict):
+            out[key] = {**under, **value}
+        elif key == "faults" and isinstance(under, list) and isinstance(value, list):
+            out[key] = [*under, *value]
+        else:
+            out[key] = value
+    return out
+
+
+def shipped_scenarios() -> list[str]:
+    """Names of the shipped scenarios; those with a fault are `faults/NAME`."""
+    return [*shipped("scenarios"), *(f"{FAULTS}/{name}" for name in shipped(f"scenarios/{FAULTS}"))]
 
 
 def from_mapping(data: dict[str, Any], where: str) -> Scenario:
@@ -301,16 +329,22 @@ def pad_model(scenario: Scenario) -> Pad:
     return Pad.from_mapping(read_toml(path), str(path))
 
 
-def _explain(data: dict[str, Any], said: str) -> str:
-    """One line; a fault inside the list of faults is explained against its own table."""
-    if (found := re.search(r"\$\.faults\[(\d+)\]", said)) and isinstance(data["faults"][int(found[1])], dict):
+class _One(Struct, frozen=True):
+    fault: AnyFault
+
+
+def _explain(data: dict[str, Any], said: str, inherited: int = 0) -> str:
+    """One line; a fault inside the list is explained against its own kind, and numbered as in its own file."""
+    if found := re.search(r"\$\.faults\[(\d+)\]", said):
         n = int(found[1])
-        return f"faults[{n}]." + explain(Fault, data["faults"][n], said.replace(f".faults[{n}]", "")).lstrip(".")
+        line = explain(_One, {"fault": data["faults"][n]}, said.replace(f".faults[{n}]", ".fault"))
+        return re.sub(r"\bfault(?=[.: ]|$)", f"faults[{n - inherited}]", line)
     return explain(Scenario, data, said)
 
 
 def _find(name: str, folder: str, base: Path, what: str) -> Path:
-    if name in shipped(folder):
+    known = shipped_scenarios() if folder == "scenarios" else shipped(folder)
+    if name in known:
         return SHIPPED / folder / f"{name}.toml"
     try:
         path = base / name
@@ -318,6 +352,6 @@ def _find(name: str, folder: str, base: Path, what: str) -> Path:
             return path
     except (OSError, ValueError) as why:
         raise BadInput(f"{what}: not a usable file name {name[:60]!r}") from why
-    near = difflib.get_close_matches(name, shipped(folder), n=1)
-    hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(shipped(folder))}"
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(known)}"
     raise BadInput(f"{what}: there is no file {str(path)!r} and no shipped one of that name ({hint})")

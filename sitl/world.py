@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -24,7 +25,9 @@ from sitl.airframe import Limits
 from sitl.camera import Renderer, Shot
 from sitl.contact import Ground
 from sitl.darkroom import Darkroom
-from sitl.scenario import Fault, FaultKind, Scenario, camera_model, pad_model
+from sitl.faults import FaultTimer, FramesDelayed, FramesDropped, FramesMisstamped, FramesShifted, Gust, WeakRotor
+from sitl.faulty_sensors import FROZEN, distorted
+from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.sensors import Readings, Sensors
 from sitl.stage import airframe, blowing, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind
 from sitl.vehicle import SEA, Phase, Vehicle
@@ -85,6 +88,10 @@ class Picture:
     taken: MonoNs
     """The middle of the exposure."""
     exposure_s: float
+    stamp_error_s: float = 0.0
+    """By how much the stamp that goes with it is later than `taken`."""
+    true_view: bool = True
+    """Whether it shows what the camera truly saw at `taken`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +163,12 @@ class World:
         self._ground = Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w)
         place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
         self._meet_sea()
-        self._active: frozenset[str] = frozenset()
+        self.faults = FaultTimer(scenario.faults)
+        """Which faults are on now."""
+        self.guidance_phase: str | None = None
+        """What guidance is about, where whoever runs the flight knows it; for faults that begin in a phase."""
+        self._held: dict[str, Readings] = {}
+        self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
         self._renderer: Renderer | None = None
         self._apply_faults()
 
@@ -194,9 +206,20 @@ class World:
         """Ready to take off again; nothing unless it lies still on deck."""
         self._vehicle.leave_emergency()
 
-    def active(self, kind: FaultKind) -> bool:
-        """Whether a fault of this kind is on now. The silences of video and navdata are for whoever sends those."""
-        return kind in self._active
+    def active(self, kind: str) -> bool:
+        """Whether a fault of this kind is on now. Faults of links are for whoever carries the samples, frames and commands."""
+        return self.faults.active(kind)
+
+    @property
+    def frame_delay_s(self) -> float:
+        """How much longer than usual a frame exposed now is under way."""
+        return sum(fault.by_s for fault, _ in self.faults.on(FramesDelayed))
+
+    @property
+    def frame_lost(self) -> bool:
+        """Whether a frame exposed now is lost on the way; the same answer for the same step."""
+        chance = np.random.default_rng([self._camera_seed, self._tick, 1])
+        return any(chance.random() < fault.share for fault, _ in self.faults.on(FramesDropped))
 
     def advance(self, to: MonoNs) -> None:
         """Run the physics up to `to`; an instant in the past changes nothing."""
@@ -206,7 +229,8 @@ class World:
 
     def readings(self) -> Readings:
         """What the sensors say, as of the newest step."""
-        return self._sensors.read(self.at, self._vehicle, self._motors_on)
+        true = self._sensors.read(self.at, self._vehicle, self._motors_on)
+        return distorted(true, self.faults, self._held) if self.faults.active_kinds else true
 
     def render(self) -> Picture:
         """What the bottom camera sees, the newest step being the middle of the exposure."""
@@ -226,16 +250,27 @@ class World:
         Args:
             room: makes the picture from now on; the call then waits for it.
         """
-        rng = np.random.default_rng([self._camera_seed, self._tick])
         at, exposure_s = self.at, self.scenario.camera.exposure_s
-        if "lens_covered" in self._active:
+        error_s = sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
+        frozen = self.faults.active("frames_frozen") and self._newest_image is not None
+        image, true_view = (self._newest_image, False) if frozen else self._image(room)
+        assert image is not None
+        self._newest_image = image
+        return lambda: Picture(image(), at, exposure_s, error_s, true_view)
+
+    def _image(self, room: Darkroom | None) -> tuple[Callable[[], NDArray[np.uint8]], bool]:
+        """The call that makes the image of the scene as it is now, and whether that is what the camera truly sees."""
+        rng = np.random.default_rng([self._camera_seed, self._tick])
+        if self.faults.active("lens_covered"):
             dark = rng.integers(0, 8, (self.camera.height, self.camera.width, 3), dtype=np.uint8)
-            return lambda: Picture(dark, at, exposure_s)
+            return lambda: dark, False
         v, g, develop = self._vehicle, self._ground, self.renderer.render
+        aside = self._aside()
         shot = Shot(
             t_s=self._seconds,
             R_ned_body=Rotation(v.R_ned_body),
-            p_body_ned=v.p_ned,
+            # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
+            p_body_ned=v.p_ned - np.array(g.R) @ aside,
             R_ned_pad=Rotation(np.array(g.R)),
             p_pad_ned=np.array(g.p),
             v_body_ned=v.v_ned,
@@ -243,10 +278,14 @@ class World:
             v_pad_ned=np.array(g.v),
             w_pad=np.array(g.w),
         )
-        if room is not None:
-            made = room.order(shot, rng)
-            return lambda: Picture(made(), at, exposure_s)
-        return lambda: Picture(develop(shot, rng), at, exposure_s)
+        made = cache(room.order(shot, rng) if room is not None else lambda: develop(shot, rng))
+        return made, not aside.any()
+
+    def _aside(self) -> F64:
+        """(3,) m in the pad frame, by which a frame exposed now shows everything beside its true place."""
+        chance = np.random.default_rng([self._camera_seed, self._tick, 2])
+        shifts = [f for f, _ in self.faults.on(FramesShifted) if f.share >= 1.0 or chance.random() < f.share]
+        return np.array([sum(f.forward_m for f in shifts), sum(f.right_m for f in shifts), 0.0])
 
     def truth(self) -> Truth:
         """As of the newest step."""
@@ -278,7 +317,7 @@ class World:
             self._meet_sea()
         z, vz = self._sea
         self._ground.sea_z, self._ground.sea_vz = z + vz * (self._tick % _SEA_EVERY) * self._step_s, vz
-        if self.scenario.faults:
+        if self.faults:
             self._apply_faults()
         self._vehicle.step(self._ground)
         self._sensors.step(self._vehicle, self._ground, self._motors_on)
@@ -301,20 +340,24 @@ class World:
         self._ground.sea_z, self._ground.sea_vz = self._sea
 
     def _apply_faults(self) -> None:
-        t = self._seconds
-        on = [f for f in self.scenario.faults if f.start_s <= t < f.start_s + f.duration_s]
-        self._active = frozenset(f.kind for f in on)
-        gusts = [_gust(f, t) for f in on if f.kind == "gust"]
+        faults, v = self.faults, self._vehicle
+        for begun in faults.update(self._seconds, self._height_m(), self.guidance_phase):
+            if begun.kind in FROZEN:
+                self._held[begun.kind] = self._sensors.read(self.at, v, self._motors_on)
+        gusts = [_gust(fault, since_s) for fault, since_s in faults.on(Gust)]
         health = [1.0] * 4
-        for f in on:
-            if f.kind == "weak_rotor":
-                health[_ROTORS.index(f.rotor)] *= f.thrust_share
-        v = self._vehicle
+        for fault, _ in faults.on(WeakRotor):
+            health[_ROTORS.index(fault.rotor)] *= fault.thrust_share
         v.extra_wind = (sum(g[0] for g in gusts), sum(g[1] for g in gusts), 0.0)
         v.rotor_health = (health[0], health[1], health[2], health[3])
-        v.flow_works = "flow_blind" not in self._active
-        self._sensors.ultrasound_works = "ultrasound_silent" not in self._active
-        self._sensors.magnetometer_works = "magnetometer_silent" not in self._active
+        v.flow_works = not faults.active("flow_blind")
+        self._sensors.ultrasound_works = not faults.active("ultrasound_silent")
+        self._sensors.magnetometer_works = not faults.active("magnetometer_silent")
+
+    def _height_m(self) -> float:
+        """Height of the body's origin over the deck's plane."""
+        p, g = self._vehicle.p, self._ground
+        return -float(sum(g.R[i][2] * (p[i] - g.p[i]) for i in range(3)))
 
     def _touchdown(self) -> Touchdown | None:
         v = self._vehicle
@@ -335,7 +378,7 @@ class World:
         )
 
 
-def _gust(fault: Fault, t_s: float) -> tuple[float, float, float]:
+def _gust(fault: Gust, since_s: float) -> tuple[float, float, float]:
     """m/s in ned. Source: the "1 - cosine" discrete gust of MIL-F-8785C, 3.7.1.3, in time instead of place."""
-    share = 0.5 * (1.0 - math.cos(math.tau * (t_s - fault.start_s) / fault.duration_s))
+    share = 0.5 * (1.0 - math.cos(math.tau * since_s / (fault.for_s or math.inf)))
     return blowing(share * fault.speed_m_s, fault.from_deg)

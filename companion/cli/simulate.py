@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -25,6 +26,7 @@ from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
 from sitl.darkroom import darkroom
 from sitl.flight import Flight, FlightResult
+from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
@@ -40,7 +42,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Fly one scenario in virtual time, without sockets: same scenario, seed and settings, same flight "
         "to the bit. Exit code 0 when it landed on the pad, 1 when not.",
     )
-    parser.add_argument("scenario", help=f"a scenario file, or a shipped one ({', '.join(shipped('scenarios'))})")
+    parser.add_argument(
+        "scenario",
+        help=f"a scenario file, or a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for one with a fault)",
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that is drawn by chance (default 0)")
     parser.add_argument(
         "--config", metavar="FILE", help="settings to fly with; without it the rig `sim` with the scenario's own camera and pad"
@@ -93,7 +98,8 @@ def run(args: argparse.Namespace) -> int:
     with record_option.recording(args, settings, facts, live=False) as recorder:
         if recorder is not None:
             observers.append(recorder)
-        flight = Flight(scenario, args.seed, settings, pilot, observers=observers)
+        renew = partial(make_pilot, settings, shadows=SHADOWS if kept else ())
+        flight = Flight(scenario, args.seed, settings, pilot, observers=observers, renew=renew)
         if recorder is not None:
             recorder.watch(flight.health)
         with darkroom(flight.world.renderer) as flight.room:

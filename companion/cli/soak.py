@@ -144,8 +144,8 @@ def _rig(args: argparse.Namespace, scenario: Scenario) -> Settings:
 def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, tally: Tally) -> None:
     seed = args.seed
     while tally.flights < args.flights if args.flights is not None else tally.flown_s < 3600.0 * args.hours:
-        wanted = scenario if args.no_faults else faulty(scenario, seed)
-        result = Flight(wanted, seed, settings, make_pilot(settings)).run()
+        wanted = scenario if args.no_faults else faulty(scenario, seed, virtual=True)
+        result = Flight(wanted, seed, settings, make_pilot(settings), renew=lambda: make_pilot(settings)).run()
         tally.endings["time is up" if result.outcome is None else result.outcome.value] += 1
         tally.on_pad += result.landed_on_pad
         tally.flown_s += result.duration_s

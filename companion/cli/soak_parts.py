@@ -12,6 +12,7 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from itertools import chain
 
 from companion import rig
 from companion.daemon import Daemon, Link
@@ -20,6 +21,7 @@ from companion.settings_model import Settings
 from drivers.ardrone import at
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.samples import Sampler
+from drivers.ardrone.setup import configuration_commands
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command
@@ -88,9 +90,9 @@ class _Reel:
     def __init__(self, rate_hz: int, scenario: Scenario, settings: Settings, clock: SystemClock) -> None:
         world = World(scenario, 1)
         drone = Drone(world, DroneClock(world.now))
-        for n, (key, value) in enumerate(rig.ardrone_options(settings).configuration().items()):
-            drone.take(at.encode(2 * n + 1, at.Config(key, value)), world.now)
-            drone.take(at.encode(2 * n + 2, at.Ctrl(at.CTRL_ACK)), world.now)
+        asked = [(*commands, at.Ctrl(at.CTRL_ACK)) for _, commands in configuration_commands(rig.ardrone_options(settings))]
+        for n, command in enumerate(chain.from_iterable(asked)):
+            drone.take(at.encode(n + 1, command), world.now)
         self._navdata: list[Navdata] = []
         self._pictures: list[Picture] = []
         self._clock, self._rate_hz = clock, rate_hz

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl, Misc, Pmode
 from drivers.ardrone.command_channel import CommandChannel
@@ -18,6 +18,17 @@ from estimator.contracts.time import MonoNs, seconds_between
 _AGAIN_S = 0.1
 """A command of the handshake is repeated after this long without effect."""
 _LOOK_S = 0.005
+
+
+def configuration_commands(options: ArDroneOptions) -> Iterator[tuple[str, list[AtCommand]]]:
+    """Each key the drone is asked for, in order, with the commands that set it: CONFIG, and CONFIG_IDS before it once a
+    session is in use, without which the drone refuses the keys of that session.
+    """
+    ids, in_use = options.ids, False
+    for key, value in options.configuration().items():
+        in_use = in_use or (ids is not None and not key.startswith("custom:") and key != "general:navdata_demo")
+        prefix: list[AtCommand] = [ConfigIds(*ids)] if ids is not None and in_use else []
+        yield key, [*prefix, Config(key, value)]
 
 
 class Setup:
@@ -78,12 +89,8 @@ class Setup:
 
     async def _configure(self) -> None:
         self._commands.send([Pmode(2), Misc()])
-        ids = self._o.ids
-        in_use = False
-        for key, value in self._o.configuration().items():
-            in_use = in_use or (ids is not None and not key.startswith("custom:") and key != "general:navdata_demo")
-            prefix = [ConfigIds(*ids)] if ids is not None and in_use else []
-            await self._set([*prefix, Config(key, value)], key)
+        for key, commands in configuration_commands(self._o):
+            await self._set(commands, key)
 
     async def _set(self, command: Sequence[AtCommand], key: str) -> None:
         began = self._clock.now()

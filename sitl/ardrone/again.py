@@ -8,23 +8,25 @@ begin again, and a clock that goes on.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from companion.settings import shipped
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
 from sitl.ardrone.server import ArDroneServer
 from sitl.ardrone.state import AIRBORNE
-from sitl.scenario import Fault, FaultKind, Scenario
+from sitl.faults import ServiceKilled
+from sitl.scenario import FAULTS, Scenario, load
 from sitl.world import Phase, World
 
 _LOOK_S = 0.1
-_PASSING: tuple[FaultKind, ...] = ("lens_covered", "video_silent", "navdata_silent", "flow_blind", "ultrasound_silent", "gust")
-"""Faults that a flight can survive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,20 +39,32 @@ class Pause:
     """Long enough for a client to give up what it believed of the drone's state: on the ground it orders the motors off."""
 
 
-def faulty(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with one or two passing faults of its own, the same for a seed."""
-    rng = np.random.default_rng([seed, 0xFA])
-    faults = [
-        Fault(
-            kind=_PASSING[int(rng.integers(len(_PASSING)))],
-            start_s=float(rng.uniform(1.0, 15.0)),
-            duration_s=float(rng.uniform(0.3, 4.0)),
-            speed_m_s=float(rng.uniform(1.0, 4.0)),
-            from_deg=float(rng.uniform(-180.0, 180.0)),
-        )
-        for _ in range(int(rng.integers(1, 3)))
+def faulty(scenario: Scenario, seed: int, *, virtual: bool = False) -> Scenario:
+    """The scenario with the faults of a shipped one on top, drawn by the seed, and with what is to be expected of it.
+
+    Args:
+        virtual: faults may be drawn that only a flight in virtual time can have.
+    """
+    start = scenario.start
+    highest_m = math.inf if start.where == "pad" else start.height_m
+    shelf = [
+        (name, other) for name, other in _shelf(virtual) if all((f.below_height_m or 0.0) <= highest_m for f in other.faults)
     ]
-    return msgspec.structs.replace(scenario, faults=(*scenario.faults, *faults))
+    name, fault = shelf[int(np.random.default_rng([seed, 0xFA]).integers(len(shelf)))]
+    title = f"{scenario.title}; {FAULTS}/{name}"[:120]
+    faults = (*scenario.faults, *fault.faults)
+    return msgspec.structs.replace(scenario, title=title, faults=faults, expect=fault.expect, because=fault.because)
+
+
+def real_time(scenario: Scenario) -> bool:
+    """Whether a drone behind sockets can have all of the scenario's faults."""
+    return all(fault.in_phase is None and not isinstance(fault, ServiceKilled) for fault in scenario.faults)
+
+
+@cache
+def _shelf(virtual: bool) -> list[tuple[str, Scenario]]:
+    every = [(name, load(f"{FAULTS}/{name}")) for name in shipped(f"scenarios/{FAULTS}")]
+    return [(name, scenario) for name, scenario in every if virtual or real_time(scenario)]
 
 
 async def fly_again(
@@ -68,7 +82,7 @@ async def fly_again(
     Args:
         scenario: of the further flights.
         say: told `event="flight"`, how it ended and where it touched.
-        faults: give each further flight passing faults.
+        faults: give each further flight the faults of a shipped scenario.
     """
     pause = pause or Pause()
     while True:

@@ -54,6 +54,11 @@ class Drone:
         return float(roll), float(pitch), float(yaw)
 
     @property
+    def measured_at(self) -> MonoNs:
+        """When the drone says that its newest readings were true."""
+        return self._readings.at
+
+    @property
     def altitude_m(self) -> float:
         """The last ultrasound echo that came back, upright."""
         return self._altitude_m
@@ -110,7 +115,7 @@ class Drone:
             readings=readings,
             phase=phase,
             altitude_m=self._altitude_m,
-            time_us=self._clock.microseconds(readings.at),
+            time_us=max(0, self._clock.microseconds(readings.at)),
             stick=self._flown,
             limits=self.world.limits,
             shot=self.shot,

@@ -19,7 +19,7 @@ from typing import Any
 
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, DecklanderError
-from sitl.ardrone.again import fly_again
+from sitl.ardrone.again import fly_again, real_time
 from sitl.ardrone.server import ArDroneServer, Habits, Ports
 from sitl.scenario import Scenario, load
 from sitl.world import World
@@ -43,7 +43,7 @@ async def serve(
 
     Args:
         again: begin anew with the next seed after each flight.
-        faults: give each of those passing faults.
+        faults: give each of those a fault.
 
     Raises:
         Recoverable: a port is taken.
@@ -95,15 +95,18 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write what really happens, one JSON object a line")
     parser.add_argument("--pave-header", type=int, choices=(64, 68, 76), default=Habits().pave_header_size)
     parser.add_argument("--again", action="store_true", help="after each flight begin another, with the next seed")
-    parser.add_argument("--faults", action="store_true", help="with --again: give each further flight passing faults")
+    parser.add_argument("--faults", action="store_true", help="with --again: give each further flight a fault")
     asked = parser.parse_args(argv)
     ports = Ports(asked.navdata_port, asked.video_port, asked.at_port, asked.control_port)
     try:
         if asked.seed < 0:
             raise BadInput(f"--seed must be 0 or more, got {asked.seed}")
         habits = Habits(pave_header_size=asked.pave_header)
+        scenario = load(asked.scenario)
+        if not real_time(scenario):
+            raise BadInput(f"{asked.scenario}: service_killed and in_phase are for flights in virtual time (decklander simulate)")
         flights = {"again": asked.again, "faults": asked.faults}
-        asyncio.run(serve(load(asked.scenario), asked.seed, asked.host, ports, asked.truth, habits, **flights))
+        asyncio.run(serve(scenario, asked.seed, asked.host, ports, asked.truth, habits, **flights))
     except DecklanderError as why:
         print(f"decklander: {why}", file=sys.stderr)
         return 2 if isinstance(why, BadInput) else 1

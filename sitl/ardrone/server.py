@@ -98,6 +98,7 @@ class ArDroneServer:
         self._control = ControlPort(self.counters)
         self._encoder: Encoder | None = None
         self._stream_position = 0
+        self._video_due = 0.0
         self._ticks = 0
         self.drone = Drone(world, self._drone_clock)
         self.silent = False
@@ -190,10 +191,13 @@ class ArDroneServer:
             self._truth.write(self.world.truth())
 
     def _send_navdata(self) -> None:
-        if self._navdata.clients and not self.silent and not self.world.active("navdata_silent"):
+        lost = self.silent or self.world.active("navdata_silent") or self.world.active("link_lost")
+        if self._navdata.clients and not lost:
             self._navdata.send(navdata.encode(self.drone.navdata()))
 
     def _take(self, data: bytes, sender: Address) -> None:
+        if self.world.active("link_lost"):
+            return
         self.drone.take(data, self._clock.now())
         self._navdata.heard_of(sender[0])
 
@@ -208,13 +212,16 @@ class ArDroneServer:
             period_s = 1.0 / config.number("video:codec_fps")
             # A host too slow to render them all films fewer, evenly numbered: only what is lost on the way leaves a gap.
             due = max(after(due, period_s), after(self._clock.now(), -period_s))
-            if not self._video.busy or not config.flag("general:video_enable") or self.world.active("video_silent"):
+            if not self._video.busy or not config.flag("general:video_enable"):
+                continue
+            if self.world.frame_lost or self.world.active("link_lost"):
                 continue
             rpy, altitude_m = self.drone.rpy_rad, self.drone.altitude_m
             front = None if config["video:video_channel"] == "1" else self.world.truth().R_ned_body
             shoot = partial(self._shoot, self.world.expose(), front, 1.0 / period_s, config.number("video:max_bitrate"))
+            late_s = self.world.frame_delay_s
             picture, unit = await loop.run_in_executor(pool, shoot)
-            self._send_picture(picture, unit, rpy, altitude_m)
+            self._send_picture(picture, unit, rpy, altitude_m, late_s)
 
     def _shoot(
         self, develop: Callable[[], Picture], front: Rotation | None, fps: float, bitrate_kbps: float
@@ -231,11 +238,13 @@ class ArDroneServer:
             encoder = self._encoder = Encoder(*wanted, crf=self._habits.crf)
         return picture, encoder.encode(px)
 
-    def _send_picture(self, picture: Picture, unit: AccessUnit, rpy: tuple[float, float, float], altitude_m: float) -> None:
+    def _send_picture(
+        self, picture: Picture, unit: AccessUnit, rpy: tuple[float, float, float], altitude_m: float, late_s: float
+    ) -> None:
         encoder = self._encoder
         assert encoder is not None
         number = self.drone.shot.number + 1
-        timestamp_ms = self._drone_clock.milliseconds(picture.taken)
+        timestamp_ms = self._drone_clock.milliseconds(after(picture.taken, picture.stamp_error_s))
         width, height = encoder.coded_size
         header = pave.PaveHeader(
             payload_size=len(unit.data),
@@ -255,5 +264,8 @@ class ArDroneServer:
         )
         self._stream_position += len(unit.data) - unit.sps_size - unit.pps_size
         self.drone.shot = Shot(number, timestamp_ms, rpy, altitude_m, len(unit.data), round(encoder.max_bitrate_kbps))
-        wait_s = self._habits.video_delay_s - seconds_between(picture.taken, self._clock.now())
-        asyncio.get_running_loop().call_later(max(0.0, wait_s), self._video.send, header.pack() + unit.data)
+        wait_s = self._habits.video_delay_s + late_s - seconds_between(picture.taken, self._clock.now())
+        loop = asyncio.get_running_loop()
+        # A stream keeps its order: what follows a late frame waits behind it.
+        self._video_due = max(self._video_due, loop.time() + max(0.0, wait_s))
+        loop.call_at(self._video_due, self._video.send, header.pack() + unit.data)

@@ -249,3 +249,9 @@ def _leds_of(value: str) -> Leds | None:
     except ValueError:
         return None
     return Leds(animation, frequency, float(seconds))
+
+
+def refusal(counters: Counter[str]) -> str | None:
+    """Why the drone did not take a configuration key; None where it took every one so far."""
+    refused = (answer.value for answer in Answer if answer is not Answer.SET)
+    return next((why for why in refused if counters[f"config_{why}"]), None)

@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import inspect
 
 from companion.settings import shipped
 from companion.settings_refusal import unit_of, walk
 from estimator.contracts.errors import BadInput
-from sitl.scenario import Fault, Scenario, camera_model, from_mapping, load, pad_model
+from sitl.faults import KINDS
+from sitl.scenario import Scenario, camera_model, from_mapping, load, pad_model, shipped_scenarios
 
 
 @pytest.mark.parametrize("name", ["calm", "demo", "moderate", "sea_state_4"])
@@ -43,9 +45,31 @@ def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pyte
         ({"vessel": {"hull": "canoe"}}, "vessel: hull must be one of otter, ferry, supply_ship, found 'canoe'"),
         ({"vessel": {"speed_m_s": 2.0}}, "vessel: speed_m_s must be 0 while moored is true"),
         ({"sensors": {"ultrasound_min_m": 1.0, "ultrasound_max_m": 0.8}}, "ultrasound_min_m must be less than ultrasound_max_m"),
-        ({"faults": [{"kind": "gust", "start_s": 1, "duration_s": 1}, {"kind": "rain"}]}, "faults[1].kind must be one of"),
-        ({"faults": [{"kind": "gust", "start_s": -1, "duration_s": 1}]}, "faults[0].start_s must be a number from 0 to 36000 s"),
-        ({"faults": [{"kind": "gust"}]}, "faults[0].start_s is missing"),
+        ({"faults": [{"kind": "flow_blind", "at_s": 1}, {"kind": "rain"}]}, 'faults[1].kind must be one of "lens_covered", '),
+        ({"faults": [{"at_s": 1}]}, 'faults[0].kind is missing: it must be one of "lens_covered", '),
+        ({"faults": [{"kind": "gust", "at_s": -1, "for_s": 1}]}, "faults[0].at_s must be a number from 0 to 36000 s, found -1"),
+        ({"faults": [{"kind": "gust", "at_s": "soon"}]}, 'faults[0].at_s must be a number from 0 to 36000 s, found "soon"'),
+        ({"faults": [{"kind": "flow_blind", "start_s": 3}]}, "faults[0].start_s is not a known key"),
+        (
+            {"faults": [{"kind": "flow_blind", "by_s": 3, "at_s": 1}]},
+            "faults[0].by_s is not a known key of this kind of faults[0]",
+        ),
+        (
+            {"faults": [{"kind": "frames_delayed", "at_s": 1}]},
+            "faults[0].by_s is missing: it must be a number from 0.001 to 10 s",
+        ),
+        ({"faults": [{"kind": "gust", "at_s": 1}]}, "faults[0]: for_s must say how long the gust takes to pass"),
+        ({"faults": [{"kind": "frames_shifted", "at_s": 1}]}, "faults[0]: forward_m or right_m must say"),
+        (
+            {"faults": [{"kind": "flow_blind"}]},
+            "faults[0]: exactly one of at_s, below_height_m, ",
+        ),
+        ({"faults": [{"kind": "flow_blind", "at_s": 1, "below_height_m": 1}]}, "found at_s and below_height_m"),
+        ({"faults": [{"kind": "flow_blind", "in_phase": "lunch"}]}, "in_phase must be one of waiting, "),
+        ({"faults": [{"kind": "flow_blind", "at_s": 120}]}, "faults[0].at_s is 120 s, but the flight ends after 120 s"),
+        ({"faults": [{"kind": "flow_blind", "below_height_m": 6}]}, "below_height_m is 6 m, but the flight starts at 5 m"),
+        ({"expect": "miracle"}, 'expect must be one of "either", "land", "refuse"'),
+        ({"faults": 7}, "faults"),
         ({"faults": [7]}, "faults[0]"),
     ],
 )
@@ -56,6 +80,46 @@ def test_refusals_name_the_key_and_its_unit(data: dict[str, Any], said: str) -> 
     assert text.startswith("mine.toml: ")
     assert said in text
     assert "\n" not in text
+
+
+def test_every_shipped_fault_loads_and_says_what_is_right() -> None:
+    faults = [name for name in shipped_scenarios() if name.startswith("faults/")]
+    assert len(faults) >= 15
+    for name in faults:
+        scenario = load(name)
+        assert scenario.faults, name
+        assert scenario.because, name
+        assert scenario.vessel == load("demo").vessel, "what the file does not say is the base's"
+
+
+def test_a_base_gives_what_is_not_said_and_its_faults_come_first(tmp_path: Path) -> None:
+    (tmp_path / "low.toml").write_text(
+        'title = "low"\nbase = "sea_state_4"\n[start]\nheight_m = 3.0\n[[faults]]\nkind = "flow_blind"\nat_s = 1.0\n'
+    )
+    (tmp_path / "lower.toml").write_text(
+        'title = "lower"\nbase = "low.toml"\n[camera]\nexposure_s = 0.004\n[[faults]]\nkind = "low_battery"\nat_s = 2.0\n'
+    )
+    scenario, rough = load(tmp_path / "lower.toml"), load("sea_state_4")
+    assert (scenario.sea, scenario.camera.file) == (rough.sea, rough.camera.file)
+    assert (scenario.start.height_m, scenario.start.pad_right_m) == (3.0, rough.start.pad_right_m)
+    assert scenario.camera.exposure_s == 0.004
+    assert [fault.kind for fault in scenario.faults] == ["flow_blind", "low_battery"]
+
+
+def test_an_error_beside_a_base_is_named_in_the_file_it_is_in(tmp_path: Path) -> None:
+    (tmp_path / "low.toml").write_text('title = "low"\n[[faults]]\nkind = "flow_blind"\nat_s = 1.0\n')
+    (tmp_path / "wrong.toml").write_text('title = "w"\nbase = "low.toml"\n[[faults]]\nkind = "rain"\nat_s = 1.0\n')
+    with pytest.raises(BadInput, match=r"wrong\.toml: faults\[0\]\.kind must be one of"):
+        load(tmp_path / "wrong.toml")
+    (tmp_path / "low.toml").write_text('title = "low"\nsea = 3\n')
+    with pytest.raises(BadInput, match=r"low\.toml: sea must be a table"):
+        load(tmp_path / "wrong.toml")
+    (tmp_path / "round.toml").write_text('title = "r"\nbase = "round.toml"\n')
+    with pytest.raises(BadInput, match=r"round\.toml: base leads back to this file"):
+        load(tmp_path / "round.toml")
+    (tmp_path / "none.toml").write_text('title = "r"\nbase = "dmo"\n')
+    with pytest.raises(BadInput, match=r"none\.toml: base: .*did you mean 'demo'"):
+        load(tmp_path / "none.toml")
 
 
 def test_missing_files_are_named(tmp_path: Path) -> None:
@@ -74,11 +138,12 @@ def test_every_number_says_its_unit_range_and_meaning() -> None:
         "m": "_m", "s": "_s", "m/s": "_m_s", "deg": "_deg", "deg/s": "_deg_s", "Hz": "_hz", "K": "_k", "kg": "_kg",
         "px": "_px", "Pa": "_pa", "T": "_t", "m/s^2": "_m_s2", "rad/s": "_rad_s",
     }  # fmt: skip
-    keys = [*walk(Scenario), *walk(Fault)]
+    keys = [*walk(Scenario), *(key for kind in KINDS.values() for key in walk(kind))]
     assert len(keys) > 60
     for path, field in keys:
-        kind = getattr(field.type, "type", None)
-        extra = getattr(field.type, "extra_json_schema", None) or {}
+        spot = field.type.types[0] if isinstance(field.type, inspect.UnionType) else field.type
+        kind = getattr(spot, "type", None)
+        extra = getattr(spot, "extra_json_schema", None) or {}
         if type(kind).__name__ in ("FloatType", "IntType"):
             assert kind is not None
             assert kind.ge is not None, path
@@ -96,9 +161,7 @@ def test_every_number_says_its_unit_range_and_meaning() -> None:
         st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8),
         lambda inner: (
             st.lists(inner, max_size=3)
-            | st.dictionaries(
-                st.sampled_from([*Scenario.__struct_fields__, "hull", "file", "kind", "start_s"]), inner, max_size=5
-            )
+            | st.dictionaries(st.sampled_from([*Scenario.__struct_fields__, "hull", "file", "kind", "at_s"]), inner, max_size=5)
         ),
         max_leaves=8,
     )

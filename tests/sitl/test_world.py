@@ -11,7 +11,8 @@ import pytest
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
-from sitl.scenario import Fault, Scenario, Sea, SensorSettings, Start, VesselSettings, WindSettings, load
+from sitl.faults import KINDS, Gust, WeakRotor
+from sitl.scenario import Scenario, Sea, SensorSettings, Start, VesselSettings, WindSettings, load
 from sitl.vehicle import Phase
 from sitl.world import Picture, Readings, Stick, Truth, World
 
@@ -234,10 +235,8 @@ def test_limits_can_be_set_in_flight() -> None:
 
 
 def test_faults_come_and_go() -> None:
-    faults = (
-        Fault("lens_covered", 0.5, 0.5), Fault("ultrasound_silent", 0.5, 0.5), Fault("flow_blind", 0.5, 0.5),
-        Fault("magnetometer_silent", 0.5, 0.5), Fault("video_silent", 0.5, 0.5), Fault("navdata_silent", 0.5, 0.5),
-    )  # fmt: skip
+    kinds = ("lens_covered", "ultrasound_silent", "flow_blind", "magnetometer_silent", "frames_dropped", "navdata_silent")
+    faults = tuple(KINDS[kind](at_s=0.5, for_s=0.5) for kind in kinds)
     world = World(with_(CALM, faults=faults), 1)
     for at, on in ((0.4, False), (0.8, True), (1.3, False)):
         world.advance(after(world.started, at))
@@ -250,8 +249,8 @@ def test_faults_come_and_go() -> None:
 
 
 def test_a_gust_pushes_and_a_weak_rotor_tilts() -> None:
-    calm, gust = World(CALM, 1), World(with_(CALM, faults=(Fault("gust", 1.0, 2.0, speed_m_s=8.0, from_deg=90.0),)), 1)
-    weak = World(with_(CALM, faults=(Fault("weak_rotor", 1.0, 5.0, rotor="front_left", thrust_share=0.9),)), 1)
+    calm, gust = World(CALM, 1), World(with_(CALM, faults=(Gust(at_s=1.0, for_s=2.0, speed_m_s=8.0, from_deg=90.0),)), 1)
+    weak = World(with_(CALM, faults=(WeakRotor(at_s=1.0, for_s=5.0, rotor="front_left", thrust_share=0.9),)), 1)
     for world in (calm, gust, weak):
         run(world, 0.99)
     assert same(calm.truth(), gust.truth())

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.airframe import Limits
-from sitl.scenario import FaultKind
 from sitl.world import Phase, Picture, Readings, Stick, Truth
 
 G = 9.80665
@@ -27,7 +26,7 @@ class PointMass:
         self.now = start
         self.phase = Phase.HOVERING if height_m else Phase.LANDED
         self.limits = Limits()
-        self.faults: set[FaultKind] = set()
+        self.faults: set[str] = set()
         self.p = np.array([0.0, 0.0, -height_m])
         self.v = np.zeros(3)
         self.rpy = [0.0, 0.0, 0.0]
@@ -36,8 +35,16 @@ class PointMass:
         self._texture = (self._rng.random((360, 640, 3)) * 60 + 90).astype(np.uint8)
         self._pictures = 0
 
-    def active(self, kind: FaultKind) -> bool:
+    def active(self, kind: str) -> bool:
         return kind in self.faults
+
+    @property
+    def frame_lost(self) -> bool:
+        return "frames_dropped" in self.faults
+
+    @property
+    def frame_delay_s(self) -> float:
+        return 0.0
 
     def stick(self, stick: Stick) -> None:
         self._stick = stick

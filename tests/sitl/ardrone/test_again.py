@@ -13,7 +13,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import Land
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.ardrone.again import Pause, faulty, fly_again
+from sitl.ardrone.again import Pause, faulty, fly_again, real_time
 from sitl.ardrone.server import ArDroneServer, Ports
 from sitl.scenario import Start
 from sitl.scenario import load as load_scenario
@@ -62,13 +62,18 @@ async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_cli
             flights.cancel()
     assert [flight["seed"] for flight in told] == [1, 2, 3]
     assert [flight["ended"] for flight in told] == ["time is up", "landed", "landed"]
-    assert all(flight["surface"] == "deck" and flight["on_pad"] for flight in told[1:])
+    assert all(flight["surface"] in ("pad", "deck") and flight["on_pad"] for flight in told[1:])
     assert changes == [False, True, False, True, False, True, False], "on the ground between two flights, and never in between"
     assert server.world is not first
 
 
-def test_faults_are_the_seeds_own() -> None:
-    drawn = [faulty(NEAR, seed).faults for seed in range(40)]
-    assert drawn == [faulty(NEAR, seed).faults for seed in range(40)]
-    assert {len(faults) for faults in drawn} == {1, 2}
-    assert len({fault.kind for faults in drawn for fault in faults}) >= 5
+def test_faults_are_the_seeds_own_and_fit_the_flight() -> None:
+    high = msgspec.structs.replace(NEAR, start=Start(height_m=4.0))
+    drawn = [faulty(high, seed) for seed in range(80)]
+    assert drawn == [faulty(high, seed) for seed in range(80)]
+    assert len({scenario.title for scenario in drawn}) >= 20
+    assert all(scenario.faults and scenario.because for scenario in drawn)
+    assert all(real_time(scenario) for scenario in drawn)
+    assert not all(real_time(faulty(high, seed, virtual=True)) for seed in range(80))
+    low = [fault for seed in range(40) for fault in faulty(NEAR, seed).faults]
+    assert all(fault.below_height_m is None or fault.below_height_m <= NEAR.start.height_m for fault in low)

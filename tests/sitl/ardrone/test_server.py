@@ -382,7 +382,7 @@ async def test_faults_silence_what_they_name(server: ArDroneServer, peer: Peer, 
     peer.ask()
     await peer.configure("general:navdata_demo", "FALSE")
     await watcher.frame()
-    world.faults |= {"navdata_silent", "video_silent"}
+    world.faults |= {"navdata_silent", "frames_dropped"}
     await asyncio.sleep(0.15)
     sent = server.counters["navdata_sent"], server.counters["video_sent"]
     await asyncio.sleep(0.3)

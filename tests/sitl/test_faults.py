@@ -1,0 +1,279 @@
+"""Each fault by its effect on what comes out of the simulated drone: readings, frames, stamps, the vehicle itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.observer import FrameSeen, Silent
+from companion.service import make_pilot
+from companion.settings import load as load_settings
+from estimator.contracts.errors import BadInput, SetupImpossible
+from estimator.contracts.samples import Imu, Sample
+from estimator.contracts.time import after, seconds_between
+from sitl.faults import (
+    KINDS,
+    AccelOffset,
+    AttitudeOffset,
+    Fault,
+    FaultTimer,
+    FlowBlind,
+    FramesDelayed,
+    FramesDropped,
+    FramesFrozen,
+    FramesMisstamped,
+    FramesShifted,
+    GyroOffset,
+    HeadingOffset,
+    ImuFrozen,
+    LinkLost,
+    LowBattery,
+    NavdataMisstamped,
+    PressureOffset,
+    ServiceKilled,
+    UltrasoundFrozen,
+    UltrasoundOffset,
+)
+from sitl.flight import Flight
+from sitl.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
+from sitl.world import Phase, Readings, Stick, World
+
+CALM = Scenario(
+    title="bench",
+    sea=Sea(significant_height_m=0.0),
+    vessel=VesselSettings(moored=False),
+    wind=WindSettings(speed_m_s=0.0, gust_sigma_m_s=0.0),
+    start=Start(height_m=3.0),
+)
+SIM = load_settings("sim")
+
+
+def world(*faults: Fault, seed: int = 1) -> World:
+    return World(msgspec.structs.replace(CALM, faults=faults), seed)
+
+
+def at(w: World, seconds: float) -> World:
+    w.advance(after(w.started, seconds))
+    return w
+
+
+def both(fault: Fault, seconds: float) -> tuple[Readings, Readings]:
+    """The same instant with the fault and without."""
+    return at(world(fault), seconds).readings(), at(world(), seconds).readings()
+
+
+def changed(one: Readings, other: Readings) -> set[str]:
+    return {f.name for f in fields(Readings) if not np.array_equal(getattr(one, f.name), getattr(other, f.name))}
+
+
+READINGS: list[tuple[Fault, str, Callable[[Readings, Readings], Any], Any]] = [
+    (AccelOffset(at_s=0.5, axis="x", by_m_s2=3.0), "f_body", lambda f, t: f.f_body - t.f_body, [3.0, 0.0, 0.0]),
+    (AccelOffset(at_s=0.5, axis="z", by_m_s2=1e4), "f_body", lambda f, t: f.f_body - t.f_body, [0.0, 0.0, 1e4]),
+    (GyroOffset(at_s=0.5, axis="y", by_deg_s=90.0), "w_body", lambda f, t: f.w_body - t.w_body, [0.0, math.pi / 2, 0.0]),
+    (AttitudeOffset(at_s=0.5, roll_deg=8.0), "rpy_rad", lambda f, t: np.degrees(f.rpy_rad - t.rpy_rad), [8.0, 0.0, 0.0]),
+    (AttitudeOffset(at_s=0.5, pitch_deg=-3.0), "rpy_rad", lambda f, t: np.degrees(f.rpy_rad - t.rpy_rad), [0.0, -3.0, 0.0]),
+    (UltrasoundOffset(at_s=0.5, by_m=-0.5), "ultrasound_m", lambda f, t: (f.ultrasound_m or 0) - (t.ultrasound_m or 9), -0.5),
+    (PressureOffset(at_s=0.5, by_pa=24.0), "pressure_pa", lambda f, t: f.pressure_pa - t.pressure_pa, 24.0),
+    (LowBattery(at_s=0.5, fraction=0.05), "battery_fraction", lambda f, t: f.battery_fraction, 0.05),
+    (NavdataMisstamped(at_s=0.5, by_s=-2.0), "at", lambda f, t: seconds_between(t.at, f.at), -2.0),
+]
+
+
+@pytest.mark.parametrize(("fault", "field", "effect", "expected"), READINGS, ids=lambda v: getattr(v, "kind", None))
+def test_a_faulty_sensor_changes_its_own_reading_by_so_much_and_no_other(
+    fault: Fault, field: str, effect: Callable[[Readings, Readings], Any], expected: Any
+) -> None:
+    faulty, true = both(fault, 0.8)
+    assert changed(faulty, true) == {field}
+    assert effect(faulty, true) == pytest.approx(expected, abs=1e-9)
+    assert changed(*both(fault, 0.49)) == set()
+
+
+def test_a_heading_offset_turns_the_compass_and_its_field_alike() -> None:
+    faulty, true = both(HeadingOffset(at_s=0.5, by_deg=60.0, drift_deg_s=15.0), 1.5)
+    assert changed(faulty, true) == {"rpy_rad", "magnetometer"}
+    assert math.degrees(faulty.rpy_rad[2] - true.rpy_rad[2]) % 360.0 == pytest.approx(75.0, abs=0.1)
+    assert faulty.magnetometer is not None
+    assert true.magnetometer is not None
+    turned = math.atan2(*true.magnetometer[[1, 0]]) - math.atan2(*faulty.magnetometer[[1, 0]])
+    assert math.degrees(turned) % 360.0 == pytest.approx(75.0, abs=0.1)
+    assert faulty.magnetometer[2] == true.magnetometer[2]
+
+
+@pytest.mark.parametrize(
+    ("fault", "held", "free"),
+    [(ImuFrozen(at_s=0.5, for_s=1.0), "f_body", "rpy_rad"), (UltrasoundFrozen(at_s=0.5, for_s=1.0), "ultrasound_m", "f_body")],
+)
+def test_a_frozen_sensor_repeats_its_last_reading_until_the_fault_is_over(fault: Fault, held: str, free: str) -> None:
+    w = world(fault)
+    w.stick(Stick(gaz=0.5, progressive=True))
+    at(w, 0.52)
+    first = w.readings()
+    second = at(w, 1.4).readings()
+    assert np.array_equal(getattr(first, held), getattr(second, held))
+    assert not np.array_equal(getattr(first, free), getattr(second, free))
+    assert second.at > first.at
+    assert not np.array_equal(getattr(second, held), getattr(at(w, 1.6).readings(), held))
+
+
+def test_frozen_frames_repeat_one_image_with_stamps_of_their_own() -> None:
+    w = world(FramesFrozen(at_s=0.5, for_s=0.5))
+    w.stick(Stick(roll=0.5, gaz=0.3, progressive=True))
+    before = at(w, 0.45).render()
+    frozen = [at(w, t).render() for t in (0.55, 0.9)]
+    later = at(w, 1.1).render()
+    assert before.true_view
+    assert later.true_view
+    assert all(np.array_equal(f.px, before.px) and not f.true_view for f in frozen)
+    assert not np.array_equal(later.px, before.px)
+    assert [seconds_between(w.started, f.taken) for f in frozen] == pytest.approx([0.55, 0.9], abs=0.004)
+
+
+def centre(px: np.ndarray) -> tuple[float, float]:  # type: ignore[type-arg]
+    b, g, r = (px[..., i].astype(int) for i in range(3))
+    v, u = np.nonzero((g > 50) & (g > 2 * b) & (g > 2 * r))
+    return float(u.mean()), float(v.mean())
+
+
+def test_shifted_frames_show_the_pad_where_it_is_not() -> None:
+    """Half a metre ahead at 3 m: the image of a point moves by focal length times shift over distance."""
+    shifted, true = at(world(FramesShifted(at_s=0.2, forward_m=0.5)), 0.3).render(), at(world(), 0.3).render()
+    (u1, v1), (u0, v0) = centre(shifted.px), centre(true.px)
+    focal = world().camera.fy
+    assert v0 - v1 == pytest.approx(focal * 0.5 / 3.0, rel=0.05)
+    assert u1 == pytest.approx(u0, abs=2.0)
+    assert true.true_view
+    assert not shifted.true_view
+
+
+def test_a_share_of_the_frames_is_shifted_or_lost_and_the_seed_says_which() -> None:
+    def drawn(seed: int) -> tuple[list[bool], list[bool]]:
+        w = world(FramesShifted(at_s=0.0, right_m=2.5, share=0.5), FramesDropped(at_s=0.0, share=0.25), seed=seed)
+        shifted, lost = [], []
+        for n in range(200):
+            at(w, 0.004 * (n + 1))
+            shifted.append(bool(w._aside().any()))
+            lost.append(w.frame_lost)
+        return shifted, lost
+
+    shifted, lost = drawn(1)
+    assert drawn(1) == (shifted, lost)
+    assert drawn(2) != (shifted, lost)
+    assert 70 <= sum(shifted) <= 130
+    assert 25 <= sum(lost) <= 75
+
+
+class Seen(Silent):
+    def __init__(self) -> None:
+        self.frames: list[FrameSeen] = []
+        self.samples: list[Sample] = []
+
+    def on_frame(self, seen: FrameSeen) -> None:
+        self.frames.append(seen)
+
+    def on_sample(self, sample: Sample) -> None:
+        self.samples.append(sample)
+
+
+def flown(fault: Fault, seconds: float = 1.2, renew: bool = False) -> tuple[Flight, Seen]:
+    seen = Seen()
+    scenario = msgspec.structs.replace(CALM, faults=(fault,))
+    again = (lambda: make_pilot(SIM)) if renew else None
+    flight = Flight(scenario, 1, SIM, make_pilot(SIM), observers=[seen], renew=again)
+    for _ in range(round(seconds / 0.005)):
+        flight.step()
+    return flight, seen
+
+
+def test_delayed_frames_come_late_with_true_stamps_and_misstamped_ones_in_time_with_wrong_stamps() -> None:
+    _, late = flown(FramesDelayed(at_s=0.5, by_s=0.3))
+    delays = [f.frame.stamp.delay_s for f in late.frames]
+    assert delays[0] == pytest.approx(0.09, abs=0.005)
+    assert delays[-1] == pytest.approx(0.39, abs=0.005)
+    _, wrong = flown(FramesMisstamped(at_s=0.5, by_s=-0.3))
+    assert wrong.frames[-1].frame.stamp.delay_s == pytest.approx(0.39, abs=0.005)
+    assert len(wrong.frames) > len(late.frames) + 5
+    _, ahead = flown(FramesMisstamped(at_s=0.5, by_s=2.0))
+    assert max(f.frame.stamp.taken for f in ahead.frames) > 2_900_000_000
+
+
+@pytest.mark.parametrize("by_s", [-2.0, 2.0, 3600.0])
+def test_misstamped_samples_reach_the_service_with_the_wrong_stamp(by_s: float) -> None:
+    _, seen = flown(NavdataMisstamped(at_s=0.5, by_s=by_s), 0.6)
+    stamps = [s.stamp.taken for s in seen.samples if isinstance(s, Imu)]
+    steps = np.diff(np.array(stamps)) / 1e9
+    assert steps[np.abs(steps) > 0.1] == pytest.approx([by_s], abs=0.02)
+
+
+def test_a_lost_link_carries_nothing_either_way() -> None:
+    flight, seen = flown(LinkLost(at_s=0.3), 3.0)
+    assert max(s.stamp.heard for s in seen.samples) < 320_000_000
+    assert max(f.frame.stamp.taken for f in seen.frames) < 320_000_000
+    assert flight._drone.state.silent, "the drone misses its client"
+
+
+def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None:
+    flight, seen = flown(ServiceKilled(at_s=0.5), 3.0)
+    assert max(s.stamp.heard for s in seen.samples) < 510_000_000
+    assert flight._drone.state.silent
+    first = flight._pilot
+    again, seen = flown(ServiceKilled(at_s=0.5, for_s=0.5), 1.2, renew=True)
+    assert again._pilot is not first
+    heard = np.array([s.stamp.heard for s in seen.samples]) / 1e9
+    assert np.diff(heard).max() == pytest.approx(0.5, abs=0.02)
+    with pytest.raises(BadInput, match="service_killed comes back after for_s"):
+        flown(ServiceKilled(at_s=0.5, for_s=0.5))
+
+
+def test_the_simulated_drone_takes_every_key_of_the_configuration_or_the_run_ends() -> None:
+    flight, _ = flown(FlowBlind(at_s=9.0), 0.02)
+    assert flight.world.limits.euler_angle_max_rad == pytest.approx(math.radians(SIM.vehicle.euler_angle_max_deg), abs=1e-5)  # type: ignore[union-attr]
+    assert flight._drone.state.counters["config_set"] == 11
+    steep = msgspec.structs.replace(SIM, vehicle=msgspec.structs.replace(SIM.vehicle, com_watchdog_s=61))
+    with pytest.raises(SetupImpossible, match="refused the configuration key general:com_watchdog: bad_value"):
+        Flight(CALM, 1, steep, make_pilot(steep))
+
+
+def on_at(timer: FaultTimer, heights: list[float], phases: list[str | None] | None = None) -> list[bool]:
+    out = []
+    for n, height in enumerate(heights):
+        timer.update(0.1 * n, height, phases[n] if phases else None)
+        out.append(timer.active("flow_blind"))
+    return out
+
+
+def test_a_fault_begins_at_a_height_or_in_a_phase_once_and_lasts() -> None:
+    below = FaultTimer((FlowBlind(below_height_m=1.0, for_s=0.2),))
+    assert on_at(below, [0.3, 0.8, 1.2, 0.9, 1.5, 0.8, 0.5]) == [False, False, False, True, True, False, False]
+    above = FaultTimer((FlowBlind(above_height_m=1.0),))
+    assert on_at(above, [0.3, 1.2, 0.9]) == [False, True, True]
+    phase = FaultTimer((FlowBlind(in_phase="descend"),))
+    assert on_at(phase, [3.0] * 4, [None, "approach", "descend", "lost"]) == [False, False, True, True]
+
+
+def test_a_height_is_over_the_deck_and_starts_the_fault_in_the_world() -> None:
+    w = world(FlowBlind(below_height_m=2.0))
+    w.stick(Stick(gaz=-1.0, progressive=True))
+    while not w.active("flow_blind"):
+        at(w, seconds_between(w.started, w.now) + 0.004)
+        assert w.now < 10_000_000_000
+    assert w.truth().d_body_pad_level[2] == pytest.approx(2.0, abs=0.01)
+    assert w.phase is Phase.FLYING
+    ((fault, began_s),) = w.faults.begun
+    assert fault.kind == "flow_blind"
+    assert began_s == pytest.approx(seconds_between(w.started, w.at))
+
+
+def test_every_kind_has_a_test_of_its_effect() -> None:
+    elsewhere = {"lens_covered", "ultrasound_silent", "flow_blind", "magnetometer_silent", "navdata_silent", "gust", "weak_rotor"}
+    here = {fault.kind for fault, *_ in READINGS} | {
+        "heading_offset", "imu_frozen", "ultrasound_frozen", "frames_frozen", "frames_shifted", "frames_dropped",
+        "frames_delayed", "frames_misstamped", "link_lost", "service_killed",
+    }  # fmt: skip
+    assert set(KINDS) == here | elsewhere
