@@ -2,6 +2,9 @@
 
 Every frame that the driver offers ends in exactly one counted verdict. Vision runs on a thread of its own; everything else
 on the event loop. When the service ends, for whatever reason, the driver leaves the vehicle in its own hover.
+
+Vehicle and guidance are vital; observers and every further part run beside the flight and cannot touch it (`supervise`,
+`containment`).
 """
 
 from __future__ import annotations
@@ -9,16 +12,17 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractAsyncContextManager
 from typing import Protocol
 
 import cv2
 
+from companion.containment import Audience
 from companion.health import Health
 from companion.observer import FrameSeen, Observer
 from companion.pilot import Outcome, Pilot
-from companion.supervise import Body, Restart, run
+from companion.supervise import Body, Restart, run, uncancelled
+from companion.worker import Worker
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable
@@ -59,7 +63,7 @@ class Daemon:
         threads: that OpenCV may use for one picture.
         once: end with the first flight; else go on and wait for the next one.
         health: where to write health, for parts that were made before the daemon; else one is made.
-        extras: further parts by name, supervised like the daemon's own and cancelled when the service ends.
+        extras: parts by name that run beside the flight: whatever happens to them, it goes on.
     """
 
     def __init__(
@@ -84,14 +88,14 @@ class Daemon:
         self._period_s = 1.0 / guidance_rate_hz
         self._health_period_s = health_period_s
         self._threads = threads
-        self._observers = tuple(observers)
         self._once = once
         self._link: Link | None = None
         self._ended = asyncio.Event()
-        self._eyes: ThreadPoolExecutor | None = None
+        self._eyes: Worker | None = None
         self._wrong_size_said = False
         self._extras = dict(extras or {})
         self.health = health or Health(clock)
+        self._audience = Audience(observers, self.health)
 
     async def run(self) -> Outcome | None:
         """Until the flight has ended (with `once`) or `stop` is called; the flight's outcome, None when it had none yet.
@@ -100,11 +104,15 @@ class Daemon:
             ExceptionGroup: a bug of ours; the vehicle was left in its hover.
         """
         cv2.setNumThreads(self._threads)
-        parts: dict[str, Body] = {"vehicle": self._fly, "guidance": self._guide, **self._extras}
+        vital: dict[str, Body] = {"vehicle": self._fly, "guidance": self._guide}
+        beside = dict(self._extras)
         if self._health_period_s > 0:
-            parts["health"] = self._log_health
-        with ThreadPoolExecutor(1, thread_name_prefix="eyes") as self._eyes:
-            await run(parts, self._restart, self.health, self._clock, until=self._ended)
+            beside["health"] = self._log_health
+        self._eyes = Worker("eyes")
+        try:
+            await run(vital, self._restart, self.health, self._clock, until=self._ended, beside=beside)
+        finally:
+            self._eyes.close()
         return self._pilot.outcome
 
     def stop(self) -> None:
@@ -116,8 +124,8 @@ class Daemon:
             self._link = link
             try:
                 async with asyncio.TaskGroup() as group:
-                    group.create_task(self._hear(link))
-                    group.create_task(self._watch(link))
+                    group.create_task(uncancelled("hearing the vehicle", lambda: self._hear(link)), name="samples")
+                    group.create_task(uncancelled("watching its frames", lambda: self._watch(link)), name="frames")
             finally:
                 self._link = None
 
@@ -126,8 +134,7 @@ class Daemon:
             self.health.beat(type(sample).__name__)
             for outcome in self._pilot.hear(sample):
                 self.health.input(outcome.kind, outcome.verdict)
-            for observer in self._observers:
-                observer.on_sample(sample)
+            self._audience.on_sample(sample)
 
     async def _watch(self, link: Link) -> None:
         overtaken = 0
@@ -144,8 +151,7 @@ class Daemon:
             self.health.frame(seen.verdict)
             self.health.delay("vision", seconds_between(seen.began, seen.done))
             self.health.delay("exposure_to_belief", seconds_between(frame.stamp.taken, seen.done))
-            for observer in self._observers:
-                observer.on_frame(seen)
+            self._audience.on_frame(seen)
 
     async def _see(self, frame: Frame) -> FrameSeen:
         began = self._clock.now()
@@ -156,8 +162,8 @@ class Daemon:
         elif attitude is None:
             verdict = Verdict.NO_ATTITUDE
         else:
-            loop = asyncio.get_running_loop()
-            look = await loop.run_in_executor(self._eyes, self._pilot.look, frame, attitude)
+            assert self._eyes is not None
+            look = await self._eyes.run(self._pilot.look, frame, attitude)
             verdict = self._pilot.saw(look)
         return FrameSeen(frame, attitude, look, verdict, began, self._clock.now())
 
@@ -193,8 +199,7 @@ class Daemon:
                     self._link.command(decision.command)
                 except Recoverable as why:
                     log.debug("command not sent: %s", why)
-            for observer in self._observers:
-                observer.on_decision(decision)
+            self._audience.on_decision(decision)
             if self._pilot.outcome is not None and self._once:
                 self._ended.set()
                 return

@@ -8,6 +8,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
@@ -17,6 +18,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 class PartHealth:
     """One supervised part."""
 
+    vital: bool = False
+    """Whether the flight needs it."""
     up: bool = False
     since: MonoNs | None = None
     restarts: int = 0
@@ -84,6 +87,8 @@ class PartState:
     """Since it came up or went down."""
     restarts: int
     last_error: str
+    vital: bool = False
+    """Whether the flight needs it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +116,9 @@ class HealthSnapshot:
 
     at: MonoNs
     all_up: bool
+    """Whether every part of the service is up."""
+    flight_up: bool
+    """Whether the parts that the flight needs are up: what heartbeats say."""
     parts: Mapping[str, PartState]
     flows: Mapping[str, FlowState]
     frames: Mapping[str, int]
@@ -136,6 +144,17 @@ class Health:
         self.delays: dict[str, Delays] = {}
         self.flows: dict[str, Flow] = {}
 
+        self.contained: Counter[str] = Counter()
+        """Failures of what the flight does not need, by callee."""
+
+    def now(self) -> MonoNs:
+        """The instant, by the clock that everything here is told by."""
+        return self._clock.now()
+
+    def vital(self, name: str) -> None:
+        """The flight needs this part; it is down until it says that it is up."""
+        self.parts.setdefault(name, PartHealth()).vital = True
+
     def up(self, name: str) -> None:
         part = self.parts.setdefault(name, PartHealth())
         part.up, part.since = True, self._clock.now()
@@ -144,7 +163,12 @@ class Health:
         part = self.parts.setdefault(name, PartHealth())
         part.up, part.since = False, self._clock.now()
         part.restarts += 1
-        part.last_error = str(why) or type(why).__name__
+        part.last_error = in_words(why)
+
+    def contain(self, name: str) -> int:
+        """One more failure of something that the flight does not need; how many there were by now."""
+        self.contained[name] += 1
+        return self.contained[name]
 
     def frame(self, verdict: Verdict) -> None:
         self.frames[verdict] += 1
@@ -168,8 +192,30 @@ class Health:
         return self.fault() is None
 
     def fault(self) -> str | None:
-        """The first part that is down, and why; None while all are up."""
-        return next((f"{name} is down: {part.last_error}" for name, part in self.parts.items() if not part.up), None)
+        """The first part of the service that is down, and why; None while all are up."""
+        return self._down(vital_only=False)
+
+    def flight_fault(self) -> str | None:
+        """The first part that is down among those that the flight needs, and why; None while they are up."""
+        return self._down(vital_only=True)
+
+    def _down(self, *, vital_only: bool) -> str | None:
+        for name, part in self.parts.items():
+            if not part.up and (part.vital or not vital_only):
+                return f"{name} is down: {part.last_error or 'not begun'}"
+        return None
+
+    def _counted(self) -> dict[str, Mapping[str, float]]:
+        """What the parts count; one whose counting fails is left out, and that is counted."""
+        counted: dict[str, Mapping[str, float]] = {}
+        for part, read in self._counters.items():
+            try:
+                counted[part] = dict(read())
+            except Exception:
+                self.contained[f"{part}.counters"] += 1
+        if self.contained:
+            counted["contained"] = dict(self.contained)
+        return counted
 
     def snapshot(self) -> HealthSnapshot:
         """Health as it is now."""
@@ -181,13 +227,16 @@ class Health:
         return HealthSnapshot(
             at=now,
             all_up=self.all_up,
-            parts={
-                name: PartState(p.up, 0.0 if p.since is None else seconds_between(p.since, now), p.restarts, p.last_error)
-                for name, p in self.parts.items()
-            },
+            flight_up=self.flight_fault() is None,
+            parts={name: _state(part, now) for name, part in self.parts.items()},
             flows={name: FlowState(f.count, f.age_s(now), f.rate_hz(now)) for name, f in self.flows.items()},
             frames={verdict.value: n for verdict, n in self.frames.items()},
             inputs={kind: {v.value: n for v, n in tally.items()} for kind, tally in self.inputs.items()},
             stages=stages,
-            counters={part: dict(read()) for part, read in self._counters.items()},
+            counters=self._counted(),
         )
+
+
+def _state(part: PartHealth, now: MonoNs) -> PartState:
+    age_s = 0.0 if part.since is None else seconds_between(part.since, now)
+    return PartState(part.up, age_s, part.restarts, part.last_error, part.vital)

@@ -6,11 +6,12 @@ import asyncio
 import logging
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from companion import rig
+from companion.beside import Beside
 from companion.daemon import Daemon
 from companion.health import Health
 from companion.notify import Manager, Pulse, watchdog_interval_s
@@ -24,8 +25,8 @@ from drivers.clock import SystemClock
 from estimator.contracts.estimates import PathName
 from estimator.contracts.ports import Clock
 
-if TYPE_CHECKING:
-    from companion.recorder.recorder import Recorder
+if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a face does without
+    from drivers.mavlink.links import Tap
 
 
 def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
@@ -55,21 +56,23 @@ def make_daemon(
     ticking = clock or SystemClock()
     health = Health(ticking)
     watching, extras = list(observers), dict[str, Body]()
-    recorder: Recorder | None = None
+    recording: Callable[[bool], str | None] | None = None
+    tap: Tap | None = None
     if settings.recorder.enabled or settings.mqtt.transport != "off" or isinstance(settings.vehicle, AutopilotSettings):
+        from companion.recorder.beside import RecorderBeside
         from companion.recorder.setup import recorder_of
 
-        recorder = recorder_of(settings, ticking, health)
+        recorder = RecorderBeside(lambda: recorder_of(settings, ticking, health), health)
         watching.append(recorder)
         extras["recorder"] = recorder.run
-    recording = None if recorder is None else recorder.switch
-    vehicle = vehicle_parts(settings, pilot, health, ticking, recording, None if recorder is None else recorder.on_link)
+        recording, tap = recorder.switch, recorder.on_link
+    vehicle = vehicle_parts(settings, pilot, health, ticking, recording, tap)
     watching += vehicle.observers
     extras |= vehicle.extras
     if settings.mqtt.transport != "off":
         from companion.mqtt.make import make_mqtt
 
-        mqtt = make_mqtt(settings.mqtt, pilot, health, ticking, recording)
+        mqtt = Beside("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording))
         watching.append(mqtt)
         extras["mqtt"] = mqtt.run
     if settings.metrics.endpoint != "off":

@@ -211,13 +211,18 @@ def test_the_estimator_is_values_in_values_out() -> None:
     assert {str(p.relative_to(ROOT)): found for p in pure if (found := impurities(p.read_text()))} == {}
 
 
+SUPERVISED = {"companion/supervise.py"}
+"""Cancels its tasks and waits for them as a group does, but not for ever: a part that does not end must not hold the process."""
+
+
 def test_no_queue_is_unbounded_and_no_task_detached() -> None:
     found = {
         str(p.relative_to(ROOT)): lines
         for p in modules()
         if (lines := unbounded_queues(p.read_text()) + detached_tasks(p.read_text()))
     }
-    assert found == {}
+    assert {path for path in found if path in SUPERVISED} == SUPERVISED
+    assert {path: lines for path, lines in found.items() if path not in SUPERVISED} == {}
 
 
 def test_modules_are_short_and_named_for_what_is_in_them() -> None:

@@ -3,8 +3,11 @@
     component = Component(options, operator, store, healthy=..., clock=clock)
     async with open_autopilot(...) as autopilot, speaking(component, autopilot, clock): ...
 
-It is an observer of the service. The heartbeat depends on the service: a part that is down, or guidance that stands still, and
-it stops, so that nobody takes a dead pipeline for a live one.
+It is an observer of the service. The heartbeat depends on what the flight needs: a vital part that is down, or guidance that
+stands still, and it stops, so that nobody takes a dead pipeline for a live one. Any other part that is down (recorder, broker,
+metrics) is told in a text and changes nothing else.
+
+It is alive inside the vehicle's context and not vital itself: a fault in one thing that it says costs that thing alone.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
 
+from companion.containment import Guard
+from companion.health import Health
 from companion.mavlink.commands import CommandServer, Offered
 from companion.mavlink.computer import ComputerReader, computer_status
 from companion.mavlink.operator import Operator
@@ -40,6 +45,8 @@ log = logging.getLogger(__name__)
 
 TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_AUTOPILOT_INVALID)
 _CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
+_TELL_AGAIN_S = 60.0
+"""Between two texts about the same part, which may fail and come back many times a minute."""
 _SEVERITIES = {
     "landed": Severity.NOTICE,
     "landed by others": Severity.NOTICE,
@@ -111,8 +118,9 @@ class Component(Silent):
     """See the module.
 
     Args:
-        healthy: None while the service is well, else one line that says what is not.
+        healthy: None while what the flight needs is well, else one line that says what is not.
         believe: the steering path's belief at an instant; None takes that of guidance's newest decision.
+        health: of the service, where faults of its own are counted; None for a health of its own.
     """
 
     def __init__(
@@ -124,8 +132,12 @@ class Component(Silent):
         healthy: Callable[[], str | None],
         believe: Callable[[MonoNs], RelativeState | None] | None = None,
         clock: Clock,
+        health: Health | None = None,
     ) -> None:
         self.options = self._o = options
+        self._health = health or Health(clock)
+        self._guards: dict[str, Guard] = {}
+        self._told: dict[str, MonoNs] = {}
         self._healthy = healthy
         self._believe = believe
         self._clock = clock
@@ -141,10 +153,10 @@ class Component(Silent):
         self._parameters = None if store is None else ParameterServer(store)
         self._offered = Offered(
             {
-                mav.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
-                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: lambda now: computer_status(self._computer.read(), now),
+                mav.MAVLINK_MSG_ID_HEARTBEAT: lambda now: self._guarded("heartbeat", self._heartbeat, now),
+                mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: lambda now: self._guarded("computer", self._load, now),
                 ComponentInformationBasic.id: self._information,
-                mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: self._value,
+                mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: lambda now: self._guarded("values", self._value, now),
             },
             {
                 mav.MAVLINK_MSG_ID_HEARTBEAT: options.heartbeat_s,
@@ -223,6 +235,12 @@ class Component(Silent):
         for name, part in parts.items():
             self._links.contained.run(f"telling {name}", "us", partial(part, now))
 
+    def _guarded(self, name: str, maker: Callable[[MonoNs], Message | None], now: MonoNs) -> Message | None:
+        """What `maker` makes; None where it failed or is set aside: it must not cost the heartbeat beside it."""
+        if name not in self._guards:
+            self._guards[name] = Guard(f"mavlink.{name}", self._health)
+        return self._guards[name].call(maker, now)
+
     def _tell_parameters(self, now: MonoNs) -> None:
         if self._parameters is not None:
             self._send(self._parameters.due())
@@ -268,12 +286,20 @@ class Component(Silent):
         if why is not None and not self._sick:
             self.texts.say(Severity.ERROR, f"Decklander: {why}", now)
         self._sick = why is not None
+        for name, part in self._health.parts.items():
+            last = self._told.get(name)
+            if not (part.up or part.vital) and (last is None or seconds_between(last, now) >= _TELL_AGAIN_S):
+                self._told[name] = now
+                self.texts.say(Severity.WARNING, f"Decklander: {name} is down: {part.last_error}", now)
 
     def _heartbeat(self, now: MonoNs) -> Message | None:
         if self._fault(now) is not None:
             return None
         state = mav.MAV_STATE_ACTIVE if self._belief is not None else mav.MAV_STATE_STANDBY
         return mav.MAVLink_heartbeat_message(TYPE_ONBOARD, NO_AUTOPILOT, 0, 0, int(state), 3)
+
+    def _load(self, now: MonoNs) -> Message:
+        return computer_status(self._computer.read(), now)
 
     def _information(self, now: MonoNs) -> Message:
         return ComponentInformationBasic(

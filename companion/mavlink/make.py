@@ -52,9 +52,10 @@ class AutopilotPart:
             said,
             PilotTower(pilot, lambda: self.component.belief, recording),
             Tunables(settings, self._apply),
-            healthy=health.fault,
+            healthy=health.flight_fault,
             believe=pilot.belief,
             clock=clock,
+            health=health,
         )
         pilot.engage = self._engage
         health.counters("mavlink", self._counted)

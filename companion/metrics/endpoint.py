@@ -26,7 +26,8 @@ _PAGE_S = 0.2
 
 
 class MetricsEndpoint:
-    """Serves /metrics (Prometheus) and /health (200 when every part is up and none is stuck, else 503, the reasons as JSON).
+    """Serves /metrics (Prometheus) and /health: 200 while what the flight needs is up and not stuck, else 503, and as JSON
+    every part that is down. Whoever restarts the service on a 503 must not do so in flight because the broker is away.
 
     With a token, /metrics answers 401 without it, and /health says no more than yes or no.
 
@@ -99,12 +100,13 @@ class MetricsEndpoint:
 
     async def _state(self, request: web.Request) -> web.Response:
         down = {name: part.last_error for name, part in self._health.parts.items() if not part.up}
+        ok = self._health.flight_fault() is None
         if "Decision" in self._health.flows and (why := stuck(self._health.snapshot(), flying=False)) is not None:
-            down["pipeline"] = why
-        said: dict[str, object] = {"ok": not down}
+            down["pipeline"], ok = why, False
+        said: dict[str, object] = {"ok": ok}
         if self._allows(request):
             said["down"] = down
-        return _closing(web.Response(text=json.dumps(said) + "\n", status=503 if down else 200, content_type="application/json"))
+        return _closing(web.Response(text=json.dumps(said) + "\n", status=200 if ok else 503, content_type="application/json"))
 
     def _allows(self, request: web.Request) -> bool:
         """Return whether the request carries the token, compared in a time that does not depend on where they differ."""

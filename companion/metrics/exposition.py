@@ -31,6 +31,10 @@ def text(health: HealthSnapshot) -> bytes:
 
 def families(health: HealthSnapshot) -> Iterator[Metric]:
     """What is not known has no sample."""
+    flight = GaugeMetricFamily("decklander_flight_up", "Whether the parts that the flight needs are up.")
+    if any(part.vital for part in health.parts.values()):
+        flight.add_metric([], float(health.flight_up))
+    yield flight
     up = GaugeMetricFamily("decklander_part_up", "Whether a supervised part runs.", labels=["part"])
     since = GaugeMetricFamily("decklander_part_age_seconds", "Since the part came up or went down.", labels=["part"])
     restarts = CounterMetricFamily("decklander_part_failures", "How often the part failed.", labels=["part"])

@@ -115,6 +115,7 @@ def health(session: str, of: HealthSnapshot) -> HealthReport:
         session=session,
         at_ns=of.at,
         all_up=of.all_up,
+        flight_up=of.flight_up,
         parts={
             name: PartReport(up=p.up, age_s=p.age_s, restarts=p.restarts, last_error=p.last_error) for name, p in of.parts.items()
         },

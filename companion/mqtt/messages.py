@@ -131,6 +131,9 @@ class HealthReport(Message, frozen=True, kw_only=True):
     """How the service is."""
 
     all_up: bool
+    """Every part of the service."""
+    flight_up: bool = True
+    """The parts that the flight needs; left out by drones that did not tell them apart."""
     parts: dict[str, PartReport]
     flows: dict[str, FlowReport]
     frames: dict[str, int]

@@ -26,3 +26,13 @@ class Recoverable(DecklanderError):
 
 class SetupImpossible(DecklanderError):
     """This machine lacks something the request needs; trying again will not help."""
+
+
+def in_words(error: BaseException) -> str:
+    """The first error of a group in one line, whatever its own text does; the name of its class where it has none."""
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    try:
+        return " ".join(str(error).split()) or type(error).__name__
+    except Exception:  # the text of an error is made by whoever raised it
+        return type(error).__name__

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from companion.health import Delays, Health
-from companion.supervise import Restart, keep_alive, run
+from companion.supervise import Restart, contain, keep_alive, run
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs
 
@@ -111,6 +111,68 @@ async def test_a_bug_beside_a_recoverable_still_surfaces() -> None:
     with pytest.raises(ExceptionGroup) as caught:
         await keep_alive("part", body, Restart(), Health(clock), clock)
     assert caught.value.subgroup(KeyError) is not None
+
+
+async def test_a_cancellation_that_nobody_asked_for_is_a_bug_of_a_vital_part_and_not_its_orderly_end() -> None:
+    async def body() -> None:
+        raise asyncio.CancelledError
+
+    with pytest.raises(ExceptionGroup) as caught:
+        await run({"vehicle": body}, Restart(), Health(FakeClock()), FakeClock())
+    assert caught.value.subgroup(RuntimeError) is not None
+
+
+async def test_a_part_beside_the_flight_that_does_not_end_is_abandoned(caplog: pytest.LogCaptureFixture) -> None:
+    swallowed = 0
+
+    async def stubborn() -> None:
+        nonlocal swallowed
+        while swallowed < 1000:
+            try:
+                await asyncio.sleep(3600)
+            except asyncio.CancelledError:
+                swallowed += 1
+
+    async def vital() -> None:
+        await asyncio.sleep(0)
+
+    before = asyncio.all_tasks()
+    await run({"vital": vital}, Restart(), Health(FakeClock()), FakeClock(), beside={"stubborn": stubborn})
+    assert swallowed == 1
+    assert "stubborn did not end within 1.0 s and is abandoned" in caplog.text
+    swallowed = 1000
+    for task in asyncio.all_tasks() - before:
+        task.cancel()
+
+
+async def test_the_vital_parts_have_ended_before_the_others_are_told_to() -> None:
+    said: list[str] = []
+
+    async def part(name: str) -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await asyncio.sleep(0.01)
+            said.append(name)
+
+    ended = asyncio.Event()
+    asyncio.get_running_loop().call_soon(ended.set)
+    parts = {"vehicle": lambda: part("vehicle")}
+    await run(parts, Restart(), Health(FakeClock()), FakeClock(), until=ended, beside={"mqtt": lambda: part("mqtt")})
+    assert said == ["vehicle", "mqtt"]
+
+
+async def test_a_failing_part_has_one_traceback_in_the_log_however_often_it_fails(caplog: pytest.LogCaptureFixture) -> None:
+    health = Health(FakeClock())
+
+    async def body() -> None:
+        raise KeyError("ours")
+
+    await contain("mqtt", body, Restart(), health, FakeClock())
+    assert sum(record.exc_info is not None for record in caplog.records) == 1
+    assert health.contained["mqtt"] == 10
+    assert health.flight_fault() is None
+    assert health.fault() == "mqtt is down: off after 10 failures: 'ours'"
 
 
 def test_quantiles_over_a_sliding_window() -> None:

@@ -106,7 +106,9 @@ async def serving(health: Health, limits: Limits | None = None, token_file: str 
     endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=port, token_file=token_file), health, limits)
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
-        group.create_task(run({"metrics": endpoint.run}, Restart(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended))
+        group.create_task(
+            run({}, Restart(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended, beside={"metrics": endpoint.run})
+        )
         async with asyncio.timeout(3):
             while endpoint.port is None:  # noqa: ASYNC110 (the endpoint says nothing when it is ready)
                 await asyncio.sleep(0.005)
@@ -124,9 +126,15 @@ async def test_the_endpoint_serves_the_page_and_a_yes_or_no() -> None:
             assert value(await answer.read(), "decklander_part_up", part="metrics") == 1
         async with client.get("/health") as answer:
             assert (answer.status, await answer.json()) == (200, {"ok": True, "down": {}})
+        health.down("mqtt", Recoverable("no broker"))
+        async with client.get("/health") as answer:
+            assert (answer.status, await answer.json()) == (200, {"ok": True, "down": {"mqtt": "no broker"}})
+        health.vital("vehicle")
         health.down("vehicle", Recoverable("no route"))
         async with client.get("/health") as answer:
-            assert (answer.status, json.loads(await answer.text())) == (503, {"ok": False, "down": {"vehicle": "no route"}})
+            assert answer.status == 503
+            assert json.loads(await answer.text()) == {"ok": False, "down": {"mqtt": "no broker", "vehicle": "no route"}}
+        assert value(text(health.snapshot()), "decklander_flight_up") == 0
         async with client.get("/") as answer:
             assert answer.status == 404
         async with client.post("/metrics") as answer:
@@ -218,6 +226,7 @@ async def test_with_a_token_nothing_is_told_without_it(tmp_path: Path) -> None:
     file.write_text("0123456789abcdef\n")
     file.chmod(0o600)
     health = Health(SystemClock())
+    health.vital("vehicle")
     health.down("vehicle", Recoverable("no route to 10.0.0.7"))
     async with (
         serving(health, token_file=str(file)) as endpoint,

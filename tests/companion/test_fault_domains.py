@@ -1,0 +1,290 @@
+"""Whatever a part does that the flight does not need, the flight's commands are those of a flight without it, to the bit."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from companion import service
+from companion.daemon import Daemon
+from companion.health import Health
+from companion.mavlink.face_part import FacePart
+from companion.metrics.endpoint import MetricsEndpoint
+from companion.mqtt.part import MqttPart
+from companion.notify import Pulse
+from companion.observer import Decision, FrameSeen, Observer, Silent
+from companion.recorder.recorder import Recorder
+from companion.settings import load
+from companion.settings_model import Settings
+from companion.supervise import Restart
+from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.samples import Sample
+from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly
+
+FLOWN_S = 1.0
+SHORT_S = 0.3
+
+
+class Unspeakable(Exception):
+    """An error that fails in turn when it is asked what it is."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
+def deep() -> BaseException:
+    """A RecursionError as Python makes it."""
+
+    def down() -> None:
+        down()
+
+    try:
+        down()
+    except RecursionError as why:
+        return why
+    raise AssertionError
+
+
+ERRORS: dict[str, Callable[[], BaseException]] = {
+    "value": lambda: ValueError("bad"),
+    "os": lambda: OSError(24, "too many open files"),
+    "world": lambda: Recoverable("gone"),
+    "memory": MemoryError,
+    "recursion": deep,
+    "exit": lambda: SystemExit(3),
+    "generator": GeneratorExit,
+    "cancelled": asyncio.CancelledError,
+    "group": lambda: ExceptionGroup("two", [ValueError("a"), OSError("b")]),
+    "base group": lambda: BaseExceptionGroup("deep", [BaseExceptionGroup("in", [GeneratorExit(), ValueError("c")])]),
+    "unspeakable": Unspeakable,
+}
+METHODS = ("on_sample", "on_frame", "on_decision")
+
+
+class Failing:
+    """An observer and a body that fail when they are told to.
+
+    Args:
+        role: the method that fails, or "body" for the part, "ending" for the part on its way out, "counters" for its figures.
+        at: calls (or sleeps, for the part) that go well before the first failure.
+        for_: calls that fail.
+    """
+
+    def __init__(self, role: str, error: Callable[[], BaseException], at: int, for_: int, clock: VirtualClock) -> None:
+        self._role, self._error, self._at, self._for, self._clock = role, error, at, for_, clock
+        self._calls = 0
+        self.raised = 0
+
+    def _called(self, role: str) -> None:
+        if role != self._role:
+            return
+        self._calls += 1
+        if self._at < self._calls <= self._at + self._for:
+            self.raised += 1
+            raise self._error()
+
+    def on_sample(self, sample: Sample) -> None:
+        self._called("on_sample")
+
+    def on_frame(self, seen: FrameSeen) -> None:
+        self._called("on_frame")
+
+    def on_decision(self, decision: Decision) -> None:
+        self._called("on_decision")
+
+    def counted(self) -> dict[str, float]:
+        self._called("counters")
+        return {}
+
+    async def run(self) -> None:
+        try:
+            while True:
+                self._called("body")
+                await self._clock.sleep(0.05)
+        finally:
+            self._at = 0
+            self._called("ending")
+
+
+async def flown(
+    role: str | None = None, error: str = "value", at: int = 0, for_: int = 10**9, seconds: float = FLOWN_S
+) -> tuple[list[tuple[int, str]], Health, int]:
+    """The commands of a flight with a failing part in one role; its health; how often it failed."""
+    clock = VirtualClock()
+    vehicle = FakeFlight(clock)
+    health = Health(clock)
+    failing = Failing(role or "none", ERRORS[error], at, for_, clock)
+    health.counters("failing", failing.counted)
+
+    class Curious(Silent):
+        """Looks at health as heartbeats do."""
+
+        def on_decision(self, decision: Decision) -> None:
+            assert health.snapshot().flight_up
+
+    daemon = Daemon(
+        vehicle.open,
+        SeeingPilot(vehicle),
+        clock,
+        restart=Restart(0.02, 2.0, 0.1, 5.0),
+        guidance_rate_hz=50.0,
+        health_period_s=0.3,
+        observers=[failing, Curious()],
+        health=health,
+        extras={"failing": failing.run},
+    )
+    return await fly(daemon, vehicle, clock, seconds), health, failing.raised
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> list[tuple[int, str]]:
+    commands, health, _ = asyncio.run(flown())
+    assert len({text for _, text in commands}) > 20  # it does fly
+    assert not health.contained
+    return commands
+
+
+@pytest.fixture(autouse=True)
+def quiet(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.CRITICAL + 1)
+
+
+@settings(deadline=None, max_examples=12, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    role=st.sampled_from((*METHODS, "body", "ending", "counters")),
+    error=st.sampled_from(sorted(ERRORS)),
+    at=st.integers(0, 20),
+    for_=st.sampled_from((1, 3, 25, 10**9)),
+)
+def test_a_part_that_fails_in_any_way_at_any_time_changes_no_command(
+    undisturbed: list[tuple[int, str]], role: str, error: str, at: int, for_: int
+) -> None:
+    commands, health, raised = asyncio.run(flown(role, error, at, for_, 0.5))
+    assert commands == undisturbed[: len(commands)]
+    assert health.parts["vehicle"].restarts == health.parts["guidance"].restarts == 0
+    if raised and role in METHODS:
+        assert health.contained[f"failing.{role}"] == raised
+
+
+@pytest.mark.parametrize("error", sorted(ERRORS))
+@pytest.mark.parametrize("role", [*METHODS, "body", "ending", "counters"])
+def test_every_error_in_every_role_from_the_first_call_on(undisturbed: list[tuple[int, str]], role: str, error: str) -> None:
+    commands, _, raised = asyncio.run(flown(role, error, seconds=SHORT_S))
+    assert commands == undisturbed[: len(commands)]
+    assert raised or role in ("ending", "counters")
+
+
+def test_what_fails_again_and_again_is_set_aside_and_said_so() -> None:
+    _, health, raised = asyncio.run(flown("on_sample", "value", seconds=SHORT_S))
+    assert raised == 20
+    assert not health.parts["failing.on_sample"].up
+    assert health.parts["failing.on_sample"].last_error == "off after 20 failures in a row: bad"
+    assert health.snapshot().counters["contained"] == {"failing.on_sample": 20}
+    assert health.parts["failing"].up is True  # its body is well
+
+
+def test_a_part_that_fails_again_and_again_is_given_up_unless_it_is_the_outside_world() -> None:
+    _, health, raised = asyncio.run(flown("body", "value"))
+    assert raised == 10
+    assert health.parts["failing"].last_error == "off after 10 failures: bad"
+    _, health, raised = asyncio.run(flown("body", "world"))
+    assert raised > 10
+    assert health.parts["failing"].last_error == "gone"
+
+
+def test_an_observer_that_was_set_aside_is_tried_again_and_comes_back() -> None:
+    from companion.containment import Guard
+
+    clock = VirtualClock()
+    health = Health(clock)
+    guard, calls = Guard("x", health, limit=2), 0
+
+    def callee() -> int:
+        nonlocal calls
+        calls += 1
+        if calls <= 3:
+            raise ValueError("not yet")
+        return calls
+
+    def told(seconds: int) -> int | None:
+        clock.t = type(clock.t)(seconds * 10**9)
+        return guard.call(callee)
+
+    assert [told(s) for s in (0, 0, 1, 9)] == [None] * 4
+    assert calls == 2
+    assert told(10) is None
+    assert (calls, health.parts["x"].up) == (3, False)
+    assert told(29) is None
+    assert calls == 3
+    assert (told(30), health.parts["x"].up) == (4, True)
+
+
+# The parts themselves, as the service wires them
+
+
+def settings_with_everything(folder: Path) -> Settings:
+    sim = load("sim")
+    return msgspec.structs.replace(
+        sim,
+        recorder=msgspec.structs.replace(sim.recorder, enabled=True, folder=str(folder / "recordings"), frames="none"),
+        mqtt=msgspec.structs.replace(sim.mqtt, transport="tcp", host="127.0.0.1", port=1, spool=str(folder / "spool")),
+        metrics=msgspec.structs.replace(sim.metrics, endpoint="http", port=0),
+        face=msgspec.structs.replace(sim.face, links="udpin://127.0.0.1:0"),
+    )
+
+
+PARTS: dict[str, tuple[type, str]] = {
+    **{f"recorder {m}": (Recorder, m) for m in (*METHODS, "run", "__init__")},
+    **{f"mqtt {m}": (MqttPart, m) for m in (*METHODS, "run", "__init__", "counts", "tell")},
+    **{f"metrics {m}": (MetricsEndpoint, m) for m in ("run",)},
+    **{f"pulse {m}": (Pulse, m) for m in ("on_decision", "run")},
+    **{f"face {m}": (FacePart, m) for m in ("on_sample", "run")},
+}
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # a part whose body is broken closes nothing
+@pytest.mark.parametrize("part", sorted(PARTS))
+def test_the_services_own_parts_cannot_touch_the_flight(
+    part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, undisturbed: list[tuple[int, str]]
+) -> None:
+    of, method = PARTS[part]
+
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("a bug of ours")
+
+    monkeypatch.setattr(of, method, broken)
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
+    clock = VirtualClock()
+    vehicle = FakeFlight(clock)
+
+    async def one() -> tuple[list[tuple[int, str]], Health]:
+        daemon = service.make_daemon(settings_with_everything(tmp_path), SeeingPilot(vehicle), clock=clock)
+        daemon._open_link, daemon._period_s = vehicle.open, 0.02
+        return await fly(daemon, vehicle, clock, 0.4), daemon.health
+
+    commands, health = asyncio.run(one())
+    gc.collect()
+    assert commands == undisturbed[: len(commands)]
+    assert len(commands) >= 18
+    assert sum(health.contained.values()) > 0
+
+
+def test_wrong_settings_of_a_part_are_found_before_the_service_begins(tmp_path: Path) -> None:
+    settings_of = settings_with_everything(tmp_path)
+    secret = msgspec.structs.replace(settings_of.mqtt, user="x", password_file=str(tmp_path / "none"))
+    vehicle = FakeFlight(VirtualClock())
+    with pytest.raises(BadInput, match="password"):
+        service.make_daemon(msgspec.structs.replace(settings_of, mqtt=secret), SeeingPilot(vehicle))
+
+
+def test_observers_are_the_whole_protocol() -> None:
+    """A method that the protocol gains must get a guard too."""
+    assert {name for name in vars(Observer) if name.startswith("on_")} == set(METHODS)

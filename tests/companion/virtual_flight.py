@@ -1,0 +1,140 @@
+"""The daemon over fake ports in virtual time: a point mass under its commands, a pad that the pilot sees by truth."""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from types import MappingProxyType
+
+import numpy as np
+
+from companion.daemon import Daemon, Link
+from companion.guidance.pid import Gains
+from companion.guidance.planner import Plan
+from companion.pilot import Pilot
+from drivers.mailbox import Latest, Line
+from estimator import pipeline
+from estimator.contracts.commands import Command, Velocity
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.vision.look import Look
+from tests.companion.test_daemon import EYES
+
+TICK_S = 0.01
+NO_PICTURE = np.zeros((EYES.camera.height, EYES.camera.width, 3), np.uint8)
+
+
+class VirtualClock:
+    """Time passes when the flight says so."""
+
+    def __init__(self) -> None:
+        self.t = MonoNs(0)
+        self._sleeping: list[tuple[MonoNs, int, asyncio.Future[None]]] = []
+        self._count = 0
+
+    def now(self) -> MonoNs:
+        return self.t
+
+    async def sleep(self, seconds: float) -> None:
+        woken = asyncio.get_running_loop().create_future()
+        self._count += 1
+        heapq.heappush(self._sleeping, (after(self.t, seconds), self._count, woken))
+        await woken
+
+    async def pass_to(self, then: MonoNs) -> None:
+        """Wake who sleeps until `then`, each at its own time."""
+        while self._sleeping and self._sleeping[0][0] <= then:
+            self.t, _, woken = heapq.heappop(self._sleeping)
+            if not woken.done():
+                woken.set_result(None)
+            await settled()
+        self.t = then
+        await settled()
+
+
+async def settled() -> None:
+    """Everybody who can run has run."""
+    for _ in range(12):
+        await asyncio.sleep(0)
+
+
+class SeeingPilot(Pilot):
+    """Sees the pad where the fake vehicle knows it to be."""
+
+    def __init__(self, vehicle: FakeFlight) -> None:
+        options = pipeline.Options(steering="dead_reckoning")
+        super().__init__(EYES, options, Plan.over_the_pad(), Gains(), land_timeout_s=5.0)
+        self._truth = vehicle
+
+    def look(self, frame: Frame, attitude: Attitude) -> Look:
+        d = -self._truth.p_level
+        sighting = Sighting(frame.stamp, frame.seq, "selected", d, 0.0, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
+        return Look(sighting, "arrow", MappingProxyType({}))
+
+
+class FakeFlight:
+    """A point mass, its sensors and its camera, as a driver would offer them."""
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._clock = clock
+        self.p_level = np.array([-0.4, 0.3, -3.0])
+        """(3,) m from the pad."""
+        self._v_level = np.zeros(3)
+        self.frames: Latest[Frame] = Latest()
+        self.samples: Line[Sample] = Line(1000)
+        self.commands: list[tuple[int, str]] = []
+        """When, and what, as text: equal text is an equal command to the bit."""
+        self.left = 0
+
+    def command(self, command: Command) -> None:
+        self.commands.append((int(self._clock.now()), repr(command)))
+        self._v_level = np.asarray(command.v_level) if isinstance(command, Velocity) else np.zeros(3)
+
+    @asynccontextmanager
+    async def open(self) -> AsyncIterator[Link]:
+        try:
+            yield self
+        finally:
+            self.left += 1
+
+    def tick(self, n: int) -> None:
+        self.p_level = self.p_level + TICK_S * self._v_level
+        now = self._clock.now()
+        stamp = Stamp(now, now, 0.001, "sim")
+        self.samples.offer(Imu(stamp, np.zeros(3), np.array([0.0, 0.0, -9.80665])))
+        if n % 2 == 0:
+            self.samples.offer(VehicleStatus(stamp, True, "flying", 0.8, False, True))
+            self.samples.offer(Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3)))
+            self.samples.offer(BodyVelocity(stamp, self._v_level, np.diag([0.01, 0.01, UNKNOWN_VAR])))
+        if n % 4 == 3:
+            self.frames.offer(Frame(Stamp(MonoNs(now - 10_000_000), now, 0.001, "sim"), n, NO_PICTURE))
+
+
+async def fly(daemon: Daemon, vehicle: FakeFlight, clock: VirtualClock, seconds: float) -> list[tuple[int, str]]:
+    """The commands of that much flight. The daemon must still be alive at the end, and end well."""
+    task = asyncio.create_task(daemon.run())
+    await settled()
+    for n in range(round(seconds / TICK_S)):
+        await clock.pass_to(after(clock.now(), TICK_S))
+        vehicle.tick(n)
+        await settled()
+        while daemon.health.frames.total() < vehicle.frames.offered and not task.done():  # noqa: ASYNC110 (the thread of vision)
+            await asyncio.sleep(0)
+        await settled()
+    assert not task.done(), task.exception()
+    daemon.stop()
+    closing = asyncio.create_task(_pass(clock))
+    await task
+    closing.cancel()
+    assert vehicle.left == 1
+    return vehicle.commands
+
+
+async def _pass(clock: VirtualClock) -> None:
+    while True:
+        await clock.pass_to(after(clock.now(), TICK_S))
+        await asyncio.sleep(0.001)
