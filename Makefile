@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
-.PHONY: demo test test-image test-v4l2 lint bench pins
+.PHONY: demo test test-image test-v4l2 lint bench fuzz pins
 
 demo: $(VENV)/.runtime
 	$(BIN)/decklander demo
@@ -32,6 +32,10 @@ lint: $(VENV)/.dev
 bench: $(VENV)/.dev
 	@for bench in $(subst /,.,$(BENCHES)); do echo "== $$bench"; $(BIN)/python -m $$bench || exit 1; done
 
+# Every parser against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8. ONLY="pave at" for some targets, JOBS=1 for one core.
+fuzz: $(VENV)/.fuzz
+	$(BIN)/python -m fuzz $(if $(HOURS),--hours $(HOURS)) $(if $(SECONDS),--seconds $(SECONDS)) $(if $(JOBS),--jobs $(JOBS)) $(if $(ONLY),--only $(ONLY))
+
 $(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt | $(BIN)/python
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip --upgrade >/dev/null
 	$(PIP) install --require-hashes -r requirements/build.txt -r requirements/runtime.txt
@@ -40,6 +44,12 @@ $(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt
 
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.runtime
 	$(PIP) install --require-hashes -r requirements/dev.txt
+	@touch $@
+
+$(VENV)/.fuzz: requirements/fuzz.txt $(VENV)/.dev
+	@$(BIN)/python -c 'import sys, platform as p; sys.exit(not ((3, 11) <= sys.version_info < (3, 14) and p.machine() == "x86_64" and p.system() == "Linux"))' || \
+	  { echo "atheris, the fuzzer, has wheels for Python 3.11 to 3.13 on x86-64 Linux, and this is another; see 'make PYTHON=...'" >&2; exit 1; }
+	$(PIP) install --require-hashes -r requirements/fuzz.txt
 	@touch $@
 
 $(BIN)/python:
@@ -57,3 +67,4 @@ pins:
 	$(PIN) --only-build-deps --build-deps-for=editable -o requirements/build.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt --constraint requirements/runtime.txt --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in

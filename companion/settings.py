@@ -104,7 +104,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     except UnicodeDecodeError as why:
         raise BadInput(f"{path}: not UTF-8 text (byte {why.start})") from why
-    except (tomllib.TOMLDecodeError, RecursionError) as why:
+    except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
         raise BadInput(f"{path}: not valid TOML: {why}") from why
 
 
@@ -128,8 +128,9 @@ def find_file(text: str, folder: str, base: Path, what: str) -> Path:
     try:
         path = base / text
         exists = path.exists()
-    except OSError as why:
-        raise BadInput(f"{what}: not a usable file name {text[:60]!r}: {why.strerror}") from why
+    except (OSError, ValueError) as why:
+        reason = getattr(why, "strerror", None) or why
+        raise BadInput(f"{what}: not a usable file name {text[:60]!r}: {reason}") from why
     if exists:
         return path
     near = difflib.get_close_matches(text, shipped(folder), n=1)

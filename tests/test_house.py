@@ -273,11 +273,19 @@ def test_what_is_imported_is_declared() -> None:
     undeclared = set()
     for path in files():
         if path.suffix == ".py":
-            declared = runtime if path.relative_to(ROOT).parts[0] in PACKAGES else dev
+            top = path.relative_to(ROOT).parts[0]
+            declared = runtime if top in PACKAGES else dev | extra(top)
             tops = {name.partition(".")[0] for name in imports(ast.parse(path.read_text()))}
-            ours = {*PACKAGES, "configs", "tests", "benches"}
+            ours = {*PACKAGES, "configs", "tests", "benches", "fuzz"}
             undeclared |= {(str(path.relative_to(ROOT)), top) for top in tops - sys.stdlib_module_names - declared - ours}
     assert undeclared == set()
+
+
+def extra(folder: str) -> set[str]:
+    """Distributions that one folder of tools has to itself: `requirements/<folder>.in`."""
+    path = ROOT / f"requirements/{folder}.in"
+    lines = path.read_text().splitlines() if path.exists() else []
+    return {bare_name(line) for line in lines if line and not line.startswith("#")}
 
 
 def bare_name(requirement: str) -> str:
@@ -287,6 +295,7 @@ def bare_name(requirement: str) -> str:
 def test_every_dependency_is_pinned_by_version_and_hash() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = {"runtime": project["dependencies"], "dev": project["dependencies"] + project["optional-dependencies"]["dev"]}
+    wanted |= {path.stem: sorted(extra(path.stem)) for path in (ROOT / "requirements").glob("*.in")}
     for name, requirements in wanted.items():
         text = (ROOT / f"requirements/{name}.txt").read_text()
         pinned = dict(re.findall(r"^([a-z0-9._-]+)==(\S+) \\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,8 +10,14 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, Transform
+from estimator.vision.file_numbers import finite, shown
 
 _KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion", "p_body_cam_m", "rpy_body_cam_deg"}
+_LARGEST_PX = 16_384
+"""Of a side; an image of that size squared is the largest that anything here could hold in memory."""
+_FOCAL_PX = 1.0, 1e6
+_DISTORTION_MAX = 1e3
+_MOUNT_MAX_M = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,8 +47,18 @@ class Camera:
             raise ValueError(f"distortion needs five finite numbers k1, k2, p1, p2, k3, got {self.distortion!r}")
         if self.width < 16 or self.height < 16:
             raise ValueError(f"a picture of {self.width}x{self.height} px is too small")
-        if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx + self.fy + self.cx + self.cy)):
-            raise ValueError("fx and fy must be positive and cx, cy finite")
+        if max(self.width, self.height) > _LARGEST_PX:
+            raise ValueError(f"a picture of {self.width}x{self.height} px is too large; at most {_LARGEST_PX} px a side are read")
+        if not (_FOCAL_PX[0] <= self.fx <= _FOCAL_PX[1] and _FOCAL_PX[0] <= self.fy <= _FOCAL_PX[1]):
+            raise ValueError(f"fx and fy must lie in {_FOCAL_PX[0]:g}..{_FOCAL_PX[1]:g} px, got {self.fx!r} and {self.fy!r}")
+        if not (abs(self.cx) <= _FOCAL_PX[1] and abs(self.cy) <= _FOCAL_PX[1]):
+            raise ValueError(
+                f"cx and cy must be within {_FOCAL_PX[1]:g} px of the picture's corner, got {self.cx!r}, {self.cy!r}"
+            )
+        if np.max(np.abs(self.T_body_cam.t)) > _MOUNT_MAX_M:
+            raise ValueError(f"a camera cannot be mounted more than {_MOUNT_MAX_M:g} m from the body's origin")
+        if np.max(np.abs(d)) > _DISTORTION_MAX:
+            raise ValueError(f"distortion of more than {_DISTORTION_MAX:g} is no lens, got {d.tolist()}")
         d.setflags(write=False)
         object.__setattr__(self, "distortion", d)
         object.__setattr__(self, "distorted", bool(np.any(d != 0.0)))
@@ -63,22 +78,22 @@ class Camera:
             raise BadInput(f"{where}: key {missing[0]!r} is missing")
 
         def number(key: str) -> float:
-            value = data[key]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise BadInput(f"{where}: {key} must be a finite number, got {value!r}")
-            return float(value)
+            found = finite(data[key])
+            if found is None:
+                raise BadInput(f"{where}: {key} must be a finite number, got {shown(data[key])}")
+            return found
 
         def vector(key: str, n: int) -> F64:
             value = data.get(key, [0.0] * n)
-            ok = isinstance(value, list) and len(value) == n and all(type(v) in (int, float) for v in value)
-            if not ok or not np.all(np.isfinite(value)):
-                raise BadInput(f"{where}: {key} must be a list of {n} finite numbers, got {value!r}")
-            return np.array(value, dtype=float)
+            found = [finite(v) for v in value] if isinstance(value, list) and len(value) == n else [None]
+            if None in found:
+                raise BadInput(f"{where}: {key} must be a list of {n} finite numbers, got {shown(value)}")
+            return np.array(found, dtype=float)
 
         roll, pitch, yaw = np.radians(vector("rpy_body_cam_deg", 3))
         for key in ("width", "height"):
             if not isinstance(data[key], int) or isinstance(data[key], bool):
-                raise BadInput(f"{where}: {key} must be a whole number of pixels, got {data[key]!r}")
+                raise BadInput(f"{where}: {key} must be a whole number of pixels, got {shown(data[key])}")
         try:
             return Camera(
                 data["width"], data["height"], number("fx"), number("fy"), number("cx"), number("cy"),

@@ -11,6 +11,10 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
+from estimator.vision.file_numbers import finite, shown
+
+LARGEST_M = 20.0
+"""Radius of a disc, at most: its edges are points a few millimetres apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,8 @@ class Pad:
                 v = getattr(self, f.name)
                 if not math.isfinite(v) or v < 0 or (v == 0 and f.name != "rim_width_m"):
                     raise ValueError(f"{f.name} must be a positive length in metres, got {v!r}")
+        if self.disc_radius_m > LARGEST_M or max(self.arrow_half_base_m, self.arrow_depth_m) > self.disc_radius_m:
+            raise ValueError(f"disc_radius_m is at most {LARGEST_M:g}, and the arrow lies inside the disc")
         if not self.ring_inner_m < self.ring_outer_m < self.arrow_tip_m < self.disc_radius_m - self.rim_width_m:
             raise ValueError("ring_inner_m < ring_outer_m < arrow_tip_m < disc_radius_m - rim_width_m must hold")
         if math.hypot(self.h_length_m, self.h_width_m) / 2 >= self.ring_inner_m:
@@ -78,11 +84,12 @@ class Pad:
         values: dict[str, Any] = {"rim_width_m": 0.0}
         for key, value in data.items():
             if key.endswith("_m"):
-                if isinstance(value, bool) or not isinstance(value, int | float):
-                    raise BadInput(f"{where}: {key} must be a length in metres, got {value!r}")
-                values[key] = float(value)
+                found = finite(value)
+                if found is None:
+                    raise BadInput(f"{where}: {key} must be a length in metres, got {shown(value)}")
+                values[key] = found
         if not isinstance(data["name"], str):
-            raise BadInput(f"{where}: name must be text, got {data['name']!r}")
+            raise BadInput(f"{where}: name must be text, got {shown(data['name'])}")
         values["name"] = data["name"]
         values["colours"] = _colours(data["colours"], where)
         try:
@@ -134,6 +141,6 @@ def _colours(data: object, where: str) -> Colours:
             raise BadInput(f"{where}: key colours.{key} is missing")
         rgb = data[key]
         if not isinstance(rgb, list) or len(rgb) != 3 or not all(type(c) is int and 0 <= c <= 255 for c in rgb):
-            raise BadInput(f"{where}: colours.{key} must be three whole numbers 0..255 (red, green, blue), got {rgb!r}")
+            raise BadInput(f"{where}: colours.{key} must be three whole numbers 0..255 (red, green, blue), got {shown(rgb)}")
         out[key] = (rgb[0], rgb[1], rgb[2])
     return Colours(out["disc"], out["ring"], out["h"], out.get("rim"))

@@ -1,0 +1,126 @@
+"""All targets in turn, the time split between them: `python -m fuzz --seconds 60`, or `make fuzz HOURS=8`.
+
+Prints what each executed, the code it reached and what broke, and exits with 1 when anything did. The corpus grows in `.fuzz/`
+from run to run; crashers are kept in `.fuzz/crashes`. An input that is worth keeping goes to `fuzz/corpus/<target>/`, which the
+test suite replays.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from fuzz.target import MODULES
+
+WORK = Path(".fuzz")
+_PROGRESS = re.compile(r"#(\d+)\s.*\bcov: (\d+) ft: (\d+) corp: (\d+)")
+_EXECUTED = re.compile(r"stat::number_of_executed_units:\s*(\d+)")
+_NATIVE = re.compile(r"ERROR: libFuzzer: (.*)")
+_GRACE_S = 60.0
+"""A process that goes on for longer than this after its time is ended: it hangs where no alarm reaches it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What one target did."""
+
+    name: str
+    executions: int
+    edges: int
+    features: int
+    corpus: int
+    seconds: float
+    faults: tuple[str, ...]
+
+    def line(self) -> str:
+        """One row of the table."""
+        faults = f"{len(self.faults)} FAULTS" if self.faults else "-"
+        counts = f"{self.executions:>10} {self.edges:>6} {self.features:>8} {self.corpus:>7}"
+        return f"{self.name:<18} {counts} {self.seconds:>7.0f}  {faults}"
+
+
+HEAD = f"{'target':<18} {'executions':>10} {'edges':>6} {'features':>8} {'corpus':>7} {'seconds':>7}  faults"
+
+
+def run_target(name: str, seconds: float, work: Path) -> Result:
+    """One target for so long, its start included."""
+    crashes = work / "crashes"
+    began, began_wall = time.monotonic(), time.time()
+    command = [
+        sys.executable, "-m", "fuzz.one", name, "--until", str(began + seconds), "--work", str(work / "corpus" / name),
+        "--crashes", str(crashes),
+    ]  # fmt: skip
+    executions = edges = features = corpus = 0
+    tail: list[str] = []
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, env=_environment()) as process:
+        assert process.stderr is not None
+        for raw in process.stderr:
+            text = raw.decode("utf-8", "replace").rstrip()
+            if found := _PROGRESS.match(text):
+                executions, edges, features, corpus = (int(n) for n in found.groups())
+            elif found := _EXECUTED.match(text):
+                executions = int(found[1])
+            elif not text.startswith(("Corrupt JPEG", "Premature end")):
+                tail = [*tail[-30:], text]
+            if time.monotonic() - began > seconds + _GRACE_S:
+                process.kill()
+    faults = [path.read_text(encoding="utf-8").partition("\n")[0] for path in _new(crashes, f"{name}-*.txt", began_wall)]
+    if process.returncode != 0:
+        native = next((found[1] for line in tail if (found := _NATIVE.search(line))), f"exit code {process.returncode}")
+        faults.append(f"{name}: {native}")
+        crashes.mkdir(parents=True, exist_ok=True)
+        (crashes / f"{name}-last-words.log").write_text("\n".join(tail) + "\n")
+    return Result(name, executions, edges, features, corpus, time.monotonic() - began, tuple(faults))
+
+
+def _environment() -> dict[str, str]:
+    """One thread for numpy and OpenCV: two targets that fight for the cores are slower than one."""
+    return {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+def _new(folder: Path, pattern: str, since: float) -> Iterator[Path]:
+    return (path for path in sorted(folder.glob(pattern)) if path.stat().st_mtime >= since - 1.0)
+
+
+def run(names: Sequence[str], seconds: float, jobs: int, work: Path) -> int:
+    """Every target, `jobs` at a time; the exit code."""
+    each = seconds * min(jobs, len(names)) / len(names)
+    print(f"{len(names)} targets, {each:.0f} s each, {jobs} at a time\n{HEAD}", flush=True)
+    results = []
+    with ThreadPoolExecutor(jobs) as pool:
+        for result in pool.map(lambda name: run_target(name, each, work), names):
+            print(result.line(), flush=True)
+            results.append(result)
+    faults = [fault for result in results for fault in result.faults]
+    total, cpu_s = sum(r.executions for r in results), sum(r.seconds for r in results)
+    print(f"{total} executions, {sum(r.edges for r in results)} edges, {len(faults)} faults, {cpu_s:.0f} s of processes")
+    for fault in faults:
+        print(f"  {fault}")
+    if faults:
+        print(f"inputs and tracebacks: {work / 'crashes'}")
+    return 1 if faults or not all(r.executions for r in results) else 0
+
+
+def main() -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(prog="python -m fuzz", description="Fuzz every parser, the time split between them.")
+    parser.add_argument("--seconds", type=float, default=0.0)
+    parser.add_argument("--hours", type=float, default=0.0)
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
+    parser.add_argument("--only", nargs="+", choices=sorted(MODULES), metavar="TARGET", help=f"of {', '.join(MODULES)}")
+    parser.add_argument("--work", type=Path, default=WORK)
+    args = parser.parse_args()
+    seconds = args.seconds + 3600.0 * args.hours
+    return run(args.only or list(MODULES), seconds or 60.0, max(1, args.jobs), args.work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

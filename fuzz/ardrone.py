@@ -1,0 +1,242 @@
+"""Everything an AR.Drone says to us, and everything a client says to the simulated one."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from functools import cache
+from unittest.mock import patch
+
+import av
+import numpy as np
+
+from companion.pilot import Pilot
+from companion.service import make_pilot
+from companion.settings import load
+from drivers.ardrone import at, control, navdata
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.navdata_channel import NavdataChannel
+from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.pave import FrameType, PaveHeader, PaveParser
+from drivers.ardrone.refusal import Refusal
+from drivers.ardrone.video import VideoDecoder
+from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs
+from fuzz.target import Choices, Target, block
+from sitl.ardrone.config import Configuration
+from sitl.ardrone.drone import Drone
+from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.state import DroneState
+from sitl.ardrone.video import Encoder
+from sitl.autopilots.lock_step import LockStepClock
+from sitl.scenario import load as load_scenario
+from sitl.world import Phase, World
+
+_START = MonoNs(1_000_000_000_000)
+_CHECKSUM_BYTES = 8
+
+
+def run_navdata(data: bytes) -> None:
+    """Datagrams through the channel into the pilot: counted or taken, whatever they hold; the checksum is put right."""
+    choices = Choices(data)
+    clock, counters = LockStepClock(_START), Counters()
+    pilot = _pilot()
+
+    def received(_: navdata.Navdata, samples: list[Sample], heard: MonoNs) -> None:
+        for sample in samples:
+            pilot.hear(sample)
+        pilot.decide(heard)
+
+    channel = NavdataChannel(ArDroneOptions(), clock, counters, received, lambda: None)
+    while choices:
+        how, datagram = choices.number(1), choices.block()
+        clock.advance((how >> 1) * 1e-3)
+        channel.take(_checked(datagram) if how & 1 else datagram, clock.now())
+        found = navdata.decode(datagram)
+        if not isinstance(found, Refusal) and found.options and not found.skipped:
+            assert not isinstance(navdata.decode(navdata.encode(found)), Refusal)
+
+
+def _checked(datagram: bytes) -> bytes:
+    body = datagram[:-_CHECKSUM_BYTES]
+    return body + struct.pack("<HHI", navdata.CHECKSUM_TAG, _CHECKSUM_BYTES, sum(body) & 0xFFFFFFFF)
+
+
+@cache
+def _settings_of_pilot() -> Pilot:
+    return make_pilot(load("sim"))
+
+
+def _pilot() -> Pilot:
+    made = _settings_of_pilot()
+    return Pilot(made._eyes, made._memory.options, made._plan, made._gains, land_timeout_s=10.0)
+
+
+def navdata_seeds() -> Iterator[bytes]:
+    """Of the simulated drone: the bootstrap's, demo's and full navdata, standing and flying."""
+    for full in (False, True):
+        drone = _drone()
+        commands = [at.Config("general:navdata_demo", "FALSE" if full else "TRUE"), at.Ctrl(at.CTRL_ACK, 0)]
+        datagrams = [navdata.encode(drone.navdata())]
+        drone.take(b"".join(at.encode(i + 1, c) for i, c in enumerate(commands)), _START)
+        for tick in range(1, 4):
+            drone.tick(MonoNs(_START + tick * 5_000_000))
+            datagrams.append(navdata.encode(drone.navdata()))
+        yield b"".join(b"\x0b" + block(d) for d in datagrams)
+        yield b"\x00" + block(datagrams[-1])
+
+
+@cache
+def _world_of() -> World:
+    return World(load_scenario("calm"), 1, _START)
+
+
+def _drone() -> Drone:
+    return Drone(_world_of(), DroneClock(_START, 0.0))
+
+
+def run_pave(data: bytes) -> None:
+    """A stream in pieces: never an error, what it holds back is bounded, and the decoder may say anything of each frame."""
+    choices = Choices(data)
+    parser, decoder = PaveParser(), VideoDecoder()
+    with patch("drivers.ardrone.video._new_codec", lambda: _AnyCodec(choices)):
+        fed = units = 0
+        while choices:
+            piece = choices.block()
+            fed += len(piece)
+            batch = parser.feed(piece)
+            assert all(len(unit.payload) <= fed for unit in batch)
+            units += len(batch)
+            decoder.newest(batch)
+    assert parser.skipped_bytes + parser.pending <= fed
+    assert decoder.units == units
+
+
+class _AnyCodec:
+    """A decoder of H.264 that answers as the input says: pictures of any size, several, none, or an error."""
+
+    def __init__(self, choices: Choices) -> None:
+        self._choices = choices
+
+    def decode(self, packet: object) -> list[object]:
+        answer = self._choices.number(1)
+        if answer & 0xC0 == 0xC0:
+            raise av.error.InvalidDataError(1094995529, "invalid data")
+        width, height = (64, 48) if not answer & 0x30 else (2 * self._choices.number(1) + 2, 2)
+        return [av.VideoFrame(width, height, "yuv420p") for _ in range(answer & 3)]
+
+
+def _unit(number: int, payload: bytes, kind: int, size: int, width: int = 64, height: int = 48) -> bytes:
+    header = PaveHeader(
+        len(payload), number, 33 * number, kind, header_size=size,
+        display_width=width, display_height=height, encoded_width=width, encoded_height=height,
+    )  # fmt: skip
+    return header.pack() + payload
+
+
+def pave_seeds() -> Iterator[bytes]:
+    """Frames with each size of header, whole, in pieces, and with rubbish between them."""
+    units = [_unit(n, bytes(range(20 + n)), FrameType.IDR if n % 3 == 0 else FrameType.P, (64, 68, 76)[n % 3]) for n in range(6)]
+    stream = b"".join(units)
+    yield block(stream) + b"\x01" * 8
+    yield b"".join(block(stream[i : i + 50]) + b"\x01" for i in range(0, len(stream), 50))
+    yield block(units[0] + b"PaVrubbishPaVE" + units[3]) + b"\x01\x11\x20\xc0"
+
+
+def run_video(data: bytes) -> None:
+    """A stream through the true decoder: damaged pictures are counted, whatever the access unit holds."""
+    parser, decoder = PaveParser(), VideoDecoder()
+    batch = parser.feed(data)
+    for unit in batch:
+        picture = decoder.newest([unit])
+        assert picture is None or picture.px.shape == (unit.header.display_height, unit.header.display_width, 3)
+    assert decoder.units == len(batch)
+
+
+def video_seeds() -> Iterator[bytes]:
+    """Two encoded pictures of 64 by 48 pixels."""
+    encoder, rng = Encoder(64, 48, 30.0, 1000.0), np.random.default_rng(1)
+    units = [encoder.encode(np.full((48, 64, 3), 90, np.uint8) + rng.integers(0, 9, (48, 64, 3), np.uint8)) for _ in range(2)]
+    kinds = [FrameType.IDR if unit.idr else FrameType.P for unit in units]
+    yield b"".join(_unit(n, unit.data, kind, 68) for n, (unit, kind) in enumerate(zip(units, kinds, strict=True)))
+
+
+def run_control(data: bytes) -> None:
+    """The drone's configuration as text: what is read can be written and read again."""
+    pairs = control.parse(data)
+    for value in pairs.values():
+        control.boolean(value)
+        number, vector = control.number(value), control.vector(value)
+        assert number is None or np.isfinite(number)
+        assert vector is None or np.all(np.isfinite(vector))
+    again = control.parse(control.render(pairs))
+    assert again == pairs
+
+
+def control_seeds() -> Iterator[bytes]:
+    """The simulated drone's own answer."""
+    yield control.render(dict(list(Configuration().dump().items())[::6]))
+    yield control.render(Configuration().dump())
+
+
+def run_at(data: bytes) -> None:
+    """Datagrams of commands at the simulated drone, time between them: obeyed or counted, and its answers can be made."""
+    choices = Choices(data)
+    drone, now = _drone(), _START
+    phases = tuple(Phase)
+    state = DroneState()
+    while choices:
+        how, datagram = choices.number(1), choices.block()
+        now = MonoNs(now + (how >> 3) * 100_000_000)
+        phase = phases[(how & 7) % len(phases)]
+        tuple(state.take(datagram, now, phase))
+        tuple(state.tick(now, phase))
+        state.word(phase, False, False)
+        state.config.custom_ids()
+        drone.state.config = state.config
+        navdata.encode(drone.navdata())
+        for item in at.decode(datagram):
+            if not isinstance(item, Refusal):
+                assert at.decode(at.encode(*item)) == [item]
+    assert control.parse(control.render(state.config.dump())) == state.config.dump()
+
+
+def at_seeds() -> Iterator[bytes]:
+    """A start, a flight, configurations of several users, and each command once."""
+    ids = at.ConfigIds("dec1a4de", "dec1a4d1", "dec1a4d0")
+    start = [at.Pmode(2), at.Misc(), at.Config("custom:session_id", "dec1a4de"), ids, at.Config("video:codec_fps", "30")]
+    flight = [
+        at.Ftrim(),
+        at.Ref(at.REF_BASE | at.REF_TAKE_OFF),
+        at.Pcmd(1, 0.1, -0.2, 0.3, -1.0),
+        at.ComWdg(),
+        at.Ref(at.REF_BASE),
+    ]
+    others = [
+        at.PcmdMag(1, 0.0, 0.0, 0.0, 0.0, 0.5, 0.1),
+        at.Calib(0),
+        at.Ctrl(4, 0),
+        at.Ctrl(5, None),
+        at.Led(1, 2.0, 3),
+        at.Anim(1, 100),
+    ]
+    limits = [
+        ids,
+        at.Config("control:euler_angle_max", "0.25"),
+        ids,
+        at.Config("custom:session_id", "-all"),
+        at.Config("leds:leds_anim", "1,1073741824,2"),
+    ]
+    rows = [b"".join(at.encode(i + 1, command) for i, command in enumerate(row)) for row in (start, flight, others, limits)]
+    yield b"".join(b"\x0a" + block(row) for row in rows)
+    for row in rows:
+        yield b"\x03" + block(row)
+
+
+TARGETS = {
+    "navdata": Target(run_navdata, navdata_seeds, 8192),
+    "pave": Target(run_pave, pave_seeds),
+    "video": Target(run_video, video_seeds, 8192),
+    "control": Target(run_control, control_seeds, 8192),
+    "at": Target(run_at, at_seeds),
+}

@@ -1,0 +1,54 @@
+"""What a run found: each fault once, with the shortest input that shows it."""
+
+from __future__ import annotations
+
+import hashlib
+import traceback
+from dataclasses import dataclass, field
+from pathlib import Path
+
+_LONGEST = 20_000
+"""Characters of an input's repr and of a traceback that are written down."""
+
+
+def innermost(why: BaseException) -> BaseException:
+    """The first error that is no group."""
+    while isinstance(why, BaseExceptionGroup):
+        why = why.exceptions[0]
+    return why
+
+
+def signature(why: BaseException, root: Path) -> str:
+    """The error's kind and the innermost line of ours that it came through: what makes two crashes the same."""
+    inner = innermost(why)
+    ours = [frame for frame in traceback.extract_tb(inner.__traceback__) if Path(frame.filename).is_relative_to(root)]
+    ours = [frame for frame in ours if ".venv" not in frame.filename] or ours
+    where = f"{Path(ours[-1].filename).relative_to(root)}:{ours[-1].lineno}" if ours else "nowhere"
+    return f"{type(inner).__name__} at {where}"
+
+
+@dataclass(slots=True)
+class Finds:
+    """Writes each new fault to `folder` as `<target>-<hash>.bin` and `.txt`; a shorter input replaces a longer one.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+
+    target: str
+    folder: Path
+    root: Path
+    lengths: dict[str, int] = field(default_factory=dict)
+
+    def note(self, data: bytes, why: BaseException) -> None:
+        """One input that broke the contract."""
+        said = signature(why, self.root)
+        if len(data) >= self.lengths.get(said, len(data) + 1):
+            return
+        self.lengths[said] = len(data)
+        stem = f"{self.target}-{hashlib.sha256(said.encode()).hexdigest()[:8]}"
+        self.folder.mkdir(parents=True, exist_ok=True)
+        (self.folder / f"{stem}.bin").write_bytes(data)
+        trace = "".join(traceback.format_exception(innermost(why)))
+        text = f"{self.target}: {said}\n\ninput ({len(data)} bytes): {data!r:.{_LONGEST}}\n\n{trace[-_LONGEST:]}"
+        (self.folder / f"{stem}.txt").write_text(text, encoding="utf-8", errors="backslashreplace")

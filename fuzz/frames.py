@@ -1,0 +1,138 @@
+"""Buffers of a camera as images, and any image through vision."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import msgspec
+import numpy as np
+
+from companion import rig
+from companion.settings import load
+from drivers.v4l2_formats import H264Decoder, Layout, to_bgr
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.eyes import Eyes, EyesMemory, see
+from estimator.vision.look import Look
+from fuzz.target import Choices, Target, block
+from sitl.ardrone.video import Encoder
+from sitl.scenario import load as load_scenario
+from sitl.world import World
+
+_FORMATS = ("MJPG", "YUYV", "NV12", "GREY")
+WIDTH, HEIGHT = 96, 72
+
+
+def run_v4l2(data: bytes) -> None:
+    """Buffers of any format and content: an image of the announced size, or none."""
+    choices = Choices(data)
+    how = choices.number(1)
+    width, height = 2 * (1 + choices.number(1) % 40), 2 * (1 + choices.number(1) % 40)
+    kind = _FORMATS[how % 4]
+    stride = {"MJPG": 0, "YUYV": 2 * width}.get(kind, width) + (choices.number(1) if kind != "MJPG" else 0)
+    layout, decoder = Layout(kind, width, height, stride), H264Decoder()
+    while choices:
+        buffer = choices.block()
+        px = decoder.decode(buffer, layout) if how & 0x80 else to_bgr(buffer, layout)
+        assert px is None or (px.shape == (height, width, 3) and px.dtype == np.uint8)
+
+
+def v4l2_seeds() -> Iterator[bytes]:
+    """A buffer of each format, whole and torn, and two encoded units."""
+    rng = np.random.default_rng(2)
+    image = rng.integers(0, 255, (24, 32, 3), np.uint8)
+    size = bytes([15, 11])
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    yield b"\0" + size + block(jpeg) + block(jpeg + bytes(9)) + block(jpeg[:100] + b"\xff\xd9")
+    yield b"\0" + size + block(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes())
+    for number, length in ((1, 2 * 32 * 24), (2, 32 * 36), (3, 32 * 24)):
+        yield bytes([number]) + size + b"\0" + block(bytes(length)) + block(bytes(length - 1))
+    encoder = Encoder(32, 24, 30.0, 1000.0)
+    yield b"\x80" + size + b"".join(block(encoder.encode(image).data) for _ in range(2))
+
+
+def run_vision(data: bytes) -> None:
+    """Any image, attitude and belief: an answer, and what is answered are numbers."""
+    choices = Choices(data)
+    how = choices.number(1)
+    t = Stamp(MonoNs(1_000_000_000), MonoNs(1_040_000_000), 0.001, "synced")
+    roll, pitch, height_m = ((choices.number(1) - 128) * 0.01 for _ in range(3))
+    attitude = Attitude(t, Rotation.from_rpy(roll, pitch, 0.3), np.diag([1e-4, 1e-4, 1e-2])) if how & 1 else None
+    belief = None
+    if how & 2:
+        d = np.array([(choices.number(1) - 128) * 0.01, 0.1, 0.05 + abs(height_m) * 4])
+        cov = np.eye(7) * 10.0 ** (choices.number(1) % 6 - 4)
+        belief = RelativeState(t.taken, "ekf", d, np.zeros(3), choices.number(1) * 0.02, cov, t.taken, True)
+    eyes, memory = _eyes("registration" if how & 4 else "fused"), EyesMemory()
+    for _ in range(1 + (how >> 3 & 1)):
+        seen, memory = see(eyes, memory, Frame(t, 1, _image(choices, how >> 4), 0.001), attitude, belief)
+        _check(seen)
+
+
+def _image(choices: Choices, how: int) -> np.ndarray:
+    """Bytes as they come, flat, tiled, noise, or a picture of the pad with bytes over a part of it."""
+    rest = choices.take(512 if how & 8 else 1 << 14)
+    if how & 7 < 5:
+        px = _views()[how & 3].copy()
+        if rest:
+            patch = np.resize(np.frombuffer(rest, np.uint8), (1 + len(rest) // 48, 16, 3))[:HEIGHT]
+            y, x = rest[0] % (HEIGHT - len(patch) + 1), rest[-1] % (WIDTH - 16)
+            px[y : y + len(patch), x : x + 16] = patch
+        return px
+    if how & 7 == 5:
+        return np.full((HEIGHT, WIDTH, 3), rest[:3].ljust(3, b"\0")[0], np.uint8)
+    if how & 7 == 6:
+        return np.resize(np.frombuffer(rest or b"\0", np.uint8), (HEIGHT, WIDTH, 3))
+    seed = int.from_bytes(rest[:4], "little")
+    return np.random.default_rng(seed).integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
+
+
+def _check(seen: Look) -> None:
+    for sighting in (seen.selected, *seen.methods.values()):
+        if sighting is not None:
+            assert np.all(np.isfinite(sighting.d_body_pad_level))
+            assert np.all(np.isfinite(sighting.cov))
+            assert 0.0 <= sighting.confidence <= 1.0
+
+
+@cache
+def _camera() -> Camera:
+    return Camera.from_mapping(
+        {"width": WIDTH, "height": HEIGHT, "fx": 56.0, "fy": 56.0, "cx": 47.5, "cy": 35.5, "distortion": [0.0] * 5,
+         "p_body_cam_m": [0.0, 0.0, 0.0], "rpy_body_cam_deg": [0.0, 0.0, 90.0]}
+    )  # fmt: skip
+
+
+@cache
+def _eyes(speaks: str) -> Eyes:
+    made = rig.eyes(load("sim"))
+    return replace(made, camera=_camera(), speaks="registration" if speaks == "registration" else "fused")
+
+
+@cache
+def _views() -> tuple[np.ndarray, ...]:
+    """The simulated camera's own pictures of the pad, from four heights, made small."""
+    scenario = load_scenario("calm")
+    out = []
+    for height_m in (0.6, 1.2, 2.5, 4.0):
+        start = msgspec.structs.replace(scenario.start, height_m=height_m)
+        px = World(msgspec.structs.replace(scenario, start=start), 1).render().px
+        out.append(np.ascontiguousarray(cv2.resize(px, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)))
+    return tuple(out)
+
+
+def vision_seeds() -> Iterator[bytes]:
+    """Views of the pad with and without attitude and belief, and images that show none."""
+    for how in range(16):
+        yield bytes([(how & 3) << 4 | how, 128 + how, 120, 150, 130, 3, 9]) + bytes(range(how * 16))
+    for kind in (5, 6, 7):
+        yield bytes([kind << 4 | 1, 128, 128, 150]) + bytes(range(1, 60))
+
+
+TARGETS = {"v4l2": Target(run_v4l2, v4l2_seeds, 8192), "vision": Target(run_vision, vision_seeds, 4096)}

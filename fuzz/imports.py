@@ -1,0 +1,129 @@
+"""Logs and captures of others that `replay` and `detect` are given."""
+
+from __future__ import annotations
+
+import struct
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from companion.cli import detect
+from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog
+from estimator.contracts.errors import BadInput
+from estimator.contracts.samples import Sample
+from fuzz import ardrone
+from fuzz.target import SHARED_MEMORY, Target, refused
+
+
+def reader(name: str, *reads: Callable[[Path], Iterable[object]]) -> Callable[[bytes], None]:
+    """A target for readers of files: refused in one line, or samples in order with stamps that are not before zero."""
+
+    def run(data: bytes) -> None:
+        with tempfile.TemporaryDirectory(dir=SHARED_MEMORY) as folder:
+            path = Path(folder) / name
+            path.write_bytes(data)
+            for read in reads:
+                try:
+                    found = list(read(path))
+                except BadInput as why:
+                    refused(why)
+                    continue
+                samples = [item for item in found if isinstance(item, Sample)]
+                heard = [sample.stamp.heard for sample in samples]
+                assert heard == sorted(heard)
+
+    return run
+
+
+def _tilts(path: Path) -> Iterable[object]:
+    return detect._attitudes(path, [Path("a.png")])
+
+
+def csv_seeds() -> Iterator[bytes]:
+    """Both kinds of table."""
+    yield b"time_s,roll_deg,pitch_deg,yaw_deg\n10.5,3,-4,90\n10.0,1,2,\n"
+    yield b"time_s,roll_deg,pitch_deg\n0,0,0\n0.1,1e3,-1e3\n"
+    yield b"source,roll_deg,pitch_deg\na.png,1,2\n"
+
+
+_FORMATS = {
+    "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
+    "IMU": (131, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "ATT": (132, "Qccccc", "TimeUS,DesRoll,Roll,DesPitch,Pitch,Yaw"),
+    "XKF1": (133, "QBfff", "TimeUS,C,VN,VE,VD"),
+    "BARO": (134, "QBf", "TimeUS,I,Alt"),
+    "RFND": (135, "QBfBB", "TimeUS,Instance,Dist,Stat,Orient"),
+    "EV": (136, "QB", "TimeUS,Id"),
+}
+_CODES = {"Q": "Q", "B": "B", "f": "f", "c": "h", "n": "4s", "N": "16s", "Z": "64s"}
+
+
+def _row(name: str, *values: object) -> bytes:
+    number, form, _ = _FORMATS[name]
+    return b"\xa3\x95" + bytes([number]) + struct.pack("<" + "".join(_CODES[c] for c in form), *values)
+
+
+def dataflash_seeds() -> Iterator[bytes]:
+    """A log of a moment: its formats, then one message of each that is read."""
+    log = b""
+    for name, (number, form, columns) in _FORMATS.items():
+        length = 3 + struct.calcsize("<" + "".join(_CODES[c] for c in form))
+        log += _row("FMT", number, length, name.encode(), form.encode(), columns.encode())
+    log += _row("IMU", 1000, 0, 0.0, 0.0, 0.1, 0.0, 0.0, -9.8) + _row("ATT", 1100, 0, 100, 0, -100, 9000)
+    log += _row("XKF1", 1200, 0, 1.0, 2.0, 3.0) + _row("BARO", 1300, 0, 10.0) + _row("RFND", 1400, 0, 2.0, 4, 25)
+    log += _row("EV", 1500, 28) + _row("IMU", 900, 0, np.nan, 0.0, 0.1, 0.0, 0.0, -9.8) + _row("EV", 1500, 18)
+    yield log
+    yield log[: len(log) * 2 // 3]
+
+
+def _ulog(kind: str, data: bytes) -> bytes:
+    return struct.pack("<HB", len(data), ord(kind)) + data
+
+
+def ulog_seeds() -> Iterator[bytes]:
+    """A log with one message of each topic that is read, with and without what lies around them."""
+    topics = {
+        "sensor_combined": ("float[3] gyro_rad;float[3] accelerometer_m_s2", struct.pack("<6f", 0, 0, 0.1, 0, 0, -9.8)),
+        "vehicle_attitude": ("float[4] q", struct.pack("<4f", 1, 0, 0, 0)),
+        "vehicle_local_position": (
+            "float vx;float vy;float vz;float evh;float evv;bool v_xy_valid;bool v_z_valid",
+            struct.pack("<5fBB", 1, 2, 3, 0.1, 0.1, 1, 1),
+        ),
+        "distance_sensor": (
+            "float min_distance;float max_distance;float current_distance;float variance", struct.pack("<4f", 0.1, 20, 3, 0.01)
+        ),
+        "vehicle_air_data": ("float baro_alt_meter", struct.pack("<f", 12)),
+        "vehicle_land_detected": ("bool landed", struct.pack("<B", 1)),
+    }  # fmt: skip
+    head = px4_ulog.MAGIC + b"\x01" + struct.pack("<Q", 1000)
+    formats = b"".join(_ulog("F", f"{name}:uint64_t timestamp;{fields};".encode()) for name, (fields, _) in topics.items())
+    adds = b"".join(_ulog("A", struct.pack("<BH", 0, i) + name.encode()) for i, name in enumerate(topics))
+    rows = b"".join(
+        _ulog("D", struct.pack("<HQ", i, 1000 * t + i) + values) for t in (1, 2) for i, (_, values) in enumerate(topics.values())
+    )
+    flags = _ulog("B", bytes(40))
+    around = (
+        _ulog("I", b"\x0dchar[3] ver_abc")
+        + _ulog("P", b"\x0bint32_t SYS" + struct.pack("<i", 1))
+        + _ulog("L", b"6" + bytes(8) + b"hello")
+    )
+    yield head + formats + adds + rows
+    yield head + flags + around + formats + adds + rows + _ulog("O", struct.pack("<H", 10)) + rows[:60]
+
+
+def capture_seeds() -> Iterator[bytes]:
+    """Navdata one after the other with rubbish between, and encoded video."""
+    datagrams = [seed[3:] for seed in ardrone.navdata_seeds() if seed[0] == 0]
+    yield b"\x00\x01".join(datagrams)
+    yield datagrams[0][:200] + datagrams[-1]
+    yield from ardrone.video_seeds()
+
+
+TARGETS = {
+    "attitude_csv": Target(reader("a.csv", attitude_csv.read, _tilts), csv_seeds, 1024),
+    "dataflash": Target(reader("log.bin", dataflash.read), dataflash_seeds),
+    "ulog": Target(reader("log.ulg", px4_ulog.read), ulog_seeds),
+    "ardrone_capture": Target(reader("x", ardrone_capture.samples, ardrone_capture.frames), capture_seeds, 8192),
+}

@@ -1,0 +1,73 @@
+"""Requests at the metrics port."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
+
+from companion.health import Health
+from companion.metrics.endpoint import MetricsEndpoint
+from companion.metrics.settings import MetricsSettings
+from drivers.clock import SystemClock
+from fuzz.target import Choices, Target, block
+
+_ANSWER_S = 10.0
+"""On a machine under load; whoever hangs up is answered in milliseconds."""
+
+
+def run_metrics(data: bytes) -> None:
+    """Bytes in pieces on one connection: answered or closed, and the endpoint lives on without a complaint."""
+    choices = Choices(data)
+    hang_up = bool(choices.number(1) & 1)
+    pieces = []
+    while choices:
+        pieces.append(choices.block())
+    asyncio.run(_ask(pieces, hang_up))
+
+
+async def _ask(pieces: list[bytes], hang_up: bool) -> None:
+    complaints: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda loop, context: complaints.append(context))
+    endpoint = MetricsEndpoint(MetricsSettings(endpoint="http", port=0), Health(SystemClock()))
+    task = asyncio.ensure_future(endpoint.run())
+    while endpoint.port is None and not task.done():  # noqa: ASYNC110
+        await asyncio.sleep(0)
+    with suppress(OSError):
+        await _converse(endpoint.port, pieces, hang_up)
+    assert not task.done(), "the endpoint has ended"
+    task.cancel()
+    with suppress(asyncio.CancelledError):
+        await task
+    assert not complaints, complaints
+
+
+async def _converse(port: int | None, pieces: list[bytes], hang_up: bool) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        for piece in pieces:
+            writer.write(piece)
+            await asyncio.sleep(0)
+        if hang_up:
+            return
+        writer.write_eof()
+        async with asyncio.timeout(_ANSWER_S):
+            await reader.read()
+    finally:
+        writer.close()
+        with suppress(OSError):
+            await writer.wait_closed()
+
+
+def metrics_seeds() -> Iterator[bytes]:
+    """A scrape, a question of health, one with a body, two on one connection, and no HTTP."""
+    head = b"Host: localhost\r\nUser-Agent: x\r\n\r\n"
+    yield b"\0" + block(b"GET /metrics HTTP/1.1\r\n" + head)
+    yield b"\0" + block(b"GET /health HTTP/1.0\r\n") + block(head)
+    yield b"\0" + block(b"POST /metrics HTTP/1.1\r\nContent-Length: 3\r\n" + head + b"abc" + b"GET /health HTTP/1.1\r\n" + head)
+    yield b"\1" + block(b"GET /metrics HTTP/1.1\r\nTransfer-Encoding: chunked\r\nHost: a\r\n\r\n5\r\nabcde\r\n0\r\n\r\n")
+    yield b"\0" + block(b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03")
+
+
+TARGETS = {"metrics": Target(run_metrics, metrics_seeds, 2048)}

@@ -1,0 +1,201 @@
+"""What a broker hands us: commands, other drones' messages for `decklander watch`, and the spool that a crash left behind."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+
+from companion.mqtt import messages, watch_view
+from companion.mqtt.commands import Desk
+from companion.mqtt.messages import (
+    Belief,
+    Event,
+    FlowReport,
+    Found,
+    HealthReport,
+    Order,
+    PartReport,
+    Reply,
+    Sighting,
+    StageReport,
+    State,
+    Status,
+    VehicleState,
+    encode,
+)
+from companion.mqtt.spool import Spool
+from companion.mqtt.topics import ROOT, Topics, split
+from companion.mqtt.watch_model import WatchModel
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName
+from estimator.contracts.time import MonoNs
+from fuzz.target import SHARED_MEMORY, Choices, Target, block
+
+SESSION = "0123456789ab"
+
+
+class _Operated:
+    """A pilot that does everything it is told, or nothing."""
+
+    def __init__(self, refusal: str | None) -> None:
+        self._refusal = refusal
+
+    def start(self) -> str | None:
+        return self._refusal
+
+    def pause(self) -> str | None:
+        return self._refusal
+
+    def abort(self) -> str | None:
+        return self._refusal
+
+    def steer_by(self, path: PathName) -> str | None:
+        return self._refusal
+
+    def record(self, on: bool) -> str | None:
+        return self._refusal
+
+
+def run_command(data: bytes) -> None:
+    """Payloads on the command topic: each is answered once, on a topic of ours, by a message that can be read."""
+    choices = Choices(data)
+    how = choices.number(1)
+    topics = Topics("drone")
+    desk = Desk(topics, SESSION, _Operated("not now" if how & 1 else None))
+    now, taken = MonoNs(1_000_000_000_000), 0
+    while choices:
+        how = choices.number(1)
+        reply_to = choices.block().decode("utf-8", "replace") if how & 2 else None
+        judged = desk.take(choices.block(), now, retained=bool(how & 1), reply_to=reply_to)
+        taken += 1
+        now = MonoNs(now + (how >> 2) * 1_000_000_000)
+        assert judged.topic.startswith(topics.reply)
+        assert messages.decode("reply", encode(judged.reply)) == judged.reply
+        assert not (judged.reply.accepted and how & 1 and not judged.repeated), "a retained command was carried out"
+    assert sum(desk.counts.values()) == taken
+
+
+def command_seeds() -> Iterator[bytes]:
+    """Each command; a repeated, a late, a retained one; one with another's topic."""
+    until = 1_000_000_000_000 + 20_000_000_000
+    usual = {"session": SESSION, "expires_ns": until}
+    rows = [
+        {"command": "start", "id": "1", **usual},
+        {"command": "pause", "id": "2", **usual, "reply_to": f"{ROOT}/drone/reply/me"},
+        {"command": "abort", "id": "3", **usual, "reply_to": "elsewhere"},
+        {"command": "path", "id": "4", **usual, "path": "dead_reckoning"},
+        {"command": "record", "id": "5", **usual, "on": True},
+        {"command": "start", "id": "1", **usual},
+    ]
+    yield b"\0" + b"".join(b"\x05" + block(msgspec.json.encode(row)) for row in rows)
+    for row in rows[:5]:
+        yield b"\1\0" + block(msgspec.json.encode(row))
+    yield b"\0\2" + block(b"decklander/v1/drone/reply/x") + block(msgspec.json.encode(rows[0])) + b"\0" + block(b'{"id": "9"}')
+
+
+def run_watch(data: bytes) -> None:
+    """Topics and payloads at `decklander watch`: taken or counted, and what is known can be drawn."""
+    choices = Choices(data)
+    model, now_s = WatchModel(), 0.0
+    while choices:
+        topic = choices.block().decode("utf-8", "replace")
+        now_s += choices.number(1) * 0.1
+        split(topic)
+        model.hear(topic, choices.block(), now_s)
+    _draw(model, now_s)
+
+
+def _draw(model: WatchModel, now_s: float) -> None:
+    watch_view.screen(model, now_s, 100, 40)
+
+
+def watch_seeds() -> Iterator[bytes]:
+    """One of each message of the drone, and numbers at the ends of what they may be."""
+    belief = Belief(
+        path="ekf", d_body_pad_level_m=(1.0, 2.0, 3.0), v_pad_level_m_s=(0.1, 0.0, 1e300), yaw_rad=None,
+        sigma_d_m=(0.1, 0.1, 0.1), sigma_v_m_s=(0.1, 0.1, 0.1), sigma_yaw_rad=3.0, sighted_age_s=0.1, consistent=True,
+    )  # fmt: skip
+    found = Found(d_body_pad_level_m=(1.0, 2.0, 3.0), yaw_rad=0.1, yaw_ambiguous=False, cov=(0.0,) * 16, confidence=0.9)
+    said = {
+        "status": Status(
+            session=SESSION, at_ns=1, online=True, reason="up", version="1", started_unix_s=1.7e9, started_ns=0
+        ),
+        "state": State(
+            session=SESSION, at_ns=2, phase="descend", belief=belief, shadows=(belief,),
+            order=Order(kind="velocity", v_level_m_s=(0.1, 0.2, 0.3)),
+            vehicle=VehicleState(mode="flying", flying=True, battery_fraction=0.5, emergency=False, link_ok=True, age_s=0.1),
+        ),
+        "sighting": Sighting(
+            session=SESSION, at_ns=3, taken_ns=2, sequence=1, verdict="fused", chosen="ellipse",
+            selected=found, methods={"ellipse": found},
+        ),
+        "health": HealthReport(
+            session=SESSION, at_ns=4, all_up=True, parts={"vehicle": PartReport(up=True, age_s=1.0, restarts=0, last_error="")},
+            flows={"Imu": FlowReport(count=1, age_s=None, rate_hz=200.0)}, frames={"fused": 3}, inputs={"ekf": {"fused": 2}},
+            stages={"vision": StageReport(count=1, p50_s=0.01, p99_s=None)}, counters={"mavlink": {"lost": 1.0}},
+        ),
+        "event": Event(
+            session=SESSION, at_ns=5, id="a", spool="s", sequence=7, kind="phase", text="descend",
+            data={"from": "x", "n": 1.0},
+        ),
+        "reply": Reply(session=SESSION, at_ns=6, id="1", accepted=False, reason="expired", text="late"),
+    }  # fmt: skip
+    rows = [block(f"{ROOT}/drone/{leaf}".encode()) + b"\1" + block(encode(message)) for leaf, message in said.items()]
+    yield b"".join(rows)
+    yield from rows
+
+
+def run_spool(data: bytes) -> None:
+    """A folder as a crash, a power cut or another program left it: read, added to and delivered, or refused in a line."""
+    choices = Choices(data)
+    folder = Path(tempfile.mkdtemp(dir=SHARED_MEMORY))
+    try:
+        for _ in range(choices.number(1) % 5):
+            how = choices.number(1)
+            name = (b"name", b"delivered", b"delivered.new", b"events-%020d.log" % choices.number(1), choices.block())[how % 5]
+            content = choices.block()
+            if how & 0x80:
+                content = b"".join(b"%08x %s\n" % (zlib.crc32(line), line) for line in content.split(b"\n"))
+            with suppress(OSError, ValueError):
+                (folder / name.decode("utf-8", "replace").replace("/", "_")).write_bytes(content)
+        with suppress(BadInput):
+            _use(Spool(folder, 1 + choices.number(2)), choices)
+            again = Spool(folder, 1 << 16)
+            again.peek(100)
+            again.close()
+    finally:
+        shutil.rmtree(folder)
+
+
+def _use(spool: Spool, choices: Choices) -> None:
+    for _ in range(8):
+        spool.append([choices.block().replace(b"\n", b" ")])
+        records = spool.peek(3)
+        numbers = [record.number for record in records]
+        assert numbers == sorted(set(numbers))
+        if records and choices.number(1) & 1:
+            spool.deliver(records[-1].number)
+        assert spool.waiting >= 0
+    spool.close()
+
+
+def spool_seeds() -> Iterator[bytes]:
+    """A spool of ours, with events waiting, and damaged ones."""
+    rows = b"\n".join(b'%d {"id": "%d"}' % (n, n) for n in range(1, 6))
+    lines = b"\x83\x01" + block(rows)
+    yield b"\x03" + b"\x00" + block(b"abcdef012345\n") + b"\x81" + block(b"3\n") + lines + b"\xff\x03" + block(b"{}") + b"\x01"
+    yield b"\x02" + lines + b"\x83\x06" + block(b"6 {}\n8 {}\n9 {}") + b"\x00\x01" + block(b"{}") * 3
+    yield b"\x01" + b"\x03\x01" + block(b"0000 1 torn\n")
+
+
+TARGETS = {
+    "mqtt_command": Target(run_command, command_seeds),
+    "mqtt_watch": Target(run_watch, watch_seeds),
+    "spool": Target(run_spool, spool_seeds),
+}

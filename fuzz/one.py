@@ -1,0 +1,62 @@
+"""One target under atheris, as a process of its own: `python -m fuzz.one NAME ...`, started by `python -m fuzz`.
+
+Errors that break the contract are written down and the run goes on, so that the first fault does not hide the rest. A crash in
+native code, a hang or too much memory end the process; libFuzzer leaves the input beside the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import atheris
+
+from fuzz import finds, target
+
+ROOT = Path(__file__).parents[1]
+OURS = ("companion", "drivers", "estimator", "sitl")
+_OTHERS = {"mcap_bytes": ("mcap",), "dataflash": ("pymavlink.DFReader",), "ulog": ("pyulog",)}
+"""Libraries in Python whose coverage leads the fuzzer through a format that they parse for us."""
+_HANG_S = 20
+_MEMORY_MB = 2500
+
+
+def main() -> None:
+    """Never returns: libFuzzer ends the process."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("name", choices=sorted(target.MODULES))
+    parser.add_argument("--until", type=float, required=True, help="instant of CLOCK_MONOTONIC, s")
+    parser.add_argument("--work", type=Path, required=True, help="folder of the growing corpus")
+    parser.add_argument("--crashes", type=Path, required=True)
+    args = parser.parse_args()
+    logging.disable(logging.CRITICAL)
+    warnings.simplefilter("ignore")
+    with atheris.instrument_imports(include=[*OURS, *_OTHERS.get(args.name, ())]):
+        chosen = target.target(args.name)
+    found = finds.Finds(args.name, args.crashes, ROOT)
+
+    def one(data: bytes) -> None:
+        try:
+            chosen.run(data)
+        except (Exception, SystemExit, BaseExceptionGroup) as why:
+            found.note(data, why)
+
+    one(b"")
+    args.work.mkdir(parents=True, exist_ok=True)
+    args.crashes.mkdir(parents=True, exist_ok=True)
+    left_s = max(1, round(args.until - time.monotonic()))
+    options = [
+        sys.argv[0], str(args.work), str(target.CORPUS / args.name), f"-max_total_time={left_s}", f"-max_len={chosen.max_len}",
+        f"-timeout={_HANG_S}", f"-rss_limit_mb={_MEMORY_MB}", "-print_final_stats=1",
+        f"-artifact_prefix={args.crashes}/{args.name}-",
+    ]  # fmt: skip
+    atheris.Setup(options, one, internal_libfuzzer=True)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""Recordings that `replay` and `report` are given: MCAP files of any bytes, and well-formed ones with any messages."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+
+from companion.pilot import Pilot
+from companion.recorder import channels
+from companion.recorder.reading import CAMERA, PAD, SETTINGS, RecordedFrame, open_recording
+from companion.replay.engine import Replay
+from companion.service import make_pilot
+from companion.settings import load
+from estimator.contracts.errors import BadInput
+from fuzz.target import SHARED_MEMORY, Choices, Target, block
+
+TOPICS = tuple(channels.TOPICS)
+GOLDEN = Path(__file__).parents[1] / "tests/golden/approach.mcap"
+_SHORT = 1500
+
+
+def run_bytes(data: bytes) -> None:
+    """A file of any content: refused in one line, or read up to its first damage."""
+    with tempfile.TemporaryDirectory(dir=SHARED_MEMORY) as folder:
+        path = Path(folder) / "fuzz.mcap"
+        path.write_bytes(data)
+        _read(path)
+
+
+def run_messages(data: bytes) -> None:
+    """Messages of any content in a whole file: understood or counted as skipped, and replayed to the end."""
+    choices = Choices(data)
+    attachments: dict[str, bytes] = {}
+    how = choices.number(1)
+    for bit, name in enumerate((SETTINGS, CAMERA, PAD)):
+        if how >> bit & 1:
+            attachments[name] = choices.block()
+    rows: list[tuple[str, bytes]] = []
+    while choices:
+        rows.append((TOPICS[choices.number(1) % len(TOPICS)], choices.block()))
+    with tempfile.TemporaryDirectory(dir=SHARED_MEMORY) as folder:
+        path = Path(folder) / "fuzz.mcap"
+        write(path, rows, attachments)
+        _read(path)
+
+
+def write(path: Path, rows: list[tuple[str, bytes]], attachments: dict[str, bytes]) -> None:
+    """A small file: no compression, no index, one channel a topic."""
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE, index_types=IndexType.NONE, use_statistics=False)
+        writer.start(profile="", library="decklander")
+        for name, data in attachments.items():
+            writer.add_attachment(0, 0, name, "application/toml", data)
+        known = {topic: writer.register_channel(topic, "json", 0) for topic in {TOPICS[0], *(topic for topic, _ in rows)}}
+        for number, (topic, data) in enumerate(rows):
+            writer.add_message(known[topic], number, data, number, number)
+        writer.finish()
+
+
+def _read(path: Path) -> None:
+    try:
+        recording = open_recording([path])
+    except BadInput:
+        return
+    for ask in (recording.settings, recording.camera, recording.pad):
+        with suppress(BadInput):
+            ask()
+    read = 0
+    for event in recording.events():
+        read += 1
+        if isinstance(event, RecordedFrame):
+            event.frame()
+    assert sum(recording.counts.values()) >= read
+    with suppress(BadInput):
+        Replay(recording, _pilot(), sightings=True).run()
+
+
+@cache
+def _pilot_of() -> Pilot:
+    return make_pilot(load("sim"))
+
+
+def _pilot() -> Pilot:
+    made = _pilot_of()
+    return Pilot(made._eyes, made._memory.options, made._plan, made._gains, land_timeout_s=10.0)
+
+
+@cache
+def _rows() -> tuple[tuple[str, bytes], ...]:
+    """The first short message of each topic of a recording that the repository keeps."""
+    found: dict[str, bytes] = {}
+    for _, channel, message in make_reader(GOLDEN.open("rb")).iter_messages():
+        if channel.topic in TOPICS and len(message.data) < _SHORT:
+            found.setdefault(channel.topic, message.data)
+    return tuple(found.items())
+
+
+def bytes_seeds() -> Iterator[bytes]:
+    """Whole small files, with and without checksums and compression."""
+    with tempfile.TemporaryDirectory(dir=SHARED_MEMORY) as folder:
+        path = Path(folder) / "seed.mcap"
+        write(path, list(_rows()), {})
+        yield path.read_bytes()
+        for compression in (CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4):
+            with path.open("wb") as file:
+                writer = Writer(file, compression=compression, enable_crcs=False, enable_data_crcs=False)
+                writer.start(profile="", library="decklander")
+                topic, data = _rows()[0]
+                writer.add_message(writer.register_channel(topic, "json", 0), 1, data, 1, 1)
+                writer.finish()
+            yield path.read_bytes()
+
+
+def messages_seeds() -> Iterator[bytes]:
+    """Every sample, a look, and the shipped settings, camera and pad attached."""
+    rows = b"".join(bytes([TOPICS.index(topic)]) + block(data) for topic, data in _rows())
+    camera = b"width = 640\nheight = 360\nfx = 374.67\nfy = 374.67\ncx = 319.5\ncy = 179.5\n"
+    yield b"\0" + rows
+    yield b"\3" + block(b'[vehicle]\nkind = "ardrone"\n') + block(camera) + rows
+    for topic, data in _rows():
+        yield b"\0" + bytes([TOPICS.index(topic)]) + block(data)
+
+
+TARGETS = {
+    "mcap_bytes": Target(run_bytes, bytes_seeds),
+    "mcap_messages": Target(run_messages, messages_seeds),
+}

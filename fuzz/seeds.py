@@ -1,0 +1,25 @@
+"""Writes the seeds of every target into `fuzz/corpus`: `python -m fuzz.seeds`. What else is kept there stays."""
+
+from __future__ import annotations
+
+import hashlib
+
+from fuzz.target import CORPUS, MODULES, target
+
+
+def main() -> None:
+    """Named by content, so that a seed that changed shows as one gone and one new."""
+    for name in MODULES:
+        folder = CORPUS / name
+        folder.mkdir(parents=True, exist_ok=True)
+        wanted = {f"seed-{hashlib.sha256(data).hexdigest()[:12]}": data for data in target(name).seeds()}
+        for path in folder.glob("seed-*"):
+            if path.name not in wanted:
+                path.unlink()
+        for file, data in wanted.items():
+            (folder / file).write_bytes(data)
+        print(f"{name}: {len(wanted)} seeds, {sum(map(len, wanted.values()))} bytes")
+
+
+if __name__ == "__main__":
+    main()

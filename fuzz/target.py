@@ -1,0 +1,124 @@
+"""What is fuzzed: the table of targets, and how a target reads the fuzzer's bytes.
+
+A target is a function of bytes that returns when the code under it kept its contract, and raises when it did not. It suppresses
+the errors that the contract names (a `BadInput` of a file, a `Recoverable` of a link) and nothing else. It keeps nothing between
+two calls, so that an input that fails once fails again.
+"""
+
+from __future__ import annotations
+
+import importlib
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+MODULES = {
+    "navdata": "fuzz.ardrone",
+    "pave": "fuzz.ardrone",
+    "video": "fuzz.ardrone",
+    "control": "fuzz.ardrone",
+    "at": "fuzz.ardrone",
+    "mavlink_autopilot": "fuzz.mavlink",
+    "mavlink_face": "fuzz.mavlink",
+    "mavlink_codec": "fuzz.mavlink",
+    "mavlink_signing": "fuzz.mavlink",
+    "mqtt_command": "fuzz.mqtt",
+    "mqtt_watch": "fuzz.mqtt",
+    "spool": "fuzz.mqtt",
+    "metrics": "fuzz.metrics",
+    "mcap_bytes": "fuzz.recordings",
+    "mcap_messages": "fuzz.recordings",
+    "settings": "fuzz.tables",
+    "scenario": "fuzz.tables",
+    "camera": "fuzz.tables",
+    "pad": "fuzz.tables",
+    "environment": "fuzz.tables",
+    "attitude_csv": "fuzz.imports",
+    "dataflash": "fuzz.imports",
+    "ulog": "fuzz.imports",
+    "ardrone_capture": "fuzz.imports",
+    "v4l2": "fuzz.frames",
+    "vision": "fuzz.frames",
+}
+"""Every target, and the module whose `TARGETS` holds it."""
+
+SHARED_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
+"""Where inputs that must be files are written, so that no disk is worn."""
+CORPUS = Path(__file__).parent / "corpus"
+"""Kept inputs, a folder a target: what the seeds make, and every input that once failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One target."""
+
+    run: Callable[[bytes], None]
+    """Returns when the contract held; raises when it did not."""
+    seeds: Callable[[], Iterable[bytes]]
+    """Well-formed inputs that the fuzzer starts from, made by our own encoders."""
+    max_len: int = 4096
+    """Bytes of the longest input that is tried."""
+
+
+def target(name: str) -> Target:
+    """The target of this name.
+
+    Raises:
+        KeyError: there is none.
+    """
+    found: Target = importlib.import_module(MODULES[name]).TARGETS[name]
+    return found
+
+
+class Choices:
+    """Reads an input as a row of choices, zero where it has ended, so that every input means something."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._at = 0
+
+    def __bool__(self) -> bool:
+        """Whether anything is left."""
+        return self._at < len(self._data)
+
+    def number(self, size: int) -> int:
+        """An unsigned number of `size` bytes, little endian."""
+        return int.from_bytes(self.take(size), "little")
+
+    def signed(self, size: int) -> int:
+        """A signed number of `size` bytes, little endian."""
+        return int.from_bytes(self.take(size).ljust(size, b"\0"), "little", signed=True)
+
+    def real(self) -> float:
+        """Any 64-bit float, infinities and NaN among them."""
+        value: float = struct.unpack("<d", self.take(8).ljust(8, b"\0"))[0]
+        return value
+
+    def take(self, size: int) -> bytes:
+        """The next bytes, fewer at the end."""
+        part = self._data[self._at : self._at + size]
+        self._at += size
+        return part
+
+    def block(self) -> bytes:
+        """Bytes behind their own length, 16 bits."""
+        return self.take(self.number(2))
+
+    def rest(self) -> bytes:
+        """Everything that is left."""
+        return self.take(max(0, len(self._data) - self._at))
+
+
+def block(data: bytes) -> bytes:
+    """What `Choices.block` reads back."""
+    return struct.pack("<H", len(data)) + data
+
+
+def refused(why: Exception) -> None:
+    """A refusal is one line: what and where.
+
+    Raises:
+        AssertionError: it is not.
+    """
+    assert "\n" not in str(why).strip(), f"a refusal of more than one line: {why}"
