@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from companion.observer import FrameSeen
-from companion.recorder.reading import RecordedFrame, Recording, open_recording
-from companion.recorder.rewriting import Cut, instant, rewrite
+from companion.recorder.reading import RecordedFrame, Recording, instant, open_recording
+from companion.recorder.rewriting import Cut, rewrite
 from companion.recorder.setup import about, recorder_to_file
 from companion.settings import Settings, camera_model, load, shipped
 from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import MappingProxyType
 from typing import cast, get_args
 
@@ -107,7 +108,17 @@ def command(of: rec.DecisionRecord) -> Command | None:
     raise ValueError(f"no such command: {of.command!r}")
 
 
+def truth(of: rec.TruthRecord) -> None:
+    """Raises ValueError where numbers are not what truth takes."""
+    _vector(of.d_body_pad_level)
+    _vector(of.v_pad_level)
+    if not -math.pi < of.yaw_rad <= math.pi:
+        raise ValueError(f"the true heading must lie in (-pi, pi], got {of.yaw_rad}")
+
+
 def _vector(numbers: list[float]) -> F64:
+    if len(numbers) != 3:
+        raise ValueError(f"a vector has 3 numbers, got {len(numbers)}")
     return np.array(numbers, dtype=float)
 
 

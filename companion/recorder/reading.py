@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -11,28 +10,27 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 import msgspec
-from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader
-from zstandard import ZstdError
+from mcap.records import Attachment, Channel, Message, Metadata
 
 from companion.observer import Decision
 from companion.recorder import channels, decode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
+from companion.recorder.container import records
 from companion.settings import Settings, from_mapping
 from drivers import images
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import RelativeState
+from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.look import Look
 from estimator.vision.pad import Pad
 
 SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
-_LARGEST_RECORD = 256 << 20
-_DAMAGE = (McapError, ZstdError, ValueError, struct.error, EOFError, MemoryError, RuntimeError)
+_NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
+_APART_NS = 24 * 3600 * NS_PER_S
+"""Two events in a row are not further apart than this: a single one that is has a damaged instant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +55,11 @@ class RecordedFrame:
         """At the exposure, as it was then known."""
         return None if self.record.attitude is None else decode.attitude(self.record.attitude)
 
+    def check(self) -> None:
+        """Raises ValueError where numbers or names are not what a frame and what was seen in it take."""
+        Verdict(self.record.verdict)
+        _ = self.stamp, self.attitude, self.look()
+
     def look(self) -> Look | None:
         """What vision saw then, without the features in pixels; None where it was not asked."""
         return decode.look(self.record)
@@ -80,6 +83,35 @@ class RecordedFrame:
 
 
 Event = Sample | RecordedFrame | Decision | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord
+
+
+def instant(event: Event) -> MonoNs:
+    """Return when the service met it."""
+    match event:
+        case RecordedFrame():
+            return event.done
+        case Decision():
+            return event.at
+        case rec.TruthRecord() | rec.LinkRecord() | rec.HealthRecord():
+            return MonoNs(event.at_ns)
+        case _:
+            return event.stamp.heard
+
+
+class _Instants:
+    """Tells a damaged instant from a recording that goes on after days: the latter is not alone."""
+
+    def __init__(self) -> None:
+        self._last: MonoNs | None = None
+        self._doubted: MonoNs | None = None
+
+    def plausible(self, at: MonoNs) -> bool:
+        near = [known for known in (self._last, self._doubted) if known is not None and abs(at - known) <= _APART_NS]
+        if self._last is not None and not near:
+            self._doubted = at
+            return False
+        self._last, self._doubted = at, None
+        return True
 
 
 @dataclass(slots=True, eq=False)
@@ -110,7 +142,8 @@ class Recording:
     def _events(self, path: Path, stream: IO[bytes]) -> Iterator[Event]:
         topics: dict[int, str] = {}
         assembled = _Assembly()
-        for record in _records(stream, self.cut, path):
+        instants = _Instants()
+        for record in records(stream, path, self.cut):
             if isinstance(record, Channel):
                 topics[record.id] = record.topic
             elif isinstance(record, Message):
@@ -118,7 +151,9 @@ class Recording:
                 self.counts[topic] += 1
                 try:
                     event = assembled.event(topic, record.data)
-                except (msgspec.DecodeError, ValueError):
+                    if event is not None and not instants.plausible(instant(event)):
+                        raise ValueError("its instant is days away from those around it")
+                except _NOT_UNDERSTOOD:
                     self.skipped[topic] += 1
                     continue
                 if event is not None:
@@ -148,7 +183,7 @@ class Recording:
             return None
         try:
             return tomllib.loads(self.attachments[name].decode("utf-8"))
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError) as why:
+        except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as why:
             raise BadInput(f"{self.name}: {name}: {why}") from why
 
 
@@ -164,7 +199,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
     for path in paths:
         ours = False
         with _opened(path) as stream:
-            for record in _records(stream, {}, path):
+            for record in records(stream, path, {}):
                 if isinstance(record, Metadata):
                     recording.metadata.setdefault(record.name, dict(record.metadata))
                 elif isinstance(record, Attachment):
@@ -197,13 +232,18 @@ class _Assembly:
                 return None
             case rec.LookRecord():
                 picture, self._picture = self._picture, None
-                return RecordedFrame(message, None if picture is None else picture.data)
+                frame = RecordedFrame(message, None if picture is None else picture.data)
+                frame.check()
+                return frame
             case rec.BeliefRecord():
                 self._beliefs.append(decode.belief(message))
                 return None
             case rec.DecisionRecord():
                 return self._decision(message)
-            case rec.TruthRecord() | rec.LinkRecord() | rec.HealthRecord():
+            case rec.TruthRecord():
+                decode.truth(message)
+                return message
+            case rec.LinkRecord() | rec.HealthRecord():
                 return message
             case _:
                 return decode.sample(cast(rec.SampleRecord, message))
@@ -225,19 +265,3 @@ def _opened(path: Path) -> IO[bytes]:
         return path.open("rb")
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
-
-
-def _records(stream: IO[bytes], cut: dict[Path, str], path: Path) -> Iterator[McapRecord]:
-    """All records in order; where the file ends early or is damaged, `cut` says so and the iteration ends.
-
-    Raises:
-        BadInput: it does not even begin like an MCAP file.
-    """
-    if stream.read(8) != b"\x89MCAP0\r\n":
-        raise BadInput(f"{path}: not an MCAP file")
-    stream.seek(0)
-    reader = StreamReader(stream, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
-    try:
-        yield from reader.records
-    except _DAMAGE as why:
-        cut[path] = str(why) or type(why).__name__

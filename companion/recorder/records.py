@@ -6,14 +6,22 @@ nanoseconds of the recording host's monotonic clock. What is not known is left o
 
 from __future__ import annotations
 
-from msgspec import Struct
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+_FARTHEST_NS = 1 << 62
+Instant = Annotated[int, Meta(ge=-_FARTHEST_NS, le=_FARTHEST_NS)]
+"""Nanoseconds; half of what 64 bits hold, so that sums and differences of two fit as well."""
+Count = Annotated[int, Meta(ge=0, le=_FARTHEST_NS)]
+Pixels = Annotated[int, Meta(ge=1, le=65_535)]
 
 
 class StampRecord(Struct, frozen=True):
     """When it was true, when it was heard, how well the first is known."""
 
-    taken_ns: int
-    heard_ns: int
+    taken_ns: Instant
+    heard_ns: Instant
     sigma_s: float
     source: str
 
@@ -90,13 +98,13 @@ class LookRecord(Struct, frozen=True, omit_defaults=True):
     """One frame: when, what every method saw, and what became of it."""
 
     stamp: StampRecord
-    seq: int
+    seq: Count
     exposure_s: float
-    width: int
-    height: int
+    width: Pixels
+    height: Pixels
     verdict: str
-    began_ns: int
-    done_ns: int
+    began_ns: Instant
+    done_ns: Instant
     attitude: AttitudeRecord | None = None
     """At the exposure."""
     tried: list[str] | None = None
@@ -117,12 +125,12 @@ class NamedNumber(Struct, frozen=True):
 
 
 class BeliefRecord(Struct, frozen=True, omit_defaults=True):
-    at_ns: int
+    at_ns: Instant
     path: str
     d_body_pad_level: list[float]
     v_pad_level: list[float]
     cov: list[float]
-    sighted_ns: int
+    sighted_ns: Instant
     consistent: bool
     height_m: float
     lateral_m: float
@@ -133,7 +141,7 @@ class BeliefRecord(Struct, frozen=True, omit_defaults=True):
 class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """One round of guidance; the beliefs it had are the messages of the same instant before it."""
 
-    at_ns: int
+    at_ns: Instant
     phase: str
     steering: str | None = None
     """Path of the belief that was steered by; left out where there was none."""
@@ -146,7 +154,7 @@ class DecisionRecord(Struct, frozen=True, omit_defaults=True):
 class ContactRecord(Struct, frozen=True, omit_defaults=True):
     """The first contact after flight."""
 
-    at_ns: int
+    at_ns: Instant
     surface: str
     on_pad: bool
     lateral_m: float | None = None
@@ -158,7 +166,7 @@ class ContactRecord(Struct, frozen=True, omit_defaults=True):
 class TruthRecord(Struct, frozen=True, omit_defaults=True):
     """Where the pad really was; only a simulator or motion capture knows."""
 
-    at_ns: int
+    at_ns: Instant
     d_body_pad_level: list[float]
     v_pad_level: list[float]
     yaw_rad: float
@@ -170,7 +178,7 @@ class TruthRecord(Struct, frozen=True, omit_defaults=True):
 class LinkRecord(Struct, frozen=True, omit_defaults=True):
     """One message of a link, as its bytes went over the wire."""
 
-    at_ns: int
+    at_ns: Instant
     link: str
     direction: str
     """`in` or `out`."""
@@ -182,25 +190,25 @@ class PartRecord(Struct, frozen=True):
     name: str
     up: bool
     age_s: float
-    restarts: int
+    restarts: Count
     last_error: str
 
 
 class FlowRecord(Struct, frozen=True, omit_defaults=True):
     name: str
-    count: int
+    count: Count
     rate_hz: float | None = None
 
 
 class TallyRecord(Struct, frozen=True):
     kind: str
     verdict: str
-    count: int
+    count: Count
 
 
 class StageRecord(Struct, frozen=True, omit_defaults=True):
     name: str
-    count: int
+    count: Count
     p50_s: float | None = None
     p99_s: float | None = None
 
@@ -214,7 +222,7 @@ class CounterRecord(Struct, frozen=True):
 class HealthRecord(Struct, frozen=True):
     """Health of the service (`companion.health.HealthSnapshot`), once a second."""
 
-    at_ns: int
+    at_ns: Instant
     parts: list[PartRecord]
     flows: list[FlowRecord]
     tallies: list[TallyRecord]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from companion.observer import Decision
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
 from companion.recorder.mcap_file import About, Attachment, McapFile
-from companion.recorder.reading import Event, RecordedFrame, Recording
+from companion.recorder.reading import Event, RecordedFrame, Recording, instant
 from companion.recorder.records import HealthRecord, LinkRecord, LookRecord, TruthRecord
 from companion.recorder.scribe import Scribe
 from estimator.contracts.errors import BadInput
@@ -37,31 +38,18 @@ class Cut:
     pictures: bool = True
 
 
-def instant(event: Event) -> MonoNs:
-    """When the service met it."""
-    match event:
-        case RecordedFrame():
-            return event.done
-        case Decision():
-            return event.at
-        case TruthRecord() | LinkRecord() | HealthRecord():
-            return MonoNs(event.at_ns)
-        case _:
-            return event.stamp.heard
-
-
 def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
     """Write the part into `output`, which is replaced; how many events it has.
 
     Raises:
-        BadInput: the recording does not say which camera it was made with.
+        BadInput: the recording does not say which camera it was made with, or what it says of itself cannot be read.
         OSError: the file cannot be written.
     """
     camera = recording.camera()
     if camera is None:
         raise BadInput(f"{recording.name}: does not hold its camera")
     metadata = {name: data for name, data in recording.metadata.items() if name != "clock"}
-    offset_ns = int(recording.metadata.get("clock", {}).get("monotonic_to_epoch_ns", "0"))
+    offset_ns = _offset_ns(recording)
     attachments = [Attachment(name, "application/toml", data) for name, data in recording.attachments.items()]
     scribe = Scribe(camera, offset_ns, "none", 90)
     output.unlink(missing_ok=True)
@@ -73,6 +61,13 @@ def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
         raise
     file.close()
     return n
+
+
+def _offset_ns(recording: Recording) -> int:
+    text = recording.metadata.get("clock", {}).get("monotonic_to_epoch_ns", "0")
+    if not re.fullmatch(r"-?\d{1,19}", text):
+        raise BadInput(f"{recording.name}: its clock's offset is no number of nanoseconds: {text[:40]!r}")
+    return int(text)
 
 
 def _copy(recording: Recording, file: McapFile, scribe: Scribe, cut: Cut, offset_ns: int) -> int:

@@ -16,14 +16,16 @@ import numpy as np
 from companion.observer import Decision, FrameSeen, Observer
 from companion.pilot import Outcome, Pilot
 from companion.recorder import encode
-from companion.recorder.reading import Event, RecordedFrame, Recording
+from companion.recorder.reading import Event, RecordedFrame, Recording, instant
 from companion.recorder.records import HealthRecord, LinkRecord, TruthRecord
-from companion.recorder.rewriting import instant
+from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Sample
-from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.vision.look import Look
 
+_GAP_S = 10.0
+"""Where a recording tells nothing for this long, guidance is not asked what it would have done meanwhile."""
 _NOT_BEGUN = ("waiting for the vehicle", "waiting for the start", "paused")
 
 
@@ -88,23 +90,35 @@ class Replay:
             pass
 
     def steps(self) -> Iterator[tuple[MonoNs, Event]]:
-        """Each event just before it is taken, with the instant at which the service met it (`shift_ns` added)."""
+        """Each event just before it is taken, with the instant at which the service met it (`shift_ns` added).
+
+        Raises:
+            BadInput: the recording holds numbers that the estimator cannot take.
+        """
         self._guided = any(isinstance(event, Decision) for event in self._recording.events())
         for event in self._recording.events():
             at = MonoNs(instant(event) + self._shift_ns)
             yield at, event
-            if not self._guided:
-                self._guide_until(at)
-            match event:
-                case RecordedFrame():
-                    self._frame(event)
-                case Decision():
-                    self._follow_operator(event.phase)
-                    self._decide(MonoNs(event.at + self._shift_ns))
-                case TruthRecord() | LinkRecord() | HealthRecord():
-                    continue
-                case _:
-                    self._sample(event)
+            try:
+                self._take(at, event)
+            # A vehicle's numbers are bounded where they come in; a file may hold any.
+            except (ArithmeticError, ValueError) as why:
+                name, kind = self._recording.name, type(event).__name__
+                raise BadInput(f"{name}: {kind} at {instant(event)} ns: not what the estimator can take: {why}") from why
+
+    def _take(self, at: MonoNs, event: Event) -> None:
+        if not self._guided:
+            self._guide_until(at)
+        match event:
+            case RecordedFrame():
+                self._frame(event)
+            case Decision():
+                self._follow_operator(event.phase)
+                self._decide(MonoNs(event.at + self._shift_ns))
+            case TruthRecord() | LinkRecord() | HealthRecord():
+                pass
+            case _:
+                self._sample(event)
 
     def _moved(self, stamp: Stamp) -> Stamp:
         if not self._shift_ns:
@@ -166,6 +180,8 @@ class Replay:
         if self._due is None:
             self._due = now
             self._pilot.begin()
+        if seconds_between(self._due, now) > _GAP_S:
+            self._due = now
         while self._due <= now:
             self._decide(self._due)
             self._due = after(self._due, self._period_s)

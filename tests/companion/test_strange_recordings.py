@@ -1,0 +1,163 @@
+"""Recordings that somebody changed or made to do harm: one line and exit code 2, or read as far as they go; no traceback."""
+
+from __future__ import annotations
+
+import json
+import random
+import resource
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+import pytest
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Message, Metadata
+from mcap.writer import CompressionType
+
+from companion.cli.main import main
+from companion.recorder.container import MOST_CHUNK_BYTES
+from companion.recorder.reading import open_recording
+from tests.companion.mutations import mutate, poke_bytes, small, written
+
+# What the filter says of numbers that no vehicle has is its own matter.
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+GOLDEN = Path(__file__).parents[1] / "golden"
+
+
+@pytest.fixture(scope="module")
+def records() -> list[Any]:
+    return small(GOLDEN / "approach.mcap")
+
+
+def ran(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str]:
+    """Exit code and what stands on stderr, which is at most one line."""
+    code = main([str(word) for word in words])
+    err = capsys.readouterr().err.strip()
+    assert len(err.splitlines()) <= 1
+    assert bool(err) == (code == 2)
+    return code, err
+
+
+def changed(records: list[Any], key: str, value: Any, which: int = 0) -> list[Any]:
+    """The `which`-th message that has such a key on its top level gets another value there."""
+    out = list(records)
+    there = [i for i, r in enumerate(out) if isinstance(r, Message) and key in json.loads(r.data)]
+    data = json.loads(out[there[which]].data)
+    out[there[which]] = replace(out[there[which]], data=json.dumps({**data, key: value}).encode())
+    return out
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_values_of_any_kind(records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int) -> None:
+    path, out = tmp_path / "x.mcap", tmp_path / "y.mcap"
+    path.write_bytes(written(mutate(records, random.Random(seed), count=6)))
+    assert ran(capsys, "record", "info", path)[0] == 0
+    assert ran(capsys, "record", "cut", path, "--output", out)[0] == 0
+    assert ran(capsys, "replay", path, "--sightings", "--json")[0] in (0, 2)
+
+
+def test_bytes_of_any_kind(records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, whole, codes = tmp_path / "x.mcap", written(records[:110]), []
+    for seed in range(60):
+        path.write_bytes(poke_bytes(whole, random.Random(seed)))
+        codes.append(ran(capsys, "record", "info", path)[0])
+    assert {*codes} == {0, 2}
+
+
+@pytest.mark.parametrize("value", [10**30, 2**63, -(2**64)])
+@pytest.mark.parametrize("key", ["at_ns", "done_ns", "seq", "width"])
+def test_an_integer_out_of_range_costs_its_message(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, value: int
+) -> None:
+    records = small(GOLDEN / "pictures.mcap", 60)
+    path = tmp_path / "x.mcap"
+    path.write_bytes(written(changed(records, key, value, which=-1)))
+    assert ran(capsys, "replay", path, "--sightings", "--json")[0] == 0
+    recording = open_recording([path])
+    list(recording.events())
+    assert sum(recording.skipped.values()) == 1
+
+
+def test_an_instant_of_another_day_is_left_out_and_does_not_fly_for_a_year(
+    records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without rounds of guidance of its own a recording is flown at 50 Hz: a jump would take for ever."""
+    inputs = [r for r in records if not (isinstance(r, Message) and "phase" in json.loads(r.data))]
+    stamp = {"taken_ns": 2**61, "heard_ns": 2**61, "sigma_s": 0.0, "source": "sim"}
+    path = tmp_path / "x.mcap"
+    path.write_bytes(written(changed(inputs, "stamp", stamp, which=4)))
+    assert ran(capsys, "replay", path, "--sightings", "--json")[0] == 0
+    recording = open_recording([path])
+    list(recording.events())
+    assert sum(recording.skipped.values()) == 1
+
+
+def test_a_clock_that_is_no_number(records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x.mcap"
+    strange = [
+        replace(r, metadata={"monotonic_to_epoch_ns": "9" * 5000}) if isinstance(r, Metadata) and r.name == "clock" else r
+        for r in records
+    ]
+    path.write_bytes(written(strange))
+    code, err = ran(capsys, "record", "cut", path, "--output", tmp_path / "y.mcap")
+    assert (code, "no number of nanoseconds" in err) == (2, True)
+
+
+def chunk(data: bytes, announced: int, compression: bytes) -> bytes:
+    """A file with one chunk record."""
+    body = struct.pack("<QQQI", 0, 0, announced, 0)
+    body += struct.pack("<I", len(compression)) + compression + struct.pack("<Q", len(data)) + data
+    head = struct.pack("<I", 0) * 2
+    magic = b"\x89MCAP0\r\n"
+    return (
+        magic + struct.pack("<BQ", Opcode.HEADER, len(head)) + head + struct.pack("<BQ", Opcode.CHUNK, len(body)) + body + magic
+    )
+
+
+@pytest.mark.parametrize("announced", [1 << 30, 1000, MOST_CHUNK_BYTES, 2**63])
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_that_unpacks_to_a_gigabyte(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], announced: int, compression: str
+) -> None:
+    zeros = bytes(1 << 28)
+    data = zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(chunk(data, announced, compression.encode()))
+    del zeros
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    code, err = ran(capsys, "record", "info", path)
+    assert (code, "bomb.mcap: holds no recording" in err) == (2, True)
+    assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024 < 100
+
+
+@pytest.mark.parametrize("length", [2**31, 2**62, 2**64 - 1])
+def test_lengths_beyond_the_end_of_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str], length: int) -> None:
+    path = tmp_path / "long.mcap"
+    magic = b"\x89MCAP0\r\n"
+    path.write_bytes(magic + struct.pack("<BQ", Opcode.ATTACHMENT, 100) + bytes(24) + struct.pack("<Q", length) + bytes(80))
+    assert ran(capsys, "record", "info", path)[0] == 2
+    path.write_bytes(magic + struct.pack("<BQ", Opcode.CHUNK, length) + bytes(80))
+    assert ran(capsys, "replay", path)[0] == 2
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_recordings_packed_by_others_are_read(records: list[Any], tmp_path: Path, compression: CompressionType) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(written(records, compression))
+    recording = open_recording([path])
+    assert len(list(recording.events())) > 50
+    assert (recording.cut, recording.skipped) == ({}, {})
+
+
+def test_json_nested_without_end(records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    deep = b'{"a":' * 100_000 + b"1" + b"}" * 100_000
+    out = list(records)
+    i = next(i for i, r in enumerate(out) if isinstance(r, Message) and b"w_body" in r.data)
+    out[i] = replace(out[i], data=deep)
+    path = tmp_path / "deep.mcap"
+    path.write_bytes(written(out))
+    assert ran(capsys, "replay", path, "--sightings", "--json")[0] == 0
