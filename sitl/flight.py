@@ -6,11 +6,13 @@ out are the sockets, the video codec and threads, so that a scenario and a seed 
 
 from __future__ import annotations
 
+import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
+import numpy as np
 
 from companion.health import Health
 from companion.observer import FrameSeen, Observer
@@ -22,7 +24,7 @@ from drivers.ardrone.counters import Counters
 from drivers.ardrone.helm import Helm
 from drivers.ardrone.samples import Sampler
 from drivers.ardrone.setup import configuration_commands
-from estimator.contracts.errors import BadInput, SetupImpossible
+from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
@@ -31,12 +33,16 @@ from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import refusal
 from sitl.darkroom import Darkroom
 from sitl.faults import ServiceKilled
+from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade
 from sitl.scenario import Scenario
 from sitl.world import Phase, Picture, Touchdown, Truth, World
 
 NAVDATA_DELAY_S = 0.004
 COMMAND_DELAY_S = 0.004
 STAMP_SIGMA_S = 0.002
+_NO_PIXELS = np.empty((0, 0, 3), np.uint8)
+_WATCH_EACH = 10
+"""Ticks between two looks at the truth for the judgement: 50 ms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +64,21 @@ class FlightResult:
     """None when the scenario's time ran out."""
     duration_s: float
     touchdown: Touchdown | None
+    """The newest contact."""
     health: Health
     truth: Truth
     """At the end."""
+    blind: BlindDescent
+    """The deepest descent without true sight of the pad."""
+    unsafe: tuple[str, ...]
+    """What was unsafe, one line each."""
+    grade: Grade
+    because: str
+    """Why it is worth that."""
+    refused: str | None
+    """Why it gave up, None where it did not."""
+    faults: tuple[tuple[str, float], ...]
+    """The faults that began, by kind, and when in seconds after the start."""
 
     @property
     def landed_on_pad(self) -> bool:
@@ -86,6 +104,7 @@ class Flight:
     Args:
         observers: told what the daemon would tell them.
         renew: makes the pilot of a service that begins anew after it was killed.
+        contain: a bug of the service ends the flight and is part of the result, instead of being raised.
 
     Raises:
         BadInput: the scenario kills the service for a while and there is no `renew`.
@@ -102,6 +121,7 @@ class Flight:
         observers: Sequence[Observer] = (),
         timing: Timing | None = None,
         renew: Callable[[], Pilot] | None = None,
+        contain: bool = False,
     ) -> None:
         cv2.setNumThreads(1)
         self.world = World(scenario, seed)
@@ -110,11 +130,15 @@ class Flight:
         if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
         self._renew = renew or (lambda: pilot)
+        self._contain = contain
+        self._died: str | None = None
+        self._watch = SightWatch(self.world.now)
+        self._views: dict[int, Picture] = {}
         self._observers = tuple(observers)
         self._timing = timing or Timing()
         self._limit_s = scenario.duration_limit_s
         self._options = ardrone_options(settings)
-        self._sequence = 0
+        self._sequence = self._ticks = 0
         start = self.world.now
         self._clock = _VirtualClock(start)
         self._on_the_way: deque[tuple[MonoNs, Callable[[], Picture]]] = deque()
@@ -136,9 +160,27 @@ class Flight:
         now = after(self._clock.t, TICK_S)
         self._clock.t = now
         self._drone.tick(now)
+        self._ticks += 1
+        if self._ticks % _WATCH_EACH == 0:
+            self._watch.step(self.world.truth())
         if self._killed():
+            self.world.guidance_phase = None
             ended = self.world.phase in (Phase.LANDED, Phase.EMERGENCY)
             return not ended and seconds_between(self.world.started, now) < self._limit_s
+        try:
+            self._serve(now)
+        except DecklanderError:
+            raise
+        except Exception as why:
+            if not self._contain:
+                raise
+            place = traceback.extract_tb(why.__traceback__)[-1]
+            self._died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
+            return False
+        return self._pilot.outcome is None and seconds_between(self.world.started, now) < self._limit_s
+
+    def _serve(self, now: MonoNs) -> None:
+        """What the service does in one tick."""
         if not self.world.active("navdata_silent") and not self.world.active("link_lost"):
             self._hear(now)
         self._film(now)
@@ -149,7 +191,6 @@ class Flight:
         if now >= self._due_command:
             self._due_command = after(self._due_command, self._options.command_period_s)
             self._send(self._helm.period(now))
-        return self._pilot.outcome is None and seconds_between(self.world.started, now) < self._limit_s
 
     def run(self) -> FlightResult:
         """To the end."""
@@ -212,9 +253,11 @@ class Flight:
         while self._on_the_way and self._on_the_way[0][0] <= now and self._looking is None:
             if arrived is not None:
                 self.health.frame(Verdict.REPLACED)
+                self._judge(arrived.seq, Verdict.REPLACED)
             heard, developed = self._on_the_way.popleft()
             picture = developed()
             self._frames += 1
+            self._views[self._frames] = replace(picture, px=_NO_PIXELS)
             stamp = _stamp(after(picture.taken, picture.stamp_error_s), heard)
             arrived = Frame(stamp, self._frames, picture.px, picture.exposure_s)
         if arrived is None:
@@ -231,9 +274,14 @@ class Flight:
         if seen.look is not None:
             seen = replace(seen, verdict=self._pilot.saw(seen.look))
         self.health.frame(seen.verdict)
+        self._judge(seen.frame.seq, seen.verdict)
         self.health.delay("exposure_to_belief", seconds_between(seen.frame.stamp.taken, seen.done))
         for observer in self._observers:
             observer.on_frame(seen)
+
+    def _judge(self, seq: int, verdict: Verdict) -> None:
+        view = self._views.pop(seq)
+        self._watch.frame(view.taken, verdict, true_view=view.true_view, stamp_error_s=view.stamp_error_s)
 
     def _decide(self, now: MonoNs) -> None:
         decision = self._pilot.decide(now)
@@ -244,10 +292,31 @@ class Flight:
             observer.on_decision(decision)
 
     def result(self) -> FlightResult:
-        truth = self.world.truth()
+        """How it ended, or how it stands."""
+        truth, outcome = self.world.truth(), self._pilot.outcome
+        unsafe = dangers(self._watch.worst, truth.contacts, self._died)
+        alone = self.world.active("service_killed") or self.world.active("link_lost")
+        worth, because = grade(outcome, truth.contacts, unsafe, self.world.scenario.expect, left_alone=alone)
         return FlightResult(
-            self._pilot.outcome, seconds_between(self.world.started, self.world.at), truth.touchdown, self.health, truth
+            outcome,
+            seconds_between(self.world.started, self.world.at),
+            truth.touchdown,
+            self.health,
+            truth,
+            self._watch.worst,
+            unsafe,
+            worth,
+            because,
+            self._refused(outcome),
+            tuple((fault.kind, began_s) for fault, began_s in self.world.faults.begun),
         )
+
+    def _refused(self, outcome: Outcome | None) -> str | None:
+        if outcome is not Outcome.GAVE_UP:
+            return None
+        frames = self._watch.since_sight
+        told = ", ".join(f"{n} {verdict.value}" for verdict, n in frames.most_common())
+        return f"{outcome.value}; frames since the pad was last truly seen: {told or 'none'}"
 
 
 def _stamp(taken: MonoNs, received: MonoNs) -> Stamp:

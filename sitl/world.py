@@ -61,12 +61,11 @@ class Stick:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touchdown:
-    """The first contact after flight."""
+    """A contact with the deck or the water after 0.3 s or more in the air; shorter hops belong to the contact before."""
 
     at: MonoNs
-    surface: Literal["deck", "sea"]
-    on_pad: bool
-    """On deck, with the body's origin over the pad's disc."""
+    surface: Literal["pad", "deck", "water"]
+    """`pad` where the body's origin is over the pad's disc, `deck` beside it."""
     p_body_pad: F64
     """(3,) m, the body's origin in the pad frame."""
     lateral_m: float
@@ -77,6 +76,17 @@ class Touchdown:
     """Closing speed into the deck (into the water's mean level)."""
     lateral_speed_m_s: float
     """Along the deck, against it."""
+    phase: Phase = Phase.LANDING
+    """What the vehicle was doing just before."""
+    motors: bool = True
+    """Whether its motors were turning just before."""
+    guidance_phase: str | None = None
+    """What guidance was about, None where that is not known."""
+
+    @property
+    def on_pad(self) -> bool:
+        """Whether it is on the pad."""
+        return self.surface == "pad"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +121,9 @@ class Truth:
     R_ned_pad: Rotation
     phase: Phase
     touchdown: Touchdown | None
-    """From contact on."""
+    """The newest contact."""
+    contacts: tuple[Touchdown, ...] = ()
+    """All of them so far, in order."""
 
     def _level(self, v_ned: F64) -> F64:
         yaw = self.R_ned_body.rpy_rad[2]
@@ -168,6 +180,7 @@ class World:
         self.guidance_phase: str | None = None
         """What guidance is about, where whoever runs the flight knows it; for faults that begin in a phase."""
         self._held: dict[str, Readings] = {}
+        self._contacts: list[Touchdown] = []
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
         self._renderer: Renderer | None = None
         self._apply_faults()
@@ -299,7 +312,8 @@ class World:
             v_pad_ned=np.array(g.v),
             R_ned_pad=Rotation(np.array(g.R)),
             phase=self.phase,
-            touchdown=self._touchdown(),
+            touchdown=self._contacts[-1] if self._contacts else None,
+            contacts=tuple(self._contacts),
         )
 
     @property
@@ -319,7 +333,10 @@ class World:
         self._ground.sea_z, self._ground.sea_vz = z + vz * (self._tick % _SEA_EVERY) * self._step_s, vz
         if self.faults:
             self._apply_faults()
-        self._vehicle.step(self._ground)
+        v, touched_s, phase = self._vehicle, self._vehicle.touched_s, self._vehicle.phase
+        v.step(self._ground)
+        if v.touched_what and v.touched_s != touched_s:
+            self._contacts.append(self._contact(Phase(int(phase))))
         self._sensors.step(self._vehicle, self._ground, self._motors_on)
 
     def _deck(self) -> Ground:
@@ -359,22 +376,23 @@ class World:
         p, g = self._vehicle.p, self._ground
         return -float(sum(g.R[i][2] * (p[i] - g.p[i]) for i in range(3)))
 
-    def _touchdown(self) -> Touchdown | None:
+    def _contact(self, phase: Phase) -> Touchdown:
+        """The contact that the newest step of the physics made, in flight phase `phase` until then."""
         v = self._vehicle
-        if not v.touched_what:
-            return None
         d, u = np.array(v.touched_d), np.array(v.touched_v)
-        sea = v.touched_what == SEA
         lateral = math.hypot(d[0], d[1])
+        deck: Literal["pad", "deck"] = "pad" if lateral <= self.pad.disc_radius_m else "deck"
         return Touchdown(
             at=MonoNs(self.started + round(float(v.touched_s) * NS_PER_S)),
-            surface="sea" if sea else "deck",
-            on_pad=not sea and lateral <= self.pad.disc_radius_m,
+            surface="water" if v.touched_what == SEA else deck,
             p_body_pad=d,
             lateral_m=lateral,
             yaw_rad=float(v.touched_yaw),
             vertical_speed_m_s=float(u[2]),
             lateral_speed_m_s=math.hypot(u[0], u[1]),
+            phase=phase,
+            motors=phase not in (Phase.LANDED, Phase.EMERGENCY),
+            guidance_phase=self.guidance_phase,
         )
 
 

@@ -152,19 +152,21 @@ def _rig(scenario: Scenario, ports: dict[str, int]) -> Settings:
 def _ending(
     args: argparse.Namespace, outcome: Outcome | None, duration_s: float, truth: list[dict[str, Any]], frames: Any
 ) -> Ending:
-    touched = truth[-1]["touchdown"] if truth else None
-    contact = None
-    if touched is not None:
-        contact = Contact(
+    contacts = tuple(
+        Contact(
             MonoNs(touched["at"]),
             touched["surface"],
-            touched["on_pad"],
             touched["lateral_m"],
             touched["yaw_rad"],
             touched["vertical_speed_m_s"],
             touched["lateral_speed_m_s"],
+            touched["phase"],
+            touched["motors"],
         )
-    return Ending(args.scenario, args.seed, outcome, contact, duration_s, frames)
+        for touched in (truth[-1]["contacts"] if truth else [])
+    )
+    started = MonoNs(truth[0]["at_ns"]) if truth else MonoNs(0)
+    return Ending(args.scenario, args.seed, outcome, contacts, duration_s, frames, started)
 
 
 def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, truth: list[dict[str, Any]]) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+import os
 import sys
 import time
 from functools import partial
@@ -13,7 +15,7 @@ import msgspec
 
 from companion.cli import record_option
 from companion.cli.progress import Progress
-from companion.cli.verdict import Contact, Ending
+from companion.cli.verdict import Contact, Ending, Judged
 from companion.observer import Observer
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.keeper import LogKeeper
@@ -26,7 +28,8 @@ from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
 from sitl.darkroom import darkroom
 from sitl.flight import Flight, FlightResult
-from sitl.scenario import FAULTS
+from sitl.safety import outside_commit
+from sitl.scenario import FAULTS, Scenario
 from sitl.scenario import load as load_scenario
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
@@ -40,7 +43,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "simulate",
         help="one simulated flight",
         description="Fly one scenario in virtual time, without sockets: same scenario, seed and settings, same flight "
-        "to the bit. Exit code 0 when it landed on the pad, 1 when not.",
+        "to the bit. Exit code 0 when it landed on the pad safely, or refused to where the scenario expects that; else 1.",
     )
     parser.add_argument(
         "scenario",
@@ -92,14 +95,14 @@ def run(args: argparse.Namespace) -> int:
     log = FlightLog(scenario.title, started=MonoNs(0), pad=pilot.pad, camera=pilot.camera, steering=settings.estimator.path)
     if args.report is not None:
         observers.append(LogKeeper(log))
-    began = time.monotonic()
+    began, spent_s = time.monotonic(), _cpu_s()
     steps = 0
     facts = {"kind": "simulate", "scenario": args.scenario, "seed": str(args.seed)}
     with record_option.recording(args, settings, facts, live=False) as recorder:
         if recorder is not None:
             observers.append(recorder)
         renew = partial(make_pilot, settings, shadows=SHADOWS if kept else ())
-        flight = Flight(scenario, args.seed, settings, pilot, observers=observers, renew=renew)
+        flight = Flight(scenario, args.seed, settings, pilot, observers=observers, renew=renew, contain=True)
         if recorder is not None:
             recorder.watch(flight.health)
         with darkroom(flight.world.renderer) as flight.room:
@@ -117,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
     wall_s = time.monotonic() - began
     if progress is not None:
         progress.close()
-    ending = _ending(args, flight.result())
+    ending = ending_of(args.scenario, args.seed, scenario, flight.result(), _cpu_s() - spent_s)
     if args.report is not None:
         ending.write_into(log)
         log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("flown in", f"{wall_s:.1f} s, virtual time")]
@@ -129,12 +132,40 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.write(f"{ending.in_words()}\n{ending.duration_s:.1f} s flown in {wall_s:.1f} s ({pace:.1f} x real time)\n")
         if args.report is not None:
             sys.stdout.write(f"report: {args.report / PAGE}\n")
-    return 0 if ending.on_pad else 1
+    return 0 if ending.good else 1
 
 
-def _ending(args: argparse.Namespace, result: FlightResult) -> Ending:
-    t = result.touchdown
-    contact = None
-    if t is not None:
-        contact = Contact(t.at, t.surface, t.on_pad, t.lateral_m, t.yaw_rad, t.vertical_speed_m_s, t.lateral_speed_m_s)
-    return Ending(args.scenario, args.seed, result.outcome, contact, result.duration_s, result.health.frames)
+def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
+    """How a flight in virtual time ended, with the simulator's judgement."""
+    contacts = tuple(
+        Contact(
+            t.at,
+            t.surface,
+            t.lateral_m,
+            t.yaw_rad,
+            t.vertical_speed_m_s,
+            t.lateral_speed_m_s,
+            t.phase.name.lower(),
+            t.motors,
+            t.guidance_phase,
+        )
+        for t in result.truth.contacts
+    )
+    judged = Judged(
+        result.grade.value,
+        result.because,
+        result.unsafe,
+        result.refused,
+        outside_commit(result.truth.contacts),
+        round(result.blind.lowest_m, 3) if math.isfinite(result.blind.lowest_m) else None,
+        result.faults,
+        scenario.expect,
+        cpu_s,
+    )
+    return Ending(name, seed, result.outcome, contacts, result.duration_s, result.health.frames, judged=judged)
+
+
+def _cpu_s() -> float:
+    """Of this process and of the ended ones that it started."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system

@@ -37,6 +37,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--report and --record do not go with --autopilot; --keep DIR keeps the program's own logs")
     binary = executable(args.binary, args.autopilot)
     scenario = load_scenario(args.scenario)
+    refuse_faults(args.scenario, scenario)
     settings = rig(scenario, args.config)
     progress = None if args.json else Progress()
     observers: list[Observer] = [] if progress is None else [progress]
@@ -59,6 +60,16 @@ def run(args: argparse.Namespace) -> int:
             f"{ending.duration_s:.1f} s from the order to land; {time.monotonic() - began:.0f} s on the wall clock\n"
         )
     return 0 if ending.on_pad else 1
+
+
+def refuse_faults(name: str, scenario: Scenario) -> None:
+    """Faults are the simulated AR.Drone's: flown without them a scenario would seem to be survived.
+
+    Raises:
+        BadInput: the scenario has some.
+    """
+    if scenario.faults:
+        raise BadInput(f"{name}: its faults ({', '.join(f.kind for f in scenario.faults)}) are for the simulated AR.Drone alone")
 
 
 def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:
@@ -91,12 +102,12 @@ def rig(scenario: Scenario, config: str | None) -> Settings:
 
 def ending_of(scenario: str, seed: int, end: FlightEnd | FollowEnd) -> Ending:
     """How it ended, as `simulate` tells it."""
-    contact = None
+    contacts: tuple[Contact, ...] = ()
     if end.landing is not None:
         t = end.landing
-        at, surface = MonoNs(round(t.t_s * NS_PER_S)), "deck" if t.on_deck else "sea"
-        contact = Contact(at, surface, t.on_pad, t.lateral_m, t.yaw_rad, t.speed_m_s, t.slide_m_s)
-    return Ending(scenario, seed, end.outcome, contact, end.duration_s, end.health.frames)
+        surface = "pad" if t.on_pad else "deck" if t.on_deck else "water"
+        contacts = (Contact(MonoNs(round(t.t_s * NS_PER_S)), surface, t.lateral_m, t.yaw_rad, t.speed_m_s, t.slide_m_s),)
+    return Ending(scenario, seed, end.outcome, contacts, end.duration_s, end.health.frames)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import json
 import sys
 
 from companion.cli.progress import Progress
-from companion.cli.simulate_autopilot import ending_of, rig
+from companion.cli.simulate_autopilot import ending_of, refuse_faults, rig
 from companion.observer import Observer
 from drivers.mavlink.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
@@ -22,6 +22,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--report and --record do not go with --follow")
     parse_endpoint(args.follow)
     scenario = load_scenario(args.scenario)
+    refuse_faults(args.scenario, scenario)
     settings = rig(scenario, args.config)
     progress = None if args.json else Progress()
     observers: list[Observer] = [] if progress is None else [progress]

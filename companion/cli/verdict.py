@@ -11,20 +11,53 @@ from companion.pilot import Outcome
 from companion.report.flight_log import FlightLog
 from companion.report.flight_log import Touchdown as LoggedTouchdown
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import MonoNs, seconds_between
+
+_ZERO = MonoNs(0)
+_WHERE = {"pad": "on the pad", "deck": "on deck, off the pad", "water": "in the water"}
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """The first contact after flight, as only the simulator knows it."""
+    """A contact after flight, as only the simulator knows it."""
 
     at: MonoNs
     surface: str
-    on_pad: bool
+    """pad, deck or water."""
     lateral_m: float
     yaw_rad: float
     vertical_speed_m_s: float
     lateral_speed_m_s: float
+    vehicle_phase: str | None = None
+    """What the vehicle was doing just before."""
+    motors: bool | None = None
+    """Whether its motors were turning."""
+    phase: str | None = None
+    """What guidance was about."""
+
+    @property
+    def on_pad(self) -> bool:
+        """Whether it is on the pad."""
+        return self.surface == "pad"
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What a simulator that sees the whole flight says of it."""
+
+    grade: str
+    """on pad, refused rightly or failed."""
+    because: str
+    unsafe: tuple[str, ...]
+    refused: str | None
+    """Why it gave up."""
+    contacts_outside_commit: int
+    lowest_blind_m: float | None
+    """Lowest height over the deck in its deepest descent without true sight of the pad; None where there was none."""
+    faults: tuple[tuple[str, float], ...]
+    """The faults that began, and when in seconds after the start."""
+    expect: str
+    cpu_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +68,16 @@ class Ending:
     seed: int
     outcome: Outcome | None
     """As the pilot saw it; None when the time ran out."""
-    contact: Contact | None
+    contacts: tuple[Contact, ...]
     duration_s: float
     frames: Counter[Verdict]
+    started: MonoNs = _ZERO
+    judged: Judged | None = None
+
+    @property
+    def contact(self) -> Contact | None:
+        """The one that it landed with: the newest."""
+        return self.contacts[-1] if self.contacts else None
 
     @property
     def on_pad(self) -> bool:
@@ -45,43 +85,61 @@ class Ending:
         return self.outcome is Outcome.LANDED and self.contact is not None and self.contact.on_pad
 
     @property
+    def good(self) -> bool:
+        """Whether it landed on the pad safely, or refused as its scenario expects."""
+        return self.on_pad if self.judged is None else self.judged.grade != "failed"
+
+    @property
     def word(self) -> str:
         """The outcome, or that time ran out."""
         return "time ran out" if self.outcome is None else self.outcome.value
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; lengths in m, speeds in m/s, angles in degrees."""
-        contact = None
-        if self.contact is not None:
-            c = self.contact
-            contact = {
-                "surface": c.surface,
-                "on_pad": c.on_pad,
-                "lateral_m": round(c.lateral_m, 4),
-                "yaw_deg": round(math.degrees(c.yaw_rad), 2),
-                "vertical_speed_m_s": round(c.vertical_speed_m_s, 4),
-                "lateral_speed_m_s": round(c.lateral_speed_m_s, 4),
-            }
-        return {
+        """Plain values; lengths in m, speeds in m/s, angles in degrees, times in s."""
+        out: dict[str, Any] = {
             "scenario": self.scenario,
             "seed": self.seed,
             "landed_on_pad": self.on_pad,
             "outcome": self.word,
             "duration_s": round(self.duration_s, 3),
-            "touchdown": contact,
+            "touchdown": None if self.contact is None else _plain(self.contact),
+            "contacts": [self._whole(contact) for contact in self.contacts],
+            "in_water": any(contact.surface == "water" for contact in self.contacts),
             "frames": {verdict.value: n for verdict, n in sorted(self.frames.items(), key=lambda item: item[0].value)},
         }
+        if self.judged is not None:
+            j = self.judged
+            out |= {
+                "grade": j.grade,
+                "because": j.because,
+                "expect": j.expect,
+                "refused": j.refused,
+                "unsafe": list(j.unsafe),
+                "lowest_blind_m": j.lowest_blind_m,
+                "contacts_outside_commit": j.contacts_outside_commit,
+                "faults": [{"kind": kind, "at_s": round(at_s, 3)} for kind, at_s in j.faults],
+                "cpu_s": round(j.cpu_s, 2),
+            }
+        return out
 
     def in_words(self) -> str:
-        """One or two lines."""
-        if self.contact is None:
-            return f"{self.word} after {self.duration_s:.1f} s, without touching anything"
-        c = self.contact
-        where = "on the pad" if c.on_pad else ("on deck, off the pad" if c.surface == "deck" else "in the water")
-        return (
-            f"{self.word} after {self.duration_s:.1f} s, {where}: {100 * c.lateral_m:.1f} cm from its centre, "
-            f"sinking at {c.vertical_speed_m_s:.2f} m/s, sliding at {c.lateral_speed_m_s:.2f} m/s"
-        )
+        """Some lines: how it ended, every further contact, and what was unsafe."""
+        lines = [f"{self.word} after {self.duration_s:.1f} s, without touching anything"]
+        if self.contact is not None:
+            lines = [f"{self.word} after {self.duration_s:.1f} s, {_in_words(self.contact)}"]
+            lines += [
+                f"before that, at {seconds_between(self.started, c.at):.1f} s, {_in_words(c)}"
+                + ("" if c.phase is None else f" (guidance: {c.phase})")
+                for c in self.contacts[:-1]
+            ]
+        if self.judged is not None:
+            j = self.judged
+            lines += [f"fault: {kind} from {at_s:.1f} s on" for kind, at_s in j.faults]
+            lines += [f"refused: {j.refused}"] if j.refused else []
+            lines += [f"UNSAFE: {line}" for line in j.unsafe]
+            if j.grade == "failed" and not j.unsafe:
+                lines.append(f"failed: {j.because}")
+        return "\n".join(lines)
 
     def write_into(self, log: FlightLog) -> None:
         """Outcome, touchdown and verdicts for the report."""
@@ -90,3 +148,30 @@ class Ending:
         if self.contact is not None:
             c = self.contact
             log.touchdown = LoggedTouchdown(c.at, c.lateral_m, c.vertical_speed_m_s, c.lateral_speed_m_s, c.on_pad)
+
+    def _whole(self, contact: Contact) -> dict[str, Any]:
+        return {
+            **_plain(contact),
+            "at_s": round(seconds_between(self.started, contact.at), 3),
+            "phase": contact.phase,
+            "vehicle_phase": contact.vehicle_phase,
+            "motors": contact.motors,
+        }
+
+
+def _plain(c: Contact) -> dict[str, Any]:
+    return {
+        "surface": c.surface,
+        "on_pad": c.on_pad,
+        "lateral_m": round(c.lateral_m, 4),
+        "yaw_deg": round(math.degrees(c.yaw_rad), 2),
+        "vertical_speed_m_s": round(c.vertical_speed_m_s, 4),
+        "lateral_speed_m_s": round(c.lateral_speed_m_s, 4),
+    }
+
+
+def _in_words(c: Contact) -> str:
+    return (
+        f"{_WHERE[c.surface]}: {100 * c.lateral_m:.1f} cm from its centre, "
+        f"sinking at {c.vertical_speed_m_s:.2f} m/s, sliding at {c.lateral_speed_m_s:.2f} m/s"
+    )

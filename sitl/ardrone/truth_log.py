@@ -17,12 +17,13 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from sitl.world import Truth
+from sitl.world import Touchdown, Truth
 
 
 def record(truth: Truth) -> dict[str, Any]:
     """Of one instant: `at_ns`, `phase`, `d_body_pad_level_m`, `v_pad_level_m_s`, `yaw_rad`, both bodies' `p_*_ned_m`,
-    `v_*_ned_m_s` and `quat_ned_*_wxyz`, and `touchdown` (its fields from contact on, else null).
+    `v_*_ned_m_s` and `quat_ned_*_wxyz`, `contacts` (all so far, with the fields of `sitl.world.Touchdown`), and `touchdown`,
+    the newest of them or null.
     """
     return {
         "at_ns": int(truth.at),
@@ -36,7 +37,8 @@ def record(truth: Truth) -> dict[str, Any]:
         "p_pad_ned_m": _plain(truth.p_pad_ned),
         "v_pad_ned_m_s": _plain(truth.v_pad_ned),
         "quat_ned_pad_wxyz": _plain(truth.R_ned_pad),
-        "touchdown": _plain(truth.touchdown),
+        "touchdown": _contact(truth.touchdown),
+        "contacts": [_contact(contact) for contact in truth.contacts],
     }
 
 
@@ -87,6 +89,10 @@ def read(path: Path) -> list[dict[str, Any]]:
             raise BadInput(f"truth log {path}, line {number}: not a record of truth")
         out.append(value)
     return out
+
+
+def _contact(contact: Touchdown | None) -> Any:
+    return None if contact is None else {**_plain(contact), "on_pad": contact.on_pad}
 
 
 def _plain(value: Any) -> Any:

@@ -11,7 +11,9 @@ import pytest
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
+from sitl.ardrone.truth_log import record
 from sitl.faults import KINDS, Gust, WeakRotor
+from sitl.safety import outside_commit
 from sitl.scenario import Scenario, Sea, SensorSettings, Start, VesselSettings, WindSettings, load
 from sitl.vehicle import Phase
 from sitl.world import Picture, Readings, Stick, Truth, World
@@ -77,7 +79,7 @@ def test_a_pilot_who_knows_the_truth_lands_on_the_pad(name: str) -> None:
     assert truth.phase == Phase.LANDED
     assert touch is not None
     assert touch.on_pad
-    assert touch.surface == "deck"
+    assert touch.surface == "pad"
     assert touch.lateral_m < 0.25
     assert touch.lateral_m == pytest.approx(float(np.hypot(*touch.p_body_pad[:2])))
     assert touch.p_body_pad[2] == pytest.approx(-0.045, abs=0.04)
@@ -200,7 +202,7 @@ def test_takes_off_from_a_moving_deck_and_comes_back() -> None:
     assert phase_of(world) == Phase.LANDED
     touch = world.truth().touchdown
     assert touch is not None
-    assert touch.surface == "deck"
+    assert touch.surface in ("pad", "deck")
 
 
 def test_water_is_recorded_as_such() -> None:
@@ -210,8 +212,35 @@ def test_water_is_recorded_as_such() -> None:
     truth = world.truth()
     assert truth.phase == Phase.EMERGENCY
     assert truth.touchdown is not None
-    assert truth.touchdown.surface == "sea"
+    assert truth.touchdown.surface == "water"
     assert not truth.touchdown.on_pad
+
+
+def test_every_contact_of_a_flight_is_kept_with_what_the_vehicle_was_doing() -> None:
+    """It strikes the deck in flight, hops off, is landed, and nothing of it is overwritten."""
+    world = World(with_(CALM, start=Start(height_m=0.6)), 1)
+    world.guidance_phase = "descend"
+    world.stick(Stick(gaz=-0.8, progressive=True))
+    run(world, 1.5)
+    world.stick(Stick(gaz=1.0, progressive=True))
+    run(world, 1.0)
+    world.guidance_phase = "land"
+    world.land()
+    run(world, 4.0)
+    truth = world.truth()
+    strike, landing = truth.contacts
+    assert truth.touchdown is landing
+    assert (strike.phase, strike.motors, strike.guidance_phase) == (Phase.FLYING, True, "descend")
+    assert (landing.phase, landing.motors, landing.guidance_phase) == (Phase.LANDING, True, "land")
+    assert strike.at < landing.at
+    assert strike.vertical_speed_m_s == pytest.approx(0.8 * 0.7, abs=0.1)
+    assert landing.vertical_speed_m_s == pytest.approx(0.4, abs=0.1)
+    assert strike.surface == landing.surface == "pad"
+    assert outside_commit(truth.contacts) == 1
+    said = record(truth)
+    assert [contact["phase"] for contact in said["contacts"]] == ["flying", "landing"]
+    assert said["touchdown"] == said["contacts"][-1]
+    assert said["touchdown"]["on_pad"] is True
 
 
 def test_emergency_stops_the_motors_at_once() -> None:

@@ -1,0 +1,140 @@
+"""Whether a simulated flight was safe, and whether its outcome was right, judged by what only the simulator knows.
+
+Unsafe is a descent without true sight of the pad, a contact off the pad, or a service that died in flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal
+
+from companion.guidance.planner import Phase as GuidancePhase
+from companion.pilot import Outcome
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.world import Phase, Touchdown, Truth
+
+BLIND_AFTER_S = 1.0
+"""After the newest true sight of the pad; the last 0.3 m of a landing, where the pad fills the frame, are shorter."""
+BLIND_DESCENT_MAX_M = 0.5
+"""That a vehicle may come down without sight: what wind and its own landing make of it, and no more."""
+STAMP_ERROR_MAX_S = 0.5
+"""A frame whose stamp is farther from the truth says nothing of where the pad is now."""
+COMMIT_PHASES = frozenset({GuidancePhase.LAND.value})
+"""Phases of guidance in which contact is meant."""
+_IN_THE_AIR = (Phase.HOVERING, Phase.FLYING, Phase.LANDING)
+
+
+@dataclass(frozen=True, slots=True)
+class BlindDescent:
+    """The deepest descent without true sight of the pad."""
+
+    descent_m: float
+    """From the height at which sight was lost; the lesser of the ones against the deck and over the ground."""
+    lowest_m: float
+    """Lowest height over the deck meanwhile."""
+    blind_s: float
+    """Since the newest true sight, at that height."""
+
+
+class SightWatch:
+    """Watches how far the vehicle comes down without true sight of the pad."""
+
+    def __init__(self, start: MonoNs) -> None:
+        self.worst = BlindDescent(0.0, math.inf, 0.0)
+        self.since_sight: Counter[Verdict] = Counter()
+        """What became of the frames since the newest true sight."""
+        self._seen_at = start
+        self._lost_at_m: tuple[float, float] | None = None
+
+    def frame(self, exposed_at: MonoNs, verdict: Verdict, *, true_view: bool, stamp_error_s: float) -> None:
+        """Take a frame of which the service has made something."""
+        if verdict is Verdict.FUSED and true_view and abs(stamp_error_s) <= STAMP_ERROR_MAX_S:
+            self._seen_at = max(self._seen_at, exposed_at)
+            self.since_sight.clear()
+        else:
+            self.since_sight[verdict] += 1
+
+    def step(self, truth: Truth) -> None:
+        """Take what is true at an instant, in order."""
+        blind_s = seconds_between(self._seen_at, truth.at)
+        if blind_s <= BLIND_AFTER_S or truth.phase not in _IN_THE_AIR:
+            self._lost_at_m = None
+            return
+        height_m = float(truth.d_body_pad_level[2])
+        altitude_m = -float(truth.p_body_ned[2])
+        if self._lost_at_m is None:
+            self._lost_at_m = height_m, altitude_m
+        # Against the deck alone a hovering vehicle over a heaving ship would seem to descend.
+        descent_m = min(self._lost_at_m[0] - height_m, self._lost_at_m[1] - altitude_m)
+        if descent_m > self.worst.descent_m:
+            self.worst = BlindDescent(descent_m, height_m, blind_s)
+
+
+def dangers(worst: BlindDescent, contacts: Sequence[Touchdown], died: str | None) -> tuple[str, ...]:
+    """What was unsafe, one line each; empty for a safe flight.
+
+    Args:
+        worst: the deepest descent without true sight.
+        contacts: all of the flight.
+        died: why the service died, None where it did not.
+    """
+    out = []
+    if died is not None:
+        out.append(f"the service died in flight: {died}")
+    if worst.descent_m > BLIND_DESCENT_MAX_M:
+        out.append(
+            f"came down {worst.descent_m:.2f} m, to {worst.lowest_m:.2f} m over the deck, without true sight of the pad "
+            f"for {worst.blind_s:.1f} s"
+        )
+    for contact in contacts:
+        if contact.surface == "water":
+            out.append(f"in the water, {contact.lateral_m:.2f} m from the pad's centre")
+        elif contact.surface == "deck":
+            out.append(f"touched the deck {contact.lateral_m:.2f} m from the pad's centre")
+    return tuple(out)
+
+
+def outside_commit(contacts: Sequence[Touchdown]) -> int:
+    """How many contacts with turning motors came while guidance did not mean to land."""
+    return sum(contact.motors and contact.guidance_phase not in COMMIT_PHASES for contact in contacts)
+
+
+class Grade(Enum):
+    """What a flight is worth."""
+
+    ON_PAD = "on pad"
+    REFUSED_RIGHTLY = "refused rightly"
+    FAILED = "failed"
+
+
+def grade(
+    outcome: Outcome | None,
+    contacts: Sequence[Touchdown],
+    unsafe: Sequence[str],
+    expect: Literal["land", "refuse", "either"],
+    *,
+    left_alone: bool = False,
+) -> tuple[Grade, str]:
+    """Say what a flight is worth, and why.
+
+    Args:
+        outcome: as the pilot saw it; None where the time ran out.
+        unsafe: what `dangers` says.
+        expect: of the scenario.
+        left_alone: at the end there was no service or no link, so that nothing could be decided.
+    """
+    if unsafe:
+        return Grade.FAILED, unsafe[0]
+    if outcome is Outcome.LANDED and contacts and contacts[-1].on_pad:
+        return Grade.ON_PAD, f"{100 * contacts[-1].lateral_m:.1f} cm from the centre"
+    if outcome is Outcome.GAVE_UP or (outcome is None and left_alone):
+        said = "gave up" if outcome is Outcome.GAVE_UP else "hovered without a service"
+        if expect == "land":
+            return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
+        return Grade.REFUSED_RIGHTLY, said
+    return Grade.FAILED, "time ran out: it neither landed nor gave up" if outcome is None else outcome.value

@@ -1,0 +1,121 @@
+"""The judgement on simulated flights: what counts as true sight, as a blind descent, as unsafe, and as the right outcome."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from companion.pilot import Outcome
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.time import MonoNs, after
+from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, outside_commit
+from sitl.world import Phase, Touchdown, Truth
+
+START = MonoNs(0)
+SAFE = BlindDescent(0.2, 0.2, 1.4)
+
+
+def truth(at_s: float, height_m: float, deck_up_m: float = 0.0, phase: Phase = Phase.FLYING) -> Truth:
+    level = Rotation.identity()
+    deck, body = np.array([0.0, 0.0, -deck_up_m]), np.array([0.0, 0.0, -deck_up_m - height_m])
+    return Truth(after(START, at_s), body, np.zeros(3), level, deck, np.zeros(3), level, phase, None)
+
+
+def contact(surface: Literal["pad", "deck", "water"], lateral_m: float = 0.1, phase: str | None = "land") -> Touchdown:
+    return Touchdown(START, surface, np.zeros(3), lateral_m, 0.0, 0.4, 0.0, Phase.LANDING, True, phase)
+
+
+def watched(frames: list[tuple[float, Verdict, bool, float]], heights: list[tuple[float, float]]) -> SightWatch:
+    watch = SightWatch(START)
+    for at_s, verdict, true_view, error_s in frames:
+        watch.frame(after(START, at_s), verdict, true_view=true_view, stamp_error_s=error_s)
+    for at_s, height_m in heights:
+        watch.step(truth(at_s, height_m))
+    return watch
+
+
+DOWN = [(0.5 * n, 3.0 - 0.25 * n) for n in range(11)]
+"""From 3 m to 0.5 m in 5 s."""
+
+
+def test_a_descent_in_true_sight_is_none_and_on_dead_frames_it_is_one() -> None:
+    seen = SightWatch(START)
+    for at_s, height_m in DOWN:
+        seen.frame(after(START, at_s), Verdict.FUSED, true_view=True, stamp_error_s=0.0)
+        seen.step(truth(at_s, height_m))
+    assert seen.worst.descent_m == 0.0
+    blind = watched([], DOWN).worst
+    assert blind.descent_m == pytest.approx(3.0 - 0.25 * 3 - 0.5), "counted from one second without sight on"
+    assert blind.lowest_m == 0.5
+    assert blind.blind_s == 5.0
+
+
+@pytest.mark.parametrize(
+    ("verdict", "true_view", "error_s"),
+    [(Verdict.FUSED, False, 0.0), (Verdict.GATED, True, 0.0), (Verdict.NO_PAD, True, 0.0), (Verdict.FUSED, True, -2.0)],
+)
+def test_frames_that_show_nothing_true_or_are_refused_are_no_sight(verdict: Verdict, true_view: bool, error_s: float) -> None:
+    watch = watched([(4.0, verdict, true_view, error_s)], DOWN)
+    assert watch.worst.descent_m > 1.0
+    assert watch.since_sight == {verdict: 1}
+    assert watched([(4.0, Verdict.FUSED, True, 0.3)], DOWN).worst.descent_m == 0.0
+
+
+def test_a_heaving_deck_under_a_hovering_vehicle_is_no_descent() -> None:
+    watch = SightWatch(START)
+    for n in range(40):
+        up = 1.0 * np.sin(0.3 * n)
+        watch.step(truth(0.5 * n, 2.0 - up, deck_up_m=up))
+    assert watch.worst.descent_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_dangers_name_contacts_beside_the_pad_descents_without_sight_and_a_dead_service() -> None:
+    assert dangers(SAFE, [contact("pad")], None) == ()
+    said = dangers(BlindDescent(1.3, 0.2, 5.2), [contact("deck", 0.48), contact("water", 2.5)], "KeyError: 'x' (pilot.py:3)")
+    assert said == (
+        "the service died in flight: KeyError: 'x' (pilot.py:3)",
+        "came down 1.30 m, to 0.20 m over the deck, without true sight of the pad for 5.2 s",
+        "touched the deck 0.48 m from the pad's centre",
+        "in the water, 2.50 m from the pad's centre",
+    )
+
+
+def test_contacts_outside_commit_are_those_with_motors_before_guidance_means_to_land() -> None:
+    still = Touchdown(START, "pad", np.zeros(3), 0.1, 0.0, 0.4, 0.0, Phase.EMERGENCY, False, "descend")
+    assert outside_commit([contact("pad"), contact("pad", phase="descend"), contact("pad", phase=None), still]) == 2
+
+
+@pytest.mark.parametrize(
+    ("outcome", "contacts", "expect", "worth"),
+    [
+        (Outcome.LANDED, ["pad"], "land", Grade.ON_PAD),
+        (Outcome.LANDED, ["pad"], "refuse", Grade.ON_PAD),
+        (Outcome.LANDED, ["deck"], "either", Grade.FAILED),
+        (Outcome.LANDED, [], "either", Grade.FAILED),
+        (Outcome.GAVE_UP, [], "refuse", Grade.REFUSED_RIGHTLY),
+        (Outcome.GAVE_UP, [], "either", Grade.REFUSED_RIGHTLY),
+        (Outcome.GAVE_UP, [], "land", Grade.FAILED),
+        (Outcome.GAVE_UP, ["water"], "refuse", Grade.FAILED),
+        (Outcome.EMERGENCY, [], "refuse", Grade.FAILED),
+        (Outcome.LANDED_BY_OTHERS, ["pad"], "either", Grade.FAILED),
+        (None, [], "refuse", Grade.FAILED),
+    ],
+)
+def test_a_flight_is_worth_what_its_scenario_expects(
+    outcome: Outcome | None,
+    contacts: list[Literal["pad", "deck", "water"]],
+    expect: Literal["land", "refuse", "either"],
+    worth: Grade,
+) -> None:
+    touched = [contact(surface) for surface in contacts]
+    given, because = grade(outcome, touched, dangers(SAFE, touched, None), expect)
+    assert given is worth
+    assert because
+
+
+def test_without_a_service_hovering_on_is_right() -> None:
+    assert grade(None, [], (), "refuse", left_alone=True)[0] is Grade.REFUSED_RIGHTLY
+    assert grade(None, [contact("water")], ("in the water",), "refuse", left_alone=True)[0] is Grade.FAILED
