@@ -20,8 +20,10 @@ from companion.pilot import Outcome, Pilot
 from companion.rig import ardrone_options
 from companion.settings_model import Settings
 from drivers.ardrone import at
+from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.helm import Helm
+from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.samples import Sampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
@@ -138,6 +140,7 @@ class Flight:
         self._timing = timing or Timing()
         self._limit_s = scenario.duration_limit_s
         self._options = ardrone_options(settings)
+        self._arbiter = CommandArbiter(self._options.hold_s)
         self._sequence = self._ticks = 0
         start = self.world.now
         self._clock = _VirtualClock(start)
@@ -165,6 +168,7 @@ class Flight:
             self._watch.step(self.world.truth())
         if self._killed():
             self.world.guidance_phase = None
+            self._hold(now)
             ended = self.world.phase in (Phase.LANDED, Phase.EMERGENCY)
             return not ended and seconds_between(self.world.started, now) < self._limit_s
         try:
@@ -190,7 +194,8 @@ class Flight:
             self._decide(now)
         if now >= self._due_command:
             self._due_command = after(self._due_command, self._options.command_period_s)
-            self._send(self._helm.period(now))
+            self._arbiter.take(self._helm.word(now))
+            self._send(self._arbiter.commands(now))
 
     def run(self) -> FlightResult:
         """To the end."""
@@ -201,12 +206,24 @@ class Flight:
     def _killed(self) -> bool:
         """Whether the service's process is gone; when it is back, it is a new one."""
         if self.world.active("service_killed"):
+            if not self._gone:
+                self._arbiter.lost(self._clock.t)
+                self._send(self._options.patience(self._options.hold_com_watchdog_s))
             self._gone = True
             return True
         if self._gone:
             self._gone = False
+            self._send(self._options.patience(self._options.com_watchdog_s))
             self._begin_service(self._renew())
         return False
+
+    def _hold(self, now: MonoNs) -> None:
+        """What the sender does, a process of its own that the service's end leaves alone."""
+        if not self.world.active("navdata_silent") and not self.world.active("link_lost"):
+            self._arbiter.on_report(DroneReport.of(self._drone.navdata()), after(now, NAVDATA_DELAY_S))
+        if now >= self._due_command:
+            self._due_command = after(self._due_command, self._options.command_period_s)
+            self._send(self._arbiter.commands(now))
 
     def _begin_service(self, pilot: Pilot) -> None:
         """What a process of the service holds, as it is when it has just begun."""

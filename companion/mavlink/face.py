@@ -125,7 +125,7 @@ class Face(Silent):
                 return DENIED, []
             return self._give(TakeOff()), []
         if m.command == mav.MAV_CMD_NAV_LAND:
-            return self._give(Land()), []
+            return self._give(Land(standing=True)), []
         if m.command == mav.MAV_CMD_DO_PAUSE_CONTINUE and m.param1 == 1.0:
             self._go_on()
             return ACCEPTED, []

@@ -193,7 +193,21 @@ def encode(sequence: int, command: AtCommand) -> bytes:
     Raises:
         ValueError: a number that does not fit 32 bits or is not finite, or text with quotes, control or non-ASCII characters.
     """
-    words = [str(sequence)]
+    return numbered(sequence, command.NAME, arguments(command))
+
+
+def numbered(sequence: int, name: str, arguments: str) -> bytes:
+    """The bytes of a command whose `arguments` are text already, each with its comma before it."""
+    return f"AT*{name}={sequence}{arguments}\r".encode("ascii")
+
+
+def arguments(command: AtCommand) -> str:
+    """The arguments of a command as they stand after its sequence number, each with its comma before it.
+
+    Raises:
+        ValueError: as for `encode`.
+    """
+    words = [""]
     for name, kind in _KINDS[type(command)]:
         value = getattr(command, name)
         if kind == _FLOAT:
@@ -208,7 +222,7 @@ def encode(sequence: int, command: AtCommand) -> bytes:
             if not -(1 << 31) <= value < 1 << 32:
                 raise ValueError(f"{command.NAME}: {name} must fit 32 bits, got {value!r}")
             words.append(str(value))
-    return f"AT*{command.NAME}={','.join(words)}\r".encode("ascii")
+    return ",".join(words)
 
 
 def decode(datagram: bytes) -> list[tuple[int, AtCommand] | Refusal]:

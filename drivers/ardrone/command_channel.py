@@ -1,25 +1,23 @@
-"""The AT command socket: one sequence for everything sent, and the period that keeps the drone's watchdog content."""
+"""The AT command channel: gives the helm's words to the sender's process, and starts another sender when that is lost."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.ardrone.at import AtCommand, encode
+from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
 from drivers.ardrone.counters import Counters
-from drivers.ardrone.datagrams import Datagrams, open_datagrams
 from drivers.ardrone.helm import Helm
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.sender_client import SenderClient
+from drivers.ardrone.sender_wire import SenderOptions, Status, as_text
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
 
-_PARTING = 5
-"""Datagrams of the last word: any one of them is enough."""
-
 
 class CommandChannel:
-    """Sends the helm's commands every period, whatever else happens, and whatever the other channels want sent."""
+    """Says the helm's word every period, and whatever the other channels want sent. The sender outlives a broken run."""
 
     def __init__(self, options: ArDroneOptions, clock: Clock, counters: Counters, helm: Helm, navdata: NavdataChannel) -> None:
         self._o = options
@@ -27,57 +25,76 @@ class CommandChannel:
         self._counters = counters
         self._helm = helm
         self._navdata = navdata
-        self._socket: Datagrams | None = None
-        self._sequence = 0
+        self._sender: SenderClient | None = None
+
+    @property
+    def sender_pid(self) -> int | None:
+        """Process of the sender, None while there is none."""
+        return None if self._sender is None else self._sender.pid
 
     def send(self, commands: Sequence[AtCommand]) -> None:
         """All in one datagram, in order.
 
         Raises:
-            Recoverable: the socket is not open or broken.
+            Recoverable: there is no sender.
         """
-        if self._socket is None:
-            raise Recoverable("the command socket is not open")
-        words = []
-        for command in commands:
-            self._sequence += 1
-            words.append(encode(self._sequence, command))
-        self._socket.send(b"".join(words))
-        self._counters.at_datagrams += 1
-        self._counters.at_commands += len(words)
+        if self._sender is None:
+            raise Recoverable("the sender of AT commands is not running")
+        self._sender.send(commands)
 
     async def run(self) -> None:
-        """Period after period, until the socket breaks or the drone has been silent for `reopen_after_s`.
+        """Period after period, until the sender is lost or the drone has been silent for `reopen_after_s`.
 
         Raises:
-            Recoverable: as said; a new socket takes this host's present address.
+            Recoverable: as said; the next run has a new sender, or a new socket with this host's present address.
         """
-        async with open_datagrams(self._o.host, self._o.at_port, self._clock, lambda data, heard: None) as socket:
-            self._socket = socket
-            opened = due = self._clock.now()
-            counted = 0
-            try:
-                while True:
-                    now = self._clock.now()
-                    self.send(self._helm.period(now))
-                    self._counters.at_errors += socket.errors - counted
-                    counted = socket.errors
-                    if seconds_between(self._last_sign(opened), now) > self._o.reopen_after_s:
-                        raise Recoverable(f"no sign of the drone for {self._o.reopen_after_s} s")
-                    due = max(after(due, self._o.command_period_s), now)
-                    await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
-            finally:
-                self._part(socket)
-                self._socket = None
+        if self._sender is None:
+            self._sender = SenderClient(self._options(), self._clock, self._told)
+            self._counters.at_senders += 1
+        else:
+            self._sender.reopen()
+        opened = due = self._clock.now()
+        try:
+            while True:
+                now = self._clock.now()
+                self._sender.say(self._helm.word(now))
+                if seconds_between(self._last_sign(opened), now) > self._o.reopen_after_s:
+                    break
+                due = max(after(due, self._o.command_period_s), now)
+                await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
+        except Recoverable:
+            self._sender = None
+            raise
+        raise Recoverable(f"no sign of the drone for {self._o.reopen_after_s} s")
+
+    def close(self, *, hold: bool) -> None:
+        """End the sender with the last word; with `hold` leave it to a successor, holding the drone meanwhile."""
+        if self._sender is None:
+            return
+        if hold:
+            self._sender.let_go()
+        else:
+            self._sender.end(self._helm.leave(self._clock.now()))
+        self._sender = None
+
+    def _options(self) -> SenderOptions:
+        o = self._o
+        return SenderOptions(
+            o.host, o.at_port, o.navdata_port, o.command_period_s, o.hold_s,
+            as_text(self._patience(o.hold_com_watchdog_s)), as_text(self._patience(o.com_watchdog_s)),
+        )  # fmt: skip
+
+    def _patience(self, seconds: int) -> list[AtCommand]:
+        """Commands that set how long the drone waits for us; sent without the handshake, as nobody may be there to wait."""
+        ids: list[AtCommand] = [] if self._o.ids is None else [ConfigIds(*self._o.ids)]
+        return [Ctrl(CTRL_ACK), *ids, Config("general:com_watchdog", str(seconds)), Ctrl(CTRL_ACK)]
+
+    def _told(self, before: Status, now: Status) -> None:
+        self._counters.at_datagrams += now.datagrams - before.datagrams
+        self._counters.at_commands += max(0, now.sequence - before.sequence)
+        self._counters.at_errors += now.errors - before.errors
+        self._counters.at_late_hovers += now.late_hovers - before.late_hovers
 
     def _last_sign(self, opened: MonoNs) -> MonoNs:
         heard = self._navdata.heard
         return opened if heard is None else max(opened, heard)
-
-    def _part(self, socket: Datagrams) -> None:
-        """However this socket ends, its last word leaves the drone holding its place."""
-        try:
-            for _ in range(_PARTING):
-                self.send(self._helm.leave(self._clock.now()))
-        except Recoverable:
-            self._counters.at_errors += 1

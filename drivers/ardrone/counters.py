@@ -53,6 +53,14 @@ class Counters:
     hover_for_blindness: int = 0
     """Periods in which a velocity command lacked a fresh measured velocity."""
     take_offs_given_up: int = 0
+    landings_given_up: int = 0
+    """Landings that guidance fell silent about and that were called off."""
+    landings_called_off: int = 0
+    """Periods in which the drone was told to end a landing that nobody wants."""
+    at_late_hovers: int = 0
+    """Datagrams in which the sender put hover for a word of ours that had run out."""
+    at_senders: int = 0
+    """Sender processes that were started; more than one means that one was lost."""
 
     config_sent: int = 0
     config_acknowledged: int = 0

@@ -6,16 +6,17 @@ and is cleared only for a commanded landing or on the ground; while the drone's 
 
 from __future__ import annotations
 
-from drivers.ardrone.at import PCMD_PROGRESSIVE, REF_BASE, REF_EMERGENCY, REF_TAKE_OFF, AtCommand, ComWdg, Pcmd, Ref
+from drivers.ardrone.arbiter import HOVER, STAY_UP, Word
+from drivers.ardrone.at import PCMD_PROGRESSIVE, REF_BASE, REF_EMERGENCY, Pcmd
 from drivers.ardrone.counters import Counters
+from drivers.ardrone.landing_watch import ORDERED_ABOVE_M, SILENT_ABOVE_M, DroneReport, LandingWatch
 from drivers.ardrone.navdata import ControlState, Navdata, State
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import RESET, acceleration_of, step
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Sample
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import MonoNs, after, seconds_between
 
-HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
 _EMERGENCY_PERIODS = 3
 """The drone acts on the rising edge; three periods survive a lost datagram."""
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
@@ -25,8 +26,10 @@ _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LA
 class Helm:
     """Holds the newest command and the newest word of the drone.
 
-    A take-off holds until the drone flies; it is given up after `take_off_timeout_s` or an emergency. A landing holds until the
-    drone stands; only a take-off ends it sooner. Velocity and hover act on the sticks alone.
+    A take-off holds until the drone flies; it is given up after `take_off_timeout_s` or an emergency. A landing is renewed in
+    each guidance cycle; any other command, or `landing_timeout_s` without one, calls it off, except near the ground, where the
+    drone finishes it. A landing that a person ordered holds until the drone stands or is told to take off. A landing that the
+    firmware began because nobody spoke to it is called off. Velocity and hover act on the sticks alone.
     """
 
     def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
@@ -35,7 +38,11 @@ class Helm:
         self._motion: Velocity | Hover = Hover()
         self._motion_at = MonoNs(0)
         self._take_off_at: MonoNs | None = None
-        self._landing = False
+        self._landing: Land | None = None
+        self._landing_at = MonoNs(0)
+        self._taken_back = False
+        """Guidance gave another command after its landing."""
+        self._watch = LandingWatch()
         self._emergency_periods = 0
         self._state: int | None = None
         self._heard = MonoNs(0)
@@ -53,18 +60,22 @@ class Helm:
     @property
     def landing(self) -> bool:
         """Whether a commanded landing is not finished yet."""
-        return self._landing
+        return self._landing is not None
 
     def take(self, command: Command, now: MonoNs) -> None:
         """The newest command."""
         if isinstance(command, TakeOff):
-            self._take_off_at, self._landing = now, False
+            self._take_off_at, self._landing = now, None
             self._motion, self._motion_at = Hover(), now
         elif isinstance(command, Land):
-            self._take_off_at, self._landing = None, True
+            if self._landing is None or not self._landing.standing:
+                self._landing = command
+            self._take_off_at, self._landing_at, self._taken_back = None, now, False
             self._motion, self._motion_at = Hover(), now
         else:
             self._motion, self._motion_at = command, now
+            if self._landing is not None and not self._landing.standing:
+                self._landing, self._taken_back = None, True
 
     def toggle_emergency(self) -> None:
         """Cut the motors, or leave the emergency state, with the next period. Never done but on request."""
@@ -76,10 +87,11 @@ class Helm:
         self._state, self._heard = navdata.state, now
         if (control := navdata.control_state) is not None:
             self._control = control
+        self._watch.on_report(DroneReport.of(navdata), now, ordered=self._landing is not None)
         if self._state & State.FLYING or self._state & State.EMERGENCY:
             self._take_off_at = None
         elif self._control in _ON_GROUND:
-            self._landing = False
+            self._landing, self._taken_back = None, False
 
     def hear_sample(self, sample: Sample) -> None:
         """What the drone measured; velocity and attitude are what steering needs."""
@@ -88,23 +100,24 @@ class Helm:
         elif isinstance(sample, Attitude):
             self._attitude = sample
 
-    def period(self, now: MonoNs) -> list[AtCommand]:
-        """The commands of this period, one datagram's worth."""
-        out: list[AtCommand] = []
-        if self._state is not None and self._state & State.COM_WATCHDOG:
-            out.append(ComWdg())
-            self._counters.watchdog_resets += 1
-        bits = self._ref_bits(now)
-        if bits is not None:
-            out.append(Ref(bits))
-        out.append(self._sticks(now))
-        return out
+    def word(self, now: MonoNs) -> Word:
+        """The word of this period, with the instant until which it may be flown."""
+        watchdog = self._state is not None and bool(self._state & State.COM_WATCHDOG)
+        self._counters.watchdog_resets += watchdog
+        ref = self._ref_bits(now)
+        sticks = self._sticks(now)
+        # A velocity ends with the guidance cycle that it came from, not with the period that repeats it.
+        since = now if sticks is HOVER else self._motion_at
+        landing = self._landing is not None and not self._landing.standing
+        return Word(after(since, self._o.command_timeout_s), sticks, ref, landing, watchdog)
 
-    def leave(self, now: MonoNs) -> list[AtCommand]:
+    def leave(self, now: MonoNs) -> Word:
         """The last word: hover where it is, or go on with a landing that was commanded."""
         self._take_off_at = None
-        bits = self._ref_bits(now)
-        return [HOVER] if bits is None else [Ref(bits), HOVER]
+        return Word(after(now, self._o.command_timeout_s), HOVER, self._ref_bits(now))
+
+    def _unknown(self, now: MonoNs) -> bool:
+        return self._state is None or seconds_between(self._heard, now) > self._o.navdata_silence_s
 
     def _ref_bits(self, now: MonoNs) -> int | None:
         if self._take_off_at is not None and seconds_between(self._take_off_at, now) > self._o.take_off_timeout_s:
@@ -113,18 +126,27 @@ class Helm:
         if self._emergency_periods:
             self._emergency_periods -= 1
             return REF_BASE | REF_EMERGENCY
-        if self._landing:
+        if self._landing is not None and not self._landing.standing:
+            silent = seconds_between(self._landing_at, now) > self._o.landing_timeout_s
+            if silent and self._watch.calls_off(now):
+                self._landing, self._taken_back = None, True
+                self._counters.landings_given_up += 1
+        if self._landing is not None:
             return REF_BASE
         if self._take_off_at is not None:
-            return REF_BASE | REF_TAKE_OFF
-        unknown = self._state is None or seconds_between(self._heard, now) > self._o.navdata_silence_s
-        if unknown or (self.flying and self._control is ControlState.LANDING):
+            return STAY_UP
+        if self._unknown(now):
             return None
-        return REF_BASE | REF_TAKE_OFF if self.flying else REF_BASE
+        if self.flying and self._control is ControlState.LANDING:
+            if self._watch.calls_off(now, ORDERED_ABOVE_M if self._taken_back else SILENT_ABOVE_M):
+                self._counters.landings_called_off += 1
+                return STAY_UP
+            return None
+        return STAY_UP if self.flying else REF_BASE
 
     def _sticks(self, now: MonoNs) -> Pcmd:
         wanted = self._motion
-        steerable = bool(self.flying) and not self._landing and self._control not in _NOT_STEERABLE
+        steerable = bool(self.flying) and self._landing is None and self._control not in _NOT_STEERABLE
         if not isinstance(wanted, Velocity) or not steerable:
             return self._hover()
         if seconds_between(self._motion_at, now) > self._o.command_timeout_s:

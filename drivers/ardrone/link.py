@@ -30,6 +30,7 @@ class ArDrone:
     def __init__(self, options: ArDroneOptions, clock: Clock) -> None:
         self._clock = clock
         self._open = True
+        self._released = False
         self.counters = Counters()
         self.frames: Latest[Frame] = Latest()
         """Of the bottom camera, newest only."""
@@ -52,6 +53,10 @@ class ArDrone:
         if not self._open:
             raise Recoverable("the link to the AR.Drone is closed")
         self._helm.take(command, self._clock.now())
+
+    def release(self) -> None:
+        """The service ends on purpose: on closing, the drone is left in its own hover instead of being held for a successor."""
+        self._released = True
 
     def toggle_emergency(self) -> None:
         """Cut the motors at once, or leave the emergency state. Never done but by this call."""
@@ -83,8 +88,14 @@ class ArDrone:
         self._video.restarted()
         self._setup.again()
 
-    def _close(self) -> None:
+    @property
+    def sender_pid(self) -> int | None:
+        """Process that sends the commands, None while there is none."""
+        return self._commands.sender_pid
+
+    def _close(self, *, hold: bool) -> None:
         self._open = False
+        self._commands.close(hold=hold and not self._released)
         closed = Recoverable("the link to the AR.Drone is closed")
         self.frames.fail(closed)
         self.samples.fail(closed)
@@ -96,6 +107,8 @@ async def open_ardrone(options: ArDroneOptions, clock: Clock) -> AsyncIterator[A
 
     A channel the outside world breaks is started again alone, with back-off, and counted. An error of ours ends all of it as an
     `ExceptionGroup`. On leaving, however that comes about, the drone is told to hover, or to go on with a commanded landing.
+    After an error or a cancellation without `ArDrone.release` the sender stays for `hold_s` and holds a flying drone for a
+    successor.
     """
     drone = ArDrone(options, clock)
     back_off = BackOff(options.restart_first_s, options.restart_most_s)
@@ -114,12 +127,14 @@ async def open_ardrone(options: ArDroneOptions, clock: Clock) -> AsyncIterator[A
             group.create_task(keep_up(name, body, clock, wait, drone.counters.restarts, drone.down), name=f"ardrone-{name}")
             for name, (body, wait) in channels.items()
         ]
+        hold = True
         try:
             yield drone
+            hold = False
         except Exception as why:  # the caller's own error must not come out wrapped in a group
             failed = why
         finally:
-            drone._close()
+            drone._close(hold=hold)
             for task in tasks:
                 task.cancel()
     if failed is not None:

@@ -32,13 +32,19 @@ class ArDroneOptions:
     """Session, user and application of the drone's multiple configurations, eight hexadecimal digits each; None to use none."""
     altitude_max_m: float = 20.0
     com_watchdog_s: int = 2
-    """How long the drone waits for commands before it holds and then lands by itself."""
+    """How long the drone flies on with the last command it heard before it hovers, and then hovers before it lands by itself."""
+    hold_s: float = 60.0
+    """How long the sender holds a flying drone in hover after the service died, for a new service to take over."""
+    hold_com_watchdog_s: int = 60
+    """The drone's `com_watchdog_s` while it is held so: its last command is hover, and the longer it waits the better."""
     settings: Mapping[str, str] = field(default_factory=dict)
     """Further configuration keys, sent last."""
 
     command_period_s: float = 0.03
-    command_timeout_s: float = 0.25
-    """A velocity command older than this is flown as hover."""
+    command_timeout_s: float = 0.12
+    """A velocity command older than this is flown as hover, by the sender too when the service says nothing more."""
+    landing_timeout_s: float = 0.5
+    """A landing that guidance has not repeated for this long is called off, if it is not about to end."""
     velocity_timeout_s: float = 0.25
     """A velocity command is flown as hover without a measured velocity younger than this."""
     take_off_timeout_s: float = 8.0

@@ -39,7 +39,13 @@ class TakeOff:
 
 @dataclass(frozen=True, slots=True)
 class Land:
-    """Descend to the ground by your own means and stop the motors there."""
+    """Descend to the ground by your own means and stop the motors there.
+
+    Guidance repeats it in every cycle for as long as it wants to land; a driver takes its silence as the landing called off.
+    """
+
+    standing: bool = False
+    """A person's order: it needs no repeating and holds until the vehicle is on the ground or told to take off."""
 
 
 Command = Velocity | Hover | TakeOff | Land

@@ -5,8 +5,9 @@ import pytest
 
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
+from drivers.ardrone.arbiter import HOVER
 from drivers.ardrone.counters import Counters
-from drivers.ardrone.helm import HOVER, Helm
+from drivers.ardrone.helm import Helm
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
 from estimator.contracts.samples import UNKNOWN_VAR, BodyVelocity
@@ -39,7 +40,7 @@ class Cockpit:
         self.helm.hear_sample(BodyVelocity(stamp, np.array([forward_m_s, 0.0, 0.0]), np.diag([0.1, 0.1, UNKNOWN_VAR])))
 
     def sends(self, t: int) -> list[at.AtCommand]:
-        return self.helm.period(ms(t))
+        return self.helm.word(ms(t)).commands()
 
 
 @pytest.fixture
@@ -89,10 +90,10 @@ def test_an_emergency_ends_the_wish_to_take_off(cockpit: Cockpit) -> None:
     assert cockpit.sends(3)[0] == GROUND
 
 
-def test_a_landing_is_held_until_it_stands_whatever_comes(cockpit: Cockpit) -> None:
+def test_a_persons_landing_is_held_until_it_stands_whatever_comes(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.measures(0)
-    cockpit.helm.take(Land(), ms(1))
+    cockpit.helm.take(Land(standing=True), ms(1))
     cockpit.helm.take(FORWARD, ms(2))
     assert cockpit.sends(3) == [GROUND, HOVER]
     cockpit.hears(4, nd.ControlState.LANDING)
@@ -178,4 +179,4 @@ def test_the_last_word_is_hover_or_the_landing_commanded(
 ) -> None:
     cockpit.hears(0, control)
     cockpit.helm.take(command, ms(1))
-    assert cockpit.helm.leave(ms(2)) == last
+    assert cockpit.helm.leave(ms(2)).commands() == last

@@ -62,7 +62,10 @@ async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key() -> None:
         assert not fake.refused
         await until(lambda: not fake.state & nd.State.COM_WATCHDOG)
     numbers = [n for n, _ in fake.commands]
-    assert numbers == list(range(1, len(numbers) + 1)), "one sequence for all commands"
+    assert numbers[0] == 1
+    assert 1 <= numbers.count(1) <= 8, "the first datagrams make the drone count anew, lest one lost datagram deafens it"
+    grown = [n for n in numbers if n != 1]
+    assert grown == list(range(2, len(grown) + 2)), "one sequence for all commands"
 
 
 async def test_without_ids_no_ids_are_sent() -> None:
@@ -155,7 +158,7 @@ async def test_a_silent_pilot_means_hover_within_the_timeout() -> None:
         await until(lambda: bool(fake.state & nd.State.FLYING))
         await steer(drone, fake)
         await until(lambda: fake.of(at.Pcmd)[-1].flags == 0)
-        assert drone.counters.hover_for_age > 0
+        await until(lambda: drone.counters.hover_for_age > 0)
 
 
 @pytest.mark.parametrize("how", ["leave", "error", "cancel"])
@@ -185,8 +188,8 @@ async def test_leaving_in_flight_leaves_the_drone_in_hover(how: str) -> None:
         (result,) = await asyncio.gather(task, return_exceptions=True)
         assert type(result) is {"leave": type(None), "error": LookupError, "cancel": asyncio.CancelledError}[how]
         await asyncio.sleep(0.05)
-        last = [c for _, c in fake.commands[-6:]]
-        assert last == [at.Ref(at.REF_BASE | at.REF_TAKE_OFF), at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)] * 3
+        assert fake.of(at.Pcmd)[-3:] == [at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)] * 3
+        assert fake.of(at.Ref)[-3:] == [at.Ref(at.REF_BASE | at.REF_TAKE_OFF)] * 3
         assert fake.state & nd.State.FLYING
 
 
@@ -208,7 +211,7 @@ async def test_a_mistake_of_ours_ends_the_link_loudly(monkeypatch: pytest.Monkey
     async def fly() -> None:
         async with linked(fake) as drone:
             await until(lambda: drone.ready)
-            monkeypatch.setattr("drivers.ardrone.helm.Helm.period", mistaken)
+            monkeypatch.setattr("drivers.ardrone.helm.Helm.word", mistaken)
             await asyncio.sleep(5)
 
     with pytest.raises(ExceptionGroup) as caught:
@@ -235,7 +238,7 @@ async def test_silent_video_is_opened_again() -> None:
     async with linked(fake) as drone:
         await until(lambda: fake.video_connections >= 3)
         assert drone.counters.restarts["video"] >= 2
-        assert drone.ready
+        await until(lambda: drone.ready)
 
 
 async def test_control_connection_lost_and_found_again_alone() -> None:
@@ -344,7 +347,7 @@ async def test_no_drone_at_all_then_one_appears() -> None:
     async with open_ardrone(options, SystemClock()) as drone:
         drone.command(Hover())
         await until(lambda: min(drone.counters.restarts[c] for c in ("navdata", "video", "at")) >= 2)
-        assert drone.counters.at_errors > 0
+        await until(lambda: drone.counters.at_errors > 0)
         assert not drone.ready
         assert drone.counters.frames == drone.counters.samples == 0
 

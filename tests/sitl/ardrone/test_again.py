@@ -25,7 +25,7 @@ NEAR = msgspec.structs.replace(load_scenario("calm"), start=Start(height_m=0.8, 
 
 async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_client() -> None:
     told: list[dict[str, Any]] = []
-    too_short = msgspec.structs.replace(NEAR, duration_limit_s=1.0)
+    too_short = msgspec.structs.replace(NEAR, duration_limit_s=2.5)
     async with ArDroneServer(World(too_short, 1, CLOCK.now()), ports=Ports(0, 0, 0, 0), clock=CLOCK) as server:
         ports = {f"{name}_port": getattr(server.ports, name) for name in ("navdata", "video", "at", "control")}
         first, done, changes = server.world, asyncio.Event(), [False]

@@ -1,0 +1,108 @@
+"""What is sent to an AR.Drone in each period: the service's newest word, or hover once that word has run out. No I/O.
+
+The same object decides in the sender's own process and in virtual time. A word carries the instant until which it may be flown;
+nothing that the service asked for is flown after it, however the service ended: killed, stopped, swapped out or stuck.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from drivers.ardrone.at import REF_BASE, REF_TAKE_OFF, AtCommand, ComWdg, Pcmd, Ref
+from drivers.ardrone.landing_watch import FRESH_S, DroneReport, LandingWatch
+from drivers.ardrone.navdata import ControlState, State
+from estimator.contracts.time import MonoNs, seconds_between
+
+HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
+STAY_UP = REF_BASE | REF_TAKE_OFF
+_ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED)
+_REPORT_S = 1.0
+"""A report that the drone stands is believed for this long; that it flies, for `FRESH_S`: the wish to fly, said too late to one
+that has landed meanwhile, would start its motors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """One word of the service, good until an instant of this host's monotonic clock."""
+
+    until: MonoNs
+    sticks: Pcmd
+    ref: int | None = None
+    """Bits of the REF command; None to send none."""
+    landing: bool = False
+    """`ref` asks for a landing that guidance renews in each cycle; a person's order is none of these."""
+    watchdog: bool = False
+    """The drone's communication watchdog has to be reset."""
+
+    def commands(self) -> list[AtCommand]:
+        """The word as AT commands, one datagram's worth."""
+        out: list[AtCommand] = [ComWdg()] if self.watchdog else []
+        if self.ref is not None:
+            out.append(Ref(self.ref))
+        return [*out, self.sticks]
+
+
+class CommandArbiter:
+    """Decides between the newest word and hover, and how long a drone that flies is held without any service.
+
+    Args:
+        hold_s: how long hover is sent after the last word, seconds; after that nothing is.
+    """
+
+    def __init__(self, hold_s: float) -> None:
+        self._hold_s = hold_s
+        self._word: Word | None = None
+        self._watch = LandingWatch()
+        self._report: DroneReport | None = None
+        self._heard = MonoNs(0)
+        self.hovers = 0
+        """Datagrams in which hover stood for a word that had run out."""
+
+    @property
+    def word(self) -> Word | None:
+        """The newest word."""
+        return self._word
+
+    def take(self, word: Word) -> None:
+        """Take the newest word of the service, run out or not."""
+        self._word = word
+
+    def on_report(self, report: DroneReport, now: MonoNs) -> None:
+        """Take what the sender itself heard of the drone while the service is silent."""
+        self._report, self._heard = report, now
+        self._watch.on_report(report, now, ordered=self._word is not None and self._word.landing)
+
+    def fresh(self, now: MonoNs) -> bool:
+        """Whether the newest word may still be flown."""
+        return self._word is not None and now <= self._word.until
+
+    def silent_s(self, now: MonoNs) -> float:
+        """Seconds since the newest word ran out; 0 while it has not, or before the first."""
+        return 0.0 if self._word is None else max(0.0, seconds_between(self._word.until, now))
+
+    def stands(self, now: MonoNs) -> bool:
+        """Whether the drone itself said lately that it is on the ground."""
+        report = self._report
+        if report is None or seconds_between(self._heard, now) > _REPORT_S:
+            return False
+        return not report.flying and (report.control is None or report.control in _ON_GROUND)
+
+    def commands(self, now: MonoNs) -> list[AtCommand]:
+        """Return the commands of one datagram; none before the first word and after `hold_s` of silence."""
+        word = self._word
+        if word is None or self.silent_s(now) > self._hold_s:
+            return []
+        if self.fresh(now):
+            return word.commands()
+        self.hovers += 1
+        report = self._report
+        if report is None or seconds_between(self._heard, now) > FRESH_S:
+            return [*([ComWdg()] if word.watchdog else []), HOVER]
+        out: list[AtCommand] = [ComWdg()] if report.state & State.COM_WATCHDOG else []
+        stays_up = report.flying and (report.control is not ControlState.LANDING or self._watch.calls_off(now))
+        return [*out, *([Ref(STAY_UP)] if stays_up else []), HOVER]
+
+    def lost(self, now: MonoNs) -> None:
+        """Take note that the service is gone: its word ends now."""
+        if self._word is not None:
+            self._word = replace(self._word, until=min(self._word.until, MonoNs(now - 1)))

@@ -1,0 +1,95 @@
+"""Why an AR.Drone is landing, and whether that landing is called off. No I/O.
+
+The firmware lands a drone that nobody has spoken to for a while, over deck or water alike. A service that comes back calls such a
+landing off; it never calls off one that a person, a low battery or a fault began. Near the ground no landing is called off: the
+bit that calls it off starts the motors of a drone that has touched down in the meantime.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from drivers.ardrone.navdata import ControlState, Demo, Navdata, State
+from estimator.contracts.time import MonoNs, seconds_between
+
+GAP_S = 1.0
+"""A drone that begins to land while we hear it is landed by somebody; only in a gap of this length can it be for our silence."""
+FRESH_S = 0.2
+"""A report older than this does not tell that the drone still is in the air."""
+SILENT_ABOVE_M = 0.5
+"""An unordered landing, or one that guidance no longer asks for, is called off above this height and finished below it."""
+ORDERED_ABOVE_M = 0.15
+"""A landing that guidance takes back by another command is called off above this height."""
+_NOT_FOR_SILENCE = (
+    State.BATTERY_LOW | State.USER_EMERGENCY | State.MOTOR_PROBLEM | State.CUTOUT | State.ANGLES_OUT_OF_RANGE | State.EMERGENCY
+)
+
+
+class Cause(Enum):
+    """Who began the landing that is under way."""
+
+    OURS = "ours"
+    SILENCE = "silence"
+    """The firmware, as nobody spoke to it."""
+    OTHERS = "others"
+    """A person, a low battery, a fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class DroneReport:
+    """The part of a navdata datagram that says whether the drone flies.
+
+    `control` and `altitude_m` (metres over what is below, by ultrasound) are None where the datagram does not carry them.
+    """
+
+    state: int
+    control: ControlState | None
+    altitude_m: float | None
+
+    @staticmethod
+    def of(navdata: Navdata) -> DroneReport:
+        """Take the report out of a datagram."""
+        demo = navdata.get(Demo)
+        return DroneReport(navdata.state, navdata.control_state, None if demo is None else 1e-3 * demo.altitude_mm)
+
+    @property
+    def flying(self) -> bool:
+        """Whether the drone is in the air, a landing under way included."""
+        return bool(self.state & State.FLYING)
+
+
+class LandingWatch:
+    """Follows the reports and remembers who began the present landing."""
+
+    def __init__(self) -> None:
+        self._report: DroneReport | None = None
+        self._heard = MonoNs(0)
+        self.cause: Cause | None = None
+        """None while the drone is not landing."""
+
+    def on_report(self, report: DroneReport, now: MonoNs, *, ordered: bool) -> None:
+        """Take the newest report; `ordered` says whether we are asking the drone to land."""
+        gap = self._report is None or seconds_between(self._heard, now) > GAP_S
+        self._report, self._heard = report, now
+        if report.control is None:
+            return
+        if not (report.flying and report.control is ControlState.LANDING):
+            self.cause = None
+        elif self.cause is None:
+            unheard = report.state & (State.COM_WATCHDOG | State.COMMUNICATION_LOST)
+            if ordered:
+                self.cause = Cause.OURS
+            elif gap and unheard and not report.state & _NOT_FOR_SILENCE:
+                self.cause = Cause.SILENCE
+            else:
+                self.cause = Cause.OTHERS
+
+    def calls_off(self, now: MonoNs, above_m: float = SILENT_ABOVE_M) -> bool:
+        """Whether the landing under way, which nobody wants, is to be called off at this height."""
+        report = self._report
+        if report is None or self.cause not in (Cause.OURS, Cause.SILENCE) or report.state & _NOT_FOR_SILENCE:
+            return False
+        if seconds_between(self._heard, now) > FRESH_S or report.altitude_m is None:
+            return False
+        return report.altitude_m >= above_m

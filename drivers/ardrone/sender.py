@@ -1,0 +1,303 @@
+"""The process that speaks to an AR.Drone's AT port: `python -m drivers.ardrone.sender FD OPTIONS`, started by the service.
+
+It is a process of its own so that nothing we sent outlives us. It owns the AT socket and its sequence, takes words with a
+deadline from the service over a stream socket (`FD`), and sends hover as soon as the newest word has run out: the service may be
+killed, stopped, swapped out or stuck. With the service gone it holds a flying drone in hover for `hold_s`, listening to navdata
+itself, until a new service's sender asks it for the sequence and takes over. It imports nothing large.
+"""
+
+from __future__ import annotations
+
+import select
+import signal
+import socket
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+
+from drivers.ardrone.arbiter import HOVER, CommandArbiter
+from drivers.ardrone.at import numbered
+from drivers.ardrone.landing_watch import DroneReport
+from drivers.ardrone.navdata import decode
+from drivers.ardrone.refusal import Refusal
+from drivers.ardrone.sender_lock import claim, yield_to
+from drivers.ardrone.sender_wire import (
+    LINE_MAX,
+    Order,
+    SenderOptions,
+    Status,
+    TextCommand,
+    as_text,
+    order_of,
+    pack_status,
+)
+from estimator.contracts.time import MonoNs
+
+PARTING = 5
+"""Datagrams of the last word: any one of them is enough."""
+BUSY = 3
+"""Exit code: another service, which is alive, flies this drone."""
+_NAVDATA_OPENING = b"\x01\x00\x00\x00"
+_OPENING_DATAGRAMS = 8
+"""So many datagrams begin with sequence number 1, which makes the drone count anew: one lost datagram must not deafen it."""
+(_NOTHING,) = as_text([HOVER])
+"""What carries that number. It must not reset the drone's watchdog, whose bit tells why a drone is landing."""
+_TOLD_TIMES = 5
+"""Datagrams that carry what is sent on being left alone; nobody waits for an acknowledgement then."""
+_STATUS_S = 0.05
+_SILENT_S = 1.0
+"""A service that is connected and silent for this long is as good as gone."""
+_ASK_AGAIN_S = 0.5
+_REFUSED_S = 2.0
+"""A port that refuses for so long belongs to a simulated drone that has ended: a real one out of reach does not answer."""
+_NS = 1_000_000_000
+
+
+class Sender:
+    """The loop of the process.
+
+    Args:
+        service: stream to the service that started it.
+        listener: where a successor asks to take over; None where this system has no such sockets.
+        sequence: number of the last command that the drone was sent by a predecessor; 0 for none that is known.
+    """
+
+    def __init__(self, options: SenderOptions, service: socket.socket, listener: socket.socket | None, sequence: int) -> None:
+        self._o = options
+        self._service: socket.socket | None = service
+        self._listener = listener
+        self._arbiter = CommandArbiter(options.hold_s)
+        self._sequence = sequence
+        self._opening = 0 if sequence else _OPENING_DATAGRAMS
+        self._at: socket.socket | None = None
+        self._navdata: socket.socket | None = None
+        self._asked = self._status_at = self._due = 0
+        self._in_force: int | None = None
+        """Deadline of the word that the drone was sent last; None when it was sent hover."""
+        self._buffer = b""
+        self._datagrams = self._errors = 0
+        self._refused: tuple[int, int] | None = None
+        """The first and the newest refusal of a series."""
+        self._alone = False
+        self._telling: list[tuple[TextCommand, ...]] = []
+        self._over = False
+
+    def run(self) -> None:
+        """Until the service ends it, a successor takes over, or there is nothing left to hold."""
+        signal.signal(signal.SIGTERM, self._terminated)
+        while True:
+            now = time.monotonic_ns()
+            due = self._due if self._in_force is None else min(self._due, self._in_force + 1)
+            self._wait(max(0, due - now))
+            if self._over:
+                break
+            now = time.monotonic_ns()
+            if now >= self._due or (self._in_force is not None and now > self._in_force):
+                self._transmit(now)
+            self._consider(now)
+        for end in (self._service, self._listener, self._at, self._navdata):
+            if end is not None:
+                end.close()
+
+    def _terminated(self, *_: object) -> None:
+        self._part()
+
+    def _wait(self, wait_ns: int) -> None:
+        readers = [end for end in (self._service, self._listener, self._navdata) if end is not None]
+        ready, _, _ = select.select(readers, [], [], wait_ns / _NS)
+        if self._listener in ready and self._listener is not None:
+            silent = self._service is None or self._arbiter.silent_s(MonoNs(time.monotonic_ns())) > _SILENT_S
+            self._over = yield_to(self._listener, self._sequence if silent else None) or self._over
+        if self._navdata in ready:
+            self._hear()
+        if self._service in ready:
+            self._take()
+
+    def _take(self) -> None:
+        """Read what the service said; only its newest word counts, and one that has run out is not flown."""
+        assert self._service is not None
+        try:
+            said = self._service.recv(LINE_MAX)
+        except OSError:
+            said = b""
+        if not said:
+            self._service.close()
+            self._service = None
+            self._buffer = b""
+            self._arbiter.lost(MonoNs(time.monotonic_ns()))
+            self._due = 0
+            return
+        *lines, self._buffer = (self._buffer + said).split(b"\n")
+        before = self._arbiter.word
+        for line in lines:
+            try:
+                order = order_of(line)
+            except (ValueError, TypeError):
+                self._errors += 1
+                continue
+            self._obey(order)
+            if self._over:
+                return
+        if self._arbiter.word is not before:
+            self._transmit(time.monotonic_ns())
+
+    def _obey(self, order: Order) -> None:
+        if order.word is not None:
+            self._arbiter.take(order.word)
+        elif order.end is not None:
+            self._arbiter.take(order.end)
+            self._part()
+        elif order.until is not None:
+            if time.monotonic_ns() <= order.until:
+                self._send(order.commands)
+        elif order.reopen and self._at is not None:
+            self._at.close()
+            self._at = None
+
+    def _part(self) -> None:
+        for _ in range(PARTING):
+            self._transmit(time.monotonic_ns())
+        self._over = True
+
+    def _transmit(self, now: int) -> None:
+        instant = MonoNs(now)
+        fresh = self._arbiter.fresh(instant)
+        commands = as_text(self._arbiter.commands(instant))
+        told = self._telling.pop(0) if self._telling else ()
+        if commands or told:
+            self._send((*told, *commands))
+        word = self._arbiter.word
+        self._in_force = word.until if fresh and word is not None else None
+        # While words come at the period's pace there is no need to repeat one just before the next.
+        self._due = now + round((4 / 3 if fresh else 1.0) * self._o.period_s * _NS)
+
+    def _send(self, commands: Sequence[TextCommand]) -> None:
+        parts = []
+        if self._opening:
+            self._opening -= 1
+            parts.append(numbered(1, *_NOTHING))
+            self._sequence = max(self._sequence, 1)
+        for name, rest in commands:
+            self._sequence += 1
+            parts.append(numbered(self._sequence, name, rest))
+        try:
+            if self._at is None:
+                self._at = _connected(self._o.host, self._o.at_port)
+            self._at.send(b"".join(parts))
+            self._datagrams += 1
+        except ConnectionRefusedError:
+            self._errors += 1
+            now = time.monotonic_ns()
+            if self._refused is None or now - self._refused[1] > _ASK_AGAIN_S * _NS:
+                self._refused = (now, now)
+            self._refused = (self._refused[0], now)
+        except BlockingIOError:
+            self._errors += 1
+        except OSError:
+            self._errors += 1
+            if self._at is not None:
+                self._at.close()
+            self._at = None
+
+    def _consider(self, now: int) -> None:
+        """Look at who is there: the service, the drone."""
+        instant = MonoNs(now)
+        alone = self._service is None or self._arbiter.silent_s(instant) > _SILENT_S
+        if alone != self._alone:
+            self._alone = alone
+            if self._arbiter.word is not None:
+                self._telling = [self._o.alone if alone else self._o.again] * _TOLD_TIMES
+        if alone:
+            self._listen(now)
+        elif self._navdata is not None:
+            self._navdata.close()
+            self._navdata = None
+        if self._service is not None:
+            self._report(now)
+            return
+        refused = self._refused is not None and self._refused[1] - self._refused[0] > _REFUSED_S * _NS
+        if self._arbiter.word is None or refused or self._arbiter.silent_s(instant) > self._o.hold_s:
+            self._over = True
+        elif self._arbiter.stands(instant):
+            self._send(self._o.again)
+            self._over = True
+
+    def _report(self, now: int) -> None:
+        if now - self._status_at < _STATUS_S * _NS or self._service is None:
+            return
+        self._status_at = now
+        status = Status(self._sequence, self._datagrams, self._errors, self._arbiter.hovers)
+        # A service that does not read is told later; of one that is gone the next read says so.
+        with suppress(OSError):
+            self._service.send(pack_status(status), socket.MSG_DONTWAIT)
+
+    def _listen(self, now: int) -> None:
+        """Hear navdata oneself, and ask for it again where it does not come."""
+        try:
+            if self._navdata is None:
+                self._navdata = _connected(self._o.host, self._o.navdata_port)
+                self._asked = 0
+            if now - self._asked > _ASK_AGAIN_S * _NS:
+                self._asked = now
+                self._navdata.send(_NAVDATA_OPENING)
+        except OSError:
+            if self._navdata is not None:
+                self._navdata.close()
+            self._navdata = None
+
+    def _hear(self) -> None:
+        assert self._navdata is not None
+        newest = b""
+        with suppress(OSError):  # BlockingIOError after the last one, or a port that refuses
+            while True:
+                newest = self._navdata.recv(4096)
+        navdata = decode(newest)
+        if not isinstance(navdata, Refusal):
+            self._asked = time.monotonic_ns()
+            self._arbiter.on_report(DroneReport.of(navdata), MonoNs(self._asked))
+
+
+def _connected(host: str, port: int) -> socket.socket:
+    """A UDP socket that talks to one peer only and never blocks."""
+    family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    end = socket.socket(family, kind, protocol)
+    try:
+        end.connect(address)
+        end.setblocking(False)
+    except OSError:
+        end.close()
+        raise
+    return end
+
+
+def _stay_in_memory() -> None:
+    """Ask not to be swapped out; where that is not allowed it flies without."""
+    try:
+        import ctypes
+
+        ctypes.CDLL(None).mlockall(1)
+    except (ImportError, OSError, AttributeError, MemoryError):
+        return
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the sender on the stream socket with descriptor `argv[0]`; returns the exit code."""
+    # Ctrl-C and a closed terminal are meant for the service, which ends its sender in its own time.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    options = SenderOptions.of_json(argv[1])
+    service = socket.socket(fileno=int(argv[0]))
+    claimed = claim(options.name)
+    if claimed is None:
+        service.close()
+        return BUSY
+    listener, sequence = claimed
+    _stay_in_memory()
+    sender = Sender(options, service, listener, sequence)
+    sender.run()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,190 @@
+"""The service's end of its sender: starts the process, gives it words, and notices when it is gone."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import drivers
+from drivers.ardrone.arbiter import HOVER, Word
+from drivers.ardrone.at import AtCommand, encode
+from drivers.ardrone.sender import BUSY
+from drivers.ardrone.sender_wire import LINE_MAX, REOPEN, SenderOptions, Status, pack, pack_commands, pack_end, status_of
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, after, seconds_between
+
+_COMMANDS_S = 0.5
+"""Commands other than words are dropped when they have waited this long."""
+_READY_S = 5.0
+_STUCK_S = 0.5
+"""A sender that has not told its status for this long is replaced."""
+_END_S = 2.0
+_GONE_S = 0.02
+"""A process whose socket has closed needs this long to be gone altogether."""
+_BURST = 3
+_LEFT: list[subprocess.Popen[bytes]] = []
+"""Senders that were left to a successor and may have ended since."""
+_START = "import sys; sys.path.append(sys.argv.pop(1)); from drivers.ardrone.sender import main; sys.exit(main(sys.argv[1:]))"
+
+
+class SenderClient:
+    """One running sender process.
+
+    Args:
+        told: is given each status with the one before it.
+    """
+
+    def __init__(self, options: SenderOptions, clock: Clock, told: Callable[[Status, Status], None]) -> None:
+        self._o = options
+        self._clock = clock
+        self._told = told
+        self._status = Status(0, 0, 0, 0)
+        self._heard: MonoNs | None = None
+        self._began = clock.now()
+        self._buffer = b""
+        self._word: Word | None = None
+        self._closed = False
+        _LEFT[:] = [left for left in _LEFT if left.poll() is None]
+        ours, theirs = socket.socketpair()
+        try:
+            root = str(Path(next(iter(drivers.__path__))).parent)
+            self._process = subprocess.Popen(
+                [sys.executable, "-I", "-S", "-c", _START, root, str(theirs.fileno()), options.as_json()],
+                pass_fds=(theirs.fileno(),),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError as why:
+            ours.close()
+            raise Recoverable(f"the sender of AT commands cannot be started: {why}") from why
+        finally:
+            theirs.close()
+        ours.setblocking(False)
+        self._socket = ours
+        self._lost: str | None = None
+        asyncio.get_running_loop().add_reader(ours.fileno(), self._read)
+
+    @property
+    def pid(self) -> int:
+        """Of the sender's process."""
+        return self._process.pid
+
+    def say(self, word: Word) -> None:
+        """Give the newest word; never blocks.
+
+        Raises:
+            Recoverable: the sender is gone or stuck.
+        """
+        self._word = word
+        self._look()
+        self._write(pack(word))
+
+    def send(self, commands: Sequence[AtCommand]) -> None:
+        """Further commands, all in one datagram, in order; dropped while the sender is not up yet.
+
+        Raises:
+            Recoverable: the sender is gone or stuck.
+        """
+        self._look()
+        if self._heard is None:
+            return  # dropped as a datagram may be: those that matter are repeated, and must not pile up
+        self._write(pack_commands(commands, after(self._clock.now(), _COMMANDS_S)))
+
+    def reopen(self) -> None:
+        """Open the AT socket again, which takes this host's present address.
+
+        Raises:
+            Recoverable: the sender is gone or stuck.
+        """
+        self._look()
+        self._write(REOPEN)
+
+    def end(self, word: Word) -> None:
+        """The service ends on purpose: the sender says this word and ends."""
+        with suppress(Recoverable):
+            self._write(pack_end(word))
+        self._close()
+        self._kill(_END_S)
+
+    def let_go(self) -> None:
+        """The service ends otherwise: the sender stays and holds a flying drone until a successor comes."""
+        self._close()
+        _LEFT.append(self._process)
+
+    def _look(self) -> None:
+        if self._lost is not None:
+            raise Recoverable(self._lost)
+        since, patience_s = (self._began, _READY_S) if self._heard is None else (self._heard, _STUCK_S)
+        if seconds_between(since, self._clock.now()) > patience_s:
+            self._lose(f"the sender of AT commands says nothing for {patience_s} s")
+            raise Recoverable(self._lost or "")
+
+    def _write(self, line: bytes) -> None:
+        try:
+            if self._socket.send(line) != len(line):
+                self._lose("the sender of AT commands is stuck")
+        except BlockingIOError:
+            self._lose("the sender of AT commands is stuck")
+        except OSError:
+            self._lose("the sender of AT commands is gone")
+        if self._lost is not None:
+            raise Recoverable(self._lost)
+
+    def _read(self) -> None:
+        try:
+            said = self._socket.recv(LINE_MAX)
+        except BlockingIOError:
+            return
+        except OSError:
+            said = b""
+        if not said:
+            self._lose("the sender of AT commands is gone")
+            return
+        self._heard = self._clock.now()
+        *lines, self._buffer = (self._buffer + said).split(b"\n")
+        for line in lines:
+            before, self._status = self._status, status_of(line)
+            self._told(before, self._status)
+
+    def _lose(self, why: str) -> None:
+        """The sender is not to be relied upon: make sure that it is gone, and let the drone hover until there is another."""
+        if self._lost is not None:
+            return
+        self._lost = why
+        self._close()
+        self._kill(_GONE_S)
+        if self._process.returncode == BUSY:
+            self._lost = "another service, which is alive, flies this drone"
+        elif self._word is not None and self._heard is not None:
+            self._hover()
+
+    def _kill(self, patience_s: float) -> None:
+        try:
+            self._process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _hover(self) -> None:
+        """Without a sender the drone flies on by the last command it heard: number 1 makes it hear this one."""
+        data = encode(1, HOVER)
+        try:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as direct:
+                direct.setblocking(False)
+                for _ in range(_BURST):
+                    direct.sendto(data, (self._o.host, self._o.at_port))
+        except OSError:
+            return  # a name instead of an address, or no network: the next sender will say it
+
+    def _close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            asyncio.get_running_loop().remove_reader(self._socket.fileno())
+            self._socket.close()

@@ -1,0 +1,99 @@
+"""One sender for a drone: who has it, and how it passes to a successor.
+
+A sender listens on an abstract Unix socket that is named after user, host and port. A newcomer asks whoever listens to yield: a
+sender whose service is gone answers with its sequence number and ends, so that the newcomer goes on counting; one whose service
+is alive refuses. One that does not answer at all is stuck, and is killed. Systems without abstract sockets go without.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import struct
+import sys
+import time
+
+_ASK, _BUSY = b"yield\n", b"busy\n"
+_ANSWER_S = 0.5
+_BIND_S = 1.0
+_HEARING_S = 0.05
+_CREDENTIALS = struct.Struct("3i")
+"""struct ucred: process, user, group."""
+
+
+def claim(name: str) -> tuple[socket.socket | None, int] | None:
+    """Become the sender of that name.
+
+    Returns:
+        The listening socket (None where there can be none) and the sequence number of the predecessor's last command, 0 where
+        there was none; None where a sender with a living service has the name.
+    """
+    if sys.platform != "linux":
+        return None, 0
+    sequence, deadline = 0, time.monotonic() + _BIND_S
+    while True:
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            listener.bind(name)
+            listener.listen(4)
+            listener.setblocking(False)
+            return listener, sequence
+        except OSError:
+            listener.close()
+        answer = _ask(name)
+        if answer is None:
+            return None
+        sequence = max(sequence, answer)
+        if time.monotonic() > deadline:
+            return None, sequence
+        time.sleep(0.001)
+
+
+def _ask(name: str) -> int | None:
+    """Ask whoever has the name to yield: its sequence number, 0 when it said none, None when it refuses."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as other:
+        other.settimeout(_ANSWER_S)
+        try:
+            other.connect(name)
+            pid, user = _peer(other)
+            if user != os.getuid():
+                return 0  # somebody else took the name; there is nothing of ours to hear
+            other.sendall(_ASK)
+            answer = other.recv(32)
+        except TimeoutError:
+            if pid > 1:  # 0 is a process of another container, out of our reach
+                os.kill(pid, signal.SIGKILL)
+            return 0
+        except OSError:
+            return 0
+    if answer == _BUSY:
+        return None
+    return int(answer) if answer.strip().isdigit() else 0
+
+
+def yield_to(listener: socket.socket, sequence: int | None) -> bool:
+    """Answer one newcomer: with the sequence number, after which we end, or by a refusal when it is None.
+
+    Returns:
+        Whether we yielded.
+    """
+    try:
+        other, _ = listener.accept()
+    except OSError:
+        return False
+    with other:
+        other.settimeout(_HEARING_S)
+        try:
+            if _peer(other)[1] != os.getuid() or other.recv(32) != _ASK:
+                return False
+            other.sendall(_BUSY if sequence is None else b"%d\n" % sequence)
+        except OSError:
+            return False
+    return sequence is not None
+
+
+def _peer(end: socket.socket) -> tuple[int, int]:
+    """Process and user at the other end."""
+    pid, user, _ = _CREDENTIALS.unpack(end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+    return pid, user
