@@ -48,6 +48,10 @@ class Link(Protocol):
 
     def command(self, command: Command) -> None: ...
 
+    def release(self) -> None:
+        """Leave the vehicle to a person on closing, instead of holding it for a successor."""
+        ...
+
 
 OpenLink = Callable[[], AbstractAsyncContextManager[Link]]
 
@@ -116,7 +120,9 @@ class Daemon:
         return self._pilot.outcome
 
     def stop(self) -> None:
-        """End `run` soon, cleanly."""
+        """End `run` soon, cleanly; the vehicle is then somebody else's."""
+        if self._link is not None:
+            self._link.release()
         self._ended.set()
 
     async def _fly(self) -> None:

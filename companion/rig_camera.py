@@ -88,6 +88,9 @@ class LinkWithCamera:
     def command(self, command: Command) -> None:
         self.vehicle.command(command)
 
+    def release(self) -> None:
+        self.vehicle.release()
+
 
 def with_camera(open_vehicle: OpenLink, options: CameraOptions, clock: Clock) -> OpenLink:
     """Opens both. A camera that goes away comes back by itself, and the vehicle hears nothing of it."""

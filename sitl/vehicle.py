@@ -180,6 +180,10 @@ class Vehicle:
         flies = (self.phase == Phase.TAKING_OFF) | (self.phase == Phase.HOVERING) | (self.phase == Phase.FLYING)
         self.phase = self._m.where(flies & which, float(Phase.LANDING), self.phase)
 
+    def stay_up(self, which: Flag = True) -> None:
+        """Those of `which` that are landing hover instead."""
+        self.phase = self._m.where((self.phase == Phase.LANDING) & which, float(Phase.HOVERING), self.phase)
+
     def cut_motors(self, which: Flag = True) -> None:
         """At once, wherever it is."""
         self.phase = self._m.where(which, float(Phase.EMERGENCY), self.phase)

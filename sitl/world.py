@@ -211,6 +211,10 @@ class World:
         """Descend where it is, holding its place by optical flow, and stop the motors on contact; nothing unless it flies."""
         self._vehicle.land()
 
+    def stay_up(self) -> None:
+        """End the landing under way and hover; nothing unless it is landing."""
+        self._vehicle.stay_up()
+
     def emergency(self) -> None:
         """Stop the motors, wherever it is."""
         self._vehicle.cut_motors()

@@ -115,6 +115,9 @@ class _Reel:
     def command(self, command: Command) -> None:
         return None
 
+    def release(self) -> None:
+        return None
+
     @asynccontextmanager
     async def open(self) -> AsyncIterator[Link]:
         async with asyncio.TaskGroup() as group:

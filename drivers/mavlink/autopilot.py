@@ -171,6 +171,9 @@ class Autopilot:
             command = Velocity(command.v_level + way_level, command.yaw_rate_rad_s)
         self._known.helm.take(command, now)
 
+    def release(self) -> None:
+        """Nothing of ours stays behind: on closing the autopilot is told to hold, and does so by itself."""
+
     def engage(self) -> None:
         """The operator starts: a vehicle that a person took from us may be taken back."""
         if self._known is not None:

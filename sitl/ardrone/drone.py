@@ -136,6 +136,9 @@ class Drone:
             case Deed.LAND:
                 self._stick = self._flown = HOVER
                 self.world.land()
+            case Deed.STAY_UP:
+                self._stick = self._flown = HOVER
+                self.world.stay_up()
             case Deed.CUT_MOTORS:
                 self.world.emergency()
             case Deed.LEAVE_EMERGENCY:

@@ -52,6 +52,8 @@ class Deed(Enum):
 
     TAKE_OFF = "take_off"
     LAND = "land"
+    STAY_UP = "stay_up"
+    """End the landing under way and hover."""
     CUT_MOTORS = "cut_motors"
     LEAVE_EMERGENCY = "leave_emergency"
     APPLY_LIMITS = "apply_limits"
@@ -201,6 +203,9 @@ class DroneState:
             yield Deed.LEAVE_EMERGENCY if leaves else Deed.CUT_MOTORS
         elif ref.take_off and phase is Phase.LANDED:
             yield Deed.TAKE_OFF
+        elif ref.take_off and phase is Phase.LANDING:
+            # Assumed, not read anywhere: the wish to fly ends a landing as it begins a flight.
+            yield Deed.STAY_UP
         elif not ref.take_off and phase in _STEERABLE:
             yield Deed.LAND
 

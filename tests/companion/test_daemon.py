@@ -39,11 +39,15 @@ class FakeVehicle:
         self.frames: Latest[Frame] = Latest()
         self.samples: Line[Sample] = Line(1000)
         self.commands: list[Command] = []
+        self.released = False
         self.opened = 0
         self.left_hovering = 0
 
     def command(self, command: Command) -> None:
         self.commands.append(command)
+
+    def release(self) -> None:
+        self.released = True
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[Link]:

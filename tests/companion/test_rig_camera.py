@@ -59,9 +59,13 @@ class Vehicle:
         self.frames: Latest[Frame] = Latest()
         self.samples: Line[Sample] = Line(8)
         self.commands: list[Command] = []
+        self.released = False
 
     def command(self, command: Command) -> None:
         self.commands.append(command)
+
+    def release(self) -> None:
+        self.released = True
 
 
 async def test_frames_are_the_cameras_and_the_rest_is_the_vehicles(tmp_path: Path) -> None:
