@@ -54,6 +54,8 @@ def ardrone_options(settings: Settings) -> ArDroneOptions:
         samples=SampleOptions(velocity_scale=v.velocity_scale),
         altitude_max_m=v.altitude_max_m,
         com_watchdog_s=v.com_watchdog_s,
+        hold_s=v.hold_s,
+        hold_com_watchdog_s=v.hold_com_watchdog_s,
         command_period_s=v.command_period_s,
         command_timeout_s=v.command_timeout_s,
         navdata_silence_s=v.navdata_silence_s,

@@ -42,12 +42,25 @@ class ArDroneSettings(Struct, frozen=True, forbid_unknown_fields=True, tag_field
         number("how often a command is repeated; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary"),
     ] = 0.03
     command_timeout_s: Annotated[
-        float, number("a velocity command older than this is flown as hover", "s", 0.05, 2.0, "ten commands of guidance")
-    ] = 0.25
+        float, number("a velocity command older than this is flown as hover", "s", 0.05, 0.5, "six commands of guidance")
+    ] = 0.12
+    hold_s: Annotated[
+        float,
+        number("after this service died, how long its sender holds the flying drone in hover for a new one", "s", 0.0, 600.0),
+    ] = 60.0
     com_watchdog_s: Annotated[
         int,
-        number("how long the drone itself waits for commands before it holds and then lands", "s", 1, 60, "firmware default"),
+        number(
+            "how long the drone flies on with the last command it heard before it hovers, and then hovers before it lands",
+            "s",
+            1,
+            60,
+            "firmware default",
+        ),
     ] = 2
+    hold_com_watchdog_s: Annotated[
+        int, number("the same while the sender holds the drone without a service", "s", 1, 60, "the longest there is")
+    ] = 60
     navdata_silence_s: Annotated[
         float, number("without navdata for this long the stream is asked for again", "s", 0.1, 10.0, "Parrot SDK 2.0.1")
     ] = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
+from drivers.ardrone.at import AtCommand
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.helm import Helm
 from drivers.ardrone.navdata_channel import NavdataChannel
@@ -31,6 +31,11 @@ class CommandChannel:
     def sender_pid(self) -> int | None:
         """Process of the sender, None while there is none."""
         return None if self._sender is None else self._sender.pid
+
+    @property
+    def up(self) -> bool:
+        """Whether commands reach the drone's port now."""
+        return self._sender is not None and self._sender.up
 
     def send(self, commands: Sequence[AtCommand]) -> None:
         """All in one datagram, in order.
@@ -81,13 +86,8 @@ class CommandChannel:
         o = self._o
         return SenderOptions(
             o.host, o.at_port, o.navdata_port, o.command_period_s, o.hold_s,
-            as_text(self._patience(o.hold_com_watchdog_s)), as_text(self._patience(o.com_watchdog_s)),
+            as_text(o.patience(o.hold_com_watchdog_s)), as_text(o.patience(o.com_watchdog_s)),
         )  # fmt: skip
-
-    def _patience(self, seconds: int) -> list[AtCommand]:
-        """Commands that set how long the drone waits for us; sent without the handshake, as nobody may be there to wait."""
-        ids: list[AtCommand] = [] if self._o.ids is None else [ConfigIds(*self._o.ids)]
-        return [Ctrl(CTRL_ACK), *ids, Config("general:com_watchdog", str(seconds)), Ctrl(CTRL_ACK)]
 
     def _told(self, before: Status, now: Status) -> None:
         self._counters.at_datagrams += now.datagrams - before.datagrams

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
+from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
 from drivers.ardrone.samples import SampleOptions
 from drivers.ardrone.velocity_loop import LoopOptions
 
@@ -83,7 +84,7 @@ class ArDroneOptions:
             if f.name.endswith("_port") and not 1 <= value <= 65535:
                 raise ValueError(f"{f.name} must lie in 1..65535, got {value!r}")
             if f.name.endswith("_s"):
-                zero_ok = "delay" in f.name or f.name in ("exposure_s", "video_settle_s")
+                zero_ok = "delay" in f.name or f.name in ("exposure_s", "video_settle_s", "hold_s")
                 if not math.isfinite(value) or value < 0 or (value == 0 and not zero_ok):
                     raise ValueError(f"{f.name} must be positive seconds, got {value!r}")
         if not 0 < self.altitude_max_m <= 100 or self.sample_line < 1:
@@ -108,3 +109,8 @@ class ArDroneOptions:
         wanted["control:control_yaw"] = f"{self.loop.yaw_rate_max_rad_s:.6f}"
         wanted.update(self.settings)
         return wanted
+
+    def patience(self, seconds: int) -> list[AtCommand]:
+        """Commands that set `com_watchdog_s` alone, without waiting for the acknowledge bit: nobody may be there to wait."""
+        ids: list[AtCommand] = [] if self.ids is None else [ConfigIds(*self.ids)]
+        return [Ctrl(CTRL_ACK), *ids, Config("general:com_watchdog", str(seconds)), Ctrl(CTRL_ACK)]

@@ -23,6 +23,7 @@ from drivers.ardrone.navdata import decode
 from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.sender_lock import claim, yield_to
 from drivers.ardrone.sender_wire import (
+    BUSY,
     LINE_MAX,
     Order,
     SenderOptions,
@@ -36,8 +37,6 @@ from estimator.contracts.time import MonoNs
 
 PARTING = 5
 """Datagrams of the last word: any one of them is enough."""
-BUSY = 3
-"""Exit code: another service, which is alive, flies this drone."""
 _NAVDATA_OPENING = b"\x01\x00\x00\x00"
 _OPENING_DATAGRAMS = 8
 """So many datagrams begin with sequence number 1, which makes the drone count anew: one lost datagram must not deafen it."""
@@ -290,8 +289,10 @@ def main(argv: Sequence[str]) -> int:
     service = socket.socket(fileno=int(argv[0]))
     claimed = claim(options.name)
     if claimed is None:
+        with suppress(OSError):
+            service.sendall(BUSY + b"\n")
         service.close()
-        return BUSY
+        return 1
     listener, sequence = claimed
     _stay_in_memory()
     sender = Sender(options, service, listener, sequence)

@@ -13,8 +13,7 @@ from pathlib import Path
 import drivers
 from drivers.ardrone.arbiter import HOVER, Word
 from drivers.ardrone.at import AtCommand, encode
-from drivers.ardrone.sender import BUSY
-from drivers.ardrone.sender_wire import LINE_MAX, REOPEN, SenderOptions, Status, pack, pack_commands, pack_end, status_of
+from drivers.ardrone.sender_wire import BUSY, LINE_MAX, REOPEN, SenderOptions, Status, pack, pack_commands, pack_end, status_of
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -49,7 +48,7 @@ class SenderClient:
         self._began = clock.now()
         self._buffer = b""
         self._word: Word | None = None
-        self._closed = False
+        self._closed = self._busy = False
         _LEFT[:] = [left for left in _LEFT if left.poll() is None]
         ours, theirs = socket.socketpair()
         try:
@@ -76,6 +75,11 @@ class SenderClient:
         """Of the sender's process."""
         return self._process.pid
 
+    @property
+    def up(self) -> bool:
+        """Whether it has said that it runs."""
+        return self._heard is not None
+
     def say(self, word: Word) -> None:
         """Give the newest word; never blocks.
 
@@ -93,7 +97,7 @@ class SenderClient:
             Recoverable: the sender is gone or stuck.
         """
         self._look()
-        if self._heard is None:
+        if not self.up:
             return  # dropped as a datagram may be: those that matter are repeated, and must not pile up
         self._write(pack_commands(commands, after(self._clock.now(), _COMMANDS_S)))
 
@@ -119,6 +123,9 @@ class SenderClient:
         _LEFT.append(self._process)
 
     def _look(self) -> None:
+        if self._lost is not None:
+            raise Recoverable(self._lost)
+        self._read()  # after a standstill of ours its word lies here unread
         if self._lost is not None:
             raise Recoverable(self._lost)
         since, patience_s = (self._began, _READY_S) if self._heard is None else (self._heard, _STUCK_S)
@@ -149,6 +156,10 @@ class SenderClient:
             return
         self._heard = self._clock.now()
         *lines, self._buffer = (self._buffer + said).split(b"\n")
+        if BUSY in lines:
+            self._busy = True
+            self._lose("another service, which is alive, flies this drone")
+            return
         for line in lines:
             before, self._status = self._status, status_of(line)
             self._told(before, self._status)
@@ -160,9 +171,7 @@ class SenderClient:
         self._lost = why
         self._close()
         self._kill(_GONE_S)
-        if self._process.returncode == BUSY:
-            self._lost = "another service, which is alive, flies this drone"
-        elif self._word is not None and self._heard is not None:
+        if not self._busy and self._word is not None and self._heard is not None:
             self._hover()
 
     def _kill(self, patience_s: float) -> None:

@@ -18,6 +18,8 @@ from estimator.contracts.time import MonoNs
 LINE_MAX = 1 << 16
 REOPEN = b'{"reopen": true}\n'
 """Open the AT socket again: it then takes this host's present address."""
+BUSY = b"busy"
+"""The line of a sender that ends at once, as another service, which is alive, flies this drone."""
 
 TextCommand = tuple[str, str]
 """A command as text: its name, and its arguments as they stand after the sequence number."""

@@ -73,7 +73,7 @@ class Setup:
         """
         while True:
             await self.needed.wait()
-            while self._navdata.newest is None:
+            while self._navdata.newest is None or not self._commands.up:
                 await self._clock.sleep(_LOOK_S)
             self.needed.clear()
             try:

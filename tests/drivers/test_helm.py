@@ -180,3 +180,51 @@ def test_the_last_word_is_hover_or_the_landing_commanded(
     cockpit.hears(0, control)
     cockpit.helm.take(command, ms(1))
     assert cockpit.helm.leave(ms(2)).commands() == last
+
+
+def landing_at(cockpit: Cockpit, t: int, altitude_m: float, state: int = 0) -> None:
+    demo = nd.Demo(nd.ControlState.LANDING.word, 50, 0.0, 0.0, 0.0, round(1000 * altitude_m), 0.0, 0.0, 0.0)
+    cockpit.helm.hear(nd.Navdata.of(state | nd.State.FLYING, 1, (demo,)), ms(t))
+
+
+@pytest.mark.parametrize(("altitude_m", "ref"), [(1.0, FLY), (0.3, GROUND)])
+def test_a_landing_that_guidance_no_longer_repeats_is_called_off_unless_it_is_about_to_end(
+    cockpit: Cockpit, altitude_m: float, ref: at.Ref
+) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    for t in range(0, 400, 20):
+        cockpit.helm.take(Land(), ms(t))
+    landing_at(cockpit, 500, altitude_m)
+    assert cockpit.sends(501) == [GROUND, HOVER], "a late guidance cycle is no reason"
+    landing_at(cockpit, 900, altitude_m)
+    assert cockpit.sends(901) == [ref, HOVER]
+
+
+@pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
+def test_guidance_takes_its_landing_back_by_any_other_command(
+    cockpit: Cockpit, altitude_m: float, sent: list[at.AtCommand]
+) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.helm.take(Land(), ms(1))
+    landing_at(cockpit, 50, altitude_m)
+    cockpit.helm.take(FORWARD, ms(51))
+    assert cockpit.sends(52) == sent
+
+
+def test_a_landing_for_our_silence_is_called_off_when_we_are_back(cockpit: Cockpit) -> None:
+    landing_at(cockpit, 0, 1.2, nd.State.COM_WATCHDOG)
+    assert cockpit.sends(1) == [at.ComWdg(), FLY, HOVER]
+    landing_at(cockpit, 5, 1.2)
+    assert cockpit.sends(6) == [FLY, HOVER], "the bit is down, as we answered it, and the reason is remembered"
+
+
+def test_a_word_ends_with_the_guidance_cycle_that_it_came_from(cockpit: Cockpit) -> None:
+    """The period that repeats it does not make it younger; the sender flies hover 120 ms after guidance spoke last."""
+    cockpit.options = ArDroneOptions()
+    cockpit.helm = Helm(cockpit.options, cockpit.counters)
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.measures(0)
+    cockpit.helm.take(FORWARD, ms(0))
+    assert cockpit.helm.word(ms(90)).until == ms(120)
+    cockpit.helm.take(Hover(), ms(90))
+    assert cockpit.helm.word(ms(100)).until == ms(220)

@@ -221,7 +221,8 @@ def test_a_lost_link_carries_nothing_either_way() -> None:
 def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None:
     flight, seen = flown(ServiceKilled(at_s=0.5), 3.0)
     assert max(s.stamp.heard for s in seen.samples) < 510_000_000
-    assert flight._drone.state.silent
+    assert not flight._drone.state.silent, "its sender is another process and holds the drone"
+    assert flight.world.phase is Phase.HOVERING
     first = flight._pilot
     again, seen = flown(ServiceKilled(at_s=0.5, for_s=0.5), 1.2, renew=True)
     assert again._pilot is not first

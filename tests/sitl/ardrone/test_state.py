@@ -51,6 +51,7 @@ def test_take_off_is_held_and_landing_is_its_absence(pilot: Pilot) -> None:
     assert pilot.say(AHEAD, phase=Phase.LANDED) == []
     assert pilot.say(LAND, phase=Phase.FLYING) == [Deed.LAND]
     assert pilot.say(LAND, phase=Phase.LANDING) == []
+    assert pilot.say(FLY, phase=Phase.LANDING) == [Deed.STAY_UP]
     assert pilot.say(at.Ref(1 << 9)) == [Deed.TAKE_OFF], "some clients leave the base bits out"
 
 

@@ -1,0 +1,114 @@
+"""What is sent once the service has fallen silent, in virtual time."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.ardrone import at
+from drivers.ardrone import navdata as nd
+from drivers.ardrone.arbiter import HOVER, CommandArbiter, Word
+from drivers.ardrone.landing_watch import Cause, DroneReport, LandingWatch
+from estimator.contracts.time import MonoNs
+
+AHEAD = at.Pcmd(at.PCMD_PROGRESSIVE, 0.0, -0.5, 0.0, 0.0)
+FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
+GROUND = at.Ref(at.REF_BASE)
+
+
+def ms(t: int) -> MonoNs:
+    return MonoNs(5_000_000_000 + t * 1_000_000)
+
+
+def report(control: nd.ControlState, altitude_m: float | None = 1.5, bits: int = 0) -> DroneReport:
+    in_the_air = control not in (nd.ControlState.LANDED, nd.ControlState.INIT)
+    return DroneReport(bits | (nd.State.FLYING if in_the_air else 0), control, altitude_m)
+
+
+def test_a_word_is_flown_up_to_its_deadline_and_hover_after_it() -> None:
+    arbiter = CommandArbiter(60.0)
+    assert arbiter.commands(ms(0)) == [], "nothing is said before the service has said something"
+    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    assert arbiter.commands(ms(0)) == arbiter.commands(ms(120)) == [FLY, AHEAD]
+    assert arbiter.commands(ms(121)) == [HOVER]
+    assert arbiter.hovers == 1
+
+
+def test_a_word_that_comes_late_is_never_flown() -> None:
+    """It waited in the socket while we, or the service, were stopped."""
+    arbiter = CommandArbiter(60.0)
+    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    assert arbiter.commands(ms(5000)) == [HOVER]
+
+
+def test_a_word_of_a_service_that_is_gone_ends_at_once() -> None:
+    arbiter = CommandArbiter(60.0)
+    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    arbiter.lost(ms(10))
+    assert arbiter.commands(ms(10)) == [HOVER]
+    arbiter.lost(ms(50))
+    assert arbiter.silent_s(ms(50)) == pytest.approx(0.04), "counted from when it was lost first"
+
+
+def test_no_order_to_take_off_or_to_land_outlives_its_word() -> None:
+    for ref in (FLY, GROUND):
+        arbiter = CommandArbiter(60.0)
+        arbiter.take(Word(ms(120), HOVER, ref.bits))
+        assert arbiter.commands(ms(121)) == [HOVER]
+
+
+def test_a_drone_in_the_air_is_held_there_and_its_watchdog_answered() -> None:
+    arbiter = CommandArbiter(60.0)
+    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    arbiter.on_report(report(nd.ControlState.HOVERING, bits=nd.State.COM_WATCHDOG), ms(1000))
+    assert arbiter.commands(ms(1001)) == [at.ComWdg(), FLY, HOVER]
+    assert arbiter.commands(ms(1300)) == [HOVER], "told too late, the wish to fly would start the motors of one that has landed"
+    arbiter.on_report(report(nd.ControlState.LANDED), ms(1400))
+    assert arbiter.commands(ms(1401)) == [HOVER]
+    assert arbiter.stands(ms(1401))
+
+
+def test_it_is_held_for_a_bounded_time() -> None:
+    arbiter = CommandArbiter(2.0)
+    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    assert arbiter.commands(ms(2110)) == [HOVER]
+    assert arbiter.commands(ms(2130)) == []
+
+
+@pytest.mark.parametrize(("landing", "altitude_m", "called_off"), [(True, 1.0, True), (True, 0.3, False), (False, 1.0, False)])
+def test_a_landing_nobody_renews_is_called_off_unless_it_is_about_to_end(
+    landing: bool, altitude_m: float, called_off: bool
+) -> None:
+    """The landing of a person, which is not to be renewed, goes on."""
+    arbiter = CommandArbiter(60.0)
+    arbiter.take(Word(ms(120), HOVER, GROUND.bits, landing=landing))
+    arbiter.on_report(report(nd.ControlState.LANDING, altitude_m), ms(300))
+    assert arbiter.commands(ms(301)) == ([FLY, HOVER] if called_off else [HOVER])
+
+
+SILENT = nd.State.COM_WATCHDOG | nd.State.COMMUNICATION_LOST
+
+
+@pytest.mark.parametrize(
+    ("bits", "first_at", "cause"),
+    [
+        (SILENT, None, Cause.SILENCE),
+        (nd.State.COM_WATCHDOG, None, Cause.SILENCE),
+        (SILENT, 9000, Cause.OTHERS),
+        (0, None, Cause.OTHERS),
+        (SILENT | nd.State.BATTERY_LOW, None, Cause.OTHERS),
+        (SILENT | nd.State.USER_EMERGENCY, None, Cause.OTHERS),
+    ],
+)
+def test_whose_landing_it_is(bits: int, first_at: int | None, cause: Cause) -> None:
+    """For our silence only where it began while we did not hear the drone; never one that a battery or a person began."""
+    watch = LandingWatch()
+    if first_at is not None:
+        watch.on_report(report(nd.ControlState.HOVERING), ms(first_at), ordered=False)
+    watch.on_report(report(nd.ControlState.LANDING, 1.5, bits), ms(9500), ordered=False)
+    assert watch.cause is cause
+    assert watch.calls_off(ms(9510)) is (cause is Cause.SILENCE)
+    assert not watch.calls_off(ms(9800)), "known too long ago"
+    watch.on_report(report(nd.ControlState.LANDING, 0.4), ms(9900), ordered=False)
+    assert not watch.calls_off(ms(9901)), "too near the ground"
+    watch.on_report(report(nd.ControlState.HOVERING), ms(9950), ordered=False)
+    assert watch.cause is None

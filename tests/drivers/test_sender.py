@@ -1,0 +1,257 @@
+"""The sender's process on real sockets: what the drone is told when the service is killed, stopped, stuck, or comes back."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from drivers.ardrone import at, sender_lock
+from drivers.ardrone import navdata as nd
+from drivers.ardrone.arbiter import HOVER, Word
+from drivers.ardrone.link import open_ardrone
+from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.sender_client import SenderClient
+from drivers.ardrone.sender_wire import SenderOptions, order_of, pack, pack_commands
+from drivers.clock import SystemClock
+from estimator.contracts.commands import TakeOff
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.time import MonoNs, after
+from tests.drivers.fake_ardrone import HOST, FakeArDrone, until
+from tests.drivers.test_link import steer
+
+CLOCK = SystemClock()
+ROOT = Path(__file__).parents[2]
+AHEAD = at.Pcmd(at.PCMD_PROGRESSIVE, 0.0, -0.5, 0.0, 0.0)
+SERVICE = f"""
+import asyncio, pickle, sys
+import numpy as np
+from drivers.ardrone.link import open_ardrone
+from drivers.clock import SystemClock
+from estimator.contracts.commands import TakeOff, Velocity
+
+async def main():
+    options = pickle.loads(bytes.fromhex(sys.argv[1]))
+    async with open_ardrone(options, SystemClock()) as drone:
+        drone.command(TakeOff())
+        while not (drone.navdata and drone.navdata.state & 1 and drone.ready):
+            await asyncio.sleep(0.01)
+        print(drone.sender_pid, flush=True)
+        while True:
+            drone.command(Velocity(np.array([0.4, 0.0, 0.0]), 0.0))
+            await asyncio.sleep(0.02)
+
+sys.path.insert(0, {str(ROOT)!r})
+asyncio.run(main())
+"""
+
+
+def moving(fake: FakeArDrone) -> bool:
+    return bool(fake.of(at.Pcmd)[-1].flags)
+
+
+def alive(pid: int) -> bool:
+    """Whether the process runs; one that has ended and is not waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@asynccontextmanager
+async def service(options: ArDroneOptions, fake: FakeArDrone) -> AsyncIterator[tuple[subprocess.Popen[bytes], int]]:
+    """A service in a process of its own that flies the drone ahead; its sender's process with it."""
+    words = [sys.executable, "-c", SERVICE, pickle.dumps(options).hex()]
+    child = await asyncio.to_thread(subprocess.Popen, words, stdout=subprocess.PIPE, cwd=ROOT)
+    sender = 0
+    try:
+        assert child.stdout is not None
+        sender = int(await asyncio.to_thread(child.stdout.readline))
+        fake.vx_mm_s = 100.0
+        await until(lambda: moving(fake), 20.0)
+        yield child, sender
+    finally:
+        child.kill()
+        child.wait()
+        child.stdout.close()
+        if sender and alive(sender):
+            os.kill(sender, signal.SIGKILL)
+
+
+def test_it_is_small() -> None:
+    """Nothing of weight is imported: it starts in a tenth of a second, and stays in memory when the service does not."""
+    code = "import sys, drivers.ardrone.sender; print(sorted({'numpy', 'cv2', 'asyncio', 'av', 'logging'} & set(sys.modules)))"
+    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "[]"
+
+
+def test_what_the_two_say_to_each_other_comes_out_as_it_went_in() -> None:
+    word = Word(MonoNs(12345), AHEAD, at.REF_BASE, True, True)
+    assert order_of(pack(word)).word == word
+    sent = order_of(pack_commands([at.Config("a:b", "c d"), at.Ctrl(5)], MonoNs(7)))
+    assert (sent.commands, sent.until) == ((("CONFIG", ',"a:b","c d"'), ("CTRL", ",5,0")), 7)
+    options = SenderOptions(HOST, 1, 2, 0.03, 60.0, (("CTRL", ",5,0"),), ())
+    assert SenderOptions.of_json(options.as_json()) == options
+    assert json.loads(options.as_json())["host"] == HOST
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+async def test_a_service_that_is_killed_or_stopped_leaves_hover_and_the_drone_in_the_air(how: signal.Signals) -> None:
+    fake = FakeArDrone()
+    async with fake.on_loopback(command_timeout_s=0.12, hold_s=2.5) as options, service(options, fake) as (child, sender):
+        child.send_signal(how)
+        stopped = time.monotonic()
+        await until(lambda: not moving(fake))
+        assert time.monotonic() - stopped < 1.0, "120 ms and what a busy machine takes"
+        count = len(fake.of(at.Pcmd))
+        fake.state |= nd.State.COM_WATCHDOG
+        await until(lambda: len(fake.of(at.Pcmd)) > count + 30)
+        assert all(p.flags == 0 for p in fake.of(at.Pcmd)[count:])
+        assert fake.state & nd.State.FLYING, "never told to land"
+        await until(lambda: not fake.state & nd.State.COM_WATCHDOG)
+        await until(lambda: fake.configuration["general:com_watchdog"] == str(options.hold_com_watchdog_s))
+        fake.state &= ~nd.State.COMMAND_ACK
+        if how is signal.SIGSTOP:
+            # What it had in hand when it was stopped is old; it flies on only by what guidance says now.
+            child.send_signal(signal.SIGCONT)
+            await until(lambda: moving(fake))
+            await until(lambda: fake.configuration["general:com_watchdog"] == "2")
+        else:
+            await until(lambda: not alive(sender), 10.0)
+            assert fake.state & nd.State.FLYING, "given up after hold_s, to the drone's own rules"
+
+
+async def test_a_new_service_takes_over_from_the_sender_that_holds_the_drone() -> None:
+    fake = FakeArDrone()
+    async with fake.on_loopback(command_timeout_s=0.12) as options, service(options, fake) as (child, orphan):
+        child.kill()
+        child.wait()
+        await until(lambda: not moving(fake))
+        seen = len(fake.commands)
+        async with open_ardrone(options, CLOCK) as drone:
+            await until(lambda: drone.ready)
+            await steer(drone, fake)
+            assert drone.sender_pid not in (None, orphan)
+            await until(lambda: not alive(orphan))
+            numbers = [n for n, _ in fake.commands[seen:]]
+            assert numbers == sorted(numbers), "it goes on counting, and the two are never both heard"
+            assert fake.configuration["general:com_watchdog"] == "2"
+        assert fake.state & nd.State.FLYING
+        assert not any(c.emergency for c in fake.of(at.Ref))
+
+
+async def test_a_drone_that_a_living_service_flies_is_not_taken() -> None:
+    fake = FakeArDrone()
+    async with fake.on_loopback() as options, service(options, fake) as (_, sender), open_ardrone(options, CLOCK) as other:
+        await until(lambda: "another service" in other.down.get("at", ""), 10.0)
+        assert alive(sender)
+        assert moving(fake)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers_meanwhile(how: signal.Signals) -> None:
+    fake = FakeArDrone()
+    async with fake.on_loopback() as options, open_ardrone(options, CLOCK) as drone:
+        await until(lambda: drone.ready)
+        drone.command(TakeOff())
+        await until(lambda: bool(fake.state & nd.State.FLYING))
+        fake.vx_mm_s = 100.0
+        await steer(drone, fake)
+        first = drone.sender_pid
+        assert first is not None
+        os.kill(first, how)
+        await until(lambda: not moving(fake))
+        await until(lambda: drone.counters.at_senders == 2 and drone.sender_pid not in (None, first))
+        await steer(drone, fake)
+        assert fake.state & nd.State.FLYING
+        assert not alive(first)
+
+
+async def test_a_blocked_event_loop_means_hover() -> None:
+    fake = FakeArDrone()
+    async with fake.on_loopback(command_timeout_s=0.12) as options, open_ardrone(options, CLOCK) as drone:
+        await until(lambda: drone.ready)
+        drone.command(TakeOff())
+        await until(lambda: bool(fake.state & nd.State.FLYING))
+        fake.vx_mm_s = 100.0
+        await steer(drone, fake)
+        seen = len(fake.of(at.Pcmd))
+        time.sleep(0.5)  # noqa: ASYNC251 - the fault itself; what the drone was sent meanwhile waits in its socket
+        await until(lambda: len(fake.of(at.Pcmd)) > seen + 20)
+        flags = [p.flags for p in fake.of(at.Pcmd)[seen:]]
+        assert 0 in flags[:30]
+        assert not any(flags[flags.index(0) :]), "and guidance has said nothing since"
+        assert drone.sender_pid is not None
+        assert fake.state & nd.State.FLYING
+
+
+async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
+        drone.bind((HOST, 0))
+        drone.settimeout(5.0)
+        port = drone.getsockname()[1]
+        client = SenderClient(SenderOptions(HOST, port, port, 0.01, 60.0), CLOCK, lambda a, b: None)
+        try:
+            client.say(Word(after(CLOCK.now(), 5.0), HOVER))
+            assert b"PCMD" in drone.recv(2048)
+            os.kill(client.pid, signal.SIGSTOP)
+            client._write(pack(Word(after(CLOCK.now(), 0.1), AHEAD, at.REF_BASE)))
+            client._write(pack_commands([at.Ftrim()], after(CLOCK.now(), 0.1)))
+            await asyncio.sleep(0.2)
+            drone.setblocking(False)
+            while True:
+                try:
+                    drone.recv(2048)
+                except BlockingIOError:
+                    break
+            os.kill(client.pid, signal.SIGCONT)
+            drone.settimeout(5.0)
+            later = [drone.recv(2048) for _ in range(10)]
+            assert all(b"FTRIM" not in one and b"REF" not in one for one in later)
+            assert all(p.flags == 0 for one in later for _, p in at.decode(one) if isinstance(p, at.Pcmd))
+        finally:
+            client.end(Word(CLOCK.now(), HOVER))
+
+
+def test_the_wall_clock_may_jump() -> None:
+    """Deadlines are of the monotonic clock in both processes: no clock that can be set is read."""
+    names = ("sender", "sender_lock", "sender_client", "sender_wire", "arbiter", "landing_watch", "helm", "command_channel")
+    sources = [(ROOT / f"drivers/ardrone/{name}.py").read_text() for name in names]
+    assert any("time.monotonic_ns()" in source for source in sources)
+    assert not any("time.time" in source or "datetime" in source for source in sources)
+
+
+def test_only_the_same_user_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    name = f"\0decklander-test/{os.getpid()}"
+    claimed = sender_lock.claim(name)
+    assert claimed is not None
+    listener, sequence = claimed
+    assert listener is not None
+    assert sequence == 0
+    with listener, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stranger:
+        stranger.connect(name)
+        stranger.sendall(b"yield\n")
+        monkeypatch.setattr(sender_lock, "_peer", lambda end: (1234, os.getuid() + 1))
+        assert not sender_lock.yield_to(listener, 7)
+        with pytest.raises(ConnectionResetError):
+            stranger.recv(32)
+
+
+async def test_a_sender_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none_left(*_: object, **__: object) -> None:
+        raise BlockingIOError(11, "no more processes")
+
+    monkeypatch.setattr(subprocess, "Popen", none_left)
+    with pytest.raises(Recoverable, match="no more processes"):
+        SenderClient(SenderOptions(HOST, 1, 2, 0.03, 60.0), CLOCK, lambda a, b: None)
