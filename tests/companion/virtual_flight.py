@@ -94,8 +94,12 @@ class FakeFlight:
         self.commands.append((int(self._clock.now()), repr(command)))
         self._v_level = np.asarray(command.v_level) if isinstance(command, Velocity) else np.zeros(3)
 
+    def release(self) -> None:
+        self.released = True
+
     @asynccontextmanager
     async def open(self) -> AsyncIterator[Link]:
+        self.released = False
         try:
             yield self
         finally:
