@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import signal
 import sys
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 from companion import rig
 from companion.beside import Beside
 from companion.daemon import Daemon
+from companion.event_loop import heeded
 from companion.health import Health
 from companion.notify import Manager, Pulse, watchdog_interval_s
 from companion.observer import Observer
@@ -110,17 +110,11 @@ def log_to_stderr(settings: Settings) -> None:
 
 async def live(daemon: Daemon, pilot: Pilot) -> Outcome | None:
     """Run the daemon as a process does: SIGINT, SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
-    loop = asyncio.get_running_loop()
     deeds = {
         signal.SIGINT: daemon.stop,
         signal.SIGTERM: daemon.stop,
         signal.SIGUSR1: pilot.begin,
         signal.SIGUSR2: pilot.pause,
     }
-    for number, deed in deeds.items():
-        loop.add_signal_handler(number, deed)
-    try:
+    with heeded(deeds):
         return await daemon.run()
-    finally:
-        for number in deeds:
-            loop.remove_signal_handler(number)

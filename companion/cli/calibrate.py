@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 import math
 import re
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from companion import event_loop
 from companion.calibrate import figures, judge
 from companion.calibrate.board import Board
 from companion.calibrate.camera_file import text
@@ -97,7 +97,7 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
 
     if args.device is not None:
         collection = Collection(board, moving=True)
-        asyncio.run(watch(_camera(args), collection, tell, args.seconds))
+        event_loop.run(watch(_camera(args), collection, tell, args.seconds))
     else:
         files = picture_files([Path(p) for p in args.paths])
 

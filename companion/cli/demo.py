@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import json
 import math
+import signal
 import sys
 import tempfile
 from collections.abc import AsyncIterator
@@ -16,6 +17,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from companion import event_loop
 from companion.cli import record_option
 from companion.cli.progress import Progress
 from companion.cli.verdict import Contact, Ending
@@ -28,6 +30,7 @@ from companion.report.page import PAGE, write_report
 from companion.service import live, make_daemon, make_pilot
 from companion.settings import load, shipped
 from companion.settings_model import CameraSettings, PadSettings, Settings
+from companion.signals import check, told
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
@@ -64,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
     scenario = load_scenario(args.scenario)
-    return asyncio.run(_demo(args, scenario))
+    return event_loop.run(_demo(args, scenario))
 
 
 async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
@@ -89,6 +92,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                         outcome = await live(daemon, pilot)
                 except TimeoutError:
                     outcome = None
+                if told() == signal.SIGTERM:  # no time for a report; after Ctrl-C there is
+                    check()
                 ended = clock.now()
                 if progress is not None:
                     progress.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 import logging
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from companion import event_loop
 from companion.doctor.diagnose import RULES, diagnose
 from companion.doctor.finding import Finding, Gravity
 from companion.doctor.gather import examine
@@ -60,7 +60,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
-    picture = _saved(args.picture) if args.picture else asyncio.run(_examined(args))
+    picture = _saved(args.picture) if args.picture else event_loop.run(_examined(args))
     picture = msgspec.structs.replace(picture, moving_pad=picture.moving_pad and not args.still_pad)
     if args.save:
         try:

@@ -1,7 +1,7 @@
 """The command `decklander`: finds the subcommand, runs it, and turns what went wrong into one line and an exit code.
 
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
-of our output went away; 143 ended by SIGTERM, with what was begun cleared away.
+of our output went away; 143 ended by SIGTERM, with what was begun cleared away (`companion.signals` says how).
 
 Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is asked for.
 """
@@ -12,11 +12,12 @@ import argparse
 import difflib
 import importlib
 import os
-import signal
 import sys
+import traceback
 from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
+from companion import signals
 from estimator.contracts.errors import BadInput, DecklanderError
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -35,11 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 """Name to (module, help in one line)."""
 
-DONE, FAILED, WRONG, INTERRUPTED, BROKEN_PIPE, TERMINATED = 0, 1, 2, 130, 141, 143
-
-
-class _Terminated(KeyboardInterrupt):
-    """Folders, children and sockets are cleared away as they are for Ctrl-C."""
+DONE, FAILED, WRONG, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 
 class Parser(argparse.ArgumentParser):
@@ -68,24 +65,40 @@ def main(argv: Sequence[str] | None = None) -> int:
     Raises:
         SystemExit: help or the version was asked for, or the arguments are wrong.
     """
-    if argv is None:
-        _heed_sigterm()
+    if argv is not None:
+        return _run(list(argv))
+    signals.install()
     try:
-        code = _dispatch(list(sys.argv[1:] if argv is None else argv))
+        try:
+            code = _run(sys.argv[1:])
+        except (SystemExit, signals.Stopped):
+            raise
+        except BaseException:  # a bug of ours: told as Python tells it, but no thread that hangs may keep the process
+            traceback.print_exc()
+            code = FAILED
+        return signals.leave(code)
+    except signals.Stopped as why:
+        return signals.leave(why.exit_code)
+
+
+def _run(argv: list[str]) -> int:
+    try:
+        code = _dispatch(argv)
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
-    except _Terminated:
-        return TERMINATED
+    except signals.Stopped as why:
+        return why.exit_code
     except KeyboardInterrupt:
         return INTERRUPTED
     except DecklanderError as why:
         return _refuse(why)
     except BaseExceptionGroup as group:
         causes = list(_leaves(group))
-        if any(isinstance(cause, _Terminated) for cause in causes):
-            return TERMINATED
+        for cause in causes:
+            if isinstance(cause, signals.Stopped):
+                return cause.exit_code
         if any(isinstance(cause, KeyboardInterrupt) for cause in causes):
             return INTERRUPTED
         ours = [cause for cause in causes if isinstance(cause, DecklanderError)]
@@ -114,17 +127,6 @@ def _dispatch(argv: list[str]) -> int:
     module = importlib.import_module(COMMANDS[asked][0])
     module.add_parser(subparsers)
     return int(module.run(parser.parse_args(argv)))
-
-
-def _heed_sigterm() -> None:
-    ours = os.getpid()
-
-    def end(*_: object) -> None:
-        if os.getpid() != ours:
-            os._exit(TERMINATED)  # a forked worker, which has nothing of its own to clear away
-        raise _Terminated
-
-    signal.signal(signal.SIGTERM, end)
 
 
 def _refuse(why: DecklanderError) -> int:

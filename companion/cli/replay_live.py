@@ -7,6 +7,7 @@ import asyncio
 import sys
 from contextlib import AsyncExitStack
 
+from companion import event_loop
 from companion.cli.progress import Progress
 from companion.mavlink import operator
 from companion.mavlink.component import Component, ComponentOptions, speaking
@@ -71,7 +72,7 @@ def play(args: argparse.Namespace, recording: Recording, settings: Settings) -> 
         BadInput: a MAVLink address that is none.
     """
     pilot = pilot_of(recording, settings, args.path, own_camera=args.config is None, alone=True)
-    return asyncio.run(_play(args, recording, settings, pilot))
+    return event_loop.run(_play(args, recording, settings, pilot))
 
 
 async def _play(args: argparse.Namespace, recording: Recording, settings: Settings, pilot: Pilot) -> int:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import sys
 
+from companion import event_loop
 from companion.pilot import Outcome
 from companion.rig_camera import camera_options
 from companion.service import live, log_to_stderr, make_daemon, make_pilot
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     log_to_stderr(settings)
     daemon = make_daemon(settings, pilot, once=args.once)
-    outcome = asyncio.run(live(daemon, pilot))
+    outcome = event_loop.run(live(daemon, pilot))
     if outcome is not None:
         sys.stderr.write(f"flight ended: {outcome.value}\n")
     return 0 if not args.once or outcome in (Outcome.LANDED, Outcome.LANDED_BY_OTHERS) else 1

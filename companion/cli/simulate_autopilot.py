@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 import math
 import re
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import msgspec
 
+from companion import event_loop
 from companion.cli.progress import Progress
 from companion.cli.verdict import Contact, Ending
 from companion.observer import Observer
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     began = time.monotonic()
     with _folder(args.keep) as folder:
         flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers)
-        end = asyncio.run(flight.fly())
+        end = event_loop.run(flight.fly())
         said = (folder / "texts.txt").open("w")
         with said:
             said.writelines(f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)

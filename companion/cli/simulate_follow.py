@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import json
 import sys
 
+from companion import event_loop
 from companion.cli.progress import Progress
 from companion.cli.simulate_autopilot import ending_of, refuse_faults, rig
 from companion.observer import Observer
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     settings = rig(scenario, args.config)
     progress = None if args.json else Progress()
     observers: list[Observer] = [] if progress is None else [progress]
-    end = asyncio.run(follow(scenario, args.seed, settings, args.follow, observers))
+    end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))
     if progress is not None:
         progress.close()
     ending = ending_of(args.scenario, args.seed, end)

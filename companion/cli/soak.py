@@ -16,11 +16,13 @@ from typing import Any
 
 import msgspec
 
+from companion import event_loop
 from companion.cli.soak_parts import cpu_at, start_time_s
 from companion.pilot import Outcome
 from companion.service import make_daemon, make_pilot
 from companion.settings import load, shipped
 from companion.settings_model import CameraSettings, PadSettings, Settings
+from companion.signals import Stopped
 from companion.soak import Findings, Reading, findings, read
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
@@ -109,15 +111,15 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--flights needs --virtual, and is 1 or more")
     scenario = load_scenario(args.scenario)
     settings = _rig(args, scenario)
-    interrupted: KeyboardInterrupt | None = None
+    interrupted: Stopped | None = None
     with nullcontext() if args.readings is None else _opened(args.readings) as file:
         tally = Tally(file=file)
         try:
             if args.virtual:
                 _virtually(args, scenario, settings, tally)
             else:
-                asyncio.run(_really(args, settings, tally))
-        except KeyboardInterrupt as why:
+                event_loop.run(_really(args, settings, tally))
+        except Stopped as why:
             interrupted = why
     found = None
     if tally.readings:
@@ -125,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
     extra: dict[str, Any] = {}
     if not args.no_cpu and interrupted is None:
         extra["start_s"] = start_time_s(args.config or "sim")
-        extra["cpu_share"] = {str(rate): asdict(asyncio.run(cpu_at(rate, scenario, settings))) for rate in FRAME_RATES_HZ}
+        extra["cpu_share"] = {str(rate): asdict(event_loop.run(cpu_at(rate, scenario, settings))) for rate in FRAME_RATES_HZ}
     _say(args, tally, found, extra)
     if interrupted is not None:
         raise interrupted

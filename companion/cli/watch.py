@@ -65,7 +65,9 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
     endpoint = Endpoint.of(settings)
     out, live = sys.stdout, sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-    return asyncio.run(_Watch(endpoint, args.drone, out, live).run(args.seconds))
+    from companion import event_loop
+
+    return event_loop.run(_Watch(endpoint, args.drone, out, live).run(args.seconds))
 
 
 def _changed(settings: MqttSettings, args: argparse.Namespace) -> MqttSettings:

@@ -17,7 +17,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 
 GUIDE = "docs/sitl.md"
 OUTPUT = "output.txt"
-_END_S = 2.0
+_END_S = 0.5
 _PR_SET_PDEATHSIG = 1
 
 
