@@ -211,8 +211,8 @@ def test_the_estimator_is_values_in_values_out() -> None:
     assert {str(p.relative_to(ROOT)): found for p in pure if (found := impurities(p.read_text()))} == {}
 
 
-SUPERVISED = {"companion/supervise.py"}
-"""Cancels its tasks and waits for them as a group does, but not for ever: a part that does not end must not hold the process."""
+SUPERVISED = {"companion/supervise.py", "companion/event_loop.py"}
+"""They cancel their tasks and wait for them as a group does, but not for ever: what does not end must not hold the process."""
 
 
 def test_no_queue_is_unbounded_and_no_task_detached() -> None:
