@@ -9,6 +9,7 @@ from pathlib import Path
 from companion.mavlink.component import ComponentOptions
 from companion.mavlink.outputs import OutputOptions
 from companion.settings_vehicle import AutopilotSettings, FaceSettings, endpoints
+from drivers.mavlink.access import parse_operators
 from drivers.mavlink.autopilot import AutopilotOptions
 from drivers.mavlink.helm import HelmOptions
 from drivers.mavlink.links import LinkOptions
@@ -46,6 +47,7 @@ def autopilot_options(
         links(settings, environment),
         system=settings.system_id or None,
         vessel_system=settings.vessel_id or None,
+        operators=parse_operators(settings.operators),
         component=settings.component_id,
         silence_s=settings.silence_s,
         period_s=settings.command_period_s,

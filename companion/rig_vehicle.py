@@ -57,21 +57,31 @@ def vehicle_parts(
         autopilot = AutopilotPart(settings, vehicle, pilot, health, clock, recording, tap)
         parts = VehicleParts(autopilot.open, (autopilot.component,))
     else:
-        parts = _ardrone(settings, pilot, clock, tap)
+        parts = _ardrone(settings, pilot, health, clock, tap)
     beside = camera_options(settings)
     if beside is None:
         return parts
     return VehicleParts(with_camera(parts.open_link, beside, clock), parts.observers, parts.extras)
 
 
-def _ardrone(settings: Settings, pilot: Pilot, clock: Clock, tap: Tap | None) -> VehicleParts:
+def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None) -> VehicleParts:
     options = rig.ardrone_options(settings)
     if not settings.face.links:
         return VehicleParts(lambda: open_ardrone(options, clock))
     from companion.mavlink.face_part import FacePart
     from companion.rig_mavlink import links
+    from drivers.mavlink.access import parse_operators
 
-    face = FacePart(links(settings.face), settings.face.system_id, clock, hold=pilot.pause, go_on=pilot.begin, tap=tap)
+    face = FacePart(
+        links(settings.face),
+        settings.face.system_id,
+        clock,
+        operators=parse_operators(settings.face.operators),
+        hold=pilot.pause,
+        go_on=pilot.begin,
+        tap=tap,
+    )
+    health.counters("face", face.counted)
 
     def open_link() -> AbstractAsyncContextManager[Link]:
         return face.beside(open_ardrone(options, clock))

@@ -7,12 +7,17 @@ from typing import Annotated, Literal
 from msgspec import Struct
 
 from companion.settings_keys import choice, number, text
+from drivers.mavlink.access import Named, parse_operators
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from estimator.contracts.errors import BadInput
 
 _LINKS = "MAVLink links, with commas between: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD"
 _KEY = (
     'file with the key that messages are signed with: a path relative to the settings file, or "credential:NAME"; empty for none'
+)
+_OPERATORS = (
+    "systems that may command without signing, with commas between: SYSTEM or SYSTEM/COMPONENT; beside them whoever is heard "
+    "over the autopilot's own link, and whoever signs"
 )
 _TIME = (
     "file that keeps the signing time over restarts, relative to the settings file; empty for "
@@ -27,6 +32,17 @@ def endpoints(links: str) -> tuple[Endpoint, ...]:
         BadInput: one of them is none.
     """
     return tuple(parse_endpoint(url) for url in links.split(",")) if links.strip() else ()
+
+
+def _checked(links: str, operators: str) -> tuple[tuple[Endpoint, ...], tuple[Named, ...]]:
+    try:
+        found = endpoints(links)
+    except BadInput as why:
+        raise ValueError(f"links: {why}") from why
+    try:
+        return found, parse_operators(operators)
+    except BadInput as why:
+        raise ValueError(f"operators: {why}") from why
 
 
 class ArDroneSettings(Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="ardrone"):
@@ -111,6 +127,7 @@ class AutopilotSettings(Struct, frozen=True, forbid_unknown_fields=True, tag_fie
     system_id: Annotated[int, number("system id of the autopilot; 0 takes the first that flies", "id", 0, 255)] = 0
     component_id: Annotated[int, number("our own component id; our system id is the autopilot's", "id", 1, 255, "MAVLink")] = 191
     vessel_id: Annotated[int, number("system id under which the ship reports its own position; 0 for none", "id", 0, 255)] = 0
+    operators: Annotated[str, text(_OPERATORS, 256, shortest=0)] = ""
     signing_key_file: Annotated[str, text(_KEY, 4096, shortest=0)] = ""
     signing_time_file: Annotated[str, text(_TIME, 4096, shortest=0)] = ""
     silence_s: Annotated[
@@ -144,11 +161,7 @@ class AutopilotSettings(Struct, frozen=True, forbid_unknown_fields=True, tag_fie
     vision_target_estimator: Annotated[bool, choice("PX4 runs its vision target estimator: send TARGET_RELATIVE too")] = False
 
     def __post_init__(self) -> None:
-        try:
-            found = endpoints(self.links)
-        except BadInput as why:
-            raise ValueError(f"links: {why}") from why
-        if not found:
+        if not _checked(self.links, self.operators)[0]:
             raise ValueError("links: there must be one")
         if self.vessel_id and self.vessel_id == self.system_id:
             raise ValueError(f"vessel_id must not be the autopilot's own system_id, found {self.vessel_id}")
@@ -159,11 +172,9 @@ class FaceSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     links: Annotated[str, text(f"{_LINKS}; empty for no face", 4096, shortest=0)] = ""
     system_id: Annotated[int, number("system id the drone is shown as", "id", 1, 255)] = 1
+    operators: Annotated[str, text(_OPERATORS, 256, shortest=0)] = ""
     signing_key_file: Annotated[str, text(_KEY, 4096, shortest=0)] = ""
     signing_time_file: Annotated[str, text(_TIME, 4096, shortest=0)] = ""
 
     def __post_init__(self) -> None:
-        try:
-            endpoints(self.links)
-        except BadInput as why:
-            raise ValueError(f"links: {why}") from why
+        _checked(self.links, self.operators)

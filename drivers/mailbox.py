@@ -61,7 +61,7 @@ class Line(Generic[T]):
 
     def __init__(self, capacity: int) -> None:
         self._items: deque[T] = deque()
-        self._capacity = capacity
+        self.capacity = capacity
         self._end: BaseException | None = None
         self._ready = asyncio.Event()
         self.offered = 0
@@ -69,7 +69,7 @@ class Line(Generic[T]):
 
     def offer(self, item: T) -> None:
         """Append an item (from the loop's thread only)."""
-        if len(self._items) >= self._capacity:
+        if len(self._items) >= self.capacity:
             self._items.popleft()
             self.dropped += 1
         self._items.append(item)

@@ -28,9 +28,11 @@ from companion.mavlink.computer import ComputerReader, computer_status
 from companion.mavlink.operator import Operator
 from companion.mavlink.outputs import OutputOptions, Outputs
 from companion.mavlink.parameters import ParameterServer, Store
+from companion.mavlink.refusals import Refusals
 from companion.mavlink.status_texts import Severity, StatusTexts
 from companion.mavlink.target_track import TargetTrack
 from companion.observer import Decision, FrameSeen, Silent
+from drivers.mavlink.access import Standing
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
 from drivers.mavlink.links import Heard, Links
@@ -166,6 +168,7 @@ class Component(Silent):
             },
         )
         self._commands = CommandServer(operator, self._offered)
+        self.refusals = Refusals("vehicle.operators")
         self.texts = StatusTexts()
         self.outputs = Outputs(options.outputs, self._track)
 
@@ -203,20 +206,31 @@ class Component(Silent):
     # What others tell
 
     def hear(self, heard: Heard) -> None:
-        """A message of any link: commands and parameters are answered on that link, changes are told to all."""
+        """A message of any link: commands and parameters are answered to who sent them, changes are told to all."""
         if self._links is None:
             return
         now, us = self._clock.now(), self._links.identity
-        for answer in self._commands.hear(heard.message, (heard.system, heard.component), us, now):
-            self._links.send(answer, heard.link)
+        if self.refusals.refuses(heard, us):
+            self._answer(heard, self.refusals.answer(heard))
+            if self._parameters is not None:
+                self._answer(heard, self._parameters.in_force(heard.message))
+            if (news := self.refusals.news(heard)) is not None:
+                self.texts.say(Severity.WARNING, f"Decklander: {news}", now)
+            return
+        self._answer(heard, self._commands.hear(heard.message, (heard.system, heard.component), us, now))
         if heard.message.get_type() in ("COMMAND_LONG", "COMMAND_INT") and self._commands.refusal is not None:
             self.texts.say(Severity.WARNING, f"Decklander: {self._commands.refusal}", now)
             self._commands.refusal = None
-        if self._parameters is not None:
+        if self._parameters is not None and heard.standing >= Standing.PEER:
             self._send(self._parameters.hear(heard.message, us))
             if self._parameters.refused is not None:
                 self.texts.say(Severity.WARNING, f"Decklander: {self._parameters.refused}", now)
                 self._parameters.refused = None
+
+    def _answer(self, heard: Heard, messages: list[Message]) -> None:
+        if self._links is not None:
+            for message in messages:
+                self._links.send(message, heard.source)
 
     # What it says
 

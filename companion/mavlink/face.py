@@ -15,7 +15,9 @@ from typing import Protocol
 import numpy as np
 
 from companion.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED, Offered
+from companion.mavlink.refusals import Refusals
 from companion.observer import Silent
+from drivers.mavlink.access import Source
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import Heard
 from drivers.mavlink.vehicle import ARMED
@@ -36,7 +38,7 @@ _NO_BATTERY = -1
 class Send(Protocol):
     """`Links.send`."""
 
-    def __call__(self, message: Message, to: int | None = None, *, component: int | None = None) -> bool: ...
+    def __call__(self, message: Message, to: int | Source | None = None, *, component: int | None = None) -> bool: ...
 
 
 class Face(Silent):
@@ -59,7 +61,7 @@ class Face(Silent):
         self._w_body: F64 = np.zeros(3)
         self._p_ned: F64 = np.zeros(3)
         self._armed = False
-
+        self.refusals = Refusals("face.operators")
         self._offered = Offered(
             {
                 mav.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
@@ -105,10 +107,15 @@ class Face(Silent):
         m, kind = heard.message, heard.message.get_type()
         if kind not in ("COMMAND_LONG", "COMMAND_INT") or (m.target_system, m.target_component) != (system, COMPONENT):
             return
+        if self.refusals.refuses(heard, (system, COMPONENT)):
+            self.refusals.news(heard)
+            for message in self.refusals.answer(heard):
+                self._send(message, heard.source, component=COMPONENT)
+            return
         result, extra = self._do(m, now)
         ack = mav.MAVLink_command_ack_message(m.command, result, 0, 0, heard.system, heard.component)
         for message in (ack, *extra):
-            self._send(message, heard.link, component=COMPONENT)
+            self._send(message, heard.source, component=COMPONENT)
 
     @property
     def _flying(self) -> bool:

@@ -9,7 +9,9 @@ from functools import partial
 from typing import Protocol, TypeVar
 
 from companion.mavlink.face import Face
+from companion.mavlink.refusals import link_counters
 from companion.observer import Silent
+from drivers.mavlink.access import AccessOptions, Named
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import LinkOptions, Links, Tap, open_links
 from estimator.contracts.commands import Command, Hover
@@ -33,6 +35,7 @@ class FacePart(Silent):
     Args:
         links: where ground stations are.
         system: MAVLink system id of the drone.
+        operators: systems that may command it though they do not sign.
         hold, go_on: what a station's hold does to guidance, and what ends it.
         tap: told of every message; None for nobody.
     """
@@ -43,16 +46,19 @@ class FacePart(Silent):
         system: int,
         clock: Clock,
         *,
+        operators: tuple[Named, ...] = (),
         hold: Callable[[], None] = lambda: None,
         go_on: Callable[[], None] = lambda: None,
         tap: Tap | None = None,
     ) -> None:
         self._options = tuple(links)
         self._system = system
+        self._access = AccessOptions(operators)
         self._clock = clock
         self._hold, self._go_on = hold, go_on
         self._tap = tap
         self._face: Face | None = None
+        self._links: Links | None = None
         self._taker: Callable[[Command], None] | None = None
 
     @asynccontextmanager
@@ -81,11 +87,17 @@ class FacePart(Silent):
         if self._face is not None:
             self._face.on_sample(sample)
 
+    def counted(self) -> dict[str, float]:
+        """Return the counters of the links since they were opened last."""
+        if self._links is None or self._face is None:
+            return {}
+        return link_counters(self._links, self._face.refusals)
+
     async def run(self) -> None:
         """For ever; the links come back by themselves."""
         identity = (self._system, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
-        async with open_links(self._options, self._clock, identity) as links, asyncio.TaskGroup() as group:
-            links.tap = self._tap
+        async with open_links(self._options, self._clock, identity, access=self._access) as links, asyncio.TaskGroup() as group:
+            self._links, links.tap = links, self._tap
             self._face = face = Face(links.send, self.command, self._go_on)
             try:
                 listening = group.create_task(self._listen(face, links))

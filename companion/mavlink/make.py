@@ -11,6 +11,7 @@ from companion.health import Health
 from companion.mavlink.component import Component, speaking
 from companion.mavlink.deck_way import DeckWay
 from companion.mavlink.pilot_operator import PilotTower
+from companion.mavlink.refusals import link_counters
 from companion.mavlink.tunables import Tunables
 from companion.pilot import Pilot
 from companion.settings_model import Settings
@@ -93,8 +94,5 @@ class AutopilotPart:
         out: dict[str, float] = {f"withheld_{why.replace(' ', '_')}": n for why, n in component.outputs.withheld.items()}
         out |= {"targets_sent": component.outputs.sent, "sends_ranges": component.sends_ranges}
         if self._links is not None:
-            for link in self._links.all:
-                for name, n in link.counters.as_dict().items():
-                    out[name] = out.get(name, 0) + n
-            out |= {"faults": self._links.contained.total, "unfit": self._links.unfit.total()}
+            out |= link_counters(self._links, component.refusals)
         return out

@@ -21,7 +21,8 @@ from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack
 from estimator.contracts.time import MonoNs, seconds_between
 
-DEFAULT_PLND_LAG_S = 0.02
+DEFAULT_PLND_LAG_S, PLND_LAG_MAX_S = 0.02, 0.25
+"""As ArduPilot has it."""
 _MAVLINK_RANGEFINDER = 10.0
 """RNGFNDx_TYPE of a rangefinder that listens to DISTANCE_SENSOR."""
 
@@ -156,7 +157,7 @@ class Outputs:
         if sighted is None or seconds_between(sighted, now) > self._o.stale_s:
             return None, "not seen"
         if vehicle.stack is Stack.ARDUPILOT:
-            lag_s = vehicle.parameter_values.get("PLND_LAG", DEFAULT_PLND_LAG_S)
+            lag_s = min(max(vehicle.parameter_values.get("PLND_LAG", DEFAULT_PLND_LAG_S), 0.0), PLND_LAG_MAX_S)
             transit_s = 0.5 * (vehicle.round_trip_s or 0.0) + self._o.receiver_s
             return lag_locked(self._track, now, lag_s, transit_s), "no attitude"
         newest = vehicle.positions[-1].stamp.taken if vehicle.positions else now

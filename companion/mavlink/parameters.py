@@ -63,6 +63,12 @@ class ParameterServer:
             return self._set(message)
         return []
 
+    def in_force(self, message: Message) -> list[Message]:
+        """Return the value that stays in force where a PARAM_SET was refused."""
+        return (
+            [self._value(message.param_id)] if message.get_type() == "PARAM_SET" and message.param_id in self._store.names else []
+        )
+
     def due(self) -> list[Message]:
         """The next values of a list that was asked for."""
         return [self._value(self._listing.popleft()) for _ in range(min(self._at_once, len(self._listing)))]

@@ -10,6 +10,7 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.time import MonoNs, seconds_between
 
 _CHUNK = 50
+_SAID_MAX = 64
 
 
 class Severity(IntEnum):
@@ -50,6 +51,8 @@ class StatusTexts:
         last = self._said.get(text)
         if last is not None and seconds_between(last, now) < self._repeat_s:
             return
+        if len(self._said) >= _SAID_MAX:
+            self._said.clear()
         self._said = {t: at for t, at in self._said.items() if seconds_between(at, now) < self._repeat_s} | {text: now}
         self._waiting.append(_Text(severity, text))
         if len(self._waiting) > self._waiting_max:

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from drivers.mailbox import Latest, Line
+from drivers.mavlink.access import AccessOptions, Named, Source, Standing
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.helm import Helm, HelmOptions
@@ -46,6 +47,8 @@ class AutopilotOptions:
     """System id of the autopilot; None takes the first that flies."""
     vessel_system: int | None = None
     """System id of the ship's own reports; None for no ship that reports."""
+    operators: tuple[Named, ...] = ()
+    """Systems that may command us from elsewhere than the autopilot's own link."""
     component: int = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
     """Our own component id; our system id is the autopilot's."""
     silence_s: float = 3.0
@@ -82,8 +85,8 @@ class _Known:
     streams: Streams
     parameters: Parameters
     helm: Helm
-    link: int
-    """The link it is heard on."""
+    source: Source
+    """The link and the peer that it is heard on; from elsewhere nobody is believed to be it."""
     heard: MonoNs
     lost: bool = False
 
@@ -180,8 +183,8 @@ class Autopilot:
             self._known.helm.engage()
 
     def send(self, message: Message) -> bool:
-        """To the autopilot, on the link it is heard on; whether it went."""
-        return self._known is not None and self.links.send(message, self._known.link)
+        """To the autopilot, where it is heard; whether it went."""
+        return self._known is not None and self.links.send(message, self._known.source)
 
     def take_ranges(self, take: bool) -> None:
         """Whether its DISTANCE_SENSOR is a measurement; it is none where the autopilot only echoes what we sent it."""
@@ -201,19 +204,19 @@ class Autopilot:
 
     def _hear(self, heard: Heard) -> None:
         message, name = heard.message, heard.message.get_type()
-        if name == "TIMESYNC":
+        if name == "TIMESYNC" and heard.standing >= Standing.PEER:
             answer = answer_to(message, self._clock.now(), (heard.system, heard.component), self.links.identity)
             if answer is not None:
-                self.links.send(answer, heard.link)
+                self.links.send(answer, heard.source)
         if name == "HEARTBEAT" and self._chosen(heard):
             self._meet(heard, stack_of(message))
         known = self._known
         if known is None or heard.system != known.identity.system or heard.component != known.identity.component:
-            if self._o.vessel_system == heard.system and known is not None:
+            if self._o.vessel_system == heard.system and known is not None and heard.standing >= Standing.REPORTER:
                 self._offer(known.sampler.vessel(message, heard.heard))
             return
-        if heard.link != known.link:
-            return  # the same message by another way
+        if heard.source != known.source:
+            return  # the same message by another way, or somebody who uses its ids
         known.heard = heard.heard
         self.counts[name] += 1
         if name == "TIMESYNC":
@@ -236,11 +239,14 @@ class Autopilot:
     def _chosen(self, heard: Heard) -> bool:
         if not is_autopilot(heard.message, heard.component) or heard.system == self._o.vessel_system:
             return False
-        if self._known is not None:
-            return (heard.system, heard.component) == self._known.identity.address
+        known = self._known
+        if known is not None:
+            # Where it was heard last it is believed; elsewhere once it has been silent there.
+            return (heard.system, heard.component) == known.identity.address and (heard.source == known.source or known.lost)
         return self._o.system in (None, heard.system)
 
     def _meet(self, heard: Heard, stack: Stack) -> None:
+        self.links.bind_autopilot(heard)
         known = self._known
         if known is None or known.identity.stack is not stack:
             identity = Identity(heard.system, heard.component, stack, int(heard.message.type))
@@ -249,13 +255,15 @@ class Autopilot:
             sampler = Sampler(stack, clock, self._o.samples, ranges=self._o.ranges)
             parameters = Parameters(stack, self._o.parameters)
             streams, helm = Streams(RATES_HZ[stack]), Helm(identity, self._o.helm)
-            self._known = _Known(identity, sync, clock, sampler, streams, parameters, helm, heard.link, heard.heard)
+            self._known = _Known(identity, sync, clock, sampler, streams, parameters, helm, heard.source, heard.heard)
             self.links.identify(heard.system, self._o.component)
             self._boots = 0
             self.connects += 1
             _log.info("autopilot: %s, system %d, on %s", stack.value, heard.system, self.links.all[heard.link].endpoint)
         elif known.lost:
-            known.lost, known.link = False, heard.link
+            if heard.source != known.source:
+                _log.warning("autopilot: heard again from elsewhere: %s", heard.source_text)
+            known.lost, known.source = False, heard.source
             self._again(known)
 
     def _again(self, known: _Known) -> None:
@@ -282,10 +290,11 @@ class Autopilot:
             _log.warning("autopilot: not heard for %.1f s", self._o.silence_s)
         if known.lost:
             return
-        opened = self.links.opened[known.link]
-        if known.clock.restarts != self._boots or opened != self._reopened[known.link]:
-            came_back = self.connects > 0 and self._reopened[known.link] > 0
-            self._boots, self._reopened[known.link] = known.clock.restarts, opened
+        link = known.source[0]
+        opened = self.links.opened[link]
+        if known.clock.restarts != self._boots or opened != self._reopened[link]:
+            came_back = self.connects > 0 and self._reopened[link] > 0
+            self._boots, self._reopened[link] = known.clock.restarts, opened
             if came_back:
                 self._again(known)
         target = known.identity.address
@@ -295,13 +304,13 @@ class Autopilot:
             *known.streams.due(now, target),
             *known.parameters.due(now, target),
         ):
-            self.links.send(message, known.link)
+            self.links.send(message, known.source)
 
     def _close(self) -> None:
         self._open = False
         if self._known is not None and not self._known.lost:
             for message in self._known.helm.leave(self._clock.now()):
-                self.links.send(message, self._known.link)
+                self.links.send(message, self._known.source)
         closed = Recoverable("the link to the autopilot is closed")
         self.frames.fail(closed)
         self.samples.fail(closed)
@@ -316,7 +325,9 @@ async def open_autopilot(options: AutopilotOptions, clock: Clock) -> AsyncIterat
     """
     identity = (options.system or 1, options.component)
     failed: Exception | None = None
-    async with open_links(options.links, clock, identity) as links, asyncio.TaskGroup() as group:
+    reporters = frozenset(() if options.vessel_system is None else (options.vessel_system,))
+    access = AccessOptions(options.operators, reporters)
+    async with open_links(options.links, clock, identity, access=access) as links, asyncio.TaskGroup() as group:
         autopilot = Autopilot(options, links, clock)
         tasks = [group.create_task(autopilot._read()), group.create_task(autopilot._tick())]
         try:

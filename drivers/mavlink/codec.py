@@ -17,6 +17,8 @@ from drivers.mavlink.signing import Signing
 _V1, _V2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
 _SIGNED = mav.MAVLINK_IFLAG_SIGNED
 _SIGNATURE = mav.MAVLINK_SIGNATURE_BLOCK_LEN
+_SENDERS_MAX = 64
+"""Senders of one stream whose losses are counted; a router in front of more of them starts again."""
 
 
 class Unfit(ValueError):
@@ -176,6 +178,8 @@ class Codec:
             gap = (sequence - last - 1) % 256
             # A repeat or an older one is no loss of 250 messages.
             self.counters.lost += gap if gap < 200 else 0
+        elif len(self._sequences) >= _SENDERS_MAX:
+            self._sequences.clear()
         self._sequences[source] = sequence
 
     def _stream_time(self, frame: bytearray) -> tuple[tuple[int, int, int] | None, int | None]:

@@ -14,6 +14,8 @@ from typing import Literal, get_args
 
 from estimator.contracts.errors import BadInput
 
+Address = tuple[str, int]
+"""A socket's host and port."""
 Scheme = Literal["udpin", "udpout", "tcp", "serial"]
 _NET = re.compile(r"^(\[[0-9A-Fa-f:.%\w]+\]|[^\[\]:/?#@]+):(\d{1,5})/?$")
 _SERIAL = re.compile(r"^(/[^:?#]+):(\d{1,8})$")

@@ -1,6 +1,7 @@
-"""Several MAVLink links at once: what any of them hears comes out in one line, what is said goes to all or to one.
+"""Several MAVLink links at once: what any of them hears comes out in one line, what is said goes to all, to one, or to one peer.
 
-Each link is kept open alone, with back-off; each peer of a link has its own codec, hence its own sequence numbers.
+Each link is kept open alone, with back-off; each peer of a link has its own codec, hence its own sequence numbers. Who is a
+peer and who a stranger is decided in `access`: strangers share one codec, and nothing is sent to them.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from drivers.mailbox import Line
+from drivers.mavlink.access import Access, AccessOptions, Source, Standing
 from drivers.mavlink.codec import Codec, CodecCounters, Unfit
 from drivers.mavlink.containment import Containment
 from drivers.mavlink.dialect import Message
-from drivers.mavlink.endpoint import Endpoint
+from drivers.mavlink.endpoint import Address, Endpoint
 from drivers.mavlink.signing import Signing
-from drivers.mavlink.wires import Address, Wire, open_wire
+from drivers.mavlink.wires import Wire, open_wire
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
@@ -57,7 +59,9 @@ class LinkCounters:
     bytes_in: int = 0
     bytes_out: int = 0
     dropped: int = 0
-    """Messages not sent because the way was full or closed."""
+    """Messages not sent because the way was full or closed, or nobody is spoken to."""
+    strangers: int = 0
+    """Messages of senders that were not asked for."""
     restarts: int = 0
     codecs: list[CodecCounters] = field(default_factory=list)
 
@@ -68,7 +72,7 @@ class LinkCounters:
     def as_dict(self) -> dict[str, int]:
         """Flat, for records and telemetry."""
         names = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature")
-        own = {"bytes_in": self.bytes_in, "bytes_out": self.bytes_out, "dropped": self.dropped, "restarts": self.restarts}
+        own = {name: getattr(self, name) for name in ("bytes_in", "bytes_out", "dropped", "restarts", "strangers")}
         return own | {name: self.total(name) for name in names}
 
 
@@ -82,6 +86,15 @@ class Heard:
     heard: MonoNs
     system: int
     component: int
+    peer: Address | None = None
+    """Of a socket that listens: who sent it."""
+    standing: Standing = Standing.STRANGER
+    """What its sender may do."""
+
+    @property
+    def source(self) -> Source:
+        """The link and the peer it came from."""
+        return self.link, self.peer
 
     @property
     def place(self) -> str:
@@ -91,7 +104,8 @@ class Heard:
     @property
     def source_text(self) -> str:
         """Who sent it, for people."""
-        return f"system {self.system}, component {self.component}, link {self.link}"
+        peer = "" if self.peer is None else f", {self.peer[0]}:{self.peer[1]}"
+        return f"system {self.system}, component {self.component}, link {self.link}{peer}"
 
 
 @dataclass(slots=True)
@@ -114,6 +128,7 @@ class Link:
         self._clock = clock
         self._wire: Wire | None = None
         self._peers: dict[Address | None, _Peer] = {}
+        self._strangers: Codec | None = None
 
     @property
     def local(self) -> Address | None:
@@ -125,12 +140,14 @@ class Link:
         """How many are spoken to."""
         return len(self._peers)
 
-    def send(self, message: Message, component: int | None = None) -> bool:
-        """To every peer of this link; whether it went to any."""
+    def send(self, message: Message, component: int | None = None, only: Source | None = None) -> bool:
+        """To every peer of this link, or to one of them; whether it went to any."""
         went = False
         if self._wire is not None:
             self._forget_silent()
             for address, peer in self._peers.items():
+                if only is not None and only[1] != address:
+                    continue
                 try:
                     data = peer.codec.pack(message, component)
                 except Unfit as why:
@@ -142,6 +159,22 @@ class Link:
                     self._links.told(self._clock.now(), self.endpoint, "out", data, message)
         self.counters.dropped += not went
         return went
+
+    def admit(self, address: Address | None, heard: MonoNs) -> None:
+        """Speak to this peer from now on."""
+        if address in self._peers:
+            return
+        self._forget_silent()
+        if len(self._peers) >= self._o.peers_max:
+            chosen = self._links.access.autopilot
+            others = [a for a in self._peers if chosen is None or (self._number, a) != chosen[0]]
+            del self._peers[min(others or self._peers, key=lambda a: self._peers[a].heard)]
+        self._peers[address] = _Peer(self._codec(), heard)
+
+    def dismiss(self, address: Address | None) -> None:
+        """Speak to this peer no more, unless we were told to connect to it."""
+        if not self._asked_for:
+            self._peers.pop(address, None)
 
     async def keep_up(self) -> None:
         """Open, and open again whenever it broke."""
@@ -166,7 +199,7 @@ class Link:
     async def _run(self) -> None:
         async with open_wire(self._o.endpoint, self._clock, self._received) as wire:
             self._wire, self.down = wire, None
-            if self._o.endpoint.scheme != "udpin":
+            if self._asked_for:
                 peer = self._peers.setdefault(None, _Peer(self._codec(), self._clock.now()))
                 peer.codec.restart()
             self._links.opened[self._number] += 1
@@ -187,28 +220,47 @@ class Link:
     def _decode(self, data: bytes, heard: MonoNs, address: Address | None) -> None:
         self.counters.bytes_in += len(data)
         peer = self._peers.get(address)
-        known = peer is not None
-        if peer is None:
-            peer = _Peer(self._codec(), heard)
-        peer.heard = heard
-        messages = peer.codec.feed(data)
-        if not known:
-            if not messages:
-                # Nobody becomes a peer by sending rubbish; its counters stay in the total.
-                self._fold_counters()
-                return
-            self._forget_silent()
-            if len(self._peers) >= self._o.peers_max:
-                del self._peers[min(self._peers, key=lambda a: self._peers[a].heard)]
-            self._peers[address] = peer
-        for message in messages:
-            self._links.told(heard, self.endpoint, "in", bytes(message.get_msgbuf()), message)
-            self._links.heard.offer(
-                Heard(message, self._number, heard, int(message.get_srcSystem()), int(message.get_srcComponent()))
-            )
+        if peer is not None:
+            peer.heard = heard
+        for message in self._codec_for(peer).feed(data):
+            self._hand_on(message, heard, address)
+
+    @property
+    def _asked_for(self) -> bool:
+        return self._o.endpoint.scheme != "udpin"
+
+    def _codec_for(self, peer: _Peer | None) -> Codec:
+        """Of the peer; strangers share one, whose datagrams have nothing to do with each other."""
+        if peer is not None:
+            return peer.codec
+        if self._strangers is None:
+            self._strangers = self._codec()
+        self._strangers.restart()
+        return self._strangers
+
+    def _hand_on(self, message: Message, heard: MonoNs, address: Address | None) -> None:
+        ids = (int(message.get_srcSystem()), int(message.get_srcComponent()))
+        source = (self._number, address)
+        access, line = self._links.access, self._links.heard
+        if ids[0] == 0:
+            access.refused["no system id"] += 1
+            return
+        signed = self._o.signing is not None
+        standing = access.standing(source, ids, heard, asked_for=self._asked_for, signed=signed)
+        if standing is Standing.STRANGER:
+            self.counters.strangers += 1
+            access.refuse_stranger(ids, address, heard)
+            # A flood of strangers may fill half of the line, never push out what was asked for.
+            if message.get_type() == "HEARTBEAT" and 2 * len(line) < line.capacity:
+                line.offer(Heard(message, self._number, heard, *ids, address, standing))
+            return
+        if standing >= Standing.PEER:
+            self.admit(address, heard)
+        self._links.told(heard, self.endpoint, "in", bytes(message.get_msgbuf()), message)
+        line.offer(Heard(message, self._number, heard, *ids, address, standing))
 
     def _forget_silent(self) -> None:
-        if self._o.endpoint.scheme == "udpin":
+        if not self._asked_for:
             now = self._clock.now()
             for address in [a for a, p in self._peers.items() if seconds_between(p.heard, now) > self._o.peer_timeout_s]:
                 del self._peers[address]
@@ -219,6 +271,8 @@ class Link:
         if len(self.counters.codecs) <= 4 * self._o.peers_max:
             return
         alive = {id(p.codec.counters) for p in self._peers.values()}
+        if self._strangers is not None:
+            alive.add(id(self._strangers.counters))
         gone = [c for c in self.counters.codecs if id(c) not in alive]
         total = CodecCounters()
         for one in gone:
@@ -238,7 +292,10 @@ Tap = Callable[[MonoNs, str, Literal["in", "out"], bytes, str], None]
 class Links:
     """All links. See `open_links`."""
 
-    def __init__(self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int) -> None:
+    def __init__(
+        self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int, access: AccessOptions
+    ) -> None:
+        self.access = Access(access)
         self.identity = identity
         """(system, component) that messages are sent as."""
         self.tap: Tap | None = None
@@ -269,27 +326,44 @@ class Links:
         for link in self.all:
             link.identify(system, component)
 
-    def send(self, message: Message, to: int | None = None, *, component: int | None = None) -> bool:
-        """To every peer of every link, or of link number `to`; whether it went to any. Never blocks, never raises for a value.
+    def send(self, message: Message, to: int | Source | None = None, *, component: int | None = None) -> bool:
+        """To every peer of every link, of link number `to`, or to the one peer `to`; whether it went to any.
+
+        It never blocks, and no value in the message makes it raise.
 
         Args:
             component: speak as this component of our system instead of the usual one.
         """
+        if isinstance(to, tuple):
+            return self.all[to[0]].send(message, component, to)
         sent = [link.send(message, component) for link in (self.all if to is None else (self.all[to],))]
         return any(sent)
+
+    def bind_autopilot(self, heard: Heard) -> None:
+        """Hold the autopilot to the peer that this message came from; what comes over it may command from now on."""
+        before = self.access.autopilot
+        self.access.autopilot = (heard.source, (heard.system, heard.component))
+        if before is not None and before[0] != heard.source:
+            self.all[before[0][0]].dismiss(before[0][1])
+        self.all[heard.link].admit(heard.peer, heard.heard)
 
 
 @asynccontextmanager
 async def open_links(
-    options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int = 4096
+    options: Sequence[LinkOptions],
+    clock: Clock,
+    identity: tuple[int, int],
+    capacity: int = 4096,
+    access: AccessOptions | None = None,
 ) -> AsyncIterator[Links]:
     """Open every link and keep it open; it does not wait for a peer. On leaving all are closed.
 
     Args:
         identity: (system, component) to send as; `Links.identify` changes it.
         capacity: messages that may wait for the reader of `Links.heard` before the oldest are dropped.
+        access: who is known before anything is heard; nobody where it is None.
     """
-    links = Links(options, clock, identity, capacity)
+    links = Links(options, clock, identity, capacity, access or AccessOptions())
     failed: Exception | None = None
     async with asyncio.TaskGroup() as group:
         tasks = [group.create_task(link.keep_up(), name=f"mavlink-{link.endpoint}") for link in links.all]

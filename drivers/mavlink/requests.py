@@ -5,6 +5,7 @@ Both ask again until answered and note what was refused; a lost answer costs a r
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -17,6 +18,8 @@ from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 _ACCEPTED = int(mav.MAV_RESULT_ACCEPTED)
 _BUSY = int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
 _REAL = (int(mav.MAV_PARAM_TYPE_REAL32), int(mav.MAV_PARAM_TYPE_REAL64))
+_VALUES_MAX = 4096
+"""Parameters of an autopilot that are kept; ArduPilot has some 1,500."""
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
 """MAV_PARAM_TYPE to layout, for values that travel as bytes in a float."""
 
@@ -178,8 +181,10 @@ class Parameters:
         """Any message of the autopilot."""
         kind = message.get_type()
         if kind == "PARAM_VALUE":
-            self.values[message.param_id] = self._value(message)
-            self._asked.pop(message.param_id, None)
+            name, value = message.param_id, self._value(message)
+            if math.isfinite(value) and (name in self._asked or name in self.values or len(self.values) < _VALUES_MAX):
+                self.values[name] = value
+            self._asked.pop(name, None)
         elif kind == "PARAM_ERROR" and message.param_id in self._asked:
             del self._asked[message.param_id]
             self.absent.add(message.param_id)

@@ -10,12 +10,11 @@ from typing import Any, NoReturn, Protocol
 
 import serial
 
-from drivers.mavlink.endpoint import Endpoint
+from drivers.mavlink.endpoint import Address, Endpoint
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
 
-Address = tuple[str, int]
 Received = Callable[[bytes, MonoNs, Address | None], None]
 """Bytes, when they were heard, and on a socket that listens: from whom."""
 

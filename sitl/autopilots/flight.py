@@ -25,6 +25,7 @@ from companion.observer import Observer
 from companion.pilot import Outcome, Pilot
 from companion.service import make_pilot
 from companion.settings_model import Settings
+from drivers.mavlink.access import AccessOptions
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
@@ -124,7 +125,9 @@ class AutopilotFlight:
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
             self._camera = LockStepCamera(self.clock, side.offer, side.concluded, pool)
             async with AsyncExitStack() as stack:
-                links = await stack.enter_async_context(open_links((link,), self.clock, STATION))
+                links = await stack.enter_async_context(
+                    open_links((link,), self.clock, STATION, access=AccessOptions(everybody=True))
+                )
                 program = await stack.enter_async_context(self._program((to_daemon, to_station)))
                 self._stepped_at = time.monotonic()
                 try:

@@ -30,7 +30,7 @@ from estimator.contracts.errors import BadInput
 
 READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz", "guidance.land_timeout_s",
-    "service.log_level", "service.health_period_s", "face.links", "face.system_id",
+    "service.log_level", "service.health_period_s", "face.links", "face.system_id", "face.operators",
     *(f"{table}.signing_{what}_file" for table in ("vehicle", "face") for what in ("key", "time")),
 }  # fmt: skip
 TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.")
@@ -88,6 +88,8 @@ def other(field: inspect.Field, path: str) -> object:
         return "photos"
     if path == "vehicle.links":
         return "udpin://127.0.0.1:0, serial:///dev/ttyAMA0:57600"
+    if path == "vehicle.operators":
+        return "255, 245/190"
     if path == "pad.file":
         return "printed"
     if path == "camera.controls":

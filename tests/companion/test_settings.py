@@ -161,7 +161,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     kind = draw(st.sampled_from(sorted(MINIMALS)))
     data = minimal(kind)
     for path, field in walk(Settings, kind):
-        if path.endswith("links") or draw(st.booleans()):
+        if path.endswith(("links", "operators")) or draw(st.booleans()):
             continue
         bare = field.type.type if isinstance(field.type, inspect.Metadata) else field.type
         match bare:
@@ -219,6 +219,8 @@ def test_the_kind_of_vehicle_decides_which_keys_there_are(tmp_path: Path) -> Non
     )
     assert "'udp' should be" not in refusal(minimal("mavlink", vehicle__links="udp:14550"))
     assert "links: MAVLink link 'udp:14550': write udpin://" in refusal(minimal("mavlink", vehicle__links="udp:14550"))
+    for text in ("0", "256", "255/0", "station"):
+        assert "operators: operator" in refusal(minimal("mavlink", vehicle__links="udpin://0.0.0.0:1", vehicle__operators=text))
     assert "vessel_id must not be" in refusal(minimal("mavlink", vehicle__vessel_id=3, vehicle__system_id=3))
 
 

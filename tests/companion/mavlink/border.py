@@ -93,24 +93,24 @@ class Border:
         self.wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.wire.setblocking(False)
         self.codec = Codec(*AUTOPILOT, datagrams=True)
-        local = self.links.all[0].local
-        assert local is not None
-        self.address = local
 
-    async def throw(self, *data: bytes, wire: socket.socket | None = None) -> None:
-        """Send datagrams, and wait until all of them have been handled."""
-        counters = self.links.all[0].counters
+    async def throw(self, *data: bytes, wire: socket.socket | None = None, link: int = 0) -> None:
+        """Send datagrams to a link, and wait until all of them have been handled."""
+        counters = self.links.all[link].counters
+        address = self.links.all[link].local
         for one in data:
             expected = counters.bytes_in + len(one)
-            (wire or self.wire).sendto(one, self.address)
+            (wire or self.wire).sendto(one, address)
             while counters.bytes_in < expected or len(self.links.heard):  # noqa: ASYNC110 - no event tells of bytes
                 await asyncio.sleep(0)
         await asyncio.sleep(0)
 
-    async def send(self, *messages: Message, wire: socket.socket | None = None, source: tuple[int, int] = AUTOPILOT) -> None:
+    async def send(
+        self, *messages: Message, wire: socket.socket | None = None, source: tuple[int, int] = AUTOPILOT, link: int = 0
+    ) -> None:
         """Throw messages as `source`."""
         codec = self.codec if source == AUTOPILOT else Codec(*source)
-        await self.throw(*(codec.pack(m) for m in messages), wire=wire)
+        await self.throw(*(codec.pack(m) for m in messages), wire=wire, link=link)
 
     def answers(self, wire: socket.socket | None = None) -> list[Message]:
         """Everything that came back to a socket."""
@@ -153,8 +153,8 @@ class Border:
 
 
 @asynccontextmanager
-async def bordered(**options: Any) -> AsyncIterator[Border]:
-    """The service's MAVLink side with its autopilot found."""
+async def bordered(*more_links: str, **options: Any) -> AsyncIterator[Border]:
+    """The service's MAVLink side with its autopilot found on the first of its links."""
     clock, tower = SystemClock(), Tower()
     pad = np.array([0.3, -0.2, 4.0])
 
@@ -169,8 +169,9 @@ async def bordered(**options: Any) -> AsyncIterator[Border]:
         believe=believe,
         clock=clock,
     )
-    link = LinkOptions(parse_endpoint(f"udpin://{HOST}:0"), **options)
-    async with open_autopilot(AutopilotOptions((link,), vessel_system=17, parameters=("PLND_LAG",)), clock) as autopilot:
+    links = tuple(LinkOptions(parse_endpoint(url)) for url in (f"udpin://{HOST}:0", *more_links))
+    given = AutopilotOptions(links, vessel_system=17, parameters=("PLND_LAG",), **options)
+    async with open_autopilot(given, clock) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
         bridge = Face(autopilot.links.send, lambda command: None)
         autopilot.listen(lambda heard: bridge.hear(heard, AUTOPILOT[0], clock.now()))

@@ -17,6 +17,7 @@ from companion.mavlink.tunables import Tunables
 from companion.observer import Decision
 from companion.settings_model import Settings
 from drivers.clock import SystemClock
+from drivers.mavlink.access import Named
 from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions
@@ -60,7 +61,11 @@ class Stage:
 
 @asynccontextmanager
 async def staged(
-    fake: FakeAutopilot, *more_links: str, outputs: dict[str, Any] | None = None, **options: Any
+    fake: FakeAutopilot,
+    *more_links: str,
+    outputs: dict[str, Any] | None = None,
+    operators: tuple[Named, ...] = (),
+    **options: Any,
 ) -> AsyncIterator[Stage]:
     """Autopilot found, component speaking, guidance deciding at 50 Hz."""
     clock = SystemClock()
@@ -69,7 +74,9 @@ async def staged(
     )
     output = OutputOptions(pad_radius_m=0.39, **(outputs or {}))
     component_options = ComponentOptions(output, **options)
-    autopilot_options = AutopilotOptions(links, silence_s=0.8, period_s=0.02, parameters=component_options.parameters)
+    autopilot_options = AutopilotOptions(
+        links, silence_s=0.8, period_s=0.02, parameters=component_options.parameters, operators=operators
+    )
     stage: Stage
     tower = Tower()
     applied: list[Settings] = []

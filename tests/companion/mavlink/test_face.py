@@ -13,6 +13,7 @@ from companion.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
 from companion.mavlink.face import Face
 from companion.mavlink.face_part import FacePart
 from drivers.clock import SystemClock
+from drivers.mavlink.access import Named, Standing
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import Heard, LinkOptions
@@ -67,7 +68,7 @@ class Station:
         padded = [*params, 0, 0, 0, 0, 0, 0, 0][:7]
         message = mav.MAVLink_command_long_message(7, 1, command, 0, *padded)
         before = len(self.heard)
-        self.face.hear(Heard(message, 0, self.now, 255, 190), 7, self.now)
+        self.face.hear(Heard(message, 0, self.now, 255, 190, standing=Standing.OPERATOR), 7, self.now)
         ack = self.heard[before]
         assert (ack.command, ack.target_system, ack.target_component) == (command, 255, 190)
         return int(ack.result)
@@ -137,7 +138,7 @@ async def test_mavsdk_flies_it() -> None:
     from mavsdk.asyncio.plugins.action import ActionAsync
 
     port, clock, commands = free_port(), SystemClock(), list[Command]()
-    part = FacePart([LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))], 7, clock)
+    part = FacePart([LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))], 7, clock, operators=(Named(245),))
     with pytest.raises(Recoverable, match="not there"):
         part.command(Land())
     part._taker = commands.append

@@ -13,6 +13,7 @@ import pytest
 
 from companion.mavlink.operator import Progress
 from companion.mavlink.tunables import NAMES
+from drivers.mavlink.access import Named
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
 from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
 
@@ -32,7 +33,9 @@ async def met() -> AsyncIterator[tuple[Stage, Any]]:
 
     port = free_port()
     async with (
-        staged(FakeAutopilot(parameters={"PLND_LAG": 0.02}), f"udpout://{HOST}:{port}", heartbeat_s=0.2) as stage,
+        staged(
+            FakeAutopilot(parameters={"PLND_LAG": 0.02}), f"udpout://{HOST}:{port}", operators=(Named(245),), heartbeat_s=0.2
+        ) as stage,
         mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station,
     ):
         await station.add_any_connection(f"udpin://{HOST}:{port}")

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from drivers.clock import SystemClock
+from drivers.mavlink.access import AccessOptions
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import Heard, LinkOptions, Links, open_links
@@ -203,7 +204,10 @@ class FakeAutopilot:
     async def talking_to(self, url: str) -> AsyncIterator[FakeAutopilot]:
         """Alive on a link to `url`."""
         option = LinkOptions(parse_endpoint(url), restart_first_s=0.02, restart_most_s=0.1)
-        async with open_links([option], self.clock, (self.system, 1)) as links, asyncio.TaskGroup() as group:
+        async with (
+            open_links([option], self.clock, (self.system, 1), access=AccessOptions(everybody=True)) as links,
+            asyncio.TaskGroup() as group,
+        ):
             self.links = links
             tasks = [group.create_task(self._live()), group.create_task(self._read(links))]
             try:

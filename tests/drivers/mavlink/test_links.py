@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from drivers.clock import SystemClock
+from drivers.mavlink.access import AccessOptions
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
@@ -20,6 +21,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 from tests.drivers.fake_ardrone import until
 
 HOST = "127.0.0.1"
+ANYBODY = AccessOptions(everybody=True)
 
 
 def heartbeat(kind: int = 18) -> Message:
@@ -61,7 +63,7 @@ def test_a_wrong_address_is_bad_input_that_quotes_it(url: str) -> None:
 
 
 async def test_a_listening_link_answers_every_peer_with_its_own_sequence() -> None:
-    async with open_links([quick(f"udpin://{HOST}:0")], SystemClock(), (1, 191)) as ours:
+    async with open_links([quick(f"udpin://{HOST}:0")], SystemClock(), (1, 191), access=ANYBODY) as ours:
         await until(lambda: ours.all[0].local)
         url = f"udpout://{HOST}:{port_of(ours)}"
         async with (
@@ -82,7 +84,7 @@ async def test_a_listening_link_answers_every_peer_with_its_own_sequence() -> No
 
 
 async def test_rubbish_makes_nobody_a_peer_and_is_counted() -> None:
-    async with open_links([quick(f"udpin://{HOST}:0", peers_max=2)], SystemClock(), (1, 191)) as ours:
+    async with open_links([quick(f"udpin://{HOST}:0", peers_max=2)], SystemClock(), (1, 191), access=ANYBODY) as ours:
         await until(lambda: ours.all[0].local)
         for n in range(20):
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
@@ -142,7 +144,7 @@ async def test_a_serial_port_carries_both_ways_and_its_loss_is_seen() -> None:
 
 async def test_several_links_at_once_and_one_of_them_missing() -> None:
     urls = [f"udpin://{HOST}:0", "serial:///dev/no-such-port:57600", f"udpin://{HOST}:0"]
-    async with open_links([quick(u) for u in urls], SystemClock(), (1, 191)) as ours:
+    async with open_links([quick(u) for u in urls], SystemClock(), (1, 191), access=ANYBODY) as ours:
         await until(lambda: ours.all[0].local and ours.all[2].local and ours.all[1].counters.restarts)
         assert "no-such-port" in (ours.all[1].down or "")
         async with (

@@ -1,0 +1,165 @@
+"""Who may be heard on a MAVLink link, who is spoken to, and who may command. No I/O.
+
+MAVLink's ids prove nothing, so an id counts only together with the link and the peer that it comes from:
+
+- the autopilot is one (link, peer, system, component); what comes over its peer, a router's included, may command;
+- a system that the settings name is held to the first peer that uses its id, until that one falls silent;
+- whoever signs with the link's key may command;
+- an address that we were told to connect to is spoken to, and may not command;
+- everybody else is a stranger: only the HEARTBEATs are looked at, to find the autopilot, and nothing is sent.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from drivers.mavlink.endpoint import Address
+from estimator.contracts.errors import BadInput
+from estimator.contracts.time import MonoNs, seconds_between
+
+_log = logging.getLogger(__name__)
+
+Source = tuple[int, Address | None]
+"""Number of a link, and the peer on it; None where the link has only one."""
+
+_STRANGERS_MAX = 64
+_STRANGE_AFTER_S = 3.0
+"""A stranger this long is told of: an autopilot becomes known with its first HEARTBEAT."""
+
+
+class Standing(IntEnum):
+    """What the sender of a message may do; a higher one may do what a lower one may."""
+
+    STRANGER = 0
+    """Only its HEARTBEATs are looked at."""
+    REPORTER = 1
+    """A ship that the settings name: it is heard."""
+    PEER = 2
+    """It is at an address that we were told to connect to: it is heard and spoken to."""
+    OPERATOR = 3
+    """It may command."""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A system that may command, or one component of it."""
+
+    system: int
+    component: int | None = None
+
+    def __str__(self) -> str:
+        return str(self.system) if self.component is None else f"{self.system}/{self.component}"
+
+
+def parse_operators(text: str) -> tuple[Named, ...]:
+    """Return the systems that a text like "255, 245/190" names.
+
+    Raises:
+        BadInput: one of them is none.
+    """
+    out = []
+    for word in text.split(",") if text.strip() else ():
+        system, slash, component = word.strip().partition("/")
+        numbers = [system, component] if slash else [system]
+        if not all(n.isascii() and n.isdigit() and len(n) <= 3 and 1 <= int(n) <= 255 for n in numbers):
+            raise BadInput(f"operator {word.strip()!r}: write SYSTEM or SYSTEM/COMPONENT, each 1 to 255")
+        out.append(Named(int(system), int(component) if slash else None))
+    return tuple(out)
+
+
+@dataclass(frozen=True, slots=True)
+class AccessOptions:
+    """Who is known before anything is heard.
+
+    Attributes:
+        operators: systems that may command though they do not sign.
+        reporters: systems that are listened to: ships.
+        everybody: every sender may command and is answered; for a simulated station, never for a drone.
+        silence_s: a named system not heard for this long may come from another peer.
+    """
+
+    operators: tuple[Named, ...] = ()
+    reporters: frozenset[int] = frozenset()
+    everybody: bool = False
+    silence_s: float = 30.0
+
+
+@dataclass(slots=True)
+class _Held:
+    source: Source
+    heard: MonoNs
+
+
+@dataclass(slots=True)
+class _Stranger:
+    since: MonoNs
+    told: bool = False
+
+
+@dataclass(slots=True)
+class Access:
+    """What was learned of who is who. One for all links of a service."""
+
+    options: AccessOptions
+    autopilot: tuple[Source, tuple[int, int]] | None = None
+    """The autopilot's peer and its (system, component)."""
+    refused: Counter[str] = field(default_factory=Counter)
+    """Messages by why their sender was not believed: impostor, stranger."""
+    _held: dict[int, _Held] = field(default_factory=dict)
+    _strangers: dict[tuple[int, int], _Stranger] = field(default_factory=dict)
+
+    def standing(self, source: Source, ids: tuple[int, int], now: MonoNs, *, asked_for: bool, signed: bool) -> Standing:
+        """Return the standing of a message's sender.
+
+        Args:
+            source: where it came from.
+            ids: its (system, component).
+            asked_for: the link leads to an address that we were told of, or is a cable.
+            signed: the link takes nothing that is not signed with its key.
+        """
+        system, component = ids
+        if self.options.everybody:
+            return Standing.OPERATOR
+        if self.autopilot is not None:
+            if source == self.autopilot[0]:
+                return Standing.OPERATOR
+            if ids == self.autopilot[1]:
+                self.refused["impostor"] += 1
+                return Standing.STRANGER
+        if signed:
+            return Standing.OPERATOR
+        commands = any(n.system == system and n.component in (None, component) for n in self.options.operators)
+        if commands or system in self.options.reporters:
+            if not self._holds(system, source, now):
+                self.refused["impostor"] += 1
+                return Standing.STRANGER
+            return Standing.OPERATOR if commands else max(Standing.REPORTER, Standing.PEER if asked_for else Standing.STRANGER)
+        return Standing.PEER if asked_for else Standing.STRANGER
+
+    def _holds(self, system: int, source: Source, now: MonoNs) -> bool:
+        held = self._held.get(system)
+        if held is not None and held.source != source and seconds_between(held.heard, now) <= self.options.silence_s:
+            return False
+        self._held[system] = _Held(source, now)  # as many as the settings name
+        return True
+
+    def refuse_stranger(self, ids: tuple[int, int], peer: Address | None, now: MonoNs) -> None:
+        """Count a message that was not looked at, and log once for each sender how it would be."""
+        self.refused["stranger"] += 1
+        if peer is None:
+            return  # the autopilot once more, over another link
+        stranger = self._strangers.get(ids)
+        if stranger is None:
+            if len(self._strangers) < _STRANGERS_MAX:
+                self._strangers[ids] = _Stranger(now)
+        elif not stranger.told and seconds_between(stranger.since, now) >= _STRANGE_AFTER_S:
+            stranger.told = True
+            _log.warning(
+                "MAVLink: system %d, component %d at %s:%d is a stranger or uses another's ids: it is told nothing and may not "
+                "command; name its system in `operators`, or sign the link (decklander keys)",
+                *ids,
+                *peer,
+            )
