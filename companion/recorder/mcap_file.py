@@ -101,6 +101,11 @@ class McapFile:
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._spill()
 
+    @property
+    def removed(self) -> bool:
+        """Whether nothing in any folder leads to it any more: what is written to it is lost when it is closed."""
+        return os.fstat(self._file.fileno()).st_nlink == 0
+
     def sync(self) -> None:
         """Wait until the disk itself has it."""
         os.fsync(self._file.fileno())

@@ -1,7 +1,7 @@
 """The recorder: an observer that hands records to a thread of its own, which writes them to MCAP files.
 
-The service's loop never waits for it: when the thread is behind, records are dropped and counted by channel. A full disk is
-said once, flown through, and left behind when there is room again.
+The service's loop never waits for it: when the thread is behind, records are dropped and counted by channel. A disk that is full,
+read-only or gone is said once, flown through, tried again with growing rests, and left behind when it is good again.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ import asyncio
 import logging
 import queue
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from types import TracebackType
@@ -23,7 +25,8 @@ from companion.recorder import encode
 from companion.recorder import records as rec
 from companion.recorder.mcap_file import About, McapFile
 from companion.recorder.scribe import FrameForm, Scribe
-from companion.recorder.shelf import Shelf
+from companion.recorder.shelf import Shelf, in_words
+from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
@@ -40,7 +43,8 @@ class State(Enum):
 
     IDLE = "idle"
     RECORDING = "recording"
-    NO_ROOM = "no room"
+    BLOCKED = "blocked"
+    """The disk or the folder does not let it record; it tries again."""
     PAUSED = "paused"
     CLOSED = "closed"
 
@@ -67,16 +71,17 @@ class Options:
     sync_s: float = 5.0
     """Between two waits for the disk itself: what a power cut loses."""
     retry_s: float = 5.0
-    """Between two looks whether a full disk has room again."""
+    retry_cap_s: float = 60.0
+    """Rests before it tries again after a fault of the disk or folder: doubled from the first to the cap."""
     when_full: Literal["drop", "wait"] = "drop"
     """Drop records when the thread is behind, or let the caller wait for it: for flights in virtual time."""
     close_s: float = 10.0
-    """That closing may take before what is left is given up."""
+    """Closing may take this long before what is left is given up."""
 
     def __post_init__(self) -> None:
         if min(self.queue_records, self.queue_frames, self.frames_each) < 1:
             raise ValueError("queue_records, queue_frames and frames_each must be 1 or more")
-        if min(self.max_file_s, self.flush_s, self.sync_s, self.retry_s, self.close_s) <= 0:
+        if min(self.max_file_s, self.flush_s, self.sync_s, self.retry_s, self.retry_cap_s, self.close_s) <= 0:
             raise ValueError("periods of the recorder must be positive")
 
 
@@ -108,6 +113,7 @@ class Recorder:
         self._file: McapFile | None = None
         self._began = self._flushed = self._synced = MonoNs(0)
         self._tried: MonoNs | None = None
+        self._rest_s = options.retry_s
         self._told_health: MonoNs | None = None
         self._shown = State.IDLE
         self._seen = 0
@@ -119,7 +125,9 @@ class Recorder:
         self.written = 0
         """Messages handed to files."""
         self.lost = 0
-        """Messages among them that a full disk took back."""
+        """Messages among them that a fault of the disk took back."""
+        self.blocked = 0
+        """Faults of the disk or folder, each attempt to begin a file among them."""
         self.dropped: Counter[str] = Counter()
         """Records given up, by kind: the thread was behind, or there was no room on the disk."""
         self.faults = 0
@@ -143,8 +151,15 @@ class Recorder:
         self.close()
 
     async def run(self) -> None:
-        """Record until cancelled: the recorder as a part of the service."""
-        self._thread.start()
+        """Record until cancelled: the recorder as a part of the service.
+
+        Raises:
+            Recoverable: the system gives no thread.
+        """
+        try:
+            self._thread.start()
+        except RuntimeError as why:
+            raise Recoverable(f"the recorder's thread does not start: {why}") from why
         try:
             await asyncio.Event().wait()
         finally:
@@ -163,12 +178,12 @@ class Recorder:
         """Write what waits and end the file. Gives up after `close_s`."""
         if self._state is State.CLOSED or not self._thread.is_alive():
             return
-        try:
+        give_up_s = time.monotonic() + self._options.close_s
+        with suppress(queue.Full):
             self._queue.put(None, timeout=self._options.close_s)
-        except queue.Full:
-            log.error("recorder: the disk took nothing for %.0f s; the end of the recording is lost", self._options.close_s)
-            return
-        self._thread.join(self._options.close_s)
+            self._thread.join(max(0.0, give_up_s - time.monotonic()))
+        if self._thread.is_alive():
+            log.error("recorder: the disk took nothing for %.1f s; the end of the recording is lost", self._options.close_s)
 
     def pause(self) -> None:
         """Write nothing more until `resume`; the file ends."""
@@ -181,7 +196,7 @@ class Recorder:
     def switch(self, on: bool) -> str | None:
         """The operator: record or do not; says why it cannot."""
         self._paused = not on
-        return self.why if on and self._state is State.NO_ROOM else None
+        return self.why if on and self._state is State.BLOCKED else None
 
     def on_sample(self, sample: Sample) -> None:
         self._give(sample.stamp.heard, sample)
@@ -225,6 +240,7 @@ class Recorder:
     def counted(self) -> dict[str, float]:
         """What it has counted, for health: dropped records by kind under `dropped_<kind>`."""
         out: dict[str, float] = {"written": self.written, "lost": self.lost, "faults": self.faults, "files": self.files}
+        out |= {"blocked": self.blocked, "not_removed": self._shelf.not_removed}
         return out | {f"dropped_{kind}": n for kind, n in sorted(self.dropped.items())}
 
     def _show(self) -> None:
@@ -232,7 +248,7 @@ class Recorder:
         if self._health is None or self._state is self._shown:
             return
         self._shown = self._state
-        if self._state is State.NO_ROOM:
+        if self._state is State.BLOCKED:
             self._health.down(PART, OSError(self.why))
         else:
             self._health.up(PART)
@@ -263,7 +279,7 @@ class Recorder:
                 file.abandon()
             self.lost += self._unflushed
             self._unflushed = 0
-            self._lacks(why.strerror or str(why))
+            self._lacks(in_words(why))
         except Exception:
             self.faults += 1
             if self.faults == 1:
@@ -296,10 +312,10 @@ class Recorder:
             return False
         if self._file is not None:
             return True
-        if self._tried is not None and seconds_between(self._tried, at) < self._options.retry_s and self._state is State.NO_ROOM:
+        if self._tried is not None and self._state is State.BLOCKED and 0.0 <= seconds_between(self._tried, at) < self._rest_s:
             return False
         self._tried = at
-        reason = self._shelf.lacks_room(_ROOM_AGAIN_MB if self._state is State.NO_ROOM else 0.0)
+        reason = self._shelf.lacks_room(_ROOM_AGAIN_MB if self._state is State.BLOCKED else 0.0)
         if reason is not None:
             self._lacks(reason)
             return False
@@ -314,9 +330,9 @@ class Recorder:
             self._file.add(topic, at_ns, message)
         self._file.flush()
         self._began = self._flushed = self._synced = at
-        if self._state is State.NO_ROOM:
-            log.warning("recorder: there is room again; going on in %s", self._file.path)
-        self._state, self.why = State.RECORDING, ""
+        if self._state is State.BLOCKED:
+            log.warning("recorder: records again, in %s", self._file.path)
+        self._state, self.why, self._rest_s = State.RECORDING, "", self._options.retry_s
         self._shelf.tidy(self._file.path)
 
     def _flush(self, now: MonoNs | None) -> None:
@@ -330,6 +346,8 @@ class Recorder:
             return
         self._flushed = now
         if seconds_between(self._synced, now) >= self._options.sync_s:
+            if file.removed:
+                raise OSError(f"{file.path} was removed while it was written")
             file.sync()
             self._synced = now
             self._shelf.tidy(file.path)
@@ -347,9 +365,12 @@ class Recorder:
             self._unflushed = 0
 
     def _lacks(self, reason: str) -> None:
-        if self._state is not State.NO_ROOM:
-            log.error("recorder: nothing is recorded until there is room: %s", reason)
-        self._state, self.why = State.NO_ROOM, reason
+        self.blocked += 1
+        if self._state is State.BLOCKED:
+            self._rest_s = min(2.0 * self._rest_s, self._options.retry_cap_s)
+        else:
+            log.error("recorder: nothing is recorded now: %s; the flight goes on, trying again", reason)
+        self._state, self.why = State.BLOCKED, reason
 
 
 def _kind(what: object) -> str:

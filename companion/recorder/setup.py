@@ -64,6 +64,7 @@ def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
         queue_frames=r.queue_frames,
         flush_s=r.flush_s,
         sync_s=r.sync_s,
+        close_s=1.5,
     )
     shelf = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb)
     described = about(settings, {"kind": "service"}, wall_offset_ns(clock))

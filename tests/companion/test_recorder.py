@@ -6,13 +6,15 @@ import errno
 import io
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Imu, Sample
 from estimator.contracts.time import MonoNs, Stamp
 from tests.companion.recorder_flight import Told, record_to, sim_settings
+from tests.descriptors import no_descriptors
 
 ROOT = Path(__file__).parents[2]
 CAMERA = camera_model(sim_settings())
@@ -270,7 +273,7 @@ def test_a_full_disk_is_said_once_flown_through_and_left_behind(
     tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "a.mcap"
-    with Recorder(SingleFile(path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0)) as recorder:
+    with Recorder(SingleFile(path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0, retry_cap_s=1.0)) as recorder:
         for i in range(100):
             recorder.on_sample(imu(0.01 * i))
         wait_for(lambda: recorder.written == 100)
@@ -278,15 +281,17 @@ def test_a_full_disk_is_said_once_flown_through_and_left_behind(
         for i in range(100, 600):
             recorder.on_sample(imu(0.01 * i))
             wait_for(lambda: recorder._queue.empty())
-        wait_for(lambda: recorder.state is State.NO_ROOM and recorder._queue.empty())
+        wait_for(lambda: recorder.state is State.BLOCKED and recorder._queue.empty())
         assert recorder.why == "No space left on device"
         disk.full = False
         for i in range(600, 900):
             recorder.on_sample(imu(0.01 * i))
         wait_for(lambda: recorder._queue.empty() and recorder.state is State.RECORDING)
     said = [r for r in caplog.records if r.levelname == "ERROR"]
-    assert [r.getMessage() for r in said] == ["recorder: nothing is recorded until there is room: No space left on device"]
-    assert any("there is room again" in r.getMessage() for r in caplog.records)
+    assert [r.getMessage() for r in said] == [
+        "recorder: nothing is recorded now: No space left on device; the flight goes on, trying again"
+    ]
+    assert any("records again, in" in r.getMessage() for r in caplog.records)
     before, after = samples_of(path), samples_of(tmp_path / "a-2.mcap")
     assert len(before) + len(after) + recorder.lost + recorder.dropped["imu"] == 900
     assert 80 <= len(before) <= 110
@@ -354,7 +359,7 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
                 free["bytes"] = 400_000_000
             if i == 200:
                 wait_for(lambda: recorder._queue.empty())
-                assert recorder.state is State.NO_ROOM
+                assert recorder.state is State.BLOCKED
                 assert "400 MB free" in recorder.why, recorder.why
                 free["bytes"] = 600_000_000
             recorder.on_sample(imu(0.01 * i))
@@ -413,3 +418,119 @@ def test_link_bytes_are_kept_both_ways(tmp_path: Path) -> None:
     assert [(f["direction"], f.get("name")) for f in found] == [("out", "LANDING_TARGET"), ("in", None)]
     events = list(open_recording([tmp_path / "a.mcap"]).events())
     assert [e.data for e in events if hasattr(e, "data")] == [b"\xfd\x00\xff", bytes(range(256))]
+
+
+def told(recorder: Recorder, at_s: float, seconds: float) -> float:
+    """Samples at 100 Hz from an instant on, taken in before this returns; the instant after them."""
+    for i in range(round(100 * seconds)):
+        recorder.on_sample(imu(at_s + 0.01 * i))
+    wait_for(lambda: recorder._queue.empty())
+    return at_s + seconds
+
+
+def folder(path: Path) -> Folder:
+    return Folder(path, "20261120T050000Z", max_file_mb=10.0, max_total_mb=20.0, min_free_mb=0.0)
+
+
+def test_a_link_that_leads_nowhere_among_the_recordings_is_stepped_over(tmp_path: Path) -> None:
+    """One such file under a name of ours ended every recording at its first look at the folder's size."""
+    for name in ("decklander-20200101T000000Z-0001.mcap", "decklander-20261120T050000Z-0001.mcap"):
+        (tmp_path / name).symlink_to(tmp_path / "nowhere")
+    with Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.1, sync_s=0.1)) as recorder:
+        told(recorder, 0.0, 2.0)
+        wait_for(lambda: recorder.written == 200)
+        assert recorder.state is State.RECORDING
+        assert (recorder.blocked, recorder.faults, recorder.files) == (0, 0, 1)
+    assert len(samples_of(tmp_path / "decklander-20261120T050000Z-0002.mcap")) == 200
+
+
+def dangling(path: Path) -> None:
+    path.symlink_to(path.with_name("unplugged"))
+
+
+def mend_dangling(path: Path) -> None:
+    path.with_name("unplugged").mkdir()
+
+
+def mend_file(path: Path) -> None:
+    path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "mend", "why"),
+    [
+        (dangling, mend_dangling, "recordings is a link to .*unplugged, which does not exist"),
+        (Path.touch, mend_file, "recordings: File exists"),
+    ],
+)
+def test_a_folder_that_cannot_be_used_is_tried_until_it_can(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, spoil: Callable[[Path], None], mend: Callable[[Path], None], why: str
+) -> None:
+    path = tmp_path / "recordings"
+    spoil(path)
+    with Recorder(folder(path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0, retry_cap_s=4.0)) as recorder:
+        at_s = told(recorder, 0.0, 30.0)
+        assert recorder.state is State.BLOCKED
+        assert re.search(why, recorder.why)
+        assert 8 <= recorder.blocked <= 11, "after 1, 2, 4, 4, 4 ... s"
+        assert recorder.counted()["dropped_imu"] == 3000
+        mend(path)
+        told(recorder, at_s, 5.0)
+        assert recorder.state is State.RECORDING
+        assert recorder.why == ""
+    assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 1
+    (file,) = path.glob("*.mcap")
+    assert len(samples_of(file)) >= 100
+
+
+def test_a_folder_that_is_taken_away_in_flight_is_begun_anew(tmp_path: Path) -> None:
+    path = tmp_path / "recordings"
+    with Recorder(folder(path), CAMERA, ABOUT, Options(flush_s=0.1, sync_s=0.5, retry_s=1.0)) as recorder:
+        at_s = told(recorder, 0.0, 2.0)
+        shutil.rmtree(path)
+        told(recorder, at_s, 4.0)
+        assert recorder.state is State.RECORDING
+        assert recorder.files == 2
+    (file,) = path.glob("*.mcap")
+    assert len(samples_of(file)) >= 200
+
+
+def test_without_descriptors_nothing_is_recorded_for_a_while(tmp_path: Path) -> None:
+    with Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0)) as recorder:
+        with no_descriptors():
+            at_s = told(recorder, 0.0, 2.0)
+            assert recorder.state is State.BLOCKED
+            assert recorder.why.endswith("Too many open files")
+        told(recorder, at_s, 4.0)
+        assert recorder.state is State.RECORDING
+
+
+def test_a_file_that_cannot_be_removed_does_not_end_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    old = tmp_path / "decklander-20200101T000000Z-0001.mcap"
+    old.write_bytes(bytes(30_000_000))
+    unlink = Path.unlink
+
+    def refusing(path: Path, missing_ok: bool = False) -> None:
+        if path == old:
+            raise PermissionError(errno.EPERM, "Operation not permitted", str(path))
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refusing)
+    with Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.1, sync_s=0.5)) as recorder:
+        told(recorder, 0.0, 2.0)
+        wait_for(lambda: recorder.written == 200)
+        assert recorder.counted()["not_removed"] >= 1
+        assert recorder.state is State.RECORDING
+
+
+def test_a_disk_that_hangs_holds_up_the_end_of_the_service_for_a_moment_only(tmp_path: Path, disk: Disk) -> None:
+    recorder = Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.05, queue_records=16, close_s=0.3))
+    with recorder:
+        disk.moving.clear()
+        recorder.on_sample(imu(0.0))
+        wait_for(lambda: recorder._queue.empty())
+        for i in range(100):
+            recorder.on_sample(imu(0.01 * i))
+        began = time.perf_counter()
+    assert time.perf_counter() - began < 5.0, "twenty seconds before"
+    disk.moving.set()
