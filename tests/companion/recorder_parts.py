@@ -1,0 +1,43 @@
+"""What the recorder's tests record: samples and frames made up."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from companion.observer import FrameSeen
+from companion.recorder.mcap_file import About
+from companion.recorder.reading import open_recording
+from companion.settings import camera_model
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.samples import Frame, Imu, Sample
+from estimator.contracts.time import MonoNs, Stamp
+from tests.companion.recorder_flight import sim_settings
+
+CAMERA = camera_model(sim_settings())
+ABOUT = About({"flight": {"kind": "test"}})
+
+
+def imu(at_s: float) -> Imu:
+    at = MonoNs(round(at_s * 1e9))
+    return Imu(Stamp(at, at, 0.001, "sim"), np.array([0.0, 0.0, at_s]), np.array([0.0, 0.0, -9.81]))
+
+
+def frame(at_s: float, seq: int) -> FrameSeen:
+    at = MonoNs(round(at_s * 1e9))
+    px = np.full((CAMERA.height, CAMERA.width, 3), seq % 256, np.uint8)
+    return FrameSeen(Frame(Stamp(at, at, 0.001, "sim"), seq, px), None, None, Verdict.NO_ATTITUDE, at, at)
+
+
+def samples_of(path: Path) -> list[Sample]:
+    return [event for event in open_recording([path]).events() if isinstance(event, Imu)]
+
+
+def wait_for(done: object, seconds: float = 5.0) -> None:
+    assert callable(done)
+    until = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.005)
