@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from companion.settings_keys import CREDENTIAL
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, unusable
 
 log = logging.getLogger(__name__)
 
@@ -58,7 +58,7 @@ def text(reference: str, part: str, key: str, environment: Mapping[str, str] = o
             log.warning("%s can be read by everyone on this machine (chmod o-r)", where)
         secret = _content(path).decode().rstrip("\r\n")
     except OSError as why:
-        raise BadInput(f"{where}: {why.strerror or why}") from why
+        raise unusable(where, why) from why
     except UnicodeDecodeError as why:
         raise BadInput(f"{where}: not text") from why
     if not secret:
@@ -79,7 +79,7 @@ def key(reference: str, part: str, name: str, environment: Mapping[str, str] = o
     try:
         mode, content = path.stat().st_mode, _content(path)
     except OSError as why:
-        raise BadInput(f"{where}: {why.strerror or why}") from why
+        raise unusable(where, why) from why
     # systemd guards credentials by an access list, which shows as a group that may read.
     if not reference.startswith(CREDENTIAL) and stat.S_IMODE(mode) & 0o077:
         raise BadInput(f"{where}: others may read it; chmod 600 {path}")

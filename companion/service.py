@@ -22,8 +22,11 @@ from companion.settings_model import Settings
 from companion.settings_vehicle import AutopilotSettings
 from companion.supervise import Body
 from drivers.clock import SystemClock
+from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.ports import Clock
+
+log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a face does without
     from drivers.mavlink.links import Tap
@@ -79,10 +82,7 @@ def make_daemon(
         from companion.metrics.endpoint import MetricsEndpoint
 
         extras["metrics"] = MetricsEndpoint(settings.metrics, health).run
-    if (manager := Manager.of()) is not None:
-        pulse = Pulse(
-            manager, health, ticking, lambda: pilot.vehicle is not None and bool(pilot.vehicle.flying), watchdog_interval_s()
-        )
+    if (pulse := _pulse(pilot, health, ticking)) is not None:
         watching.append(pulse)
         extras["manager"] = pulse.run
 
@@ -99,6 +99,18 @@ def make_daemon(
         health=health,
         extras=extras,
     )
+
+
+def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:
+    """None where no manager waits to hear, or cannot be understood: that is no setting, and no reason to stay down."""
+    try:
+        interval_s, manager = watchdog_interval_s(), Manager.of()
+    except BadInput as why:
+        log.error("%s; the service manager hears nothing", why)
+        return None
+    if manager is None:
+        return None
+    return Pulse(manager, health, clock, lambda: pilot.vehicle is not None and bool(pilot.vehicle.flying), interval_s)
 
 
 def log_to_stderr(settings: Settings) -> None:

@@ -20,7 +20,7 @@ from companion.settings_keys import anchored
 from companion.settings_model import PadSettings, Settings
 from companion.settings_refusal import explain
 from companion.settings_vehicle import ArDroneSettings
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 
@@ -101,7 +101,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_bytes().decode("utf-8"))
     except OSError as why:
-        raise BadInput(f"{path}: {why.strerror or why}") from why
+        raise unusable(str(path), why) from why
     except UnicodeDecodeError as why:
         raise BadInput(f"{path}: not UTF-8 text (byte {why.start})") from why
     except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
@@ -128,9 +128,10 @@ def find_file(text: str, folder: str, base: Path, what: str) -> Path:
     try:
         path = base / text
         exists = path.exists()
-    except (OSError, ValueError) as why:
-        reason = getattr(why, "strerror", None) or why
-        raise BadInput(f"{what}: not a usable file name {text[:60]!r}: {reason}") from why
+    except OSError as why:
+        raise unusable(f"{what}: not a usable file name {text[:60]!r}", why) from why
+    except ValueError as why:
+        raise BadInput(f"{what}: not a usable file name {text[:60]!r}: {why}") from why
     if exists:
         return path
     near = difflib.get_close_matches(text, shipped(folder), n=1)

@@ -7,6 +7,7 @@ import sys
 
 from companion import event_loop
 from companion.pilot import Outcome
+from companion.proven import Proven
 from companion.rig_camera import camera_options
 from companion.service import live, log_to_stderr, make_daemon, make_pilot
 from companion.settings import Settings, load, shipped
@@ -29,6 +30,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     settings = load(args.config)
+    proven = Proven(settings)
+    with proven.excusing():
+        return _run(args, settings, proven)
+
+
+def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
     pilot = make_pilot(settings)
     if args.check:
         c = pilot.camera
@@ -46,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         )
         return 0
     log_to_stderr(settings)
-    daemon = make_daemon(settings, pilot, once=args.once)
+    daemon = make_daemon(settings, pilot, observers=[proven], once=args.once)
     outcome = event_loop.run(live(daemon, pilot))
     if outcome is not None:
         sys.stderr.write(f"flight ended: {outcome.value}\n")

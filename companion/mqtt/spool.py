@@ -12,6 +12,7 @@ is counted. What cannot be written (a full or failing disk) waits in memory, bou
 
 from __future__ import annotations
 
+import logging
 import os
 import uuid
 import zlib
@@ -22,7 +23,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Literal
 
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, unusable
+
+log = logging.getLogger(__name__)
 
 Fsync = Literal["always", "second", "never"]
 
@@ -60,7 +63,7 @@ class Spool:
         max_bytes: bound of all files together.
 
     Raises:
-        BadInput: the folder cannot be made or read.
+        BadInput: the folder cannot be made or read as it is named. A disk that fails is none: then events stay in memory.
     """
 
     def __init__(self, folder: Path | None, max_bytes: int) -> None:
@@ -88,7 +91,13 @@ class Spool:
             self._files = [self._opened(path) for path in ours]
             self.delivered = self._read_delivered(folder)
         except OSError as why:
-            raise BadInput(f"mqtt.spool: {folder}: {why.strerror or why}") from why
+            fault = unusable(f"mqtt.spool: {folder}", why)
+            if isinstance(fault, BadInput):
+                raise fault from why
+            # A disk that fails must not keep a drone on the ground, nor a service from coming back in flight.
+            log.error("%s: events wait in memory alone until the service is started again", fault)
+            self.write_errors += 1
+            self._folder, self._files, self.delivered = None, [], 0
 
     @property
     def waiting(self) -> int:
@@ -256,7 +265,7 @@ class Spool:
 
     def _named(self, folder: Path) -> str:
         path = folder / "name"
-        if path.exists() and (name := path.read_text().strip()):
+        if path.exists() and (name := path.read_text(errors="replace").strip()) and name.isascii():
             return name
         path.write_text(self.name + "\n")
         return self.name

@@ -6,6 +6,7 @@ Source: mavlink.io, "Message signing". The key is never printed, logged or offer
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import stat
 import time
@@ -13,7 +14,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from estimator.contracts.errors import BadInput
+from estimator.contracts.errors import BadInput, unusable
+
+_log = logging.getLogger(__name__)
 
 EPOCH_S = 1_420_070_400
 """2015-01-01 00:00 GMT as Unix time."""
@@ -55,7 +58,7 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
         mode = path.stat().st_mode
         content = path.read_bytes()
     except OSError as why:
-        raise BadInput(f"signing key {path}: {why.strerror or why}") from why
+        raise unusable(f"signing key {path}", why) from why
     if stat.S_IMODE(mode) & 0o077:
         raise BadInput(f"signing key {path}: others may read it; chmod 600 {path}")
     if len(content) == 32:
@@ -81,7 +84,7 @@ class SigningTime:
         path: where it is kept; None keeps it in memory only.
 
     Raises:
-        BadInput: the file cannot be read or written, or holds no number.
+        BadInput: the file cannot be read or written as it is named.
     """
 
     def __init__(self, path: Path | None, wall_s: Callable[[], float] = time.time) -> None:
@@ -89,11 +92,15 @@ class SigningTime:
         self._wall_s = wall_s
         self._reserved = 0
         self._used = 0
+        self._said = False
         if path is not None and path.exists():
             try:
                 self._used = self._reserved = int(path.read_text())
-            except (OSError, ValueError) as why:
-                raise BadInput(f"signing time {path}: it should hold one whole number") from why
+            except OSError as why:
+                self._fails(why, starting=True)
+            except ValueError:  # torn by a power cut: no setting is wrong, and the next write mends it
+                _log.error("signing time %s: it should hold one whole number; going on from this host's clock", path)
+        self._reserve(self._reserved, starting=True)
 
     def next(self, at_least: int = 0) -> int:
         """A time later than every one before it, and not before `at_least` (a peer's)."""
@@ -103,7 +110,7 @@ class SigningTime:
             self._reserve(self._used + _AHEAD_TICKS)
         return self._used
 
-    def _reserve(self, until: int) -> None:
+    def _reserve(self, until: int, *, starting: bool = False) -> None:
         self._reserved = until
         if self._path is None:
             return
@@ -113,7 +120,16 @@ class SigningTime:
             scratch.write_text(str(until))
             scratch.replace(self._path)
         except OSError as why:
-            raise BadInput(f"signing time {self._path}: {why.strerror or why}") from why
+            self._fails(why, starting=starting)
+
+    def _fails(self, why: OSError, *, starting: bool) -> None:
+        """A disk that fails must not silence the link to the autopilot: this host's clock is all but always ahead by itself."""
+        fault = unusable(f"signing time {self._path}", why)
+        if starting and isinstance(fault, BadInput):
+            raise fault from why
+        if not self._said:
+            _log.error("%s; it is kept in memory alone meanwhile", fault)
+        self._said = True
 
 
 @dataclass(frozen=True, slots=True)

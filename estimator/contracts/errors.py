@@ -11,6 +11,8 @@ tree that escapes a task is a bug of ours and takes the service down loudly.
 
 from __future__ import annotations
 
+import errno
+
 
 class DecklanderError(Exception):
     """Base of every error raised on purpose."""
@@ -26,6 +28,27 @@ class Recoverable(DecklanderError):
 
 class SetupImpossible(DecklanderError):
     """This machine lacks something the request needs; trying again will not help."""
+
+
+_NAMED_WRONG = frozenset(
+    {
+        *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENAMETOOLONG),
+        *(errno.EACCES, errno.EPERM, errno.EINVAL),
+    }
+)
+
+
+def unusable(what: str, why: OSError) -> DecklanderError:
+    """The error for a file, folder or device named by the user that cannot be used: to be raised by who met `why`.
+
+    A wrong name, or one that may not be touched, stays so until somebody mends the settings: `BadInput`. A disk that fails, is
+    full or read-only, or a machine without descriptors or memory, may be well again at the next try: `Recoverable`.
+
+    Args:
+        what: the setting and the name.
+    """
+    text = f"{what}: {why.strerror or why}"
+    return BadInput(text) if why.errno in _NAMED_WRONG else Recoverable(text)
 
 
 def in_words(error: BaseException) -> str:

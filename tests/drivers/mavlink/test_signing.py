@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 from pathlib import Path
 
@@ -72,6 +73,29 @@ def test_a_restart_with_a_clock_set_back_goes_on_after_the_last_time(tmp_path: P
     used = [before.next() for _ in range(5)]
     after = SigningTime(path, lambda: EPOCH_S + 10.0)
     assert after.next() > used[-1]
+
+
+def test_a_torn_time_is_said_and_mended_and_keeps_no_service_from_starting(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "time"
     path.write_text("not a number")
-    with pytest.raises(BadInput, match="whole number"):
-        SigningTime(path)
+    time = SigningTime(path, lambda: EPOCH_S + 5000.0)
+    assert "it should hold one whole number" in caplog.text
+    used = time.next()
+    assert SigningTime(path, lambda: EPOCH_S + 10.0).next() > used
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EIO])
+def test_a_disk_that_fails_in_flight_silences_no_link(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now = EPOCH_S + 5000.0
+    time = SigningTime(tmp_path / "time", lambda: now)
+    used = [time.next()]
+    monkeypatch.setattr(Path, "write_text", lambda *_: (_ for _ in ()).throw(OSError(number, "broken")))
+    for _ in range(5):
+        now += 100.0
+        used.append(time.next())
+    assert used == sorted(set(used))
+    assert caplog.text.count("kept in memory alone") == 1

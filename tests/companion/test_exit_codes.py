@@ -1,0 +1,174 @@
+"""Exit code 2 says that the settings are wrong and nothing else: systemd starts the service again after every other end."""
+
+from __future__ import annotations
+
+import asyncio
+import configparser
+import errno
+import logging
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from companion import service
+from companion.cli import main as cli
+from companion.cli import run as run_command
+from companion.mqtt.spool import Spool
+from companion.proven import Proven
+from companion.settings import load
+from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible, unusable
+
+WORLD = [errno.EIO, errno.EROFS, errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.ENODEV, errno.ESTALE, errno.EADDRINUSE]
+SETTINGS = [errno.ENOENT, errno.EISDIR, errno.ENOTDIR, errno.EACCES, errno.ENAMETOOLONG, errno.ELOOP]
+
+
+@pytest.fixture
+def lives(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """`run` with a flight that ends as the test says; no flight at all, an error."""
+    lives = SimpleNamespace(error=None, observers=())
+
+    async def live(*_: Any) -> None:
+        for observer in lives.observers:
+            observer.on_frame(None)
+        if lives.error is not None:
+            raise lives.error
+
+    def make_daemon(*_: Any, observers: Any, **__: Any) -> None:
+        lives.observers = observers if lives.sees else ()
+
+    lives.sees = False
+    monkeypatch.setattr(run_command, "live", live)
+    monkeypatch.setattr(run_command, "make_daemon", make_daemon)
+    return lives
+
+
+@pytest.fixture(autouse=True)
+def loggers() -> Iterator[None]:
+    """`run` sets the root logger up for itself."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    root.handlers[:], root.level = handlers, level
+
+
+@pytest.mark.parametrize("number", WORLD)
+def test_a_world_that_fails_is_tried_again(number: int) -> None:
+    assert isinstance(unusable("camera.file: x", OSError(number, os.strerror(number))), Recoverable)
+
+
+@pytest.mark.parametrize("number", SETTINGS)
+def test_a_wrong_name_is_not(number: int) -> None:
+    assert isinstance(unusable("camera.file: x", OSError(number, os.strerror(number))), BadInput)
+
+
+@pytest.mark.parametrize(("number", "code"), [*((n, 1) for n in WORLD), *((n, 2) for n in SETTINGS)])
+def test_a_settings_file_that_cannot_be_read(
+    number: int, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text("")
+
+    def broken(_: Path) -> bytes:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(Path, "read_bytes", broken)
+    assert cli.main(["run", "--config", str(file)]) == code
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (BadInput("camera /dev/video0: no picture of 640x360 px"), 2),
+        (ExceptionGroup("parts", [BadInput("camera.controls: no control 'exposure'")]), 2),
+        (Recoverable("the disk is gone"), 1),
+        (SetupImpossible("camera /dev/video0: not a video device"), 1),
+        (ExceptionGroup("parts", [Recoverable("port in use")]), 1),
+    ],
+)
+def test_what_ends_the_service(lives: SimpleNamespace, error: Exception, code: int) -> None:
+    lives.error = error
+    assert cli.main(["run", "--config", "sim"]) == code
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_settings_that_gave_a_frame_are_no_longer_wrong_in_this_life_and_the_next(
+    lives: SimpleNamespace, wrapped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    wrong = BadInput("camera /dev/video0: control 'gain' was set to 3 but holds 1")
+    lives.error = ExceptionGroup("parts", [wrong]) if wrapped else wrong
+    assert cli.main(["run", "--config", "sim"]) == 2
+    lives.sees = True
+    assert cli.main(["run", "--config", "sim"]) == 1
+    lives.sees = False
+    assert cli.main(["run", "--config", "sim"]) == 1
+    assert "it has worked before" in capsys.readouterr().err
+    assert cli.main(["run", "--config", "ardrone"]) == 2  # other settings are not proven by these
+
+
+def test_a_note_that_cannot_be_read_proves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "proven").write_bytes(b"\xff\xfe")
+    assert not Proven(load("sim"), {"RUNTIME_DIRECTORY": str(tmp_path)}).known
+    assert not Proven(load("sim"), {}).known
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EIO, errno.ENOSPC])
+def test_a_spool_on_a_failed_disk_keeps_events_in_memory(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(Path, "mkdir", broken)
+    spool = Spool(tmp_path / "spool", 8000)
+    spool.append([b"{}"])
+    assert [record.body for record in spool.peek(5)] == [b"{}"]
+    assert spool.write_errors == 1
+    assert "events wait in memory alone" in caplog.text
+
+
+@pytest.mark.parametrize(("variable", "value"), [("NOTIFY_SOCKET", "nowhere"), ("WATCHDOG_USEC", "soon")])
+def test_a_manager_that_is_not_understood_does_not_keep_the_service_down(
+    variable: str, value: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "manager"))
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "manager"))
+        monkeypatch.setenv(variable, value)
+        settings = load("sim")
+        service.make_daemon(settings, service.make_pilot(settings))
+    assert "the service manager hears nothing" in caplog.text
+
+
+def test_the_unit_starts_again_after_everything_else() -> None:
+    unit = configparser.RawConfigParser(strict=False)
+    unit.optionxform = str  # type: ignore[assignment, method-assign]
+    unit.read(Path(__file__).parents[2] / "configs/systemd/decklander.service")
+    assert unit["Service"]["Restart"] == "always"
+    assert unit["Service"]["RestartPreventExitStatus"] == "2"
+    assert unit["Service"]["RuntimeDirectoryPreserve"] == "restart"
+    assert unit["Unit"]["StartLimitIntervalSec"] == "0"
+
+
+async def test_a_port_in_use_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
+    from drivers.clock import SystemClock
+    from drivers.mavlink.endpoint import parse_endpoint
+    from drivers.mavlink.links import LinkOptions, open_links
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
+        holder.bind(("127.0.0.1", 0))
+        port = holder.getsockname()[1]
+        options = LinkOptions(parse_endpoint(f"udpin://127.0.0.1:{port}"), restart_first_s=0.01, restart_most_s=0.02)
+        async with open_links([options], SystemClock(), (1, 191)) as links:
+            async with asyncio.timeout(60):
+                while links.all[0].counters.restarts < 2:  # noqa: ASYNC110 (the link says nothing when it fails)
+                    await asyncio.sleep(0.005)
+                holder.close()
+                while links.all[0].local is None:  # noqa: ASYNC110
+                    await asyncio.sleep(0.005)
