@@ -19,7 +19,7 @@ import cv2
 
 from companion.containment import Audience
 from companion.health import Health
-from companion.observer import FrameSeen, Observer
+from companion.observer import Decision, FrameSeen, Observer
 from companion.pilot import Outcome, Pilot
 from companion.supervise import Body, Restart, run, uncancelled
 from companion.worker import Worker
@@ -97,6 +97,7 @@ class Daemon:
         self._ended = asyncio.Event()
         self._eyes: Worker | None = None
         self._wrong_size_said = False
+        self._told = ("", "")
         self._extras = dict(extras or {})
         self.health = health or Health(clock)
         self._audience = Audience(observers, self.health)
@@ -165,6 +166,8 @@ class Daemon:
         look: Look | None = None
         if not self._fits(frame):
             verdict = Verdict.FAILED
+        elif (refused := self._pilot.admit(frame)) is not None:
+            verdict = refused
         elif attitude is None:
             verdict = Verdict.NO_ATTITUDE
         else:
@@ -205,12 +208,21 @@ class Daemon:
                     self._link.command(decision.command)
                 except Recoverable as why:
                     log.debug("command not sent: %s", why)
+            self._tell(decision)
             self._audience.on_decision(decision)
             if self._pilot.outcome is not None and self._once:
                 self._ended.set()
                 return
             spent_s = seconds_between(began, self._clock.now())
             await self._clock.sleep(max(0.001, self._period_s - spent_s))
+
+    def _tell(self, decision: Decision) -> None:
+        """Log what guidance is about, where that changes."""
+        told = (decision.phase, decision.reason)
+        if told == self._told:
+            return
+        self._told = told
+        log.log(logging.WARNING if decision.reason else logging.INFO, "%s", ": ".join(filter(None, told)))
 
     async def _log_health(self) -> None:
         while True:

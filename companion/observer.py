@@ -38,6 +38,8 @@ class Decision:
     belief: RelativeState | None
     shadows: tuple[RelativeState, ...] = ()
     """Beliefs of the paths that do not steer."""
+    reason: str = ""
+    """Why it is not simply on its way down, as text for the operator."""
 
 
 class Observer(Protocol):

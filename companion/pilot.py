@@ -9,14 +9,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from enum import Enum
 
+from companion.guidance.lease import NO_LANDING
 from companion.guidance.pid import Gains, Pid, SetPoint, pid_step
-from companion.guidance.planner import Phase, Plan, Planner, planner_step
+from companion.guidance.plan import Plan
+from companion.guidance.planner import Phase, Planner, planner_step
 from companion.observer import Decision
 from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land
 from estimator.contracts.estimates import PathName, RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
 from estimator.vision.eyes import Eyes, EyesMemory, see
 from estimator.vision.look import Look
@@ -33,11 +35,16 @@ class Outcome(Enum):
     GAVE_UP = "gave up"
     """The pad was not found again; the vehicle hovers."""
     LAND_TIMEOUT = "no landing reported"
-    """Told to land, the vehicle did not say in time that it stands."""
+    """Told to land in the last of all tries, the vehicle did not say in time that it stands; it hovers."""
     EMERGENCY = "emergency"
     """The vehicle cut its motors."""
     ABORTED = "aborted"
     """The operator called it off; the vehicle hovers."""
+
+
+_TRIED = (Outcome.GAVE_UP, Outcome.LAND_TIMEOUT)
+"""It hovers, and the operator may begin again."""
+_PLAIN = (Phase.WAITING, Phase.APPROACH, Phase.DESCEND, Phase.LAND)
 
 
 class Pilot:
@@ -45,18 +52,14 @@ class Pilot:
 
     Args:
         automatic: begin the approach as soon as the vehicle flies; else wait for `begin`.
-        land_timeout_s: how long after the order to land the vehicle may take to say that it stands.
     """
 
-    def __init__(
-        self, eyes: Eyes, options: pipeline.Options, plan: Plan, gains: Gains, *, land_timeout_s: float, automatic: bool = True
-    ) -> None:
+    def __init__(self, eyes: Eyes, options: pipeline.Options, plan: Plan, gains: Gains, *, automatic: bool = True) -> None:
         self._eyes = eyes
         self._eyes_memory = EyesMemory()
         self._memory = pipeline.start(options)
         self._plan = plan
         self._gains = gains
-        self._land_timeout_s = land_timeout_s
         self._automatic = automatic
         self._status: VehicleStatus | None = None
         self.engage: Callable[[], None] = lambda: None
@@ -68,10 +71,12 @@ class Pilot:
         self._paused = False
         self._planner = Planner.start()
         self._pid = Pid.start()
-        self._told_to_land: MonoNs | None = None
+        self._told_to_land = False
         self._flew = False
         self._stood = False
         self.phase = "waiting for the vehicle"
+        self.reason = ""
+        """Why it does what it does, where that is not the plain way down: for the operator."""
         self.outcome: Outcome | None = None
 
     @property
@@ -88,7 +93,10 @@ class Pilot:
         return self._status
 
     def begin(self) -> None:
-        """The operator: start (or, after a pause, go on with) the approach."""
+        """The operator: start (or, after a pause, go on with) the approach; after another pad was seen, take that one; after it
+        gave up, try again."""
+        if self.outcome in _TRIED or self._planner.question is not None:
+            self.outcome, self._planner = None, Planner.start()
         self._begun, self._paused = True, False
         self.engage()
 
@@ -116,15 +124,18 @@ class Pilot:
             return str(why)
         return None
 
-    def retune(self, plan: Plan, gains: Gains, land_timeout_s: float, *, min_confidence: float, max_delay_s: float) -> None:
+    def retune(self, plan: Plan, gains: Gains, *, min_confidence: float, max_delay_s: float) -> None:
         """Other numbers from now on; what is going on goes on."""
-        self._plan, self._gains, self._land_timeout_s = plan, gains, land_timeout_s
+        self._plan, self._gains = plan, gains
         options = replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
         self._memory = replace(self._memory, options=options)
 
     def belief(self, now: MonoNs) -> RelativeState | None:
-        """What is steered by, at this instant."""
-        return pipeline.belief(self._memory, now)
+        """What is steered by, at this instant; not consistent while it is about a pad that nobody has agreed to land on."""
+        believed = pipeline.belief(self._memory, now)
+        if believed is None or self._planner.question is None:
+            return believed
+        return replace(believed, consistent=False)
 
     def hear(self, sample: Sample) -> tuple[pipeline.Outcome, ...]:
         """Take a sample; what became of it, path by path."""
@@ -141,6 +152,11 @@ class Pilot:
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """At the exposure of a frame, None when no sample covers it."""
         return pipeline.attitude_at(self._memory, stamp)
+
+    def admit(self, frame: Frame) -> Verdict | None:
+        """Take a frame before it is searched; None when it may be, else its verdict."""
+        self._memory, verdict = pipeline.see(self._memory, frame)
+        return verdict
 
     def look(self, frame: Frame, attitude: Attitude) -> Look:
         """Search a frame for the pad, where it is expected first.
@@ -164,13 +180,19 @@ class Pilot:
         steering = self._memory.options.steering
         belief = next((b for b in believed if b.path == steering), None)
         command = self._command(now)
-        return Decision(now, self.phase, command, belief, tuple(b for b in believed if b.path != steering))
+        shadows = tuple(b for b in believed if b.path != steering)
+        return Decision(now, self.phase, command, belief, shadows, self._why(belief))
+
+    def _why(self, belief: RelativeState | None) -> str:
+        """The planner's reason, and what speaks against the estimate."""
+        doubts = () if belief is None else tuple(doubt.value for doubt in belief.doubts)
+        return "; ".join((self.reason, *doubts) if self.reason else doubts)
 
     def _command(self, now: MonoNs) -> Command | None:
         status = self._status
         if self.outcome is not None:
             self.phase = self.outcome.value
-            return Hover() if self.outcome in (Outcome.ABORTED, Outcome.GAVE_UP) else None
+            return Hover() if self.outcome is Outcome.ABORTED or self.outcome in _TRIED else None
         if status is None or not self._flew:
             self.phase = "waiting for the vehicle"
             return None
@@ -178,7 +200,7 @@ class Pilot:
             self._end(Outcome.EMERGENCY)
             return None
         if status.flying is False:
-            self._end(Outcome.LANDED_BY_OTHERS if self._told_to_land is None else Outcome.LANDED)
+            self._end(Outcome.LANDED if self._told_to_land else Outcome.LANDED_BY_OTHERS)
             return None
         if not self._begun or self._paused:
             self.phase = "paused" if self._paused else "waiting for the start"
@@ -189,16 +211,13 @@ class Pilot:
         belief = pipeline.belief(self._memory, now)
         self._planner, aim, phase = planner_step(self._planner, self._plan, now, belief)
         self.phase = phase.value
+        self.reason = "" if phase in _PLAIN else self._planner.reason
         if phase is Phase.GAVE_UP:
-            self._end(Outcome.GAVE_UP)
+            self._end(Outcome.LAND_TIMEOUT if NO_LANDING in self._planner.reason else Outcome.GAVE_UP)
         if isinstance(aim, SetPoint):
             self._pid, command = pid_step(self._pid, self._gains, now, belief, aim)
             return command
-        if isinstance(aim, Land):
-            if self._told_to_land is None:
-                self._told_to_land = now
-            if seconds_between(self._told_to_land, now) > self._land_timeout_s:
-                self._end(Outcome.LAND_TIMEOUT)
+        self._told_to_land = self._told_to_land or isinstance(aim, Land)
         return aim
 
     def _end(self, outcome: Outcome) -> None:

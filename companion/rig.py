@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Literal
 
 from companion.guidance.pid import AxisGains, Gains
-from companion.guidance.planner import Plan
+from companion.guidance.plan import Plan
 from companion.settings import camera_model, pad_model
 from companion.settings_model import (
     HeadingGainsSettings,
@@ -23,6 +23,7 @@ from drivers.ardrone.velocity_loop import LoopOptions
 from estimator import dead_reckoning, pipeline
 from estimator.contracts.errors import BadInput
 from estimator.ekf.options import EkfOptions
+from estimator.integrity import IntegrityOptions
 from estimator.rest_calibration import RestOptions
 from estimator.vision.eyes import Eyes
 from estimator.vision.segmentation import COLOUR_SETS
@@ -83,6 +84,7 @@ def estimator_options(settings: Settings) -> pipeline.Options:
     defaults = dead_reckoning.Options()
     # An AR.Drone's optical flow is against what it sees, deck or water; an autopilot's velocity is over the ground.
     over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotSettings) else "either"
+    i = e.integrity
     return pipeline.Options(
         steering=e.path,
         max_delay_s=e.max_delay_s,
@@ -90,6 +92,18 @@ def estimator_options(settings: Settings) -> pipeline.Options:
         history_s=e.history_s,
         max_gap_s=e.max_gap_s,
         ekf=EkfOptions(velocity_is_over=over),
+        integrity=IntegrityOptions(
+            specific_force_max_m_s2=i.specific_force_max_m_s2,
+            turn_rate_max_rad_s=math.radians(i.turn_rate_max_deg_s),
+            speed_max_m_s=i.speed_max_m_s,
+            imu_frozen_s=i.imu_frozen_s,
+            velocity_frozen_s=i.velocity_frozen_s,
+            sighting_delay_step_max_s=i.delay_step_max_s,
+            adopt_s=i.adopt_s,
+            range_tolerance_m=i.range_tolerance_m,
+            range_tolerance_share=i.range_tolerance_share,
+            range_doubt_s=i.range_doubt_s,
+        ),
         dead_reckoning=replace(
             defaults,
             dead_band_v_m_s=d.velocity_dead_band_m_s,
@@ -141,6 +155,15 @@ def plan(settings: Settings) -> Plan:
         safe_height_m=p.safe_height_m,
         give_up_after_s=p.give_up_after_s,
         sigma_land_m=p.sigma_land_m,
+        try_s=p.try_s,
+        descend_s=p.descend_s,
+        losses_max=p.losses_max,
+        blind_descent_max_m=p.blind_descent_max_m,
+        go_arounds_max=p.go_arounds_max,
+        land_timeout_s=settings.guidance.land_timeout_s,
+        another_pad=p.another_pad,
+        another_pad_s=p.another_pad_s,
+        word_wait_s=p.word_wait_s,
     )
 
 

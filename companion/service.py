@@ -43,7 +43,6 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
         replace(rig.estimator_options(settings), shadows=tuple(shadows)),
         rig.plan(settings),
         rig.gains(settings),
-        land_timeout_s=settings.guidance.land_timeout_s,
         automatic=settings.guidance.start == "automatic",
     )
 

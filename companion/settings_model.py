@@ -12,12 +12,14 @@ from typing import Annotated, Literal
 from msgspec import Struct
 
 from companion.guidance.pid import Gains
+from companion.guidance.plan import Plan
 from companion.metrics.settings import MetricsSettings
 from companion.mqtt.settings import MqttSettings
 from companion.settings_camera import CameraSettings as CameraSettings
 from companion.settings_keys import choice, number, text
 from companion.settings_recorder import RecorderSettings
 from companion.settings_vehicle import ArDroneSettings, AutopilotSettings, FaceSettings
+from estimator.integrity import IntegrityOptions
 
 _TUNED = "tuned in simulation"
 _SHIPPED_OR_PATH = "the name of a shipped one, or a path relative to the settings file"
@@ -70,6 +72,45 @@ class DeadReckoningSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.15
 
 
+_LIMITS = IntegrityOptions()
+
+
+class IntegritySettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """What an input must look like to be believed; all else is refused, counted and told."""
+
+    specific_force_max_m_s2: Annotated[
+        float, number("an accelerometer that reads more is not believed", "m/s^2", 15.0, 1000.0, "8 g")
+    ] = _LIMITS.specific_force_max_m_s2
+    turn_rate_max_deg_s: Annotated[
+        float, number("a gyro that reads more is not believed", "deg/s", 100.0, 10_000.0, "range of a common part")
+    ] = 2000.0
+    speed_max_m_s: Annotated[
+        float, number("a velocity of the vehicle or vessel above this is not believed", "m/s", 1.0, 100.0)
+    ] = _LIMITS.speed_max_m_s
+    imu_frozen_s: Annotated[
+        float, number("an IMU that repeats itself to the bit for longer is refused", "s", 0.02, 10.0, "5 ms on a real AR.Drone")
+    ] = _LIMITS.imu_frozen_s
+    velocity_frozen_s: Annotated[
+        float, number("a velocity in flight that repeats itself to the bit for longer is refused", "s", 0.02, 10.0)
+    ] = _LIMITS.velocity_frozen_s
+    delay_step_max_s: Annotated[
+        float,
+        number("frames whose delay leaves its own median by more are refused until it has stayed there for 10 s", "s", 0.02, 2.0),
+    ] = _LIMITS.sighting_delay_step_max_s
+    adopt_s: Annotated[
+        float, number("for how long a single other place must be seen, and the pad not, to become the pad", "s", 0.5, 60.0)
+    ] = _LIMITS.adopt_s
+    range_tolerance_m: Annotated[float, number("range sensor and camera may differ by this over the pad", "m", 0.01, 100.0)] = (
+        _LIMITS.range_tolerance_m
+    )
+    range_tolerance_share: Annotated[float, number("and by this share of the height besides", "1", 0.001, 1.0)] = (
+        _LIMITS.range_tolerance_share
+    )
+    range_doubt_s: Annotated[float, number("for how long they must differ for the descent to end", "s", 0.1, 60.0)] = (
+        _LIMITS.range_doubt_s
+    )
+
+
 class EstimatorSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """How sightings become the belief that guidance steers by."""
 
@@ -89,6 +130,7 @@ class EstimatorSettings(Struct, frozen=True, forbid_unknown_fields=True):
     max_delay_s: Annotated[float, number("a frame older than this on arrival is refused", "s", 0.05, 5.0)] = 0.5
     history_s: Annotated[float, number("how far back attitudes are kept to meet late frames", "s", 0.1, 30.0)] = 2.0
     dead_reckoning: DeadReckoningSettings = DeadReckoningSettings()
+    integrity: IntegritySettings = IntegritySettings()
 
     def __post_init__(self) -> None:
         if self.history_s <= self.max_delay_s:
@@ -99,6 +141,7 @@ class EstimatorSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 _GAINS = Gains()
+_PLAN = Plan.over_the_pad()
 _Kp = Annotated[float, number("proportional gain", "1/s", 0.0, 20.0, _TUNED)]
 _Ki = Annotated[float, number("integral gain", "1/s^2", 0.0, 10.0, _TUNED)]
 _Kd = Annotated[float, number("derivative gain", "1", 0.0, 10.0, _TUNED)]
@@ -156,7 +199,7 @@ class PidSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PlannerSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """The way down: to a point above the pad, straight down from there, then land. Without sight it never sinks."""
+    """The way down: to a point above the pad, straight down from there, then land. Without sight it never descends."""
 
     speed_m_s: Annotated[float, number("speed of the set point along the way", "m/s", 0.05, 5.0, "thesis section 4.6")] = 0.4
     slow_radius_m: Annotated[
@@ -206,8 +249,36 @@ class PlannerSettings(Struct, frozen=True, forbid_unknown_fields=True):
     climb_m_s: Annotated[float, number("how fast it then climbs", "m/s", 0.05, 2.0)] = 0.3
     safe_height_m: Annotated[float, number("height over the pad at which it stops climbing", "m", 0.5, 50.0)] = 2.0
     give_up_after_s: Annotated[
-        float, number("time without sight after which it hovers for good and leaves it to the operator", "s", 0.5, 600.0)
+        float,
+        number(
+            "time without sight, summed up until sight has held for 5 s, after which it hovers and leaves it to the operator",
+            "s",
+            0.5,
+            600.0,
+        ),
     ] = 20.0
+    try_s: Annotated[float, number("a try, from the first sight on, ends in a go-around after this long", "s", 5.0, 3600.0)] = (
+        _PLAN.try_s
+    )
+    descend_s: Annotated[float, number("the same for its last leg, straight down", "s", 2.0, 600.0)] = _PLAN.descend_s
+    losses_max: Annotated[int, number("losses of sight on the last leg that one try may have", "1", 0, 1000)] = _PLAN.losses_max
+    blind_descent_max_m: Annotated[
+        float, number("height that one try may lose between a last and a next sight, summed up", "m", 0.05, 10.0)
+    ] = _PLAN.blind_descent_max_m
+    go_arounds_max: Annotated[int, number("go-arounds after which it hovers and leaves it to the operator", "1", 0, 100)] = (
+        _PLAN.go_arounds_max
+    )
+    another_pad: Annotated[
+        Literal["operator", "automatic"],
+        choice(
+            "who decides when the pad is suddenly seen in a place that no motion explains: the operator, by beginning again; or, "
+            "once a flight and only above safe_height_m, another_pad_s of unbroken sight of one pad alone"
+        ),
+    ] = _PLAN.another_pad
+    another_pad_s: Annotated[float, number("that sight", "s", 1.0, 120.0)] = _PLAN.another_pad_s
+    word_wait_s: Annotated[
+        float, number("how long it waits for the operator's word about another pad before it gives up", "s", 1.0, 3600.0)
+    ] = _PLAN.word_wait_s
 
     def __post_init__(self) -> None:
         if self.final_height_m >= self.approach_height_m:
@@ -232,8 +303,9 @@ class GuidanceSettings(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("an estimate whose newest sighting is older than this means hover", "s", 0.05, 10.0)
     ] = 0.5
     land_timeout_s: Annotated[
-        float, number("a landing that took longer than this from the land command is reported as failed", "s", 1.0, 120.0)
-    ] = 15.0
+        float,
+        number("a landing that takes longer from the land command on is taken back: the drone goes around", "s", 1.0, 120.0),
+    ] = _PLAN.land_timeout_s
     pid: PidSettings = PidSettings()
     planner: PlannerSettings = PlannerSettings()
 

@@ -1,16 +1,18 @@
 """One door to the estimator: `step(memory, event) -> memory, outcomes`, and `belief(memory, now)`.
 
-Several paths can run side by side on the same events; one steers, the others are there to be compared.
+Before any path stands the guard (`estimator.integrity`): what is not fresh, not possible or not about the pad that is followed
+reaches none of them, and ends in a verdict of its own. Several paths can run side by side on the same events; one steers, the
+others are there to be compared.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from estimator import dead_reckoning, ekf, filters
+from estimator import dead_reckoning, ekf, filters, integrity
 from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
-from estimator.contracts.samples import Attitude
+from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
 
@@ -32,6 +34,7 @@ class Options:
     """A pause in sightings after which median and mean begin anew."""
     dead_reckoning: dead_reckoning.Options = field(default_factory=dead_reckoning.Options)
     ekf: ekf.EkfOptions = field(default_factory=ekf.EkfOptions)
+    integrity: integrity.IntegrityOptions = field(default_factory=integrity.IntegrityOptions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,21 +55,41 @@ class Memory:
     attitudes: AttitudeHistory
     paths: tuple[Path, ...]
     """The steering path first."""
+    guard: integrity.Guard = field(default_factory=integrity.Guard)
 
 
 def start(options: Options) -> Memory:
     """An estimator that has seen nothing."""
     names = (options.steering, *(name for name in options.shadows if name != options.steering))
-    return Memory(options, AttitudeHistory(options.history_s), tuple(_path(name, options) for name in names))
+    paths = tuple(_path(name, options) for name in names)
+    return Memory(options, AttitudeHistory(options.history_s), paths, integrity.Guard(options.integrity))
+
+
+def see(memory: Memory, frame: Frame) -> tuple[Memory, Verdict | None]:
+    """Take one frame before vision does; REPEATED when it shows nothing that was not seen before, else None."""
+    guard, verdict = integrity.admit_frame(memory.guard, frame)
+    return replace(memory, guard=guard), verdict
 
 
 def step(memory: Memory, event: Event) -> tuple[Memory, tuple[Outcome, ...]]:
-    """Take one event. A sighting ends in one outcome for each path; a sample in one for each path that has a use for it."""
+    """Take one event. A sighting ends in one outcome for each path; a sample in one for each path that has a use for it, and in
+    one for each path when it is refused at the door."""
+    kind = type(event).__name__
+    attitude = None
+    if isinstance(event, Sighting):
+        attitude = attitude_at(memory, event.stamp)
+        refusal = _refusal(memory.options, event)
+        if refusal is None:
+            before = memory.paths[0].at(event.stamp.taken)
+            guard, refusal = integrity.admit_sighting(memory.guard, event, attitude, before)
+            memory = replace(memory, guard=guard)
+    else:
+        guard, refusal = integrity.admit(memory.guard, event)
+        memory = replace(memory, guard=guard)
+    if refusal is not None:
+        return memory, tuple(Outcome(path.name, kind, refusal) for path in memory.paths)
     if isinstance(event, Attitude):
         memory = replace(memory, attitudes=memory.attitudes.add(event))
-    kind = type(event).__name__
-    if isinstance(event, Sighting) and (refusal := _refusal(memory.options, event)):
-        return memory, tuple(Outcome(path.name, kind, refusal) for path in memory.paths)
     paths: list[Path] = []
     outcomes: list[Outcome] = []
     for path in memory.paths:
@@ -74,7 +97,10 @@ def step(memory: Memory, event: Event) -> tuple[Memory, tuple[Outcome, ...]]:
         paths.append(stepped)
         if verdict is not None:
             outcomes.append(Outcome(path.name, kind, verdict))
-    return replace(memory, paths=tuple(paths)), tuple(outcomes)
+    memory = replace(memory, paths=tuple(paths))
+    if isinstance(event, Sighting) and outcomes[0].verdict is Verdict.FUSED:
+        memory = replace(memory, guard=integrity.fused(memory.guard, event, attitude))
+    return memory, tuple(outcomes)
 
 
 def steer_by(memory: Memory, name: PathName) -> Memory:
@@ -91,18 +117,35 @@ def steer_by(memory: Memory, name: PathName) -> Memory:
 
 
 def belief(memory: Memory, now: MonoNs) -> RelativeState | None:
-    """The steering path's belief."""
-    return memory.paths[0].at(now)
+    """The steering path's belief, with the track it is about and what speaks against it."""
+    state = memory.paths[0].at(now)
+    return None if state is None else _dressed(state, memory.guard, now)
 
 
 def beliefs(memory: Memory, now: MonoNs) -> tuple[RelativeState, ...]:
     """Every path's belief, the steering one's first where it has one."""
-    return tuple(state for path in memory.paths if (state := path.at(now)) is not None)
+    return tuple(_dressed(state, memory.guard, now) for path in memory.paths if (state := path.at(now)) is not None)
 
 
 def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
     """The attitude at the instant a frame was exposed, None when no sample covers it."""
     return memory.attitudes.at(stamp.taken, stamp)
+
+
+def _dressed(state: RelativeState, guard: integrity.Guard, now: MonoNs) -> RelativeState:
+    doubts = integrity.doubts(guard, now)
+    figures = (
+        ("track", float(guard.tracks.number)),
+        ("range_agrees", float(guard.heights.confirmed(now))),
+        *((f"doubt_{doubt.name.lower()}", 1.0) for doubt in doubts),
+    )
+    return replace(
+        state,
+        track=guard.tracks.number,
+        doubts=doubts,
+        consistent=state.consistent and not doubts,
+        details=(*state.details, *figures),
+    )
 
 
 def _refusal(options: Options, sighting: Sighting) -> Verdict | None:

@@ -279,6 +279,10 @@ class Flight:
             arrived = Frame(stamp, self._frames, picture.px, picture.exposure_s)
         if arrived is None:
             return
+        refused = self._pilot.admit(arrived)
+        if refused is not None:
+            self._conclude(FrameSeen(arrived, None, None, refused, now, now))
+            return
         attitude = self._pilot.attitude_at(arrived.stamp)
         done = after(now, self._timing.vision_s)
         if attitude is None:

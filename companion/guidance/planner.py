@@ -3,30 +3,40 @@
 Source: Sundvoll 2020, sec. 4.6 (0.4 m/s, slower within 1 m, (0, 0, 2) then (0, 0, 0.3), then land). Unlike there the next way
 point is chosen when the drone is there, not the set point; and a pad that is lost from sight stops the descent.
 
-What it does without sight: for `blind_s` fly level towards the way point by dead reckoning (the nose goes down to fly forward and
-takes the pad out of a fixed camera's view), then hover; after `climb_after_s` climb to `safe_height_m`, since from higher up more
-is in view; when the pad comes back, go on from where the drone then is, after a climb from the first way point again; after
-`give_up_after_s`, or at the first way point after `rounds_max` such rounds, hover and leave it to the operator. It never sinks
-and never begins to land without a fresh, consistent estimate.
+Without sight it flies level towards the way point for `blind_s` by dead reckoning (the nose goes down to fly forward and takes
+the pad out of a fixed camera's view), then hovers; after `climb_after_s` it goes around.
+
+A go-around ends a try: climb to `safe_height_m`, over the pad where it is seen, then begin with the first way point again. It is
+made when the pad stays lost low, when the try's budget is used up (`budget.Spent`), and when an ordered landing does not end in
+one (`lease.Lease`). After `go_arounds_max` of them, or `give_up_after_s` without sight, it hovers and leaves it to the operator.
+
+A pad that is suddenly seen where no motion explains it (`RelativeState.track` counts up) is another pad: climb, and wait for the
+operator, or as `Plan.another_pad` says. It never descends and never begins to land without a fresh, consistent estimate of the
+pad that this approach was begun with.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Literal
 
 import numpy as np
 
+from companion.guidance.budget import Spent
+from companion.guidance.lease import Lease, renewed
 from companion.guidance.pid import SetPoint, fit_to_steer
+from companion.guidance.plan import Plan
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
-from estimator.contracts.samples import _vector
 from estimator.contracts.time import MonoNs, seconds_between
 
 _DT_MAX_S = 0.2
+_NEAR_SAFE_M = 0.25
+"""So far below the safe height counts as there."""
+_CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
+"""A go-around that takes so many times the expected time, and so many seconds more, is not climbing."""
 
 
 class Phase(Enum):
@@ -44,86 +54,35 @@ class Phase(Enum):
     """Flying level towards the way point without sight."""
     CLIMB = "climb"
     """Climbing without sight."""
+    GO_AROUND = "go-around"
+    """Climbing over the pad, to begin again."""
+    ANOTHER_PAD = "another pad"
+    """The pad is seen where no motion explains it: climbing, then hovering until the operator begins again."""
     GAVE_UP = "gave up"
     """Hovering for good; a new planner is a new try."""
     LAND = "land"
-    """The vehicle was told to land: this is decided once and not taken back."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WayPoint:
-    """A place against the pad, and how near is near enough."""
-
-    d_body_pad_level: F64
-    """(3,) m: (0, 0, 2) is two metres above the pad; (0.1, 0, 2) has the pad ten centimetres ahead of the nose."""
-    reached_m: float
-    """Horizontal distance of the drone."""
-    reached_height_m: float
-    dwell_s: float
-    """It must stay that near for so long."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "d_body_pad_level", _vector("WayPoint.d_body_pad_level", self.d_body_pad_level, (3,)))
-        if not (self.reached_m > 0.0 and self.reached_height_m > 0.0 and self.dwell_s >= 0.0):
-            raise ValueError("reached_m and reached_height_m must be positive and dwell_s not negative")
-        if not self.d_body_pad_level[2] > 0.0:
-            raise ValueError(f"a way point must lie above the pad, got a height of {self.d_body_pad_level[2]} m")
+    """The vehicle is told to land, in every round again for as long as time, height and sight say so."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """Where to fly, and when to stop.
+class GoAround:
+    """A climb that ends a try."""
 
-    Raises:
-        ValueError: no way point, or a number out of its range.
-    """
+    since: MonoNs
+    from_height_m: float
 
-    way_points: tuple[WayPoint, ...]
-    speed_m_s: float = 0.4
-    slow_within_m: float = 1.0
-    slow_least: float = 0.1
-    """Of the speed, however near the way point."""
-    lead_m: float = 0.8
-    """The set point waits for a drone that is farther behind than this."""
-    heading: Literal["keep", "align"] = "keep"
-    """Turn until the nose points along the arrow, or leave the heading alone."""
-    stale_after_s: float = 0.5
-    """Age of the newest sighting beyond which the pad counts as lost."""
-    blind_s: float = 4.0
-    """After the last sight, how long dead reckoning may go on flying level towards the way point; 0 for hovering at once."""
-    blind_sigma_m: float = 1.0
-    """Horizontal 1-sigma of the estimate above which it hovers instead."""
-    climb_after_s: float = 1.5
-    climb_m_s: float = 0.3
-    safe_height_m: float = 2.0
-    give_up_after_s: float = 20.0
-    rounds_max: int = 3
-    touchdown_s: float = 0.6
-    """The drone counts as near the last way point only if it will still be there after this at its present velocity."""
-    sigma_land_m: float = 0.15
-    """Horizontal 1-sigma of the estimate above which the drone does not land, however near it believes itself."""
 
-    def __post_init__(self) -> None:
-        if not self.way_points:
-            raise ValueError("a plan needs at least one way point")
-        for name in ("speed_m_s", "slow_within_m", "slow_least", "lead_m", "stale_after_s", "climb_m_s", "sigma_land_m"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} must be positive, got {value}")
-        if not (self.blind_s >= 0.0 and self.blind_sigma_m > 0.0 and self.touchdown_s >= 0.0):
-            raise ValueError("blind_s and touchdown_s must not be negative, and blind_sigma_m must be positive")
-        if not 0.0 < self.climb_after_s < self.give_up_after_s:
-            raise ValueError("0 < climb_after_s < give_up_after_s must hold")
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Another pad was seen."""
 
-    @staticmethod
-    def over_the_pad(via_height_m: float = 2.0, final_height_m: float = 0.3, pad_ahead_m: float = 0.0) -> Plan:
-        """The thesis' way points, straight above the pad; or with the pad a little ahead, for a camera mounted at the nose."""
-        return Plan(
-            (
-                WayPoint(np.array([pad_ahead_m, 0.0, via_height_m]), reached_m=0.25, reached_height_m=0.25, dwell_s=0.3),
-                WayPoint(np.array([pad_ahead_m, 0.0, final_height_m]), reached_m=0.12, reached_height_m=0.12, dwell_s=0.2),
-            )
-        )
+    since: MonoNs
+    from_height_m: float
+    """Over the pad of before, when that was last seen."""
+    track: int
+    """The newest."""
+    steady_since: MonoNs | None = None
+    """Since when it alone has been in unbroken sight."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,15 +97,23 @@ class Planner:
     """The body's heading that `point` was last written for."""
     near_since: MonoNs | None = None
     last: MonoNs | None = None
+    since_last_s: float = 0.0
     seen: MonoNs | None = None
     """When there last was an estimate to steer by."""
     seen_height_m: float = math.inf
-    climbed: bool = False
-    """It has climbed since the pad was last seen."""
-    rounds: int = 0
-    """How often it began anew after a climb."""
-    landing: bool = False
+    in_sight: bool = False
+    """In the round before."""
+    track: int | None = None
+    """The pad that this approach is to."""
+    spent: Spent = field(default_factory=Spent)
+    go_arounds: int = 0
+    questions: int = 0
+    going_around: GoAround | None = None
+    question: Question | None = None
+    landing: Lease | None = None
     gave_up: bool = False
+    reason: str = ""
+    """Why it last went around, asked or gave up, as text for the operator."""
 
     @staticmethod
     def start() -> Planner:
@@ -154,29 +121,54 @@ class Planner:
 
 
 Aim = SetPoint | Velocity | Hover | Land
-"""What the planner asks for: a set point for the position controller, or a command as it stands. `Velocity` never sinks."""
+"""What the planner asks for: a set point for the position controller, or a command as it stands. `Velocity` never descends."""
 
 
 def planner_step(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState | None) -> tuple[Planner, Aim, Phase]:
-    """One turn. Once it has answered `Land` it answers nothing else, so repeating the answer is harmless."""
-    if state.landing:
-        return state, Land(), Phase.LAND
+    """One round."""
     if state.gave_up:
         return state, Hover(), Phase.GAVE_UP
-    if estimate is None or not fit_to_steer(estimate, now, plan.stale_after_s):
-        return _without_sight(state, plan, now, estimate)
+    since_last_s = 0.0 if state.last is None else max(0.0, seconds_between(state.last, now))
+    state = replace(state, since_last_s=since_last_s, last=now)
+    if estimate is not None and state.track is not None and estimate.track != state.track and state.question is None:
+        state = _asked(state, now, estimate.track)
+    fit = estimate if estimate is not None and fit_to_steer(estimate, now, plan.stale_after_s) else None
+    if state.question is not None:
+        return _questioned(state, state.question, plan, now, fit)
+    state = _accounted(state, plan, now, fit)
+    if state.landing is not None:
+        lease, over = renewed(state.landing, plan, now, estimate, fit)
+        if over is None:
+            return replace(state, landing=lease), Land(), Phase.LAND
+        state = _around(state, now, over)
+    if state.going_around is None and (used_up := state.spent.exhausted(plan, now)) is not None:
+        state = _around(state, now, used_up)
+    if state.going_around is not None:
+        return _going_around(state, state.going_around, plan, now, estimate, fit)
+    return _without_sight(state, plan, now, estimate) if fit is None else _with_sight(state, plan, now, fit)
 
-    if state.climbed:
-        state = replace(state, climbed=False, rounds=state.rounds + 1, leg=0)
-        if state.rounds > plan.rounds_max and len(plan.way_points) == 1:
-            return replace(state, gave_up=True), Hover(), Phase.GAVE_UP
-    dt = 0.0 if state.last is None else min(max(0.0, seconds_between(state.last, now)), _DT_MAX_S)
-    drone = estimate.d_body_pad_level
+
+def _accounted(state: Planner, plan: Plan, now: MonoNs, fit: RelativeState | None) -> Planner:
+    """The round's cost."""
+    spent, last_leg = state.spent, state.leg == len(plan.way_points) - 1
+    if fit is None:
+        if state.in_sight and (last_leg or state.seen_height_m < plan.safe_height_m - _NEAR_SAFE_M):
+            spent = spent.lost()
+        if state.seen is not None:
+            spent = spent.unseen(state.since_last_s)
+        return replace(state, spent=spent, in_sight=False)
+    if not state.in_sight and state.seen is not None:
+        spent = spent.sank(state.seen_height_m - fit.height_m)
+    spent = spent.seen(now, state.since_last_s)
+    return replace(state, spent=spent, in_sight=True, seen=now, seen_height_m=fit.height_m)
+
+
+def _with_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState) -> tuple[Planner, Aim, Phase]:
     goal = plan.way_points[state.leg]
-    point = drone if state.point is None else _turned_with_the_body(state, estimate)
-    point, v_body_level = _flown_on(point, drone, goal.d_body_pad_level, plan, dt)
-    state = replace(state, point=point, yaw_rad=estimate.yaw_rad, last=now, seen=now, seen_height_m=estimate.height_m)
-
+    drone = estimate.d_body_pad_level
+    state, v_body_level = _towards(state, goal.d_body_pad_level, plan, estimate)
+    assert state.point is not None
+    point = state.point
     off = drone - goal.d_body_pad_level
     near = math.hypot(off[0], off[1]) <= goal.reached_m and abs(off[2]) <= goal.reached_height_m
     last_leg = state.leg == len(plan.way_points) - 1
@@ -184,42 +176,134 @@ def planner_step(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeStat
         then = off + plan.touchdown_s * estimate.v_pad_level
         near = math.hypot(then[0], then[1]) <= goal.reached_m and _sigma_m(estimate) <= plan.sigma_land_m
     since = (now if state.near_since is None else state.near_since) if near else None
-    state = replace(state, near_since=since)
+    state = replace(state, near_since=since, track=estimate.track)
     if since is not None and seconds_between(since, now) >= goal.dwell_s:
-        if state.rounds > plan.rounds_max:
-            return replace(state, gave_up=True), Hover(), Phase.GAVE_UP
         if last_leg:
-            return replace(state, landing=True), Land(), Phase.LAND
+            return replace(state, landing=Lease.taken(now, estimate)), Land(), Phase.LAND
         state = replace(state, leg=state.leg + 1, near_since=None)
         last_leg = state.leg == len(plan.way_points) - 1
+    if last_leg:
+        state = replace(state, spent=state.spent.descends(now))
     aim = SetPoint(point, 0.0 if plan.heading == "align" else None, v_body_level)
     return state, aim, Phase.DESCEND if last_leg else Phase.APPROACH
 
 
 def _without_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState | None) -> tuple[Planner, Aim, Phase]:
+    state = replace(state, point=None, near_since=None)
     if state.seen is None:
-        return replace(state, last=now), Hover(), Phase.WAITING
-    lost_s = seconds_between(state.seen, now)
-    state = replace(state, point=None, near_since=None, last=now)
-    if lost_s > plan.give_up_after_s:
-        return replace(state, gave_up=True), Hover(), Phase.GAVE_UP
-    v = np.zeros(3)
-    if lost_s <= plan.blind_s and estimate is not None and _fit_to_fly_level(estimate, plan, now):
-        off = estimate.d_body_pad_level[:2] - plan.way_points[state.leg].d_body_pad_level[:2]
-        v[:2] = off * min(plan.speed_m_s / plan.slow_within_m, plan.speed_m_s / max(1e-9, math.hypot(off[0], off[1])))
-    climb_s = max(0.0, plan.safe_height_m - state.seen_height_m) / plan.climb_m_s
-    if plan.climb_after_s < lost_s <= plan.climb_after_s + climb_s:
-        v[2] = -plan.climb_m_s
-        return replace(state, climbed=True), Velocity(v, 0.0), Phase.CLIMB
+        return state, Hover(), Phase.WAITING
+    lost_s, over = seconds_between(state.seen, now), state.spent.without_sight_s > plan.give_up_after_s
+    low = state.seen_height_m < plan.safe_height_m
+    if over and not low:
+        return _given_up(state, state.reason or "the pad was not found again")
+    if low and (over or lost_s > plan.climb_after_s):
+        state = _around(state, now, f"the pad was lost at {state.seen_height_m:.1f} m")
+        assert state.going_around is not None
+        return _going_around(state, state.going_around, plan, now, estimate, None)
+    v = _level_velocity(state, plan, now, estimate)
     if np.any(v != 0.0):
         return state, Velocity(v, 0.0), Phase.BLIND
     return state, Hover(), Phase.LOST
 
 
-def _fit_to_fly_level(estimate: RelativeState, plan: Plan, now: MonoNs) -> bool:
-    """Whether an estimate without sight still tells where the pad is, roughly."""
+def _around(state: Planner, now: MonoNs, why: str) -> Planner:
+    """The try is over."""
+    climb = GoAround(now, state.seen_height_m)
+    return replace(
+        state, landing=None, point=None, near_since=None, leg=0, going_around=climb, go_arounds=state.go_arounds + 1, reason=why
+    )
+
+
+def _going_around(
+    state: Planner, climb: GoAround, plan: Plan, now: MonoNs, estimate: RelativeState | None, fit: RelativeState | None
+) -> tuple[Planner, Aim, Phase]:
+    expected_s = max(0.0, plan.safe_height_m - climb.from_height_m) / plan.climb_m_s
+    if seconds_between(climb.since, now) > _CLIMB_PATIENCE * expected_s + _CLIMB_PATIENCE_S:
+        return _given_up(state, f"{state.reason}, and it did not climb")
+    if fit is not None:
+        if fit.height_m >= plan.safe_height_m - _NEAR_SAFE_M:
+            if state.go_arounds > plan.go_arounds_max:
+                return _given_up(state, state.reason)
+            state = replace(state, going_around=None, spent=Spent().seen(now, 0.0), point=None)
+            return _with_sight(state, plan, now, fit)
+        over = np.append(plan.way_points[0].d_body_pad_level[:2], plan.safe_height_m)
+        state, v_body_level = _towards(state, over, plan, fit)
+        assert state.point is not None
+        return state, SetPoint(state.point, None, v_body_level), Phase.GO_AROUND
+    state = replace(state, point=None)
+    blind_since = climb.since if state.seen is None else MonoNs(max(climb.since, state.seen))
+    if seconds_between(blind_since, now) * plan.climb_m_s < plan.safe_height_m - state.seen_height_m:
+        v = _level_velocity(state, plan, now, estimate)
+        v[2] = -plan.climb_m_s
+        return state, Velocity(v, 0.0), Phase.CLIMB
+    if state.go_arounds > plan.go_arounds_max:
+        return _given_up(state, state.reason)
+    without_s = state.spent.without_sight_s
+    state = replace(state, going_around=None, spent=replace(Spent(), without_sight_s=without_s), seen_height_m=plan.safe_height_m)
+    return state, Hover(), Phase.LOST
+
+
+def _asked(state: Planner, now: MonoNs, track: int) -> Planner:
+    question = Question(now, state.seen_height_m, track)
+    return replace(
+        state, landing=None, going_around=None, point=None, near_since=None, leg=0, question=question, in_sight=False,
+        questions=state.questions + 1, reason="the pad is seen in another place, which no motion explains",
+    )  # fmt: skip
+
+
+def _questioned(
+    state: Planner, question: Question, plan: Plan, now: MonoNs, fit: RelativeState | None
+) -> tuple[Planner, Aim, Phase]:
+    climbed_m = seconds_between(question.since, now) * plan.climb_m_s
+    climbing = climbed_m < plan.safe_height_m - question.from_height_m
+    track = question.track if fit is None else fit.track
+    steady = None
+    if fit is not None and track == question.track:
+        steady = now if question.steady_since is None else question.steady_since
+    state = replace(state, question=replace(question, track=track, steady_since=steady))
+    if fit is not None and steady is not None and not climbing and _may_decide(state, question, plan, fit):
+        held_s = seconds_between(steady, now)
+        if held_s >= plan.another_pad_s:
+            new = Planner(last=now, questions=state.questions, go_arounds=state.go_arounds, reason=state.reason)
+            return _with_sight(_accounted(new, plan, now, fit), plan, now, fit)
+    if seconds_between(question.since, now) > plan.word_wait_s:
+        return _given_up(state, f"{state.reason}, and nobody said to go on")
+    if climbing:
+        return state, Velocity(np.array([0.0, 0.0, -plan.climb_m_s]), 0.0), Phase.ANOTHER_PAD
+    return state, Hover(), Phase.ANOTHER_PAD
+
+
+def _may_decide(state: Planner, question: Question, plan: Plan, fit: RelativeState) -> bool:
+    """Whether this needs no person: the first time, and neither then nor now below the safe height."""
+    if plan.another_pad != "automatic" or state.questions > 1:
+        return False
+    return min(question.from_height_m, fit.height_m) >= plan.safe_height_m - _NEAR_SAFE_M
+
+
+def _given_up(state: Planner, why: str) -> tuple[Planner, Aim, Phase]:
+    return replace(state, gave_up=True, reason=why), Hover(), Phase.GAVE_UP
+
+
+def _towards(state: Planner, goal: F64, plan: Plan, estimate: RelativeState) -> tuple[Planner, F64]:
+    """The set point flown on towards a goal, and the velocity (of the body, in level) it moves with."""
+    previous = state.point
+    dt = min(state.since_last_s, _DT_MAX_S)
+    point = estimate.d_body_pad_level if previous is None else _turned_with_the_body(previous, state.yaw_rad, estimate)
+    point, v_body_level = _flown_on(point, estimate.d_body_pad_level, goal, plan, dt)
+    return replace(state, point=point, yaw_rad=estimate.yaw_rad), v_body_level
+
+
+def _level_velocity(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState | None) -> F64:
+    """(3,) m/s, level towards the way point for as long as dead reckoning tells where it is; zeros after that."""
+    v = np.zeros(3)
+    if state.seen is None or estimate is None or seconds_between(state.seen, now) > plan.blind_s:
+        return v
     computed_s = abs(seconds_between(estimate.at, now))
-    return estimate.consistent and computed_s <= plan.stale_after_s and _sigma_m(estimate) <= plan.blind_sigma_m
+    if not estimate.consistent or computed_s > plan.stale_after_s or _sigma_m(estimate) > plan.blind_sigma_m:
+        return v
+    off = estimate.d_body_pad_level[:2] - plan.way_points[state.leg].d_body_pad_level[:2]
+    v[:2] = off * min(plan.speed_m_s / plan.slow_within_m, plan.speed_m_s / max(1e-9, math.hypot(off[0], off[1])))
+    return v
 
 
 def _sigma_m(estimate: RelativeState) -> float:
@@ -227,14 +311,13 @@ def _sigma_m(estimate: RelativeState) -> float:
     return math.sqrt(float(np.linalg.eigvalsh(estimate.cov[:2, :2])[-1]))
 
 
-def _turned_with_the_body(state: Planner, estimate: RelativeState) -> F64:
+def _turned_with_the_body(point: F64, yaw_rad: float | None, estimate: RelativeState) -> F64:
     """The set point in today's level axes: it keeps its place against the pad while the body turns."""
-    assert state.point is not None
-    if state.yaw_rad is None or estimate.yaw_rad is None:
-        return state.point
-    turned = wrap_pi(estimate.yaw_rad - state.yaw_rad)
+    if yaw_rad is None or estimate.yaw_rad is None:
+        return point
+    turned = wrap_pi(estimate.yaw_rad - yaw_rad)
     c, s = math.cos(turned), math.sin(turned)
-    x, y, z = state.point
+    x, y, z = point
     return np.array([c * x + s * y, -s * x + c * y, z])
 
 

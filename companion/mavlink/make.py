@@ -83,7 +83,6 @@ class AutopilotPart:
         self._pilot.retune(
             rig.plan(settings),
             rig.gains(settings),
-            settings.guidance.land_timeout_s,
             min_confidence=estimator.min_confidence,
             max_delay_s=estimator.max_delay_s,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from companion.pilot import Pilot
+from companion.pilot import Outcome, Pilot
 from estimator.contracts.estimates import PathName
 
 
@@ -20,8 +20,10 @@ class PilotOperator:
         self._recording = recording
 
     def start(self) -> str | None:
-        if (over := self._over()) is None:
+        over = self._over()
+        if over is None or self._pilot.outcome in (Outcome.GAVE_UP, Outcome.LAND_TIMEOUT):
             self._pilot.begin()
+            return None
         return over
 
     def pause(self) -> str | None:

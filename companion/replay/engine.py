@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
+from companion.guidance.planner import Phase
 from companion.observer import Decision, FrameSeen, Observer
 from companion.pilot import Outcome, Pilot
 from companion.recorder import encode
@@ -26,7 +27,8 @@ from estimator.vision.look import Look
 
 _GAP_S = 10.0
 """Where a recording tells nothing for this long, guidance is not asked what it would have done meanwhile."""
-_NOT_BEGUN = ("waiting for the vehicle", "waiting for the start", "paused")
+_FLOWN = tuple(phase.value for phase in Phase if phase not in (Phase.ANOTHER_PAD, Phase.GAVE_UP))
+"""Phases of a flight that somebody has begun."""
 
 
 @dataclass(slots=True)
@@ -72,6 +74,7 @@ class Replay:
         self._encoder = msgspec.json.Encoder()
         self._guided = False
         self._due: MonoNs | None = None
+        self._phase = ""
         self.counts = Counts()
 
     @property
@@ -150,6 +153,8 @@ class Replay:
             look = self._seen_then(recorded)
             verdict = Verdict(recorded.record.verdict) if look is None else self._pilot.saw(look)
             frame = _black(recorded)
+        elif (refused := self._pilot.admit(replace(frame, stamp=stamp))) is not None:
+            verdict = refused
         elif attitude is not None:
             self.counts.looked += 1
             look = self._pilot.look(replace(frame, stamp=stamp), attitude)
@@ -173,8 +178,9 @@ class Replay:
             self._pilot.pause()
         elif phase == Outcome.ABORTED.value:
             self._pilot.abort()
-        elif phase not in _NOT_BEGUN:
+        elif phase in _FLOWN and self._phase not in _FLOWN:
             self._pilot.begin()
+        self._phase = phase
 
     def _guide_until(self, now: MonoNs) -> None:
         if self._due is None:

@@ -37,6 +37,28 @@ class Verdict(Enum):
     """A frame whose exposure no attitude sample covers."""
     FAILED = "failed"
     """A frame that could not be read or processed."""
+    REPEATED = "repeated"
+    """A frame whose pixels are those of an earlier one: it tells nothing new of the world, whatever its stamp says."""
+    FROZEN = "frozen"
+    """A reading that has not changed by one bit for longer than its sensor can hold still, or a pad that stands still in the
+    image while the body turns."""
+    IMPOSSIBLE = "impossible"
+    """A reading beyond what the vehicle can do, or a step that it cannot make."""
+    ELSEWHERE = "elsewhere"
+    """A sighting at a place that no motion explains: another pad, until the track is given up for it."""
+
+
+class Doubt(Enum):
+    """Why an estimate must not be descended by, as told to the operator."""
+
+    CAMERA_FROZEN = "the camera repeats its frames"
+    VIEW_FROZEN = "the pad stands still in the image while the body turns"
+    IMU_FROZEN = "the IMU repeats its readings"
+    ATTITUDE_FROZEN = "the attitude repeats its readings"
+    STAMPS = "the stamps of the frames do not hold"
+    ELSEWHERE = "a pad is seen in another place"
+    RANGE = "the range sensor contradicts the camera"
+    HEIGHT = "the barometer contradicts the camera"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +135,10 @@ class RelativeState:
     """Whether recent innovations agree with the covariance claimed."""
     details: tuple[tuple[str, float], ...] = field(default=())
     """Named figures of the path for records and pictures (biases, gates): never steered by."""
+    track: int = 0
+    """Which pad it is about: counted up when the track is given up for a place that no motion explains."""
+    doubts: tuple[Doubt, ...] = field(default=())
+    """What speaks against it now; `consistent` is False while there is any."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "d_body_pad_level", _vector("RelativeState.d_body_pad_level", self.d_body_pad_level, (3,)))

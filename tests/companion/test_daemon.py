@@ -9,7 +9,7 @@ import pytest
 
 from companion.daemon import Daemon, Link
 from companion.guidance.pid import Gains
-from companion.guidance.planner import Plan
+from companion.guidance.plan import Plan
 from companion.observer import Decision, FrameSeen, Silent
 from companion.pilot import Outcome, Pilot
 from companion.settings import camera_model, load, pad_model
@@ -66,7 +66,9 @@ class FakeVehicle:
 
     def film(self, seq: int, px: np.ndarray = SEA, late_s: float = 0.02) -> None:
         now = CLOCK.now()
-        self.frames.offer(Frame(Stamp(after(now, -late_s), now, 0.001, "sim"), seq, px.copy()))
+        px = px.copy()
+        px[:, 0] = seq  # no two frames of a camera are alike
+        self.frames.offer(Frame(Stamp(after(now, -late_s), now, 0.001, "sim"), seq, px))
 
 
 class Diary(Silent):
@@ -84,7 +86,7 @@ class Diary(Silent):
 def daemon_of(
     open_link: Callable[[], AbstractAsyncContextManager[Link]], *, once: bool = False, diary: Silent | None = None
 ) -> Daemon:
-    pilot = Pilot(EYES, pipeline.Options(), Plan.over_the_pad(), Gains(), land_timeout_s=5.0)
+    pilot = Pilot(EYES, pipeline.Options(), Plan.over_the_pad(), Gains())
     return Daemon(
         open_link,
         pilot,

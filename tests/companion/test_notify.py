@@ -13,7 +13,7 @@ import pytest
 
 from companion.daemon import Daemon
 from companion.guidance.pid import Gains
-from companion.guidance.planner import Plan
+from companion.guidance.plan import Plan
 from companion.health import Health
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.settings import MetricsSettings
@@ -76,7 +76,7 @@ def watched(
 
 
 def pilot_of() -> Pilot:
-    return Pilot(EYES, pipeline.Options(), Plan.over_the_pad(), Gains(), land_timeout_s=5.0)
+    return Pilot(EYES, pipeline.Options(), Plan.over_the_pad(), Gains())
 
 
 async def test_ready_once_then_pings_then_stopping(systemd: Systemd) -> None:

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.guidance.pid import Gains, Pid, SetPoint, fit_to_steer, pid_step
-from companion.guidance.planner import Phase, Plan, Planner, WayPoint, planner_step
+from companion.guidance.plan import Plan, WayPoint
+from companion.guidance.planner import Phase, Planner, planner_step
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
@@ -19,27 +21,33 @@ def ns(seconds: float) -> MonoNs:
     return MonoNs(round(seconds * 1e9))
 
 
-def estimate(t, d, v=(0, 0, 0), yaw=0.0, age=0.0, consistent=True, sigma=0.01):
+def estimate(t, d, v=(0, 0, 0), yaw=0.0, age=0.0, consistent=True, sigma=0.01, track=1):
     cov = sigma**2 * np.eye(7)
-    return RelativeState(ns(t), "ekf", np.array(d, float), np.array(v, float), yaw, cov, ns(t - age), consistent)
+    return RelativeState(ns(t), "ekf", np.array(d, float), np.array(v, float), yaw, cov, ns(t - age), consistent, track=track)
 
 
-def fly(d0, plan, seconds, sight=lambda t, d: True, yaw_rate=0.0, pad_v=(0.0, 0.0, 0.0)):
-    """Planner, controller and a vehicle with 0.3 s lag. Returns rows of (t, d, aim, phase)."""
+def fly(d0, plan, seconds, sight=lambda t, d: True, yaw_rate=0.0, pad_v=(0.0, 0.0, 0.0), track=lambda t: 1, lands=True):
+    """Planner, controller and a vehicle with 0.3 s lag. Told to land it descends at 0.4 m/s; the flight ends there if it `lands`,
+    else it never says that it stands. Without sight the estimate is reckoned on. Returns rows of (t, d, aim, phase)."""
     planner, pid, d, v, yaw = Planner.start(), Pid.start(), np.array(d0, float), np.zeros(3), 0.0
-    rows, seen = [], None
+    rows, seen, seen_at = [], None, 0.0
     for i in range(round(seconds / DT)):
         t = i * DT
         if sight(t, d):
-            seen = estimate(t, d, np.array(pad_v) - v, yaw)
+            seen = estimate(t, d, np.array(pad_v) - v, yaw, track=track(t))
+            seen_at = t
+        elif seen is not None:
+            seen = estimate(t, d, np.array(pad_v) - v, yaw, age=t - seen_at, track=track(t), sigma=2.0)
         planner, aim, phase = planner_step(planner, plan, ns(t), seen)
         rows.append((t, d.copy(), aim, phase))
         command = aim
         if isinstance(aim, SetPoint):
             pid, command = pid_step(pid, Gains(), ns(t), seen, aim)
-        if isinstance(command, Land):
+        if isinstance(command, Land) and lands:
             break
         wanted = command.v_level if isinstance(command, Velocity) else np.zeros(3)
+        if isinstance(command, Land):
+            wanted = np.array([0.0, 0.0, 0.4])
         v = v + (wanted - v) * DT / 0.3
         turn = yaw_rate * DT
         c, s = math.cos(turn), math.sin(turn)
@@ -156,7 +164,7 @@ def test_a_pad_lost_for_good_is_given_up_at_a_safe_height():
 def test_a_pad_never_seen_from_near_is_not_tried_for_ever():
     rows = fly([0.0, 0.0, 3.0], Plan.over_the_pad(), 200, sight=lambda t, d: d[2] > 1.0)
     phases = [p for i, (*_, p) in enumerate(rows) if i == 0 or rows[i - 1][3] != p]
-    assert phases.count(Phase.CLIMB) == Plan.over_the_pad().rounds_max + 1
+    assert phases.count(Phase.CLIMB) == Plan.over_the_pad().go_arounds_max + 1
     assert phases[-1] is Phase.GAVE_UP
     assert rows[-1][1][2] == pytest.approx(2.0, abs=0.25)
 
@@ -183,9 +191,123 @@ def test_heading_is_kept_or_aligned():
         assert aim.yaw_rad == want
 
 
+def phases_of(rows):
+    return [p for i, (*_, p) in enumerate(rows) if i == 0 or rows[i - 1][3] != p]
+
+
+def test_a_landing_that_is_not_reported_is_taken_back_and_after_the_last_try_it_hovers_high_up():
+    """The vehicle sinks and never says that it stands; the pad is out of view below 0.25 m."""
+    plan = Plan.over_the_pad()
+    rows = fly([0.0, 0.0, 2.5], plan, 300, sight=lambda t, d: d[2] > 0.25, lands=False)
+    phases = phases_of(rows)
+    assert phases.count(Phase.LAND) == plan.go_arounds_max + 1
+    lands = [t for t, _, aim, _ in rows if isinstance(aim, Land)]
+    longest = 0.0
+    for i, t in enumerate(lands):
+        begun = t if i == 0 or t - lands[i - 1] > 2 * DT else begun  # noqa: F821
+        longest = max(longest, t - begun)
+    assert longest <= plan.land_timeout_s + 2 * DT
+    assert phases[-1] is Phase.GAVE_UP
+    assert min(d[2] for _, d, *_ in rows) > -1.0
+    assert rows[-1][1][2] == pytest.approx(plan.safe_height_m, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("of", "why"),
+    [
+        (lambda t: estimate(t, [0.9, 0, 0.3]), "drifted off"),
+        (lambda t: estimate(t, [0, 0, 1.0]), "rose"),
+        (lambda t: estimate(t, [0, 0, 0.3], track=2), "another place"),
+    ],
+)
+def test_a_landing_ends_when_sight_or_height_say_so(of, why):
+    planner, plan = Planner.start(), Plan((WayPoint(np.array([0.0, 0.0, 0.3]), 0.1, 0.1, 0.0),))
+    planner, aim, _ = planner_step(planner, plan, ns(0.0), estimate(0.0, [0, 0, 0.3]))
+    assert isinstance(aim, Land)
+    for i in range(1, 5):
+        planner, aim, phase = planner_step(planner, plan, ns(i * DT), estimate(i * DT, [0, 0, 0.3]))
+        assert (aim, phase) == (Land(), Phase.LAND)
+    planner, aim, phase = planner_step(planner, plan, ns(5 * DT), of(5 * DT))
+    assert not isinstance(aim, Land)
+    assert phase is not Phase.LAND
+    assert why in planner.reason
+
+
+def test_a_landing_from_high_up_ends_when_the_pad_is_lost_and_one_from_low_down_does_not():
+    for height, goes_on in ((0.3, True), (1.5, False)):
+        planner, plan = Planner.start(), Plan((WayPoint(np.array([0.0, 0.0, height]), 0.1, 0.1, 0.0),))
+        planner, aim, _ = planner_step(planner, plan, ns(0.0), estimate(0.0, [0, 0, height]))
+        if not goes_on:
+            planner = replace(planner, landing=replace(planner.landing, height_m=height + 1.0))
+        for i in range(1, 20):
+            planner, aim, _ = planner_step(planner, plan, ns(i * DT), None)
+        assert isinstance(aim, Land) == goes_on
+
+
+def test_losses_that_come_and_go_end_in_a_go_around_and_the_tries_are_bounded():
+    """A look every two seconds below 1.2 m: timers since the last sight alone would start again at each."""
+    plan = Plan.over_the_pad()
+    rows = fly([0.0, 0.0, 2.2], plan, 400, sight=lambda t, d: d[2] > 1.2 or (t % 2.0) < 0.1)
+    phases = phases_of(rows)
+    assert phases.count(Phase.GO_AROUND) + phases.count(Phase.CLIMB) >= plan.go_arounds_max
+    assert phases[-1] is Phase.GAVE_UP
+    assert rows[-1][1][2] > 1.2
+
+
+def test_hovering_low_for_ever_ends_in_a_go_around():
+    """Held 0.4 m aside at 0.19 m it can neither land nor is anything lost."""
+    plan, planner, t, seen = Plan.over_the_pad(), Planner.start(), 0.0, []
+    for d in ([0, 0, 2.0], [0.4, 0, 0.5]):
+        for _ in range(round((plan.descend_s + 5.0) / 0.1) if d[0] else 20):
+            t += 0.1
+            planner, _, phase = planner_step(planner, plan, ns(t), estimate(t, d))
+            seen.append(phase)
+    assert Phase.GO_AROUND in seen
+    assert "of descent" in planner.reason
+
+
+def test_height_lost_without_sight_ends_the_try():
+    plan, planner = Plan.over_the_pad(), Planner.start()
+    t, height = 0.0, 1.9
+    while t < 20 and planner.going_around is None:
+        t += 0.1
+        blind = (t % 1.0) < 0.5
+        height -= 0.02 if blind else 0.0
+        planner, _, _ = planner_step(planner, plan, ns(t), None if blind else estimate(t, [0.02, 0, height]))
+    assert "lower without sight" in planner.reason
+    assert 1.9 - height <= plan.blind_descent_max_m + 0.25
+
+
+def test_another_pad_is_not_flown_to_but_asked_about_from_higher_up():
+    plan = Plan.over_the_pad()
+    rows = fly([0.0, 0.0, 2.5], plan, 120, track=lambda t: 1 if t < 6 else 2)
+    asked = [(t, d, aim) for t, d, aim, phase in rows if phase is Phase.ANOTHER_PAD]
+    assert asked[0][0] == pytest.approx(6, abs=2 * DT)
+    for _, _, aim in asked:
+        assert isinstance(aim, Hover) or aim.v_level[2] < 0.0
+    assert asked[-1][1][2] == pytest.approx(plan.safe_height_m, abs=0.4)
+    assert rows[-1][3] is Phase.GAVE_UP
+    assert asked[-1][0] - asked[0][0] == pytest.approx(plan.word_wait_s, abs=0.2)
+
+
+@pytest.mark.parametrize(("jump_at", "lands"), [(2.0, True), (12.0, False)], ids=["high up", "below the safe height"])
+def test_on_its_own_it_takes_another_pad_only_where_set_so_only_high_up_and_only_once(jump_at, lands):
+    plan = replace(Plan.over_the_pad(), another_pad="automatic")
+    rows = fly([0.5, 0.0, 3.5], plan, 120, track=lambda t: 1 if t < jump_at else 2)
+    assert (rows[-1][3] is Phase.LAND) == lands
+    twice = fly([0.5, 0.0, 3.5], plan, 200, track=lambda t: 1 if t < 2 else 2 if t < 9 else 3)
+    assert twice[-1][3] is Phase.GAVE_UP
+
+
+def test_on_its_own_it_waits_for_unbroken_sight_of_one_pad():
+    plan = replace(Plan.over_the_pad(), another_pad="automatic")
+    rows = fly([0.5, 0.0, 3.5], plan, 40, track=lambda t: 1 if t < 2 else 2, sight=lambda t, d: t < 2 or (t % 4.0) < 3.0)
+    assert phases_of(rows)[-1] is Phase.ANOTHER_PAD
+
+
 histories = st.lists(
     st.tuples(
-        st.sampled_from(["fresh", "none", "stale", "inconsistent", "frozen"]),
+        st.sampled_from(["fresh", "none", "stale", "inconsistent", "frozen", "another"]),
         st.tuples(st.floats(-4, 4), st.floats(-4, 4), st.floats(-0.2, 6.0)),
         st.floats(0.0, 1.2),
         st.sampled_from([None, 0.0, 3.0, -3.0]),
@@ -197,15 +319,18 @@ histories = st.lists(
 @settings(deadline=None, max_examples=200)
 @given(histories, st.booleans())
 def test_it_never_sinks_nor_begins_to_land_without_a_fresh_consistent_estimate(history, near):
-    """Planner and controller together, over any history of estimates."""
+    """Planner and controller together, over any history of estimates. A landing is a lease: it goes on without sight from low
+    down and within its time alone, and not a round beyond another pad."""
     plan, planner, pid, t = Plan.over_the_pad(), Planner.start(), Pid.start(), 0.0
-    last, landed = None, False
+    last, landed_at, track, flown = None, None, 1, None
     for kind, d, dt, yaw in history:
         t += dt
+        track += kind == "another"
         if near:
             d = (0.01 * d[0], 0.01 * d[1], plan.way_points[planner.leg].d_body_pad_level[2])
         seen = {
-            "fresh": lambda d=d, t=t, yaw=yaw: estimate(t, d, yaw=yaw),
+            "fresh": lambda d=d, t=t, yaw=yaw, track=track: estimate(t, d, yaw=yaw, track=track),
+            "another": lambda d=d, t=t, yaw=yaw, track=track: estimate(t, d, yaw=yaw, track=track),
             "none": lambda: None,
             "stale": lambda d=d, t=t, yaw=yaw: estimate(t, d, yaw=yaw, age=0.51),
             "inconsistent": lambda d=d, t=t, yaw=yaw: estimate(t, d, yaw=yaw, consistent=False),
@@ -217,12 +342,22 @@ def test_it_never_sinks_nor_begins_to_land_without_a_fresh_consistent_estimate(h
         if isinstance(aim, SetPoint):
             pid, command = pid_step(pid, Gains(), ns(t), seen, aim)
         fit = fit_to_steer(seen, ns(t), plan.stale_after_s)
-        if not fit and not landed:
-            assert isinstance(command, Hover) or (isinstance(command, Velocity) and command.v_level[2] <= 0.0)
-        if landed:
-            assert isinstance(command, Land)
-        landed = isinstance(command, Land)
-        assert landed == (phase is Phase.LAND)
+        lands = isinstance(command, Land)
+        if fit and flown is None:
+            flown = seen.track
+        unbroken = fit and seen.track == flown
+        descends = isinstance(command, Velocity) and command.v_level[2] > 0.0
+        if not unbroken:
+            assert not descends
+            assert not lands or landed_at is not None
+        if seen is not None and flown is not None and seen.track != flown:
+            assert not lands
+        if lands:
+            landed_at = t if landed_at is None else landed_at
+            assert t - landed_at <= plan.land_timeout_s + 1e-6
+        else:
+            landed_at = None
+        assert lands == (phase is Phase.LAND)
 
 
 def test_the_property_above_does_see_landings():

@@ -14,7 +14,7 @@ from msgspec import inspect
 
 from companion import rig, rig_mavlink
 from companion.guidance.pid import Gains
-from companion.guidance.planner import Plan
+from companion.guidance.plan import Plan
 from companion.mavlink.component import ComponentOptions
 from companion.mavlink.outputs import OutputOptions
 from companion.rig_camera import camera_options
@@ -29,7 +29,7 @@ from estimator import pipeline
 from estimator.contracts.errors import BadInput
 
 READ_BY_THE_SERVICE_ITSELF = {
-    "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz", "guidance.land_timeout_s",
+    "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
     "service.log_level", "service.health_period_s", "face.links", "face.system_id", "face.operators",
     *(f"{table}.signing_{what}_file" for table in ("vehicle", "face") for what in ("key", "time")),
 }  # fmt: skip

@@ -142,6 +142,9 @@ GAINS_AND_RATIOS = {
     "min_confidence",
     "jpeg_quality",
     "frames_each",
+    "range_tolerance_share",
+    "losses_max",
+    "go_arounds_max",
 }
 
 

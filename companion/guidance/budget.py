@@ -1,0 +1,64 @@
+"""What one try to land may cost: time, losses of sight, height lost without it. Nothing but a new try starts it again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from companion.guidance.plan import Plan
+from estimator.contracts.time import MonoNs, seconds_between
+
+SIGHT_HOLDS_S = 5.0
+"""Unbroken sight for this long forgives the time without it before."""
+_GAP_MAX_S = 1.0
+"""A planner that was not called for longer than this adds no more than this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """What a try has cost so far."""
+
+    began: MonoNs | None = None
+    """First sight."""
+    descending: MonoNs | None = None
+    """When the last leg was begun."""
+    losses: int = 0
+    """Of sight, on the last leg or below the safe height."""
+    blind_descent_m: float = 0.0
+    without_sight_s: float = 0.0
+    with_sight_s: float = 0.0
+    """Unbroken."""
+
+    def seen(self, now: MonoNs, since_last_s: float) -> Spent:
+        """One more round with sight."""
+        held = self.with_sight_s + min(max(0.0, since_last_s), _GAP_MAX_S)
+        without = 0.0 if held >= SIGHT_HOLDS_S else self.without_sight_s
+        return replace(self, began=now if self.began is None else self.began, with_sight_s=held, without_sight_s=without)
+
+    def unseen(self, since_last_s: float) -> Spent:
+        """One more round without."""
+        without = self.without_sight_s + min(max(0.0, since_last_s), _GAP_MAX_S)
+        return replace(self, with_sight_s=0.0, without_sight_s=without)
+
+    def lost(self) -> Spent:
+        """Sight was lost in the descent."""
+        return replace(self, losses=self.losses + 1)
+
+    def sank(self, metres: float) -> Spent:
+        """This much lower at the next sight than at the last; climbing gives nothing back."""
+        return replace(self, blind_descent_m=self.blind_descent_m + max(0.0, metres))
+
+    def descends(self, now: MonoNs) -> Spent:
+        """On the last leg."""
+        return self if self.descending is not None else replace(self, descending=now)
+
+    def exhausted(self, plan: Plan, now: MonoNs) -> str | None:
+        """What is used up, as text for the operator; None while nothing is."""
+        if self.began is not None and seconds_between(self.began, now) > plan.try_s:
+            return f"no landing within {plan.try_s:g} s"
+        if self.descending is not None and seconds_between(self.descending, now) > plan.descend_s:
+            return f"no landing within {plan.descend_s:g} s of descent"
+        if self.losses > plan.losses_max:
+            return f"the pad was lost {self.losses} times in one descent"
+        if self.blind_descent_m > plan.blind_descent_max_m:
+            return f"{self.blind_descent_m:.2f} m lower without sight of the pad"
+        return None

@@ -1,0 +1,64 @@
+"""An ordered landing is a lease: it is renewed in every round of guidance, and ends by time, height or sight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from companion.guidance.plan import Plan
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.time import MonoNs, seconds_between
+
+NO_LANDING = "no landing was reported"
+_RISEN_M = 0.4
+_ASIDE_M = 0.3
+_BELOW_DECK_M = 0.6
+"""A drone that stands on deck without sight may take itself to be some decimetres away from it."""
+_BLIND_MARGIN_M = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Lease:
+    """A landing under way."""
+
+    since: MonoNs
+    from_height_m: float
+    seen: MonoNs
+    """When there last was an estimate to steer by."""
+    height_m: float
+    """Then."""
+
+    @staticmethod
+    def taken(now: MonoNs, estimate: RelativeState) -> Lease:
+        """At the order to land."""
+        return Lease(now, estimate.height_m, now, estimate.height_m)
+
+
+def renewed(
+    lease: Lease, plan: Plan, now: MonoNs, estimate: RelativeState | None, fit: RelativeState | None
+) -> tuple[Lease, str | None]:
+    """One more round.
+
+    Args:
+        estimate: the newest, carried on without sight if need be.
+        fit: the same where it is fit to steer by, else None.
+
+    Returns:
+        The lease, and why it ends; None while it goes on. From the height of the last way point down the pad leaves the camera's
+        view, so there the time alone ends it; higher up so does losing the pad.
+    """
+    final = plan.way_points[-1]
+    if seconds_between(lease.since, now) > plan.land_timeout_s:
+        return lease, f"{NO_LANDING} within {plan.land_timeout_s:g} s"
+    if estimate is not None and estimate.height_m < -_BELOW_DECK_M:
+        return lease, "it sank past the deck"
+    if fit is not None:
+        lease = replace(lease, seen=now, height_m=fit.height_m)
+        if fit.height_m > lease.from_height_m + _RISEN_M:
+            return lease, "it rose instead of landing"
+        if fit.lateral_m > final.reached_m + _ASIDE_M + float(abs(final.d_body_pad_level[0])):
+            return lease, "it drifted off the pad while landing"
+        return lease, None
+    blind_below_m = float(final.d_body_pad_level[2]) + final.reached_height_m + _BLIND_MARGIN_M
+    if lease.height_m > blind_below_m and seconds_between(lease.seen, now) > plan.stale_after_s:
+        return lease, f"the pad was lost at {lease.height_m:.1f} m while landing"
+    return lease, None

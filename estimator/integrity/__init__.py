@@ -1,0 +1,15 @@
+"""What stands before every estimator path: whether an input is fresh, possible, and about the pad that is being followed.
+
+    guard, verdict = admit(guard, sample)               # None: let it through
+    guard, verdict = admit_frame(guard, frame)
+    guard, verdict = admit_sighting(guard, sighting, attitude, belief)
+    doubts(guard, now)                                  # what speaks against descending by the estimate
+
+Pure: values in, values out. Freshness is of the world and not of the packet: a frame or reading with a new stamp that shows
+nothing new is refused, so that the estimate ages.
+"""
+
+from estimator.integrity.guard import Guard, admit, admit_frame, admit_sighting, doubts, fused
+from estimator.integrity.options import IntegrityOptions
+
+__all__ = ["Guard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "doubts", "fused"]

@@ -1,0 +1,96 @@
+"""Stamps: arrivals that run ahead of or behind all others, and delays that leave their stream's own median.
+
+There is no clock here. All arrivals are stamped by one host, so the newest that was confirmed is the time; one that lies more
+than `clock_step_max_s` away is refused and becomes the time only when others confirm it, as after a real pause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import Stamp
+
+_CONFIRMED_BY = 5
+_CONFIRMED_IN_NS = 200_000_000
+_MEDIAN_STEP_S = 0.002
+_FIRST_FEW = 8
+
+
+class _Rival(NamedTuple):
+    """A time that arrivals tell and the rest do not confirm yet."""
+
+    first: int
+    last: int
+    n: int
+    kinds: frozenset[str]
+
+
+class _Delay(NamedTuple):
+    """The delay of one stream."""
+
+    median_s: float
+    n: int = 1
+    off_since: int | None = None
+    """ns, arrival of the first of an unbroken row that lies elsewhere."""
+
+
+class ClockWatch(NamedTuple):
+    """What arrivals and delays were so far."""
+
+    now: int | None = None
+    """ns, the newest arrival that was confirmed."""
+    rival: _Rival | None = None
+    delays: Mapping[str, _Delay] = MappingProxyType({})
+
+    def off(self, kind: str) -> bool:
+        """Whether the newest of a kind had a delay that was refused."""
+        delay = self.delays.get(kind)
+        return delay is not None and delay.off_since is not None
+
+
+def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float) -> tuple[ClockWatch, Verdict | None]:
+    """Take an arrival; TOO_NEW or TOO_OLD when it is alone with its time."""
+    heard, now = stamp.heard, state.now
+    if now is None:
+        return state._replace(now=heard), None
+    step = round(step_max_s * 1e9)
+    if abs(heard - now) <= step:
+        return state._replace(now=max(now, heard), rival=None), None
+    rival = state.rival
+    rival = (
+        _Rival(heard, heard, 1, frozenset((kind,)))
+        if rival is None or not -step <= heard - rival.last <= step
+        else _Rival(rival.first, max(rival.last, heard), rival.n + 1, rival.kinds | {kind})
+    )
+    lasting = rival.n >= _CONFIRMED_BY and rival.last - rival.first >= _CONFIRMED_IN_NS
+    if lasting or (rival.n >= 2 and len(rival.kinds) >= 2):
+        return ClockWatch(rival.last), None
+    return state._replace(rival=rival), Verdict.TOO_NEW if heard > now else Verdict.TOO_OLD
+
+
+def watch_delay(
+    state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float, settle_s: float
+) -> tuple[ClockWatch, Verdict | None]:
+    """Take a delay; TOO_NEW or TOO_OLD when it lies far from its stream's running median and not for long yet."""
+    d = stamp.delay_s
+    delay = state.delays.get(kind)
+    verdict = None
+    if delay is None:
+        delay = _Delay(d)
+    elif abs(d - delay.median_s) <= step_max_s:
+        # A median by small steps: one outlier moves it no further than any other sample.
+        step = max(_MEDIAN_STEP_S, abs(d - delay.median_s) / (delay.n + 1) if delay.n < _FIRST_FEW else 0.0)
+        delay = _Delay(delay.median_s + max(-step, min(step, d - delay.median_s)), delay.n + 1)
+    elif delay.n < _FIRST_FEW:
+        delay = _Delay(d)
+    else:
+        since = stamp.heard if delay.off_since is None else delay.off_since
+        if (stamp.heard - since) * 1e-9 >= settle_s:
+            delay = _Delay(d)
+        else:
+            verdict = Verdict.TOO_OLD if d > delay.median_s else Verdict.TOO_NEW
+            delay = delay._replace(off_since=since)
+    return state._replace(delays=MappingProxyType({**state.delays, kind: delay})), verdict

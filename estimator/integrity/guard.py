@@ -1,0 +1,140 @@
+"""The guard: one memory of all the watches, and one verdict for each input that is not let through."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from estimator.contracts.estimates import Doubt, RelativeState, Sighting, Verdict
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.time import MonoNs
+from estimator.integrity import clock, frames, heights, sensors, tracks, view
+from estimator.integrity.options import IntegrityOptions
+
+_OLD_NS = 1_000_000_000
+"""A doubt about a stream that has fallen silent altogether says nothing more; its silence does."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guard:
+    """Everything the watches remember. Immutable."""
+
+    options: IntegrityOptions = field(default_factory=IntegrityOptions)
+    clock: clock.ClockWatch = field(default_factory=clock.ClockWatch)
+    sensors: Mapping[type, sensors.SensorWatch] = field(default_factory=lambda: MappingProxyType({}))
+    frames: frames.FrameWatch = field(default_factory=frames.FrameWatch)
+    view: view.ViewWatch = field(default_factory=view.ViewWatch)
+    tracks: tracks.Tracks = field(default_factory=tracks.Tracks)
+    heights: heights.HeightWatch = field(default_factory=heights.HeightWatch)
+    flying: bool = True
+    """Until the vehicle says that it is not."""
+
+
+def admit(guard: Guard, event: Sample) -> tuple[Guard, Verdict | None]:
+    """Take one sample; None when it may go to the estimator."""
+    o, kind = guard.options, type(event).__name__
+    watch, verdict = clock.watch_arrival(guard.clock, kind, event.stamp, o.clock_step_max_s)
+    if verdict is None:
+        watch, verdict = clock.watch_delay(watch, kind, event.stamp, o.sample_delay_step_max_s, o.sample_delay_settle_s)
+    guard = replace(guard, clock=watch)
+    if verdict is not None:
+        return guard, verdict
+    if isinstance(event, VehicleStatus):
+        return replace(guard, flying=event.flying is not False), None
+    seen = guard.sensors.get(type(event), sensors.SensorWatch())
+    seen, verdict = sensors.watch(seen, event, o, guard.flying)
+    guard = replace(guard, sensors=MappingProxyType({**guard.sensors, type(event): seen}))
+    if verdict is None and isinstance(event, Range):
+        guard = replace(guard, heights=heights.ranged(guard.heights, event, o))
+    elif verdict is None and isinstance(event, Baro):
+        guard = replace(guard, heights=heights.weighed(guard.heights, event, o))
+    return guard, verdict
+
+
+def admit_frame(guard: Guard, frame: Frame) -> tuple[Guard, Verdict | None]:
+    """Take one frame before anything is looked for in it; REPEATED when its pixels were there before."""
+    watch, repeated = frames.watch(guard.frames, frame.px)
+    return replace(guard, frames=watch), Verdict.REPEATED if repeated else None
+
+
+def admit_sighting(
+    guard: Guard, sighting: Sighting, attitude: Attitude | None, belief: RelativeState | None
+) -> tuple[Guard, Verdict | None]:
+    """Take one sighting.
+
+    Args:
+        attitude: at its exposure.
+        belief: the steering estimate at its exposure, before the sighting.
+
+    Returns:
+        TOO_OLD or TOO_NEW (its stamp), FROZEN (the view), ELSEWHERE (another pad), or None.
+    """
+    o = guard.options
+    watch, verdict = clock.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
+    if verdict is None:
+        watch, verdict = clock.watch_delay(
+            watch, "Sighting", sighting.stamp, o.sighting_delay_step_max_s, o.sighting_delay_settle_s
+        )
+    guard = replace(guard, clock=watch)
+    if verdict is not None:
+        return guard, verdict
+    if attitude is not None and guard.flying:
+        guard = replace(guard, view=view.watch(guard.view, sighting, attitude, o))
+        if guard.view.frozen:
+            return guard, Verdict.FROZEN
+    expected = None if belief is None else _expected(belief, sighting, attitude)
+    following, explained = tracks.judge(guard.tracks, _place(sighting, attitude), expected, o)
+    return replace(guard, tracks=following), None if explained else Verdict.ELSEWHERE
+
+
+def fused(guard: Guard, sighting: Sighting, attitude: Attitude | None) -> Guard:
+    """The steering estimator took a sighting that was let through."""
+    guard = replace(guard, tracks=tracks.fused(guard.tracks, _place(sighting, attitude)))
+    if attitude is None:
+        return guard
+    return replace(guard, heights=heights.saw(guard.heights, sighting, attitude.R_ned_body))
+
+
+def doubts(guard: Guard, now: MonoNs) -> tuple[Doubt, ...]:
+    """What speaks against descending by the estimate."""
+    found = []
+    if guard.frames.frozen:
+        found.append(Doubt.CAMERA_FROZEN)
+    if guard.view.frozen and guard.view.looks and now - guard.view.looks[-1][0] < _OLD_NS:
+        found.append(Doubt.VIEW_FROZEN)
+    for kind, doubt in ((Imu, Doubt.IMU_FROZEN), (Attitude, Doubt.ATTITUDE_FROZEN)):
+        seen = guard.sensors.get(kind)
+        if seen is not None and seen.frozen:
+            found.append(doubt)
+    if guard.clock.off("Sighting"):
+        found.append(Doubt.STAMPS)
+    if guard.tracks.disputed(now):
+        found.append(Doubt.ELSEWHERE)
+    if guard.heights.contradicted:
+        found.append(Doubt.RANGE)
+    if guard.heights.baro_contradicted:
+        found.append(Doubt.HEIGHT)
+    return tuple(found)
+
+
+def _place(sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
+    sigma = math.sqrt(float(np.trace(sighting.cov[:3, :3])) / 3.0)
+    return tracks.Place(sighting.stamp.taken, _fixed(sighting.d_body_pad_level, attitude), sigma)
+
+
+def _expected(belief: RelativeState, sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
+    sigma = math.sqrt(max(0.0, float(np.trace(belief.cov[:3, :3])) / 3.0))
+    return tracks.Place(sighting.stamp.taken, _fixed(belief.d_body_pad_level, attitude), sigma)
+
+
+def _fixed(d_level: F64, attitude: Attitude | None) -> tuple[float, float, float]:
+    """From level axes to axes of fixed heading, as far as a heading is known."""
+    x, y, z = d_level.tolist()
+    heading = 0.0 if attitude is None else attitude.R_ned_body.rpy_rad[2]
+    c, s = math.cos(heading), math.sin(heading)
+    return (c * x - s * y, s * x + c * y, z)

@@ -1,0 +1,101 @@
+"""Other heights against the camera's: a range sensor over the pad, and a barometer's change against the change that was seen.
+
+A range counts only where the sighting puts the deck around the pad below the body: beyond the edge there is water, and the
+difference says nothing. Where the camera claims the pad below and there is none (another place, a wrong focal length), it does.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Baro, Range
+from estimator.integrity.options import IntegrityOptions
+
+_FRESH_S = 0.3
+_NEAREST_M = 0.35
+"""An ultrasound hears nothing nearer than 0.2 m."""
+_UPRIGHT = 0.85
+_PAUSE_S = 0.3
+"""No more than this counts for the time between two ranges."""
+_SPAN_S = 10.0
+_AGREES_S = 2.0
+_BARO_LAG = 0.1
+"""Share by which a new difference moves the mean: a barometer's noise is half a metre."""
+
+
+class HeightWatch(NamedTuple):
+    """What the other heights said of the camera's."""
+
+    seen_at: int = 0
+    """ns, the newest sighting; 0 none."""
+    d_level: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """m, of it."""
+    down_level: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """The body's down axis at that instant."""
+    range_at: int = 0
+    against_s: float = 0.0
+    """For how long ranges have spoken against the camera, agreement counting back."""
+    contradicted: bool = False
+    agreed_at: int = -1
+    """ns, when a range last agreed; -1 never."""
+    rise: tuple[tuple[int, float], ...] = ()
+    """Instant (ns) and height by barometer less height by camera, m, smoothed; one a second."""
+    rise_now: float = math.nan
+    seen_height: tuple[tuple[int, float], ...] = ()
+    baro_contradicted: bool = False
+
+    def confirmed(self, now: int) -> bool:
+        """Whether a range has agreed lately."""
+        return self.agreed_at >= 0 and 0 <= now - self.agreed_at <= _AGREES_S * 1e9
+
+
+def saw(state: HeightWatch, sighting: Sighting, R_ned_body: Rotation) -> HeightWatch:
+    """A sighting that the estimator took."""
+    x, y, z = sighting.d_body_pad_level.tolist()
+    cx, cy, cz = R_ned_body.without_heading().matrix[:, 2].tolist()
+    return state._replace(seen_at=sighting.stamp.taken, d_level=(x, y, z), down_level=(cx, cy, cz))
+
+
+def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch:
+    """A range: compared with the newest sighting where that is fresh and has the pad below."""
+    t = event.stamp.taken
+    if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
+        return state._replace(range_at=t)
+    x, y, z = state.d_level
+    cx, cy, cz = state.down_level
+    if cz < _UPRIGHT or z < _NEAREST_M or event.range_m < 0.5 * _NEAREST_M:
+        return state._replace(range_at=t)
+    along = z / cz
+    foot = math.hypot(x - cx * along, y - cy * along)
+    tolerance = o.range_tolerance_m + o.range_tolerance_share * z
+    if foot + tolerance > o.deck_radius_m:
+        # Not certainly over the deck. What was said before stands until it is.
+        return state._replace(range_at=t)
+    # A cone hears whatever is nearest, which lies between the axis and the perpendicular.
+    off = max(event.range_m - along, z - event.range_m, 0.0)
+    dt = min(max(0.0, (t - state.range_at) * 1e-9), _PAUSE_S)
+    agrees = off <= tolerance + 2.0 * event.sigma_m
+    against = min(max(0.0, state.against_s + (-dt if agrees else dt)), 1.5 * o.range_doubt_s)
+    contradicted = against >= o.range_doubt_s or (state.contradicted and against > 0.0)
+    return state._replace(range_at=t, against_s=against, contradicted=contradicted, agreed_at=t if agrees else state.agreed_at)
+
+
+def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch:
+    """A barometer's height: its difference to the camera's must not run away while the pad is seen."""
+    t = event.stamp.taken
+    if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
+        return state
+    height = state.d_level[2]
+    off = event.height_m - height
+    now = off if math.isnan(state.rise_now) else state.rise_now + _BARO_LAG * (off - state.rise_now)
+    rise, seen = state.rise, state.seen_height
+    if not rise or t - rise[-1][0] >= 1e9:
+        rise = (*(r for r in rise if t - r[0] <= _SPAN_S * 1e9), (t, now))
+        seen = (*(s for s in seen if t - s[0] <= _SPAN_S * 1e9), (t, height))
+    drift = max((abs(now - r) for _, r in rise), default=0.0)
+    change = max((abs(height - h) for _, h in seen), default=0.0)
+    against = drift > o.height_tolerance_m + change / 3.0
+    return state._replace(rise=rise, rise_now=now, seen_height=seen, baro_contradicted=against)

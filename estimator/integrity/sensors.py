@@ -1,0 +1,118 @@
+"""Readings of the vehicle's sensors: beyond what the vehicle can do, a step that it cannot make, or not one bit of change."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.integrity.options import IntegrityOptions
+
+Reading = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport
+
+_STEP_OVER_S = 0.1
+"""A step is allowed what the vehicle can do within this, however long ago the reading before was: limits that grow without end
+would let any spike in."""
+_UNMEASURED_VAR = 1e3
+"""A velocity component with more was not measured."""
+
+
+class SensorWatch(NamedTuple):
+    """One stream of readings."""
+
+    value: bytes | float = b""
+    """Of the newest reading, to the bit."""
+    since: int = 0
+    """ns, when it was first read."""
+    frozen: bool = False
+    """The newest reading was refused for that."""
+    plausible: tuple[float, ...] = ()
+    """The newest reading that was let through, in the numbers that `_step` compares."""
+    plausible_at: int = 0
+    refused_since: int | None = None
+    """ns, the first of an unbroken row of steps that were refused."""
+
+
+def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool) -> tuple[SensorWatch, Verdict | None]:
+    """Take one reading.
+
+    Returns:
+        The new state; IMPOSSIBLE, FROZEN (in flight only: on the ground an estimate of velocity rests at zero), or None.
+    """
+    t = event.stamp.taken
+    value, frozen_s = _bits(event, o)
+    same = value == state.value and t >= state.since
+    state = state._replace(value=value, since=state.since if same else t, frozen=False)
+    if _beyond(event, o):
+        return state, Verdict.IMPOSSIBLE
+    if same and flying and (t - state.since) * 1e-9 > frozen_s:
+        return state._replace(frozen=True), Verdict.FROZEN
+    numbers = _numbers(event)
+    if state.plausible and t > state.plausible_at and _step(event, numbers, state, o):
+        since = t if state.refused_since is None else state.refused_since
+        if (t - since) * 1e-9 < o.spike_s:
+            return state._replace(refused_since=since), Verdict.IMPOSSIBLE
+    return state._replace(plausible=numbers, plausible_at=t, refused_since=None), None
+
+
+def _bits(event: Reading, o: IntegrityOptions) -> tuple[bytes | float, float]:
+    """What has to change, and how soon; for ever where nothing has to."""
+    match event:
+        case Imu():
+            return event.w_body.tobytes() + event.f_body.tobytes(), o.imu_frozen_s
+        case Attitude():
+            return event.R_ned_body.matrix.tobytes(), o.attitude_frozen_s
+        case BodyVelocity():
+            return event.v_level.tobytes(), o.velocity_frozen_s
+        case Range():
+            return event.range_m, o.range_frozen_s
+        case Baro():
+            return event.height_m, o.baro_frozen_s
+        case VesselReport():
+            return b"", math.inf
+
+
+def _beyond(event: Reading, o: IntegrityOptions) -> bool:
+    match event:
+        case Imu():
+            f, w = _size(event.f_body.tolist()), _size(event.w_body.tolist())
+            return f > o.specific_force_max_m_s2 or w > o.turn_rate_max_rad_s
+        case BodyVelocity():
+            return _size(_numbers(event)) > o.speed_max_m_s
+        case VesselReport():
+            return event.v_vessel_ned is not None and _size(event.v_vessel_ned.tolist()) > o.speed_max_m_s
+        case _:
+            return False
+
+
+def _numbers(event: Reading) -> tuple[float, ...]:
+    match event:
+        case BodyVelocity():
+            measured = event.cov_level.diagonal().tolist()
+            return tuple(v if var < _UNMEASURED_VAR else 0.0 for v, var in zip(event.v_level.tolist(), measured, strict=True))
+        case Attitude():
+            return tuple(event.R_ned_body.matrix[2].tolist())
+        case Baro():
+            return (event.height_m,)
+        case _:
+            return ()
+
+
+def _step(event: Reading, numbers: tuple[float, ...], state: SensorWatch, o: IntegrityOptions) -> bool:
+    """Whether the step since the last plausible reading is more than the vehicle can do."""
+    if not numbers:
+        return False
+    dt = min((event.stamp.taken - state.plausible_at) * 1e-9, _STEP_OVER_S)
+    step = math.dist(numbers, state.plausible)
+    match event:
+        case BodyVelocity():
+            return step > o.velocity_step_m_s + o.acceleration_max_m_s2 * dt
+        case Attitude():
+            return 2.0 * math.asin(min(1.0, 0.5 * step)) > o.tilt_step_rad + o.tilt_rate_max_rad_s * dt
+        case _:
+            return step > o.height_step_m + o.height_rate_max_m_s * dt
+
+
+def _size(v: list[float] | tuple[float, ...]) -> float:
+    return math.hypot(*v)

@@ -1,0 +1,57 @@
+"""A pad that keeps its place in the image while the body turns is no pad below: the picture is frozen, whatever noise lies on it.
+
+Turning alone moves everything in the image, at any distance, by the same angle. So the bearing of the pad in the body is compared
+with what the vehicle's own attitude says that turning alone did to it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Attitude
+from estimator.integrity.options import IntegrityOptions
+
+_SPAN_S = 0.5
+_LEAST = 8
+_LEAST_SPAN_S = 0.3
+
+
+class ViewWatch(NamedTuple):
+    """Bearings of the last half second."""
+
+    looks: tuple[tuple[int, F64, F64], ...] = ()
+    """Instant (ns); bearing of the pad in `body` (3,), unit; the level frame's axes in `body` (3, 3)."""
+    frozen: bool = False
+
+
+def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
+    """Take one sighting and the attitude at its exposure."""
+    t = sighting.stamp.taken
+    distance_m = float(np.linalg.norm(sighting.d_body_pad_level))
+    if distance_m < 1e-6:
+        return state
+    R_body_level = attitude.R_ned_body.without_heading().inv.matrix
+    bearing = R_body_level @ (sighting.d_body_pad_level / distance_m)
+    looks = tuple(k for k in state.looks if 0 <= t - k[0] <= _SPAN_S * 1e9)
+    looks = (*looks, (t, bearing, R_body_level))
+    return ViewWatch(looks, _stands_still(looks, o))
+
+
+def _stands_still(looks: tuple[tuple[int, F64, F64], ...], o: IntegrityOptions) -> bool:
+    if len(looks) < _LEAST or looks[-1][0] - looks[0][0] < _LEAST_SPAN_S * 1e9:
+        return False
+    seen = np.array([bearing for _, bearing, _ in looks])
+    axes = np.array([R for _, _, R in looks])
+    mean_level = np.einsum("nij,ni->nj", axes, seen).mean(axis=0)
+    turned = _spread(axes @ mean_level)
+    return turned > o.view_turned_min_rad and _spread(seen) < o.view_still_ratio * turned
+
+
+def _spread(directions: F64) -> float:
+    """Root of the mean squared distance from the mean, rad."""
+    return math.sqrt(float(np.mean(np.sum((directions - directions.mean(axis=0)) ** 2, axis=1))))

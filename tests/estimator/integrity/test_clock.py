@@ -1,0 +1,64 @@
+"""Stamps alone with their time are refused, and one of them never makes the others late."""
+
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.integrity.clock import ClockWatch, watch_arrival, watch_delay
+
+HOUR_S = 3600.0
+
+
+def stamp(heard_s: float, delay_s: float = 0.01) -> Stamp:
+    return Stamp(MonoNs(round((heard_s - delay_s) * 1e9)), MonoNs(round(heard_s * 1e9)), 0.001, "sim")
+
+
+def run(kinds_and_times: list[tuple[str, float]]) -> list[Verdict | None]:
+    state, out = ClockWatch(), []
+    for kind, t in kinds_and_times:
+        state, verdict = watch_arrival(state, kind, stamp(t), 1.0)
+        out.append(verdict)
+    return out
+
+
+def test_one_sample_an_hour_ahead_is_refused_and_poisons_nothing() -> None:
+    said = run([("Imu", 0.01 * i) for i in range(20)] + [("Imu", HOUR_S)] + [("Imu", 0.2 + 0.01 * i) for i in range(20)])
+    assert said[20] is Verdict.TOO_NEW
+    assert said[:20] == said[21:] == [None] * 20
+
+
+def test_a_stream_that_alternates_between_now_and_an_hour_ahead_never_moves_the_time() -> None:
+    said = run([("Imu", 0.01 * i + (HOUR_S if i % 2 else 0.0)) for i in range(200)])
+    assert said[::2] == [None] * 100
+    assert set(said[1::2]) == {Verdict.TOO_NEW}
+
+
+def test_after_a_pause_two_streams_confirm_the_time_at_once_and_one_within_a_quarter_of_a_second() -> None:
+    assert run([("Imu", 0.0), ("Imu", 60.0), ("Attitude", 60.01), ("Imu", 60.02)]) == [None, Verdict.TOO_NEW, None, None]
+    alone = run([("Imu", 0.0), *(("Imu", 60.0 + 0.02 * i) for i in range(15))])
+    assert None in alone[1:]
+    assert alone[12:] == [None] * 4
+
+
+def test_a_clock_that_was_led_astray_comes_back() -> None:
+    said = run([("Imu", 0.0)] + [("Imu", HOUR_S + 0.05 * i) for i in range(10)] + [("Imu", 1.0 + 0.05 * i) for i in range(10)])
+    assert said[-1] is None
+
+
+def delays(values: list[float], settle_s: float = 10.0) -> list[Verdict | None]:
+    state, out = ClockWatch(), []
+    for i, d in enumerate(values):
+        state, verdict = watch_delay(state, "Sighting", stamp(100.0 + i / 30.0, d), 0.15, settle_s)
+        out.append(verdict)
+    return out
+
+
+def test_a_delay_that_steps_is_refused_until_it_has_settled() -> None:
+    said = delays([0.09] * 60 + [0.39] * 400)
+    assert said[:60] == [None] * 60
+    assert said[60:360] == [Verdict.TOO_OLD] * 300
+    assert said[-1] is None
+    assert delays([0.39] * 60 + [0.09])[-1] is Verdict.TOO_NEW
+
+
+def test_a_delay_that_jitters_or_creeps_is_a_delay() -> None:
+    assert set(delays([0.09 + 0.04 * (i % 3) for i in range(200)])) == {None}
+    assert set(delays([0.09 + 0.001 * i for i in range(300)])) == {None}

@@ -1,0 +1,111 @@
+"""Which pad: motion explains a place, or it is another one, and the track is never moved to it."""
+
+import numpy as np
+import pytest
+
+from estimator.integrity.options import IntegrityOptions
+from estimator.integrity.tracks import Place, Tracks, fused, judge
+
+LIMITS = IntegrityOptions()
+
+
+def place(t_s: float, d: tuple[float, float, float], sigma_m: float = 0.01) -> Place:
+    return Place(round(t_s * 1e9), d, sigma_m)
+
+
+def follow(tracks: Tracks, looks: list[Place], expected: Place | None = None) -> tuple[Tracks, list[bool]]:
+    out = []
+    for seen in looks:
+        tracks, explained = judge(tracks, seen, None if expected is None else expected._replace(t=seen.t), LIMITS)
+        if explained:
+            tracks = fused(tracks, seen)
+        out.append(explained)
+    return tracks, out
+
+
+def steady(begin_s: float, end_s: float, d: tuple[float, float, float], every: int = 1) -> list[Place]:
+    return [place(i / 30, d) for i in range(round(begin_s * 30), round(end_s * 30), every)]
+
+
+HERE, ASIDE = (0.1, 0.0, 2.0), (1.1, 0.0, 2.0)
+
+
+def test_a_pad_that_moves_as_things_move_is_one_track() -> None:
+    rng = np.random.default_rng(2)
+    looks = [place(i / 30, (0.5 * i / 30 + 0.01 * rng.normal(), 0.01 * rng.normal(), 4.0 - 0.5 * i / 30)) for i in range(200)]
+    tracks, explained = follow(Tracks(), looks)
+    assert tracks.number == 1
+    assert all(explained)
+
+
+@pytest.mark.parametrize("aside_m", [0.5, 1.0, 2.5])
+@pytest.mark.parametrize("height_m", [0.6, 1.0, 2.7])
+def test_a_jump_is_another_pad_and_the_track_is_not_moved_to_it(aside_m: float, height_m: float) -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, (0.0, 0.0, height_m)))
+    tracks, explained = follow(tracks, steady(2, 3.9, (aside_m, 0.0, height_m)), place(0, (0.0, 0.0, height_m), 0.05))
+    assert not any(explained)
+    assert tracks.number == 1
+    assert tracks.disputed(round(3.9e9))
+
+
+def test_only_after_its_time_a_new_track_with_a_new_number_begins() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    tracks, explained = follow(tracks, steady(2, 5, ASIDE))
+    assert tracks.number == 2
+    assert explained.index(True) == pytest.approx(LIMITS.adopt_s * 30, abs=2)
+    assert all(explained[explained.index(True) :])
+
+
+def test_the_old_place_seen_again_meanwhile_goes_on_as_the_old_track() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    tracks, _ = follow(tracks, steady(2, 3.5, ASIDE))
+    tracks, explained = follow(tracks, steady(3.5, 6, HERE), place(0, HERE, 0.05))
+    assert tracks.number == 1
+    assert all(explained)
+    assert not tracks.disputed(round(6e9))
+
+
+def test_half_of_the_frames_elsewhere_never_take_the_track_and_dispute_it() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    looks = [place(i / 30, ASIDE if i % 2 else HERE) for i in range(60, 300)]
+    tracks, explained = follow(tracks, looks)
+    assert tracks.number == 1
+    assert explained == [seen.d == HERE for seen in looks]
+    assert tracks.disputed(looks[-1].t)
+
+
+def test_one_false_look_is_no_dispute() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    tracks, explained = follow(tracks, [place(2.0, ASIDE), place(2.03, HERE), place(2.07, (0.1, 1.4, 2.0)), place(2.1, HERE)])
+    assert explained == [False, True, False, True]
+    assert not tracks.disputed(round(2.1e9))
+
+
+def test_two_other_places_at_once_are_adopted_by_none() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    looks = [place(i / 30, ASIDE if i % 2 else (-2.0, 0.5, 2.0)) for i in range(60, 400)]
+    tracks, explained = follow(tracks, looks)
+    assert tracks.number == 1
+    assert not any(explained)
+
+
+def test_a_pad_found_again_where_the_belief_expects_it_is_the_same_one() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    tracks, explained = follow(tracks, steady(6, 8, (0.7, 0.0, 2.3)), place(0, (0.6, 0.1, 2.2), 0.3))
+    assert all(explained)
+    assert tracks.number == 1
+
+
+def test_a_wide_belief_explains_no_more_than_a_bounded_distance() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    _, explained = follow(tracks, steady(25, 26, (4.0, 0.0, 2.0)), place(0, HERE, 50.0))
+    assert not any(explained)
+
+
+def test_before_a_track_is_established_the_place_seen_more_often_is_the_pad() -> None:
+    tracks, _ = follow(Tracks(), [place(0.0, ASIDE)])
+    tracks, explained = follow(tracks, steady(0.1, 1, HERE))
+    assert tracks.number == 1
+    assert explained[-1]
+    assert tracks.last is not None
+    assert tracks.last.d == HERE

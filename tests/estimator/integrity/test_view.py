@@ -1,0 +1,52 @@
+"""A frozen picture under fresh noise: the pad keeps its place in the image while the body turns."""
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.integrity.options import IntegrityOptions
+from estimator.integrity.view import ViewWatch, watch
+
+LIMITS = IntegrityOptions()
+
+
+def frozen_shares(seed: int, frozen: bool, sway_rad: float, height_m: float = 1.5, seconds: float = 10.0) -> float:
+    """Share of sightings after which the view counts as frozen; the body sways and drifts as a hovering drone does."""
+    rng = np.random.default_rng(seed)
+    state, hits = ViewWatch(), 0
+    phases, n = rng.uniform(0, 2 * math.pi, 6), round(seconds * 30)
+    for i in range(n):
+        t = i / 30
+        sways = [math.sin(2 * math.pi * hz * t + p) for hz, p in zip((0.7, 0.9, 2.1), phases[:3], strict=True)]
+        R = Rotation.from_rpy(sway_rad * (sways[0] + 0.3 * sways[2]), sway_rad * sways[1], 0.2 * t)
+        # A body that leans one way is pushed that way: g times the tilt, twice integrated.
+        drift_m = 9.81 * sway_rad / (2 * math.pi * 0.8) ** 2
+        true = np.array([0.1 + drift_m * sways[1], drift_m * sways[0], height_m])
+        if frozen:
+            true = R.without_heading() @ np.array([0.1, 0.05, height_m])
+        d = true + rng.normal(0, 0.0005 * height_m, 3)
+        stamp = Stamp(MonoNs(round(t * 1e9)), MonoNs(round((t + 0.09) * 1e9)), 0.001, "sim")
+        sighting = Sighting(stamp, i, "registration", d, 0.1, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
+        state = watch(state, sighting, Attitude(stamp, R, 1e-5 * np.eye(3)), LIMITS)
+        hits += state.frozen
+    return hits / n
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_frozen_view_is_known_while_the_body_turns(seed: int) -> None:
+    assert frozen_shares(seed, frozen=True, sway_rad=math.radians(2.0)) > 0.8
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sway_deg", [0.2, 1.0, 5.0])
+def test_a_true_view_is_not(seed: int, sway_deg: float) -> None:
+    assert frozen_shares(seed, frozen=False, sway_rad=math.radians(sway_deg)) == 0.0
+
+
+def test_a_still_body_says_nothing() -> None:
+    assert frozen_shares(1, frozen=True, sway_rad=math.radians(0.2)) == 0.0
