@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.contracts.errors import SetupImpossible
 
-GROWTH_MAX = 0.02
+GROWTH_MAX = 0.01
 """Share by which memory may have grown after warm-up."""
 _PAGE = resource.getpagesize()
 

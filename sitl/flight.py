@@ -35,7 +35,7 @@ from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import refusal
 from sitl.darkroom import Darkroom
 from sitl.faults import ServiceKilled
-from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade
+from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
 from sitl.scenario import Scenario
 from sitl.world import Phase, Picture, Touchdown, Truth, World
 
@@ -317,7 +317,7 @@ class Flight:
         truth, outcome = self.world.truth(), self._pilot.outcome
         unsafe = dangers(self._watch.worst, truth.contacts, self._died)
         alone = self.world.active("service_killed") or self.world.active("link_lost")
-        worth, because = grade(outcome, truth.contacts, unsafe, self.world.scenario.expect, left_alone=alone)
+        worth, because = grade(outcome, on_pad_m(truth.contacts), unsafe, self.world.scenario.expect, left_alone=alone)
         return FlightResult(
             outcome,
             seconds_between(self.world.started, self.world.at),

@@ -75,18 +75,18 @@ class SightWatch:
             self.worst = BlindDescent(descent_m, height_m, blind_s)
 
 
-def dangers(worst: BlindDescent, contacts: Sequence[Touchdown], died: str | None) -> tuple[str, ...]:
+def dangers(worst: BlindDescent | None, contacts: Sequence[Touchdown], died: str | None) -> tuple[str, ...]:
     """What was unsafe, one line each; empty for a safe flight.
 
     Args:
-        worst: the deepest descent without true sight.
+        worst: the deepest descent without true sight, None where nobody watched for it.
         contacts: all of the flight.
         died: why the service died, None where it did not.
     """
     out = []
     if died is not None:
         out.append(f"the service died in flight: {died}")
-    if worst.descent_m > BLIND_DESCENT_MAX_M:
+    if worst is not None and worst.descent_m > BLIND_DESCENT_MAX_M:
         out.append(
             f"came down {worst.descent_m:.2f} m, to {worst.lowest_m:.2f} m over the deck, without true sight of the pad "
             f"for {worst.blind_s:.1f} s"
@@ -112,9 +112,14 @@ class Grade(Enum):
     FAILED = "failed"
 
 
+def on_pad_m(contacts: Sequence[Touchdown]) -> float | None:
+    """Distance of the newest contact from the pad's centre, None where it was not on the pad."""
+    return contacts[-1].lateral_m if contacts and contacts[-1].on_pad else None
+
+
 def grade(
     outcome: Outcome | None,
-    contacts: Sequence[Touchdown],
+    landed_m: float | None,
     unsafe: Sequence[str],
     expect: Literal["land", "refuse", "either"],
     *,
@@ -124,14 +129,15 @@ def grade(
 
     Args:
         outcome: as the pilot saw it; None where the time ran out.
+        landed_m: what `on_pad_m` says.
         unsafe: what `dangers` says.
         expect: of the scenario.
         left_alone: at the end there was no service or no link, so that nothing could be decided.
     """
     if unsafe:
-        return Grade.FAILED, unsafe[0]
-    if outcome is Outcome.LANDED and contacts and contacts[-1].on_pad:
-        return Grade.ON_PAD, f"{100 * contacts[-1].lateral_m:.1f} cm from the centre"
+        return Grade.FAILED, "; ".join(unsafe)
+    if outcome is Outcome.LANDED and landed_m is not None:
+        return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
     if outcome is Outcome.GAVE_UP or (outcome is None and left_alone):
         said = "gave up" if outcome is Outcome.GAVE_UP else "hovered without a service"
         if expect == "land":

@@ -1,4 +1,4 @@
-"""`decklander soak`: flights in a row for hours, and what they leave behind in memory, descriptors and tasks."""
+"""`decklander soak`: flights in a row for hours, what each was worth, and what they leave behind in memory and descriptors."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,11 @@ from typing import Any
 import msgspec
 
 from companion import event_loop
-from companion.cli.soak_parts import cpu_at, start_time_s
-from companion.pilot import Outcome
+from companion.cli.soak_flights import Class, Flown, Outcomes, real, virtual
+from companion.cli.soak_parts import cpu_at, start_time_s, without_thesis_methods
+from companion.cli.soak_plot import plot
+from companion.health import Health
+from companion.pilot import Pilot
 from companion.service import make_daemon, make_pilot
 from companion.settings import load, shipped
 from companion.settings_model import CameraSettings, PadSettings, Settings
@@ -26,6 +30,7 @@ from companion.signals import Stopped
 from companion.soak import Findings, Reading, findings, read
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.estimates import Verdict
 from sitl.ardrone.again import faulty
 from sitl.flight import Flight
 from sitl.scenario import Scenario
@@ -36,16 +41,19 @@ WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
 FRAME_RATES_HZ = (30, 60)
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
+_DECIDED_S = 2
+"""For the pilot to hear that a flight has ended; the next begins later."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "soak",
         help="flights in a row for hours",
-        description="Land again and again, each flight over a sea of its own and with faults of its own, and watch what the "
-        "process takes: memory, descriptors, threads, tasks, time to start, CPU. In real time the daemon flies the simulated "
-        "drone through sockets; --virtual flies without them, as fast as this machine can. Exit code 1 when something grew that "
-        "must not: memory by 2 % after warm-up, the others by one. Ctrl-C ends it early and says what there is.",
+        description="Land again and again, each flight over a sea of its own and with a fault of its own, and judge: each flight "
+        "is on the pad, refused rightly, failed, or spoilt by a machine that is too slow; and nothing may grow that the process "
+        "takes. In real time the daemon flies the simulated drone through sockets; --virtual flies without them, as fast as this "
+        "machine can. Exit code 1 when flights failed, or most were spoilt, or memory grew by 1 % after warm-up, or descriptors, "
+        "threads or tasks by one. Ctrl-C ends it early and says what there is.",
     )
     length = parser.add_mutually_exclusive_group()
     length.add_argument("--hours", type=float, default=1.0, metavar="H", help="how long; with --virtual, of flight (default 1)")
@@ -63,6 +71,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--no-cpu", action="store_true", help=f"leave out CPU at {FRAME_RATES_HZ} frames a second, and start time"
     )
+    parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="so many flights may fail (default 0)")
+    parser.add_argument(
+        "--all-methods", action="store_true", help="with --virtual: the thesis' methods of vision too, three times the CPU"
+    )
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw memory, counts and outcomes over time (png, svg, pdf)")
     parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading there, one JSON object a line")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
 
@@ -73,7 +86,7 @@ class Tally:
 
     began: float = field(default_factory=time.monotonic)
     endings: Counter[str] = field(default_factory=Counter)
-    on_pad: int = 0
+    outcomes: Outcomes = field(default_factory=Outcomes)
     flown_s: float = 0.0
     readings: list[Reading] = field(default_factory=list)
     file: FileIO | None = None
@@ -83,6 +96,16 @@ class Tally:
     @property
     def flights(self) -> int:
         return self.endings.total()
+
+    @property
+    def on_pad(self) -> int:
+        """How many flights landed on the pad."""
+        return self.outcomes.count(Class.ON_PAD)
+
+    def flown(self, ending: str, flight: Flown) -> None:
+        """Take a flight that has ended."""
+        self.endings[ending] += 1
+        self.outcomes.flights.append(flight)
 
     def take(self, tasks: int | None, quiet: bool) -> None:
         """A reading, and each minute a line about it."""
@@ -97,7 +120,8 @@ class Tally:
         if not quiet and reading.at_s - self._said >= _SAY_EACH_S:
             self._said = reading.at_s
             sys.stderr.write(
-                f"{reading.at_s / 60:5.0f} min  {self.flights} flights, {self.on_pad} on the pad  {reading.memory_mib:.1f} MiB  "
+                f"{reading.at_s / 60:5.0f} min  {self.flights} flights, {self.on_pad} on the pad, "
+                f"{self.outcomes.count(Class.FAILED)} failed  {reading.memory_mib:.1f} MiB  "
                 f"{reading.descriptors} descriptors  {reading.threads} threads\n"
             )
 
@@ -109,8 +133,14 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"--hours must lie in 0.001 to 1000, got {args.hours:g}")
     if args.flights is not None and (args.flights < 1 or not args.virtual):
         raise BadInput("--flights needs --virtual, and is 1 or more")
+    if args.failed_max < 0:
+        raise BadInput(f"--failed-max must be 0 or more, got {args.failed_max}")
+    if args.all_methods and not args.virtual:
+        raise BadInput("--all-methods needs --virtual; in real time the settings say which methods run")
     scenario = load_scenario(args.scenario)
     settings = _rig(args, scenario)
+    if args.plot is not None:
+        _writable("--plot", args.plot)
     interrupted: Stopped | None = None
     with nullcontext() if args.readings is None else _opened(args.readings) as file:
         tally = Tally(file=file)
@@ -129,9 +159,11 @@ def run(args: argparse.Namespace) -> int:
         extra["start_s"] = start_time_s(args.config or "sim")
         extra["cpu_share"] = {str(rate): asdict(event_loop.run(cpu_at(rate, scenario, settings))) for rate in FRAME_RATES_HZ}
     _say(args, tally, found, extra)
+    if args.plot is not None:
+        plot(args.plot, tally.readings, tally.outcomes.flights)
     if interrupted is not None:
         raise interrupted
-    return 0 if found is not None and not found.faults else 1
+    return 0 if found is not None and not found.faults and not tally.outcomes.faults(args.failed_max) else 1
 
 
 def _rig(args: argparse.Namespace, scenario: Scenario) -> Settings:
@@ -139,6 +171,8 @@ def _rig(args: argparse.Namespace, scenario: Scenario) -> Settings:
     if args.config is None:
         own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
         settings = msgspec.structs.replace(settings, **own)
+    if args.virtual and not args.all_methods:
+        settings = without_thesis_methods(settings)
     service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")
     return msgspec.structs.replace(settings, service=service)
 
@@ -147,9 +181,10 @@ def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings,
     seed = args.seed
     while tally.flights < args.flights if args.flights is not None else tally.flown_s < 3600.0 * args.hours:
         wanted = scenario if args.no_faults else faulty(scenario, seed, virtual=True)
-        result = Flight(wanted, seed, settings, make_pilot(settings), renew=lambda: make_pilot(settings)).run()
-        tally.endings["time is up" if result.outcome is None else result.outcome.value] += 1
-        tally.on_pad += result.landed_on_pad
+        renew = partial(make_pilot, settings)
+        result = Flight(wanted, seed, settings, make_pilot(settings), renew=renew, contain=True).run()
+        flight = virtual(time.monotonic() - tally.began, seed, wanted.title, result)
+        tally.flown("time is up" if result.outcome is None else result.outcome.value, flight)
         tally.flown_s += result.duration_s
         tally.take(None, args.json)
         seed += 1
@@ -179,7 +214,7 @@ async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) ->
         tally.take(len(asyncio.all_tasks()), quiet=True)
         async with asyncio.TaskGroup() as group:
             flying = group.create_task(daemon.run())
-            listening = group.create_task(_listen(child.stdout, tally))
+            listening = group.create_task(_listen(child.stdout, tally, pilot, daemon.health))
             reading = group.create_task(_read(tally, args.json))
             await asyncio.wait({flying, listening}, timeout=3600.0 * args.hours, return_when=asyncio.FIRST_COMPLETED)
             ended_early = listening.done()
@@ -194,18 +229,32 @@ async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) ->
         await child.communicate()
 
 
-async def _listen(lines: asyncio.StreamReader, tally: Tally) -> None:
+async def _listen(lines: asyncio.StreamReader, tally: Tally, pilot: Pilot, health: Health) -> None:
+    before: Counter[Verdict] = Counter()
     async for line in lines:
         said = json.loads(line)
         if said.get("event") == "flight":
-            tally.endings[said["ended"]] += 1
-            tally.on_pad += bool(said["on_pad"]) and said["ended"] == Outcome.LANDED.value
+            for _ in range(_DECIDED_S * 20):
+                if pilot.outcome is not None or said["ended"] == "time is up":
+                    break
+                await asyncio.sleep(0.05)  # the drone says that it landed before the pilot has heard of it
+            frames = health.frames - before
+            before = Counter(health.frames)
+            tally.flown(said["ended"], real(time.monotonic() - tally.began, said, pilot.outcome, frames))
 
 
 async def _read(tally: Tally, quiet: bool) -> None:
     while True:
         await asyncio.sleep(_READ_EACH_S)
         tally.take(len(asyncio.all_tasks()), quiet)
+
+
+def _writable(option: str, path: Path) -> None:
+    """Say before the first flight that a file cannot be written."""
+    try:
+        path.open("ab").close()
+    except OSError as why:
+        raise BadInput(f"{option}: {path}: {why.strerror or why}") from why
 
 
 def _opened(path: Path) -> FileIO:
@@ -218,10 +267,11 @@ def _opened(path: Path) -> FileIO:
 def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: dict[str, Any]) -> None:
     if args.json:
         said = {"flights": tally.flights, "on_pad": tally.on_pad, "endings": dict(tally.endings), "flown_s": tally.flown_s}
+        said |= {**tally.outcomes.as_json(), "flight_faults": tally.outcomes.faults(args.failed_max)}
         sys.stdout.write(json.dumps({**said, "findings": None if found is None else found.as_json(), **extra}) + "\n")
         return
     endings = ", ".join(f"{n} {name}" for name, n in sorted(tally.endings.items()))
-    lines = [f"{tally.flights} flights in {tally.flown_s / 3600:.2f} h: {endings}; {tally.on_pad} on the pad"]
+    lines = [f"{tally.flights} flights in {tally.flown_s / 3600:.2f} h: {endings}", *tally.outcomes.in_words()]
     if found is None:
         lines.append("too short to say what grows")
     else:
@@ -239,5 +289,6 @@ def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: 
             lines.append(
                 f"CPU        {cpu['share']:.0%} of a core at {rate} frames a second, {cpu['seen']:.0%} of them looked at"
             )
+    lines += [f"FAULT: {fault}" for fault in tally.outcomes.faults(args.failed_max)]
     lines += [f"FAULT: {fault}" for fault in found.faults] if found is not None else []
     sys.stdout.write("\n".join(lines) + "\n")

@@ -23,6 +23,7 @@ from estimator.contracts.time import seconds_between
 from sitl.ardrone.server import ArDroneServer
 from sitl.ardrone.state import AIRBORNE
 from sitl.faults import ServiceKilled
+from sitl.safety import dangers
 from sitl.scenario import FAULTS, Scenario, load
 from sitl.world import Phase, World
 
@@ -86,8 +87,10 @@ async def fly_again(
     """
     pause = pause or Pause()
     while True:
+        sent, stood_s = server.counters["video_sent"], server.stood_still_s
         ended = await _end(server, clock)
-        say(event="flight", seed=seed, ended=ended, **_contact(server.world))
+        load = {"frames_sent": server.counters["video_sent"] - sent, "stood_still_s": round(server.stood_still_s - stood_s, 3)}
+        say(event="flight", seed=seed, ended=ended, **_judged(server.world), **load)
         seed += 1
         following = faulty(scenario, seed) if faults else scenario
         rested = clock.now()
@@ -113,11 +116,20 @@ async def _end(server: ArDroneServer, clock: Clock) -> str:
     return "time is up"
 
 
-def _contact(world: World) -> dict[str, Any]:
-    touched = world.truth().touchdown
-    if touched is None:
-        return {"surface": None, "on_pad": False, "lateral_m": None}
-    return {"surface": touched.surface, "on_pad": touched.on_pad, "lateral_m": round(touched.lateral_m, 4)}
+def _judged(world: World) -> dict[str, Any]:
+    """What is known of the flight on this side of the sockets."""
+    truth, scenario = world.truth(), world.scenario
+    touched = truth.touchdown
+    return {
+        "title": scenario.title,
+        "expect": scenario.expect,
+        "duration_s": round(seconds_between(world.started, truth.at), 3),
+        "surface": None if touched is None else touched.surface,
+        "on_pad": touched is not None and touched.on_pad,
+        "lateral_m": None if touched is None else round(touched.lateral_m, 4),
+        "unsafe": list(dangers(None, truth.contacts, None)),
+        "left_alone": world.active("link_lost"),
+    }
 
 
 def _prepared(scenario: Scenario, seed: int) -> World:

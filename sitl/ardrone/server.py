@@ -101,6 +101,8 @@ class ArDroneServer:
         self._video_due = 0.0
         self._ticks = 0
         self.drone = Drone(world, self._drone_clock)
+        self.stood_still_s = 0.0
+        """How long this host kept the drone from sending, all in all; up to `CATCH_UP_MAX_S` at a time is caught up."""
         self.silent = False
         """Send no navdata, as a drone that is switched off."""
 
@@ -168,6 +170,7 @@ class ArDroneServer:
             behind_s = seconds_between(due, self._clock.now())
             if behind_s > CATCH_UP_MAX_S:
                 self.counters["stood_still"] += 1
+                self.stood_still_s += behind_s
                 due = self._clock.now()
             elif behind_s < 0.0:
                 await self._clock.sleep(-behind_s)

@@ -11,7 +11,7 @@ from companion.pilot import Outcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
-from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, outside_commit
+from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m, outside_commit
 from sitl.world import Phase, Touchdown, Truth
 
 START = MonoNs(0)
@@ -111,11 +111,11 @@ def test_a_flight_is_worth_what_its_scenario_expects(
     worth: Grade,
 ) -> None:
     touched = [contact(surface) for surface in contacts]
-    given, because = grade(outcome, touched, dangers(SAFE, touched, None), expect)
+    given, because = grade(outcome, on_pad_m(touched), dangers(SAFE, touched, None), expect)
     assert given is worth
     assert because
 
 
 def test_without_a_service_hovering_on_is_right() -> None:
-    assert grade(None, [], (), "refuse", left_alone=True)[0] is Grade.REFUSED_RIGHTLY
-    assert grade(None, [contact("water")], ("in the water",), "refuse", left_alone=True)[0] is Grade.FAILED
+    assert grade(None, None, (), "refuse", left_alone=True)[0] is Grade.REFUSED_RIGHTLY
+    assert grade(None, None, ("in the water",), "refuse", left_alone=True)[0] is Grade.FAILED

@@ -1,0 +1,149 @@
+"""What each flight of a soak was worth, and whether the machine, not the product, is to blame."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from enum import Enum
+from typing import Any
+
+from companion.pilot import Outcome
+from estimator.contracts.estimates import Verdict
+from sitl.flight import FlightResult
+from sitl.safety import Grade, grade
+
+STOOD_STILL_MAX_S = 1.0
+FILMED_MIN, REPLACED_MAX, NO_ATTITUDE_MAX = 0.5, 0.4, 0.15
+"""Shares of a flight's frames: rendered by the simulator of those it should, overtaken before vision came to them, without an
+attitude because the samples came late."""
+STARVED_MAX = 0.5
+"""Share of the flights that a machine may spoil before the soak itself says nothing."""
+_FRAMES_HZ = 30.0
+
+
+class Class(Enum):
+    """The outcome of a flight in a soak."""
+
+    ON_PAD = Grade.ON_PAD.value
+    REFUSED_RIGHTLY = Grade.REFUSED_RIGHTLY.value
+    FAILED = Grade.FAILED.value
+    STARVED = "not judged: the machine was too slow"
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One flight."""
+
+    at_s: float
+    """When it ended, of wall time since the soak began."""
+    seed: int
+    title: str
+    """Of the scenario; with its fault behind a semicolon."""
+    worth: Class
+    because: str
+    duration_s: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {**asdict(self), "worth": self.worth.value}
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """How well the machine kept up during a flight in real time."""
+
+    duration_s: float
+    frames_sent: int
+    """Rendered and sent by the simulated drone."""
+    stood_still_s: float
+    """In which the simulated drone could not move."""
+    frames: Counter[Verdict]
+    """What the daemon made of the frames it received."""
+
+    def starved(self) -> str | None:
+        """What shows that the machine was too slow, None where it kept up."""
+        said = []
+        if self.stood_still_s > STOOD_STILL_MAX_S:
+            said.append(f"the simulated drone stood still for {self.stood_still_s:.1f} s")
+        filmed = self.frames_sent / max(1.0, _FRAMES_HZ * self.duration_s)
+        if filmed < FILMED_MIN:
+            said.append(f"{filmed:.0%} of the frames were rendered in time")
+        every = max(1, self.frames.total())
+        if (share := self.frames[Verdict.REPLACED] / every) > REPLACED_MAX:
+            said.append(f"{share:.0%} of the frames were overtaken by newer ones")
+        if (share := self.frames[Verdict.NO_ATTITUDE] / every) > NO_ATTITUDE_MAX:
+            said.append(f"{share:.0%} of the frames had no attitude")
+        return "; ".join(said) or None
+
+
+def virtual(at_s: float, seed: int, title: str, result: FlightResult) -> Flown:
+    """A flight in virtual time, which no machine is too slow for."""
+    return Flown(at_s, seed, title, Class(result.grade.value), result.because, result.duration_s)
+
+
+def real(at_s: float, said: dict[str, Any], outcome: Outcome | None, frames: Counter[Verdict]) -> Flown:
+    """A flight in real time.
+
+    Args:
+        said: the line of `sitl.ardrone.again` about it.
+        outcome: as the pilot saw it when the flight had ended.
+        frames: what the daemon made of its frames.
+    """
+    if said["ended"] == "time is up" and outcome is not Outcome.GAVE_UP:
+        outcome = None  # the simulator switched the drone off in the air, which the pilot takes for an emergency
+    landed_m = said["lateral_m"] if said["on_pad"] else None
+    worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], left_alone=said["left_alone"])
+    load = Load(said["duration_s"], said["frames_sent"], said["stood_still_s"], frames)
+    kind = Class(worth.value)
+    if kind is Class.FAILED and (slow := load.starved()) is not None:
+        kind, because = Class.STARVED, f"{slow} ({because})"
+    return Flown(at_s, said["seed"], said["title"], kind, because, said["duration_s"])
+
+
+@dataclass(slots=True)
+class Outcomes:
+    """All flights of a soak."""
+
+    flights: list[Flown] = field(default_factory=list)
+
+    def count(self, worth: Class) -> int:
+        """How many flights are of one class."""
+        return sum(flight.worth is worth for flight in self.flights)
+
+    def faults(self, failed_max: int) -> list[str]:
+        """Why the flights make the soak fail, in words; empty when they do not."""
+        said = []
+        failed, starved = self.count(Class.FAILED), self.count(Class.STARVED)
+        if failed > failed_max:
+            said.append(f"{failed} of {len(self.flights)} flights failed" + (f", more than {failed_max}" if failed_max else ""))
+        if starved > STARVED_MAX * len(self.flights):
+            said.append(f"this machine was too slow for {starved} of {len(self.flights)} flights: nothing is shown by them")
+        return said
+
+    def as_json(self) -> dict[str, Any]:
+        """Counts by class, and every flight."""
+        counts = {worth.name.lower(): self.count(worth) for worth in Class}
+        return {"classes": counts, "outcomes": [flight.as_json() for flight in self.flights]}
+
+    def in_words(self) -> list[str]:
+        """A line of counts, and one for each flight that did not end as it should."""
+        counts = ", ".join(f"{n} {worth.value}" for worth in Class if (n := self.count(worth)))
+        lines = [f"outcomes   {counts or 'none'}"]
+        for flight in self.flights:
+            if flight.worth in (Class.FAILED, Class.STARVED):
+                lines.append(f"  seed {flight.seed}, {fault_of(flight.title)}: {flight.worth.value}: {flight.because}")
+        return lines
+
+
+def fault_of(title: str) -> str:
+    """What is wrong in a flight, by the title of its scenario."""
+    return title.rpartition("; ")[2]
+
+
+def by_fault(flights: Sequence[Flown]) -> dict[str, Counter[Class]]:
+    """Outcomes of each fault."""
+    out: dict[str, Counter[Class]] = {}
+    for flight in flights:
+        out.setdefault(fault_of(flight.title), Counter())[flight.worth] += 1
+    return out

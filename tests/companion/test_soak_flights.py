@@ -1,0 +1,120 @@
+"""What a soak makes of its flights: failed ones fail it, a machine that is too slow is named and not the product."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.cli import main as cli
+from companion.cli.soak_flights import Class, Flown, Load, Outcomes, by_fault, real
+from companion.cli.soak_plot import plot
+from companion.pilot import Outcome
+from companion.soak import Reading
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Verdict
+from tests.sitl.near import NEAR
+
+GOOD = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 50})
+SAID: dict[str, Any] = {
+    "ended": "landed", "seed": 3, "title": "A small ferry; faults/camera_freezes", "expect": "refuse", "duration_s": 30.0,
+    "surface": "pad", "on_pad": True, "lateral_m": 0.08, "unsafe": [], "left_alone": False, "frames_sent": 880,
+    "stood_still_s": 0.0,
+}  # fmt: skip
+
+
+def judged(outcome: Outcome | None, frames: Counter[Verdict] = GOOD, **said: Any) -> Flown:
+    return real(10.0, {**SAID, **said}, outcome, frames)
+
+
+def flown(worth: Class, seed: int = 1, title: str = "a; faults/b") -> Flown:
+    return Flown(60.0 * seed, seed, title, worth, "why", 30.0)
+
+
+def test_a_flight_in_real_time_is_on_the_pad_refused_or_failed() -> None:
+    assert judged(Outcome.LANDED).worth is Class.ON_PAD
+    away: dict[str, Any] = {"ended": "time is up", "on_pad": False, "surface": None, "lateral_m": None}
+    assert judged(Outcome.GAVE_UP, **away).worth is Class.REFUSED_RIGHTLY
+    assert judged(Outcome.GAVE_UP, expect="land", **away).worth is Class.FAILED
+    late = judged(Outcome.EMERGENCY, **away)
+    assert (late.worth, late.because) == (Class.FAILED, "time ran out: it neither landed nor gave up")
+    wet = judged(Outcome.LANDED, on_pad=False, surface="water", unsafe=["in the water, 2.50 m from the pad's centre"])
+    assert (wet.worth, wet.because) == (Class.FAILED, "in the water, 2.50 m from the pad's centre")
+    struck = judged(Outcome.LANDED, unsafe=["touched the deck 0.48 m from the pad's centre"])
+    assert struck.worth is Class.FAILED, "a landing does not make good what was struck before"
+    assert judged(Outcome.EMERGENCY, ended="emergency", on_pad=False).worth is Class.FAILED
+
+
+@pytest.mark.parametrize(
+    ("frames", "said", "reason"),
+    [
+        (GOOD, {"stood_still_s": 4.0}, "the simulated drone stood still for 4.0 s"),
+        (GOOD, {"frames_sent": 200}, "22% of the frames were rendered in time"),
+        (Counter({Verdict.REPLACED: 600, Verdict.FUSED: 280}), {}, "68% of the frames were overtaken by newer ones"),
+        (Counter({Verdict.NO_ATTITUDE: 600, Verdict.FUSED: 280}), {}, "68% of the frames had no attitude"),
+    ],
+)
+def test_a_machine_that_is_too_slow_is_named_for_a_failure_and_a_good_flight_stays_good(
+    frames: Counter[Verdict], said: dict[str, Any], reason: str
+) -> None:
+    failed = judged(Outcome.EMERGENCY, frames, ended="emergency", on_pad=False, **said)
+    assert failed.worth is Class.STARVED
+    assert reason in failed.because
+    assert "emergency" in failed.because, "what happened is told beside"
+    assert judged(Outcome.LANDED, frames, **said).worth is Class.ON_PAD
+    assert Load(30.0, 880, 0.2, GOOD).starved() is None
+
+
+def test_failed_flights_and_a_starved_soak_are_faults() -> None:
+    good = Outcomes([flown(Class.ON_PAD), flown(Class.REFUSED_RIGHTLY)])
+    assert good.faults(0) == []
+    bad = Outcomes([*good.flights, flown(Class.FAILED, 7), flown(Class.STARVED)])
+    assert bad.faults(0) == ["1 of 4 flights failed"]
+    assert bad.faults(1) == []
+    assert "  seed 7, faults/b: failed: why" in bad.in_words()
+    assert bad.as_json()["classes"] == {"on_pad": 1, "refused_rightly": 1, "failed": 1, "starved": 1}
+    slow = Outcomes([flown(Class.STARVED), flown(Class.STARVED), flown(Class.ON_PAD)])
+    assert slow.faults(0) == ["this machine was too slow for 2 of 3 flights: nothing is shown by them"]
+    assert by_fault(bad.flights) == {"faults/b": Counter(dict.fromkeys(Class, 1))}
+
+
+def test_the_plot_is_written_and_a_place_that_takes_none_is_named(tmp_path: Path) -> None:
+    readings = [Reading(30.0 * n, n, 100.0 + n, 10, 3, None, 1.0 * n) for n in range(12)]
+    flights = [flown(worth, n + 1, f"a; faults/{n}") for n, worth in enumerate(Class)]
+    plot(tmp_path / "soak.png", readings, flights)
+    assert (tmp_path / "soak.png").read_bytes()[:4] == b"\x89PNG"
+    plot(tmp_path / "empty.svg", readings, [])
+    with pytest.raises(BadInput, match="--plot"):
+        plot(tmp_path / "soak.tiff.nothing", readings, flights)
+
+
+@pytest.mark.parametrize(
+    "words", [["--failed-max", "-1"], ["--all-methods"], ["--virtual", "--flights", "1", "--plot", "/dev/null/x.png"]]
+)
+def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["soak", *words]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_virtual_soak_names_the_flight_that_failed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bug of the service in flight does not end the soak: it fails that flight, by name."""
+    from companion.pilot import Pilot
+
+    near = tmp_path / "near.toml"
+    near.write_text(NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 3.0"))
+
+    def broken(self: Pilot, *_: Any) -> None:
+        raise KeyError(int(np.array(7)))
+
+    monkeypatch.setattr(Pilot, "look", broken)
+    words = ["--virtual", "--flights", "2", "--scenario", str(near), "--no-cpu", "--no-faults", "--plot", str(tmp_path / "p.png")]
+    assert cli.main(["soak", *words]) == 1
+    said = capsys.readouterr().out
+    assert "FAULT: 2 of 2 flights failed" in said
+    assert "the service died in flight: KeyError: 7 (test_soak_flights.py:" in said
+    assert (tmp_path / "p.png").exists()
