@@ -1,8 +1,10 @@
-"""Whether a set of views pins the camera down, and what it lacks, in words that say what to do next."""
+"""How well a set of views pins the camera down, and what it lacks, in words that say what to do next."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,36 @@ SIGMA_F = 0.004
 SIGMA_C = 0.004
 """One standard deviation of the principal point as a share of the picture's width."""
 NAMES = (("top left", "top right"), ("bottom left", "bottom right"))
+
+Grade = Literal["good", "fair", "poor"]
+GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
+"""From the best to the worst."""
+
+
+@dataclass(frozen=True, slots=True)
+class Assessment:
+    """What stands against a solution.
+
+    `poor`: its numbers themselves are not known well enough, or contradict the views. `fair`: the numbers hold where the board
+    was, and are extrapolated where it was not, at the edges of the image or in tilt. `good`: neither.
+    """
+
+    imprecise: tuple[str, ...]
+    """Why the numbers are not to be trusted."""
+    uncovered: tuple[str, ...]
+    """Where they are extrapolated."""
+
+    @property
+    def grade(self) -> Grade:
+        """The worst that holds."""
+        if self.imprecise:
+            return "poor"
+        return "fair" if self.uncovered else "good"
+
+    @property
+    def missing(self) -> list[str]:
+        """Everything that would make the set better, the gravest first."""
+        return [*self.imprecise, *self.uncovered]
 
 
 def coverage(views: Sequence[View], size: tuple[int, int]) -> NDArray[np.int64]:
@@ -58,25 +90,26 @@ def missing_before(views: Sequence[View], size: tuple[int, int]) -> list[str]:
     return lacks
 
 
-def missing(solution: Solution, size: tuple[int, int]) -> list[str]:
-    """Everything the set lacks; empty for a good one."""
-    lacks = missing_before([f.view for f in solution.fits], size)
+def assess(solution: Solution, size: tuple[int, int]) -> Assessment:
+    """Grade a solution by its covariance, its residuals and where the board was."""
+    uncovered = missing_before([f.view for f in solution.fits], size)
     tilts = np.array([f.tilt_deg for f in solution.fits])
     for axis, way in ((0, "top edge towards or away from the camera"), (1, "left edge towards or away from the camera")):
         n = int(np.sum(np.abs(tilts[:, axis]) >= TILT_DEG))
         if n < TILTED:
-            lacks.append(f"{TILTED - n} more views tilted by {TILT_DEG:g} degrees or more, {way}")
+            uncovered.append(f"{TILTED - n} more views tilted by {TILT_DEG:g} degrees or more, {way}")
+    imprecise = []
     if solution.rms_px > RMS_PX:
-        lacks.append(f"sharper pictures or a flatter board (error {solution.rms_px:.2f} px, at most {RMS_PX:g})")
+        imprecise.append(f"sharper pictures or a flatter board (error {solution.rms_px:.2f} px, at most {RMS_PX:g})")
     camera, sigma = solution.camera, solution.sigma
     focal = float(max(sigma[0] / camera.fx, sigma[1] / camera.fy))
     if focal > SIGMA_F:
-        lacks.append(f"more tilt and nearer views (focal length known to {focal:.2%}, {SIGMA_F:.1%} needed)")
+        imprecise.append(f"more tilt and nearer views (focal length known to {focal:.2%}, {SIGMA_F:.1%} needed)")
     centre = float(max(sigma[2], sigma[3]) / size[0])
     if centre > SIGMA_C:
-        lacks.append(f"tilt in more directions (principal point known to {centre:.2%} of the width, {SIGMA_C:.1%} needed)")
+        imprecise.append(f"tilt in more directions (principal point known to {centre:.2%} of the width, {SIGMA_C:.1%} needed)")
     if len(solution.left_out) > len(solution.fits) / 2:
-        lacks.append(
+        imprecise.append(
             f"views that agree: {len(solution.left_out)} of {len(solution.left_out) + len(solution.fits)} contradict the rest"
         )
-    return lacks
+    return Assessment(tuple(imprecise), tuple(uncovered))

@@ -1,4 +1,4 @@
-"""`decklander calibrate camera`: a camera file from pictures of a printed board, or what the pictures lack."""
+"""`decklander calibrate camera`: a camera file from pictures of a printed board, its grade, and what the pictures lack."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "camera",
         help="intrinsics and distortion from pictures of a printed board",
         description="Intrinsics and distortion from pictures of a printed board (print one: decklander pad --board charuco). "
-        "Exit code 1 when the pictures do not pin the camera down; then no file is written and what they lack is listed.",
+        "The result is graded: good; fair, when its numbers hold but parts of the image or of the tilts were not covered; poor. "
+        "Exit code 1 when it is worse than --accept allows; then no file is written and what the pictures lack is listed.",
     )
     p.add_argument("paths", nargs="*", metavar="PATH", help="pictures, folders of pictures, or videos")
     p.add_argument("--device", metavar="NAME", help="a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
@@ -46,6 +47,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     board_option.add(p)
     p.add_argument("--out", required=True, metavar="FILE", help="camera file to write")
+    p.add_argument(
+        "--accept",
+        default="good",
+        choices=judge.GRADES,
+        help="write a camera of this grade or a better one (default: %(default)s)",
+    )
     p.add_argument("--figures", metavar="DIR", help="where to put coverage.png and residuals.png")
     p.add_argument("--position-m", default="0,0,0", metavar="F,R,D", help="camera in the body: forward, right, down")
     p.add_argument(
@@ -69,18 +76,23 @@ def run(args: argparse.Namespace) -> int:
     collection = _gather(args, board)
     size = collection.size or (0, 0)
     if len(collection.views) < LEAST_VIEWS:
-        _say(args, collection, None, judge.missing_before(collection.views, size) if collection.views else ["the board"])
+        lacks = judge.missing_before(collection.views, size) if collection.views else ["the board"]
+        _say(args, collection, None, judge.Assessment(tuple(lacks), ()), written=False)
         return 1
     solution = solve(collection.views, board, size, mount)
     if args.figures is not None:
         figures.write_coverage([f.view for f in solution.fits], size, Path(args.figures) / "coverage.png")
         figures.write_residuals(solution, Path(args.figures) / "residuals.png")
-    lacks = judge.missing(solution, size)
-    if not lacks:
+    found = judge.assess(solution, size)
+    accepted = judge.GRADES.index(found.grade) <= judge.GRADES.index(args.accept)
+    if accepted:
         source = args.device or f"{len(args.paths)} files or folders"
-        out.write_text(text(solution, f"{source} ({args.board} {args.squares})", rpy), encoding="utf-8")
-    _say(args, collection, solution, lacks)
-    return 1 if lacks else 0
+        try:
+            out.write_text(text(solution, f"{source} ({args.board} {args.squares}, {found.grade})", rpy), encoding="utf-8")
+        except OSError as why:
+            raise BadInput(f"--out {out}: {why.strerror or why}") from why
+    _say(args, collection, solution, found, written=accepted)
+    return 0 if accepted else 1
 
 
 def _gather(args: argparse.Namespace, board: Board) -> Collection:
@@ -131,9 +143,11 @@ def _three(text: str, name: str) -> tuple[float, float, float]:
     return values[0], values[1], values[2]
 
 
-def _say(args: argparse.Namespace, collection: Collection, solution: Solution | None, lacks: list[str]) -> None:
+def _say(
+    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: judge.Assessment, *, written: bool
+) -> None:
     if args.json:
-        sys.stdout.write(json.dumps(_record(args, collection, solution, lacks)) + "\n")
+        sys.stdout.write(json.dumps(_record(args, collection, solution, found, written=written)) + "\n")
         return
     lines = [f"{collection.looked} pictures: {len(collection.views)} views, the board not found in {len(collection.without)}"]
     if solution is not None:
@@ -144,16 +158,23 @@ def _say(args: argparse.Namespace, collection: Collection, solution: Solution | 
             f"error {solution.rms_px:.3f} px rms over {len(solution.fits)} views, {len(solution.left_out)} left out; "
             f"distortion {solution.model}",
         ]
-    lines += [f"written to {args.out}"] if not lacks else ["not good enough, nothing written; it lacks:"]
-    lines += [f"  - {lack}" for lack in lacks]
+    if written:
+        lines.append(f"{found.grade}: written to {args.out}" + ("; it would be better with:" if found.missing else ""))
+    else:
+        wish = "" if solution is None else f" (--accept {found.grade} writes it all the same)"
+        lines.append(f"{found.grade}: nothing written{wish}; it lacks:")
+    lines += [f"  - {lack}" for lack in found.missing]
     sys.stdout.write("\n".join(lines) + "\n")
 
 
-def _record(args: argparse.Namespace, collection: Collection, solution: Solution | None, lacks: list[str]) -> dict[str, object]:
+def _record(
+    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: judge.Assessment, *, written: bool
+) -> dict[str, object]:
     record: dict[str, object] = {
-        "good": not lacks,
-        "missing": lacks,
-        "file": None if lacks else args.out,
+        "good": found.grade == "good",
+        "grade": found.grade,
+        "missing": found.missing,
+        "file": args.out if written else None,
         "pictures": collection.looked,
         "views": len(collection.views),
         "without_board": collection.without,

@@ -100,8 +100,35 @@ def test_views_without_tilt_are_refused_for_it() -> None:
     for i, (x, y) in enumerate([(0.5, 0.5), (0.2, 0.3), (0.8, 0.3), (0.2, 0.7), (0.8, 0.7)]):
         collection.add(f"{i}", studio.aim((x * 480, y * 320), 0.35 + 0.01 * i, (0.0, 2.0, 9.0 * i)))
     assert collection.size == (480, 320)
-    lacks = judge.missing(solve(collection.views, CHARUCO, collection.size), collection.size)
-    assert sum("tilted by 15 degrees" in lack for lack in lacks) == 2
+    found = judge.assess(solve(collection.views, CHARUCO, collection.size), collection.size)
+    assert sum("tilted by 15 degrees" in lack for lack in found.uncovered) == 2
+    assert found.grade == "poor"
+    assert "principal point known to" in found.imprecise[0]
+
+
+def test_a_set_that_only_lacks_a_corner_is_fair_and_written_when_that_is_accepted(
+    folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "camera.toml"
+    size = (480, 320)
+    kept = []
+    for file in sorted(folders["charuco"].iterdir()):
+        collection = Collection(CHARUCO, moving=False)
+        collection.add(file.name, cv2.imread(str(file)))
+        if not any("bottom right" in lack for lack in judge.missing_before(collection.views, size)):
+            continue  # the only pictures that reach into that corner
+        kept.append(str(file))
+    assert len(kept) >= 10
+    arguments = ["calibrate", "camera", *kept, "--out", str(out), "--json"]
+    assert main(arguments) == 1
+    refused = json.loads(capsys.readouterr().out)
+    assert (refused["grade"], refused["good"], refused["file"]) == ("fair", False, None)
+    assert refused["missing"] == ["the board closer into the bottom right corner"]
+    assert not out.exists()
+    assert main([*arguments, "--accept", "fair"]) == 0
+    accepted = json.loads(capsys.readouterr().out)
+    assert (accepted["grade"], accepted["file"]) == ("fair", str(out))
+    assert Camera.from_mapping(tomllib.loads(out.read_text())).fx == pytest.approx(BENT.fx, rel=3e-3)
 
 
 def test_a_view_that_contradicts_the_others_is_left_out(folders: dict[str, Path]) -> None:
