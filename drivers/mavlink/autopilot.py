@@ -167,12 +167,12 @@ class Autopilot:
             raise Recoverable("the link to the autopilot is closed")
         if self._known is None or self._known.lost:
             raise Recoverable("no autopilot is heard")
-        now = self._clock.now()
+        now, way_level = self._clock.now(), None
         if isinstance(command, Velocity) and self.attitude is not None:
             # The autopilot's velocities are over the ground.
             way_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.carried(now)
             command = Velocity(command.v_level + way_level, command.yaw_rate_rad_s)
-        self._known.helm.take(command, now)
+        self._known.helm.take(command, now, way_level)
 
     def release(self) -> None:
         """Nothing of ours stays behind: on closing the autopilot is told to hold, and does so by itself."""
@@ -229,6 +229,8 @@ class Autopilot:
         known.parameters.hear(message)
         self._offer(known.sampler.samples(message, heard.heard))
         known.helm.hear(known.sampler.condition)
+        if name == "LOCAL_POSITION_NED" and known.sampler.positions:
+            known.helm.hear_position(float(known.sampler.positions[-1].p_body_ned[2]))
         if name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
             known.helm.hear_attitude(known.sampler.attitude)
 

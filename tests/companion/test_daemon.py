@@ -140,7 +140,9 @@ async def test_a_lost_vehicle_comes_back_alone_while_guidance_goes_on() -> None:
         rounds = len(diary.decisions)
         vehicle.say(flying=True)
         await until(lambda: len(diary.decisions) > rounds + 3 and Hover() in vehicle.commands)
+        assert not vehicle.released, "one that is opened again holds the drone meanwhile"
         daemon.stop()
+        assert vehicle.released
     assert daemon.health.parts["vehicle"].restarts == 1
     assert daemon.health.parts["vehicle"].last_error == "unplugged"
     assert daemon.health.parts["guidance"].restarts == 0

@@ -147,6 +147,7 @@ def test_a_velocity_grows_stale_and_is_flown_as_standing_still() -> None:
     assert sent[0][:2] != (0.0, 0.0)
     assert sent[-1] == (0.0, 0.0, 0.0, 0.0)
     assert flight.helm.stale_periods > 10
+    assert flight.helm.hand is Hand.OURS
 
 
 def test_without_a_heading_nothing_is_sent() -> None:
@@ -214,7 +215,114 @@ def test_the_last_word() -> None:
     assert velocities(last) == [(0.0, 0.0, 0.0, 0.0)]
     assert modes(last) == [(4, 3)], "its stream ends, which is no exit from OFFBOARD"
     flight.periods(0.2, Land())
-    assert modes(flight.helm.leave(flight.now)) == [(4, 6)]
+    assert modes(flight.helm.leave(flight.now)) == [(4, 3)], "nobody renews the landing any more, and AUTO.LAND knows of no deck"
+    flight.helm.take(Hover(), flight.now)
+    flight.told("offboard")
+    flight.periods(0.2, Land(standing=True))
+    assert modes(flight.helm.leave(flight.now)) == [(4, 6)], "a person's goes on"
+
+
+def over_a_deck(stack: Stack = Stack.PX4, **options: object) -> Flight:
+    """Steered onto a deck that makes 1.5 m/s to the nose's right, with 0.2 m/s of correction on top."""
+    flight = Flight(stack, "loiter" if stack is Stack.ARDUPILOT else "auto.loiter", **options)
+    way = np.array([0.0, 1.5, 0.3])
+    for _ in range(63):
+        flight.helm.take(Velocity(np.array([0.2, 1.5, 0.3]), 0.0), flight.now, way)
+        flight.periods(0.04)
+    flight.told("guided" if stack is Stack.ARDUPILOT else "offboard")
+    flight.helm.take(Velocity(np.array([0.2, 1.5, 0.3]), 0.0), flight.now, way)
+    return flight
+
+
+@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
+def test_silent_guidance_is_flown_as_a_hold_with_the_deck_then_over_the_ground_then_not_at_all(stack: Stack) -> None:
+    """Forward is east and right is south in these flights."""
+    flight = over_a_deck(stack)
+    sent = flight.periods(12.0)
+    v = velocities(sent)
+    assert v[0] == pytest.approx((-1.5, 0.2, 0.3, 0.0))
+    assert v[10] == pytest.approx((-1.5, 0.0, 0.0, 0.0)), "the ship's way, without heave and corrections"
+    assert v[80] == (0.0, 0.0, 0.0, 0.0)
+    assert all(vz <= 0.0 for _, _, vz, _ in v[7:])
+    assert set(modes(sent)) == {(4, 3) if stack is Stack.PX4 else (17, 0)}
+    assert len(v) < 12 * 25, "the stream ends, so that the autopilot's own failsafe can act"
+    assert flight.periods(3.0) == []
+    flight.told("auto.loiter" if stack is Stack.PX4 else "brake")
+    assert flight.helm.hand is Hand.HOLDING
+    assert velocities(flight.periods(0.2, GO)), "guidance that is back is heard again"
+    assert flight.helm.hand is Hand.TAKING
+
+
+def test_a_person_who_takes_the_vehicle_while_it_holds_keeps_it() -> None:
+    flight = over_a_deck()
+    flight.periods(7.0)
+    flight.told("auto.loiter")
+    flight.told("posctl")
+    assert flight.periods(1.0, GO) == []
+    assert flight.helm.hand is Hand.RELEASED
+
+
+def test_a_hover_over_a_moving_deck_goes_along_for_a_while() -> None:
+    flight = over_a_deck()
+    v = velocities(flight.periods(5.0, Hover()))
+    assert v[0] == pytest.approx((-1.5, 0.0, 0.0, 0.0))
+    assert v[-1] == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_landing_by_velocity_stops_sinking_when_it_is_not_asked_for_again() -> None:
+    """It sank for ever: 3,000 setpoints in 120 s."""
+    flight = over_a_deck()
+    sinking = velocities(flight.periods(1.0, Land()))
+    assert sinking[-1] == pytest.approx((-1.5, 0.2, 0.4, 0.0), abs=0.01)
+    sent = flight.periods(120.0)
+    v = velocities(sent)
+    still_sinking = sum(vz > 0.0 for _, _, vz, _ in v)
+    assert still_sinking <= 0.5 * 25 + 1
+    assert v[still_sinking + 5] == pytest.approx((-1.5, 0.2, 0.0, 0.0), abs=0.01), "with the deck at first"
+    assert v[-1] == (0.0, 0.0, 0.0, 0.0)
+    assert set(modes(sent)) == {(4, 3)}
+    assert len(v) < 13 * 25
+    assert flight.helm.landings_called_off == 1
+
+
+def test_a_landing_goes_on_after_a_late_guidance_cycle() -> None:
+    flight = over_a_deck()
+    flight.periods(1.0, Land())
+    assert velocities(flight.periods(0.8))[-1][2] == 0.0
+    assert velocities(flight.periods(0.2, Land()))[-1][2] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(("seconds", "fall_m_s"), [(15.0, 0.0), (3.0 / 0.4, 0.4)])
+def test_a_landing_by_velocity_is_bounded_by_time_and_by_height(seconds: float, fall_m_s: float) -> None:
+    flight = over_a_deck()
+    flight.helm.hear_position(-1.0)
+    down_m, sank_s = -1.0, 0.0
+    for _ in range(round((seconds + 2.0) * 25)):
+        (sent,) = velocities(flight.periods(0.04, Land()))
+        down_m += 0.04 * fall_m_s
+        sank_s += 0.04 * (sent[2] > 0.0)
+        flight.helm.hear_position(down_m)
+    assert sank_s == pytest.approx(seconds, abs=0.1)
+    assert sent[2] == 0.0, "though it is asked for all the time"
+    flight.periods(0.2, GO)
+    assert velocities(flight.periods(0.2, GO))[-1][2] == pytest.approx(0.125), "a go-around is flown"
+
+
+def test_a_landing_by_mode_is_called_off_when_it_is_not_asked_for_again() -> None:
+    flight = over_a_deck(Stack.ARDUPILOT)
+    assert modes(flight.periods(0.3, Land())) == [(9, 0)]
+    flight.told("land")
+    assert modes(flight.periods(0.4)) == []
+    assert modes(flight.periods(0.3)) == [(4, 0)], "back into GUIDED"
+    flight.told("guided")
+    assert set(modes(flight.periods(12.0))) == {(17, 0)}, "and into BRAKE when the silence lasts"
+
+
+def test_a_persons_landing_needs_no_repeating() -> None:
+    flight = over_a_deck(Stack.ARDUPILOT)
+    flight.periods(0.04, Land(standing=True))
+    flight.told("land")
+    assert flight.periods(20.0) == []
 
 
 def test_taking_off_step_by_step() -> None:
