@@ -2,9 +2,9 @@
 
 python -m benches.dead_man --seeds 1 [--how kill|stop] [--phase NAME ...]
 
-Everything is a process of its own: the simulated drone of `decklander demo`, the daemon, and the sender that the daemon starts. The
-AT commands pass through this program, which so sees what is on the wire and when. `stop` is SIGSTOP instead of SIGKILL; the daemon
-is killed after the three seconds in which the drone is watched.
+Everything is a process of its own: the simulated drone of `decklander demo`, the daemon, and the sender that the daemon starts.
+The AT commands pass through this program, which so sees what is on the wire and when. `stop` is SIGSTOP instead of SIGKILL; the
+daemon is killed after the three seconds in which the drone is watched.
 """
 
 from __future__ import annotations
