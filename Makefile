@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
-.PHONY: demo test test-image test-v4l2 lint bench fuzz pins
+.PHONY: demo test test-image test-v4l2 lint bench fuzz mutants sbom licences audit pins
 
 demo: $(VENV)/.runtime
 	$(BIN)/decklander demo
@@ -35,6 +35,10 @@ bench: $(VENV)/.dev
 # Every parser against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8. ONLY="pave at" for some targets, JOBS=1 for one core.
 fuzz: $(VENV)/.fuzz
 	$(BIN)/python -m fuzz $(if $(HOURS),--hours $(HOURS)) $(if $(SECONDS),--seconds $(SECONDS)) $(if $(JOBS),--jobs $(JOBS)) $(if $(ONLY),--only $(ONLY))
+
+# Filter, guidance and command streamers changed in one place at a time: how many of the changes do the tests notice? SHARE=0.1 for a sample.
+mutants: $(VENV)/.dev
+	$(BIN)/python -m mutants $(if $(SHARE),--share $(SHARE)) $(if $(SEED),--seed $(SEED)) $(if $(ONLY),--only $(ONLY))
 
 $(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt | $(BIN)/python
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip --upgrade >/dev/null

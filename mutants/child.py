@@ -1,0 +1,97 @@
+"""Tests in a forked process: on the module as it is, noting which test meets which line, or on a mutant of it.
+
+The parent has imported pytest and the libraries but nothing of ours, so a child starts in milliseconds and finds the module
+changed without a file being written.
+"""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.util
+import json
+import os
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import CodeType, FrameType, ModuleType
+from typing import Any
+
+import pytest
+
+IMPORTING = ""
+"""Instead of a test's name: the line is met when the module is imported."""
+
+
+class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds one module with another source."""
+
+    def __init__(self, name: str, path: Path, source: str) -> None:
+        self._name, self._path, self._source = name, path, source
+
+    def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        return importlib.util.spec_from_loader(fullname, self) if fullname == self._name else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__file__ = str(self._path)
+        code: CodeType = compile(self._source, str(self._path), "exec")
+        exec(code, module.__dict__)
+
+
+class _Lines:
+    """A plugin that notes the lines of one file that each test meets, and how long it takes."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = str(path)
+        self.test = IMPORTING
+        self.met: dict[str, set[int]] = defaultdict(set)
+        self.seconds: dict[str, float] = {}
+
+    def trace(self, frame: FrameType, event: str, argument: object) -> Any:
+        if frame.f_code.co_filename != self._path:
+            return None
+        self.met[self.test].add(frame.f_lineno)
+        return self.trace
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Any:
+        self.test = item.nodeid
+        began = time.perf_counter()
+        sys.settrace(self.trace)
+        try:
+            return (yield)
+        finally:
+            sys.settrace(None)
+            self.seconds[item.nodeid] = time.perf_counter() - began
+            self.test = IMPORTING
+
+
+def baseline(path: Path, tests: Sequence[str], report: Path) -> int:
+    """Run the tests as things are and write what each meets; the exit code of pytest."""
+    lines = _Lines(path)
+    sys.settrace(lines.trace)
+    code = int(pytest.main([*_QUIET, *tests], plugins=[lines]))
+    sys.settrace(None)
+    report.write_text(json.dumps({"met": {test: sorted(met) for test, met in lines.met.items()}, "seconds": lines.seconds}))
+    return code
+
+
+def on_mutant(name: str, path: Path, source: str, tests: Sequence[str]) -> int:
+    """Run tests on the changed module up to the first that fails; 0 when none notices."""
+    try:
+        sys.meta_path.insert(0, _Changed(name, path, source))
+        return int(pytest.main([*_QUIET, "-x", *tests]))
+    except BaseException:
+        return 1
+
+
+_QUIET = ("-q", "--no-header", "--no-summary", "--tb=no", "-p", "no:randomly", "-W", "ignore")
+
+
+def silence() -> None:
+    """What tests print is of no interest here."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 1)
+    os.dup2(null, 2)

@@ -1,0 +1,68 @@
+"""The mutation tester: it changes what decides, leaves texts alone, and tells a test that notices from one that does not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from mutants.__main__ import chosen
+from mutants.operators import Mutant, mutants
+from mutants.table import TARGETS
+
+ROOT = Path(__file__).parents[2]
+
+SOURCE = '''"""A gate."""
+LIMIT: float = 2.0
+
+
+def good(x: float, told: bool = True) -> bool:
+    """At most 2.0."""
+    if not told:
+        raise ValueError(f"told {1 + 1}")
+    return x < LIMIT and x > -1
+'''
+
+
+def test_each_change_is_one_and_texts_are_left_alone() -> None:
+    found = list(mutants(SOURCE))
+    changes = {m.change for m in found}
+    assert {"2.0  ->  4.0", "2.0  ->  0.0", "True  ->  False", "x < LIMIT  ->  x <= LIMIT", "x < LIMIT  ->  x > LIMIT"} <= changes
+    assert {"-1  ->  1", "not told  ->  told"} <= changes
+    assert any(change.startswith("x < LIMIT and x > -1  ->  x < LIMIT or x > -1") for change in changes)
+    assert all(m.source.count("told {1 + 1}") == 1 and "At most 2.0." in m.source for m in found)
+    assert len({m.source for m in found}) == len(found)
+    assert all(compile(m.source, "mutant", "exec") for m in found)
+
+
+def test_a_sample_is_the_same_for_the_same_seed_and_of_the_share_asked_for() -> None:
+    rows = [Mutant(i, f"{i}  ->  {i + 1}", "") for i in range(2000)]
+    drawn = [m for m in rows if chosen("a.py", m, 0.1, 1)]
+    assert 140 < len(drawn) < 260
+    assert drawn == [m for m in rows if chosen("a.py", m, 0.1, 1)]
+    assert drawn != [m for m in rows if chosen("a.py", m, 0.1, 2)]
+    assert all(chosen("a.py", m, 1.0, 1) for m in rows)
+
+
+def test_what_is_mutated_and_its_tests_are_there() -> None:
+    for path, tests in TARGETS.items():
+        assert (ROOT / path).is_file()
+        assert all((ROOT / test).exists() for test in tests)
+
+
+def test_a_test_that_notices_kills_and_one_that_does_not_lets_live(tmp_path: Path) -> None:
+    (tmp_path / "gatekeeper.py").write_text("def good(x):\n    return x < 2\n\n\ndef unseen(x):\n    return x + 1\n")
+    (tmp_path / "test_gatekeeper.py").write_text(
+        "from gatekeeper import good\n\ndef test_good():\n    assert good(1)\n    assert not good(2)\n"
+    )
+    (tmp_path / "pytest.ini").write_text("[pytest]\npythonpath = .\n")
+    program = (
+        "from pathlib import Path; from mutants.__main__ import judge\n"
+        f"t = judge('gatekeeper.py', ['test_gatekeeper.py'], 1.0, 1, root=Path({str(tmp_path)!r}))\n"
+        "print(t.killed, sorted(m.change for m in t.survivors))"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        check=True, timeout=100,
+    ).stdout  # fmt: skip
+    assert said.splitlines()[-1] == "3 ['1  ->  2', 'x + 1  ->  x - 1']"
