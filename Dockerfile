@@ -24,6 +24,10 @@ RUN find /opt/decklander/lib -type d -name tests -prune -exec rm -r {} + \
  && find /opt/decklander/lib -name '*.so' ! -path '*.libs/*' -exec strip --strip-unneeded {} + \
  && /opt/decklander/bin/pip uninstall --yes setuptools pip \
  && for command in demo run record replay doctor soak; do /opt/decklander/bin/decklander $command --help > /dev/null || exit 1; done
+# The bill of materials travels with what it describes. Its maker stays in this stage.
+COPY supply supply
+RUN /opt/build/bin/pip install --no-cache-dir --require-hashes -r requirements/supply.txt \
+ && /opt/build/bin/python -m supply.sbom --environment /opt/decklander --out /opt/decklander/share/decklander/sbom.cdx.json
 
 FROM debian:bookworm-slim
 RUN apt-get update \

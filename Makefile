@@ -40,6 +40,16 @@ fuzz: $(VENV)/.fuzz
 mutants: $(VENV)/.dev
 	$(BIN)/python -m mutants $(if $(SHARE),--share $(SHARE)) $(if $(SEED),--seed $(SEED)) $(if $(ONLY),--only $(ONLY))
 
+# What is shipped: bill of materials (CycloneDX JSON), licences, known weaknesses (of PyPI's advisories, or of ADVISORIES=FILE without a network).
+sbom: $(VENV)/.dev
+	$(BIN)/python -m supply.sbom --out dist/decklander.cdx.json
+
+licences: $(VENV)/.dev
+	$(BIN)/python -m supply.licences > docs/licences.md.new && mv docs/licences.md.new docs/licences.md
+
+audit: $(VENV)/.supply
+	$(BIN)/python -m supply.audit $(if $(ADVISORIES),--advisories $(ADVISORIES))
+
 $(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt | $(BIN)/python
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip --upgrade >/dev/null
 	$(PIP) install --require-hashes -r requirements/build.txt -r requirements/runtime.txt
@@ -54,6 +64,10 @@ $(VENV)/.fuzz: requirements/fuzz.txt $(VENV)/.dev
 	@$(BIN)/python -c 'import sys, platform as p; sys.exit(not ((3, 11) <= sys.version_info < (3, 14) and p.machine() == "x86_64" and p.system() == "Linux"))' || \
 	  { echo "atheris, the fuzzer, has wheels for Python 3.11 to 3.13 on x86-64 Linux, and this is another; see 'make PYTHON=...'" >&2; exit 1; }
 	$(PIP) install --require-hashes -r requirements/fuzz.txt
+	@touch $@
+
+$(VENV)/.supply: requirements/supply.txt $(VENV)/.dev
+	$(PIP) install --require-hashes -r requirements/supply.txt
 	@touch $@
 
 $(BIN)/python:
@@ -72,3 +86,4 @@ pins:
 	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt --constraint requirements/runtime.txt --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
+	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in

@@ -23,6 +23,8 @@ DISTRIBUTION_NAMES = {
     "pytest-asyncio": "pytest_asyncio",
     "pupil-apriltags": "pupil_apriltags",
     "pyserial": "serial",
+    "cyclonedx-python-lib": "cyclonedx",
+    "packageurl-python": "packageurl",
     "paho-mqtt": "paho",
     "prometheus-client": "prometheus_client",
 }

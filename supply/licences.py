@@ -1,0 +1,65 @@
+"""Lists the licences of everything that is shipped: `python -m supply.licences` prints docs/licences.md."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from supply.packages import Package, packages, pins
+
+_HEAD = """# Licences of what is shipped
+
+Decklander's own code is under Apache 2.0 (`LICENSE`). An image or an installation ships these distributions from PyPI
+beside it, pinned by version and hash in `requirements/runtime.txt`. `make licences` makes this page from their metadata;
+a test refuses a distribution without a known licence.
+
+| distribution | version | licence |
+|---|---|---|
+"""
+_COPYLEFT = """
+## Under the GPL or LGPL
+
+Whoever passes on an image passes these on under their own terms, source included. linuxpy is loaded for V4L2 cameras
+alone; PyAV decodes the AR.Drone's video and network cameras.
+
+| what | licence | where |
+|---|---|---|
+"""
+
+
+def page(shipped: Sequence[Package]) -> str:
+    """The page as Markdown."""
+    rows = [f"| {p.pin.name} | {p.pin.version} | {p.licence} |" for p in shipped]
+    return _HEAD + "\n".join(rows) + "\n" + _COPYLEFT + "\n".join(copyleft(shipped)) + "\n"
+
+
+def copyleft(shipped: Sequence[Package]) -> list[str]:
+    """Rows of distributions and carried libraries under the GPL or LGPL."""
+    rows = [f"| {p.pin.name} | {p.licence} | a distribution of its own |" for p in shipped if "GPL" in (p.licence or "")]
+    for p in shipped:
+        by_licence: dict[str, list[str]] = {}
+        for library, licence in p.carried.items():
+            by_licence.setdefault(licence, []).append(library)
+        rows += [
+            f"| {', '.join(names)} | {licence} | in the wheel of {p.pin.name} |" for licence, names in sorted(by_licence.items())
+        ]
+    return rows
+
+
+def unknown(shipped: Sequence[Package]) -> list[str]:
+    """Names of distributions without a known licence."""
+    return [p.pin.name for p in shipped if p.licence is None]
+
+
+def main() -> int:
+    """The command."""
+    shipped = packages(pins())
+    if missing := unknown(shipped):
+        print(f"no known licence: {', '.join(missing)}", file=sys.stderr)
+        return 1
+    print(page(shipped), end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,142 @@
+"""The distributions that the runtime pins, as their own metadata describes them in an environment."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PINS = ROOT / "requirements/runtime.txt"
+
+_FROM_CLASSIFIER = {
+    "Apache Software License": "Apache-2.0",
+    "MIT License": "MIT",
+    "Python Software Foundation License": "PSF-2.0",
+    "GNU Lesser General Public License v3 (LGPLv3)": "LGPL-3.0-only",
+}
+_FROM_TEXT = {"BSD": "BSD-3-Clause", "MIT": "MIT", "Apache 2.0": "Apache-2.0", "Apache-2.0": "Apache-2.0",
+              "BSD-3-Clause": "BSD-3-Clause", "BSD 3-Clause License": "BSD-3-Clause", "PSF-2.0": "PSF-2.0", "LGPLv3": "LGPL-3.0-only"}  # fmt: skip
+READ = {
+    "aiomqtt": "BSD-3-Clause",
+    "contourpy": "BSD-3-Clause",
+    "cycler": "BSD-3-Clause",
+    "kiwisolver": "BSD-3-Clause",
+    "lz4": "BSD-3-Clause",
+    "matplotlib": "PSF-2.0",
+    "scipy": "BSD-3-Clause",
+}
+"""Of distributions whose metadata do not name one in words that a program understands: read in the text that they ship."""
+
+_CARRIED = {
+    "libx264": "GPL-2.0-or-later",
+    "libx265": "GPL-2.0-or-later",
+    "libav": "LGPL-2.1-or-later",
+    "libsw": "LGPL-2.1-or-later",
+    "libgfortran": "GPL-3.0-or-later WITH GCC-exception-3.1",
+    "libquadmath": "LGPL-2.1-or-later",
+    "libmp3lame": "LGPL-2.0-or-later",
+    "libgnutls": "LGPL-2.1-or-later",
+    "libasound": "LGPL-2.1-or-later",
+    "libgmp": "LGPL-3.0-or-later OR GPL-2.0-or-later",
+    "libnettle": "LGPL-3.0-or-later OR GPL-2.0-or-later",
+    "libhogweed": "LGPL-3.0-or-later OR GPL-2.0-or-later",
+    "libunistring": "LGPL-3.0-or-later OR GPL-2.0-or-later",
+}
+"""Native libraries under copyleft that wheels carry, by how their file names begin. FFmpeg built with x264 or x265 is under the
+GPL as a whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pin:
+    """One line of the pins."""
+
+    name: str
+    version: str
+    hashes: tuple[str, ...]
+    """SHA-256 of every file that may be installed, for all platforms."""
+
+
+@dataclass(frozen=True, slots=True)
+class Package:
+    """One distribution as it is installed."""
+
+    pin: Pin
+    licence: str | None
+    """SPDX expression; None where nothing tells."""
+    summary: str
+    requires: tuple[str, ...]
+    """Names of other pinned distributions that it needs."""
+    libraries: tuple[str, ...]
+    """Native libraries of others that its wheel carries, without version and extension."""
+
+    @property
+    def carried(self) -> dict[str, str]:
+        """Those under copyleft, with their licences."""
+        found: dict[str, str] = {}
+        gpl = any(name.startswith(("libx264", "libx265")) for name in self.libraries)
+        for name in self.libraries:
+            for start, licence in _CARRIED.items():
+                if name.startswith(start) and name != "libavif":
+                    found[name] = "GPL-2.0-or-later" if gpl and start in ("libav", "libsw") else licence
+        return found
+
+
+def pins(path: Path = PINS) -> tuple[Pin, ...]:
+    """Every pin of a requirements file, in its order."""
+    found = re.findall(
+        r"^([a-z0-9._-]+)==(\S+) \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n?)+)", path.read_text(), re.MULTILINE
+    )
+    return tuple(Pin(name, version, tuple(re.findall(r"sha256:([0-9a-f]{64})", hashes))) for name, version, hashes in found)
+
+
+def packages(wanted: Sequence[Pin], site: Sequence[str] | None = None) -> tuple[Package, ...]:
+    """The pinned distributions that are installed, by name.
+
+    Args:
+        site: folders of another environment's packages; None for this one's.
+
+    Raises:
+        LookupError: one is missing or of another version than its pin; the text names it.
+    """
+    found = {normal(d.name): d for d in (metadata.distributions() if site is None else metadata.distributions(path=list(site)))}
+    return tuple(_package(pin, found, {p.name for p in wanted}) for pin in wanted)
+
+
+def normal(name: str) -> str:
+    """A distribution's name as indexes compare it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _package(pin: Pin, installed: Mapping[str, metadata.Distribution], known: set[str]) -> Package:
+    distribution = installed.get(normal(pin.name))
+    if distribution is None or distribution.version != pin.version:
+        raise LookupError(f"{pin.name} {pin.version} is pinned, installed is {getattr(distribution, 'version', 'none')}")
+    needed = {normal(re.split(r"[\s<>=!~;\[(]", line)[0]) for line in distribution.requires or () if "extra ==" not in line}
+    return Package(
+        pin,
+        _licence(pin.name, distribution.metadata),
+        distribution.metadata.get("Summary") or "",
+        tuple(sorted(needed & known)),
+        tuple(sorted(set(_libraries(distribution)))),
+    )
+
+
+def _licence(name: str, told: metadata.PackageMetadata) -> str | None:
+    if expression := told.get("License-Expression"):
+        return expression
+    if name in READ:
+        return READ[name]
+    text = (told.get("License") or "").strip()
+    if text in _FROM_TEXT:
+        return _FROM_TEXT[text]
+    classifiers = [line.rpartition(":: ")[2] for line in told.get_all("Classifier") or [] if line.startswith("License")]
+    return next((_FROM_CLASSIFIER[line] for line in classifiers if line in _FROM_CLASSIFIER), None)
+
+
+def _libraries(distribution: metadata.Distribution) -> Iterator[str]:
+    for file in distribution.files or ():
+        if re.search(r"\.libs/|\.dylibs/", str(file)):
+            yield re.split(r"[-.]", file.name)[0]
