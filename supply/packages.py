@@ -17,8 +17,16 @@ _FROM_CLASSIFIER = {
     "Python Software Foundation License": "PSF-2.0",
     "GNU Lesser General Public License v3 (LGPLv3)": "LGPL-3.0-only",
 }
-_FROM_TEXT = {"BSD": "BSD-3-Clause", "MIT": "MIT", "Apache 2.0": "Apache-2.0", "Apache-2.0": "Apache-2.0",
-              "BSD-3-Clause": "BSD-3-Clause", "BSD 3-Clause License": "BSD-3-Clause", "PSF-2.0": "PSF-2.0", "LGPLv3": "LGPL-3.0-only"}  # fmt: skip
+_FROM_TEXT = {
+    "Apache 2.0": "Apache-2.0",
+    "Apache-2.0": "Apache-2.0",
+    "BSD": "BSD-3-Clause",
+    "BSD 3-Clause License": "BSD-3-Clause",
+    "BSD-3-Clause": "BSD-3-Clause",
+    "LGPLv3": "LGPL-3.0-only",
+    "MIT": "MIT",
+    "PSF-2.0": "PSF-2.0",
+}
 READ = {
     "aiomqtt": "BSD-3-Clause",
     "contourpy": "BSD-3-Clause",
