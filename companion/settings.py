@@ -53,7 +53,9 @@ def load(name_or_path: str | Path) -> Settings:
         vehicle=anchored(settings.vehicle, path.parent, signing),
         face=anchored(settings.face, path.parent, ["signing_key_file", "signing_time_file"]),
         metrics=anchored(settings.metrics, path.parent, ["token_file"]),
-        mqtt=anchored(settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "spool"]),
+        mqtt=anchored(
+            settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"]
+        ),
     )
     camera_model(settings)
     pad_model(settings)

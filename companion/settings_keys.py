@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeVar
@@ -45,6 +46,14 @@ def anchored(table: _Table, base: Path, keys: Iterable[str]) -> _Table:
     return structs.replace(
         table, **{key: str(base / path) for key, path in given.items() if path and not path.startswith(CREDENTIAL)}
     )
+
+
+def on_loopback(host: str) -> bool:
+    """Return whether only this machine can reach `host`. A name other than localhost may mean any address."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def _notes(unit: str, source: str) -> dict[str, str] | None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import ipaddress
 from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.settings_keys import choice, number, text
+from companion.settings_keys import choice, number, on_loopback, text
 
 
 class MetricsSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -29,11 +28,3 @@ class MetricsSettings(Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if self.endpoint != "off" and not self.token_file and not on_loopback(self.host):
             raise ValueError(f"token_file is needed because host ({self.host}) is not a loopback address: others can reach it")
-
-
-def on_loopback(host: str) -> bool:
-    """Return whether only this machine can reach `host`. A name other than localhost may mean any address."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

@@ -1,11 +1,13 @@
 """Commands from the broker: read, judged, carried out once. Without sockets and without clocks of its own.
 
 A command says for which run of the service it is meant and when it expires, both in the terms of the drone's own messages:
-no wall clock has to be right for a late command to be refused, and one from before a restart is never carried out.
+no wall clock has to be right for a late command to be refused, and one from before a restart is never carried out. With a key
+it must be signed as well, and what is not leaves no trace but a count and an answer.
 """
 
 from __future__ import annotations
 
+import hmac
 from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -13,6 +15,7 @@ from typing import Protocol
 import msgspec
 
 from companion.mqtt.messages import Abort, Command, Pause, Refusal, Reply, SetPath, SetRecording, Start
+from companion.mqtt.signature import Forged, Unsigned, verified
 from companion.mqtt.topics import Topics
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -57,12 +60,16 @@ class Desk:
     """Takes commands in.
 
     Args:
-        session: this run of the service.
+        session: this run of the service, as all may read it.
+        run: this run, as only those may read it who may command.
+        key: that commands are signed with; None where the broker answers for who sends them.
     """
 
     topics: Topics
     session: str
     operated: Operated
+    run: str
+    key: bytes | None = field(default=None, repr=False)
     _answered: OrderedDict[str, Judged] = field(default_factory=OrderedDict)
     counts: Counter[str] = field(default_factory=Counter)
 
@@ -84,6 +91,13 @@ class Desk:
 
         if len(payload) > LONGEST_BYTES:
             return refuse("too_long", f"{len(payload)} bytes, at most {LONGEST_BYTES} are read")
+        if self.key is not None:
+            try:
+                payload = verified(self.key, self.topics.command, payload)
+            except Unsigned:
+                return refuse("unsigned", "commands are signed here: the signature, a space, the command")
+            except Forged:
+                return refuse("bad_signature", "the signature is not that of this topic, command and key")
         try:
             command = _decoder.decode(payload)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as why:
@@ -98,8 +112,8 @@ class Desk:
             return Judged(known.reply, to, name, repeated=True)
         if retained:
             judged = refuse("retained", "a retained command is never carried out", command.id, name, to)
-        elif command.session != self.session:
-            judged = refuse("other_session", f"this is session {self.session}", command.id, name, to)
+        elif not hmac.compare_digest(command.run.encode(errors="replace"), self.run.encode()):
+            judged = refuse("other_run", "meant for another run of the service", command.id, name, to)
         elif command.expires_ns < now:
             late_s = seconds_between(MonoNs(command.expires_ns), now)
             judged = refuse("expired", f"came {late_s:.3g} s after it had expired", command.id, name, to)

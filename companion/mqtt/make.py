@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import secrets
 import uuid
 from collections.abc import Callable
 from importlib import metadata
 
+from companion import secret_files
 from companion.health import Health
 from companion.mqtt import access
 from companion.mqtt.commands import Desk
@@ -35,7 +37,8 @@ def make_mqtt(
     endpoint = Endpoint.of(settings)
     spool = Spool(access.spool_folder(settings), settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
-    desk = Desk(topics, session, PilotOperator(pilot, recording))
+    key = secret_files.key(settings.command_key_file, "mqtt", "command_key_file")
+    desk = Desk(topics, session, PilotOperator(pilot, recording), secrets.token_hex(16), key)
     return MqttPart(settings, endpoint, outbox, desk, health, clock, session=session, version=_version())
 
 

@@ -155,13 +155,22 @@ class Event(Message, frozen=True, kw_only=True):
     data: dict[str, str | float | bool | None]
 
 
+class OperatorNotice(Message, frozen=True, kw_only=True):
+    """Retained. What whoever commands has to know; an access list keeps it from all others."""
+
+    run: str
+    """This run of the service, in commands and nowhere else: 128 random bits."""
+    commands: Literal["signed", "broker"]
+    """Whether commands are signed, or the broker answers for who may send them."""
+
+
 class Ordered(Struct, frozen=True, kw_only=True, tag_field="command", forbid_unknown_fields=True):
     """What every command carries."""
 
     id: Word
     """Chosen by the sender; a repeated one is answered again and not carried out again."""
-    session: str
-    """That of the drone's messages; a command meant for an earlier run is refused."""
+    run: Annotated[str, Meta(max_length=64)]
+    """That of the topic `operator`; a command meant for an earlier run is refused."""
     expires_ns: int
     """On the drone's clock: the newest `at_ns` heard plus how long the command may take to arrive."""
     reply_to: str | None = None
@@ -195,7 +204,16 @@ class SetRecording(Ordered, frozen=True, kw_only=True, tag="record"):
 Command = Start | Pause | Abort | SetPath | SetRecording
 
 Refusal = Literal[
-    "malformed", "too_long", "retained", "other_session", "expired", "expiry_too_far", "reply_elsewhere", "not_possible"
+    "malformed",
+    "too_long",
+    "unsigned",
+    "bad_signature",
+    "retained",
+    "other_run",
+    "expired",
+    "expiry_too_far",
+    "reply_elsewhere",
+    "not_possible",
 ]
 
 
@@ -216,6 +234,7 @@ PUBLISHED: dict[str, type[Message]] = {
     "sighting": Sighting,
     "health": HealthReport,
     "event": Event,
+    "operator": OperatorNotice,
     "reply": Reply,
 }
 """Last part of the topic to the message that travels there."""

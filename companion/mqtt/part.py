@@ -21,7 +21,7 @@ from companion.mqtt import encode as encoding
 from companion.mqtt.commands import Desk
 from companion.mqtt.connection import Connection, Endpoint, Heard, connect
 from companion.mqtt.happenings import Changes, Happening
-from companion.mqtt.messages import Message, Status, encode
+from companion.mqtt.messages import Message, OperatorNotice, Status, encode
 from companion.mqtt.outbox import Outbox
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.topics import Topics
@@ -155,7 +155,12 @@ class MqttPart:
                 raise
 
     async def _converse(self, connection: Connection) -> None:
-        await connection.hear(self._topics.command, qos=1)
+        if self._settings.commands != "off":
+            await connection.hear(self._topics.command, qos=1)
+            notice = OperatorNotice(
+                session=self._session, at_ns=self._clock.now(), run=self._desk.run, commands=self._settings.commands
+            )
+            await connection.say(self._topics.operator, encode(notice), qos=1, retain=True)
         await connection.say(self._topics.status, encode(self._status("up")), qos=1, retain=True)
         self._counts["connections"] += 1
         self._trouble = None
@@ -205,7 +210,8 @@ class MqttPart:
                 self._counts["floods"] += 1
                 raise Recoverable(f"flooded: more than {recent.maxlen} commands a second")
             recent.append(now)
-            await self._take(connection, heard, now)
+            if self._settings.commands != "off":
+                await self._take(connection, heard, now)
 
     async def _take(self, connection: Connection, heard: Heard, now: MonoNs) -> None:
         judged = self._desk.take(heard.payload, now, retained=heard.retained, reply_to=heard.reply_to)

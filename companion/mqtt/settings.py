@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.settings_keys import choice, name, number, text
+from companion.settings_keys import choice, name, number, on_loopback, text
 
 _FILE = 'a path relative to the settings file, or "credential:NAME" for a systemd credential; empty for none'
 
@@ -27,6 +27,16 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ca_file: Annotated[str, text(f"certificates of the CAs to trust in place of the system's: {_FILE}", 4096, shortest=0)] = ""
     certificate_file: Annotated[str, text(f"client certificate: {_FILE}", 4096, shortest=0)] = ""
     key_file: Annotated[str, text(f"key of the client certificate: {_FILE}", 4096, shortest=0)] = ""
+    commands: Annotated[
+        Literal["off", "signed", "broker"],
+        choice(
+            "who may command: nobody; whoever signs with the key in command_key_file; or whom the broker lets write to the "
+            "command topic (TLS, an access list, and users or client certificates)"
+        ),
+    ] = "off"
+    command_key_file: Annotated[
+        str, text(f"key of signed commands, 32 bytes or 64 hexadecimal digits: {_FILE}", 4096, shortest=0)
+    ] = ""
     state_hz: Annotated[float, number("state messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
     sighting_hz: Annotated[float, number("most sighting messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
     health_hz: Annotated[float, number("health messages a second; 0 for none", "Hz", 0.0, 10.0)] = 1.0
@@ -65,5 +75,12 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
             )
         if bool(self.certificate_file) != bool(self.key_file):
             raise ValueError("certificate_file and key_file need each other")
+        if (self.commands == "signed") != bool(self.command_key_file):
+            raise ValueError('commands = "signed" and command_key_file need each other')
+        if self.commands == "broker" and self.transport != "off":
+            if self.transport != "tls" and not on_loopback(self.host):
+                raise ValueError('commands = "broker" needs transport = "tls": on plain TCP anybody may be the broker')
+            if not (self.user or self.certificate_file):
+                raise ValueError('commands = "broker" needs a user or a certificate_file: the broker must know who is who')
         if self.password_file and not self.user:
             raise ValueError("password_file needs a user")

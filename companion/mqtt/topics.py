@@ -51,6 +51,10 @@ class Topics:
         return self.of("command")
 
     @property
+    def operator(self) -> str:
+        return self.of("operator")
+
+    @property
     def reply(self) -> str:
         return self.of("reply")
 

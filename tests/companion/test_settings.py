@@ -191,6 +191,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     service.update(restart_first_s=0.1, restart_cap_s=1.0)
     data.setdefault("recorder", {}).update(max_file_mb=1.0, max_total_mb=10.0)
     data.setdefault("mqtt", {}).update(reconnect_first_s=0.1, reconnect_cap_s=1.0, user="a", certificate_file="", key_file="")
+    data["mqtt"].update(commands="off", command_key_file="")
     data.setdefault("metrics", {}).update(endpoint="off")
     data["vehicle"].pop("vessel_id", None)
     planner.update(final_height_m=0.2, approach_height_m=1.0, climb_after_s=1.0, give_up_after_s=9.0)

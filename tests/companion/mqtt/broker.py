@@ -155,6 +155,7 @@ class Broker:
             "host": "localhost",
             "port": self.port,
             "drone": "deck",
+            "commands": "broker",
             "user": user,
             "password_file": str(self.folder / f"{user}.password"),
             "ca_file": str(self.certificates / "ca.crt"),

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from companion import secret_files
 from companion.health import Health
 from companion.mqtt.commands import Desk
 from companion.mqtt.connection import Endpoint
@@ -29,6 +30,7 @@ from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 
 SESSION = "0123456789ab"
+RUN = "fedcba9876543210fedcba9876543210"
 
 
 @dataclass
@@ -100,9 +102,8 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     health, topics, operator = Health(clock), Topics(settings.drone), FakeOperator()
     spool = Spool(folder, settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
-    part = MqttPart(
-        settings, Endpoint.of(settings), outbox, Desk(topics, session, operator), health, clock, session=session, version="1.2.3"
-    )
+    desk = Desk(topics, session, operator, RUN, secret_files.key(settings.command_key_file, "mqtt", "command_key_file"))
+    part = MqttPart(settings, Endpoint.of(settings), outbox, desk, health, clock, session=session, version="1.2.3")
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(run({"mqtt": part.run}, Restart(), health, clock, until=ended))

@@ -16,7 +16,7 @@ import pytest
 from companion.mqtt.connection import Connection, Endpoint
 from companion.mqtt.messages import HealthReport, Reply, State, Status, decode
 from tests.companion.mqtt.broker import Broker, hear
-from tests.companion.mqtt.rig import SESSION, decision, running, status, until
+from tests.companion.mqtt.rig import RUN, decision, running, status, until
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"
@@ -98,7 +98,7 @@ async def test_a_command_is_carried_out_once_and_answered_where_it_asks(broker: 
         expires = rig.clock.now() + 5_000_000_000
 
         async def ask(**fields: object) -> Reply:
-            command = {"id": "a1", "session": SESSION, "expires_ns": expires, **fields}
+            command = {"id": "a1", "run": RUN, "expires_ns": expires, **fields}
             await ground.say(TREE + "command", json.dumps(command).encode(), qos=1)
             heard = await anext(ground.heard())
             assert heard.topic == fields.get("reply_to", TREE + "reply")
@@ -116,7 +116,7 @@ async def test_a_command_is_carried_out_once_and_answered_where_it_asks(broker: 
             assert rig.operator.done == ["start", "path median_mean", "record True"]
             late = await ask(command="abort", id="a4", expires_ns=rig.clock.now() - 1, reply_to=to)
             assert (late.id, late.accepted, late.reason) == ("a4", False, "expired")
-            assert (await ask(command="abort", id="a5", session="yesterday")).reason == "other_session"
+            assert (await ask(command="abort", id="a5", run="yesterday")).reason == "other_run"
             rig.operator.cannot = "the flight is over: landed"
             cannot = await ask(command="pause", id="a6")
             assert (cannot.reason, cannot.text) == ("not_possible", "the flight is over: landed")
@@ -131,7 +131,7 @@ async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_user
     broker.start()
     async with running(broker.settings(drone="drone"), tmp_path / "own") as rig, broker.ground() as ground:
         await until(lambda: rig.count("events_delivered") >= 1)
-        command = {"command": "pause", "id": "x", "session": SESSION, "expires_ns": rig.clock.now() + 10**9}
+        command = {"command": "pause", "id": "x", "run": RUN, "expires_ns": rig.clock.now() + 10**9}
         await ground.say("decklander/v1/drone/command", json.dumps(command).encode(), qos=1)
         await until(lambda: rig.operator.done == ["pause"])
     async with running(broker.settings(drone="other"), tmp_path / "others") as rig:
@@ -141,7 +141,7 @@ async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_user
 
 async def test_a_retained_command_never_reaches_us(broker: Broker, tmp_path: Path) -> None:
     async with broker.ground() as ground:
-        command = {"command": "abort", "id": "x", "session": SESSION, "expires_ns": time.monotonic_ns() + 5 * 10**9}
+        command = {"command": "abort", "id": "x", "run": RUN, "expires_ns": time.monotonic_ns() + 5 * 10**9}
         await ground.say(TREE + "command", json.dumps(command).encode(), qos=1, retain=True)
         async with running(broker.settings(), tmp_path / "spool") as rig:
             await until(lambda: rig.count("connections") == 1)

@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 from typing import TypeVar
 
-from companion.mqtt.messages import Event, HealthReport, Message, Reply, Status, decode
+from companion.mqtt.messages import Event, HealthReport, Message, OperatorNotice, Reply, Status, decode
+from companion.mqtt.signature import signed
 from tests.companion.mqtt.broker import Broker
 
 ROOT = Path(__file__).parents[3]
@@ -36,6 +37,8 @@ password_file = "broker/drone.password"
 ca_file = "ca.crt"
 health_hz = 5.0
 spool = "spool"
+commands = "signed"
+command_key_file = "command.key"
 [recorder]
 folder = "{folder}/recordings"
 """
@@ -45,6 +48,9 @@ M = TypeVar("M", bound=Message)
 async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_path: Path) -> None:
     (tmp_path / "ca.crt").write_bytes((broker.certificates / "ca.crt").read_bytes())
     (tmp_path / "rig.toml").write_text(RIG.format(port=broker.port, folder=tmp_path))
+    key = bytes(range(32))
+    (tmp_path / "command.key").touch(0o600)
+    (tmp_path / "command.key").write_bytes(key)
     async with broker.ground() as ground, asyncio.timeout(60):
         await ground.subscribe(TREE + "#", qos=1)
         daemon = await asyncio.create_subprocess_exec(
@@ -54,20 +60,23 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
         )
         heard = ground.heard()
         events: list[str] = []
+        runs: list[str] = []
 
         async def wait(kind: type[M]) -> M:
             async for message in heard:
                 said = decode(message.topic.removeprefix(TREE), message.payload)
                 if isinstance(said, Event):
                     events.append(said.text)
+                if isinstance(said, OperatorNotice):
+                    runs.append(said.run)
                 if isinstance(said, kind):
                     return said
             raise AssertionError
 
         async def ask(**fields: object) -> Reply:
             health = await wait(HealthReport)
-            command = {"id": f"c{health.at_ns}", "session": health.session, "expires_ns": health.at_ns + 5 * 10**9, **fields}
-            await ground.say(TREE + "command", json.dumps(command).encode(), qos=1)
+            command = {"id": f"c{health.at_ns}", "run": runs[-1], "expires_ns": health.at_ns + 5 * 10**9, **fields}
+            await ground.say(TREE + "command", signed(key, TREE + "command", json.dumps(command).encode()), qos=1)
             return await wait(Reply)
 
         try:

@@ -30,15 +30,15 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.look import Look
-from tests.companion.mqtt.rig import SESSION, FakeOperator, decision, status
+from tests.companion.mqtt.rig import RUN, SESSION, FakeOperator, decision, status
 
 ROOT = Path(__file__).parents[3]
 NOW = MonoNs(5_000_000_000)
-GOOD: dict[str, Any] = {"command": "start", "id": "a", "session": SESSION, "expires_ns": NOW + 1}
+GOOD: dict[str, Any] = {"command": "start", "id": "a", "run": RUN, "expires_ns": NOW + 1}
 
 
 def desk() -> Desk:
-    return Desk(Topics("deck"), SESSION, FakeOperator())
+    return Desk(Topics("deck"), SESSION, FakeOperator(), RUN)
 
 
 def command(**changes: object) -> bytes:
@@ -55,7 +55,7 @@ def command(**changes: object) -> bytes:
         (command(command=...), False, "malformed", "command"),
         (command(id=...), False, "malformed", "id"),
         (command(id=""), False, "malformed", "length"),
-        (command(session=...), False, "malformed", "session"),
+        (command(run=...), False, "malformed", "run"),
         (command(expires_ns=...), False, "malformed", "expires_ns"),
         (command(expires_ns=1.5), False, "malformed", "int"),
         (command(speed=3), False, "malformed", "speed"),
@@ -64,7 +64,7 @@ def command(**changes: object) -> bytes:
         (command(id="x" * 65), False, "malformed", "64"),
         (b" " * (LONGEST_BYTES + 1), False, "too_long", "4097 bytes"),
         (command(), True, "retained", "retained"),
-        (command(session="other"), False, "other_session", SESSION),
+        (command(run="other"), False, "other_run", "another run"),
         (command(expires_ns=NOW - 2_000_000_000), False, "expired", "2 s after"),
         (command(expires_ns=NOW + round((FARTHEST_S + 1) * 1e9)), False, "expiry_too_far", "60 s"),
         (command(reply_to="decklander/v1/other/reply"), False, "reply_elsewhere", "decklander/v1/deck/reply"),

@@ -1,0 +1,211 @@
+"""Who may command over MQTT: nobody by default, whoever holds the key, or whom the broker lets."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import hmac
+import json
+import re
+import subprocess
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.mqtt.commands import Desk
+from companion.mqtt.connection import Connection, Endpoint, connect
+from companion.mqtt.messages import OperatorNotice, Reply, decode
+from companion.mqtt.settings import MqttSettings
+from companion.mqtt.signature import Forged, Unsigned, signed, verified
+from companion.mqtt.topics import Topics
+from companion.settings import from_mapping
+from estimator.contracts.errors import BadInput
+from estimator.contracts.time import MonoNs
+from tests.companion.mqtt.broker import Broker
+from tests.companion.mqtt.rig import RUN, SESSION, FakeOperator, Rig, running, until
+
+ROOT = Path(__file__).parents[3]
+TREE = "decklander/v1/deck/"
+KEY = bytes(range(32))
+NOW = MonoNs(5_000_000_000)
+
+
+def body(**changes: object) -> bytes:
+    return json.dumps({"command": "start", "id": "a", "run": RUN, "expires_ns": NOW + 10**9, **changes}).encode()
+
+
+def desk() -> tuple[Desk, FakeOperator]:
+    operator = FakeOperator()
+    return Desk(Topics("deck"), SESSION, operator, RUN, KEY), operator
+
+
+def test_only_the_right_key_topic_and_bytes_are_obeyed() -> None:
+    good = signed(KEY, TREE + "command", body())
+    for payload, reason in (
+        (body(), "unsigned"),
+        (b"", "unsigned"),
+        (b"0" * 64 + b" " + body(), "bad_signature"),
+        (signed(bytes(32), TREE + "command", body()), "bad_signature"),
+        (signed(KEY, "decklander/v1/other/command", body()), "bad_signature"),
+        (good[:-1] + b" }", "bad_signature"),
+        (signed(KEY, TREE + "command", body(run=SESSION)), "other_run"),
+        (signed(KEY, TREE + "command", body(run="\ud800")), "malformed"),
+        (signed(KEY, TREE + "command", body(expires_ns=NOW - 1)), "expired"),
+        (signed(KEY, TREE + "command", body(id="b", expires_ns=NOW + 10**12)), "expiry_too_far"),
+    ):
+        taker, operator = desk()
+        judged = taker.take(payload, NOW)
+        assert (judged.reply.accepted, judged.reply.reason) == (False, reason), payload
+        assert operator.done == []
+        assert RUN not in judged.reply.text
+    taker, operator = desk()
+    assert taker.take(good, NOW).reply.accepted
+    assert operator.done == ["start"]
+
+
+def test_a_copy_is_answered_and_carried_out_no_second_time_whatever_comes_between() -> None:
+    taker, operator = desk()
+    good = signed(KEY, TREE + "command", body())
+    assert taker.take(good, NOW).reply.accepted
+    for k in range(5000):
+        taker.take(json.dumps({"command": "start", "id": f"junk {k}", "run": RUN, "expires_ns": NOW + 1}).encode(), NOW)
+    assert taker.take(good, NOW).repeated
+    assert operator.done == ["start"]
+    later = Desk(Topics("deck"), SESSION, operator, "f" * 32, KEY)
+    assert later.take(good, NOW).reply.reason == "other_run", "after a restart"
+    assert operator.done == ["start"]
+
+
+@given(st.one_of(st.binary(max_size=200), st.binary(max_size=80).map(lambda junk: b"0" * 64 + b" " + junk)))
+def test_any_bytes_are_no_signature(payload: bytes) -> None:
+    with pytest.raises((Unsigned, Forged)):
+        verified(KEY, TREE + "command", payload)
+
+
+def test_the_key_never_shows() -> None:
+    assert KEY.hex() not in repr(desk()[0])
+    assert repr(KEY) not in repr(desk()[0])
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"commands": "signed"}, "need each other"),
+        ({"command_key_file": "k"}, "need each other"),
+        ({"commands": "broker", "command_key_file": "k", "transport": "tls", "user": "u"}, "need each other"),
+        ({"commands": "broker", "transport": "tcp", "host": "10.0.0.2", "user": "u"}, 'needs transport = "tls"'),
+        ({"commands": "broker", "transport": "tls", "host": "10.0.0.2"}, "needs a user or a certificate_file"),
+    ],
+)
+def test_settings_that_would_let_anybody_command_are_refused(table: dict[str, object], said: str) -> None:
+    rest = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
+    with pytest.raises(BadInput, match=f"mqtt.*{re.escape(said)}"):
+        from_mapping({**rest, "mqtt": table}, "rig.toml")
+    assert MqttSettings().commands == "off"
+
+
+@pytest.fixture
+def key_file(tmp_path: Path) -> Path:
+    path = tmp_path / "command.key"
+    path.touch(0o600)
+    path.write_bytes(KEY)
+    return path
+
+
+@asynccontextmanager
+async def listening(broker: Broker, tmp_path: Path, **changes: object) -> AsyncIterator[tuple[Rig, Connection]]:
+    """A part, and a ground station that hears its answers."""
+    async with running(broker.settings(**changes), tmp_path / "spool") as rig, broker.ground() as ground:
+        await until(lambda: rig.count("connections") == 1)
+        await ground.subscribe([(TREE + "reply/#", 1), (TREE + "operator", 1)])
+        yield rig, ground
+
+
+async def test_by_default_nobody_commands(broker: Broker, tmp_path: Path) -> None:
+    async with listening(broker, tmp_path, commands="off") as (rig, ground):
+        for k in range(3):
+            await ground.say(TREE + "command", body(id=f"c{k}", expires_ns=rig.clock.now() + 10**9), qos=1)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.3):
+                await anext(ground.heard())
+        assert rig.operator.done == []
+
+
+async def test_signed_commands_over_a_real_broker(broker: Broker, tmp_path: Path, key_file: Path) -> None:
+    changes = {"commands": "signed", "command_key_file": str(key_file)}
+    async with listening(broker, tmp_path, **changes) as (rig, ground), asyncio.timeout(8):
+        heard = ground.heard()
+        notice = decode("operator", (await anext(heard)).payload)
+        assert isinstance(notice, OperatorNotice)
+        assert (notice.run, notice.commands) == (RUN, "signed")
+        good = signed(KEY, TREE + "command", body(expires_ns=rig.clock.now() + 5 * 10**9))
+        answers = []
+        for payload in (good[65:], good, good):
+            await ground.say(TREE + "command", payload, qos=1)
+            reply = decode("reply", (await anext(heard)).payload)
+            assert isinstance(reply, Reply)
+            answers.append(reply.reason)
+        assert answers == ["unsigned", None, None]
+        assert rig.operator.done == ["start"]
+        assert rig.count("commands_unsigned") == 1
+        assert rig.count("commands_repeated") == 1
+
+
+async def test_what_a_display_may_read_tells_no_run_and_lets_it_command_nothing(broker: Broker, tmp_path: Path) -> None:
+    """With the access list that is shipped: the display looks on, the ground commands."""
+    acl = (ROOT / "configs/broker/decklander.acl").read_text().replace("user display", "user mute")
+    broker.stop()
+    drone = "\nuser drone\ntopic write decklander/v1/deck/#\ntopic read decklander/v1/deck/command\n"
+    (broker.folder / "acl").write_text(acl + drone)
+    broker.start()
+    async with (
+        connect(Endpoint.of(broker.settings("mute")), "display", incoming=1000) as display,
+        listening(broker, tmp_path, state_hz=20.0, health_hz=10.0) as (rig, ground),
+        asyncio.timeout(10),
+    ):
+        await display.subscribe([("decklander/#", 1), ("decklander/v1/deck/operator", 1)])
+        command = body(expires_ns=rig.clock.now() + 10**10)
+        await display.say(TREE + "command", command, qos=1)
+        await ground.say(TREE + "command", command.replace(b"start", b"pause"), qos=1)
+        await until(lambda: rig.count("commands_accepted") == 1)
+        assert rig.operator.done == ["pause"]
+        leaves: set[str] = set()
+        async for heard in display.heard():
+            assert RUN.encode() not in heard.payload
+            leaves.add(heard.topic.removeprefix(TREE))
+            if {"status", "health", "event"} <= leaves and rig.count("health_sent") > 3:
+                break
+        assert leaves <= {"status", "state", "sighting", "health", "event"}
+
+
+async def test_the_script_in_the_docs_commands_a_drone(broker: Broker, tmp_path: Path, key_file: Path) -> None:
+    page = (ROOT / "docs/mqtt.md").read_text()
+    match = re.search(r"```python\n(# command\.py.*?)```", page, re.DOTALL)
+    assert match is not None
+    (tmp_path / "command.py").write_text(match[1])
+    changes = {"commands": "signed", "command_key_file": str(key_file), "health_hz": 10.0}
+    words = ["localhost", str(broker.port), str(broker.certificates / "ca.crt"), "ground", str(broker.folder / "ground.password")]
+    async with listening(broker, tmp_path, **changes) as (rig, _):
+        child = await asyncio.create_subprocess_exec(
+            *(sys.executable, str(tmp_path / "command.py"), *words, "deck", str(key_file), '{"command": "pause"}'),
+            stdout=asyncio.subprocess.PIPE,
+        )
+        async with asyncio.timeout(15):
+            out, _ = await child.communicate()
+        assert (child.returncode, rig.operator.done) == (0, ["pause"])
+        assert b"accepted" in out
+
+
+def test_openssl_in_the_docs_makes_the_same_signature(tmp_path: Path, key_file: Path) -> None:
+    page = (ROOT / "docs/mqtt.md").read_text()
+    match = re.search(r"```sh\n(# sign\.sh.*?)```", page, re.DOTALL)
+    assert match is not None
+    (tmp_path / "body.json").write_bytes(body())
+    done = subprocess.run(["sh", "-c", match[1]], cwd=tmp_path, capture_output=True, check=True)
+    assert done.stdout == signed(KEY, "decklander/v1/alpha/command", body())
+    assert done.stdout[:64] == hmac.new(KEY, b"decklander/v1/alpha/command\n" + body(), hashlib.sha256).hexdigest().encode()
