@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:Resource
 
 
 class Flight:
-    """Guidance at 100 Hz beside the part: the longest it was ever late, and how late a thread was that the loop cannot hold up."""
+    """Guidance at 100 Hz beside the part: the longest it was ever late, and how late a thread was beside the loop."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -43,7 +43,16 @@ class Flight:
             ended.set()
 
     @property
-    @pytest.mark.parametrize(
+async def flown(settings: MqttSettings, folder: Path, seconds: float) -> tuple[Rig, Flight]:
+    async with running(settings, folder) as rig, asyncio.TaskGroup() as group:
+        flight = Flight(rig)
+        flying = group.create_task(flight.fly())
+        await asyncio.sleep(seconds)
+        flying.cancel()
+    return rig, flight
+
+
+@pytest.mark.parametrize(
     ("changes", "said"),
     [
         ({"user": "wrong"}, "ot authorized"),
