@@ -43,6 +43,17 @@ class Flight:
             ended.set()
 
     @property
+    def undisturbed(self) -> bool:
+        """Whether what held guidance up was the machine, which held up the thread as well."""
+        return self.rounds > 0 and self.late_s < 0.3 + 3.0 * self.machine_s
+
+    def _watch_machine(self, ended: threading.Event) -> None:
+        while not ended.is_set():
+            due = time.monotonic() + 0.01
+            time.sleep(0.01)
+            self.machine_s = max(self.machine_s, time.monotonic() - due)
+
+
 async def flown(settings: MqttSettings, folder: Path, seconds: float) -> tuple[Rig, Flight]:
     async with running(settings, folder) as rig, asyncio.TaskGroup() as group:
         flight = Flight(rig)
