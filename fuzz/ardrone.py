@@ -10,9 +10,9 @@ from unittest.mock import patch
 import av
 import numpy as np
 
-from companion.pilot import Pilot
 from companion.service import make_pilot
 from companion.settings import load
+from companion.settings_model import Settings
 from drivers.ardrone import at, control, navdata
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel
@@ -40,7 +40,7 @@ def run_navdata(data: bytes) -> None:
     """Datagrams through the channel into the pilot: counted or taken, whatever they hold; the checksum is put right."""
     choices = Choices(data)
     clock, counters = LockStepClock(_START), Counters()
-    pilot = _pilot()
+    pilot = make_pilot(_settings())
 
     def received(_: navdata.Navdata, samples: list[Sample], heard: MonoNs) -> None:
         for sample in samples:
@@ -63,13 +63,8 @@ def _checked(datagram: bytes) -> bytes:
 
 
 @cache
-def _settings_of_pilot() -> Pilot:
-    return make_pilot(load("sim"))
-
-
-def _pilot() -> Pilot:
-    made = _settings_of_pilot()
-    return Pilot(made._eyes, made._memory.options, made._plan, made._gains, land_timeout_s=10.0)
+def _settings() -> Settings:
+    return load("sim")
 
 
 def navdata_seeds() -> Iterator[bytes]:

@@ -23,7 +23,6 @@ import numpy as np
 from companion.health import Health
 from companion.mavlink.face_part import FacePart
 from companion.mavlink.make import AutopilotPart
-from companion.pilot import Pilot
 from companion.service import make_pilot
 from companion.settings import from_mapping
 from companion.settings_model import Settings
@@ -153,23 +152,13 @@ def _settings() -> Settings:
     return from_mapping(SETTINGS, "fuzz")
 
 
-@cache
-def _pilot_of() -> Pilot:
-    return make_pilot(_settings())
-
-
-def _pilot() -> Pilot:
-    made = _pilot_of()
-    return Pilot(made._eyes, made._memory.options, made._plan, made._gains, land_timeout_s=10.0, automatic=False)
-
-
 def run_autopilot(data: bytes) -> None:
     """From each link to the bytes that go out again: codec, links, autopilot, component, samples, pilot, commands."""
     asyncio.run(_autopilot(Choices(data)))
 
 
 async def _autopilot(choices: Choices) -> None:
-    clock, wires, pilot = LockStepClock(), Wires(), _pilot()
+    clock, wires, pilot = LockStepClock(), Wires(), make_pilot(_settings())
     vehicle = _settings().vehicle
     assert isinstance(vehicle, AutopilotSettings)
     part = AutopilotPart(_settings(), vehicle, pilot, Health(clock), clock, lambda on: None, lambda *crossed: None)

@@ -11,12 +11,12 @@ from pathlib import Path
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from companion.pilot import Pilot
 from companion.recorder import channels
 from companion.recorder.reading import CAMERA, PAD, SETTINGS, RecordedFrame, open_recording
 from companion.replay.engine import Replay
 from companion.service import make_pilot
 from companion.settings import load
+from companion.settings_model import Settings
 from estimator.contracts.errors import BadInput
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
 
@@ -78,17 +78,12 @@ def _read(path: Path) -> None:
             event.frame()
     assert sum(recording.counts.values()) >= read
     with suppress(BadInput):
-        Replay(recording, _pilot(), sightings=True).run()
+        Replay(recording, make_pilot(_settings()), sightings=True).run()
 
 
 @cache
-def _pilot_of() -> Pilot:
-    return make_pilot(load("sim"))
-
-
-def _pilot() -> Pilot:
-    made = _pilot_of()
-    return Pilot(made._eyes, made._memory.options, made._plan, made._gains, land_timeout_s=10.0)
+def _settings() -> Settings:
+    return load("sim")
 
 
 @cache

@@ -132,7 +132,7 @@ def _colours(data: object, where: str) -> Colours:
     if not isinstance(data, Mapping):
         raise BadInput(f"{where}: colours must be a table with disc, ring, h and perhaps rim")
     if unknown := sorted(set(data) - {"disc", "ring", "h", "rim"}):
-        raise BadInput(f"{where}: unknown key colours.{unknown[0]}")
+        raise BadInput(f"{where}: unknown key colours.{unknown[0]!r}")
     out: dict[str, tuple[int, int, int]] = {}
     for key in ("disc", "ring", "h", "rim"):
         if key not in data:
