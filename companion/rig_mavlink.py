@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
 
 from companion.mavlink.component import ComponentOptions
 from companion.mavlink.outputs import OutputOptions
-from companion.settings_vehicle import AutopilotSettings, FaceSettings, endpoints
+from companion.settings_vehicle import AutopilotSettings, FaceSettings, endpoints, unsigned
 from drivers.mavlink.access import parse_operators
 from drivers.mavlink.autopilot import AutopilotOptions
 from drivers.mavlink.helm import HelmOptions
 from drivers.mavlink.links import LinkOptions
-from drivers.mavlink.signing import Signing, SigningTime, load_key
+from drivers.mavlink.signing import Signing, load_key
+from drivers.mavlink.signing_times import SigningTimes
+
+_log = logging.getLogger(__name__)
 
 
 def links(settings: AutopilotSettings | FaceSettings, environment: Mapping[str, str] | None = None) -> tuple[LinkOptions, ...]:
     """The links that are set; where they are signed, each under a link id of its own.
 
     Raises:
-        BadInput: no link, or a key or time that cannot be read.
+        BadInput: no link, or a key that cannot be read.
     """
     found = endpoints(settings.links)
     if not settings.signing_key_file:
+        _log.warning("MAVLink over %s is %s", settings.links, unsigned(settings))
         return tuple(LinkOptions(endpoint) for endpoint in found)
     environment = os.environ if environment is None else environment
     key = load_key(settings.signing_key_file, environment)
-    time = SigningTime(_time_file(settings.signing_time_file, environment))
-    return tuple(LinkOptions(endpoint, signing=Signing(key, time, number)) for number, endpoint in enumerate(found))
+    file = _time_file(settings.signing_time_file, environment)
+    if file is None:
+        _log.warning(
+            "signing times are kept in memory alone: after a restart, messages up to a minute old could be played again; "
+            "set signing_time_file, or let systemd give a StateDirectory"
+        )
+    times = SigningTimes(file)
+    return tuple(LinkOptions(endpoint, signing=Signing(key, times, number)) for number, endpoint in enumerate(found))
 
 
 def autopilot_options(

@@ -20,7 +20,7 @@ _OPERATORS = (
     "over the autopilot's own link, and whoever signs"
 )
 _TIME = (
-    "file that keeps the signing time over restarts, relative to the settings file; empty for "
+    "file that keeps the times of signed messages, ours and those heard, over restarts, relative to the settings file; empty for "
     "$STATE_DIRECTORY/mavlink-signing-time, or memory alone without that"
 )
 
@@ -178,3 +178,10 @@ class FaceSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         _checked(self.links, self.operators)
+
+
+def unsigned(settings: AutopilotSettings | FaceSettings) -> str | None:
+    """Return what is said of links that are not signed, with the cure; None where they are, or there are none."""
+    if settings.signing_key_file or not settings.links.strip():
+        return None
+    return "not signed: decklander keys make FILE; decklander keys install --link URL FILE; then signing_key_file = FILE"

@@ -32,7 +32,8 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.links import LinkOptions
-from drivers.mavlink.signing import Signing, SigningKey, SigningTime, load_key
+from drivers.mavlink.signing import Signing, SigningKey, load_key
+from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.commands import Command, Hover, Velocity
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import F64, Rotation
@@ -358,8 +359,8 @@ def run_signing(data: bytes) -> None:
         with suppress(BadInput):
             load_key(str(key), {})
         with suppress(BadInput):
-            SigningTime(time, lambda: 1.7e9).next()
-    clock = SigningTime(None, lambda: 1.7e9)
+            SigningTimes(time, lambda: 1.7e9).next()
+    clock = SigningTimes(None, lambda: 1.7e9)
     codec = Codec(1, 191, datagrams=True, signing=Signing(_SECRET, clock, 0))
     sender = mav.MAVLink(None, srcSystem=1, srcComponent=1)
     sender.signing.secret_key, sender.signing.sign_outgoing = _SECRET.secret, True

@@ -24,7 +24,8 @@ from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions
-from drivers.mavlink.signing import Signing, SigningTime, load_key
+from drivers.mavlink.signing import Signing, load_key
+from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput
 
 
@@ -106,9 +107,9 @@ def _options(args: argparse.Namespace, settings: Settings | None) -> AutopilotOp
         vehicle = None if settings is None else settings.vehicle
         return autopilot_options(vehicle, 4096, ()) if isinstance(vehicle, AutopilotSettings) else None
     key = load_key(args.signing_key) if args.signing_key else None
-    time = SigningTime(None)
+    times = SigningTimes(None)
     links = tuple(
-        LinkOptions(parse_endpoint(url), signing=None if key is None else Signing(key, time, number))
+        LinkOptions(parse_endpoint(url), signing=None if key is None else Signing(key, times, number))
         for number, url in enumerate(args.link)
     )
     try:

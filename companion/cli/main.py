@@ -32,6 +32,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("companion.cli.calibrate", "a camera file from pictures of a printed board"),
     "pad": ("companion.cli.pad", "print the pad or a calibration board true to scale"),
     "doctor": ("companion.cli.doctor", "why nothing happens: names every known trap of autopilot and links with its cure"),
+    "keys": ("companion.cli.keys", "make, show, install and remove the key that MAVLink is signed with"),
     "config": ("companion.cli.config", "check settings, show them, or explain them"),
 }
 """Name to (module, help in one line)."""

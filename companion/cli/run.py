@@ -11,7 +11,7 @@ from companion.proven import Proven
 from companion.rig_camera import camera_options
 from companion.service import live, log_to_stderr, make_daemon, make_pilot
 from companion.settings import Settings, load, shipped
-from companion.settings_vehicle import AutopilotSettings
+from companion.settings_vehicle import AutopilotSettings, FaceSettings, unsigned
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -63,13 +63,26 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
 def _vehicle(settings: Settings) -> str:
     v, face = settings.vehicle, settings.face
     if isinstance(v, AutopilotSettings):
-        signed = "signed" if v.signing_key_file else "not signed"
+        signed = unsigned(v) or "signed"
+        who = f", and from system {v.operators}" if v.operators else ""
         whom = f"system {v.system_id}" if v.system_id else "the first that flies"
-        return f"vehicle: autopilot over {v.links} ({signed}), {whom}; we are component {v.component_id}"
+        return (
+            f"vehicle: autopilot over {v.links} ({signed}), {whom}; "
+            f"we are component {v.component_id}; commands from the autopilot's own link{who}"
+        )
     return (
         f"vehicle: ardrone at {v.host}, navdata {v.navdata_port}/udp, video {v.video_port}/tcp, "
-        f"commands {v.at_port}/udp, configuration {v.control_port}/tcp"
-        + (f"; shown to ground stations as system {face.system_id} over {face.links}" if face.links else "")
+        f"commands {v.at_port}/udp, configuration {v.control_port}/tcp" + (_shown(face) if face.links else "")
+    )
+
+
+def _shown(face: FaceSettings) -> str:
+    who = (
+        f"system {face.operators}" if face.operators else "whoever signs" if face.signing_key_file else "nobody (face.operators)"
+    )
+    return (
+        f"; shown to ground stations as system {face.system_id} over {face.links} ({unsigned(face) or 'signed'}), "
+        f"commands from {who}"
     )
 
 

@@ -98,6 +98,8 @@ def _picture(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], secon
             link.counters.total("damaged"),
             link.counters.total("old_version"),
             link.counters.total("refused_signature"),
+            link.signed,
+            link.counters.strangers,
         )
         for link in autopilot.links.all
     )

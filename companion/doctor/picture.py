@@ -25,6 +25,10 @@ class LinkPicture(Struct, frozen=True):
     damaged: int = 0
     old_version: int = 0
     refused_signature: int = 0
+    signed: bool | None = None
+    """Whether we sign on it and take only what is signed."""
+    strangers: int = 0
+    """Messages of senders that were not asked for."""
 
 
 class SyncPicture(Struct, frozen=True):

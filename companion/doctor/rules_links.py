@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from companion.doctor.finding import Finding, Rule, error, warning
+from companion.doctor.finding import Finding, Rule, advice, error, warning
 from companion.doctor.picture import LinkPicture, Picture
 from drivers.mavlink.requests import INSTEAD
 
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 """Without these nothing can be told to, or flown by, an autopilot."""
+_NETS = ("udpin", "udpout", "tcp")
+_LOOPBACK = ("127.0.0.1", "[::1]", "localhost")
 _REASONS = {
     "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in anew",
     "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
@@ -62,6 +64,31 @@ def link_signature(p: Picture) -> Finding | None:
                 "link-signature",
                 f"{link.url}: {link.refused_signature} messages refused for their signature",
                 "use the same key on both sides; after a key change restart both; check that the clocks agree to a minute",
+            )
+    return None
+
+
+def link_unsigned(p: Picture) -> Finding | None:
+    """A network link that believes addresses."""
+    for link in _open(p):
+        near = link.url.startswith(("serial:", *(f"{scheme}://{host}:" for scheme in _NETS for host in _LOOPBACK)))
+        if link.signed is False and not near:
+            return advice(
+                "link-unsigned",
+                f"{link.url}: not signed: whoever reaches that address first can be taken for the autopilot",
+                "decklander keys make FILE, keys install --link URL FILE, then signing_key_file; or keep it to loopback",
+            )
+    return None
+
+
+def link_strangers(p: Picture) -> Finding | None:
+    """Somebody speaks and is not listened to."""
+    for link in _open(p):
+        if link.strangers > 20 and p.autopilot is not None:
+            return advice(
+                "link-strangers",
+                f"{link.url}: {link.strangers} messages of systems that may not command and are told nothing",
+                "where one is your ground station, name its system in vehicle.operators (QGroundControl is 255), or sign",
             )
     return None
 
@@ -260,7 +287,8 @@ def drone_fault(p: Picture) -> Finding | None:
 
 
 RULES: tuple[Rule, ...] = (
-    link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, no_autopilot, several_autopilots,
+    link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, link_unsigned,
+    link_strangers, no_autopilot, several_autopilots,
     stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, camera_fault, camera_device,
     camera_size, camera_slow,
     broker_fault, drone_fault,

@@ -73,8 +73,8 @@ class Codec:
             self._mav.signing.secret_key = signing.key.secret
             self._mav.signing.link_id = signing.link_id
             self._mav.signing.sign_outgoing = True
-            self._mav.signing.stream_timestamps = signing.streams
-            self._mav.signing.timestamp = signing.time.next()
+            self._mav.signing.stream_timestamps = signing.times.streams
+            self._mav.signing.timestamp = signing.times.next()
 
     def restart(self) -> None:
         """The stream was interrupted: what is half heard will not be completed, and the sequences begin anew."""
@@ -95,7 +95,7 @@ class Codec:
             Unfit: a field does not fit its type on the wire.
         """
         if self._signing is not None:
-            self._mav.signing.timestamp = self._signing.time.next(self._mav.signing.timestamp)
+            self._mav.signing.timestamp = self._signing.times.next()
         usual = self._mav.srcComponent
         speaker = usual if component is None else component
         self._mav.srcComponent, self._mav.seq = speaker, self._spoken.get(speaker, 0)
@@ -142,6 +142,8 @@ class Codec:
             self.counters.damaged += 1
             return False, None
         signing = self._mav.signing
+        if self._signing is not None:
+            signing.timestamp = self._signing.times.now
         stream, newest = self._stream_time(frame)
         refused_before = signing.badsig_count + signing.reject_count
         try:
@@ -165,6 +167,9 @@ class Codec:
                 return False, None
             self.counters.unknown += 1
             return True, None
+        if self._signing is not None:
+            self._signing.times.heard(signing.timestamp)
+            self._signing.times.bound()
         self._count(message, frame[0])
         return True, message
 

@@ -136,6 +136,11 @@ class Link:
         return None if self._wire is None else self._wire.local
 
     @property
+    def signed(self) -> bool:
+        """Whether nothing crosses it without a signature."""
+        return self._o.signing is not None
+
+    @property
     def peers(self) -> int:
         """How many are spoken to."""
         return len(self._peers)
@@ -245,8 +250,7 @@ class Link:
         if ids[0] == 0:
             access.refused["no system id"] += 1
             return
-        signed = self._o.signing is not None
-        standing = access.standing(source, ids, heard, asked_for=self._asked_for, signed=signed)
+        standing = access.standing(source, ids, heard, asked_for=self._asked_for, signed=self.signed)
         if standing is Standing.STRANGER:
             self.counters.strangers += 1
             access.refuse_stranger(ids, address, heard)
@@ -375,5 +379,7 @@ async def open_links(
             links.heard.fail(Recoverable("the MAVLink links are closed"))
             for task in tasks:
                 task.cancel()
+            for times in {id(one.signing.times): one.signing.times for one in options if one.signing is not None}.values():
+                times.close()
     if failed is not None:
         raise failed

@@ -1,4 +1,4 @@
-"""Message signing: the key from a file or a systemd credential, the 48-bit time kept on disk so that it never runs back.
+"""Message signing: the key from a file or a systemd credential, and what one endpoint signs with.
 
 Source: mavlink.io, "Message signing". The key is never printed, logged or offered as a parameter.
 """
@@ -6,23 +6,15 @@ Source: mavlink.io, "Message signing". The key is never printed, logged or offer
 from __future__ import annotations
 
 import hashlib
-import logging
 import os
 import stat
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from estimator.contracts.errors import BadInput, unusable
+from drivers.mavlink.signing_times import SigningTimes
+from estimator.contracts.errors import BadInput
 
-_log = logging.getLogger(__name__)
-
-EPOCH_S = 1_420_070_400
-"""2015-01-01 00:00 GMT as Unix time."""
-TICKS_PER_S = 100_000
-_AHEAD_TICKS = 60 * TICKS_PER_S
-"""How far the time on disk runs ahead, so that it is written once a minute and a crash still never repeats a time."""
 _CREDENTIAL, _PASSPHRASE = "credential:", "passphrase:"
 
 
@@ -35,6 +27,11 @@ class SigningKey:
     def __post_init__(self) -> None:
         if len(self.secret) != 32:
             raise ValueError("a signing key has 32 bytes")
+
+    @property
+    def fingerprint(self) -> str:
+        """Sixteen digits by which people tell keys apart; they do not give the key away."""
+        return ":".join(f"{byte:02x}" for byte in hashlib.sha256(self.secret).digest()[:8])
 
 
 def load_key(where: str, environment: Mapping[str, str] | None = None) -> SigningKey:
@@ -58,7 +55,7 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
         mode = path.stat().st_mode
         content = path.read_bytes()
     except OSError as why:
-        raise unusable(f"signing key {path}", why) from why
+        raise BadInput(f"signing key {path}: {why.strerror or why}") from why
     if stat.S_IMODE(mode) & 0o077:
         raise BadInput(f"signing key {path}: others may read it; chmod 600 {path}")
     if len(content) == 32:
@@ -75,76 +72,18 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
     return SigningKey(key)
 
 
-class SigningTime:
-    """The signing time of this host: wall time in 10 us since 2015, but never at or before one used earlier, across restarts.
-
-    The file holds a time that was not used yet; it is written before times beyond it are used.
-
-    Args:
-        path: where it is kept; None keeps it in memory only.
-
-    Raises:
-        BadInput: the file cannot be read or written as it is named.
-    """
-
-    def __init__(self, path: Path | None, wall_s: Callable[[], float] = time.time) -> None:
-        self._path = path
-        self._wall_s = wall_s
-        self._reserved = 0
-        self._used = 0
-        self._said = False
-        if path is not None and path.exists():
-            try:
-                self._used = self._reserved = int(path.read_text())
-            except OSError as why:
-                self._fails(why, starting=True)
-            except ValueError:  # torn by a power cut: no setting is wrong, and the next write mends it
-                _log.error("signing time %s: it should hold one whole number; going on from this host's clock", path)
-        self._reserve(self._reserved, starting=True)
-
-    def next(self, at_least: int = 0) -> int:
-        """A time later than every one before it, and not before `at_least` (a peer's)."""
-        wall = int((self._wall_s() - EPOCH_S) * TICKS_PER_S)
-        self._used = max(self._used + 1, wall, at_least)
-        if self._used >= self._reserved:
-            self._reserve(self._used + _AHEAD_TICKS)
-        return self._used
-
-    def _reserve(self, until: int, *, starting: bool = False) -> None:
-        self._reserved = until
-        if self._path is None:
-            return
-        scratch = self._path.with_name(self._path.name + ".new")
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            scratch.write_text(str(until))
-            scratch.replace(self._path)
-        except OSError as why:
-            self._fails(why, starting=starting)
-
-    def _fails(self, why: OSError, *, starting: bool) -> None:
-        """A disk that fails must not silence the link to the autopilot: this host's clock is all but always ahead by itself."""
-        fault = unusable(f"signing time {self._path}", why)
-        if starting and isinstance(fault, BadInput):
-            raise fault from why
-        if not self._said:
-            _log.error("%s; it is kept in memory alone meanwhile", fault)
-        self._said = True
-
-
 @dataclass(frozen=True, slots=True)
 class Signing:
-    """What one endpoint signs with, and the newest times it heard.
+    """What one endpoint signs with.
 
     Args:
+        times: shared by all endpoints, so that a message heard on one is no news on another.
         link_id: this endpoint's own number, 0..255, different from the other endpoints'.
     """
 
     key: SigningKey
-    time: SigningTime
+    times: SigningTimes
     link_id: int
-    streams: dict[tuple[int, int, int], int] = field(default_factory=dict)
-    """Newest time heard of each (link id, system, component): what is not later is a replay. Outlives reconnections."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.link_id <= 255:

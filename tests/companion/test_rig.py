@@ -172,14 +172,16 @@ def test_links_are_signed_with_one_key_and_ids_of_their_own(
     assert second.signing is not None
     assert first.signing.key.secret == bytes(range(32))
     assert (first.signing.link_id, second.signing.link_id) == (0, 1)
-    assert first.signing.time is second.signing.time
-    first.signing.time.next()
+    assert first.signing.times is second.signing.times
+    first.signing.times.next()
+    first.signing.times.close()
     assert time.exists()
     credential = kind(urls, signing_key_file="credential:link.key")
     environment = {"CREDENTIALS_DIRECTORY": str(tmp_path), "STATE_DIRECTORY": str(tmp_path / "state")}
     signing = rig_mavlink.links(credential, environment)[0].signing
     assert signing is not None
-    signing.time.next()
+    signing.times.next()
+    signing.times.close()
     assert (tmp_path / "state/mavlink-signing-time").exists()
     with pytest.raises(BadInput, match="signing key"):
         rig_mavlink.links(kind(urls, signing_key_file=str(tmp_path / "none")))

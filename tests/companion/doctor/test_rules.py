@@ -94,6 +94,12 @@ def without(*names: str, **more: float) -> dict[str, float]:
     return {k: v for k, v in ARDUPILOT.parameters.items() if k not in names} | more
 
 
+def test_a_cable_and_loopback_need_no_signature() -> None:
+    for url in ("serial:///dev/ttyAMA0:921600", "udpin://127.0.0.1:14550", "tcp://localhost:5760", "udpin://[::1]:1"):
+        assert diagnose(link(url=url, signed=False)) == ()
+    assert diagnose(link(url="udpin://0.0.0.0:14550", signed=True)) == ()
+
+
 BROKEN: dict[str, tuple[str, Picture, str]] = {
     # what is broken: the rule that names it, the picture, a word of the cure
     "serial port without permission": ("link-down", link(down="[Errno 13] Permission denied: '/dev/ttyAMA0'"), "usermod"),
@@ -103,6 +109,8 @@ BROKEN: dict[str, tuple[str, Picture, str]] = {
     "wire not connected": ("link-silent", link(bytes_in=0, messages=0), "SERIALn_PROTOCOL"),
     "wrong speed": ("link-garbage", link(bytes_in=9000, messages=3, damaged=800), "same speed"),
     "key on one side only": ("link-signature", link(refused_signature=40), "same key"),
+    "not signed in a network": ("link-unsigned", link(url="udpin://0.0.0.0:14550", signed=False), "decklander keys"),
+    "a station that is not named": ("link-strangers", link(strangers=300), "vehicle.operators"),
     "MAVLink 1 on the port": ("link-mavlink1", link(old_version=2900), "SERIALn_PROTOCOL 2"),
     "overloaded link": ("link-lossy", link(lost=600), "921600"),
     "only a ground station heard": ("no-autopilot", replace(GOOD, autopilot=None, sync=None), "frame type"),

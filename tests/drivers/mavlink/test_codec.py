@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.signing import EPOCH_S, Signing, SigningKey, SigningTime
+from drivers.mavlink.signing import Signing, SigningKey
+from drivers.mavlink.signing_times import EPOCH_S, SigningTimes
 
 KEY = SigningKey(bytes(range(32)))
 
@@ -31,7 +32,7 @@ def times(messages: list[Message]) -> list[int]:
 
 
 def signing(link_id: int = 3, wall_s: float = EPOCH_S + 1000.0) -> Signing:
-    return Signing(KEY, SigningTime(None, lambda: wall_s), link_id)
+    return Signing(KEY, SigningTimes(None, lambda: wall_s), link_id)
 
 
 @settings(deadline=None, max_examples=60)
@@ -131,7 +132,7 @@ def test_signed_traffic_is_heard_and_anything_else_is_refused() -> None:
     assert times(receiver.feed(good)) == [1]
     assert receiver.feed(good) == [], "a replay"
     assert receiver.feed(Codec(1, 1).pack(attitude(2))) == [], "unsigned"
-    stranger = Signing(SigningKey(bytes(32)), SigningTime(None, lambda: EPOCH_S + 1001.0), 3)
+    stranger = Signing(SigningKey(bytes(32)), SigningTimes(None, lambda: EPOCH_S + 1001.0), 3)
     assert receiver.feed(Codec(9, 1, signing=stranger).pack(attitude(3))) == [], "another key"
     late = Codec(5, 1, signing=signing(wall_s=EPOCH_S + 900.0))
     assert receiver.feed(late.pack(attitude(4))) == [], "a new stream more than a minute behind"
@@ -142,6 +143,6 @@ def test_signed_traffic_is_heard_and_anything_else_is_refused() -> None:
 def test_a_forged_time_does_not_shut_the_true_sender_out() -> None:
     sender, receiver = Codec(1, 1, signing=signing()), Codec(2, 1, signing=signing(link_id=4))
     assert receiver.feed(sender.pack(attitude(1)))
-    forger = Signing(SigningKey(bytes(32)), SigningTime(None, lambda: EPOCH_S + 9e8), 3)
+    forger = Signing(SigningKey(bytes(32)), SigningTimes(None, lambda: EPOCH_S + 9e8), 3)
     assert receiver.feed(Codec(1, 1, signing=forger).pack(attitude(2))) == []
     assert times(receiver.feed(sender.pack(attitude(3)))) == [3]

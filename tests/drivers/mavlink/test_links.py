@@ -16,7 +16,8 @@ from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
-from drivers.mavlink.signing import Signing, SigningKey, SigningTime
+from drivers.mavlink.signing import Signing, SigningKey
+from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput, Recoverable
 from tests.drivers.fake_ardrone import until
 
@@ -163,7 +164,7 @@ async def test_several_links_at_once_and_one_of_them_missing() -> None:
 
 async def test_signed_links_hear_each_other_only() -> None:
     def signing(link_id: int) -> Signing:
-        return Signing(SigningKey(bytes(range(32))), SigningTime(None), link_id)
+        return Signing(SigningKey(bytes(range(32))), SigningTimes(None), link_id)
 
     async with open_links([quick(f"udpin://{HOST}:0", signing=signing(0))], SystemClock(), (1, 191)) as ours:
         await until(lambda: ours.all[0].local)

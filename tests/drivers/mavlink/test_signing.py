@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 from pathlib import Path
 
 import pytest
 
-from drivers.mavlink.signing import EPOCH_S, TICKS_PER_S, SigningKey, SigningTime, load_key
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.signing import Signing, SigningKey, load_key
+from drivers.mavlink.signing_times import EPOCH_S, TICKS_PER_S, SigningTimes
 from estimator.contracts.errors import BadInput
 
 SECRET = bytes(range(100, 132))
@@ -56,7 +60,7 @@ def test_a_key_does_not_show() -> None:
 
 def test_time_follows_the_wall_and_never_repeats() -> None:
     wall = [EPOCH_S + 10.0]
-    time = SigningTime(None, lambda: wall[0])
+    time = SigningTimes(None, lambda: wall[0])
     first = time.next()
     assert first == 10 * TICKS_PER_S
     assert time.next() == first + 1
@@ -64,38 +68,114 @@ def test_time_follows_the_wall_and_never_repeats() -> None:
     assert time.next() == 11 * TICKS_PER_S
     wall[0] -= 100
     assert time.next() == 11 * TICKS_PER_S + 1, "a wall clock set back"
-    assert time.next(at_least=10**9) == 10**9
+    time.heard(10**9)
+    assert time.next() == 10**9 + 1
+    time.heard(2**48 - 1)
+    assert time.next() == 10**9 + 2, "who says the last time there is does not silence us"
 
 
 def test_a_restart_with_a_clock_set_back_goes_on_after_the_last_time(tmp_path: Path) -> None:
     path = tmp_path / "state/time"
-    before = SigningTime(path, lambda: EPOCH_S + 5000.0)
+    before = SigningTimes(path, lambda: EPOCH_S + 5000.0)
     used = [before.next() for _ in range(5)]
-    after = SigningTime(path, lambda: EPOCH_S + 10.0)
+    before.close()
+    after = SigningTimes(path, lambda: EPOCH_S + 10.0)
     assert after.next() > used[-1]
 
 
-def test_a_torn_time_is_said_and_mended_and_keeps_no_service_from_starting(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+def crossing(times: SigningTimes, messages: list[bytes]) -> int:
+    """How many of these are believed by a link that keeps these times."""
+    codec = Codec(1, 191, datagrams=True, signing=Signing(SigningKey(SECRET), times, 0))
+    return sum(len(codec.feed(message)) for message in messages)
+
+
+def signed(wall_s: float, count: int = 3, system: int = 1) -> list[bytes]:
+    sender = Codec(system, 1, signing=Signing(SigningKey(SECRET), SigningTimes(None, lambda: wall_s), 7))
+    return [sender.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)) for _ in range(count)]
+
+
+def test_what_was_heard_before_a_restart_cannot_be_played_again_after_it(tmp_path: Path) -> None:
+    path, now_s = tmp_path / "times", EPOCH_S + 5000.0
+    captured = signed(now_s)
+    before = SigningTimes(path, lambda: now_s)
+    assert crossing(before, captured) == 3
+    before.close()
+    after = SigningTimes(path, lambda: now_s + 40.0)
+    assert crossing(after, captured) == 0
+    assert crossing(after, signed(now_s + 40.0)) == 3
+
+
+def test_without_a_file_nothing_older_than_a_minute_is_believed(tmp_path: Path) -> None:
+    now_s = EPOCH_S + 5000.0
+    for times in (SigningTimes(None, lambda: now_s), SigningTimes(tmp_path / "none yet", lambda: now_s)):
+        assert crossing(times, signed(now_s - 61.0)) == 0
+        assert crossing(times, signed(now_s - 59.0)) == 3
+
+
+def test_it_is_written_rarely_whole_and_never_by_the_flight_itself(tmp_path: Path) -> None:
+    path, elapsed = tmp_path / "times", [0.0]
+    times = SigningTimes(path, lambda: EPOCH_S + 5000.0 + elapsed[0], lambda: elapsed[0])
+    contents = set()
+    for n in range(1000):
+        elapsed[0] = 0.01 * n
+        times.next()
+        times._wait()
+        contents.add(path.read_text())
+    assert len(contents) == 2, "at 0 and 5 of 10 s"
+    assert json.loads(path.read_text())["time"] > times._used, "ahead of what was used, should it be killed now"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"not a number", b"{}", b'{"time": 1, "streams": [[1]]}', b"[" * 100_000, b"1e999", b"null", b"99999999999999999"],
+)
+def test_a_file_that_cannot_be_used_is_told_once_and_flown_on_without(
+    tmp_path: Path, content: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    path = tmp_path / "time"
-    path.write_text("not a number")
-    time = SigningTime(path, lambda: EPOCH_S + 5000.0)
-    assert "it should hold one whole number" in caplog.text
-    used = time.next()
-    assert SigningTime(path, lambda: EPOCH_S + 10.0).next() > used
+    path, now_s = tmp_path / "times", EPOCH_S + 5000.0
+    path.write_bytes(content)
+    times = SigningTimes(path, lambda: now_s)
+    assert [r.levelname for r in caplog.records] == ["ERROR"]
+    assert crossing(times, signed(now_s - 61.0)) == 0
+    assert crossing(times, signed(now_s)) == 3
+    times.close()
+    assert json.loads(path.read_text())["streams"] == [[7, 1, 1, times.streams[7, 1, 1]]], "and mended"
 
 
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EIO])
-def test_a_disk_that_fails_in_flight_silences_no_link(
+def test_a_disk_that_takes_nothing_is_told_once_and_flown_on_without(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    now = EPOCH_S + 5000.0
-    time = SigningTime(tmp_path / "time", lambda: now)
-    used = [time.next()]
-    monkeypatch.setattr(Path, "write_text", lambda *_: (_ for _ in ()).throw(OSError(number, "broken")))
+    monkeypatch.setattr(Path, "open", lambda *_: (_ for _ in ()).throw(OSError(number, "broken")))
+    elapsed = [0.0]
+    times = SigningTimes(tmp_path / "times", lambda: EPOCH_S + 5000.0 + elapsed[0], lambda: elapsed[0])
+    used = []
     for _ in range(5):
-        now += 100.0
-        used.append(time.next())
+        elapsed[0] += 10.0
+        used.append(times.next())
+        times._wait()
     assert used == sorted(set(used))
     assert caplog.text.count("kept in memory alone") == 1
+    assert crossing(times, signed(EPOCH_S + 5000.0)) == 3
+
+
+def test_a_wrong_name_is_told_before_the_flight(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(BadInput, match="signing times"):
+        SigningTimes(tmp_path / "file/times")
+
+
+def test_the_file_of_an_older_release_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "times"
+    path.write_text("600000000")
+    assert SigningTimes(path, lambda: EPOCH_S + 10.0).next() > 600_000_000
+
+
+def test_streams_are_bounded(tmp_path: Path) -> None:
+    now_s = EPOCH_S + 5000.0
+    times = SigningTimes(None, lambda: now_s)
+    for n in range(300):
+        sender = Codec(1 + n % 250, 1 + n // 250, signing=Signing(SigningKey(SECRET), SigningTimes(None, lambda: now_s), 7))
+        assert crossing(times, [sender.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))]) == 1
+    assert len(times.streams) == 256

@@ -1,0 +1,126 @@
+"""`decklander keys`: make a signing key, look at it, give it to an autopilot, take it away again."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import os
+import secrets
+import sys
+from pathlib import Path
+
+from companion.mavlink.key_setup import Met, meet, observe, send_key
+from drivers.clock import SystemClock
+from drivers.mavlink.endpoint import Endpoint, parse_endpoint
+from drivers.mavlink.signing import SigningKey, load_key
+from estimator.contracts.errors import BadInput
+
+_WIRED = ("serial",)
+_LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = subparsers.add_parser(
+        "keys",
+        help="make, show, install and remove the key that MAVLink is signed with",
+        description="Make and install the key that MAVLink messages are signed with (docs/mavlink.md). Exit code 0: done, and "
+        "seen to be so; 1: the autopilot was not seen to do it; 2: wrong use.",
+    )
+    deeds = parser.add_subparsers(dest="deed", metavar="DEED", required=True)
+    make = deeds.add_parser("make", help="write a new key of 32 random bytes that only you can read; never over a file")
+    make.add_argument("file", metavar="FILE")
+    show = deeds.add_parser("show", help="print a key's fingerprint, never the key")
+    show.add_argument("file", metavar="FILE", help="key file: 32 bytes, 64 hexadecimal digits, or a line 'passphrase: ...'")
+    install = deeds.add_parser("install", help="give the autopilot on a link this key (SETUP_SIGNING)")
+    install.add_argument("file", metavar="FILE", help="key file")
+    remove = deeds.add_parser("remove", help="let the autopilot on a link sign no more")
+    for deed in (install, remove):
+        deed.add_argument(
+            "--link",
+            required=True,
+            metavar="URL",
+            help="serial:///dev/NAME:BAUD (best: the key crosses the link in clear), udpin://ADDRESS:PORT, udpout://HOST:PORT, "
+            "tcp://HOST:PORT",
+        )
+        deed.add_argument("--current", metavar="FILE", help="the key that the autopilot has now, where it has one")
+        deed.add_argument("--system", type=int, metavar="N", help="system id of the autopilot that is meant")
+        deed.add_argument("--seconds", type=float, default=5.0, help="how long to listen for it (default 5)")
+        deed.add_argument("--yes", action="store_true", help="do not ask")
+
+
+def run(args: argparse.Namespace) -> int:
+    logging.basicConfig(level=logging.ERROR)  # what a link does is told by the result
+    if args.deed == "make":
+        return _make(Path(args.file))
+    if args.deed == "show":
+        sys.stdout.write(f"{args.file}: fingerprint {load_key(args.file).fingerprint}\n")
+        return 0
+    if not 0.5 <= args.seconds <= 600:
+        raise BadInput(f"--seconds must lie in 0.5..600, got {args.seconds:g}")
+    if args.system is not None and not 1 <= args.system <= 255:
+        raise BadInput(f"--system must lie in 1..255, got {args.system}")
+    current = None if args.current is None else load_key(args.current)
+    key = load_key(args.file) if args.deed == "install" else None
+    return asyncio.run(_set_up(args, parse_endpoint(args.link), current, key))
+
+
+def _make(path: Path) -> int:
+    key = SigningKey(secrets.token_bytes(32))
+    try:
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with open(file, "wb") as out:
+            out.write(key.secret)
+    except FileExistsError:
+        raise BadInput(f"{path}: there is a file already, and a key that is overwritten is gone; choose another name") from None
+    except OSError as why:
+        raise BadInput(f"{path}: {why.strerror or why}") from why
+    sys.stdout.write(
+        f"{path}: a new key, fingerprint {key.fingerprint}\n"
+        f'next: decklander keys install --link URL {path}; then signing_key_file = "{path}" under [vehicle]; keep a copy\n'
+    )
+    return 0
+
+
+async def _set_up(args: argparse.Namespace, endpoint: Endpoint, current: SigningKey | None, key: SigningKey | None) -> int:
+    clock = SystemClock()
+    met = await meet(endpoint, current, args.system, clock, args.seconds)
+    sys.stdout.write(_meaning(endpoint, met, current, key))
+    if met.armed:
+        raise BadInput("the autopilot is armed: it takes no key then; disarm it first")
+    if not args.yes and not _confirmed():
+        sys.stdout.write("nothing was changed\n")
+        return 1
+    await send_key(endpoint, current, met, key, clock)
+    if await observe(endpoint, key, met, clock, args.seconds):
+        sys.stdout.write("done: it signs with this key now\n" if key is not None else "done: it signs no more\n")
+        return 0
+    sys.stdout.write(
+        f"it was not seen to {'sign with this key' if key is not None else 'stop signing'} within {args.seconds:g} s: either its "
+        "firmware cannot sign (older PX4), or it has another key: say which with --current, or use its USB port\n"
+    )
+    return 1
+
+
+def _meaning(endpoint: Endpoint, met: Met, current: SigningKey | None, key: SigningKey | None) -> str:
+    lines = [f"{met.stack}, system {met.system}, on {endpoint}"]
+    if key is None:
+        lines.append("It will obey unsigned messages again: whoever reaches one of its links commands it.")
+    else:
+        lines += [
+            f"It will get the key with the fingerprint {key.fingerprint} and keep it over restarts. From then on it obeys only",
+            "messages that are signed with it (ArduPilot's USB port excepted): every ground station needs the same key.",
+        ]
+        if endpoint.scheme not in _WIRED and endpoint.host not in _LOOPBACK:
+            lines.append(f"The key crosses {endpoint} IN CLEAR: whoever listens has it. Better use a cable.")
+    if met.signs and current is None:
+        lines.append("It signs already: unless this is its USB port, it listens only to the key it has (--current).")
+    return "\n".join(lines) + "\n"
+
+
+def _confirmed() -> bool:
+    if not sys.stdin.isatty():
+        raise BadInput("nobody is there to confirm this; add --yes where it is meant")
+    sys.stdout.write("Go on? [y/N] ")
+    sys.stdout.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")

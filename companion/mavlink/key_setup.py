@@ -1,0 +1,127 @@
+"""Give an autopilot a signing key, or take it away, and look whether it did so.
+
+    found = await meet(endpoint, current, system, clock, seconds)
+    await send_key(endpoint, current, found, key, clock)
+    signs = await observe(endpoint, key, found, clock, seconds)
+
+Source: mavlink.io, "Message signing", SETUP_SIGNING.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+
+from drivers.mavlink.access import AccessOptions
+from drivers.mavlink.dialect import TimeSyncV2, mav
+from drivers.mavlink.endpoint import Endpoint
+from drivers.mavlink.links import Heard, LinkOptions, Links, open_links
+from drivers.mavlink.signing import Signing, SigningKey
+from drivers.mavlink.signing_times import SigningTimes
+from drivers.mavlink.vehicle import ARMED, is_autopilot, stack_of
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+
+_STATION = (255, 190)
+_KNOCK_S = 0.3
+_REPEATS = 3
+_NO_KEY = [0] * 32
+
+
+@dataclass(frozen=True, slots=True)
+class Met:
+    """An autopilot that was heard."""
+
+    system: int
+    component: int
+    stack: str
+    armed: bool
+    signs: bool
+    """Its messages are signed, by whatever key."""
+
+
+async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | None, clock: Clock, seconds: float) -> Met:
+    """Return the first autopilot that is heard on the link.
+
+    Args:
+        current: the key that the link is signed with already; None for none.
+        system: the one that is meant; None for the first.
+        seconds: how long to listen.
+
+    Raises:
+        Recoverable: none was heard.
+    """
+    async with _opened(endpoint, current, clock) as links:
+        try:
+            async with asyncio.timeout(seconds):
+                async for heard in links.heard:
+                    message = heard.message
+                    if message.get_type() != "HEARTBEAT" or system not in (None, heard.system):
+                        continue
+                    if is_autopilot(message, heard.component):
+                        armed = bool(message.base_mode & ARMED)
+                        return Met(heard.system, heard.component, stack_of(message).value, armed, _is_signed(heard))
+        except TimeoutError:
+            pass
+        raise Recoverable(_silence(links, endpoint, current))
+    raise AssertionError("not reached")
+
+
+async def send_key(endpoint: Endpoint, current: SigningKey | None, to: Met, key: SigningKey | None, clock: Clock) -> None:
+    """Send SETUP_SIGNING; without a key, signing is taken away."""
+    secret, time = (_NO_KEY, 0) if key is None else (list(key.secret), SigningTimes(None).next())
+    async with _opened(endpoint, current, clock) as links:
+        for _ in range(_REPEATS):
+            links.send(mav.MAVLink_setup_signing_message(to.system, to.component, secret, time))
+            await clock.sleep(_KNOCK_S)
+
+
+async def observe(endpoint: Endpoint, key: SigningKey | None, of: Met, clock: Clock, seconds: float) -> bool:
+    """Whether the autopilot now signs with this key; without a key, whether it signs no more."""
+    async with _opened(endpoint, key, clock) as links:
+        try:
+            async with asyncio.timeout(seconds):
+                async for heard in links.heard:
+                    if (heard.system, heard.component) == (of.system, of.component) and _is_signed(heard) is (key is not None):
+                        return True
+        except TimeoutError:
+            pass
+    return False
+
+
+@asynccontextmanager
+async def _opened(endpoint: Endpoint, key: SigningKey | None, clock: Clock) -> AsyncIterator[Links]:
+    signing = None if key is None else Signing(key, SigningTimes(None), 0)
+    options = LinkOptions(endpoint, signing=signing, restart_first_s=0.1, restart_most_s=0.5)
+    # Whoever answers is spoken to: a person has said that this link leads to the autopilot.
+    async with open_links([options], clock, _STATION, access=AccessOptions(everybody=True)) as links:
+        knocking = asyncio.create_task(_knock(links, clock))
+        try:
+            yield links
+        finally:
+            knocking.cancel()
+
+
+async def _knock(links: Links, clock: Clock) -> None:
+    while True:
+        links.send(TimeSyncV2(0, clock.now()))
+        await clock.sleep(_KNOCK_S)
+
+
+def _is_signed(heard: Heard) -> bool:
+    """By the frame's own word, whether or not a key is known here."""
+    frame = heard.message.get_msgbuf()
+    return frame[0] == mav.PROTOCOL_MARKER_V2 and bool(frame[2] & mav.MAVLINK_IFLAG_SIGNED)
+
+
+def _silence(links: Links, endpoint: Endpoint, current: SigningKey | None) -> str:
+    link = links.all[0]
+    if link.down is not None:
+        return f"{endpoint} is not open: {link.down}"
+    if link.counters.total("refused_signature"):
+        return f"{endpoint}: what comes is not signed with the key in --current"
+    if link.counters.total("messages"):
+        return f"{endpoint}: MAVLink, but no autopilot of a copter"
+    return f"{endpoint}: no autopilot is heard" + ("" if current is None else " that signs with the key in --current")

@@ -1,0 +1,155 @@
+"""`decklander keys`, against an autopilot that takes, obeys and gives up a key as ArduPilot does."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import stat
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.cli.main import main
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.signing import Signing, SigningKey, load_key
+from drivers.mavlink.signing_times import SigningTimes
+
+HOST = "127.0.0.1"
+URL = f"udpin://{HOST}:0"
+
+
+class Lockable(asyncio.DatagramProtocol):
+    """An autopilot on UDP that can be given a key; with one it hears signed messages only, and signs its own."""
+
+    def __init__(self, *, armed: bool = False, deaf: bool = False, key: bytes | None = None) -> None:
+        self.armed, self.deaf = armed, deaf
+        self.peer: Any = None
+        self.taken: list[bytes] = []
+        self._transport: Any = None
+        self.lock(key)
+
+    def lock(self, key: bytes | None) -> None:
+        self.codec = Codec(1, 1, datagrams=True, signing=None if key is None else Signing(SigningKey(key), SigningTimes(None), 5))
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = transport
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:
+        self.peer = addr
+        for message in self.codec.feed(data):
+            if message.get_type() == "SETUP_SIGNING" and not self.deaf and not self.armed:
+                secret = bytes(message.secret_key)
+                self.taken.append(secret)
+                self.lock(secret if any(secret) else None)
+
+    async def beat(self) -> None:
+        while True:
+            if self.peer is not None:
+                beat = mav.MAVLink_heartbeat_message(2, 3, 128 if self.armed else 0, 0, 4, 3)
+                self._transport.sendto(self.codec.pack(beat), self.peer)
+            await asyncio.sleep(0.02)
+
+
+@asynccontextmanager
+async def lockable(**options: Any) -> AsyncIterator[tuple[Lockable, str]]:
+    transport, autopilot = await asyncio.get_running_loop().create_datagram_endpoint(
+        lambda: Lockable(**options), local_addr=(HOST, 0)
+    )
+    beating = asyncio.create_task(autopilot.beat())
+    try:
+        yield autopilot, f"udpout://{HOST}:{transport.get_extra_info('sockname')[1]}"
+    finally:
+        beating.cancel()
+        transport.close()
+
+
+async def keys(*words: str) -> int:
+    return await asyncio.to_thread(main, ["keys", *words])
+
+
+def made(folder: Path, name: str = "link.key") -> Path:
+    path = folder / name
+    assert main(["keys", "make", str(path)]) == 0
+    return path
+
+
+def test_a_key_is_made_for_its_owner_alone_and_never_over_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    umask = os.umask(0)
+    try:
+        path = made(tmp_path)
+    finally:
+        os.umask(umask)
+    secret = path.read_bytes()
+    assert len(secret) == 32
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert made(tmp_path, "other").read_bytes() != secret
+    assert main(["keys", "make", str(path)]) == 2
+    assert path.read_bytes() == secret
+    assert main(["keys", "make", str(tmp_path / "none/key")]) == 2
+    said = capsys.readouterr()
+    assert "there is a file already" in said.err
+    assert load_key(str(path)).fingerprint in said.out
+
+
+def test_a_key_is_shown_by_its_fingerprint_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = made(tmp_path)
+    capsys.readouterr()
+    assert main(["keys", "show", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert load_key(str(path)).fingerprint in said
+    assert path.read_bytes().hex()[:8] not in said.replace(":", "")
+    assert main(["keys", "show", str(tmp_path / "none")]) == 2
+
+
+async def test_a_key_is_installed_seen_to_be_in_force_and_removed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, second = made(tmp_path), made(tmp_path, "second.key")
+    async with lockable() as (autopilot, url):
+        assert await keys("install", "--link", url, "--yes", str(path)) == 0
+        assert autopilot.taken[-1] == path.read_bytes()
+        said = capsys.readouterr().out
+        assert "ArduPilot, system 1" in said
+        assert load_key(str(path)).fingerprint in said
+        assert "it signs with this key now" in said
+        assert "IN CLEAR" not in said, "loopback"
+        assert await keys("install", "--link", url, "--seconds", "1", "--yes", str(second)) == 1
+        assert "--current" in capsys.readouterr().out
+        assert await keys("install", "--link", url, "--current", str(path), "--yes", str(second)) == 0
+        assert await keys("remove", "--link", url, "--current", str(second), "--yes") == 0
+        assert autopilot.taken[-1] == bytes(32)
+        assert "it signs no more" in capsys.readouterr().out
+
+
+async def test_nothing_is_sent_without_a_yes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = made(tmp_path)
+    async with lockable() as (autopilot, url):
+        assert await keys("install", "--link", url, str(path)) == 2
+        assert "--yes" in capsys.readouterr().err
+        assert autopilot.taken == []
+
+
+async def test_what_did_not_come_about_is_not_called_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = made(tmp_path)
+    async with lockable(deaf=True) as (_, url):
+        assert await keys("install", "--link", url, "--seconds", "0.5", "--yes", str(path)) == 1
+        assert "was not seen to sign" in capsys.readouterr().out
+    async with lockable(armed=True) as (autopilot, url):
+        assert await keys("install", "--link", url, "--yes", str(path)) == 2
+        assert "armed" in capsys.readouterr().err
+        assert autopilot.taken == []
+    assert await keys("install", "--link", f"udpin://{HOST}:0", "--seconds", "0.5", "--yes", str(path)) == 1
+    assert "no autopilot is heard" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("install", "--link", "udp:1", "KEY"), ("remove", "--link", URL, "--seconds", "0"),
+     ("remove", "--link", URL, "--system", "300"), ("remove", "--link", URL, "--current", "/none")],
+)  # fmt: skip
+def test_wrong_use_is_one_line(tmp_path: Path, words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(made(tmp_path))
+    assert main(["keys", *(path if word == "KEY" else word for word in words)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
