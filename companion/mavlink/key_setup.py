@@ -96,8 +96,11 @@ async def _opened(endpoint: Endpoint, key: SigningKey | None, clock: Clock) -> A
     signing = None if key is None else Signing(key, SigningTimes(None), 0)
     options = LinkOptions(endpoint, signing=signing, restart_first_s=0.1, restart_most_s=0.5)
     # Whoever answers is spoken to: a person has said that this link leads to the autopilot.
-    async with open_links([options], clock, _STATION, access=AccessOptions(everybody=True)) as links:
-        knocking = asyncio.create_task(_knock(links, clock))
+    async with (
+        open_links([options], clock, _STATION, access=AccessOptions(everybody=True)) as links,
+        asyncio.TaskGroup() as group,
+    ):
+        knocking = group.create_task(_knock(links, clock))
         try:
             yield links
         finally:
