@@ -19,6 +19,7 @@ from estimator.ekf.state import (
     HEIGHT,
     RANGE,
     SCALE,
+    SWAY_PER_HEAVE,
     TH,
     TILT,
     VELOCITY,
@@ -263,6 +264,7 @@ def _loosened(b: Belief, kind: int, innov: F64) -> Belief:
             x, y, _ = b.x[part]
             g[part] = (-y, x, 0.0)
         g[U] = (-b.x[17], b.x[16])
+        g[SWAY_PER_HEAVE] = (-b.x[53], b.x[52])
         angle = float(innov.dot(b.R.T[:, 2]))
         P += np.outer(g, g) * angle**2
         size = min(float(innov.dot(innov)), 0.1)

@@ -18,7 +18,7 @@ from estimator.ekf.algebra import Algebra
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, RATE, SCALE, SHORT, TH, Belief, D, N, U, V
+from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, SCALE, SHORT, TH, TURN_RATE, Belief, D, N, U, V
 from estimator.ekf.stride import Event, Outcome, Tools, carried, settled
 
 
@@ -73,9 +73,8 @@ def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
     J = np.zeros((7, N))
     J[:3, D] = Z
     J[:3, TH] = np.outer([d[1], -d[0], 0.0], turning)
+    J[3:6] = Z.dot(measure.by_v_pad_ned(x))
     J[3:6, V] = -Z
-    J[3:6, U] = Z[:, :2]
-    J[3:6, RATE[:3]] = Z
     J[3:6, TH] = np.outer([v[1], -v[0], 0.0], turning)
     J[6, TH] = turning
     J[6, HEAD] = -1.0
@@ -116,7 +115,7 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
     b = settled(b, now, ekf.tools)
     x, T = measure.aligned(b)
     b = b._replace(x=x, P=T.dot(b.P).dot(T.T))
-    return forecasting.forecast(b, now, h, ekf.options.asd_vessel_velocity_m_s2)
+    return forecasting.forecast(b, now, h, ekf.options)
 
 
 def moving(ekf: Ekf) -> float | None:
@@ -131,12 +130,12 @@ _AXES = "xyz"
 _CHANNELS = ("north", "east", "down", "roll", "pitch")
 _NAMES = (
     "nis_mean", "probability_moving", "velocity_scale", "camera_delay_s", "baro_offset_m", "range_offset_m",
-    "v_vessel_north_m_s", "v_vessel_east_m_s", "sigma_velocity_scale", "sigma_camera_delay_s",
+    "v_vessel_north_m_s", "v_vessel_east_m_s", "turn_rate_rad_s", "sigma_velocity_scale", "sigma_camera_delay_s",
     *(f"sigma_mount_{k}_rad" for k in _AXES), *(f"mount_{k}_rad" for k in _AXES),
     *(f"gyro_bias_{k}_rad_s" for k in _AXES), *(f"accel_bias_{k}_m_s2" for k in _AXES),
     *(f"period_{k}_s" for k in _CHANNELS), *(f"damping_{k}" for k in _CHANNELS), *(f"swing_{k}" for k in _CHANNELS),
 )  # fmt: skip
-_PLAIN = np.r_[SCALE, DELAY, BARO, SHORT, U]
+_PLAIN = np.r_[SCALE, DELAY, BARO, SHORT, U, TURN_RATE]
 _SURE = np.r_[SCALE, DELAY, MOUNT]
 
 

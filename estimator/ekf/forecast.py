@@ -11,7 +11,9 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from estimator.ekf import sea, so3
 from estimator.ekf.oscillator import transition
-from estimator.ekf.state import LIST, TH, WAVES, Belief, D, N, U, V
+from estimator.ekf.motion import QUARTER, turned
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.state import LIST, SWAY_PER_HEAVE, TH, TURN_RATE, WAVES, Belief, D, N, U, V
 
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}
 
@@ -60,7 +62,7 @@ class Forecast:
         return mean - z * sigma, mean + z * sigma
 
 
-def forecast(b: Belief, at: MonoNs, horizons_s: F64, asd_vessel_m_s2: float) -> Forecast:
+def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
     """From a settled belief. Means and covariances are those of the mixture over the bank's members."""
     h = np.asarray(horizons_s, dtype=float)
     n = h.size
@@ -84,7 +86,8 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, asd_vessel_m_s2: float) -> 
 
     Z = so3.about_down(-so3.heading(b.R))
     d_now = Z.dot(x[D])
-    turned = np.array([d_now[1], -d_now[0], 0.0])
+    by_heading = np.array([d_now[1], -d_now[0], 0.0])
+    u, sway, heave = x[U], x[SWAY_PER_HEAVE], x[WAVES[2]]
     d, cov_d = np.zeros((n, 3)), np.zeros((n, 3, 3))
     height, rise, roll, pitch = (np.zeros((2, n)) for _ in range(4))
     for k in range(n):
@@ -93,14 +96,25 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, asd_vessel_m_s2: float) -> 
         J = np.zeros((3, N))
         J[:, D] = np.eye(3)
         J[:, V] = -T * np.eye(3)
-        J[[0, 1], [16, 17]] = T
-        J[np.arange(3)[:, None], WAVES[:3]] = A[:3, 0] - np.array([1.0, 0.0, 0.0, 0.0])
+        turn = turned(float(x[TURN_RATE]), T)
+        change = A[:3, 0] - np.array([1.0, 0.0, 0.0, 0.0])
+        J[:2, U] = turn.reach
+        J[np.arange(3)[:, None], WAVES[:3]] = change
+        J[:2, WAVES[2]] += sway[:, None] * change[2]
         ned = J.dot(x)
+        J[[0, 1], [52, 53]] = change[2].dot(heave)
+        curving = QUARTER.dot(u) * (0.5 * T * T)
+        J[:2, TURN_RATE] = curving
         J = Z.dot(J)
-        J[:, TH] = np.outer(turned, so3.heading_row(b.R).dot(b.R))
-        steady = np.diag([1.0, 1.0, 0.0]) * (asd_vessel_m_s2**2 * T**3 / 3.0)
+        J[:, TH] = np.outer(by_heading, so3.heading_row(b.R).dot(b.R))
+        noise = np.diag(extra[k, :3, 0])
+        noise[:2, :2] += np.eye(2) * (o.asd_vessel_velocity_m_s2**2 * T**3 / 3.0)
+        # The rate of turn wanders by asd sqrt(t): integrated three times against the velocity.
+        noise[:2, :2] += np.outer(curving, curving) * (0.2 * o.asd_turn_rate_rad_s2**2 * T)
+        phase = np.append(sway, 1.0)
+        noise += (np.outer(phase, phase) - np.diag([0.0, 0.0, 1.0])) * extra[k, 2, 0]
         d[k] = Z.dot(ned)
-        cov_d[k] = J.dot(P).dot(J.T) + Z.dot(np.diag(extra[k, :3, 0]) + steady).dot(Z.T)
+        cov_d[k] = J.dot(P).dot(J.T) + Z.dot(noise).dot(Z.T)
         for out, channel, row in ((height, 2, 0), (rise, 2, 1), (roll, 3, 0), (pitch, 4, 0)):
             c = np.zeros(N)
             c[WAVES[channel]] = A[channel, row]

@@ -16,6 +16,7 @@ from estimator.ekf.seeing import fuse_sighting
 from estimator.ekf.state import (
     ATTITUDE,
     HEAD,
+    SWAY_PER_HEAVE,
     TH,
     TILT,
     WAVES,
@@ -127,7 +128,7 @@ def _turned_to(b: Belief, R: F64, o: EkfOptions) -> Belief:
     T[D, D] = T[V, V] = Z
     for part in WAVES[:3].T:
         T[np.ix_(part, part)] = Z
-    T[U, U] = Z[:2, :2]
+    T[U, U] = T[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = Z[:2, :2]
     x = T.dot(b.x)
     x[HEAD] = measure.wrap(float(x[HEAD]) + angle)
     P = T.dot(b.P).dot(T.T)

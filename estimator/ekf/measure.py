@@ -25,9 +25,11 @@ from estimator.ekf.state import (
     RATE,
     SCALE,
     SHORT,
+    SWAY_PER_HEAVE,
     TH,
     TILT,
     TURN,
+    TURN_RATE,
     Belief,
     D,
     N,
@@ -84,14 +86,24 @@ def deck(x: F64) -> Deck:
     c, s = math.cos(yaw), math.sin(yaw)
     cp = math.cos(pitch)
     axes = np.array([[c * cp, -s, 0.0], [s * cp, c, 0.0], [-math.sin(pitch), 0.0, 1.0]])
-    return Deck(R, axes, axes.dot([x[RATE[3]], x[RATE[4]], x[TURN]]))
+    return Deck(R, axes, axes.dot([x[RATE[3]], x[RATE[4]], x[TURN] + x[TURN_RATE]]))
 
 
 def v_pad_ned(x: F64) -> F64:
     """(3,) m/s."""
     v = x[RATE[:3]].copy()
-    v[:2] += x[U]
+    v[:2] += x[U] + x[SWAY_PER_HEAVE] * v[2]
     return v
+
+
+def by_v_pad_ned(x: F64) -> F64:
+    """(3, N) Jacobian of `v_pad_ned`."""
+    J = np.zeros((3, N))
+    J[[0, 1], [16, 17]] = 1.0
+    J[[0, 1, 2], RATE[:3]] = 1.0
+    J[:2, RATE[2]] = x[SWAY_PER_HEAVE]
+    J[[0, 1], [52, 53]] = x[RATE[2]]
+    return J
 
 
 def wrap(angle: float) -> float:
@@ -198,11 +210,16 @@ def aligned(b: Belief) -> tuple[F64, F64]:
     late, rate = float(b.x[DELAY]), b.x[RATE]
     x = b.x.copy()
     x[DISPLACEMENT] -= late * rate
-    x[D] -= late * rate[:3]
+    sway = b.x[SWAY_PER_HEAVE]
+    rate_ned = rate[:3].copy()
+    rate_ned[:2] += sway * rate[2]
+    x[D] -= late * rate_ned
     T = np.eye(N)
     T[DISPLACEMENT, RATE] = T[_D3, RATE[:3]] = -late
+    T[_D3[:2], RATE[2]] = -late * sway
+    T[_D3[:2], [52, 53]] = -late * rate[2]
     T[DISPLACEMENT, DELAY] = -rate
-    T[_D3, DELAY] = -rate[:3]
+    T[_D3, DELAY] = -rate_ned
     return x, T
 
 
@@ -271,8 +288,8 @@ def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> 
     H = np.zeros((3, N))
     H[:, TH] = (k * np.array([v[1], -v[0], 0.0]))[:, None] * so3.heading_row(R).dot(R)
     H[:, V] = k[:, None] * Z
-    H[:, U] = -share_pad * H[:, 6:8]
-    H[:, RATE[:3]] = -share_pad * H[:, V]
+    if share_pad > 0.0:
+        H -= share_pad * H[:, V].dot(by_v_pad_ned(x))
     H[:2, SCALE] = v[:2]
     innov = v_level - told_velocity(over, R, scale)
     if len(axes) == 3:
@@ -323,10 +340,7 @@ def height(x: F64, height_m: float, sigma_m: float) -> Row:
 
 def vessel_velocity(x: F64, v_ned: F64, cov_ned: F64) -> Row:
     """What the ship's own navigation says: steady and wave motion together."""
-    H = np.zeros((3, N))
-    H[0, 16] = H[1, 17] = 1.0
-    H[[0, 1, 2], RATE[:3]] = 1.0
-    return Row(v_ned - v_pad_ned(x), H, cov_ned, _NONE)
+    return Row(v_ned - v_pad_ned(x), by_v_pad_ned(x), cov_ned, _NONE)
 
 
 def vessel_heading(x: F64, heading_rad: float, sigma_rad: float) -> Row:

@@ -30,9 +30,12 @@ from estimator.ekf.state import (
     RATE,
     SCALE,
     SHORT,
+    SWAY_PER_HEAVE,
     TH,
     TILT,
     TURN,
+    TURN_RATE,
+    WAVE_YAW,
     WAVES,
     Belief,
     D,
@@ -55,6 +58,13 @@ _WAVES_BY_D = (WAVES[:3] * N + _D3[:, None]).ravel()
 _D_BY_V, _V_BY_D = slice(3 * N + 6, 6 * N, N + 1), slice(6 * N + 3, 9 * N, N + 1)
 _FIRST = np.array([1.0, 0.0, 0.0, 0.0])
 _ZERO3, _ZERO33 = np.zeros(3), np.zeros((3, 3))
+_DH = slice(3, 5)
+"""North and east of `D`."""
+_HEAVE = slice(int(WAVES[2, 0]), int(WAVES[2, 3]) + 1)
+_YAW = np.array([WAVE_YAW, TURN])
+_YAW_DAMPING = 0.5
+QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""Turns a horizontal vector clockwise by 90 degrees; the rate of one that turns is this times it."""
 
 
 class Walk:
@@ -68,6 +78,8 @@ class Walk:
         q[BA] = o.asd_accel_bias_m_s3**2
         q[SCALE] = o.asd_velocity_scale**2
         q[U] = o.asd_vessel_velocity_m_s2**2
+        q[TURN_RATE] = o.asd_turn_rate_rad_s2**2
+        q[SWAY_PER_HEAVE] = o.asd_sway_per_heave**2
         q[DELAY] = o.delay_drift_s_sqrt_s**2
         q[MOUNT] = o.mount_drift_rad_sqrt_s**2
         q[BARO] = o.asd_baro_offset_m**2
@@ -126,10 +138,8 @@ class Linear(NamedTuple):
 
     A: F64
     """(5, 4, 4) of the oscillators."""
-    fade: float
-    """What is left of the rate of turn."""
-    reach: float
-    """s: what the rate of turn does to the heading."""
+    A_yaw: F64
+    """(2, 2) of the yaw on waves and its rate."""
     F: F64
     """(N, N) but for what is turned or pushed."""
     Q: F64
@@ -147,17 +157,17 @@ def _linear(walk: Walk, T: float, coast_s: float, summary: bytes) -> Linear:
         [[T**3 / 3.0, T * T / 2.0], [T * T / 2.0, T]]
     )
     q_waves = (sigma**2)[:, None, None] * q_unit
-    fade = math.exp(-T / o.turn_rate_memory_s)
-    reach = o.turn_rate_memory_s * (1.0 - fade)
+    A_yaw, q_yaw = _yawing(math.tau / o.wave_yaw_period_s, T)
+    q_yaw = q_yaw * o.sigma_wave_yaw_rate_rad_s**2
 
     F = _IN.copy()
     F[D, V] = -T * _I3
-    F[3, 16] = F[4, 17] = T
     flat = F.reshape(-1)
     flat[_BLOCKS] = A.ravel()
     flat[_D_BY_WAVES] = (A[:3, 0] - _FIRST).ravel()
-    F[HEAD, TURN] = reach
-    F[TURN, TURN] = fade
+    F[_YAW[:, None], _YAW] = A_yaw
+    F[HEAD, _YAW] = A_yaw[0] - _FIRST[:2]
+    F[HEAD, TURN_RATE] = T
 
     Q = np.zeros((N, N))
     q = walk.psd * T
@@ -168,10 +178,7 @@ def _linear(walk: Walk, T: float, coast_s: float, summary: bytes) -> Linear:
     q[TH] += spin
     q[V] = force
     q[D] = force * (T * T / 3.0)
-    sigma2 = o.sigma_turn_rate_rad_s**2
-    q[TURN] = sigma2 * (1.0 - fade * fade)
-    memory2 = o.turn_rate_memory_s**2
-    q[HEAD] = max(0.0, sigma2 * memory2 * (2.0 * T / o.turn_rate_memory_s - 3.0 + 4.0 * fade - fade * fade))
+    q[HEAD] = q_yaw[0, 0] + q[TURN_RATE] * (T * T / 3.0)
     # What the noise does to a pad's displacement it does to its distance as well.
     q[D] += q_waves[:3, 0, 0]
     flat = Q.reshape(-1)
@@ -179,10 +186,42 @@ def _linear(walk: Walk, T: float, coast_s: float, summary: bytes) -> Linear:
     flat[_BLOCKS] = q_waves.ravel()
     flat[_D_BY_WAVES] = flat[_WAVES_BY_D] = q_waves[:3, 0].ravel()
     flat[_D_BY_V] = flat[_V_BY_D] = -0.5 * T * force
-    Q[HEAD, TURN] = Q[TURN, HEAD] = sigma2 * o.turn_rate_memory_s * (1.0 - fade) ** 2
-    for part in (A, F, Q):
+    Q[_YAW[:, None], _YAW] = q_yaw
+    Q[HEAD, _YAW] = Q[_YAW, HEAD] = q_yaw[0]
+    Q[HEAD, TURN_RATE] = Q[TURN_RATE, HEAD] = 0.5 * T * q[TURN_RATE]
+    for part in (A, A_yaw, F, Q):
         part.setflags(write=False)
-    return Linear(A, fade, reach, F, Q)
+    return Linear(A, A_yaw, F, Q)
+
+
+class Turned(NamedTuple):
+    """What a steady turn over some time does to a horizontal vector that turns with the vessel."""
+
+    by: F64
+    """(2, 2) rotation."""
+    reach: F64
+    """(2, 2) s, integral of the rotation."""
+
+
+def turned(rate_rad_s: float, T: float) -> Turned:
+    """Turn at a steady rate, clockwise from above positive, for T s."""
+    angle = rate_rad_s * T
+    s, c = math.sin(angle), math.cos(angle)
+    along, across = T * (1.0 - angle * angle / 6.0), 0.5 * T * angle
+    if abs(angle) > 1e-3:
+        along, across = s / rate_rad_s, (1.0 - c) / rate_rad_s
+    return Turned(np.array([[c, -s], [s, c]]), np.array([[along, -across], [across, along]]))
+
+
+def _yawing(w: float, T: float) -> tuple[F64, F64]:
+    """(2, 2) transition of yaw on waves and its rate over T s, a damped oscillator; (2, 2) noise for a unit rate."""
+    delta = _YAW_DAMPING * w
+    wd = math.sqrt(w * w - delta * delta)
+    e = math.exp(-delta * T)
+    c, s = e * math.cos(wd * T), e * math.sin(wd * T) / wd
+    A = np.array([[c + delta * s, s], [-w * w * s, c - delta * s]])
+    P = np.diag([1.0 / (w * w), 1.0])
+    return A, P - A.dot(P).dot(A.T)
 
 
 def moved(b: Belief, walk: Walk) -> tuple[Belief, F64, F64]:
@@ -198,12 +237,16 @@ def moved(b: Belief, walk: Walk) -> tuple[Belief, F64, F64]:
     fall = 0.5 * GRAVITY_M_S2 * T * T
     moved = (after - waves)[:3, 0] - b.x[V] * T - b.dp
     moved[2] -= fall
-    moved[:2] += b.x[U] * T
+    turn, rate = turned(float(b.x[TURN_RATE]), T), b.x[TURN_RATE]
+    u, coupling = b.x[U], b.x[SWAY_PER_HEAVE]
+    x[U], x[SWAY_PER_HEAVE] = turn.by.dot(u), turn.by.dot(coupling)
+    heaved = float(after[2, 0] - waves[2, 0])
+    moved[:2] += turn.reach.dot(u) + coupling * heaved
     x[D] += moved
     x[V] += b.dv
     x[8] += GRAVITY_M_S2 * T
-    x[HEAD] += b.x[TURN] * same.reach
-    x[TURN] *= same.fade
+    x[_YAW] = same.A_yaw.dot(b.x[_YAW])
+    x[HEAD] += rate * T + float(x[WAVE_YAW] - b.x[WAVE_YAW])
     ins_p = b.ins_p + b.ins_v * T + b.dp
     ins_v = b.ins_v + b.dv
     ins_p[2] += fall
@@ -221,10 +264,24 @@ def moved(b: Belief, walk: Walk) -> tuple[Belief, F64, F64]:
     F[D, TH] = dp_R
     F[D, BG] = (-T / 3.0) * dp_R
     F[D, BA] = (0.5 * T) * b.turned
+    F[_DH, U] = turn.reach
+    F[U, U] = F[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = turn.by
+    F[U, TURN_RATE] = T * QUARTER.dot(x[U])
+    F[SWAY_PER_HEAVE, TURN_RATE] = T * QUARTER.dot(x[SWAY_PER_HEAVE])
+    F[_DH, TURN_RATE] = (0.5 * T * T) * QUARTER.dot(u)
+    F[_DH, _HEAVE] += coupling[:, None] * (same.A[2, 0] - _FIRST)
+    F[3, 52] = F[4, 53] = heaved
+    Q = same.Q.copy()
+    push = Q[_HEAVE, _HEAVE][0]
+    Q[_DH, _HEAVE] += coupling[:, None] * push
+    Q[_HEAVE, _DH] = Q[_DH, _HEAVE].T
+    Q[_DH, 5] += coupling * push[0]
+    Q[5, _DH] = Q[_DH, 5]
+    Q[_DH, _DH] += coupling[:, None] * coupling * push[0]
 
     R = so3.orthonormalised(b.R)
     belief = b._replace(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v)
-    return belief, F, same.Q
+    return belief, F, Q
 
 
 def peek(b: Belief) -> F64:
@@ -235,12 +292,12 @@ def peek(b: Belief) -> F64:
     x = b.x.copy()
     drift = b.x[RATE[:3]] * T - b.x[V] * T - b.dp
     drift[2] -= 0.5 * GRAVITY_M_S2 * T * T
-    drift[:2] += b.x[U] * T
+    drift[:2] += (b.x[U] + b.x[SWAY_PER_HEAVE] * b.x[RATE[2]]) * T
     x[D] += drift
     x[DISPLACEMENT] += b.x[RATE] * T
     x[V] += b.dv
     x[8] += GRAVITY_M_S2 * T
-    x[HEAD] += b.x[TURN] * T
+    x[HEAD] += (b.x[TURN] + b.x[TURN_RATE]) * T
     return x
 
 

@@ -53,9 +53,17 @@ class EkfOptions:
     sigma_vessel_velocity_m_s: float = 2.0
     asd_vessel_velocity_m_s2: float = 0.03
     """How much the vessel's steady velocity wanders in 1 s; what waves do is not part of it."""
-    sigma_turn_rate_rad_s: float = math.radians(2.5)
-    """Of the vessel's rate of turn, yawing on waves included."""
-    turn_rate_memory_s: float = 1.5
+    sigma_turn_rate_rad_s: float = math.radians(3.0)
+    """Standard deviation of the vessel's steady rate of turn before anything is seen."""
+    asd_turn_rate_rad_s2: float = 0.006
+    """rad/s^2/sqrt(Hz). The steady rate of turn wanders by this much in 1 s."""
+    sigma_wave_yaw_rate_rad_s: float = math.radians(2.5)
+    """Standard deviation of the rate at which waves make the vessel yaw about its course."""
+    wave_yaw_period_s: float = 6.0
+    """Period of that yawing."""
+    sigma_sway_per_heave: float = 0.2
+    """Standard deviation of the metres that the pad moves sideways in phase with each metre of its heave."""
+    asd_sway_per_heave: float = 5e-3
     sigma_list_rad: float = math.radians(1.0)
     """Of the deck's constant list and trim."""
     pad_yaw_in_vessel_rad: float = 0.0

@@ -10,14 +10,18 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.ekf import gate, measure, sea, so3
 from estimator.ekf.aiding import aided
 from estimator.ekf.algebra import Correction
+from estimator.ekf.options import EkfOptions
 from estimator.ekf.state import (
     DELAY,
     HEAD,
     MOUNT,
+    SWAY_PER_HEAVE,
+    TURN_RATE,
     WAVES,
     Belief,
     D,
     Doubt,
+    U,
     waves_unknown,
 )  # fmt: skip
 from estimator.ekf.stride import Outcome, Tools, corrected, forgotten, settled
@@ -33,7 +37,7 @@ def fuse_sighting(b: Belief, event: Sighting, tools: Tools) -> tuple[Belief, Out
     b = forgotten(aided(settled(b, t, tools), tools), o)
     fresh = b.sighted < 0
     if fresh:
-        b = _opened(b, event, anew=False)
+        b = _opened(b, event, o, anew=False)
     row, fix = _compared(b, event, tools)
     if fix is None:
         return b, Outcome(event, Verdict.SINGULAR, row.innov)
@@ -47,7 +51,7 @@ def fuse_sighting(b: Belief, event: Sighting, tools: Tools) -> tuple[Belief, Out
         b = b._replace(doubt=doubt)
         if not gate.convinced(doubt, b.agreed, o):
             return b, Outcome(event, Verdict.GATED, row.innov, fix.S, nis)
-        b = _opened(b, event, anew=True)._replace(agreed=0, nis_mean=1.0)
+        b = _opened(b, event, o, anew=True)._replace(agreed=0, nis_mean=1.0)
         row, fix = _compared(b, event, tools)
         if fix is None:
             return b, Outcome(event, Verdict.SINGULAR, row.innov)
@@ -75,7 +79,7 @@ def _compared(b: Belief, event: Sighting, tools: Tools) -> tuple[measure.Row, Co
     return row, tools.algebra.correct(b.P, row.innov, row.H, row.R)
 
 
-def _opened(b: Belief, event: Sighting, *, anew: bool) -> Belief:
+def _opened(b: Belief, event: Sighting, o: EkfOptions, *, anew: bool) -> Belief:
     """The pad's place is whatever this sighting says. `anew`: all that was believed of the pad was wrong and is dropped.
 
     What the body knows of itself stays.
@@ -86,9 +90,12 @@ def _opened(b: Belief, event: Sighting, *, anew: bool) -> Belief:
     P[D, :] = P[:, D] = 0.0
     P[[3, 4, 5], [3, 4, 5]] = 1e2 + float(seen.dot(seen))
     if anew:
-        gone = np.r_[16:18, WAVES[:3].ravel()]
+        gone = np.r_[U, SWAY_PER_HEAVE, TURN_RATE, WAVES[:3].ravel()]
         P[gone, :] = P[:, gone] = 0.0
-        P[[16, 17], [16, 17]] = 4.0
+        P[U, U] = np.eye(2) * 4.0
+        P[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = np.eye(2) * o.sigma_sway_per_heave**2
+        P[TURN_RATE, TURN_RATE] = o.sigma_turn_rate_rad_s**2
+        x[SWAY_PER_HEAVE] = x[TURN_RATE] = 0.0
         P[WAVES[:3, :, None], WAVES[:3, None, :]] = waves_unknown(b.sea)[:3]
         x[WAVES[:3]] = 0.0
     if (anew or not b.heading_known) and event.yaw_rad is not None and not event.yaw_ambiguous:

@@ -35,7 +35,7 @@ DISPLACEMENT, RATE = WAVES[:, 0], WAVES[:, 1]
 HEAD = 38
 """Heading of the arrow, rad clockwise from north."""
 TURN = 39
-"""Its rate, rad/s."""
+"""Rate of its yawing on waves, rad/s; the steady turn is `TURN_RATE`."""
 LIST = np.arange(40, 42)
 """Constant list and trim of the deck, rad."""
 DELAY = 42
@@ -48,7 +48,14 @@ TILT = np.arange(47, 49)
 """Constant error of the vehicle's own attitude about the body's x and y axes, rad: told less true."""
 SHORT = 49
 """Constant error of the range sensor, m: told less true. Where it sits, and the air's temperature."""
-N = 50
+WAVE_YAW = 50
+"""Yaw on waves, part of `HEAD`, rad."""
+TURN_RATE = 51
+"""Steady rate at which the vessel turns, rad/s clockwise from above. Its velocity turns with it (coordinated turn)."""
+SWAY_PER_HEAVE = slice(52, 54)
+"""Metres the pad moves north and east in phase with each metre that it moves down: a pad away from the centre of motion does so
+when the deck rolls or pitches."""
+N = 54
 
 LOST_VAR_M2 = 1e4
 """Of the pad's place before the first sighting."""
@@ -180,7 +187,10 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
     var[SCALE] = options.sigma_velocity_scale**2
     var[U] = options.sigma_vessel_velocity_m_s**2
     var[HEAD] = math.pi**2 / 3.0
-    var[TURN] = options.sigma_turn_rate_rad_s**2
+    var[TURN] = options.sigma_wave_yaw_rate_rad_s**2
+    var[WAVE_YAW] = (options.sigma_wave_yaw_rate_rad_s * options.wave_yaw_period_s / math.tau) ** 2
+    var[TURN_RATE] = options.sigma_turn_rate_rad_s**2
+    var[SWAY_PER_HEAVE] = options.sigma_sway_per_heave**2
     var[LIST] = options.sigma_list_rad**2
     var[DELAY] = options.sigma_delay_s**2
     var[MOUNT] = options.sigma_mount_rad**2

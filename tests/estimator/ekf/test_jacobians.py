@@ -41,7 +41,8 @@ def random_belief(seed: int) -> Belief:
     x[39:42] = 0.05 * rng.normal(size=3)
     x[DELAY] = 0.02 * rng.normal()
     x[MOUNT] = 0.05 * rng.normal(size=3)
-    x[46:50] = 0.05 * rng.normal(size=4)
+    x[46:52] = 0.05 * rng.normal(size=6)
+    x[52:54] = 0.2 * rng.normal(size=2)
     return b._replace(x=x)
 
 
