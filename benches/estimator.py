@@ -46,6 +46,7 @@ OPTIONS = ekf.EkfOptions(
     asd_gyro_rad_s=0.0025,
     asd_accel_m_s2=0.02,
     sigma_accel_bias_m_s2=0.15,
+    sigma_accel_bias_down_m_s2=0.15,
     sigma_gyro_bias_rad_s=0.005,
     sigma_attitude_bias_rad=math.radians(0.2),
     asd_attitude_bias_rad_s=2e-4,

@@ -1,6 +1,6 @@
 """The filter where the world is not as its model: rough seas, a turning ship, and every sensor error at once.
 
-    python -m benches.estimator_rough [--runs 6] [--sea NAME] [--ideal] [--faults]
+    python -m benches.estimator_rough [--runs 6] [--first 0] [--sea NAME] [--ideal]
 
 Truth and sensors are those of tests/estimator/ekf/truth.py, which share nothing with the simulator. A row is the mean of its
 flights: position rms, NEES over its 7 degrees of freedom and the share of it inside the central 95 % of chi-square, the share of
@@ -130,13 +130,16 @@ def foretell(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) -> None:
         for probability in (0.68, 0.95):
             low, high = told.band(what, probability)
             for k, horizon in enumerate(HORIZONS_S):
-                out.bands.setdefault((what, horizon, probability), []).append(float(np.mean(((low <= value) & (value <= high))[k])))
+                out.bands.setdefault((what, horizon, probability), []).append(
+                    float(np.mean(((low <= value) & (value <= high))[k]))
+                )
     out.rise.append((*(told.rise_m_s - true["rise_m_s"]).tolist(), *true["rise_m_s"].tolist()))
 
 
 def row(name: str, scores: Sequence[Score]) -> str:
     cells = [
-        f"{name:15s} {100 * np.mean([s.rms_m for s in scores]):5.1f} cm  NEES {np.mean([np.mean(s.nees) for s in scores]) / 7:5.2f}",
+        f"{name:15s} {100 * np.mean([s.rms_m for s in scores]):5.1f} cm",
+        f"NEES {np.mean([np.mean(s.nees) for s in scores]) / 7:5.2f}",
         f"{100 * np.mean([s.inside for s in scores]):3.0f} % (worst {100 * min(s.inside for s in scores):3.0f})",
     ]
     for what in ("d_body_pad_level", "rise_m_s"):
@@ -165,7 +168,7 @@ def main(arguments: Sequence[str]) -> int:
     chosen = parser.parse_args(arguments)
     if chosen.runs < 1:
         parser.error("--runs is 1 or more")
-    print("sea             position rms     NEES/7, inside 95 %  | position bands 1, 2, 3 s 68/95 | rise bands | rise error over truth")
+    print("sea | position rms | NEES/7 | inside 95 % | position bands 1, 2, 3 s 68/95 | rise bands | rise error over truth")
     for sea in chosen.sea or [name for name in SEAS if name != "calm"]:
         scores = []
         for seed in range(chosen.first, chosen.first + chosen.runs):

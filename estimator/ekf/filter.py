@@ -18,7 +18,7 @@ from estimator.ekf.algebra import Algebra
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, SCALE, SHORT, TH, TURN_RATE, Belief, D, N, U, V
+from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, SCALE, SHORT, TH, TURN_RATE, VELOCITY, Belief, D, N, U, V
 from estimator.ekf.stride import Event, Outcome, Tools, carried, settled
 
 
@@ -95,9 +95,18 @@ def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
         yaw_rad=yaw,
         cov=0.5 * (cov + cov.T),
         sighted=MonoNs(b.sighted),
-        consistent=gate.consistent(b.nis_mean) and b.agreed >= 3,
+        consistent=gate.consistent(b.nis_mean) and b.agreed >= 3 and _confirmed(b, now, cov, ekf.options),
         details=_details(b),
     )
+
+
+def _confirmed(b: Belief, now: MonoNs, cov: F64, o: EkfOptions) -> bool:
+    """Whether something other than the IMU bears the belief out, and it is still of use.
+
+    A sighting does, or a velocity that was fused: it bounds how far the place can have drifted.
+    """
+    newest = max(b.sighted, b.aids[VELOCITY].fused)
+    return (now - newest) * 1e-9 <= o.confirm_s and float(cov.diagonal()[:3].max()) <= o.consistent_sigma_m**2
 
 
 def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:

@@ -10,9 +10,9 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from estimator.ekf import sea, so3
-from estimator.ekf.oscillator import transition
 from estimator.ekf.motion import QUARTER, turned
 from estimator.ekf.options import EkfOptions
+from estimator.ekf.oscillator import transition
 from estimator.ekf.state import LIST, SWAY_PER_HEAVE, TH, TURN_RATE, WAVES, Belief, D, N, U, V
 
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}

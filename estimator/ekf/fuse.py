@@ -32,6 +32,8 @@ from estimator.ekf.stride import Event, Outcome, Tools, carried, forgotten, sett
 _FORCE_AT_REST = 9.80665
 _ASTRAY_VAR = 0.35**2
 """rad^2, of an attitude that small angles no longer describe."""
+_FELT_TILT_RAD = math.radians(12.0)
+"""How wrong the accelerometer may be about which way is down: a rotorcraft in flight feels its thrust, which leans with it."""
 _SMOOTH_S = 0.03
 
 
@@ -70,7 +72,7 @@ def _first(event: Event, tools: Tools) -> tuple[Belief | None, Outcome]:
             x, y, z = (f / size).tolist()
             pitch = math.asin(max(-1.0, min(1.0, x)))
             R = so3.from_rpy(math.atan2(-y, -z), pitch, 0.0)
-            b = initial(o, t, R, math.radians(6.0), math.radians(2.0), sea.unknown())
+            b = initial(o, t, R, _FELT_TILT_RAD, math.radians(2.0), sea.unknown())
             return b._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=f), Outcome(event, Verdict.FUSED)
     return None, Outcome(event, Verdict.NO_ATTITUDE)
 
@@ -94,16 +96,40 @@ def _levelled(b: Belief, event: Attitude) -> Belief:
 def _imu(b: Belief, event: Imu, tools: Tools) -> tuple[Belief, Outcome]:
     o, t = tools.options, event.stamp.taken
     hold_ns = round(o.hold_s * 1e9)
+    w_body, f_body = event.w_body, event.f_body
+    if not (_largest(f_body) <= o.accel_max_m_s2 and _largest(w_body) <= o.gyro_max_rad_s):
+        return b, Outcome(event, Verdict.GATED)
+    if b.t_imu >= 0 and t - b.t_imu <= hold_ns:
+        step_f, step_w = _largest(f_body - b.f), _largest(w_body - b.w)
+        if step_f > o.accel_step_m_s2 or step_w > o.gyro_step_rad_s:
+            b, w_body, f_body = _limited(b, event, step_f, step_w, o)
     if b.t_imu >= 0 and t - b.t_imu <= hold_ns:
         share = -math.expm1(-(t - b.t_imu) * 1e-9 / _SMOOTH_S)
-        smooth = b.w_smooth + share * (event.w_body - b.w_smooth)
-        w, f = 0.5 * (b.w + event.w_body), 0.5 * (b.f + event.f_body)
-        b = motion.carry(b, t, w, f, hold_ns, t_imu=t, w=event.w_body, w_smooth=smooth, f=event.f_body)
+        smooth = b.w_smooth + share * (w_body - b.w_smooth)
+        w, f = 0.5 * (b.w + w_body), 0.5 * (b.f + f_body)
+        b = motion.carry(b, t, w, f, hold_ns, t_imu=t, w=w_body, w_smooth=smooth, f=f_body)
     else:
-        b = carried(b, t, tools)._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=event.f_body)
+        b = carried(b, t, tools)._replace(t_imu=t, w=w_body, w_smooth=w_body, f=f_body)
     if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
         b = motion.settle(b, tools.walk, tools.algebra)
     return forgotten(b, o), Outcome(event, Verdict.FUSED)
+
+
+def _largest(v: F64) -> float:
+    """Of the three components, whatever their sign."""
+    x, y, z = v.tolist()
+    return max(x, -x, y, -y, z, -z)  # type: ignore[no-any-return]
+
+
+def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions) -> tuple[Belief, F64, F64]:
+    """A sample that leaves the one before it by more than the vehicle can do follows part of the way; the rest is doubt."""
+    dt = (event.stamp.taken - b.t) * 1e-9
+    share_f, share_w = min(1.0, o.accel_step_m_s2 / max(step_f, 1e-9)), min(1.0, o.gyro_step_rad_s / max(step_w, 1e-9))
+    b = b._replace(
+        jolt_var_m2_s2=b.jolt_var_m2_s2 + (step_f * dt) ** 2 * (share_f < 1.0),
+        jolt_var_rad2=b.jolt_var_rad2 + (step_w * dt) ** 2 * (share_w < 1.0),
+    )
+    return b, b.w + share_w * (event.w_body - b.w), b.f + share_f * (event.f_body - b.f)
 
 
 def _attitude(b: Belief, event: Attitude, tools: Tools) -> tuple[Belief, Outcome]:

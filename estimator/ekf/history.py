@@ -26,6 +26,14 @@ class Node(NamedTuple):
     after: Belief | None
 
 
+class Leap(NamedTuple):
+    """Events in a row whose times of arrival agree with one another and not with those before."""
+
+    heard: int
+    """ns, of the newest."""
+    n: int
+
+
 class History(NamedTuple):
     """The recent past, oldest first; `base` is the belief before its first node."""
 
@@ -35,6 +43,8 @@ class History(NamedTuple):
     """ns, the newest instant that is no longer kept; -1 none."""
     heard: int = -1
     """ns, the newest arrival."""
+    leapt: Leap | None = None
+    """Arrivals in a row that put themselves far from `heard`."""
 
     def newest(self) -> Belief | None:
         return self.nodes[-1].after if self.nodes else self.base
@@ -57,6 +67,17 @@ def put(history: History, event: Event, tools: Tools) -> tuple[History, Outcome]
     if rank is None:
         raise TypeError(f"the filter takes samples and sightings, not {type(event).__name__}")
     stamp, o = event.stamp, tools.options
+    leap_ns = round(o.leap_s * 1e9)
+    if history.heard >= 0 and abs(stamp.heard - history.heard) > leap_ns:
+        # One wrong stamp must not make everything after it too old; when all agree, it is time that leapt.
+        before = history.leapt
+        n = before.n + 1 if before is not None and abs(stamp.heard - before.heard) <= leap_ns else 1
+        if n < o.leap_count:
+            verdict = Verdict.TOO_NEW if stamp.heard > history.heard else Verdict.TOO_OLD
+            return history._replace(leapt=Leap(stamp.heard, n)), Outcome(event, verdict)
+        history = history._replace(leapt=None) if stamp.heard > history.heard else History()
+    elif history.leapt is not None:
+        history = history._replace(leapt=None)
     heard = max(history.heard, stamp.heard)
     t = stamp.taken
     if t > heard + round(o.max_ahead_s * 1e9):

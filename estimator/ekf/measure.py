@@ -43,6 +43,9 @@ _DOWN = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros((0, N))
 _ROLL, _PITCH = int(DISPLACEMENT[3]), int(DISPLACEMENT[4])
 NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
+_NOT_A_PART = 1.5
+"""An attitude's error this many times the covariance that should hold it is no part of it; what vision linearises otherwise than
+the filter makes a few hundredths."""
 KNOWN_YAW_VAR = 2.0
 """rad^2; a heading with more says nothing."""
 
@@ -110,7 +113,17 @@ def wrap(angle: float) -> float:
     return float(math.remainder(angle, math.tau))
 
 
-def sighting(x: F64, R: F64, w: F64, s: Sighting, levelled_by: F64 | None, cov_levelled_by: F64, yaw_sigma: float) -> Row:
+def sighting(
+    x: F64,
+    R: F64,
+    w: F64,
+    s: Sighting,
+    levelled_by: F64 | None,
+    cov_levelled_by: F64,
+    yaw_sigma: float,
+    *,
+    place_only: bool = False,
+) -> Row:
     """Place of the pad in the body's own axes, and its heading or whole orientation.
 
     A sighting is written in `level`, which vision found with the vehicle's own attitude. Turned back by that attitude it is what
@@ -125,6 +138,7 @@ def sighting(x: F64, R: F64, w: F64, s: Sighting, levelled_by: F64 | None, cov_l
         levelled_by: (3, 3) R_ned_body by the vehicle's own attitude; None when the filter's own must do.
         cov_levelled_by: (3, 3) rad^2, part of the sighting's covariance that is that attitude's; zeros to leave it in.
         yaw_sigma: rad, how well the relative heading is believed: an ambiguous heading is of use only when it is.
+        place_only: leave out what it says of heading and orientation.
     """
     A = levelling(R, levelled_by)
     E = so3.exp(-x[MOUNT])
@@ -138,7 +152,9 @@ def sighting(x: F64, R: F64, w: F64, s: Sighting, levelled_by: F64 | None, cov_l
 
     whole = s.pose6
     m = 3
-    if whole is not None:
+    if place_only:
+        pass
+    elif whole is not None:
         m = 6
     elif s.yaw_rad is not None and s.cov[3, 3] < KNOWN_YAW_VAR and not (s.yaw_ambiguous and yaw_sigma > 0.5):
         m = 4
@@ -161,7 +177,7 @@ def sighting(x: F64, R: F64, w: F64, s: Sighting, levelled_by: F64 | None, cov_l
     tilt = A - np.outer(_DOWN, so3.heading_row(A).dot(A))
     J = np.zeros((m, 3))
     d_level = s.d_body_pad_level if whole is None else whole.d_body_pad_level
-    cov = s.cov[:m, :m] if whole is None else whole.cov
+    cov = s.cov[:m, :m] if whole is None else whole.cov[:m, :m]
     J[:3] = -so3.cross_matrix(d_level).dot(tilt)
     innov[:3] = A.T.dot(d_level) - E.dot(shown)
     turn = np.eye(m)
@@ -238,7 +254,8 @@ def seen_from_body(s: Sighting, A: F64) -> F64:
 def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
     """`cov` less `J cov_attitude J'`, of every direction at least the share `keep` being left.
 
-    Where the levelling attitude's error is no part of `cov` after all, this cannot make it negative.
+    A `cov` that is clearly too small to hold that part in some direction comes from an attitude that was taken as exact: it is
+    left whole.
     """
     part = J.dot(cov_attitude).dot(J.T)
     if not part.any():
@@ -255,6 +272,8 @@ def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
         return cov
     inverse = np.linalg.inv(L)
     share, axes = np.linalg.eigh(inverse.dot(part).dot(inverse.T))
+    if share[-1] > _NOT_A_PART:
+        return cov
     half = L.dot(axes)
     return np.asarray((half * np.maximum(1.0 - share, keep)).dot(half.T))
 

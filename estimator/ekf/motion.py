@@ -247,8 +247,12 @@ def moved(b: Belief, walk: Walk) -> tuple[Belief, F64, F64]:
     x[8] += GRAVITY_M_S2 * T
     x[_YAW] = same.A_yaw.dot(b.x[_YAW])
     x[HEAD] += rate * T + float(x[WAVE_YAW] - b.x[WAVE_YAW])
+    # Downwards the accelerometer's bias stays in: what is learned of it in flight would be a jerk of the deck.
+    biased = float(b.turned[2].dot(b.x[BA]))
     ins_p = b.ins_p + b.ins_v * T + b.dp
     ins_v = b.ins_v + b.dv
+    ins_p[2] += 0.5 * T * biased
+    ins_v[2] += biased
     ins_p[2] += fall
     ins_v[2] += GRAVITY_M_S2 * T
 
@@ -279,8 +283,20 @@ def moved(b: Belief, walk: Walk) -> tuple[Belief, F64, F64]:
     Q[5, _DH] = Q[_DH, 5]
     Q[_DH, _DH] += coupling[:, None] * coupling * push[0]
 
+    if b.jolt_var_m2_s2 > 0.0 or b.jolt_var_rad2 > 0.0:
+        # As if all of it had come at the beginning: the place suffers most then.
+        flat, jolt = Q.reshape(-1), b.jolt_var_m2_s2
+        for i in range(3):
+            Q[i, i] += b.jolt_var_rad2
+            Q[6 + i, 6 + i] += jolt
+            Q[3 + i, 3 + i] += jolt * T * T
+        flat[_D_BY_V] -= jolt * T
+        flat[_V_BY_D] -= jolt * T
+
     R = so3.orthonormalised(b.R)
-    belief = b._replace(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v)
+    belief = b._replace(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v,
+        ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + walk.psd_coast * b.coast_s, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
+    )  # fmt: skip
     return belief, F, Q
 
 

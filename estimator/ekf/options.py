@@ -24,14 +24,27 @@ class EkfOptions:
     sigma_gyro_bias_rad_s: float = 0.02
     asd_gyro_bias_rad_s2: float = 1e-4
     """The bias wanders by this much in 1 s."""
-    sigma_accel_bias_m_s2: float = 0.6
+    sigma_accel_bias_m_s2: float = 0.15
+    """Of the accelerometer's bias across the body's axis down."""
+    sigma_accel_bias_down_m_s2: float = 0.6
+    """Along that axis: there it carries the vehicle's weight, and a wrong scale adds to it."""
     asd_accel_bias_m_s3: float = 2e-3
+    accel_max_m_s2: float = 60.0
+    """Specific force that the vehicle can feel, contact included. A sample beyond is refused, and the one before it holds."""
+    gyro_max_rad_s: float = 15.0
+    """Rate at which the vehicle can turn. A sample beyond is refused."""
+    accel_step_m_s2: float = 15.0
+    """Change of the specific force from one sample to the next that the vehicle can make. Of a larger one this much is taken, and
+    the rest is doubt."""
+    gyro_step_rad_s: float = 4.0
+    """The same for the rate of turn."""
     sigma_initial_tilt_rad: float = math.radians(3.0)
     sigma_initial_heading_rad: float = math.radians(10.0)
     sigma_initial_velocity_m_s: float = 2.0
 
-    sigma_attitude_bias_rad: float = math.radians(0.5)
-    """Of the constant error of the vehicle's own roll and pitch. No later measurement tells it from an accelerometer's bias."""
+    sigma_attitude_bias_rad: float = math.radians(2.0)
+    """Standard deviation of the error of the vehicle's own roll and pitch when the filter starts, in flight maybe. Later only the
+    accelerometer tells of it, as well as its own bias is known."""
     asd_attitude_bias_rad_s: float = 2e-3
     """rad/s/sqrt(Hz): it wanders by 0.4 degrees in 10 s. An AR.Drone in a steady side wind loses its level by much more."""
     attitude_correlation_s: float = 1.0
@@ -92,6 +105,12 @@ class EkfOptions:
     reopen_count: int = 5
     """So many sightings refused in a row that agree with one another, over at least `reopen_s`, are believed after all."""
     reopen_s: float = 0.6
+    heading_memory_s: float = 10.0
+    """A heading that sightings contradict is held by the gyro for as long as they agreed with it before, at most this long."""
+    confirm_s: float = 1.0
+    """The belief is called consistent for so long after the newest sighting or velocity that was fused."""
+    consistent_sigma_m: float = 1.0
+    """With a larger standard deviation of the pad's place along any axis the belief is not called consistent."""
     forget_s: float = 30.0
     """Without a sighting for so long there is no belief any more."""
 
@@ -99,6 +118,9 @@ class EkfOptions:
     """How late a measurement may come."""
     max_ahead_s: float = 0.05
     """How far past everything heard so far a measurement may lie."""
+    leap_s: float = 2.0
+    """A sample received so much later or earlier than all before it is refused, until `leap_count` in a row agree."""
+    leap_count: int = 5
     tick_s: float = 0.1
     """The covariance moves on at least this often, and wherever something is fused; the nominal state at every IMU sample."""
     hold_s: float = 0.06

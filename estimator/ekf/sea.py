@@ -48,9 +48,14 @@ W, ZETA, SIGMA, LOG_PRIOR = _grid()
 AT_REST = stationary(W, ZETA)
 """(G, 4, 4) for sigma = 1."""
 
-DRIFT_VAR = np.array([[25.0, 9.0, 0.25]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
+DRIFT_VAR = np.array([[25.0, 9.0, 1.0]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
 """(5, 3) prior of offset, its rate, acceleration. A deck's list is an offset that does not drift."""
 _SIZE = 7
+CARRIED = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
+"""Which directions the IMU carries; a deck's roll and pitch are seen whole."""
+_UPRIGHT = slice(2, 5)
+"""Heave, roll, pitch: they decide whether the deck is at rest. Sideways an attitude that errs looks like a deck that moves, and
+no deck surges without heaving."""
 
 
 class Carrying(NamedTuple):
@@ -71,7 +76,7 @@ def carrying(asd_accel_m_s2: float, asd_gyro_rad_s: float, asd_accel_bias_m_s3: 
     """
     sideways, asd_tilt = np.array([1.0, 1.0, 0.0, 0.0, 0.0]), math.sqrt(2.0) * asd_gyro_rad_s
     return Carrying(
-        asd_accel_m_s2 * np.array([1.0, 1.0, 1.0, 0.0, 0.0]),
+        asd_accel_m_s2 * CARRIED,
         9.81 * asd_tilt * sideways + np.array([0.0, 0.0, asd_accel_bias_m_s3, 0.0, 0.0]),
         asd_tilt * sideways,
     )
@@ -182,7 +187,7 @@ def _summary(log_weight: F64) -> tuple[F64, F64, F64, F64, F64]:
     weight = np.exp(log_weight - top)
     moving = weight[:, 1:].sum(axis=1)
     # Each direction's odds of rest without its prior; the prior comes in once, for all of them.
-    odds = float(np.sum(log_weight[:, 0] - top[:, 0] - np.log(moving)) - (log_weight.shape[0] - 1) * _REST_ODDS)
+    odds = float(np.sum((log_weight[:, 0] - top[:, 0] - np.log(moving))[_UPRIGHT]) - 2 * _REST_ODDS)
     rest = 1.0 / (1.0 + math.exp(min(-odds, 500.0)))
     weight[:, 1:] *= ((1.0 - rest) / moving)[:, None]
     weight[:, 0] = rest

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import F64
 from estimator.ekf import gate, measure, sea, so3
 from estimator.ekf.aiding import aided
 from estimator.ekf.algebra import Correction
@@ -16,16 +17,23 @@ from estimator.ekf.state import (
     HEAD,
     MOUNT,
     SWAY_PER_HEAVE,
+    TURN,
     TURN_RATE,
+    WAVE_YAW,
     WAVES,
     Belief,
     D,
     Doubt,
+    N,
     U,
     waves_unknown,
 )  # fmt: skip
-from estimator.ekf.stride import Outcome, Tools, corrected, forgotten, settled
+from estimator.ekf.stride import Outcome, Tools, corrected, forgotten, partial, settled
 
+_KEPT = 0.95
+_ROUGH_M_S = 0.1
+"""On a deck that heaves by much more than this a sighting corrects where the camera stands, and how late it is, by the share
+1 - `_KEPT`; on one that heaves by much less in full."""
 _RATE_KNOWN_VAR = 0.35**2
 """(m/s)^2, of what a sighting shows: with more nothing is learned of the camera's delay."""
 
@@ -43,6 +51,20 @@ def fuse_sighting(b: Belief, event: Sighting, tools: Tools) -> tuple[Belief, Out
         return b, Outcome(event, Verdict.SINGULAR, row.innov)
     dof = row.innov.size
     nis = fix.nis
+    turned_round = False
+    if dof > 3 and b.heading_known and nis > gate.nis_max(o.gate_probability, dof):
+        place, by_place = _compared(b, event, tools, place_only=True)
+        if by_place is not None and by_place.nis <= gate.nis_max(o.gate_probability, 3):
+            turned_round = True
+            row, fix, nis, dof = place, by_place, by_place.nis, 3
+    if dof > 3 or turned_round:
+        b = _heading_weighed(b, event, o, agrees=not turned_round)
+        if turned_round and b.heading_held_s <= 0.0:
+            b = _headed_anew(b, event)
+            row, fix = _compared(b, event, tools)
+            if fix is None:
+                return b, Outcome(event, Verdict.SINGULAR, row.innov)
+            nis, dof = fix.nis, row.innov.size
     if not fresh:
         b = b._replace(nis_mean=gate.mean_of(b.nis_mean, nis, dof))
     if nis > gate.nis_max(o.gate_probability, dof):
@@ -57,16 +79,48 @@ def fuse_sighting(b: Belief, event: Sighting, tools: Tools) -> tuple[Belief, Out
             return b, Outcome(event, Verdict.SINGULAR, row.innov)
         nis = fix.nis
     lost = gate.sigma_of(b.P[D, D]) > 0.3
+    fix = partial(b.P, fix, _kept(b))
     b = corrected(b, fix.dx, fix.P)
     known = b.heading_known or (dof >= 4 and not event.yaw_ambiguous)
     b = b._replace(sighted=max(t, b.sighted), agreed=1 if fresh or lost else b.agreed + 1, doubt=Doubt(), heading_known=known)
     return _learned(b, event, row, tools), Outcome(event, Verdict.FUSED, row.innov, fix.S, nis)
 
 
-def _compared(b: Belief, event: Sighting, tools: Tools) -> tuple[measure.Row, Correction | None]:
+def _kept(b: Belief) -> F64:
+    """(N,) share of a correction that is not made."""
+    heave = float(b.sea.sigma[2] * b.sea.w_rad_s[2]) ** 2
+    kept = np.zeros(N)
+    kept[MOUNT] = kept[DELAY] = _KEPT * heave / (heave + _ROUGH_M_S**2)
+    return kept
+
+
+def _heading_weighed(b: Belief, event: Sighting, o: EkfOptions, *, agrees: bool) -> Belief:
+    """A sighting whose place is believed agrees with the heading or contradicts it: what the longer of the two said is held."""
+    t = event.stamp.taken
+    since = 0.0 if b.heading_seen < 0 else min((t - b.heading_seen) * 1e-9, 0.5)
+    held = b.heading_held_s + since if agrees else b.heading_held_s - since
+    return b._replace(heading_held_s=min(held, o.heading_memory_s), heading_seen=t)
+
+
+def _headed_anew(b: Belief, event: Sighting) -> Belief:
+    """The heading is the one that this sighting tells."""
+    yaw = event.yaw_rad
+    if event.pose6 is not None:
+        yaw = -so3.heading(event.pose6.R_level_pad.matrix)
+    if yaw is None:
+        return b
+    P, x = b.P.copy(), b.x.copy()
+    x[HEAD] = measure.wrap(so3.heading(b.R) - yaw)
+    x[[TURN, WAVE_YAW]] = 0.0
+    P[HEAD, :] = P[:, HEAD] = 0.0
+    P[HEAD, HEAD] = math.pi**2 / 3.0
+    return b._replace(x=x, P=P, heading_held_s=0.0)
+
+
+def _compared(b: Belief, event: Sighting, tools: Tools, *, place_only: bool = False) -> tuple[measure.Row, Correction | None]:
     yaw_sigma = math.sqrt(float(b.P[HEAD, HEAD])) if b.heading_known else math.inf
     cov = b.cov_levelled_by if tools.options.sighting_has_attitude_error else np.zeros((3, 3))
-    row = measure.sighting(b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma)
+    row = measure.sighting(b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma, place_only=place_only)
     # How fast the picture moves decides how much of an innovation is delay: while that rate is poorly known, nothing is learned
     # of the delay, and what the delay may cost is noise.
     cov_rate = row.G.dot(b.P).dot(row.G.T)
@@ -102,7 +156,7 @@ def _opened(b: Belief, event: Sighting, o: EkfOptions, *, anew: bool) -> Belief:
         x[HEAD] = measure.wrap(so3.heading(b.R) - event.yaw_rad)
         P[HEAD, :] = P[:, HEAD] = 0.0
         P[HEAD, HEAD] = math.pi**2 / 3.0
-    return b._replace(x=x, P=P, doubt=Doubt())
+    return b._replace(x=x, P=P, doubt=Doubt(), heading_held_s=0.0)
 
 
 def _learned(b: Belief, event: Sighting, row: measure.Row, tools: Tools) -> Belief:
@@ -121,4 +175,9 @@ def _learned(b: Belief, event: Sighting, row: measure.Row, tools: Tools) -> Beli
         y[4] = math.asin(max(-1.0, min(1.0, -float(R_ned_pad[2, 0]))))
         into_pad = R_ned_pad.T.dot(back.dot(A.T))
         var[3:] = np.diag(into_pad.dot(row.R[3:, 3:]).dot(into_pad.T))[:2]
-    return b._replace(sea=sea.look(b.sea, b.t, y, var, tools.walk.carrying, float(np.linalg.norm(seen))))
+    by = tools.walk.carrying
+    if b.ins_var_m2_s2 > 0.0 and b.sea.t >= 0:
+        psd = b.ins_var_m2_s2 / max((b.t - b.sea.t) * 1e-9, 1e-3)
+        by = by._replace(asd_accel=np.sqrt(by.asd_accel**2 + psd * sea.CARRIED))
+    learned = sea.look(b.sea, b.t, y, var, by, float(np.linalg.norm(seen)))
+    return b._replace(sea=learned, ins_var_m2_s2=0.0)

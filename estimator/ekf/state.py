@@ -149,6 +149,12 @@ class Belief(NamedTuple):
     ins_p: F64
     """(3,) m, where the body has been carried by the IMU alone: what the learning of the sea reads."""
     ins_v: F64
+    ins_var_m2_s2: float
+    """(m/s)^2 that its velocity became uncertain by, beyond the IMU's noise, since the sea was last shown the pad."""
+    jolt_var_m2_s2: float
+    """(m/s)^2 since `t_cov`, of what accelerometer samples said beyond what the vehicle can do."""
+    jolt_var_rad2: float
+    """rad^2 since `t_cov`, the same of the gyro's."""
     aids: tuple[Aid, ...]
     """One of each kind."""
     over_pad: float
@@ -165,6 +171,10 @@ class Belief(NamedTuple):
     """Recent mean of a sighting's NIS over its degrees of freedom, refused ones included."""
     heading_known: bool
     """Some sighting or report has told the arrow's heading."""
+    heading_held_s: float
+    """How long sightings have agreed with the heading, less how long they have contradicted it."""
+    heading_seen: int
+    """ns, of the newest sighting that told a heading; -1 none."""
 
 
 def waves_unknown(sea: Sea) -> F64:
@@ -183,7 +193,7 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
     var[D] = LOST_VAR_M2
     var[V] = options.sigma_initial_velocity_m_s**2
     var[BG] = options.sigma_gyro_bias_rad_s**2
-    var[BA] = options.sigma_accel_bias_m_s2**2
+    var[BA] = options.sigma_accel_bias_m_s2**2, options.sigma_accel_bias_m_s2**2, options.sigma_accel_bias_down_m_s2**2
     var[SCALE] = options.sigma_velocity_scale**2
     var[U] = options.sigma_vessel_velocity_m_s**2
     var[HEAD] = math.pi**2 / 3.0
@@ -203,6 +213,7 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
     return Belief(
         t=t, R=R, x=x, P=P, t_cov=t, R_cov=R, dv=z3, dp=z3, turned=np.zeros((3, 3)), coast_s=0.0,
         t_imu=-1, w=z3, w_smooth=z3, f=z3, levelled_by=None, cov_levelled_by=np.zeros((3, 3)), heading_is_given=False,
-        ins_p=z3, ins_v=z3, aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, doubt=Doubt(),
-        sighted=-1, agreed=0, nis_mean=1.0, heading_known=False,
+        ins_p=z3, ins_v=z3, ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
+        aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, doubt=Doubt(),
+        sighted=-1, agreed=0, nis_mean=1.0, heading_known=False, heading_held_s=0.0, heading_seen=-1,
     )  # fmt: skip

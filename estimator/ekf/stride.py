@@ -11,7 +11,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf import measure, motion, so3
-from estimator.ekf.algebra import Algebra
+from estimator.ekf.algebra import Algebra, Correction
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.state import HEAD, SCALE, TH, Belief, Doubt
 
@@ -60,6 +60,21 @@ def forgotten(b: Belief, o: EkfOptions) -> Belief:
     if b.sighted >= 0 and (b.t - b.sighted) * 1e-9 > o.forget_s:
         return b._replace(sighted=-1, agreed=0, doubt=Doubt())
     return b
+
+
+def partial(before: F64, fix: Correction, kept: F64) -> Correction:
+    """The share 1 - `kept` of a correction, by state, with the covariance that belongs to it.
+
+    A deck's sway and heave belong to one wave, and the model takes them as independent: from how they agree over a few waves it
+    would learn a tilt of the camera, or a delay, that is none.
+    Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017.
+
+    Args:
+        before: (N, N) covariance before the correction.
+        kept: (N,) share of each state's correction that is not made.
+    """
+    P = fix.P + kept[:, None] * (before - fix.P) * kept
+    return fix._replace(dx=fix.dx * (1.0 - kept), P=P)
 
 
 def corrected(b: Belief, dx: F64, P: F64) -> Belief:

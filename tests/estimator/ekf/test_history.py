@@ -113,7 +113,8 @@ def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
     for event in later:
         ekf, outcomes = step(ekf, event)
         verdicts.append((type(event), outcomes[0].verdict))
-    assert Verdict.TOO_NEW not in {v for _, v in verdicts}
+    # The first few might be wrong stamps; when they agree with one another, time has passed.
+    assert [v for _, v in verdicts].count(Verdict.TOO_NEW) == EkfOptions().leap_count - 1
     assert [v for kind, v in verdicts if kind is Sighting][-10:] == [Verdict.FUSED] * 10
 
 

@@ -1,4 +1,4 @@
-"""Ground truth over a ship that shares no formula with the simulator or with the other benches, and sensors that err in every way.
+"""Ground truth over a ship that shares no formula with the simulator or the other benches, and sensors that err in every way.
 
 The sea is a random spectrum turned into time series by an inverse FFT and passed through the hull as a frequency response. Paths
 are splines through those series; velocities, accelerations and body rates are derivatives of the splines. Sensor noise is ARMA.
@@ -28,6 +28,15 @@ ARM_M = (3.0, 0.5, -1.0)
 """Pad from the vessel's centre of motion: forward, starboard, down."""
 _STEP_S = 0.02
 _MARGIN_S = 5.0
+_LEGS = (
+    (-9.0, 2.5, 1.5, -5.0),
+    (3.0, 2.5, 1.5, -5.0),
+    (8.0, 0.3, -0.2, -2.0),
+    (24.0, 0.2, 0.2, -2.0),
+    (29.0, -0.6, 0.5, -4.0),
+    (34.0, 0.1, 0.0, -2.0),
+)
+"""(s, forward, starboard, down) of the body from the pad's mean place, m."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +104,7 @@ IDEAL = {
 }
 """The fields of a scene without sensor errors but white noise."""
 
-OPTIONS = EkfOptions(velocity_scale=0.9, sigma_mount_rad=math.radians(1.5), sigma_accel_bias_m_s2=0.2, sigma_gyro_bias_rad_s=0.01)
+OPTIONS = EkfOptions(velocity_scale=0.9, sigma_mount_rad=math.radians(1.5), sigma_gyro_bias_rad_s=0.01)
 """What a data sheet would tell the filter; nothing of the errors drawn."""
 
 
@@ -140,7 +149,7 @@ class Voyage:
         self._pad, self._pad_angles = CubicSpline(t, pad), CubicSpline(t, np.stack([yaw, pitch, roll], axis=1))
         self.level_down_m = float(np.mean(pad[:, 2]))
 
-        legs = np.array([[-9, 2.5, 1.5, -5], [3, 2.5, 1.5, -5], [8, 0.3, -0.2, -2], [24, 0.2, 0.2, -2], [29, -0.6, 0.5, -4], [34, 0.1, 0, -2]])  # fmt: skip
+        legs = np.array(_LEGS)
         offset = np.stack([np.interp(t, legs[:, 0], legs[:, k]) for k in (1, 2, 3)], axis=1)
         offset = gaussian_filter1d(offset, 1.0 / _STEP_S, axis=0, mode="nearest")
         body = base + steady.apply(offset) + self._spectral(rng, t, 0.35, 3) * [0.2, 0.2, 0.1]
@@ -169,7 +178,9 @@ class Voyage:
         w = math.tau * np.fft.rfftfreq(n, _STEP_S)
         dw = float(w[1])
         out = np.zeros((t.size, 6))
-        tones = [(1.5 / 4.0 * math.sqrt(0.4), math.tau / p) for p in rng.uniform(6.3, 8.7, 5)] if self.scene.sea == "narrow" else []
+        tones = (
+            [(1.5 / 4.0 * math.sqrt(0.4), math.tau / p) for p in rng.uniform(6.3, 8.7, 5)] if self.scene.sea == "narrow" else []
+        )
         for height, period, peak in systems:
             x = np.maximum(w, 1e-6) * period / math.tau
             rest = np.where(x < 1.0, 0.07, 0.09)
@@ -194,11 +205,14 @@ class Voyage:
         low = 1.0 / np.sqrt(1.0 + (w / hull.heave_rad_s) ** 6)
         slope = hull.slope_share * w * w / GRAVITY * low
         resonant = hull.roll_rad_s**2 / (hull.roll_rad_s**2 - w * w + 2j * hull.roll_damping * hull.roll_rad_s * w)
-        series = np.fft.irfft(np.stack([0.7j * low * z, -low * z, slope * resonant * z, 1j * slope * z, 0.2 * slope * z]), n, axis=1)
+        series = np.fft.irfft(
+            np.stack([0.7j * low * z, -low * z, slope * resonant * z, 1j * slope * z, 0.2 * slope * z]), n, axis=1
+        )
         orbit, heave, roll, pitch, yaw = series[:, :size]
         abeam, ahead = np.sin(towards - course), np.cos(towards - course)
         return np.stack(
-            [orbit * math.cos(towards), orbit * math.sin(towards), heave, roll * abeam, pitch * ahead, yaw * abeam * ahead], axis=1
+            [orbit * math.cos(towards), orbit * math.sin(towards), heave, roll * abeam, pitch * ahead, yaw * abeam * ahead],
+            axis=1,
         )
 
     def pad(self, t: F64) -> tuple[F64, F64, F64]:
@@ -297,7 +311,7 @@ def _sighting(
     at = np.array([x + sensors.delay_s])
     (p, *_), (pp, _, Rp), R = voyage.body(at), voyage.pad(at), Spin.from_matrix(voyage.attitude(at)[0])
     camera = R * Spin.from_rotvec(sensors.mount)
-    nose, pitch, roll = told.as_euler("ZYX")
+    _, pitch, roll = told.as_euler("ZYX")
     level = Spin.from_euler("ZYX", [0.0, pitch, roll])
     d = camera.inv().apply((pp - p)[0])
     sigma = 0.001 + float(np.linalg.norm(d)) * np.array([0.002, 0.002, 0.005])
