@@ -35,7 +35,7 @@ def samples_of(path: Path) -> list[Sample]:
     return [event for event in open_recording([path]).events() if isinstance(event, Imu)]
 
 
-def wait_for(done: object, seconds: float = 5.0) -> None:
+def wait_for(done: object, seconds: float = 60.0) -> None:
     assert callable(done)
     until = time.monotonic() + seconds
     while not done():

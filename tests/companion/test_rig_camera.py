@@ -85,7 +85,7 @@ async def test_frames_are_the_cameras_and_the_rest_is_the_vehicles(tmp_path: Pat
         finally:
             closed.append(True)
 
-    async with asyncio.timeout(20), with_camera(open_vehicle, StreamOptions(str(path)), SystemClock())() as link:
+    async with asyncio.timeout(60), with_camera(open_vehicle, StreamOptions(str(path)), SystemClock())() as link:
         frame = await link.frames.get()
         assert frame.px.shape == (48, 64, 3)
         vehicle.samples.offer(Range(Stamp(MonoNs(1), MonoNs(1), 0.0, "sim"), 2.0, 0.1))

@@ -104,7 +104,7 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
         while not (readings.exists() and readings.read_text()) and time.monotonic() < end:
             time.sleep(0.1)
         soak.send_signal(signal.SIGTERM)
-        out, _ = soak.communicate(timeout=30)
+        out, _ = soak.communicate(timeout=60)
     assert soak.returncode == 143
     lines = [json.loads(line) for line in readings.read_text().splitlines()]
     told = json.loads(out)

@@ -91,7 +91,7 @@ def test_shell_snippets_run(snippet: Snippet, tmp_path: Path) -> None:
         env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=240,
         check=False,
     )
     wanted = re.search(r"exit=(\d+)", snippet.kind)
@@ -107,7 +107,7 @@ def test_python_snippets_run(snippet: Snippet, tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=240,
         check=False,
     )
     assert done.returncode == 0, done.stderr

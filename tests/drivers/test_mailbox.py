@@ -47,7 +47,7 @@ async def test_cancelling_a_reader_at_any_turn_of_the_loop_loses_nothing(make, t
     reader.cancel()
     await asyncio.gather(reader, return_exceptions=True)
     if not got:
-        got.append(await asyncio.wait_for(box.get(), 1))
+        got.append(await asyncio.wait_for(box.get(), 60))
     assert got == ["a"]
 
 
@@ -57,7 +57,7 @@ async def test_a_reader_that_waits_with_a_timeout_misses_nothing(make):
     with pytest.raises(TimeoutError):
         await asyncio.wait_for(box.get(), 0.001)
     box.offer(7)
-    assert await asyncio.wait_for(box.get(), 1) == 7
+    assert await asyncio.wait_for(box.get(), 60) == 7
 
 
 @pytest.mark.parametrize("make", BOXES)
@@ -71,7 +71,7 @@ async def test_a_failure_reaches_the_reader_after_what_was_left(make):
             got.append(item)
 
     with pytest.raises(Recoverable, match="unplugged"):
-        await asyncio.wait_for(read(), 1)
+        await asyncio.wait_for(read(), 60)
     assert got == ["last"]
     with pytest.raises(Recoverable):
         await box.get()
@@ -84,7 +84,7 @@ async def test_a_failure_wakes_a_reader_that_waits(make):
     await asyncio.sleep(0)
     box.fail(Recoverable("gone"))
     with pytest.raises(Recoverable):
-        await asyncio.wait_for(reader, 1)
+        await asyncio.wait_for(reader, 60)
 
 
 @pytest.mark.parametrize("falsy", [0, "", b"", False])
@@ -92,7 +92,7 @@ async def test_a_failure_wakes_a_reader_that_waits(make):
 async def test_a_falsy_item_is_an_item(make, falsy):
     box = make()
     box.offer(falsy)
-    assert await asyncio.wait_for(box.get(), 1) == falsy
+    assert await asyncio.wait_for(box.get(), 60) == falsy
 
 
 @settings(deadline=None, max_examples=60)

@@ -111,9 +111,9 @@ async def test_a_service_that_is_killed_or_stopped_leaves_hover_and_the_drone_in
     fake = FakeArDrone()
     async with fake.on_loopback(command_timeout_s=0.12, hold_s=2.5) as options, service(options, fake) as (child, sender):
         child.send_signal(how)
-        stopped = time.monotonic()
+        before = len(fake.of(at.Pcmd))
         await until(lambda: not moving(fake))
-        assert time.monotonic() - stopped < 1.0, "120 ms and what a busy machine takes"
+        assert sum(bool(p.flags) for p in fake.of(at.Pcmd)[before:]) <= 30, "120 ms at 10 ms each, and what was on its way"
         count = len(fake.of(at.Pcmd))
         fake.state |= nd.State.COM_WATCHDOG
         await until(lambda: len(fake.of(at.Pcmd)) > count + 30)
@@ -199,7 +199,7 @@ async def test_a_blocked_event_loop_means_hover() -> None:
 async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
         drone.bind((HOST, 0))
-        drone.settimeout(5.0)
+        drone.settimeout(60.0)
         port = drone.getsockname()[1]
         client = SenderClient(SenderOptions(HOST, port, port, 0.01, 60.0), CLOCK, lambda a, b: None)
         try:
@@ -216,7 +216,7 @@ async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> N
                 except BlockingIOError:
                     break
             os.kill(client.pid, signal.SIGCONT)
-            drone.settimeout(5.0)
+            drone.settimeout(60.0)
             later = [drone.recv(2048) for _ in range(10)]
             assert all(b"FTRIM" not in one and b"REF" not in one for one in later)
             assert all(p.flags == 0 for one in later for _, p in at.decode(one) if isinstance(p, at.Pcmd))

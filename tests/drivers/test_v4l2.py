@@ -112,7 +112,7 @@ def buffer(sequence: int, data: bytes | None = None, error: bool = False, age_s:
 async def run(camera: Camera, device: FakeDevice, story: Any, **more: Any) -> str:
     """Run the channel beside `story` until it is lost; the reason."""
     channel = V4l2Channel(options(**more), CLOCK, camera, lambda path, o: device)
-    async with asyncio.timeout(10), asyncio.TaskGroup() as group:
+    async with asyncio.timeout(60), asyncio.TaskGroup() as group:
         group.create_task(story())
         try:
             await channel.run()

@@ -28,7 +28,7 @@ needs_compose = pytest.mark.skipif(shutil.which("docker-compose") is None, reaso
 
 def composed(*words: str) -> str:
     done = subprocess.run(
-        ["docker-compose", "-f", "compose.yaml", *words], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
+        ["docker-compose", "-f", "compose.yaml", *words], cwd=ROOT, capture_output=True, text=True, timeout=240, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -57,12 +57,12 @@ async def drone(scenario: Path, truth: Path) -> AsyncIterator[dict[str, int]]:
     assert process.stdin is not None
     assert process.stdout is not None
     try:
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(60):
             ready = json.loads(await process.stdout.readline())
         yield ready["ports"]
     finally:
         process.stdin.close()
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             ended = json.loads((await process.stdout.read()).splitlines()[-1])
             code = await process.wait()
     assert ended["event"] == "ended"

@@ -51,7 +51,7 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
     parameters |= {"PLND_TYPE": 2.0, "EK3_SRC1_POSXY": 6.0, "INS_GYRO_CAL": 1.0}
     fake = FakeAutopilot(parameters=parameters)
     talking = asyncio.create_task(examined(fake, 1.5))
-    await until(lambda: fake.commands[512] > 0, timeout_s=10)
+    await until(lambda: fake.commands[512] > 0)
     fake.send(mav.MAVLink_autopilot_version_message(0, 0x040507FF, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0))
     fake.text(6, "Plnd: Frame not supported")
     picture = await talking
@@ -69,7 +69,7 @@ async def test_a_px4_without_the_module_and_with_an_event() -> None:
     parameters = {n: 1.0 for n in PARAMETERS["PX4"] if n != "PLD_HACC_RAD"} | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0}
     fake = FakeAutopilot(Stack.PX4, mode="auto.loiter", parameters=parameters)
     talking = asyncio.create_task(examined(fake))
-    await until(lambda: fake.commands[512] > 0, timeout_s=10)
+    await until(lambda: fake.commands[512] > 0)
     fake.send(Event(0, 0, 0x1000000 | 0x123456, 5, 1, 0, [0] * 40))
     picture = await talking
     assert picture.autopilot is not None

@@ -32,7 +32,7 @@ TICK_S = 0.01
 async def settled(one: Links, other: Links, also: Callable[[], bool], over: Callable[[], bool]) -> None:
     """Wait, in real time, until what one side sent the other has heard, and `also` is so, or all is `over`."""
     calm = 0
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         while calm < 3 and not over():
             await asyncio.sleep(0)
             there = all(

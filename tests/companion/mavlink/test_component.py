@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -54,10 +55,10 @@ async def test_rates_are_what_was_asked_for() -> None:
     fake = FakeAutopilot()
     async with staged(fake, outputs={"rate_hz": 20.0}):
         await until(lambda: len(fake.of("LANDING_TARGET")) > 2)
-        before = len(fake.of("LANDING_TARGET"))
-        await asyncio.sleep(1.0)
-        # A busy machine may be late, never early
-        assert 5 <= len(fake.of("LANDING_TARGET")) - before <= 25
+        before, began = len(fake.of("LANDING_TARGET")), time.monotonic()
+        await until(lambda: len(fake.of("LANDING_TARGET")) >= before + 15)
+        # A busy machine may be late, never early: what was late itself may make the first few seem so.
+        assert len(fake.of("LANDING_TARGET")) - before <= 20.0 * (time.monotonic() - began) + 8
 
 
 async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() -> None:
@@ -65,6 +66,7 @@ async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() 
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
         stage.seen = False
+        await until(lambda: stage.component.outputs.withheld["not seen"] > 3)
         await asyncio.sleep(0.1)
         silent = len(fake.of("LANDING_TARGET"))
         await asyncio.sleep(0.3)

@@ -39,7 +39,7 @@ async def met() -> AsyncIterator[tuple[Stage, Any]]:
         mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station,
     ):
         await station.add_any_connection(f"udpin://{HOST}:{port}")
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while not (systems := await station.get_systems()):  # noqa: ASYNC110 - the other side has its own threads
                 await asyncio.sleep(0.05)
             while 191 not in await systems[0].component_ids():  # noqa: ASYNC110
@@ -65,7 +65,7 @@ async def test_mavsdk_discovers_hears_and_commands_us() -> None:
         assert await system.get_system_id() == 7
         direct = MavlinkDirectAsync(system)
         targets = []
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             async for message in direct.subscribe_message("LANDING_TARGET"):
                 targets.append((message.system_id, message.component_id, json.loads(message.fields_json)))
                 if len(targets) == 10:
@@ -94,7 +94,7 @@ async def test_a_landing_commanded_by_mavsdk_is_answered_when_it_is_over() -> No
             assert not landing.done()
             assert stage.tower.deeds == ["begin"]
             stage.tower.state = Progress(100, landed=True)
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(60):
                 assert (await landing)["result"] == 0
         finally:
             landing.cancel()

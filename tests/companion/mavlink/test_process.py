@@ -87,7 +87,7 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
             assert all(m.vz <= 0.0 for _, m in craft.setpoints)
             assert await told(craft, mav.MAV_CMD_LOGGING_STOP) == mav.MAV_RESULT_ACCEPTED
         service.send_signal(signal.SIGTERM)
-        assert await asyncio.wait_for(service.wait(), 15.0) == 0, said.read_text()
+        assert await asyncio.wait_for(service.wait(), 60.0) == 0, said.read_text()
     finally:
         if service.returncode is None:
             service.kill()

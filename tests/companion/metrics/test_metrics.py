@@ -109,7 +109,7 @@ async def serving(health: Health, limits: Limits | None = None, token_file: str 
         group.create_task(
             run({}, Restart(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended, beside={"metrics": endpoint.run})
         )
-        async with asyncio.timeout(3):
+        async with asyncio.timeout(60):
             while endpoint.port is None:  # noqa: ASYNC110 (the endpoint says nothing when it is ready)
                 await asyncio.sleep(0.005)
         try:
@@ -161,7 +161,7 @@ async def dialled(endpoint: MetricsEndpoint, said: bytes) -> tuple[asyncio.Strea
 async def ended(reader: asyncio.StreamReader) -> bytes:
     """Everything until the endpoint closes."""
     try:
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(60):
             return await reader.read()
     except ConnectionResetError:
         return b""
@@ -216,7 +216,7 @@ async def test_no_descriptors_left_is_waited_out(caplog: pytest.LogCaptureFixtur
                 await asyncio.get_running_loop().sock_connect(client, ("127.0.0.1", endpoint.port))
                 await asyncio.sleep(0.1)
             await asyncio.get_running_loop().sock_sendall(client, b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(60):
                 assert (await asyncio.get_running_loop().sock_recv(client, 100)).startswith(b"HTTP/1.1 200")
         assert health.parts["metrics"].restarts == 0
 

@@ -119,7 +119,7 @@ class Broker:
             [MOSQUITTO, "-c", str(self.folder / "mosquitto.conf")], stdout=log, stderr=subprocess.STDOUT
         )
         log.close()
-        end = time.monotonic() + 5
+        end = time.monotonic() + 60
         while True:
             try:
                 socket.create_connection(("127.0.0.1", self.port), timeout=1).close()
@@ -131,7 +131,7 @@ class Broker:
     def stop(self, how: signal.Signals = signal.SIGTERM) -> None:
         if self.process is not None:
             self.process.send_signal(how)
-            self.process.wait(5)
+            self.process.wait(60)
             self.process = None
 
     def away(self, how: signal.Signals, seconds: float) -> None:

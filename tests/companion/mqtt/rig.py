@@ -113,7 +113,7 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
             ended.set()
 
 
-async def until(condition: Callable[[], bool], seconds: float = 8.0) -> None:
+async def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
     """Wait for a condition; fail after `seconds`."""
     async with asyncio.timeout(seconds):
         while not condition():  # noqa: ASYNC110 (a condition of any kind)

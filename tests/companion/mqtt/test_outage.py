@@ -51,7 +51,7 @@ async def test_events_of_a_service_without_a_broker_come_with_the_next_one(broke
         await consumer.listening.wait()
         async with running(broker.settings(), tmp_path / "spool", session="two") as rig:
             rig.part.tell(happening(rig.clock.now(), "number 40"))
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(60):
                 await consumer.done.wait()
         consuming.cancel()
     assert consumer.numbers == list(range(41))

@@ -36,7 +36,7 @@ class Peer:
 
     async def hear(self) -> Navdata:
         loop = asyncio.get_running_loop()
-        async with asyncio.timeout(3.0):
+        async with asyncio.timeout(60):
             heard = navdata.decode(await loop.sock_recv(self.navdata, 4096))
         assert isinstance(heard, Navdata), heard
         return heard
@@ -45,7 +45,7 @@ class Peer:
         """Whether a datagram lies in the socket unread."""
         return bool(select.select([self.navdata], [], [], 0)[0])
 
-    async def until(self, done: Callable[[Navdata], bool], timeout_s: float = 5.0) -> Navdata:
+    async def until(self, done: Callable[[Navdata], bool], timeout_s: float = 60.0) -> Navdata:
         """The first datagram that satisfies `done`."""
         async with asyncio.timeout(timeout_s):
             while True:
@@ -97,7 +97,7 @@ class Watcher:
 
     async def frame(self) -> pave.PaveFrame:
         loop = asyncio.get_running_loop()
-        async with asyncio.timeout(3.0):
+        async with asyncio.timeout(60):
             while not self._ready:
                 data = await loop.sock_recv(self.socket, 1 << 16)
                 if not data:

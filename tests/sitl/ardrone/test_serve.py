@@ -37,7 +37,7 @@ def test_it_ends_when_told_and_leaves_the_whole_truth(how: str, tmp_path: Path) 
         process.stdout.flush()
         if how == "SIGTERM":
             process.send_signal(signal.SIGTERM)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
     ended = json.loads(out)
     assert ended["event"] == "ended"

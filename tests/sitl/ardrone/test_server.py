@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import random
 import socket
-import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -76,15 +75,17 @@ async def test_bootstrap_says_nothing_but_its_state_until_it_is_configured(peer:
 
 
 @pytest.mark.parametrize(("demo", "low_hz", "high_hz"), [("TRUE", 13.0, 18.0), ("FALSE", 170.0, 215.0)])
-async def test_rates(peer: Peer, demo: str, low_hz: float, high_hz: float) -> None:
+async def test_rates(server: ArDroneServer, peer: Peer, world: PointMass, demo: str, low_hz: float, high_hz: float) -> None:
+    """In the drone's own time, which a busy machine does not stretch."""
     peer.ask()
     await peer.configure("general:navdata_demo", demo)
-    began = (await peer.hear()).sequence, time.monotonic()
-    await asyncio.sleep(0)
-    while time.monotonic() - began[1] < 0.6:
+    first = (await peer.hear()).sequence
+    began, sent = world.now, server.counters["navdata_sent"]
+    while world.now - began < 600_000_000:
         last = await peer.hear()
-    hz = (last.sequence - began[0]) / (time.monotonic() - began[1])
+    hz = (server.counters["navdata_sent"] - sent) / ((world.now - began) * 1e-9)
     assert low_hz < hz < high_hz
+    assert last.sequence - first == pytest.approx(server.counters["navdata_sent"] - sent, abs=60), "they are heard too"
 
 
 async def test_full_navdata_holds_all_options_and_what_the_sensors_read(peer: Peer, world: PointMass) -> None:
@@ -166,13 +167,13 @@ async def test_altitude_max_is_a_ceiling(stack: ExitStack) -> None:
         stack.callback(peer.close)
         peer.ask()
         async with peer.talking(FLY, at.Pcmd(1, 0.0, 0.0, 1.0, 0.0)):
-            async with asyncio.timeout(3):
+            async with asyncio.timeout(60):
                 while -world.p[2] < 3.0:
                     await peer.hear()
             await asyncio.sleep(0.2)
             assert -world.p[2] < 3.05
             peer.say(at.Config("control:altitude_max", "10000"))
-            async with asyncio.timeout(3):
+            async with asyncio.timeout(60):
                 while -world.p[2] < 3.2:
                     await peer.hear()
 
@@ -184,12 +185,18 @@ async def test_silence_makes_it_hover_and_land(peer: Peer, world: PointMass) -> 
     async with peer.talking(at.ComWdg(), FLY, at.Pcmd(1, 0.0, -0.3, 0.0, 0.0)):
         flying = await peer.until(lambda n: n.control_state is ControlState.FLYING)
         assert not flying.state & State.COM_WATCHDOG
-    silent_since = time.monotonic()
+    while peer.waiting():
+        flying = await peer.hear()
     hovering = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
     assert hovering.state & State.COM_WATCHDOG
-    assert 0.9 < time.monotonic() - silent_since < 1.4
-    await peer.until(lambda n: n.control_state is ControlState.LANDING)
-    assert 1.9 < time.monotonic() - silent_since < 2.5
+    landing = await peer.until(lambda n: n.control_state is ControlState.LANDING)
+    since, hovered, landed_at = (n.get(navdata.Time) for n in (flying, hovering, landing))
+    assert since is not None
+    assert hovered is not None
+    assert landed_at is not None
+    # By the drone's own clock, and from about its last command on: a busy machine hears and says late.
+    assert 0.4e6 < hovered.time_us - since.time_us < 1.4e6
+    assert 0.9e6 < landed_at.time_us - hovered.time_us < 1.1e6
     landed = await peer.until(lambda n: n.control_state is ControlState.LANDED)
     assert landed.state & State.COMMUNICATION_LOST
 
@@ -236,15 +243,17 @@ async def test_a_client_vanishes_and_comes_back(server: ArDroneServer, stack: Ex
 async def test_navdata_clients_are_forgotten_in_the_end(
     server: ArDroneServer, monkeypatch: pytest.MonkeyPatch, stack: ExitStack
 ) -> None:
-    monkeypatch.setattr("sitl.ardrone.sockets.NAVDATA_LEASE_S", 0.2)
+    monkeypatch.setattr("sitl.ardrone.sockets.NAVDATA_LEASE_S", 0.6)
     peer = Peer(HOST, server.ports)
     stack.callback(peer.close)
     peer.ask()
     async with peer.talking(at.ComWdg()):
-        await asyncio.sleep(0.4)
+        await asyncio.sleep(1.3)
         await peer.hear()
         assert server.counters["navdata_client_expired"] == 0, "commands from its host keep it"
-    await asyncio.sleep(0.4)
+    async with asyncio.timeout(60):
+        while server.counters["navdata_client_expired"] == 0:  # noqa: ASYNC110 (it is forgotten without a word)
+            await asyncio.sleep(0.02)
     assert server.counters["navdata_client_expired"] == 1
 
 
@@ -329,14 +338,14 @@ async def test_configuration_on_request(server: ArDroneServer, peer: Peer) -> No
     peer.ask()
     await peer.configure("general:ardrone_name", "Albatross")
     peer.say(at.Ctrl(at.CTRL_CONFIGURATION))
-    async with asyncio.timeout(3):
+    async with asyncio.timeout(60):
         text = await reader.readuntil(b"\0")
     read = control.parse(text)
     assert read["general:ardrone_name"] == "Albatross"
     assert read["network:video_port"] == str(server.ports.video)
     assert (await peer.hear()).state & State.COMMAND_ACK
     peer.say(at.Ctrl(at.CTRL_ACK), at.Ctrl(at.CTRL_CUSTOM_IDS))
-    async with asyncio.timeout(3):
+    async with asyncio.timeout(60):
         assert (await reader.readuntil(b"\0")).startswith(b"[applis]\r00000000,")
     writer.close()
     await writer.wait_closed()
@@ -346,7 +355,7 @@ async def test_a_request_that_overtakes_its_connection_is_answered(server: ArDro
     peer.say(at.Ctrl(at.CTRL_CONFIGURATION))
     await asyncio.sleep(0.05)
     reader, writer = await asyncio.open_connection(HOST, server.ports.control)
-    async with asyncio.timeout(3):
+    async with asyncio.timeout(60):
         assert b"general:num_version_soft = 2.4.8\n" in await reader.readuntil(b"\0")
     writer.close()
     await writer.wait_closed()
@@ -388,8 +397,9 @@ async def test_faults_silence_what_they_name(server: ArDroneServer, peer: Peer, 
     await asyncio.sleep(0.3)
     assert (server.counters["navdata_sent"], server.counters["video_sent"]) == sent
     world.faults.clear()
-    await asyncio.sleep(0.3)
-    assert server.counters["navdata_sent"] > sent[0] + 20
+    async with asyncio.timeout(60):
+        while server.counters["navdata_sent"] <= sent[0] + 20:  # noqa: ASYNC110 (what is sent is in the socket)
+            await asyncio.sleep(0.02)
     assert (await watcher.frame()).header.frame_number >= 1
     assert server.counters["video_sent"] > sent[1]
 
@@ -401,10 +411,11 @@ async def test_truth_log_tells_where_it_was(tmp_path: Path, stack: ExitStack) ->
         peer = Peer(HOST, server.ports)
         stack.callback(peer.close)
         async with peer.talking(FLY, at.Pcmd(1, 0.0, -1.0, 0.0, 0.0)):
-            await asyncio.sleep(0.5)
+            while world.now - began < 500_000_000 or world.v[0] <= 0.1:  # noqa: ASYNC110 (the world tells nobody)
+                await asyncio.sleep(0.01)
     ended = SystemClock().now()
     records = truth_log.read(path)
-    assert 40 <= len(records) <= 60, "100 Hz"
+    assert len(records) >= 40
     assert all(began <= r["at_ns"] <= ended for r in records), "in this host's monotonic time"
     assert np.median(np.diff([r["at_ns"] for r in records])) == pytest.approx(10e6, rel=0.01)
     last = records[-1]

@@ -88,7 +88,7 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
             time.sleep(0.05)
         assert list(folders.iterdir())
         process.send_signal(signal.SIGTERM)
-        assert process.wait(30) == 143
+        assert process.wait(60) == 143
     assert list(folders.iterdir()) == []
     assert not Path(f"/proc/{int(begun.read_text())}").exists()
 

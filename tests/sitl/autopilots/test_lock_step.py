@@ -110,7 +110,7 @@ def alive(number: int) -> bool:
 async def test_a_stubborn_program_and_its_children_are_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sitl.autopilots.program._END_S", 0.2)
     binary = script(tmp_path, "trap '' TERM\nsleep 60 &\necho $$ $! > ids\nwhile :; do sleep 1; done")
-    async with asyncio.timeout(20), running([str(binary)], tmp_path):
+    async with asyncio.timeout(60), running([str(binary)], tmp_path):
         await until(lambda: (tmp_path / "ids").exists() and (tmp_path / "ids").read_text().endswith("\n"))
     numbers = [int(word) for word in (tmp_path / "ids").read_text().split()]
     assert len(numbers) == 2

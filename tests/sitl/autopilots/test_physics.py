@@ -51,7 +51,7 @@ class JsonClient:
         self.frame += 1
         loop = asyncio.get_running_loop()
         await loop.sock_sendall(self._sock, servo_packet(changes.get("frame", self.frame), motors))
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(60):
             data = await loop.sock_recv(self._sock, 4096)
         assert data.endswith(b"\n")
         return dict(json.loads(data))
@@ -210,7 +210,7 @@ async def test_px4_is_nudged_until_it_runs_and_then_goes_in_lock_step() -> None:
         heard: list[Any] = []
 
         async def until_sensor() -> Any:
-            async with asyncio.timeout(5):
+            async with asyncio.timeout(60):
                 while True:
                     while heard:
                         m = heard.pop(0)
