@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import resource
 import subprocess
 import sys
 import time
@@ -100,8 +101,9 @@ def run(names: Sequence[str], seconds: float, jobs: int, work: Path) -> int:
             print(result.line(), flush=True)
             results.append(result)
     faults = [fault for result in results for fault in result.faults]
-    total, cpu_s = sum(r.executions for r in results), sum(r.seconds for r in results)
-    print(f"{total} executions, {sum(r.edges for r in results)} edges, {len(faults)} faults, {cpu_s:.0f} s of processes")
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    total, edges = sum(r.executions for r in results), sum(r.edges for r in results)
+    print(f"{total} executions, {edges} edges, {len(faults)} faults, {used.ru_utime + used.ru_stime:.0f} s of CPU")
     for fault in faults:
         print(f"  {fault}")
     if faults:
