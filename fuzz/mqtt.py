@@ -29,6 +29,7 @@ from companion.mqtt.messages import (
     VehicleState,
     encode,
 )
+from companion.mqtt.signature import signed
 from companion.mqtt.spool import Spool
 from companion.mqtt.topics import ROOT, Topics, split
 from companion.mqtt.watch_model import WatchModel
@@ -37,7 +38,8 @@ from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
 
-SESSION = "0123456789ab"
+SESSION, RUN = "0123456789ab", "fedcba9876543210"
+KEY = bytes(range(32))
 
 
 class _Operated:
@@ -63,28 +65,32 @@ class _Operated:
 
 
 def run_command(data: bytes) -> None:
-    """Payloads on the command topic: each is answered once, on a topic of ours, by a message that can be read."""
+    """Payloads on the command topic, signed or not: each is answered once, on a topic of ours, by a message that can be read."""
     choices = Choices(data)
     how = choices.number(1)
-    topics = Topics("drone")
-    desk = Desk(topics, SESSION, _Operated("not now" if how & 1 else None))
+    topics, key = Topics("drone"), KEY if how & 2 else None
+    desk = Desk(topics, SESSION, _Operated("not now" if how & 1 else None), RUN, key)
     now, taken = MonoNs(1_000_000_000_000), 0
     while choices:
         how = choices.number(1)
         reply_to = choices.block().decode("utf-8", "replace") if how & 2 else None
-        judged = desk.take(choices.block(), now, retained=bool(how & 1), reply_to=reply_to)
+        payload = choices.block()
+        if how & 4:
+            payload = signed(KEY, topics.command, payload)
+        judged = desk.take(payload, now, retained=bool(how & 1), reply_to=reply_to)
         taken += 1
-        now = MonoNs(now + (how >> 2) * 1_000_000_000)
+        now = MonoNs(now + (how >> 3) * 1_000_000_000)
         assert judged.topic.startswith(topics.reply)
         assert messages.decode("reply", encode(judged.reply)) == judged.reply
         assert not (judged.reply.accepted and how & 1 and not judged.repeated), "a retained command was carried out"
+        assert not (judged.reply.accepted and key is not None and not how & 4), "an unsigned command was carried out"
     assert sum(desk.counts.values()) == taken
 
 
 def command_seeds() -> Iterator[bytes]:
     """Each command; a repeated, a late, a retained one; one with another's topic."""
     until = 1_000_000_000_000 + 20_000_000_000
-    usual = {"session": SESSION, "expires_ns": until}
+    usual = {"run": RUN, "expires_ns": until}
     rows = [
         {"command": "start", "id": "1", **usual},
         {"command": "pause", "id": "2", **usual, "reply_to": f"{ROOT}/drone/reply/me"},
@@ -93,7 +99,8 @@ def command_seeds() -> Iterator[bytes]:
         {"command": "record", "id": "5", **usual, "on": True},
         {"command": "start", "id": "1", **usual},
     ]
-    yield b"\0" + b"".join(b"\x05" + block(msgspec.json.encode(row)) for row in rows)
+    yield b"\2" + b"".join(b"\x0c" + block(msgspec.json.encode(row)) for row in rows)
+    yield b"\0" + b"".join(b"\x09" + block(msgspec.json.encode(row)) for row in rows)
     for row in rows[:5]:
         yield b"\1\0" + block(msgspec.json.encode(row))
     yield b"\0\2" + block(b"decklander/v1/drone/reply/x") + block(msgspec.json.encode(rows[0])) + b"\0" + block(b'{"id": "9"}')
