@@ -94,4 +94,6 @@ class AutopilotPart:
         out |= {"targets_sent": component.outputs.sent, "sends_ranges": component.sends_ranges}
         if self._links is not None:
             out |= link_counters(self._links, component.refusals)
+        if self._open is not None:
+            out["implausible"] = self._open.refused
         return out

@@ -142,6 +142,11 @@ class Autopilot:
         return () if self._known is None else tuple(self._known.sampler.positions)
 
     @property
+    def refused(self) -> int:
+        """Messages of the autopilot whose values no sensor can have measured."""
+        return 0 if self._known is None else self._known.sampler.refused.total()
+
+    @property
     def sync(self) -> TimeSync | None:
         return None if self._known is None else self._known.sync
 

@@ -25,7 +25,12 @@ G_M_S2 = 9.80665
 DOWN = 25
 """MAV_SENSOR_ROTATION_PITCH_270: looking down."""
 _ACC_AND_GYRO, _PRESSURE = 0b111111, 1 << 9
-_NO_HEADING = 65535
+_NO_HEADING, _HEADING_MAX_CDEG = 65535, 36_000
+_ANGLE_MAX_RAD = 4.0 * math.pi
+_TURN_MAX_RAD_S, _FORCE_MAX_M_S2 = 100.0, 400.0
+"""Beyond what a multicopter's inertial sensors can measure: 4,000 degrees/s and 32 g are the widest there are."""
+_PLACE_MAX_M, _SPEED_MAX_M_S = 1e6, 150.0
+_PRESSURE_HPA = (100.0, 1200.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +121,9 @@ class Sampler:
         """GLOBAL_POSITION_INT of the ship's own system."""
         if message.get_type() != "GLOBAL_POSITION_INT":
             return []
+        if message.hdg > _HEADING_MAX_CDEG and message.hdg != _NO_HEADING:
+            self.refused[message.get_type()] += 1
+            return []
         stamp = self._vessel_clock.stamp(boot_ms(message.time_boot_ms), heard)
         known = message.hdg != _NO_HEADING
         return [
@@ -171,7 +179,7 @@ class Sampler:
     def _attitude_angles(self, m: Message, heard: MonoNs) -> list[Sample]:
         if self._quaternions:
             return []  # the same once more
-        return self._turned(m, Rotation.from_rpy(*_finite(m.roll, m.pitch, m.yaw)), heard)
+        return self._turned(m, Rotation.from_rpy(*_within(_ANGLE_MAX_RAD, m.roll, m.pitch, m.yaw)), heard)
 
     def _turned(self, m: Message, rotation: Rotation, heard: MonoNs) -> list[Sample]:
         cov = np.diag([self._o.sigma_tilt_rad**2, self._o.sigma_tilt_rad**2, self._o.sigma_yaw_rad**2])
@@ -179,9 +187,10 @@ class Sampler:
         return [self.attitude]
 
     def _position(self, m: Message, heard: MonoNs) -> list[Sample]:
+        p_body_ned = _within(_PLACE_MAX_M, m.x, m.y, m.z)
+        v_body_ned = _within(_SPEED_MAX_M_S, m.vx, m.vy, m.vz)
         stamp = self._clock.stamp(boot_ms(m.time_boot_ms), heard)
-        v_body_ned = _finite(m.vx, m.vy, m.vz)
-        self.positions.append(LocalPosition(stamp, _finite(m.x, m.y, m.z), v_body_ned))
+        self.positions.append(LocalPosition(stamp, p_body_ned, v_body_ned))
         attitude = self.attitude
         if attitude is None or abs(seconds_between(attitude.stamp.taken, stamp.taken)) > self._o.attitude_gap_s:
             return []
@@ -198,11 +207,15 @@ class Sampler:
         return [Imu(self._clock.stamp(boot_us(m.time_usec), heard), w_body, f_body)]
 
     def _highres_imu(self, m: Message, heard: MonoNs) -> list[Sample]:
+        moved = m.fields_updated & _ACC_AND_GYRO == _ACC_AND_GYRO
+        if moved:
+            w_body = _within(_TURN_MAX_RAD_S, m.xgyro, m.ygyro, m.zgyro)
+            f_body = _within(_FORCE_MAX_M_S2, m.xacc, m.yacc, m.zacc)
         stamp = self._clock.stamp(boot_us(m.time_usec), heard)
         out: list[Sample] = []
-        if m.fields_updated & _ACC_AND_GYRO == _ACC_AND_GYRO:
-            out.append(Imu(stamp, _finite(m.xgyro, m.ygyro, m.zgyro), _finite(m.xacc, m.yacc, m.zacc)))
-        if m.fields_updated & _PRESSURE and math.isfinite(m.abs_pressure) and m.abs_pressure > 0:
+        if moved:
+            out.append(Imu(stamp, w_body, f_body))
+        if m.fields_updated & _PRESSURE and _PRESSURE_HPA[0] <= m.abs_pressure <= _PRESSURE_HPA[1]:
             out.append(Baro(stamp, height_of_pressure_m(100.0 * m.abs_pressure), self._o.sigma_baro_m))
         return out
 
@@ -214,13 +227,18 @@ class Sampler:
         return [Range(self._clock.stamp(boot_ms(m.time_boot_ms), heard), 0.01 * m.current_distance, max(sigma_m, 0.005))]
 
     def _pressure(self, m: Message, heard: MonoNs) -> list[Sample]:
-        if not (math.isfinite(m.press_abs) and m.press_abs > 0):
+        if not _PRESSURE_HPA[0] <= m.press_abs <= _PRESSURE_HPA[1]:
             raise ValueError("pressure")
         stamp = self._clock.stamp(boot_ms(m.time_boot_ms), heard)
         return [Baro(stamp, height_of_pressure_m(100.0 * m.press_abs), self._o.sigma_baro_m)]
 
 
-def _finite(*values: float) -> F64:
-    if not all(map(math.isfinite, values)):
-        raise ValueError("not finite")
+def _within(limit: float, *values: float) -> F64:
+    """Return the values as an array.
+
+    Raises:
+        ValueError: one is not finite, or larger than the limit: no sensor can have measured it.
+    """
+    if not all(abs(value) <= limit for value in values):
+        raise ValueError("out of range")
     return np.array(values, dtype=float)

@@ -95,6 +95,19 @@ async def test_an_autopilot_that_moved_is_believed_once_it_is_silent_where_it_wa
         assert border.autopilot.condition.flying is False, "and now the old port is nobody"
 
 
+async def test_the_ship_s_reports_come_from_one_port(stranger: socket.socket) -> None:
+    report = mav.MAVLink_global_position_int_message(4000, 0, 0, 0, 0, 150, 0, 0, 9000)
+    async with bordered() as border:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ship:
+            reports: list[object] = []
+            border.autopilot.samples.offer = reports.append  # type: ignore[method-assign]
+            await border.send(report, wire=ship, source=(17, 1))
+            await border.send(report, wire=stranger, source=(17, 1))
+            assert [type(r).__name__ for r in reports] == ["VesselReport"]
+            assert border.links.access.refused["impostor"] == 1
+            assert border.answers(stranger) == []
+
+
 async def test_what_a_router_forwards_from_the_autopilot_s_own_port_is_obeyed() -> None:
     async with bordered() as border:
         await border.send(command(193, 0), source=STATION)

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import math
+import random
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -14,15 +18,18 @@ from companion.mavlink.face import Face
 from companion.mavlink.face_part import FacePart
 from drivers.clock import SystemClock
 from drivers.mavlink.access import Named, Standing
+from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import Heard, LinkOptions
+from drivers.mavlink.links import Heard, LinkOptions, Links
 from estimator.contracts.commands import Command, Hover, Land, TakeOff
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
+from tests.companion.mavlink.border import frame
 from tests.companion.mavlink.test_mavsdk import HOST, free_port
+from tests.drivers.fake_ardrone import until
 
 S = 1_000_000_000
 
@@ -130,6 +137,90 @@ def test_arm_take_off_hold_and_land() -> None:
     assert station.newest("AUTOPILOT_VERSION")
     assert station.tell(512, math.nan) == UNSUPPORTED
     assert station.tell(511, 31, 1_000_000) == ACCEPTED
+
+
+@asynccontextmanager
+async def bridged(**options: Any) -> AsyncIterator[tuple[FacePart, Links, list[Command]]]:
+    """The bridge listening on a port of its own, with a drone that stands."""
+    clock, commands = SystemClock(), list[Command]()
+    part = FacePart([LinkOptions(parse_endpoint(f"udpin://{HOST}:0"))], 7, clock, **options)
+    part._taker = commands.append
+    async with asyncio.TaskGroup() as group:
+        running = group.create_task(part.run())
+        await until(lambda: part._links is not None and part._links.all[0].local is not None)
+        now = clock.now()
+        part.on_sample(VehicleStatus(stamp(now), True, "hovering", 0.5, False, True))
+        assert part._links is not None
+        yield part, part._links, commands
+        running.cancel()
+
+
+class Wire:
+    """A ground station's socket."""
+
+    def __init__(self, links: Links, source: tuple[int, int]) -> None:
+        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sock.setblocking(False)
+        self._links, self._codec = links, Codec(*source)
+
+    async def say(self, *messages: Message | bytes) -> list[Message]:
+        """Send these and return what has come back a little later."""
+        counters, address = self._links.all[0].counters, self._links.all[0].local
+        assert address is not None
+        for message in messages:
+            data = message if isinstance(message, bytes) else self._codec.pack(message)
+            expected = counters.bytes_in + len(data)
+            self._sock.sendto(data, address)
+            await until(lambda expected=expected: counters.bytes_in >= expected and not len(self._links.heard))
+        await asyncio.sleep(0.05)
+        out: list[Message] = []
+        reader = Codec(1, 1, datagrams=True)
+        with suppress(BlockingIOError):
+            while True:
+                out += reader.feed(self._sock.recv(2048))
+        return out
+
+    def close(self) -> None:
+        self._sock.close()
+
+
+LAND = mav.MAVLink_command_long_message(7, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("operators", [(), (Named(254),)])
+async def test_it_is_closed_to_whoever_is_not_named(operators: tuple[Named, ...]) -> None:
+    async with bridged(operators=operators) as (part, links, commands):
+        wire = Wire(links, (255, 190))
+        beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+        assert await wire.say(beat, LAND) == []
+        assert commands == []
+        assert part.counted()["strangers"] == 2
+        assert part.counted()["peers"] == 0
+        wire.close()
+
+
+async def test_a_named_station_is_told_and_obeyed() -> None:
+    async with bridged(operators=(Named(255),)) as (_part, links, commands):
+        wire = Wire(links, (255, 190))
+        answers = await wire.say(LAND)
+        assert [(m.command, m.result) for m in answers if m.get_type() == "COMMAND_ACK"] == [(21, ACCEPTED)]
+        assert [type(c) for c in commands] == [Land]
+        wire.close()
+
+
+async def test_no_fields_of_any_message_end_it() -> None:
+    chance = random.Random(5)
+    async with bridged(operators=(Named(255),)) as (_part, links, _commands):
+        wire = Wire(links, (255, 190))
+        frames = []
+        for cls in mav.mavlink_map.values():
+            size = cls.unpacker.size
+            frames += [frame(cls, payload, (255, 190)) for payload in (b"\xff" * size, chance.randbytes(size))]
+        await wire.say(*frames)
+        assert dict(links.contained.faults) == {}
+        assert dict(links.unfit) == {}
+        assert any(m.get_type() == "COMMAND_ACK" for m in await wire.say(LAND))
+        wire.close()
 
 
 async def test_mavsdk_flies_it() -> None:

@@ -159,3 +159,28 @@ def test_what_is_not_finite_is_refused_and_counted() -> None:
     message = mav.MAVLink_highres_imu_message(1, math.nan, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x3F)
     assert s.samples(message, NOW) == []
     assert s.refused == {"ATTITUDE_QUATERNION": 2, "LOCAL_POSITION_NED": 1, "HIGHRES_IMU": 1}
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        mav.MAVLink_highres_imu_message(10**9, 1e4, 0, -9.8, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x3F),
+        mav.MAVLink_highres_imu_message(10**9, 0, 0, -9.8, 0, 101.0, 0, 0, 0, 0, 0, 0, 0, 0, 0x3F),
+        mav.MAVLink_local_position_ned_message(10**6, 0, 0, -1e38, 0, 0, 0),
+        mav.MAVLink_local_position_ned_message(10**6, 0, 0, 0, 0, 200.0, 0),
+        mav.MAVLink_attitude_message(10**6, 1e6, 0, 0, 0, 0, 0),
+        mav.MAVLink_scaled_pressure_message(10**6, 1e38, 0, 0, 0),
+    ],
+    ids=lambda message: str(message.get_type()),
+)
+def test_what_no_sensor_can_measure_is_refused_before_its_stamp_is_believed(message: Any) -> None:
+    s = sampler(Stack.PX4)
+    assert s.samples(message, NOW) == []
+    assert s.refused.total() == 1
+    assert s._clock._newest is None, "nor does it move the autopilot's clock"
+
+
+def test_a_bow_beyond_the_circle_is_refused() -> None:
+    s = sampler()
+    assert s.vessel(mav.MAVLink_global_position_int_message(4000, 1, 2, 3, 4, 150, -250, 50, 36_001), NOW) == []
+    assert s.refused == {"GLOBAL_POSITION_INT": 1}
