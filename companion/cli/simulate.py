@@ -124,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         ending.write_into(log)
         log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("flown in", f"{wall_s:.1f} s, virtual time")]
+        log.facts += ending.facts()
         write_report(log, args.report)
     if args.json:
         sys.stdout.write(json.dumps(ending.as_json()) + "\n")

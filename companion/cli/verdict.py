@@ -141,6 +141,14 @@ class Ending:
                 lines.append(f"failed: {j.because}")
         return "\n".join(lines)
 
+    def facts(self) -> list[tuple[str, str]]:
+        """What the simulator knows besides, for the report's list of facts."""
+        out = [(f"contact at {seconds_between(self.started, c.at):.1f} s", _in_words(c)) for c in self.contacts]
+        if self.judged is not None:
+            out += [("fault", f"{kind} from {at_s:.1f} s on") for kind, at_s in self.judged.faults]
+            out += [("judged", f"{self.judged.grade}: {self.judged.because}")]
+        return out
+
     def write_into(self, log: FlightLog) -> None:
         """Outcome, touchdown and verdicts for the report."""
         log.outcome = self.word

@@ -31,6 +31,7 @@ from sitl.world import Picture, World
 DEMO_TICKS = 13
 """Ticks between two datagrams in demo mode and in the bootstrap: 15.4 Hz."""
 TRUTH_TICKS = 2
+_IN_ORDER_S = 1e-4
 CATCH_UP_MAX_S = 0.25
 """After a host stood still for longer than this the datagrams it missed are not sent late; the physics runs up to now."""
 
@@ -269,6 +270,6 @@ class ArDroneServer:
         self.drone.shot = Shot(number, timestamp_ms, rpy, altitude_m, len(unit.data), round(encoder.max_bitrate_kbps))
         wait_s = self._habits.video_delay_s + late_s - seconds_between(picture.taken, self._clock.now())
         loop = asyncio.get_running_loop()
-        # A stream keeps its order: what follows a late frame waits behind it.
-        self._video_due = max(self._video_due, loop.time() + max(0.0, wait_s))
+        # A stream keeps its order: what follows a late frame waits behind it. Of two calls for one instant either may be first.
+        self._video_due = max(self._video_due + _IN_ORDER_S, loop.time() + max(0.0, wait_s))
         loop.call_at(self._video_due, self._video.send, header.pack() + unit.data)

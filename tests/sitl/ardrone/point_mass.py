@@ -27,6 +27,8 @@ class PointMass:
         self.phase = Phase.HOVERING if height_m else Phase.LANDED
         self.limits = Limits()
         self.faults: set[str] = set()
+        self.stamp_error_s = 0.0
+        self.frame_delay_s = 0.0
         self.p = np.array([0.0, 0.0, -height_m])
         self.v = np.zeros(3)
         self.rpy = [0.0, 0.0, 0.0]
@@ -41,10 +43,6 @@ class PointMass:
     @property
     def frame_lost(self) -> bool:
         return "frames_dropped" in self.faults
-
-    @property
-    def frame_delay_s(self) -> float:
-        return 0.0
 
     def stick(self, stick: Stick) -> None:
         self._stick = stick
@@ -115,7 +113,7 @@ class PointMass:
     def expose(self) -> Callable[[], Picture]:
         self._pictures += 1
         px: NDArray[np.uint8] = np.roll(self._texture, 3 * self._pictures, axis=1)
-        picture = Picture(px=px, taken=self.now, exposure_s=0.002)
+        picture = Picture(px=px, taken=self.now, exposure_s=0.002, stamp_error_s=self.stamp_error_s)
         return lambda: picture
 
     def truth(self) -> Truth:
