@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -67,3 +68,19 @@ def burners(n: int) -> Iterator[None]:
         for process in burning:
             process.kill()
             process.wait()
+
+
+def alive(number: int) -> bool:
+    """Whether a process runs. A zombie that its adoptive parent has not collected yet is as good as gone."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def gone(number: int) -> bool:
+    """Whether a process is gone before long."""
+    end = time.monotonic() + PATIENCE_S
+    while alive(number) and time.monotonic() < end:
+        time.sleep(0.02)
+    return not alive(number)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -14,11 +13,11 @@ import pytest
 
 from companion.cli import main as cli
 from companion.soak import Reading, findings, read
+from tests.processes import started
 from tests.sitl.near import NEAR
 
 BRIEF = NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 1.5").replace("height_m = 2.0", "height_m = 3.0")
 """Flights that are over before they come down: what is tested here is not how they end."""
-ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="there is no /proc here")
 
 
@@ -99,7 +98,7 @@ def test_a_soak_that_is_cut_keeps_what_it_has_seen(tmp_path: Path) -> None:
         str(readings),
     ]
     command = [sys.executable, "-m", "companion.cli.main", "soak", *words]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as soak:
+    with started(command) as soak:
         end = time.monotonic() + 60
         while not (readings.exists() and readings.read_text()) and time.monotonic() < end:
             time.sleep(0.1)

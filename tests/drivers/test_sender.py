@@ -79,7 +79,7 @@ async def service(options: ArDroneOptions, fake: FakeArDrone) -> AsyncIterator[t
         assert child.stdout is not None
         sender = int(await asyncio.to_thread(child.stdout.readline))
         fake.vx_mm_s = 100.0
-        await until(lambda: moving(fake), 20.0)
+        await until(lambda: moving(fake))
         yield child, sender
     finally:
         child.kill()
@@ -128,7 +128,7 @@ async def test_a_service_that_is_killed_or_stopped_leaves_hover_and_the_drone_in
             await until(lambda: moving(fake))
             await until(lambda: fake.configuration["general:com_watchdog"] == "2")
         else:
-            await until(lambda: not alive(sender), 10.0)
+            await until(lambda: not alive(sender))
             assert fake.state & nd.State.FLYING, "given up after hold_s, to the drone's own rules"
 
 
@@ -154,7 +154,7 @@ async def test_a_new_service_takes_over_from_the_sender_that_holds_the_drone() -
 async def test_a_drone_that_a_living_service_flies_is_not_taken() -> None:
     fake = FakeArDrone()
     async with fake.on_loopback() as options, service(options, fake) as (_, sender), open_ardrone(options, CLOCK) as other:
-        await until(lambda: "another service" in other.down.get("at", ""), 10.0)
+        await until(lambda: "another service" in other.down.get("at", ""))
         assert alive(sender)
         assert moving(fake)
 

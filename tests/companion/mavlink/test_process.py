@@ -68,12 +68,12 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
     craft = FakeAutopilot()
     try:
         async with craft.talking_to(f"udpout://127.0.0.1:{port}"):
-            await until(lambda: bool(ours(craft, "HEARTBEAT")), 30.0)
+            await until(lambda: bool(ours(craft, "HEARTBEAT")))
             assert ours(craft, "HEARTBEAT")[0].type == mav.MAV_TYPE_ONBOARD_CONTROLLER
             assert not craft.setpoints, "nobody has told it to fly"
 
             craft.send(mav.MAVLink_param_request_list_message(7, US))
-            await until(lambda: any(m.param_id == "PLAN_SPEED" for m in ours(craft, "PARAM_VALUE")), 20.0)
+            await until(lambda: any(m.param_id == "PLAN_SPEED" for m in ours(craft, "PARAM_VALUE")))
             craft.send(mav.MAVLink_param_set_message(7, US, b"PLAN_SPEED", 0.25, 9))
             await until(
                 lambda: any(m.param_value == 0.25 for m in ours(craft, "PARAM_VALUE") if m.param_id == "PLAN_SPEED"), 10.0
@@ -82,7 +82,7 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
             assert await told(craft, mav.MAV_CMD_LOGGING_START) == mav.MAV_RESULT_ACCEPTED
             # The pad is not in sight: it is asked to begin, hovers in its own mode and does not sink
             assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
-            await until(lambda: any(m.get_type() == "NAMED_VALUE_FLOAT" for m in craft.heard), 10.0)
+            await until(lambda: any(m.get_type() == "NAMED_VALUE_FLOAT" for m in craft.heard))
             await asyncio.sleep(1.5)
             assert all(m.vz <= 0.0 for _, m in craft.setpoints)
             assert await told(craft, mav.MAV_CMD_LOGGING_STOP) == mav.MAV_RESULT_ACCEPTED
@@ -109,5 +109,5 @@ async def told(craft: FakeAutopilot, command: int, param1: float = 0.0) -> int:
     """The answer to a command."""
     before = len(craft.of("COMMAND_ACK"))
     craft.send(mav.MAVLink_command_long_message(7, US, command, 0, param1, 0, 0, 0, 0, 0, 0))
-    await until(lambda: any(m.command == command for m in craft.of("COMMAND_ACK")[before:]), 10.0)
+    await until(lambda: any(m.command == command for m in craft.of("COMMAND_ACK")[before:]))
     return next(int(m.result) for m in craft.of("COMMAND_ACK")[before:] if m.command == command)

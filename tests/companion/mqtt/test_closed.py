@@ -195,7 +195,7 @@ async def test_the_script_in_the_docs_commands_a_drone(broker: Broker, tmp_path:
             *(sys.executable, str(tmp_path / "command.py"), *words, "deck", str(key_file), '{"command": "pause"}'),
             stdout=asyncio.subprocess.PIPE,
         )
-        async with asyncio.timeout(15):
+        async with asyncio.timeout(60):
             out, _ = await child.communicate()
         assert (child.returncode, rig.operator.done) == (0, ["pause"])
         assert b"accepted" in out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import sys
+from itertools import count
 from pathlib import Path
 from typing import Literal
 
@@ -188,12 +189,18 @@ async def test_where_there_is_no_terminal_it_prints_lines(broker: Broker, tmp_pa
     async with running(broker.settings(), tmp_path / "spool") as rig:
         await until(lambda: rig.count("connections") == 1)
         watch = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE, cwd=ROOT)
-        for k in range(25):
-            rig.part.on_sample(status(rig.clock.now()))
-            rig.part.on_decision(decision(rig.clock.now()))
-            rig.part.tell(happening(rig.clock.now(), f"number {k}"))
-            await asyncio.sleep(0.1)
-        out, _ = await watch.communicate()
+
+        async def fly() -> None:
+            for k in count():
+                rig.part.on_sample(status(rig.clock.now()))
+                rig.part.on_decision(decision(rig.clock.now()))
+                rig.part.tell(happening(rig.clock.now(), f"number {k}"))
+                await asyncio.sleep(0.1)
+
+        async with asyncio.TaskGroup() as group:
+            flying = group.create_task(fly())
+            out, _ = await watch.communicate()
+            flying.cancel()
     assert watch.returncode == 0
     text = out.decode()
     assert "\x1b" not in text

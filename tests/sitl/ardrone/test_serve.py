@@ -6,22 +6,20 @@ import json
 import signal
 import subprocess
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from sitl.ardrone import serve, truth_log
+from tests.processes import started
 
-ROOT = Path(__file__).parents[3]
 ANY = ("--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0")
 
 
-def start(*arguments: str, **options: Any) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "sitl.ardrone.serve", *arguments],
-        cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options,
-    )  # fmt: skip
+def start(*arguments: str, **options: Any) -> AbstractContextManager[subprocess.Popen[str]]:
+    return started([sys.executable, "-m", "sitl.ardrone.serve", *arguments], stderr=subprocess.PIPE, **options)
 
 
 @pytest.mark.parametrize("how", ["stdin closes", "SIGTERM"])

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import stat
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -14,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
+from tests.processes import gone, started
 from tests.sitl.near import NEAR
 
 ROOT = Path(__file__).parents[3]
@@ -82,15 +82,15 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
     folders.mkdir()
     binary = program(tmp_path, f"echo $$ > {begun}.new; mv {begun}.new {begun}; exec sleep 60")
     words = [sys.executable, "-m", "companion.cli.main", "simulate", near, "--autopilot", "arducopter", "--binary", binary]
-    with subprocess.Popen(words, cwd=ROOT, env=os.environ | {"TMPDIR": str(folders)}) as process:
+    with started(words, env=os.environ | {"TMPDIR": str(folders)}) as process:
         end = time.monotonic() + 60
         while not begun.exists() and time.monotonic() < end:
             time.sleep(0.05)
         assert list(folders.iterdir())
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 143
+        assert gone(int(begun.read_text()))
     assert list(folders.iterdir()) == []
-    assert not Path(f"/proc/{int(begun.read_text())}").exists()
 
 
 @pytest.mark.parametrize(

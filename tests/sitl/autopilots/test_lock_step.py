@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import stat
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -20,6 +19,7 @@ from sitl.autopilots.lock_step import LockStepClock
 from sitl.autopilots.program import executable, running
 from sitl.scenario import load
 from tests.drivers.fake_ardrone import until
+from tests.processes import alive
 
 STEP_S = 0.005
 
@@ -96,15 +96,6 @@ def script(folder: Path, body: str) -> Path:
     path.write_text(f"#!/bin/sh\n{body}\n")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
     return path
-
-
-def alive(number: int) -> bool:
-    try:
-        os.kill(number, 0)
-    except ProcessLookupError:
-        return False
-    # A zombie that its adoptive parent has not collected yet is as good as gone.
-    return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
 
 
 async def test_a_stubborn_program_and_its_children_are_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
