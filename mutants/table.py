@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
-_EKF = ("tests/estimator/ekf", "tests/estimator/test_pipeline.py")
+_GATE = ("tests/estimator/ekf/test_gate_bounds.py", "tests/estimator/ekf/test_gate.py")
+_EKF = (
+    *_GATE,
+    "tests/estimator/ekf/test_noise_and_inflation.py",
+    "tests/estimator/ekf/test_history.py",
+    "tests/estimator/test_pipeline.py",
+)
+_INTEGRITY = ("tests/estimator/integrity", "tests/estimator/test_pipeline.py")
 _GUIDANCE = ("tests/companion/test_planner.py", "tests/companion/test_pid.py", "tests/companion/test_pilot.py")
 
 TARGETS: dict[str, tuple[str, ...]] = {
-    "estimator/ekf/gate.py": _EKF,
+    "estimator/ekf/gate.py": _GATE,
     "estimator/ekf/fuse.py": _EKF,
     "estimator/ekf/seeing.py": _EKF,
     "estimator/ekf/filter.py": _EKF,
     "estimator/ekf/history.py": _EKF,
+    "estimator/integrity/guard.py": _INTEGRITY,
+    "estimator/integrity/clock.py": _INTEGRITY,
+    "estimator/integrity/frames.py": _INTEGRITY,
+    "estimator/integrity/heights.py": _INTEGRITY,
+    "estimator/integrity/sensors.py": _INTEGRITY,
+    "estimator/integrity/tracks.py": _INTEGRITY,
     "companion/guidance/planner.py": _GUIDANCE,
+    "companion/guidance/budget.py": _GUIDANCE,
+    "companion/guidance/lease.py": _GUIDANCE,
     "companion/guidance/pid.py": _GUIDANCE,
     "drivers/ardrone/helm.py": ("tests/drivers/test_helm.py",),
     "drivers/mavlink/helm.py": ("tests/drivers/mavlink/test_helm.py",),
