@@ -28,7 +28,9 @@ def links(settings: AutopilotSettings | FaceSettings, environment: Mapping[str, 
     """
     found = endpoints(settings.links)
     if not settings.signing_key_file:
-        _log.warning("MAVLink over %s is %s", settings.links, unsigned(settings))
+        level = logging.INFO if all(endpoint.is_private for endpoint in found) else logging.WARNING
+        if found:
+            _log.log(level, "MAVLink over %s is %s", settings.links, unsigned(settings))
         return tuple(LinkOptions(endpoint) for endpoint in found)
     environment = os.environ if environment is None else environment
     key = load_key(settings.signing_key_file, environment)

@@ -16,9 +16,6 @@ from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.signing import SigningKey, load_key
 from estimator.contracts.errors import BadInput
 
-_WIRED = ("serial",)
-_LOOPBACK = ("127.0.0.1", "::1", "localhost")
-
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
@@ -27,33 +24,33 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Make and install the key that MAVLink messages are signed with (docs/mavlink.md). Exit code 0: done, and "
         "seen to be so; 1: the autopilot was not seen to do it; 2: wrong use.",
     )
-    deeds = parser.add_subparsers(dest="deed", metavar="DEED", required=True)
-    make = deeds.add_parser("make", help="write a new key of 32 random bytes that only you can read; never over a file")
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    make = actions.add_parser("make", help="write a new key of 32 random bytes that only you can read; never over a file")
     make.add_argument("file", metavar="FILE")
-    show = deeds.add_parser("show", help="print a key's fingerprint, never the key")
+    show = actions.add_parser("show", help="print a key's fingerprint, never the key")
     show.add_argument("file", metavar="FILE", help="key file: 32 bytes, 64 hexadecimal digits, or a line 'passphrase: ...'")
-    install = deeds.add_parser("install", help="give the autopilot on a link this key (SETUP_SIGNING)")
+    install = actions.add_parser("install", help="give the autopilot on a link this key (SETUP_SIGNING)")
     install.add_argument("file", metavar="FILE", help="key file")
-    remove = deeds.add_parser("remove", help="let the autopilot on a link sign no more")
-    for deed in (install, remove):
-        deed.add_argument(
+    remove = actions.add_parser("remove", help="let the autopilot on a link sign no more")
+    for action in (install, remove):
+        action.add_argument(
             "--link",
             required=True,
             metavar="URL",
             help="serial:///dev/NAME:BAUD (best: the key crosses the link in clear), udpin://ADDRESS:PORT, udpout://HOST:PORT, "
             "tcp://HOST:PORT",
         )
-        deed.add_argument("--current", metavar="FILE", help="the key that the autopilot has now, where it has one")
-        deed.add_argument("--system", type=int, metavar="N", help="system id of the autopilot that is meant")
-        deed.add_argument("--seconds", type=float, default=5.0, help="how long to listen for it (default 5)")
-        deed.add_argument("--yes", action="store_true", help="do not ask")
+        action.add_argument("--current", metavar="FILE", help="the key that the autopilot has now, where it has one")
+        action.add_argument("--system", type=int, metavar="N", help="system id of the autopilot that is meant")
+        action.add_argument("--seconds", type=float, default=5.0, help="how long to listen for it (default 5)")
+        action.add_argument("--yes", action="store_true", help="do not ask")
 
 
 def run(args: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.ERROR)  # what a link does is told by the result
-    if args.deed == "make":
+    if args.action == "make":
         return _make(Path(args.file))
-    if args.deed == "show":
+    if args.action == "show":
         sys.stdout.write(f"{args.file}: fingerprint {load_key(args.file).fingerprint}\n")
         return 0
     if not 0.5 <= args.seconds <= 600:
@@ -61,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     if args.system is not None and not 1 <= args.system <= 255:
         raise BadInput(f"--system must lie in 1..255, got {args.system}")
     current = None if args.current is None else load_key(args.current)
-    key = load_key(args.file) if args.deed == "install" else None
+    key = load_key(args.file) if args.action == "install" else None
     return asyncio.run(_set_up(args, parse_endpoint(args.link), current, key))
 
 
@@ -111,7 +108,7 @@ def _meaning(endpoint: Endpoint, met: Met, current: SigningKey | None, key: Sign
             f"It will get the key with the fingerprint {key.fingerprint} and keep it over restarts. From then on it obeys only",
             "messages that are signed with it (ArduPilot's USB port excepted): every ground station needs the same key.",
         ]
-        if endpoint.scheme not in _WIRED and endpoint.host not in _LOOPBACK:
+        if not endpoint.is_private:
             lines.append(f"The key crosses {endpoint} IN CLEAR: whoever listens has it. Better use a cable.")
     if met.signs and current is None:
         lines.append("It signs already: unless this is its USB port, it listens only to the key it has (--current).")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from companion.doctor.finding import Finding, Rule, advice, error, warning
 from companion.doctor.picture import LinkPicture, Picture
+from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.requests import INSTEAD
 
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 """Without these nothing can be told to, or flown by, an autopilot."""
-_NETS = ("udpin", "udpout", "tcp")
-_LOOPBACK = ("127.0.0.1", "[::1]", "localhost")
 _REASONS = {
     "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in anew",
     "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
@@ -71,8 +70,7 @@ def link_signature(p: Picture) -> Finding | None:
 def link_unsigned(p: Picture) -> Finding | None:
     """A network link that believes addresses."""
     for link in _open(p):
-        near = link.url.startswith(("serial:", *(f"{scheme}://{host}:" for scheme in _NETS for host in _LOOPBACK)))
-        if link.signed is False and not near:
+        if link.signed is False and not parse_endpoint(link.url).is_private:
             return advice(
                 "link-unsigned",
                 f"{link.url}: not signed: whoever reaches that address first can be taken for the autopilot",

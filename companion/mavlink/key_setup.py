@@ -79,7 +79,7 @@ async def send_key(endpoint: Endpoint, current: SigningKey | None, to: Met, key:
 
 
 async def observe(endpoint: Endpoint, key: SigningKey | None, of: Met, clock: Clock, seconds: float) -> bool:
-    """Whether the autopilot now signs with this key; without a key, whether it signs no more."""
+    """Return whether the autopilot now signs with this key; without a key, whether it signs no more."""
     async with _opened(endpoint, key, clock) as links:
         try:
             async with asyncio.timeout(seconds):
@@ -114,7 +114,7 @@ async def _knock(links: Links, clock: Clock) -> None:
 
 
 def _is_signed(heard: Heard) -> bool:
-    """By the frame's own word, whether or not a key is known here."""
+    """Return whether the frame says that it is signed; no key is needed to see that."""
     frame = heard.message.get_msgbuf()
     return frame[0] == mav.PROTOCOL_MARKER_V2 and bool(frame[2] & mav.MAVLINK_IFLAG_SIGNED)
 

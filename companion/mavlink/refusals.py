@@ -30,7 +30,7 @@ class Refusals:
         """Messages that were refused, by name."""
 
     def refuses(self, heard: Heard, us: tuple[int, int]) -> bool:
-        """Whether this message asks us (system, component) for something that its sender may not have."""
+        """Return whether this message asks us (system, component) for something that its sender may not have."""
         message, name = heard.message, heard.message.get_type()
         if heard.standing >= Standing.OPERATOR or name not in (*_COMMANDS, "PARAM_SET"):
             return False

@@ -18,6 +18,7 @@ Address = tuple[str, int]
 """A socket's host and port."""
 Scheme = Literal["udpin", "udpout", "tcp", "serial"]
 _NET = re.compile(r"^(\[[0-9A-Fa-f:.%\w]+\]|[^\[\]:/?#@]+):(\d{1,5})/?$")
+_LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _SERIAL = re.compile(r"^(/[^:?#]+):(\d{1,8})$")
 _HOW = "udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
 
@@ -31,6 +32,11 @@ class Endpoint:
     """Of a serial port: its device file."""
     port: int
     """Of a serial port: its speed, bit/s."""
+
+    @property
+    def is_private(self) -> bool:
+        """Whether nobody but this computer, or the far end of a cable, can reach it."""
+        return self.scheme == "serial" or self.host in _LOOPBACK
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host

@@ -235,7 +235,7 @@ class Link:
         return self._o.endpoint.scheme != "udpin"
 
     def _codec_for(self, peer: _Peer | None) -> Codec:
-        """Of the peer; strangers share one, whose datagrams have nothing to do with each other."""
+        """Return the peer's codec; strangers share one, whose datagrams have nothing to do with each other."""
         if peer is not None:
             return peer.codec
         if self._strangers is None:

@@ -13,6 +13,7 @@ import pytest
 from msgspec import inspect
 
 from companion import rig, rig_mavlink
+from companion.cli.main import main
 from companion.guidance.pid import Gains
 from companion.guidance.plan import Plan
 from companion.mavlink.component import ComponentOptions
@@ -186,3 +187,24 @@ def test_links_are_signed_with_one_key_and_ids_of_their_own(
     with pytest.raises(BadInput, match="signing key"):
         rig_mavlink.links(kind(urls, signing_key_file=str(tmp_path / "none")))
     assert rig_mavlink.links(FaceSettings()) == ()
+
+
+CAMERA = '[camera]\nfile = "sim"\nsource = "stream"\ndevice = "rtsp://127.0.0.1/cam"\n'
+
+
+@pytest.mark.parametrize(
+    ("links", "level"),
+    [("udpin://0.0.0.0:14550", "WARNING"), ("serial:///dev/ttyAMA0:57600, tcp://127.0.0.1:5760", "INFO")],
+)
+def test_links_that_are_not_signed_are_told_of_with_the_cure(
+    links: str, level: str, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    caplog.set_level("INFO")
+    rig_mavlink.links(AutopilotSettings(links))
+    assert [r.levelname for r in caplog.records if "decklander keys make" in r.getMessage()] == [level]
+    file = tmp_path / "rig.toml"
+    file.write_text(f'[vehicle]\nkind = "mavlink"\nlinks = "{links}"\n{CAMERA}[pad]\nfile = "thesis"\n')
+    assert main(["run", "--config", str(file), "--check"]) == 0
+    said = capsys.readouterr().out
+    assert "not signed: decklander keys make" in said
+    assert "commands from the autopilot's own link" in said

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.mavlink.access import Named
+from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from tests.companion.mavlink.border import AUTOPILOT, HOST, STATION, US, Border, bordered
 from tests.drivers.fake_ardrone import until
@@ -66,6 +67,20 @@ async def test_forty_strangers_are_told_nothing() -> None:
         finally:
             for wire in wires:
                 wire.close()
+
+
+async def test_a_flood_of_strangers_pushes_nothing_out_that_was_asked_for() -> None:
+    async with bordered() as border:
+        link, clock = border.links.all[0], border.autopilot._clock
+        beat = Codec(66, 1).pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
+        text = border.codec.pack(mav.MAVLink_statustext_message(4, b"of the autopilot"))
+        link._received(text, clock.now(), (HOST, border.wire.getsockname()[1]))
+        for n in range(5000):  # before the reader has had a turn
+            link._received(beat, clock.now(), (HOST, 20_000 + n))
+        assert border.links.heard.dropped == 0
+        await until(lambda: len(border.links.heard) == 0)
+        assert [text for _, _, text in border.autopilot.texts] == ["of the autopilot"]
+        await border.alive()
 
 
 async def test_nobody_is_the_autopilot_from_another_port(stranger: socket.socket) -> None:

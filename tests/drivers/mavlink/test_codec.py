@@ -146,3 +146,10 @@ def test_a_forged_time_does_not_shut_the_true_sender_out() -> None:
     forger = Signing(SigningKey(bytes(32)), SigningTimes(None, lambda: EPOCH_S + 9e8), 3)
     assert receiver.feed(Codec(1, 1, signing=forger).pack(attitude(2))) == []
     assert times(receiver.feed(sender.pack(attitude(3)))) == [3]
+
+
+def test_a_message_that_never_ends_is_not_waited_for_with_growing_memory() -> None:
+    codec = Codec(1, 1)
+    for _ in range(500):
+        assert codec.feed(b"\xfd\xff\x01" + bytes(2000)) == []
+        assert len(codec._buffer) <= 280, "the longest message there is"
