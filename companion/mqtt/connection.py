@@ -12,6 +12,7 @@ import logging
 import math
 import socket
 import ssl
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from companion.mqtt import access
+from companion.mqtt.look_up import Address, look_up
 from companion.mqtt.settings import MqttSettings
 from estimator.contracts.errors import Recoverable
 
@@ -31,6 +33,7 @@ INCOMING = 64
 """Messages that may wait for us before further ones are discarded."""
 _LARGEST_BYTES = 65_536
 _FAREWELL_S = 1.0
+_THREAD_S = 0.02
 _quiet = logging.getLogger("companion.mqtt.paho")
 _quiet.setLevel(logging.CRITICAL)
 """aiomqtt warns once for every message it discards: in a flood that is a second flood."""
@@ -106,6 +109,17 @@ class Connection(aiomqtt.Client):
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
         )
         self.pending_calls_threshold = 1000
+        self._endpoint = endpoint
+        self._addresses: list[Address] = []
+        self._dialling: socket.socket | None = None
+        self._interrupted = False
+        self.dialling = False
+        """Whether the thread that connects is at work."""
+        # What paho leaves to the system or to the broker's good will is bounded here: how long connecting takes, on which
+        # addresses (its own look-up cannot be ended), and how large a packet may be that an MQTT 3.1.1 broker sends.
+        self._client._create_socket_connection = self._dial  # type: ignore[method-assign]
+        self._receive = self._client._sock_recv
+        self._client._sock_recv = self._receive_bounded  # type: ignore[method-assign]
         self._client.connect_timeout = endpoint.timeout_s
         self._mqtt5 = endpoint.mqtt5
         self.refusals = 0
@@ -155,8 +169,62 @@ class Connection(aiomqtt.Client):
         except TimeoutError as why:
             raise aiomqtt.MqttError(f"no answer within {self.timeout:g} s") from why
 
+    def dial_to(self, addresses: list[Address]) -> None:
+        """Connect to the first of these that answers."""
+        self._addresses = addresses
+
+    def interrupt(self) -> None:
+        """End an attempt to connect: the thread that waits for the broker meets an error at once."""
+        self._interrupted = True
+        if (dialling := self._dialling) is not None:
+            with suppress(OSError):
+                dialling.shutdown(socket.SHUT_RDWR)
+
+    def _dial(self) -> socket.socket:
+        """Return a connected socket. On the connecting thread.
+
+        Raises:
+            OSError: no address answers in time, or `interrupt` was called.
+        """
+        give_up_s = time.monotonic() + self._endpoint.timeout_s
+        failure = OSError("no address")
+        for family, kind, protocol, _, address in self._addresses:
+            made = socket.socket(family, kind, protocol)
+            # TLS takes the socket over; this one stands for the same connection, to be interrupted.
+            self._forget_dialling()
+            self._dialling = made.dup()
+            made.settimeout(max(0.05, give_up_s - time.monotonic()))
+            try:
+                if self._interrupted:
+                    raise OSError("interrupted")
+                made.connect(address)
+            except OSError as why:
+                made.close()
+                failure = why
+            else:
+                return made
+        raise failure
+
+    def _client_connect(self) -> None:
+        self.dialling = True
+        try:
+            super()._client_connect()
+        finally:
+            self.dialling = False
+
+    def _forget_dialling(self) -> None:
+        if self._dialling is not None:
+            self._dialling.close()
+            self._dialling = None
+
+    def _receive_bounded(self, bufsize: int) -> bytes:
+        if bufsize > _LARGEST_BYTES:
+            raise OSError(f"a packet of {bufsize} bytes, at most {_LARGEST_BYTES} are taken")
+        return self._receive(bufsize)
+
     def abandon(self) -> None:
         """Close whatever is still open, without ceremony."""
+        self._forget_dialling()
         self._client._sock_close()
         if self._disconnected.done() and not self._disconnected.cancelled():
             self._disconnected.exception()
@@ -177,7 +245,9 @@ async def connect(
     Raises:
         Recoverable: the broker cannot be reached, or refuses us.
     """
+    addresses = await look_up(endpoint.host, endpoint.port, endpoint.timeout_s)
     connection = Connection(endpoint, identifier, will, incoming)
+    connection.dial_to(addresses)
     try:
         failure = await _entered(connection)
         if failure is not None:
@@ -193,17 +263,23 @@ async def connect(
 
 
 async def _entered(connection: Connection) -> str | None:
-    """Connect; why that failed. When cancelled, wait for the connecting thread first: nobody else would close its socket."""
+    """Connect; why that failed. When cancelled, end the connecting thread first: nobody else would close its socket."""
     async with asyncio.TaskGroup() as group:
         entering = group.create_task(_enter(connection))
         try:
             return await asyncio.shield(entering)
         except asyncio.CancelledError:
+            connection.interrupt()
+            # The thread first, so that no socket is opened behind our back, then whoever waits for the broker's word.
+            while connection.dialling and not entering.done():
+                await asyncio.wait({entering}, timeout=_THREAD_S)
+            entering.cancel()
             await asyncio.wait({entering})
             raise
 
 
 async def _enter(connection: Connection) -> str | None:
+    connection.dialling = True  # before the thread itself can say so
     try:
         await connection.__aenter__()
     except (aiomqtt.MqttError, OSError, ValueError) as why:

@@ -6,23 +6,24 @@ The disk is touched on a thread of its own only: a slow card holds up nobody but
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+import logging
+from collections.abc import Mapping
 
 from companion.mqtt.connection import Connection
+from companion.mqtt.disk import DiskThread
 from companion.mqtt.happenings import Happening
 from companion.mqtt.messages import Event, encode
 from companion.mqtt.spool import Fsync, Record, Spool
 from drivers.mailbox import Line
 
-T = TypeVar("T")
+log = logging.getLogger(__name__)
 
 LINE = 1024
 """Events that may wait for the disk."""
 BATCH = 16
 """Events under way at once: below what brokers take unacknowledged (mosquitto: 20)."""
 _SYNC_S = 1.0
+_CLOSE_S = 1.2
 _REFUSED_REST_S = 5.0
 
 
@@ -36,7 +37,7 @@ class Outbox:
         self._fsync = fsync
         self._line: Line[Happening] = Line(LINE)
         self._more = asyncio.Event()
-        self._disk = ThreadPoolExecutor(1, thread_name_prefix="spool")
+        self._disk = DiskThread("spool")
         self._unsynced = False
         self.delivered = 0
         self.refused = 0
@@ -66,7 +67,7 @@ class Outbox:
                     happening = await self._line.get()
             except TimeoutError:
                 self._unsynced = False
-                await self._on_disk(self._spool.sync)
+                await self._disk.do(self._spool.sync)
                 continue
             await self._append([happening, *await self._waiting()])
 
@@ -97,7 +98,7 @@ class Outbox:
         Raises:
             aiomqtt.MqttError: the broker failed.
         """
-        records = await self._on_disk(lambda: self._spool.peek(BATCH))
+        records = await self._disk.do(lambda: self._spool.peek(BATCH))
         if not records:
             return 0
         refusals = connection.refusals
@@ -107,15 +108,19 @@ class Outbox:
         if connection.refusals > refusals:
             self.refused += connection.refusals - refusals
             return 0
-        await self._on_disk(lambda: self._spool.deliver(records[-1].number))
+        await self._disk.do(lambda: self._spool.deliver(records[-1].number))
         self.delivered += len(records)
         return len(records)
 
     async def close(self) -> None:
-        """Everything to disk, synced, and the thread ended."""
-        await self.flush()
-        await self._on_disk(self._spool.close)
-        self._disk.shutdown()
+        """Bring everything to disk, sync it and end the thread; a disk that takes longer than a second or so is left behind."""
+        try:
+            async with asyncio.timeout(_CLOSE_S):
+                await self.flush()
+                await self._disk.do(self._spool.close)
+        except TimeoutError:
+            log.error("mqtt.spool: the disk took nothing for %.1f s; %d events may be lost", _CLOSE_S, self._spool.waiting)
+        self._disk.end()
 
     async def _publish(self, connection: Connection, record: Record) -> None:
         await connection.say(self._topic, record.body, qos=1)
@@ -126,7 +131,7 @@ class Outbox:
 
     async def _append(self, happenings: list[Happening]) -> None:
         always = self._fsync == "always"
-        await self._on_disk(lambda: self._append_now(happenings, always))
+        await self._disk.do(lambda: self._append_now(happenings, always))
         self._unsynced = self._fsync == "second"
         self._more.set()
 
@@ -149,7 +154,3 @@ class Outbox:
                 data=dict(happening.data),
             )
         )
-
-    async def _on_disk(self, deed: Callable[[], T]) -> T:
-        """Shielded: a deed that waits its turn on the thread would be dropped by a cancellation, and events with it."""
-        return await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._disk, deed))

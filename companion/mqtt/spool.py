@@ -73,6 +73,7 @@ class Spool:
         self._ahead: deque[Record] = deque()
         self._read = 0
         self._dirty: int | None = None
+        self._refused = False
         self.torn = self.dropped = self.write_errors = 0
         self.name = uuid.uuid4().hex[:12]
         self.delivered = 0
@@ -174,23 +175,33 @@ class Spool:
     def _wrote(self, file: _File, data: bytes) -> bool:
         try:
             descriptor = os.open(file.path, os.O_WRONLY | os.O_CREAT, 0o640)
-        except OSError:
-            self.write_errors += 1
+        except OSError as why:
+            self._refuses(why)
             return False
         try:
             done = 0
             while done < len(data):
                 done += os.pwrite(descriptor, data[done:], file.size + done)
-        except OSError:
-            self.write_errors += 1
+        except OSError as why:
+            self._refuses(why)
             with suppress(OSError):
                 os.ftruncate(descriptor, file.size)
             os.close(descriptor)
             return False
+        if self._refused:
+            self._refused = False
+            log.warning("mqtt.spool: %s takes events again", self._folder)
         if self._dirty is not None:
             os.close(self._dirty)
         self._dirty = descriptor
         return True
+
+    def _refuses(self, why: OSError) -> None:
+        """Said once: the next event tries again, and a disk may refuse for the rest of the flight."""
+        self.write_errors += 1
+        if not self._refused:
+            self._refused = True
+            log.error("mqtt.spool: %s: %s: events wait in memory, %d at most", self._folder, why.strerror or why, UNWRITTEN)
 
     def _current(self, folder: Path, number: int) -> _File:
         while self._files and self._files[-1].count == 0:

@@ -6,9 +6,14 @@ import asyncio
 import signal
 from pathlib import Path
 
+import pytest
+
 from tests.companion.mqtt.broker import Broker
 from tests.companion.mqtt.consumer import Consumer
 from tests.companion.mqtt.rig import happening, running, until
+
+# A TLS handshake that is ended leaves its socket to the garbage collector inside paho.
+pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
 
 
 async def test_events_survive_a_broker_that_stops_and_one_that_is_killed(broker: Broker, tmp_path: Path) -> None:

@@ -138,7 +138,9 @@ def test_the_oldest_go_first_and_are_counted(tmp_path: Path) -> None:
     spool.close()
 
 
-def test_a_disk_that_refuses_is_waited_for_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_refuses_is_waited_for_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     spool = Spool(tmp_path, 80_000)
     spool.append([body(0)])
     real = os.pwrite
@@ -151,10 +153,14 @@ def test_a_disk_that_refuses_is_waited_for_in_memory(tmp_path: Path, monkeypatch
     spool.append([body(1), body(2)])
     spool.append([body(3)])
     assert spool.write_errors >= 2
+    assert [r.getMessage().partition(": ")[2] for r in caplog.records] == [
+        f"{tmp_path}: No space left on device: events wait in memory, {UNWRITTEN} at most"
+    ], "said once"
     assert spool.waiting == 4
     assert [r.body for r in spool.peek(9)] == [body(n) for n in range(4)]
     monkeypatch.setattr("companion.mqtt.spool.os.pwrite", real)
     spool.append([body(4)])
+    assert "takes events again" in caplog.text
     spool.close()
     again = Spool(tmp_path, 80_000)
     assert (again.torn, everything(again)) == (0, [body(n) for n in range(5)])

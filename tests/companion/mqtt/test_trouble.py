@@ -8,8 +8,11 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
+import msgspec
 import pytest
 
 from companion.mqtt.settings import MqttSettings
@@ -221,3 +224,115 @@ async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> 
         async with asyncio.timeout(60):
             assert b'"accepted":true' in (await anext(ground.heard())).payload
         assert rig.operator.done == ["start"]
+
+
+async def ended_after_s(settings: MqttSettings, folder: Path, enough: Callable[[Rig], bool]) -> float:
+    """How long the part takes to end once `enough` holds, s."""
+    async with running(settings, folder) as rig:
+        await until(lambda: enough(rig))
+        began = time.monotonic()
+    return time.monotonic() - began
+
+
+async def test_a_resolver_that_hangs_holds_up_neither_the_flight_nor_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hang, asked = threading.Event(), 0
+
+    def never(*_: object, **__: object) -> list[object]:
+        nonlocal asked
+        asked += 1
+        hang.wait(20.0)
+        return []
+
+    monkeypatch.setattr(socket, "getaddrinfo", never)
+    try:
+        settings = MqttSettings(transport="tcp", host="deck", timeout_s=0.2, reconnect_first_s=0.05, reconnect_cap_s=0.05)
+        rig, flight = await flown(settings, tmp_path / "spool", 1.0)
+        assert flight.undisturbed
+        assert rig.count("connection_failures") >= 2
+        assert asked == 1, "one thread, however often it is tried"
+        hang.set()
+        await asyncio.sleep(0.1)
+        hang.clear()
+        slow = msgspec.structs.replace(settings, timeout_s=15.0)
+        assert await ended_after_s(slow, tmp_path / "again", lambda _: asked == 2) < 5.0
+    finally:
+        hang.set()
+        await asyncio.sleep(0.05)
+
+
+@pytest.mark.parametrize("transport", ["tcp", "tls"])
+async def test_a_broker_that_never_answers_does_not_hold_up_the_end(
+    certificates: Path, tmp_path: Path, transport: Literal["tcp", "tls"]
+) -> None:
+    """Connecting happens on a thread; it is ended rather than waited for."""
+    ours = []
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        silent.setblocking(False)
+
+        def accepted(_: object) -> bool:
+            try:
+                ours.append(silent.accept()[0])
+            except BlockingIOError:
+                return False
+            return True
+
+        port = silent.getsockname()[1]
+        ca = str(certificates / "ca.crt") if transport == "tls" else ""
+        settings = MqttSettings(transport=transport, host="127.0.0.1", port=port, timeout_s=20.0, ca_file=ca)
+        assert await ended_after_s(settings, tmp_path / "spool", accepted) < 10.0
+    for connection in ours:
+        connection.close()
+
+
+async def test_a_broker_that_sends_megabytes_is_hung_up_on(tmp_path: Path) -> None:
+    """MQTT 3.1.1 has no word for how much we take, and a broker may not keep to MQTT 5's."""
+    sent = 0
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal sent
+        await reader.read(1000)
+        writer.write(b"\x20\x02\0\0")
+        await reader.read(1000)
+        writer.write(b"\x90\x03\0\1\1")
+        writer.write(b"\x30\x80\x80\x80\x08")  # a publication of 16 MiB
+        try:
+            for _ in range(256):
+                writer.write(bytes(65_536))
+                await writer.drain()
+                sent += 65_536
+        except ConnectionError:
+            pass
+        finally:
+            writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    settings = MqttSettings(
+        transport="tcp", host="127.0.0.1", port=port, protocol="3.1.1", user="u", commands="broker", timeout_s=0.5,
+        reconnect_first_s=60.0, reconnect_cap_s=60.0,
+    )  # fmt: skip
+    async with running(settings, tmp_path / "spool") as rig:
+        await until(lambda: rig.count("connection_failures") == 1)
+        assert sent < 16 << 20
+    server.close()
+
+
+async def test_a_disk_that_stands_still_does_not_hold_up_the_end(
+    broker: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moving, stuck = threading.Event(), threading.Event()
+
+    def hanging(*_: object) -> int:
+        stuck.set()
+        moving.wait(20.0)
+        return 0
+
+    monkeypatch.setattr("companion.mqtt.spool.os.pwrite", hanging)
+    try:
+        took_s = await ended_after_s(broker.settings(), tmp_path / "spool", lambda _: stuck.is_set())
+        assert took_s < 10.0
+    finally:
+        monkeypatch.undo()
+        moving.set()
