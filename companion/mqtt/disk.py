@@ -9,7 +9,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TypeVar
 
+from estimator.contracts.errors import Recoverable
+
 T = TypeVar("T")
+
+_WAITING = 64
+"""Pieces of work: few wait at a time, as who gives one waits for it."""
 
 
 class DiskThread:
@@ -19,11 +24,15 @@ class DiskThread:
     """
 
     def __init__(self, name: str) -> None:
-        self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._work: queue.Queue[Callable[[], None] | None] = queue.Queue(_WAITING)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     async def do(self, work: Callable[[], T]) -> T:
-        """Return what `work` returns, or raise what it raises. Cancelled, it is carried out all the same."""
+        """Return what `work` returns, or raise what it raises. Cancelled, it is carried out all the same.
+
+        Raises:
+            Recoverable: too much work waits for the disk already.
+        """
         if not self._thread.ident:
             self._thread.start()
         loop = asyncio.get_running_loop()
@@ -40,12 +49,16 @@ class DiskThread:
             with suppress(RuntimeError):
                 loop.call_soon_threadsafe(_settle, done, outcome, error)
 
-        self._work.put(carry_out)
+        try:
+            self._work.put_nowait(carry_out)
+        except queue.Full as why:
+            raise Recoverable(f"the disk stands still: {_WAITING} pieces of work wait for it") from why
         return await asyncio.shield(done)
 
     def end(self) -> None:
         """End the thread after what it was given."""
-        self._work.put(None)
+        with suppress(queue.Full):
+            self._work.put_nowait(None)
 
     def _run(self) -> None:
         while (work := self._work.get()) is not None:
