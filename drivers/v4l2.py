@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import logging
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -14,14 +15,17 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.images import claimed_size
 from drivers.v4l2_device import Buffer, Device, KernelDevice
-from drivers.v4l2_formats import H264Decoder, to_bgr
+from drivers.v4l2_formats import H264Decoder, Layout, to_bgr
 from drivers.v4l2_names import cameras, find
 from drivers.video_source import Camera, CameraLost
 from drivers.video_source_options import V4l2Options
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+
+log = logging.getLogger(__name__)
 
 _OLDEST_S = 2.0
 """A buffer stamped longer ago than this was not stamped by our clock."""
@@ -143,7 +147,20 @@ class V4l2Channel:
                 counters.frames_overtaken += len(good)
                 return buffer, px
             counters.frames_damaged += 1
+            self._note_size(buffer.data, device.layout)
         return None
+
+    def _note_size(self, data: bytes, layout: Layout) -> None:
+        """Count a JPEG of another size than was agreed; the first is named in the log."""
+        claimed = claimed_size(data) if layout.format == "MJPG" else None
+        if claimed is None or claimed == (layout.width, layout.height):
+            return
+        self._camera.counters.frames_wrong_size += 1
+        if self._camera.counters.frames_wrong_size == 1:
+            log.warning(
+                "%s: an image claims %dx%d px in place of %dx%d: such ones are not decoded, and counted",
+                self._o.device, *claimed, layout.width, layout.height,
+            )  # fmt: skip
 
     def _newest_h264(self, device: Device, batch: Sequence[Buffer], gap: bool) -> tuple[Buffer, NDArray[np.uint8]] | None:
         counters, decoder = self._camera.counters, self._h264

@@ -123,6 +123,8 @@ class CameraCounters:
     """A newer one was already there before this one was looked at."""
     frames_damaged: int = 0
     """Marked bad by the kernel, torn, of another size than was agreed, or refused by the decoder."""
+    frames_wrong_size: int = 0
+    """Claimed another size than was agreed, and were not decoded: a part of `frames_damaged`."""
     frames_waiting: int = 0
     """Dropped until the next picture that stands alone (H.264)."""
     frames_lost: int = 0

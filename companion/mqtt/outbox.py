@@ -15,6 +15,7 @@ from companion.mqtt.happenings import Happening
 from companion.mqtt.messages import Event, encode
 from companion.mqtt.spool import Fsync, Record, Spool
 from drivers.mailbox import Line
+from estimator.contracts.errors import Recoverable
 
 log = logging.getLogger(__name__)
 
@@ -118,7 +119,7 @@ class Outbox:
             async with asyncio.timeout(_CLOSE_S):
                 await self.flush()
                 await self._disk.do(self._spool.close)
-        except TimeoutError:
+        except (TimeoutError, Recoverable):
             log.error("mqtt.spool: the disk took nothing for %.1f s; %d events may be lost", _CLOSE_S, self._spool.waiting)
         self._disk.end()
 

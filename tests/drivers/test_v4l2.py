@@ -31,6 +31,7 @@ from drivers.video_source import Camera, CameraLost
 from drivers.video_source_options import CameraCounters, Patience, V4l2Options
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
+from tests.images import claiming, encoded
 
 W, H = 64, 48
 CLOCK = SystemClock()
@@ -151,6 +152,25 @@ async def test_frames_gaps_damage_and_unplugging_are_all_counted() -> None:
     assert c.buffers == 8
     assert accounted(c)
     assert device.closed
+
+
+async def test_an_image_that_claims_another_size_is_named_once_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+    camera, device = Camera(), FakeDevice("MJPG", 0)
+
+    async def story() -> None:
+        for sequence in range(3):
+            device.put(buffer(sequence, data=claiming(".jpg", 30000, 30000)))
+        while camera.counters.frames_damaged < 3:  # noqa: ASYNC110
+            await asyncio.sleep(0.005)
+        device.put(buffer(3, data=encoded(".jpg", W, H)))
+        assert (await camera.frames.get()).seq == 3
+        device.unplug()
+
+    assert await run(camera, device, story) == "unplugged"
+    c = camera.counters
+    assert (c.frames_wrong_size, c.frames_damaged, c.frames) == (3, 3, 1)
+    assert accounted(c)
+    assert caplog.text.count("claims 30000x30000 px in place of") == 1
 
 
 async def test_the_count_goes_on_over_its_wrap_and_a_new_count_is_no_gap() -> None:
