@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-import numpy as np
-
 from estimator.contracts.estimates import Doubt, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, Sample, VehicleStatus
@@ -123,13 +121,17 @@ def doubts(guard: Guard, now: MonoNs) -> tuple[Doubt, ...]:
 
 
 def _place(sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
-    sigma = math.sqrt(float(np.trace(sighting.cov[:3, :3])) / 3.0)
-    return tracks.Place(sighting.stamp.taken, _fixed(sighting.d_body_pad_level, attitude), sigma)
+    return tracks.Place(sighting.stamp.taken, _fixed(sighting.d_body_pad_level, attitude), *_sigmas(sighting.cov))
 
 
 def _expected(belief: RelativeState, sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
-    sigma = math.sqrt(max(0.0, float(np.trace(belief.cov[:3, :3])) / 3.0))
-    return tracks.Place(sighting.stamp.taken, _fixed(belief.d_body_pad_level, attitude), sigma)
+    return tracks.Place(sighting.stamp.taken, _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))
+
+
+def _sigmas(cov: F64) -> tuple[float, float]:
+    """Standard deviations of one horizontal component and of the vertical one, m."""
+    forward, right, down = cov.diagonal()[:3].tolist()
+    return math.sqrt(max(0.0, forward + right) / 2.0), math.sqrt(max(0.0, down))
 
 
 def _fixed(d_level: F64, attitude: Attitude | None) -> tuple[float, float, float]:

@@ -18,6 +18,7 @@ _FRESH_S = 0.3
 _NEAREST_M = 0.35
 """An ultrasound hears nothing nearer than 0.2 m."""
 _UPRIGHT = 0.85
+_EDGE_M = 0.1
 _PAUSE_S = 0.3
 """No more than this counts for the time between two ranges."""
 _SPAN_S = 10.0
@@ -71,7 +72,7 @@ def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch
     along = z / cz
     foot = math.hypot(x - cx * along, y - cy * along)
     tolerance = o.range_tolerance_m + o.range_tolerance_share * z
-    if foot + tolerance > o.deck_radius_m:
+    if foot > o.deck_radius_m - _EDGE_M:
         # Not certainly over the deck. What was said before stands until it is.
         return state._replace(range_at=t)
     # A cone hears whatever is nearest, which lies between the axis and the perpendicular.

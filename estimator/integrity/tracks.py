@@ -17,7 +17,9 @@ _BESIDE_S = 0.1
 """How old the sighting before may be for its neighbourhood to explain the next one."""
 _SPEED_M_S, _ACCELERATION_M_S2 = 1.0, 6.0
 """By how much two sightings of one pad may differ a second besides: velocity and tilt of the vehicle against the deck."""
-_BELIEF_SIGMAS, _BELIEF_MAX_M = 3.0, 1.5
+_BELIEF_SIGMAS, _BELIEF_MAX_M, _BELIEF_DOWN_MAX_M = 3.0, 0.4, 1.5
+"""A belief that has grown vague explains no more than this, sideways and in height. Height has a watch of its own."""
+_SEEN_SIGMAS, _SEEN_MAX_M = 4.0, 0.3
 _ALIVE_S = 1.0
 _MOST = 4
 _SEEN_AT_LEAST = 3
@@ -32,7 +34,8 @@ class Place(NamedTuple):
     d: tuple[float, float, float]
     """m; down is third."""
     sigma_m: float
-    """Of one component."""
+    """Of one horizontal component."""
+    sigma_down_m: float
 
 
 class Candidate(NamedTuple):
@@ -42,6 +45,9 @@ class Candidate(NamedTuple):
     """ns."""
     n: int
     last: Place
+    sigmas_m: tuple[float, float] = (math.inf, math.inf)
+    """Of the belief when it was first seen, sideways and down. What the belief did not explain then it does not come to explain by
+    growing vague."""
 
 
 class Tracks(NamedTuple):
@@ -71,11 +77,16 @@ def judge(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityOptio
     last = tracks.last
     if last is None:
         return Tracks(1, 0, seen), True
-    near_last = abs(seen.t - last.t) <= _BESIDE_S * 1e9 and _beside(last, seen, o)
-    if near_last or (expected is not None and _as_expected(expected, seen, o)):
+    if abs(seen.t - last.t) <= _BESIDE_S * 1e9 and _beside(last, seen, o):
         return tracks, True
-    candidates = _with(tracks.candidates, seen, o)
-    chosen = next(c for c in candidates if c.last is seen)
+    known = next((c for c in tracks.candidates if _joins(c, seen, o)), None)
+    if expected is not None:
+        then = (math.inf, math.inf) if known is None else known.sigmas_m
+        sigma_m, sigma_down_m = min(expected.sigma_m, then[0]), min(expected.sigma_down_m, then[1])
+        if _as_expected(expected._replace(sigma_m=sigma_m, sigma_down_m=sigma_down_m), seen, o):
+            return tracks, True
+    candidates = _with(tracks.candidates, known, seen, expected)
+    chosen = candidates[-1]
     if tracks.n < _ESTABLISHED:
         # Nobody has flown by the track yet; whichever is seen more is the pad.
         if chosen.n > max(tracks.n, _SEEN_AT_LEAST):
@@ -99,31 +110,44 @@ def _adopted(tracks: Tracks, chosen: Candidate, candidates: tuple[Candidate, ...
     return alone and unseen and chosen.n >= _ESTABLISHED and seen - chosen.first >= o.adopt_s * 1e9
 
 
-def _with(candidates: tuple[Candidate, ...], seen: Place, o: IntegrityOptions) -> tuple[Candidate, ...]:
-    """The candidates with one more look: it joins the one that it lies beside, or begins another."""
-    out, joined = [], False
-    for c in candidates:
-        age = seen.t - c.last.t
-        if not joined and abs(age) <= _ALIVE_S * 1e9 and _beside(c.last, seen, o):
-            out.append(Candidate(c.first, c.n + 1, seen))
-            joined = True
-        elif age <= 2.0 * _ALIVE_S * 1e9:
-            out.append(c)
-    if not joined:
-        out.append(Candidate(seen.t, 1, seen))
-    return tuple(sorted(out, key=lambda c: c.last.t)[-_MOST:])
+def _joins(c: Candidate, seen: Place, o: IntegrityOptions) -> bool:
+    return abs(seen.t - c.last.t) <= _ALIVE_S * 1e9 and _beside(c.last, seen, o)
+
+
+def _with(
+    candidates: tuple[Candidate, ...], known: Candidate | None, seen: Place, expected: Place | None
+) -> tuple[Candidate, ...]:
+    """The candidates with one more look, which joins `known` or begins another."""
+    then = (math.inf, math.inf) if expected is None else (expected.sigma_m, expected.sigma_down_m)
+    chosen = Candidate(seen.t, 1, seen, then) if known is None else known._replace(n=known.n + 1, last=seen)
+    others = [c for c in candidates if c is not known and seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9]
+    return (*sorted(others, key=lambda c: c.last.t)[-(_MOST - 1) :], chosen)
 
 
 def _base_m(seen: Place, o: IntegrityOptions) -> float:
     return o.place_step_m + o.place_step_share * abs(seen.d[2])
 
 
+def _seen_m(*sigmas_m: float) -> float:
+    return min(_SEEN_SIGMAS * math.hypot(*sigmas_m), _SEEN_MAX_M)
+
+
 def _beside(last: Place, seen: Place, o: IntegrityOptions) -> bool:
     dt = abs(seen.t - last.t) * 1e-9
     moved = _SPEED_M_S * dt + 0.5 * _ACCELERATION_M_S2 * dt * dt
-    return math.dist(last.d, seen.d) <= _base_m(seen, o) + 4.0 * math.hypot(last.sigma_m, seen.sigma_m) + moved
+    limit = _base_m(seen, o) + moved
+    side, down = _apart(last, seen)
+    return side <= limit + _seen_m(last.sigma_m, seen.sigma_m) and down <= limit + _seen_m(last.sigma_down_m, seen.sigma_down_m)
 
 
 def _as_expected(expected: Place, seen: Place, o: IntegrityOptions) -> bool:
-    doubt = min(_BELIEF_SIGMAS * expected.sigma_m, _BELIEF_MAX_M) + 4.0 * seen.sigma_m
-    return math.dist(expected.d, seen.d) <= _base_m(seen, o) + doubt
+    base = _base_m(seen, o)
+    side, down = _apart(expected, seen)
+    side_max = base + min(_BELIEF_SIGMAS * expected.sigma_m, _BELIEF_MAX_M) + _seen_m(seen.sigma_m)
+    down_max = base + min(_BELIEF_SIGMAS * expected.sigma_down_m, _BELIEF_DOWN_MAX_M) + _seen_m(seen.sigma_down_m)
+    return side <= side_max and down <= down_max
+
+
+def _apart(a: Place, b: Place) -> tuple[float, float]:
+    """Metres between two places, sideways and down."""
+    return math.dist(a.d[:2], b.d[:2]), abs(a.d[2] - b.d[2])

@@ -10,7 +10,7 @@ LIMITS = IntegrityOptions()
 
 
 def place(t_s: float, d: tuple[float, float, float], sigma_m: float = 0.01) -> Place:
-    return Place(round(t_s * 1e9), d, sigma_m)
+    return Place(round(t_s * 1e9), d, sigma_m, sigma_m)
 
 
 def follow(tracks: Tracks, looks: list[Place], expected: Place | None = None) -> tuple[Tracks, list[bool]]:
@@ -109,3 +109,12 @@ def test_before_a_track_is_established_the_place_seen_more_often_is_the_pad() ->
     assert explained[-1]
     assert tracks.last is not None
     assert tracks.last.d == HERE
+
+
+def test_a_belief_that_grows_vague_does_not_come_to_explain_what_it_did_not() -> None:
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    explained = []
+    for seen in steady(2, 3.9, ASIDE):
+        tracks, about = judge(tracks, seen, place(seen.t * 1e-9, HERE, 0.05 + 0.5 * (seen.t * 1e-9 - 2.0)), LIMITS)
+        explained.append(about)
+    assert not any(explained)

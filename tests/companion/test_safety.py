@@ -1,0 +1,235 @@
+"""Nothing dead or implausible keeps it flying down: guard, estimator and guidance together, over random histories of faults.
+
+A body follows the commands; what it senses is frozen, displaced, misstamped, beyond reason or missing for spells drawn at random.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.guidance.pid import Gains, fit_to_steer
+from companion.guidance.plan import Plan
+from companion.observer import Decision
+from companion.pilot import Pilot
+from companion.settings import camera_model, load, pad_model
+from estimator import pipeline
+from estimator.contracts.commands import Hover, Land, Velocity
+from estimator.contracts.estimates import Doubt, PathName, Sighting, Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.vision.eyes import Eyes
+from estimator.vision.look import Look
+from estimator.vision.segmentation import COLOUR_SETS
+
+SIM = load("sim")
+EYES = Eyes(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
+PLAN = Plan.over_the_pad()
+TICK_S = 0.05
+FAULTS = (
+    "none", "camera frozen", "aside", "half aside", "no pad", "no frames", "stamps old", "imu frozen", "imu spikes",
+    "attitude frozen", "velocity frozen", "hour ahead", "range wrong", "silent",
+)  # fmt: skip
+
+
+@dataclass
+class Loop:
+    """A pilot in a closed loop with a body over a pad that stands still."""
+
+    path: PathName = "dead_reckoning"
+    plan: Plan = PLAN
+    d: np.ndarray = field(default_factory=lambda: np.array([0.4, -0.3, 3.0]))
+    v: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    verdicts: list[Verdict] = field(default_factory=list)
+    lowest_m: float = math.inf
+
+    def __post_init__(self) -> None:
+        self.pilot = Pilot(EYES, pipeline.Options(steering=self.path), self.plan, Gains())
+        self.rng = np.random.default_rng(7)
+        self.now = MonoNs(10**12)
+        self.ticks = 0
+        self.still_image = self.image()
+        self.still_imu = (np.array([0.01, 0.02, 0.03]), np.array([0.1, 0.0, -9.8]))
+
+    def image(self) -> np.ndarray:
+        return self.rng.integers(0, 255, (32, 8, 3), dtype=np.uint8)
+
+    def noise(self, sigma: float) -> np.ndarray:
+        return self.rng.normal(0.0, sigma, 3)
+
+    def tick(self, fault: str = "none") -> Decision:
+        """One period: the body moves, senses, sees, and is told what to do."""
+        self.ticks += 1
+        self.now = after(self.now, TICK_S)
+        if fault != "silent":
+            self.sense(fault)
+            if fault != "no frames":
+                self.see(fault)
+        decision = self.pilot.decide(self.now)
+        wanted = np.array([0.0, 0.0, 0.4]) if isinstance(decision.command, Land) else np.zeros(3)
+        if isinstance(decision.command, Velocity):
+            wanted = decision.command.v_level
+        self.v = self.v + (wanted - self.v) * min(1.0, TICK_S / 0.3)
+        self.d = self.d - self.v * TICK_S
+        self.lowest_m = min(self.lowest_m, float(self.d[2]))
+        return decision
+
+    def sense(self, fault: str) -> None:
+        at = after(self.now, 3600.0) if fault == "hour ahead" and self.ticks % 7 == 0 else self.now
+        stamp = Stamp(at, at, 0.001, "sim")
+        w, f = self.noise(0.01), np.array([0, 0, -9.80665]) + self.noise(0.05)
+        if fault == "imu frozen":
+            w, f = self.still_imu
+        if fault == "imu spikes" and self.ticks % 5 == 0:
+            f = np.array([0.0, 1e4, 0.0])
+        self.pilot.hear(Imu(stamp, w, f))
+        R = Rotation.identity() if fault == "attitude frozen" else Rotation.from_rpy(*self.noise(0.002))
+        now = Stamp(self.now, self.now, 0.001, "sim")
+        self.pilot.hear(Attitude(now, R, 1e-5 * np.eye(3)))
+        v = np.zeros(3) if fault == "velocity frozen" else self.v + self.noise(0.01)
+        self.pilot.hear(BodyVelocity(now, v, np.diag([0.01, 0.01, UNKNOWN_VAR])))
+        if self.d[2] > 0.2:
+            self.pilot.hear(Range(now, self.d[2] * (1.6 if fault == "range wrong" else 1.0) + abs(self.noise(0.005)[0]), 0.02))
+        self.pilot.hear(VehicleStatus(now, True, "flying", 0.9, False, True))
+
+    def see(self, fault: str) -> None:
+        late_s = 0.36 if fault == "stamps old" else 0.06
+        stamp = Stamp(after(self.now, -late_s), self.now, 0.002, "sim")
+        px = self.still_image if fault == "camera frozen" else self.image()
+        if (refused := self.pilot.admit(Frame(stamp, self.ticks, px))) is not None:
+            self.verdicts.append(refused)
+            return
+        aside = fault == "aside" or (fault == "half aside" and self.ticks % 2 == 0)
+        if fault == "no pad" or self.d[2] < 0.2:
+            self.verdicts.append(Verdict.NO_PAD)
+            return
+        d = self.d + self.v * 0.06 + self.noise(0.003) + (1.2 if aside else 0.0) * np.array([0.0, 1.0, 0.0])
+        tilt = np.array([[0.0, -d[2]], [d[2], 0.0], [-d[1], d[0]]])  # how a tilt error moves it
+        cov = np.diag([4e-5, 4e-5, 4e-5, 1e-3])
+        cov[:3, :3] += 1e-5 * tilt @ tilt.T
+        seen = Sighting(stamp, self.ticks, "registration", d, 0.1, False, cov, 0.9)
+        self.verdicts.append(self.pilot.saw(Look(seen, "registration", {})))
+
+    def until(self, done, fault: str = "none", seconds: float = 60.0) -> Decision:
+        for _ in range(round(seconds / TICK_S)):
+            decision = self.tick(fault)
+            if done(decision):
+                return decision
+        raise AssertionError(f"not within {seconds} s: {self.pilot.phase}, {self.pilot.reason}, {self.d}")
+
+
+def descends(decision: Decision) -> bool:
+    return isinstance(decision.command, Velocity) and decision.command.v_level[2] > 1e-9
+
+
+def below(height_m: float, loop: Loop):
+    return lambda decision: loop.d[2] < height_m
+
+
+@settings(deadline=None, max_examples=12)
+@given(
+    spells=st.lists(st.tuples(st.integers(2, 80), st.sampled_from(FAULTS)), min_size=1, max_size=5),
+    path=st.sampled_from(["dead_reckoning", "median_mean", "ekf"]),
+    pause_at=st.integers(0, 400),
+)
+def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estimate_of_its_pad(
+    spells: list[tuple[int, str]], path: PathName, pause_at: int
+) -> None:
+    loop, flown, landing_s, around = Loop(path), None, 0.0, 0
+    loop.until(below(2.4, loop))
+    before = loop.pilot.phase
+    for ticks, fault in spells:
+        for _ in range(ticks):
+            decision = loop.tick(fault)
+            belief = decision.belief
+            fit = belief is not None and fit_to_steer(belief, decision.at, PLAN.stale_after_s)
+            if fit and flown is None:
+                flown = belief.track
+            lands = isinstance(decision.command, Land)
+            if descends(decision) or (lands and not landing_s):
+                assert fit, (decision, fault)
+                assert not belief.doubts
+                assert belief.track == flown
+            landing_s = landing_s + TICK_S if lands else 0.0
+            assert landing_s <= PLAN.land_timeout_s + 2 * TICK_S
+            around += loop.pilot.phase in ("go-around", "climb") and before not in ("go-around", "climb")
+            assert around <= 2 * (PLAN.go_arounds_max + 1)
+            before = loop.pilot.phase
+            if loop.ticks == pause_at:
+                loop.pilot.pause()
+                assert loop.tick(fault).command == Hover()
+                loop.pilot.begin()
+                flown, around, landing_s = None, 0, 0.0
+
+
+def test_without_a_fault_it_lands() -> None:
+    """The histories above can descend."""
+    loop = Loop()
+    loop.until(lambda decision: isinstance(decision.command, Land))
+    assert loop.d[2] < 0.45
+
+
+def test_a_camera_that_freezes_is_refused_told_and_not_descended_by() -> None:
+    loop = Loop()
+    loop.until(below(1.5, loop))
+    told = loop.until(lambda decision: Doubt.CAMERA_FROZEN.value in decision.reason, "camera frozen", seconds=0.4)
+    assert told.belief is not None
+    assert not told.belief.consistent
+    for _ in range(40):
+        assert not descends(loop.tick("camera frozen"))
+    assert loop.verdicts[-1] is Verdict.REPEATED
+    assert loop.lowest_m > 1.2
+    loop.until(lambda decision: decision.phase == "gave up", "camera frozen")
+    assert loop.d[2] == pytest.approx(PLAN.safe_height_m, abs=0.4)
+
+
+@pytest.mark.parametrize("path", ["dead_reckoning", "median_mean", "ekf"])
+def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: PathName) -> None:
+    loop = Loop(path)
+    loop.until(below(1.2, loop))
+    loop.until(lambda decision: decision.phase == "another pad", "aside", seconds=10.0)
+    assert loop.verdicts.count(Verdict.ELSEWHERE) > 10
+    for _ in range(400):
+        assert not descends(loop.tick("aside"))
+    assert loop.d[2] == pytest.approx(PLAN.safe_height_m, abs=0.4)
+    assert abs(loop.d[1]) < 0.5
+    loop.pilot.begin()
+    loop.until(lambda decision: isinstance(decision.command, Land), "aside")
+    assert loop.d[1] == pytest.approx(-1.2, abs=0.2), "the operator took the other pad"
+
+
+@pytest.mark.parametrize(
+    ("fault", "doubt"),
+    [
+        ("imu frozen", Doubt.IMU_FROZEN),
+        ("attitude frozen", Doubt.ATTITUDE_FROZEN),
+        ("half aside", Doubt.ELSEWHERE),
+        ("range wrong", Doubt.RANGE),
+        ("stamps old", Doubt.STAMPS),
+    ],
+)
+def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, doubt: Doubt) -> None:
+    loop = Loop()
+    loop.until(below(1.8, loop))
+    loop.until(lambda decision: doubt.value in decision.reason, fault, seconds=2.0)
+    height_m = loop.d[2]
+    for _ in range(60):
+        decision = loop.tick(fault)
+        assert not descends(decision)
+        assert not isinstance(decision.command, Land)
+    assert loop.lowest_m > height_m - 0.25
+    loop.until(lambda decision: isinstance(decision.command, Land), seconds=90.0)
+
+
+@pytest.mark.parametrize("fault", ["imu spikes", "hour ahead", "velocity frozen"])
+def test_what_can_be_left_out_is_refused_and_the_landing_goes_on(fault: str) -> None:
+    loop = Loop("ekf")
+    loop.until(below(2.4, loop))
+    loop.until(lambda decision: isinstance(decision.command, Land), fault)
+    assert np.hypot(*loop.d[:2]) < 0.2
