@@ -46,7 +46,7 @@ class Candidate(NamedTuple):
     n: int
     last: Place
     sigmas_m: tuple[float, float] = (math.inf, math.inf)
-    """Of the belief when it was first seen, sideways and down. What the belief did not explain then it does not come to explain by
+    """Of the belief when it was first seen, sideways and down: what it did not explain then it does not come to explain by
     growing vague."""
 
 
