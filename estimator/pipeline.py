@@ -134,17 +134,12 @@ def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
 
 def _dressed(state: RelativeState, guard: integrity.Guard, now: MonoNs) -> RelativeState:
     doubts = integrity.doubts(guard, now)
-    figures = (
-        ("track", float(guard.tracks.number)),
-        ("range_agrees", float(guard.heights.confirmed(now))),
-        *((f"doubt_{doubt.name.lower()}", 1.0) for doubt in doubts),
-    )
     return replace(
         state,
         track=guard.tracks.number,
         doubts=doubts,
         consistent=state.consistent and not doubts,
-        details=(*state.details, *figures),
+        details=(*state.details, ("range_agrees", float(guard.heights.confirmed(now)))),
     )
 
 

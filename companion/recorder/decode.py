@@ -11,7 +11,7 @@ import numpy as np
 from companion.recorder import records as rec
 from companion.recorder.encode import COMMANDS
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
-from estimator.contracts.estimates import Method, PathName, Pose6, RelativeState, Sighting
+from estimator.contracts.estimates import Doubt, Method, PathName, Pose6, RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, StampSource
@@ -93,7 +93,16 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
         MonoNs(of.sighted_ns),
         of.consistent,
         tuple((d.name, d.value) for d in of.details),
+        of.track,
+        tuple(_doubt(name) for name in of.doubts),
     )
+
+
+def _doubt(name: str) -> Doubt:
+    try:
+        return Doubt[name.upper()]
+    except KeyError as why:
+        raise ValueError(f"no such doubt: {name!r}") from why
 
 
 def command(of: rec.DecisionRecord) -> Command | None:

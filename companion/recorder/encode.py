@@ -100,6 +100,8 @@ def belief(of: RelativeState) -> rec.BeliefRecord:
         of.lateral_m,
         [rec.NamedNumber(name, float(value)) for name, value in of.details if math.isfinite(value)],
         of.yaw_rad,
+        of.track,
+        [doubt.name.lower() for doubt in of.doubts],
     )
 
 
@@ -107,8 +109,9 @@ def decision(of: Decision) -> rec.DecisionRecord:
     steering = None if of.belief is None else of.belief.path
     if isinstance(of.command, Velocity):
         v, turn = of.command.v_level.tolist(), of.command.yaw_rate_rad_s
-        return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn)
-    return rec.DecisionRecord(int(of.at), of.phase, steering, None if of.command is None else COMMANDS[type(of.command)])
+        return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn, of.reason)
+    simple = None if of.command is None else COMMANDS[type(of.command)]
+    return rec.DecisionRecord(int(of.at), of.phase, steering, simple, reason=of.reason)
 
 
 def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:

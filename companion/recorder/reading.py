@@ -252,7 +252,7 @@ class _Assembly:
         beliefs, self._beliefs = [b for b in self._beliefs if b.at == message.at_ns], []
         steering = next((b for b in beliefs if b.path == message.steering), None)
         shadows = tuple(b for b in beliefs if b is not steering)
-        return Decision(MonoNs(message.at_ns), message.phase, decode.command(message), steering, shadows)
+        return Decision(MonoNs(message.at_ns), message.phase, decode.command(message), steering, shadows, message.reason)
 
 
 _FOR_VIEWERS = {channels.ANNOTATIONS, channels.CALIBRATION, channels.TRANSFORMS, channels.LOG, channels.TRUE_POSE} | {

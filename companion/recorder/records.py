@@ -136,6 +136,10 @@ class BeliefRecord(Struct, frozen=True, omit_defaults=True):
     lateral_m: float
     details: list[NamedNumber]
     yaw_rad: float | None = None
+    track: int = 0
+    """Which pad it is about: counted up at every place that motion does not explain."""
+    doubts: list[str] = []
+    """Names of what spoke against it."""
 
 
 class DecisionRecord(Struct, frozen=True, omit_defaults=True):
@@ -149,6 +153,8 @@ class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """velocity, hover, take_off or land; left out while the vehicle was left to itself."""
     v_level: list[float] | None = None
     yaw_rate_rad_s: float | None = None
+    reason: str = ""
+    """Why it was not simply on its way down."""
 
 
 class ContactRecord(Struct, frozen=True, omit_defaults=True):

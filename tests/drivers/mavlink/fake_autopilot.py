@@ -62,6 +62,7 @@ class FakeAutopilot:
     def __post_init__(self) -> None:
         self.links: Links | None = None
         self._next: dict[int, float] = {}
+        self._samples = 0
         self._at = self.now_s
 
     def of(self, kind: str) -> list[Any]:
@@ -154,7 +155,11 @@ class FakeAutopilot:
             self.v_ned = np.array([m.vx, m.vy, m.vz])
 
     def _streams(self, t: float) -> list[Message]:
-        q = Rotation.from_rpy(*self.rpy(t)).quat_wxyz
+        self._samples += 1
+        # No reading of a true sensor repeats for long: the least digits of IMU and attitude never stand still.
+        least = self._samples % 7 - 3
+        roll, pitch, yaw = self.rpy(t)
+        q = Rotation.from_rpy(roll + 1e-6 * least, pitch, yaw).quat_wxyz
         makers: dict[int, Callable[[], Message]] = {
             mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: lambda: mav.MAVLink_attitude_quaternion_message(
                 self.boot_ms, *q, 0.0, 0.0, 0.0
@@ -165,10 +170,10 @@ class FakeAutopilot:
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda: mav.MAVLink_extended_sys_state_message(0, self.landed_state),
             mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 83, 0, 0, 0, 0, 0, 0),
             mav.MAVLINK_MSG_ID_RAW_IMU: lambda: mav.MAVLink_raw_imu_message(
-                self.boot_ns // 1000, 10, -20, -1000, 100, -200, 300, 0, 0, 0
+                self.boot_ns // 1000, 10, -20, -1000 + least, 100, -200, 300, 0, 0, 0
             ),
             mav.MAVLINK_MSG_ID_HIGHRES_IMU: lambda: mav.MAVLink_highres_imu_message(
-                self.boot_ns // 1000, 0.1, -0.2, -9.8, 0.1, -0.2, 0.3, 0, 0, 0, 1000.0, 0, 0, 20.0, 0xFFFF
+                self.boot_ns // 1000, 0.1, -0.2, -9.8 + 1e-3 * least, 0.1, -0.2, 0.3, 0, 0, 0, 1000.0, 0, 0, 20.0, 0xFFFF
             ),
         }
         if self.distance_cm is not None:

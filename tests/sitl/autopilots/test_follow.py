@@ -142,7 +142,7 @@ class Elsewhere(FakeAutopilot):
         out = [m for m in super()._streams(t) if m.get_type() != "RAW_IMU"]
         if t >= self._next.get(-1, 0.0):
             self._next[-1] = t + 0.01
-            out.append(mav.MAVLink_raw_imu_message(self.boot_ns // 1000, 0, 0, -1000, 0, 0, 0, 0, 0, 0))
+            out.append(mav.MAVLink_raw_imu_message(self.boot_ns // 1000, 0, 0, -1000 + self._samples % 7, 0, 0, 0, 0, 0, 0))
         if t >= self._next.get(-2, 0.0) and mav.MAVLINK_MSG_ID_SIM_STATE in self.intervals:
             self._next[-2] = t + 0.02
             out.append(truth("SIM_STATE", self.p_ned))
