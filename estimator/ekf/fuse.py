@@ -99,6 +99,10 @@ def _imu(b: Belief, event: Imu, tools: Tools) -> tuple[Belief, Outcome]:
     w_body, f_body = event.w_body, event.f_body
     if not (_largest(f_body) <= o.accel_max_m_s2 and _largest(w_body) <= o.gyro_max_rad_s):
         return b, Outcome(event, Verdict.GATED)
+    if b.t_imu >= 0 and _repeats(b, event):
+        # No sensor that works says the same twice to the last bit: for `hold_s` it may be one that is read too often.
+        alive = t - b.t_imu <= hold_ns
+        return forgotten(carried(b, t, tools), o), Outcome(event, Verdict.FUSED if alive else Verdict.GATED)
     if b.t_imu >= 0 and t - b.t_imu <= hold_ns:
         step_f, step_w = _largest(f_body - b.f), _largest(w_body - b.w)
         if step_f > o.accel_step_m_s2 or step_w > o.gyro_step_rad_s:
@@ -113,6 +117,10 @@ def _imu(b: Belief, event: Imu, tools: Tools) -> tuple[Belief, Outcome]:
     if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
         b = motion.settle(b, tools.walk, tools.algebra)
     return forgotten(b, o), Outcome(event, Verdict.FUSED)
+
+
+def _repeats(b: Belief, event: Imu) -> bool:
+    return bool(event.f_body.tolist() == b.f.tolist() and event.w_body.tolist() == b.w.tolist())
 
 
 def _largest(v: F64) -> float:

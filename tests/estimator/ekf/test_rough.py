@@ -1,0 +1,189 @@
+"""The filter where the world is not as its model, on a truth that shares nothing with the simulator: `truth.py`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benches import estimator_faults
+from benches.estimator_faults import BEGIN_S, SCENE, suffered
+from benches.estimator_rough import CHI2_7, Score, fly
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.samples import BodyVelocity, Imu
+from estimator.contracts.time import MonoNs
+from estimator.ekf import Ekf, at, moving, start, step
+from estimator.ekf.state import TURN_RATE, V
+from tests.estimator.ekf import truth
+from tests.estimator.ekf.truth import OPTIONS, Event, Scene, Voyage, ns
+
+QUICK = Scene(duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, range_hz=5.0, gaps=1)
+
+
+@pytest.mark.parametrize("sea", ["small boat", "turning", "swell and wind", "narrow"])
+def test_rough_seas_with_every_sensor_error_at_once(sea: str) -> None:
+    s = fly(replace(QUICK, sea=sea, seed=2), since_s=6.0)
+    assert s.rms_m < 0.13
+    assert 0.3 < np.mean(s.nees) / 7.0 < 1.6
+    assert s.inside > 0.8
+    # Bands of the position, and a vertical speed that is foretold no worse than by saying nothing.
+    for horizon in (1.0, 2.0, 3.0):
+        assert np.mean(s.bands["d_body_pad_level", horizon, 0.95]) > 0.85
+        assert np.mean(s.bands["rise_m_s", horizon, 0.95]) > 0.8
+    rise = np.array(s.rise)
+    # Twelve seconds hold one swell of twelve: too few to say what its forecast is worth.
+    assert sea == "swell and wind" or np.sqrt(np.mean(rise[:, 1] ** 2) / np.mean(rise[:, 4] ** 2)) < 1.25
+
+
+def test_the_rate_of_a_turn_is_learned_and_goes_on_out_of_sight() -> None:
+    """Three degrees a second at 2 m/s: a velocity that does not turn along errs by half a metre after 3 s."""
+    scene = replace(QUICK, sea="turning", seed=4, speed_m_s=2.0, blind=((15.0, 18.0),), gaps=0)
+    s = fly(scene, since_s=15.0, forecasts=False)
+    assert s.memory is not None
+    assert s.memory.belief is not None
+    assert abs(abs(math.degrees(s.memory.belief.x[TURN_RATE])) - 3.0) < 1.0
+    gap = [e for t, e in zip(s.t, s.error_m, strict=True) if t < 18.2]
+    assert max(gap) < 0.3
+
+
+@pytest.mark.parametrize("name", sorted(set(estimator_faults.FAULTS) - {"nothing", "no inertial data", "inertial data frozen"}))
+def test_a_fault_leaves_no_scar_after_a_second(name: str) -> None:
+    s, end = suffered(name, replace(SCENE, duration_s=16.5, imu_hz=50.0, sighting_hz=10.0))
+    t, error, sigma = np.array(s.t), np.array(s.error_m), np.array(s.sigma_m)
+    late = t >= min(end + 1.0, 16.0)
+    assert late.any()
+    assert error[late].max() < 0.2
+    assert (error / sigma)[late].max() < 3.0
+    assert np.abs(s.yaw_error)[t >= BEGIN_S].max() < math.radians(12.0), "the heading is held"
+    assert not any(claimed and ratio > 4.0 for claimed, ratio in zip(s.consistent, error / sigma, strict=True))
+
+
+@pytest.mark.parametrize("name", ["no inertial data", "inertial data frozen"])
+def test_five_seconds_without_inertial_data_widen_the_belief(name: str) -> None:
+    s, end = suffered(name, replace(SCENE, duration_s=19.0, imu_hz=50.0, sighting_hz=10.0))
+    t, ratio = np.array(s.t), np.array(s.error_m) / np.array(s.sigma_m)
+    assert ratio[t > BEGIN_S].max() < 3.5
+    assert np.array(s.sigma_m)[(t > BEGIN_S + 1.0) & (t < end)].min() > 1.1 * s.sigma_m[0]
+
+
+def test_a_cold_start_in_flight_with_an_attitude_that_is_degrees_off() -> None:
+    """The vehicle's roll is told six degrees wrong for good; the filter starts in the air."""
+    worst = []
+    for seed in (1, 2):
+        scene = replace(QUICK, seed=seed, attitude_bias_deg=6.0, duration_s=14.0, gaps=0)
+        s = fly(scene, since_s=6.5, from_s=6.0, forecasts=False)
+        t = np.array(s.t)
+        assert np.mean(np.array(s.nees)[t < 11.0]) / 7.0 < 2.5
+        worst.append(np.sqrt(np.mean(np.array(s.error_m)[t > 11.0] ** 2)))
+        assert s.inside > 0.6
+    assert max(worst) < 0.25
+
+
+def test_a_pad_that_stands_is_not_said_to_move_because_the_attitude_errs() -> None:
+    scene = replace(QUICK, sea="calm", speed_m_s=0.0, attitude_bias_deg=3.0, outliers=0.0)
+    s = fly(scene, since_s=7.0, from_s=6.0, forecasts=False)
+    assert s.memory is not None
+    p = moving(s.memory)
+    assert p is not None
+    assert p < 0.3
+
+
+def followed(scene: Scene, until_s: float) -> tuple[Ekf, list[Event]]:
+    heard, _ = truth.events(Voyage(scene))
+    ekf = start(OPTIONS)
+    for event in heard:
+        if event.stamp.heard > ns(until_s):
+            break
+        ekf, _ = step(ekf, event)
+    return ekf, heard
+
+
+def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
+    ekf, _ = followed(replace(QUICK, duration_s=9.0), 8.0)
+    for later_s, expected in ((8.1, True), (8.6, True), (9.5, False), (29.0, False)):
+        state = at(ekf, ns(later_s))
+        assert state is not None
+        assert state.consistent is expected
+    strict = replace(ekf, options=replace(ekf.options, consistent_sigma_m=1e-3))
+    state = at(strict, ns(8.1))
+    assert state is not None
+    assert not state.consistent, "a sigma beyond the bound"
+
+
+def test_without_sightings_a_velocity_confirms_and_inertial_data_alone_do_not() -> None:
+    for left_out, expected in ((Sighting, True), ((Sighting, BodyVelocity), False)):
+        ekf, heard = followed(replace(QUICK, duration_s=11.0), 8.0)
+        for event in heard:
+            if event.stamp.heard > ns(8.0) and not isinstance(event, left_out):
+                ekf, _ = step(ekf, event)
+        state = at(ekf, ns(10.0))
+        assert state is not None
+        assert state.consistent is expected
+
+
+def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> None:
+    ekf, heard = followed(replace(QUICK, duration_s=9.0), 8.0)
+    rest = [e for e in heard if e.stamp.heard > ns(8.0)]
+    for by in (estimator_faults.HOUR_NS, -10_000_000_000):
+        stamp = replace(rest[0].stamp, taken=MonoNs(rest[0].stamp.taken + by), heard=MonoNs(rest[0].stamp.heard + by))
+        after, outcomes = step(ekf, replace(rest[0], stamp=stamp))
+        assert outcomes[0].verdict is (Verdict.TOO_NEW if by > 0 else Verdict.TOO_OLD)
+        assert after.belief is ekf.belief
+        assert after.history.heard == ekf.history.heard
+        _, outcomes = step(after, rest[1])
+        assert outcomes[0].verdict in (Verdict.FUSED, Verdict.GATED)
+        # Every one of them so far away: it is time itself.
+        verdicts, leapt = [], ekf
+        for event in rest:
+            stamp = replace(event.stamp, taken=MonoNs(event.stamp.taken + by), heard=MonoNs(event.stamp.heard + by))
+            leapt, outcomes = step(leapt, replace(event, stamp=stamp))
+            verdicts.append(outcomes[0].verdict)
+        refused = [v for v in verdicts if v in (Verdict.TOO_NEW, Verdict.TOO_OLD)]
+        assert len(refused) == OPTIONS.leap_count - 1
+        assert verdicts[-1] in (Verdict.FUSED, Verdict.GATED)
+
+
+def test_samples_beyond_the_vehicle_are_counted_as_gated() -> None:
+    ekf, heard = followed(replace(QUICK, duration_s=10.0), 5.0)
+    imu = next(e for e in heard if isinstance(e, Imu) and e.stamp.heard > ns(5.0))
+    for w, f in ((0.0, 61.0 + 9.81), (15.5, 0.0)):
+        after, outcomes = step(ekf, replace(imu, w_body=np.array([0.0, w, 0.0]), f_body=np.array([0.0, 0.0, -f])))
+        assert outcomes[0].verdict is Verdict.GATED
+        assert after.belief is ekf.belief
+    # Within reach, but not from one sample to the next: part of it is taken, the rest is doubt.
+    after, outcomes = step(ekf, replace(imu, f_body=np.array([40.0, 0.0, -9.81])))
+    assert outcomes[0].verdict is Verdict.FUSED
+    assert after.belief is not None
+    assert ekf.belief is not None
+    usual, _ = step(ekf, imu)
+    assert usual.belief is not None
+    grown = after.belief.P[V, V] - usual.belief.P[V, V] + after.belief.jolt_var_m2_s2 * np.eye(3)
+    assert float(np.diag(grown).min()) > (30.0 * 0.02) ** 2 / 2.0
+    assert after.belief.f[0] < ekf.belief.f[0] + OPTIONS.accel_step_m_s2 + 1e-9
+
+
+def test_a_heading_that_stays_turned_round_is_believed_in_the_end() -> None:
+    scene = replace(QUICK, duration_s=14.0, gaps=0, outliers=0.0)
+    voyage = Voyage(scene)
+    heard, _ = truth.events(voyage)
+    ekf, believed_at = start(OPTIONS), math.inf
+    for event in heard:
+        if isinstance(event, Sighting) and event.stamp.taken > ns(4.0):
+            event = estimator_faults.FAULTS["heading turned round"]().spoil(event)[0]
+        ekf, _ = step(ekf, event)
+        state = at(ekf, event.stamp.heard) if isinstance(event, Sighting) else None
+        if state is not None and state.yaw_rad is not None and event.stamp.taken > ns(4.0):
+            t = (event.stamp.heard - truth.EPOCH_NS) * 1e-9
+            wrong = abs(math.remainder(state.yaw_rad - voyage.relative(t)[2], math.tau))
+            if wrong > 2.5:
+                believed_at = min(believed_at, t)
+    # It had agreed for nearly four seconds, so it is held for as long.
+    assert 7.0 < believed_at < 9.0
+
+
+def test_the_score_can_fail() -> None:
+    s = Score(t=[0.0], error_m=[1.0], nees=[100.0])
+    assert s.inside == 0.0
+    assert CHI2_7[0] < 7.0 < CHI2_7[1]

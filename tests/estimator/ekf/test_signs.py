@@ -1,0 +1,167 @@
+"""Signs, thresholds and inflations of the filter that a whole flight hardly notices when they are wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu
+from estimator.ekf import Ekf, EkfOptions, at, gate, measure, motion, start, step
+from estimator.ekf.algebra import Algebra
+from estimator.ekf.seeing import _compared
+from estimator.ekf.state import BARO, DELAY, HEAD, SCALE, TH, TILT, D, N, U, V
+from estimator.ekf.stride import Tools
+from tests.estimator.ekf.test_jacobians import random_belief, sighting
+from tests.estimator.ekf.truth import OPTIONS, Scene, Voyage, events, ns, stamp
+
+SCENE = Scene(seed=3, sea="jonswap", duration_s=9.5, imu_hz=50.0, sighting_hz=10.0, range_hz=2.0, gaps=0, outliers=0.0)
+
+
+def hover(seconds: float, ekf: Ekf, since: float = 0.0, yaw_told: float = 0.0, velocity: tuple[float, float] = (0.0, 0.0)) -> Ekf:
+    """Still over a pad that stands two metres below, its arrow to the north-east; a barometer and a velocity sensor."""
+    rng = np.random.default_rng(round(10 * since))
+    cov = np.diag([0.01, 0.01, 0.02, 0.02]) ** 2
+    for k in range(round(seconds * 50)):
+        t = since + 0.02 * k
+        ekf, _ = step(ekf, Imu(stamp(t), 1e-3 * rng.standard_normal(3), [0.0, 0.0, -9.80665] + 1e-2 * rng.standard_normal(3)))
+        ekf, _ = step(ekf, Attitude(stamp(t), Rotation.from_rpy(0.0, 0.0, yaw_told), np.eye(3) * 0.005**2))
+        if k % 5 == 0:
+            d = np.array([0.2, -0.1, 2.0]) + 0.005 * rng.standard_normal(3)
+            ekf, _ = step(ekf, Sighting(stamp(t), k, "selected", d, -0.7 + 0.01 * rng.standard_normal(), False, cov, 1.0))
+        if k % 5 == 1:
+            v = np.array([*velocity, 0.0]) + 0.01 * rng.standard_normal(3)
+            ekf, _ = step(ekf, BodyVelocity(stamp(t), v, np.diag([0.02**2, 0.02**2, UNKNOWN_VAR])))
+    return ekf
+
+
+def test_consistent_is_a_mean_below_two() -> None:
+    assert gate.consistent(1.0)
+    assert gate.consistent(1.99)
+    assert not gate.consistent(2.01)
+
+
+def test_sightings_three_times_as_bad_as_they_say_are_not_consistent() -> None:
+    heard, _ = events(Voyage(SCENE))
+    rng = np.random.default_rng(0)
+    for factor, expected in ((0.0, True), (3.0, False)):
+        ekf = start(OPTIONS)
+        for event in heard:
+            if isinstance(event, Sighting):
+                sigma = np.sqrt(np.diag(event.cov)[:3])
+                event = replace(event, d_body_pad_level=event.d_body_pad_level + factor * sigma * rng.standard_normal(3))
+            ekf, _ = step(ekf, event)
+        state = at(ekf, ns(9.4))
+        assert state is not None
+        assert state.consistent is expected
+
+
+@pytest.mark.parametrize("pose6", [False, True])
+def test_a_stamp_s_sigma_is_noise_along_what_the_picture_does_meanwhile(pose6: bool) -> None:
+    b = random_belief(5)
+    w = np.array([0.3, -0.2, 0.4])
+    rows = []
+    for sigma_s in (0.0, 0.02):
+        seen, levelled_by = sighting(5, pose6=pose6, sigma_s=sigma_s)
+        rows.append(measure.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1))
+    rate = rows[0].H[:, DELAY]
+    assert float(np.linalg.norm(rate)) > 0.1
+    np.testing.assert_allclose(rows[1].R - rows[0].R, np.outer(rate, rate) * 0.02**2, atol=1e-12)
+
+
+def test_the_attitude_first_believed_errs_by_what_the_one_told_errs() -> None:
+    """Told is true plus its constant error: together they are known at once, apart they are not."""
+    ekf, _ = step(start(), Attitude(stamp(0.0), Rotation.from_rpy(0.1, -0.05, 1.0), np.eye(3) * 1e-4))
+    assert ekf.belief is not None
+    o, P = EkfOptions(), ekf.belief.P
+    told = P[TH, TH][:2, :2] + P[TH, TILT][:2] + P[TILT, TH][:, :2] + P[np.ix_(TILT, TILT)]
+    np.testing.assert_allclose(np.diag(told), o.sigma_initial_tilt_rad**2, rtol=0.2)
+    np.testing.assert_allclose(P[TILT, TILT], o.sigma_attitude_bias_rad**2)
+
+
+@pytest.mark.parametrize("yaw", [0.5, -2.0])
+def test_the_first_sighting_s_heading_is_the_belief_s(yaw: float) -> None:
+    ekf, _ = step(start(), Attitude(stamp(0.0), Rotation.from_rpy(0.0, 0.0, 1.0), np.eye(3) * 1e-4))
+    cov = np.diag([0.01, 0.01, 0.02, 0.02]) ** 2
+    ekf, _ = step(ekf, Sighting(stamp(0.0), 0, "selected", np.array([0.3, 0.2, 3.0]), yaw, False, cov, 1.0))
+    state = at(ekf, ns(0.0))
+    assert state is not None
+    assert state.yaw_rad is not None
+    assert math.isclose(state.yaw_rad, yaw, abs_tol=1e-3)
+    assert ekf.belief is not None
+    assert math.isclose(math.remainder(float(ekf.belief.x[HEAD]) - (1.0 - yaw), math.tau), 0.0, abs_tol=1e-3)
+
+
+def test_while_the_velocity_is_poorly_known_the_delay_is_noise_and_nothing_is_learned_of_it() -> None:
+    tools = Tools(OPTIONS, motion.Walk(OPTIONS), Algebra(N))
+    b = random_belief(2)._replace(heading_known=True)
+    seen, _ = sighting(2, pose6=False)
+    P = b.P.copy()
+    P[D, D], P[V, V], P[U, U] = np.eye(3) * 1e-4, np.eye(3) * 1e-4, np.eye(2) * 1e-4
+    P[TH, TH], P[HEAD, HEAD] = np.eye(3) * 1e-6, 1e-4
+    known, _ = _compared(b._replace(P=P), seen, tools)
+    assert known.H[:3, DELAY].any()
+    P = P.copy()
+    P[V, V] = np.eye(3)
+    unknown, _ = _compared(b._replace(P=P), seen, tools)
+    assert not unknown.H[:, DELAY].any()
+    rate, var = known.H[:, DELAY], float(P[DELAY, DELAY])
+    # The delay times a rate that is known, and times the doubt about it, which is that of the velocity here.
+    expected = known.R + var * np.outer(rate, rate)
+    grown = np.diag(unknown.R - expected)[:3]
+    np.testing.assert_allclose(grown, var, rtol=0.2)
+
+
+def test_an_attitude_with_a_new_north_comes_back_in_and_the_pad_stays() -> None:
+    ekf = hover(4.0, start())
+    before = at(ekf, ns(3.99))
+    ekf = hover(4.0, ekf, since=4.0, yaw_told=0.8)
+    state = at(ekf, ns(7.99))
+    assert before is not None
+    assert state is not None
+    np.testing.assert_allclose(state.d_body_pad_level, before.d_body_pad_level, atol=0.08)
+    assert state.yaw_rad is not None
+    assert abs(state.yaw_rad + 0.7) < 0.05
+    assert ekf.belief is not None
+    assert abs(math.atan2(ekf.belief.R[1, 0], ekf.belief.R[0, 0]) - 0.8) < 0.1
+
+
+def test_a_velocity_that_jumps_for_good_comes_back_in_as_body_and_vessel_together() -> None:
+    o = EkfOptions(velocity_is_over="ground")
+    ekf = hover(4.0, start(o))
+    ekf = hover(4.0, ekf, since=4.0, velocity=(1.5, 0.0))
+    assert ekf.belief is not None
+    state = at(ekf, ns(7.99))
+    assert state is not None
+    assert abs(ekf.belief.x[V][0] * ekf.belief.x[SCALE] - 1.5) < 0.4
+    assert abs(ekf.belief.x[U][0] - ekf.belief.x[V][0]) < 0.2
+    assert np.linalg.norm(state.v_pad_level) < 0.2
+    np.testing.assert_allclose(state.d_body_pad_level, [0.2, -0.1, 2.0], atol=0.05)
+
+
+def test_a_barometer_that_jumps_for_good_comes_back_in_by_its_offset() -> None:
+    ekf, verdicts = hover(2.0, start()), []
+    for k in range(200):
+        t = 2.0 + 0.02 * k
+        jump = 0.0 if k < 50 else 40.0
+        ekf = hover(0.02, ekf, since=t)
+        ekf, outcomes = step(ekf, Baro(stamp(t + 0.01), 12.0 + jump, 0.3))
+        verdicts.append(outcomes[0].verdict)
+    assert Verdict.GATED in verdicts[50:60]
+    assert verdicts[-20:] == [Verdict.FUSED] * 20
+    assert ekf.belief is not None
+    assert abs(ekf.belief.x[BARO] - 50.0) < 0.5
+    assert abs(ekf.belief.x[D][2] - 2.0) < 0.05
+
+
+def test_an_attitude_taken_as_exact_leaves_a_covariance_whole() -> None:
+    d, cov = np.array([0.5, 0.2, 4.0]), np.diag([0.01, 0.01, 0.02]) ** 2
+    lever = -np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])
+    attitude = np.diag([0.02, 0.02, 0.0]) ** 2
+    np.testing.assert_array_equal(measure.without(cov, lever, attitude), cov)
+    held = cov + 0.01 * lever @ attitude @ lever.T
+    np.testing.assert_allclose(measure.without(held, lever, 0.01 * attitude), cov, atol=1e-12)
