@@ -1,0 +1,75 @@
+"""What `decklander simulate` says of a flight, for people and for machines."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from companion.cli import main as cli
+from companion.cli.verdict import Contact, Ending, Judged
+from companion.pilot import Outcome
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import MonoNs
+from tests.sitl.near import NEAR
+
+STRIKE = Contact(MonoNs(9_500_000_000), "deck", 0.48, 0.5, 0.56, 0.05, "flying", True, "descend")
+LANDING = Contact(MonoNs(15_000_000_000), "pad", 0.081, 0.5, 0.41, 0.02, "landing", True, "land")
+JUDGED = Judged(
+    "failed", "touched the deck 0.48 m from the pad's centre", ("touched the deck 0.48 m from the pad's centre",), None, 1, 0.31,
+    (("frames_frozen", 6.2),), "refuse", 30.0,
+)  # fmt: skip
+ENDING = Ending("rough", 3, Outcome.LANDED, (STRIKE, LANDING), 15.2, Counter({Verdict.FUSED: 400}), MonoNs(500_000_000), JUDGED)
+
+
+def test_every_contact_and_what_was_unsafe_is_told() -> None:
+    told = ENDING.as_json()
+    assert json.loads(json.dumps(told)) == told
+    assert [(c["at_s"], c["surface"], c["phase"], c["motors"]) for c in told["contacts"]] == [
+        (9.0, "deck", "descend", True),
+        (14.5, "pad", "land", True),
+    ]
+    assert told["touchdown"]["lateral_m"] == 0.081
+    assert (told["landed_on_pad"], told["in_water"], told["contacts_outside_commit"]) == (True, False, 1)
+    assert (told["refused"], told["grade"], told["faults"]) == (None, "failed", [{"kind": "frames_frozen", "at_s": 6.2}])
+    assert ENDING.in_words().splitlines() == [
+        "landed after 15.2 s, on the pad: 8.1 cm from its centre, sinking at 0.41 m/s, sliding at 0.02 m/s",
+        "before that, at 9.0 s, on deck, off the pad: 48.0 cm from its centre, sinking at 0.56 m/s, sliding at 0.05 m/s "
+        "(guidance: descend)",
+        "fault: frames_frozen from 6.2 s on",
+        "UNSAFE: touched the deck 0.48 m from the pad's centre",
+    ]
+    assert dict(ENDING.facts())["contact at 9.0 s"].startswith("on deck, off the pad: 48.0 cm")
+
+
+def test_a_landing_after_a_strike_is_not_good_and_a_right_refusal_is() -> None:
+    assert ENDING.on_pad
+    assert not ENDING.good
+    refused = Judged("refused rightly", "gave up", (), "gave up; frames: 600 no_pad", 0, None, (), "refuse", 30.0)
+    ending = replace(ENDING, outcome=Outcome.GAVE_UP, contacts=(), judged=refused)
+    assert ending.good
+    assert "refused: gave up; frames: 600 no_pad" in ending.in_words()
+    assert replace(ENDING, judged=None).good, "without a judgement the pad alone decides"
+
+
+def test_a_flight_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    near = tmp_path / "near.toml"
+    text = NEAR.replace("duration_limit_s = 40.0", 'duration_limit_s = 1.0\nexpect = "refuse"')
+    near.write_text(text + '[[faults]]\nkind = "lens_covered"\nat_s = 0.0\n')
+    assert cli.main(["simulate", str(near), "--seed", "2", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["because"] == "time ran out: it neither landed nor gave up"
+    assert (told["outcome"], told["expect"], told["contacts"], told["touchdown"]) == ("time ran out", "refuse", [], None)
+    assert told["faults"] == [{"kind": "lens_covered", "at_s": 0.0}]
+    assert told["cpu_s"] > 0.0
+    assert set(told["frames"]) <= {"no_pad", "no_attitude"}
+
+
+def test_faults_are_refused_where_nobody_would_fly_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["simulate", "faults/camera_freezes", "--follow", "udpin://127.0.0.1:14999"]) == 2
+    said = capsys.readouterr().err
+    assert "faults/camera_freezes: its faults (frames_frozen) are for the simulated AR.Drone alone" in said
+    assert said.count("\n") == 1
