@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ U8 = NDArray[np.uint8]
 
 MOST_PIXELS = 8192 * 8192
 """Of any image: as many as the largest camera that a camera file can describe."""
-MOST_BYTES = 512 << 20
+MOST_BYTES = 256 << 20
 """Of any encoded image."""
 _HEAD = 1 << 16
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -49,8 +50,6 @@ def decode(data: bytes | memoryview, size: tuple[int, int] | None = None, *, tur
     if not fits or width * height > MOST_PIXELS or not width or not height:
         expected = f"at most {MOST_PIXELS / 1e6:.0f} million pixels" if size is None else f"{size[0]}x{size[1]} px"
         raise ImageRefused(f"{width}x{height} px, expected {expected}")
-    if len(data) > MOST_BYTES:
-        raise ImageRefused(f"{len(data) >> 20} MiB, expected at most {MOST_BYTES >> 20}")
     flags = cv2.IMREAD_COLOR if turned else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         px = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -61,6 +60,20 @@ def decode(data: bytes | memoryview, size: tuple[int, int] | None = None, *, tur
     if size is not None and px.shape[1::-1] != size:
         raise ImageRefused(f"{px.shape[1]}x{px.shape[0]} px, expected {size[0]}x{size[1]} px")
     return np.asarray(px, np.uint8)
+
+
+def load(path: Path) -> bytes:
+    """Return the bytes of an image file.
+
+    Raises:
+        OSError: the file cannot be read.
+        ImageRefused: it is larger than any image that is decoded.
+    """
+    with path.open("rb") as file:
+        data = file.read(MOST_BYTES + 1)
+    if len(data) > MOST_BYTES:
+        raise ImageRefused(f"more than {MOST_BYTES >> 20} MiB")
+    return data
 
 
 def claimed_size(data: bytes | memoryview) -> tuple[int, int] | None:

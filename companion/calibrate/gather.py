@@ -51,7 +51,7 @@ def look_at(file: Path, collection: Collection, tell: Told) -> None:
     """
     if file.suffix.lower() in PICTURES:
         try:
-            px = images.decode(file.read_bytes(), turned=True)
+            px = images.decode(images.load(file), turned=True)
         except OSError as why:
             raise BadInput(f"{file}: {why.strerror or why}") from why
         except images.ImageRefused as why:

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers import images
 from drivers.images import MOST_PIXELS, ImageRefused, claimed_size, decode
 from drivers.imports import video
 from drivers.v4l2_formats import H264Decoder, Layout, to_bgr
@@ -67,6 +68,12 @@ def test_a_claim_of_gigabytes_never_reaches_the_decoder(suffix: str, side: int) 
         decode(bomb, (640, 480))
     if suffix == ".jpg":
         assert to_bgr(bomb, Layout("MJPG", 640, 480, 0)) is None
+
+
+def test_a_file_without_end_is_read_no_further_than_an_image_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(images, "MOST_BYTES", 1 << 20)
+    with pytest.raises(ImageRefused, match="more than 1 MiB"):
+        images.load(Path("/dev/zero"))
 
 
 def test_an_image_on_its_side_is_turned_only_where_that_is_asked_for() -> None:
