@@ -177,16 +177,13 @@ def _pictures(file: Path, camera: Camera, camera_file: Path) -> Iterator[_Pictur
     if file.suffix.lower() not in VIDEOS:
         try:
             data = images.load(file)
-        except OSError as why:
-            raise _NoPictureError(f"{file}: {why.strerror or why}") from why
-        except images.ImageRefused as why:
-            raise _NoPictureError(f"{file}: not a picture that can be read ({why})") from why
-        claimed = images.claimed_size(data)
-        if claimed is not None and size not in (claimed, claimed[::-1]):
-            raise _wrong_size(str(file), claimed, camera, camera_file)
-        try:
+            claimed = images.claimed_size(data)
+            if claimed is not None and size not in (claimed, claimed[::-1]):
+                raise _wrong_size(str(file), claimed, camera, camera_file)
             yield _Picture(str(file), 0, images.decode(data, size, turned=True))
             return
+        except OSError as why:
+            raise _NoPictureError(f"{file}: {why.strerror or why}") from why
         except images.ImageRefused as why:
             if file.suffix.lower() in PICTURES:
                 raise _NoPictureError(f"{file}: not a picture that can be read ({why})") from why
