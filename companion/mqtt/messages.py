@@ -249,7 +249,7 @@ def decode(leaf: str, payload: bytes) -> Message | None:
         return None
     try:
         return msgspec.json.decode(payload, type=model)
-    except (msgspec.DecodeError, RecursionError):
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
 
 

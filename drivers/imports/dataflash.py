@@ -35,7 +35,7 @@ def read(path: Path) -> list[Sample]:
     try:
         with path.open("rb") as file:
             binary = file.read(2) == MAGIC
-        log = DFReader.DFReader_binary(str(path)) if binary else None
+        log = _Log(str(path)) if binary else None
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     except Exception as why:  # pymavlink raises whatever its parser stumbled on
@@ -44,11 +44,24 @@ def read(path: Path) -> list[Sample]:
         raise BadInput(f"{path}: not a dataflash log (its text form is not read: keep the .bin)")
     try:
         samples = _Reader(log).samples()
+    except Exception as why:
+        raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
     finally:
         log.close()
     if not any(isinstance(s, Imu) or type(s).__name__ == "Attitude" for s in samples):
         raise BadInput(f"{path}: holds neither IMU nor ATT messages")
     return sorted(samples, key=lambda s: s.stamp.heard)
+
+
+class _Log(DFReader.DFReader_binary):  # type: ignore[misc]
+    """Ends at a message of no length, at which pymavlink's own reader stands still for ever."""
+
+    def _parse_next(self) -> Any:
+        before = self.offset
+        message = super()._parse_next()
+        if message is not None and self.offset <= before:
+            raise ValueError(f"a message of no length at byte {before}")
+        return message
 
 
 class _Reader:
@@ -74,7 +87,10 @@ class _Reader:
             if at_us is not None:
                 self._first_us = at_us if self._first_us is None else self._first_us
                 self._now_ns = max(0, at_us - self._first_us) * 1000
-            sample = self._makers[message.get_type()](message, self._now_ns)
+            try:
+                sample = self._makers[message.get_type()](message, self._now_ns)
+            except (AttributeError, TypeError, ValueError):  # a field is missing, text, or no value that a sensor gives
+                continue
             if sample is not None:
                 out.append(sample)
         return out

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from pyulog import ULog
@@ -34,8 +34,9 @@ def read(path: Path) -> list[Sample]:
         BadInput: the file cannot be read, is no ULog, or holds neither IMU nor attitude.
     """
     try:
+        size = path.stat().st_size
         with path.open("rb") as file:
-            log = ULog(file, message_name_filter_list=list(_TOPICS))
+            log = ULog(_Bounded(file, size), message_name_filter_list=list(_TOPICS))
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     except Exception as why:  # pyulog raises whatever its parser stumbled on
@@ -43,6 +44,30 @@ def read(path: Path) -> list[Sample]:
     topics = {data.name: data.data for data in reversed(log.data_list)}
     if not topics.keys() & {"sensor_combined", "vehicle_attitude"}:
         raise BadInput(f"{path}: holds neither sensor_combined nor vehicle_attitude")
+    try:
+        return _samples(topics)
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as why:
+        raise BadInput(f"{path}: not the topics of a PX4 log: {type(why).__name__}: {why}") from why
+
+
+class _Bounded:
+    """A file that pyulog cannot read for ever: after damage it goes back, and at some damage again and again."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file = file
+        self._left = 4 * size + 4096
+
+    def read(self, size: int = -1) -> bytes:
+        self._left -= 1
+        if self._left < 0:
+            raise RuntimeError("damaged so that reading it does not come to an end")
+        return self._file.read(size)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+
+def _samples(topics: dict[str, dict[str, Any]]) -> list[Sample]:
     first_us = min(int(data["timestamp"][0]) for data in topics.values() if len(data["timestamp"]))
     yaw = _yaw(topics.get("vehicle_attitude"))
     makers: dict[str, Callable[[dict[str, Any], int, int], Sample | None]] = {
@@ -106,7 +131,8 @@ def _velocity(data: dict[str, Any], i: int, at: int, yaw: Callable[[int], float 
 def _range(data: dict[str, Any], i: int, at: int) -> Sample | None:
     distance, variance = float(data["current_distance"][i]), float(data["variance"][i]) if "variance" in data else 0.0
     within = float(data["min_distance"][i]) <= distance <= float(data["max_distance"][i])
-    return Range(stamp(at), distance, math.sqrt(max(variance, 1e-4))) if math.isfinite(distance) and within else None
+    usable = math.isfinite(distance) and distance >= 0.0 and within
+    return Range(stamp(at), distance, math.sqrt(max(variance, 1e-4))) if usable else None
 
 
 def _baro(data: dict[str, Any], i: int, at: int) -> Sample | None:

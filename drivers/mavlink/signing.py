@@ -54,8 +54,8 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
     try:
         mode = path.stat().st_mode
         content = path.read_bytes()
-    except OSError as why:
-        raise BadInput(f"signing key {path}: {why.strerror or why}") from why
+    except (OSError, ValueError) as why:  # a path with a NUL character is a plain ValueError
+        raise BadInput(f"signing key {str(path)!r}: {getattr(why, 'strerror', None) or why}") from why
     if stat.S_IMODE(mode) & 0o077:
         raise BadInput(f"signing key {path}: others may read it; chmod 600 {path}")
     if len(content) == 32:
