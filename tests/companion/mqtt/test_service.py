@@ -89,9 +89,10 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
             daemon.send_signal(signal.SIGTERM)
             farewell = await wait(Status)
             assert (farewell.online, farewell.reason) == (False, "stopped")
+            await daemon.wait()
         finally:
             if daemon.returncode is None:
-                daemon.terminate()
+                daemon.kill()
             _, stderr = await daemon.communicate()
     assert daemon.returncode == 0, stderr.decode()
     assert events[0] == "service started"
