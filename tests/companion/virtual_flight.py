@@ -25,7 +25,8 @@ from estimator.vision.look import Look
 from tests.companion.test_daemon import EYES
 
 TICK_S = 0.01
-NO_PICTURE = np.zeros((EYES.camera.height, EYES.camera.width, 3), np.uint8)
+NOISE = np.random.default_rng(0).integers(0, 9, (EYES.camera.height, EYES.camera.width, 3), np.uint8)
+"""No picture, as a living camera has it: never the same twice."""
 
 
 class VirtualClock:
@@ -67,7 +68,7 @@ class SeeingPilot(Pilot):
 
     def __init__(self, vehicle: FakeFlight) -> None:
         options = pipeline.Options(steering="dead_reckoning")
-        super().__init__(EYES, options, Plan.over_the_pad(), Gains(), land_timeout_s=5.0)
+        super().__init__(EYES, options, Plan.over_the_pad(), Gains())
         self._truth = vehicle
 
     def look(self, frame: Frame, attitude: Attitude) -> Look:
@@ -109,13 +110,14 @@ class FakeFlight:
         self.p_level = self.p_level + TICK_S * self._v_level
         now = self._clock.now()
         stamp = Stamp(now, now, 0.001, "sim")
-        self.samples.offer(Imu(stamp, np.zeros(3), np.array([0.0, 0.0, -9.80665])))
+        noise = np.random.default_rng(n).normal(0.0, 1e-3, (4, 3))  # a sensor that repeats itself is not believed
+        self.samples.offer(Imu(stamp, noise[0], np.array([0.0, 0.0, -9.80665]) + noise[1]))
         if n % 2 == 0:
             self.samples.offer(VehicleStatus(stamp, True, "flying", 0.8, False, True))
-            self.samples.offer(Attitude(stamp, Rotation.identity(), 1e-5 * np.eye(3)))
-            self.samples.offer(BodyVelocity(stamp, self._v_level, np.diag([0.01, 0.01, UNKNOWN_VAR])))
+            self.samples.offer(Attitude(stamp, Rotation.from_rpy(*(0.1 * noise[2])), 1e-5 * np.eye(3)))
+            self.samples.offer(BodyVelocity(stamp, self._v_level + noise[3], np.diag([0.01, 0.01, UNKNOWN_VAR])))
         if n % 4 == 3:
-            self.frames.offer(Frame(Stamp(MonoNs(now - 10_000_000), now, 0.001, "sim"), n, NO_PICTURE))
+            self.frames.offer(Frame(Stamp(MonoNs(now - 10_000_000), now, 0.001, "sim"), n, np.roll(NOISE, n, axis=0)))
 
 
 async def fly(daemon: Daemon, vehicle: FakeFlight, clock: VirtualClock, seconds: float) -> list[tuple[int, str]]:
