@@ -224,25 +224,29 @@ def run(case: Case, seed: int, how: signal.Signals) -> dict[str, Any]:
             again, config = folder / "again.toml", folder / "first.toml"
             again.write_text(SETTINGS.format(**ports_here, start="automatic", give_up_s=20.0))
             config.write_text(SETTINGS.format(**ports_here, start=case.start, give_up_s=6.0 if case.covered else 20.0))
-            first = Daemon(config)
-            reached = first.reach(case)
-            out["height_m"] = first.height_m
-            killed = time.monotonic()
-            first.process.send_signal(how)
-            time.sleep(ALONE_S)
-            first.process.kill()
-            first.process.wait()
-            back = time.monotonic()
-            second = Daemon(again)
-            flies = case.where == "air" and case.name != "after landing"
-            if reached and flies:
-                ending = second.wait_for("landed", "landed by others", "gave up", "emergency", seconds=LAND_S)
-            else:
-                ending = second.wait_for("waiting for the vehicle", seconds=10.0)
-            moved = next((t - back for t, moves in wire.told if moves and t > back), None)
-            time.sleep(0.3)
-            second.end()
-            wire.ended = True
+            first = second = Daemon(config)
+            try:
+                reached = first.reach(case)
+                out["height_m"] = first.height_m
+                killed = time.monotonic()
+                first.process.send_signal(how)
+                time.sleep(ALONE_S)
+                first.process.kill()
+                first.process.wait()
+                back = time.monotonic()
+                second = Daemon(again)
+                flies = case.where == "air" and case.name != "after landing"
+                if reached and flies:
+                    ending = second.wait_for("landed", "landed by others", "gave up", "emergency", seconds=LAND_S)
+                else:
+                    ending = second.wait_for("waiting for the vehicle", seconds=10.0)
+                moved = next((t - back for t, moves in wire.told if moves and t > back), None)
+                time.sleep(0.3)
+            finally:
+                first.process.kill()
+                first.process.wait()
+                second.end()
+                wire.ended = True
         records = read_truth(truth)
     out |= {"reached": reached, "hover_ms": 1e3 * wire.hover_after(killed), "took_over_s": moved, "ending": ending}
     return out | judged(records, killed, back, flies)
@@ -287,6 +291,7 @@ def main() -> None:
     if args.fly:
         fly(args.fly)
         return
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # through every finally: no process of ours stays
     os.environ.setdefault("MPLCONFIGDIR", tempfile.gettempdir())
     how = signal.SIGKILL if args.how == "kill" else signal.SIGSTOP
     print("phase                  seed  height m  hover ms  drift m  lowest m  contact  took over s  landed  off m  safe")
@@ -306,10 +311,11 @@ def main() -> None:
                 f"{'' if row['reached'] else '  (phase not reached)'}",
                 flush=True,
             )
-    moving = sorted(row["hover_ms"] for row in rows if row["hover_ms"] > 0.0) or [0.0]
+    moving = sorted(row["hover_ms"] for row in rows if row["hover_ms"] > 0.0)
+    hover = f"p50 {moving[len(moving) // 2]:.0f} ms, max {moving[-1]:.0f} ms" if moving else "at once"
     drifts = sorted(row["drift_m"] for row in rows)
     print(
-        f"hover on the wire: p50 {moving[len(moving) // 2]:.0f} ms, max {moving[-1]:.0f} ms ({len(moving)} that were moving); "
+        f"hover on the wire: {hover} ({len(moving)} that were moving); "
         f"drift in {ALONE_S:.0f} s: p50 {drifts[len(drifts) // 2]:.2f} m, max {drifts[-1]:.2f} m; "
         f"unsafe: {sum(not row['safe'] for row in rows)} of {len(rows)}; not reached: {sum(not row['reached'] for row in rows)}"
     )
