@@ -58,6 +58,8 @@ def _shown(node: ast.AST, original: object, changed: object, field: str, number:
             whole = copy.deepcopy(node)
             _put(whole, field, number, part)
             return ast.unparse(whole)
+        if isinstance(part, ast.If):
+            return f"if {ast.unparse(part.test)}"
         return ast.unparse(part) if isinstance(part, ast.AST) else str(part)
 
     return f"{text(original)}  ->  {text(changed)}"
