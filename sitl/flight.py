@@ -134,6 +134,7 @@ class Flight:
         self._renew = renew or (lambda: pilot)
         self._contain = contain
         self._died: str | None = None
+        self._reason = ""
         self._watch = SightWatch(self.world.now)
         self._views: dict[int, Picture] = {}
         self._observers = tuple(observers)
@@ -309,6 +310,7 @@ class Flight:
         if decision.command is not None:
             self._helm.take(decision.command, now)
         self.world.guidance_phase = decision.phase
+        self._reason = decision.reason or self._reason
         for observer in self._observers:
             observer.on_decision(decision)
 
@@ -337,7 +339,8 @@ class Flight:
             return None
         frames = self._watch.since_sight
         told = ", ".join(f"{n} {verdict.value}" for verdict, n in frames.most_common())
-        return f"{outcome.value}; frames since the pad was last truly seen: {told or 'none'}"
+        said = self._reason or outcome.value
+        return f"{said}; frames since the pad was last truly seen: {told or 'none'}"
 
 
 def _stamp(taken: MonoNs, received: MonoNs) -> Stamp:

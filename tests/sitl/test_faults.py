@@ -11,12 +11,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.observer import FrameSeen, Silent
+from companion.observer import Decision, FrameSeen, Silent
+from companion.pilot import Outcome
 from companion.service import make_pilot
 from companion.settings import load as load_settings
+from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Imu, Sample
-from estimator.contracts.time import after, seconds_between
+from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.faults import (
     KINDS,
     AccelOffset,
@@ -32,6 +34,7 @@ from sitl.faults import (
     GyroOffset,
     HeadingOffset,
     ImuFrozen,
+    LensCovered,
     LinkLost,
     LowBattery,
     NavdataMisstamped,
@@ -41,6 +44,7 @@ from sitl.faults import (
     UltrasoundOffset,
 )
 from sitl.flight import Flight
+from sitl.safety import Grade
 from sitl.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
 from sitl.world import Phase, Readings, Stick, World
 
@@ -230,6 +234,24 @@ def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None
     assert np.diff(heard).max() == pytest.approx(0.5, abs=0.02)
     with pytest.raises(BadInput, match="service_killed comes back after for_s"):
         flown(ServiceKilled(at_s=0.5, for_s=0.5))
+
+
+def test_a_refusal_says_what_guidance_said_and_what_became_of_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight, _ = flown(LensCovered(at_s=0.0), 0.2)
+    pilot = flight._pilot
+
+    def gives_up(now: MonoNs) -> Decision:
+        pilot.outcome = Outcome.GAVE_UP
+        return Decision(now, "gave up", Hover(), None, (), "the pad was not found again")
+
+    monkeypatch.setattr(pilot, "decide", gives_up)
+    while flight.step():
+        pass
+    result = flight.result()
+    assert result.refused is not None
+    assert result.refused.startswith("the pad was not found again; frames since the pad was last truly seen: ")
+    assert "no_pad" in result.refused
+    assert result.grade is Grade.FAILED, "this scenario expects a landing"
 
 
 def test_the_simulated_drone_takes_every_key_of_the_configuration_or_the_run_ends() -> None:
