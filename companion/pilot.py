@@ -16,7 +16,7 @@ from companion.guidance.planner import Phase, Planner, planner_step
 from companion.observer import Decision
 from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land
-from estimator.contracts.estimates import PathName, RelativeState, Verdict
+from estimator.contracts.estimates import Doubt, PathName, RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
@@ -135,7 +135,8 @@ class Pilot:
         believed = pipeline.belief(self._memory, now)
         if believed is None or self._planner.question is None:
             return believed
-        return replace(believed, consistent=False)
+        doubts = (*(doubt for doubt in believed.doubts if doubt is not Doubt.ELSEWHERE), Doubt.ELSEWHERE)
+        return replace(believed, consistent=False, doubts=doubts)
 
     def hear(self, sample: Sample) -> tuple[pipeline.Outcome, ...]:
         """Take a sample; what became of it, path by path."""

@@ -278,7 +278,8 @@ class Component(Silent):
 
     @property
     def _sighted(self) -> MonoNs | None:
-        return None if self._belief is None else self._belief.sighted
+        """When the pad was last seen, as far as an autopilot may be told: nothing that is in doubt."""
+        return None if self._belief is None or self._belief.doubts else self._belief.sighted
 
     def _update_belief(self, now: MonoNs) -> None:
         if self._believe is not None:

@@ -199,6 +199,9 @@ def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: Pa
         assert not descends(loop.tick("aside"))
     assert loop.d[2] == pytest.approx(PLAN.safe_height_m, abs=0.4)
     assert abs(loop.d[1]) < 0.5
+    told = loop.pilot.belief(loop.now)
+    assert told is not None
+    assert Doubt.ELSEWHERE in told.doubts, "no autopilot is led to it either"
     loop.pilot.begin()
     loop.until(lambda decision: isinstance(decision.command, Land), "aside")
     assert loop.d[1] == pytest.approx(-1.2, abs=0.2), "the operator took the other pad"

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.mavlink.dialect import ComponentInformationBasic, mav
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.estimates import Verdict
+from estimator.contracts.estimates import Doubt, Verdict
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
 from tests.companion.mavlink.stage import PAD_NED, staged
 from tests.drivers.fake_ardrone import until
@@ -76,6 +76,18 @@ async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() 
         await until(lambda: len(fake.of("LANDING_TARGET")) > silent)
         fake.landed_state, fake.armed = 1, False
         await until(lambda: stage.component.outputs.withheld["standing"] > 3)
+        silent = len(fake.of("LANDING_TARGET"))
+        await asyncio.sleep(0.3)
+        assert len(fake.of("LANDING_TARGET")) == silent
+
+
+async def test_an_autopilot_is_not_told_of_a_pad_that_is_in_doubt() -> None:
+    fake = FakeAutopilot()
+    async with staged(fake) as stage:
+        await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
+        stage.doubts = (Doubt.ELSEWHERE,)
+        await until(lambda: stage.component.outputs.withheld["not seen"] > 3)
+        await asyncio.sleep(0.1)
         silent = len(fake.of("LANDING_TARGET"))
         await asyncio.sleep(0.3)
         assert len(fake.of("LANDING_TARGET")) == silent
