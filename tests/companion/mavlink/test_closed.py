@@ -89,6 +89,7 @@ async def test_nobody_is_the_autopilot_from_another_port(stranger: socket.socket
         assert border.autopilot.condition.flying is True
         await border.send(LANDED, mav.MAVLink_heartbeat_message(2, 3, 0, 9, 4, 3), wire=stranger, source=AUTOPILOT)
         assert border.autopilot.condition.flying is True, "a flight does not end by what another port says"
+        assert border.autopilot.condition.mode == "stabilize", "nor is its mode what another port says"
         assert border.links.access.refused["impostor"] == 2
         await border.send(LANDED)
         assert border.autopilot.condition.flying is False

@@ -143,6 +143,13 @@ def test_a_file_that_cannot_be_used_is_told_once_and_flown_on_without(
     assert json.loads(path.read_text())["streams"] == [[7, 1, 1, times.streams[7, 1, 1]]], "and mended"
 
 
+def test_the_minute_is_counted_from_now_though_nothing_was_sent_for_long() -> None:
+    wall = [EPOCH_S + 5000.0]
+    codec = Codec(1, 191, datagrams=True, signing=Signing(SigningKey(SECRET), SigningTimes(None, lambda: wall[0]), 0))
+    wall[0] += 3600.0
+    assert [codec.feed(message) for message in signed(wall[0] - 1800.0)] == [[], [], []]
+
+
 @pytest.mark.parametrize("number", [errno.EROFS, errno.ENOSPC, errno.EIO])
 def test_a_disk_that_takes_nothing_is_told_once_and_flown_on_without(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
