@@ -186,25 +186,3 @@ def test_a_height_that_contradicts_for_long_makes_its_offset_unsure() -> None:
     assert added[BARO, BARO] == pytest.approx(2.25)
     added[BARO, BARO] = 0.0
     assert not added.any()
-
-
-def test_a_mean_nis_of_two_takes_the_word_consistent_from_the_estimate() -> None:
-    ekf = fed(imu(0.0), attitude(0.0), *(e for k in range(1, 60) for e in (imu(0.01 * k), sighting(0.01 * k))))
-    now = MonoNs(EPOCH + 590_000_000)
-    said = []
-    for nis_mean in (1.9, 2.1):
-        newest = belief(ekf)._replace(nis_mean=nis_mean)
-        state = at(_with(ekf, newest), now)
-        assert state is not None
-        said.append(state.consistent)
-    assert said == [True, False]
-
-
-def _with(ekf: Ekf, newest: Belief) -> Ekf:
-    """The same memory with another newest belief."""
-
-    class Only:
-        def before(self, now: int) -> Belief:
-            return newest
-
-    return Ekf(ekf.options, ekf.tools, Only())  # type: ignore[arg-type]
