@@ -10,7 +10,12 @@ _EKF = (
     "tests/estimator/test_pipeline.py",
 )
 _INTEGRITY = ("tests/estimator/integrity", "tests/estimator/test_pipeline.py")
-_GUIDANCE = ("tests/companion/test_planner.py", "tests/companion/test_pid.py", "tests/companion/test_pilot.py")
+_GUIDANCE = (
+    "tests/companion/test_planner.py",
+    "tests/companion/test_pid.py",
+    "tests/companion/test_lease_bounds.py",
+    "tests/companion/test_pilot.py",
+)
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/ekf/gate.py": _GATE,

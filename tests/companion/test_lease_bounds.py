@@ -1,0 +1,59 @@
+"""A landing's lease, each of its ends at its edge."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.guidance.lease import NO_LANDING, Lease, renewed
+from companion.guidance.plan import Plan
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.time import MonoNs
+
+PLAN = Plan.over_the_pad(3.0, 0.5)
+FINAL = PLAN.way_points[-1]
+
+
+def at(seconds: float) -> MonoNs:
+    return MonoNs(round(seconds * 1e9))
+
+
+def belief(height_m: float, aside_m: float = 0.0) -> RelativeState:
+    d = np.array([aside_m, 0.0, height_m])
+    return RelativeState(at(0), "ekf", d, np.zeros(3), 0.0, np.eye(7) * 1e-4, at(0), True)
+
+
+def ends(now_s: float, estimate: RelativeState | None, fit: RelativeState | None, *, height_m: float = 1.0) -> str | None:
+    return renewed(Lease(at(0), 1.0, at(0), height_m), PLAN, at(now_s), estimate, fit)[1]
+
+
+def test_it_ends_by_time() -> None:
+    low = belief(0.1)
+    assert ends(PLAN.land_timeout_s - 0.01, low, low) is None
+    assert NO_LANDING in str(ends(PLAN.land_timeout_s + 0.01, low, low))
+
+
+def test_it_ends_by_height() -> None:
+    assert ends(0.1, belief(1.39), belief(1.39)) is None
+    assert "rose" in str(ends(0.1, belief(1.41), belief(1.41)))
+    assert ends(0.1, belief(-0.59), None, height_m=0.1) is None
+    assert "sank" in str(ends(0.1, belief(-0.61), None, height_m=0.1))
+
+
+def test_it_ends_where_the_pad_is_not_below() -> None:
+    limit_m = FINAL.reached_m + 0.3 + float(abs(FINAL.d_body_pad_level[0]))
+    assert ends(0.1, belief(0.5, limit_m - 0.01), belief(0.5, limit_m - 0.01)) is None
+    assert "drifted" in str(ends(0.1, belief(0.5, limit_m + 0.01), belief(0.5, limit_m + 0.01)))
+
+
+def test_it_ends_without_sight_above_the_blind_height_alone() -> None:
+    blind_m = float(FINAL.d_body_pad_level[2]) + FINAL.reached_height_m + 0.1
+    late_s = PLAN.stale_after_s + 0.01
+    assert ends(PLAN.stale_after_s - 0.01, None, None, height_m=blind_m + 0.01) is None
+    assert "was lost" in str(ends(late_s, None, None, height_m=blind_m + 0.01))
+    assert ends(late_s, None, None, height_m=blind_m - 0.01) is None
+
+
+def test_sight_renews_it() -> None:
+    lease, why = renewed(Lease(at(0), 1.0, at(0), 1.0), PLAN, at(2.0), belief(0.7), belief(0.7))
+    assert why is None
+    assert (lease.seen, lease.height_m, lease.since) == (at(2.0), 0.7, at(0))
