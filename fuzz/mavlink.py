@@ -359,7 +359,9 @@ def run_signing(data: bytes) -> None:
         with suppress(BadInput):
             load_key(str(key), {})
         with suppress(BadInput):
-            SigningTimes(time, lambda: 1.7e9).next()
+            times = SigningTimes(time, lambda: 1.7e9)
+            times.next()
+            times.close()
     clock = SigningTimes(None, lambda: 1.7e9)
     codec = Codec(1, 191, datagrams=True, signing=Signing(_SECRET, clock, 0))
     sender = mav.MAVLink(None, srcSystem=1, srcComponent=1)

@@ -1,6 +1,7 @@
 """One target under atheris, as a process of its own: `python -m fuzz.one NAME ...`, started by `python -m fuzz`.
 
-Errors that break the contract are written down and the run goes on, so that the first fault does not hide the rest. A crash in
+Errors that break the contract, twice for the same input, are written down and the run goes on, so that the first fault does not
+hide the rest. A crash in
 native code, a hang or too much memory end the process; libFuzzer leaves the input beside the others.
 """
 
@@ -39,10 +40,16 @@ def main() -> None:
         chosen = target.target(args.name)
     found = finds.Finds(args.name, args.crashes, ROOT)
 
-    def one(data: bytes) -> None:
+    def fault_of(data: bytes) -> BaseException | None:
         try:
             chosen.run(data)
         except (Exception, SystemExit, BaseExceptionGroup) as why:
+            return why
+        return None
+
+    def one(data: bytes) -> None:
+        # An error that the same input does not show again is the machine's (no memory, no descriptors, a thread that was late).
+        if fault_of(data) is not None and (why := fault_of(data)) is not None:
             found.note(data, why)
 
     one(b"")
