@@ -1,8 +1,7 @@
 """One target under atheris, as a process of its own: `python -m fuzz.one NAME ...`, started by `python -m fuzz`.
 
 Errors that break the contract, twice for the same input, are written down and the run goes on, so that the first fault does not
-hide the rest. A crash in
-native code, a hang or too much memory end the process; libFuzzer leaves the input beside the others.
+hide the rest. A crash in native code, a hang or too much memory end the process; libFuzzer leaves the input beside the others.
 """
 
 from __future__ import annotations
