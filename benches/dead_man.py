@@ -36,7 +36,7 @@ from sitl.ardrone.truth_log import read as read_truth
 ALONE_S = 3.0
 """The drone is watched this long before a new daemon is started."""
 LAND_S = 45.0
-"""For the new daemon to land it."""
+"""Time that the new daemon has to land it."""
 REACH_S = 60.0
 COVERED = 'kind = "lens_covered"\nbelow_height_m = 2.4\n'
 SETTINGS = """
@@ -253,7 +253,7 @@ def run(case: Case, seed: int, how: signal.Signals) -> dict[str, Any]:
 
 
 def judged(records: list[dict[str, Any]], killed: float, back: float, flies: bool) -> dict[str, Any]:
-    """What the truth says of the time alone and of the end."""
+    """Measure in the truth how the drone moved while it was alone and how the flight ended."""
     at_kill = max((r for r in records if r["at_ns"] <= killed * 1e9), key=lambda r: r["at_ns"], default=records[0])
     alone = [r for r in records if killed * 1e9 <= r["at_ns"] <= back * 1e9]
     x0, y0, h0 = at_kill["d_body_pad_level_m"]

@@ -94,7 +94,7 @@ FAULTS: dict[str, Callable[[], Fault]] = {
     "no inertial data": lambda: Fault(lambda e: [] if isinstance(e, Imu) else [e], 4.9),
     "inertial data frozen": lambda: Fault(frozen(), 4.9),
 }
-"""By name."""
+"""Each fault by its name."""
 
 
 def suffered(name: str, scene: Scene = SCENE) -> tuple[Score, float]:

@@ -33,7 +33,7 @@ CHI2_7 = (1.690, 16.013)
 
 @dataclass
 class Score:
-    """Of one flight, every 0.1 s from `since_s` on."""
+    """The errors of one flight, every 0.1 s from `since_s` on."""
 
     t: list[float] = field(default_factory=list)
     error_m: list[float] = field(default_factory=list)
@@ -42,7 +42,7 @@ class Score:
     consistent: list[bool] = field(default_factory=list)
     yaw_error: list[float] = field(default_factory=list)
     bands: dict[tuple[str, float, float], list[float]] = field(default_factory=dict)
-    """By (what, horizon, probability): shares inside."""
+    """Shares of truths inside the bands, keyed by (what, horizon, probability)."""
     rise: list[tuple[float, ...]] = field(default_factory=list)
     """Errors at the horizons, then truths."""
     delay_error_s: float = math.nan

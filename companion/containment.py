@@ -23,9 +23,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 FAILURES_IN_A_ROW = 20
-"""After this many a callee is set aside: each call costs time of the flight, and nothing says that the next will do better."""
+"""Failures in a row after which a callee is set aside: each call costs the flight time, and the next would likely fail too."""
 REST_FIRST_S, REST_MOST_S = 10.0, 300.0
-"""Until it is tried once more, each rest twice the last: memory or descriptors may have come back."""
+"""First and longest wait before the callee is tried again. Each wait is twice the last: memory or descriptors may come back."""
 
 
 class Guard:
@@ -104,7 +104,7 @@ class Audience:
 
 
 def name_of(observer: object) -> str:
-    """What it calls itself, else its class."""
+    """Return the observer's `name`, or the name of its class if it has none."""
     name = getattr(observer, "name", None)
     return name if isinstance(name, str) else type(observer).__name__.lower()
 

@@ -131,7 +131,7 @@ class Pilot:
         self._memory = replace(self._memory, options=options)
 
     def belief(self, now: MonoNs) -> RelativeState | None:
-        """What is steered by, at this instant; not consistent while it is about a pad that nobody has agreed to land on."""
+        """Return the estimate to steer by now; it is not consistent while it is about a pad that nobody has agreed to land on."""
         believed = pipeline.belief(self._memory, now)
         if believed is None or self._planner.question is None:
             return believed

@@ -76,7 +76,7 @@ _LIMITS = IntegrityOptions()
 
 
 class IntegritySettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """What an input must look like to be believed; all else is refused, counted and told."""
+    """Limits that an input must keep; any other input is refused, counted and logged."""
 
     specific_force_max_m_s2: Annotated[
         float, number("an accelerometer that reads more is not believed", "m/s^2", 15.0, 1000.0, "8 g")

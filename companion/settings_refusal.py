@@ -111,7 +111,7 @@ def _bare(spot: inspect.Type) -> inspect.Type:
 
 
 def _given(spot: inspect.Type) -> inspect.Type:
-    """Of a value that may be left out, the type that it has where it is given."""
+    """Return the type that an optional value has when it is given."""
     kinds = [kind for kind in spot.types if not isinstance(kind, inspect.NoneType)] if isinstance(spot, inspect.UnionType) else []
     return kinds[0] if len(kinds) == 1 else spot
 

@@ -1,4 +1,4 @@
-"""How the process ends when it is told to: SIGTERM or SIGINT set a flag and cancel, and a deadline stands behind both.
+"""Ends the process on SIGTERM or SIGINT: both set a flag and cancel, and a deadline enforces the end.
 
 No exception is ever thrown through an event loop. While one runs (`companion.event_loop.run`), the first signal cancels its main
 task, or does what that was asked to do instead; tasks that have not ended `ABANDON_S` later are named in the log and abandoned.
@@ -23,15 +23,15 @@ from types import FrameType
 from typing import NoReturn
 
 ABANDON_S = 1.2
-"""After the signal: tasks that are still there are abandoned."""
+"""Time after the signal at which the remaining tasks are abandoned."""
 LAST_S = 1.7
-"""After SIGTERM: the process ends, wherever it stands. Below 2 s, with room for a busy machine."""
+"""Time after SIGTERM at which the process ends, whatever it is doing. Below 2 s, with room for a busy machine."""
 LINGER_S = 1.0
-"""That a program which ends by itself waits for tasks and threads left behind."""
+"""Time that a program which ends by itself waits for remaining tasks and threads."""
 _ECHO_S = 0.1
 """A second signal sooner than this is the first one again: shells and launchers pass on what the terminal has sent already."""
 _WORDS_S = 0.1
-"""For the last words: standard error may be a pipe that nobody reads."""
+"""Time for the last lines of the log: standard error may be a pipe that nobody reads."""
 ENDING = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -48,28 +48,28 @@ class Stopped(BaseException):
 
     @property
     def exit_code(self) -> int:
-        """As shells tell it."""
+        """The exit code as shells write it."""
         return 128 + self.number
 
 
 class Process:
-    """What this process knows of its end. There is one, `PROCESS`."""
+    """The state of this process's shutdown. There is one instance, `PROCESS`."""
 
     def __init__(self) -> None:
         self.pid = 0
-        """Of the process that heeds signals; 0 while none does."""
+        """Process id of the process that handles signals; 0 while none does."""
         self.number: int | None = None
         """The first ending signal; None before."""
         self.at_s = 0.0
-        """When it came, on the monotonic clock."""
+        """Time of that signal on the monotonic clock, s."""
         self.into_loop: Callable[[int], None] | None = None
         """Hands a signal to the running event loop; None while there is none."""
         self.standing: Callable[[], str] = str
-        """What an event loop is still at, in words; empty when at nothing."""
+        """Returns the names of the event loop's remaining tasks; empty if there are none."""
 
     @property
     def heeding(self) -> bool:
-        """Whether signals come to us: in a program, not in a test or a library's user."""
+        """Whether this process handles signals: true in our programs, not in a test or a user of the library."""
         return self.pid == os.getpid()
 
     def heed(self, number: int, _: FrameType | None) -> None:
@@ -86,7 +86,7 @@ class Process:
             raise Stopped(number)
 
     def left_s(self) -> float:
-        """Until tasks are abandoned; `LINGER_S` where nobody told us to end."""
+        """Return the time until tasks are abandoned, s; `LINGER_S` if no signal has come."""
         return LINGER_S if self.number is None else self.at_s + ABANDON_S - time.monotonic()
 
 
@@ -94,7 +94,7 @@ PROCESS = Process()
 
 
 def install() -> None:
-    """From now on SIGTERM and SIGINT end this process as said above. From the main thread, once."""
+    """Let SIGTERM and SIGINT end this process as described above. Call it once, from the main thread."""
     PROCESS.pid = os.getpid()
     reading, writing = os.pipe()
     os.set_blocking(writing, False)

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 Body = Callable[[], Awaitable[None]]
 
 CLOSE_S = 1.0
-"""That the parts beside the flight have to end, once the vital ones have."""
+"""Time that the parts beside the flight have to end, once the vital ones have ended."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 U8 = NDArray[np.uint8]
 
 MOST_PIXELS = 8192 * 8192
-"""Of any image: as many as the largest camera that a camera file can describe."""
+"""Largest number of pixels of an image: that of the largest camera that a camera file can describe."""
 MOST_BYTES = 256 << 20
-"""Of any encoded image."""
+"""Largest size of an encoded image."""
 _HEAD = 1 << 16
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})

@@ -10,7 +10,7 @@ from av.container import InputContainer
 from drivers.images import MOST_PIXELS, ImageRefused
 
 MOST_PACKET_BYTES = 32 << 20
-"""Of one encoded frame: an uncompressed one of 10 million pixels."""
+"""Largest size of an encoded frame: that of an uncompressed one of 10 million pixels."""
 _MARGIN = 4
 """Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
 

@@ -68,7 +68,7 @@ def _settings() -> Settings:
 
 
 def navdata_seeds() -> Iterator[bytes]:
-    """Of the simulated drone: the bootstrap's, demo's and full navdata, standing and flying."""
+    """Navdata of the simulated drone: bootstrap, demo and full, on the ground and flying."""
     for full in (False, True):
         drone = _drone()
         commands = [at.Config("general:navdata_demo", "FALSE" if full else "TRUE"), at.Ctrl(at.CTRL_ACK, 0)]

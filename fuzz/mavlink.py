@@ -154,7 +154,7 @@ def _settings() -> Settings:
 
 
 def run_autopilot(data: bytes) -> None:
-    """From each link to the bytes that go out again: codec, links, autopilot, component, samples, pilot, commands."""
+    """Run each link's input to the bytes that go out again: codec, links, autopilot, component, samples, pilot, commands."""
     asyncio.run(_autopilot(Choices(data)))
 
 

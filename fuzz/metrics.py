@@ -14,7 +14,7 @@ from drivers.clock import SystemClock
 from fuzz.target import Choices, Target, block
 
 _ANSWER_S = 10.0
-"""On a machine under load; whoever hangs up is answered in milliseconds."""
+"""Time for an answer on a machine under load; whoever hangs up is answered in milliseconds."""
 
 
 def run_metrics(data: bytes) -> None:

@@ -258,7 +258,7 @@ def _notify(environment: dict[str, str]) -> None:
 
 
 def environment_seeds() -> Iterator[bytes]:
-    """As a unit's process finds it, and as nobody should."""
+    """The environment as a unit's process finds it, and as nobody should."""
     folder = str(Path("/nonexistent")).encode()
     yield block(b"30000000") + block(b"1") + block(b"@fuzz") + block(folder) + block(folder) + block(b"mavlink-key")
     yield block(b"") + block(b"") + block(b"/nonexistent/notify") + block(b"") + block(b"") + block(b"../x")

@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 
 IMPORTING = ""
-"""Instead of a test's name: the line is met when the module is imported."""
+"""Stands for a test's name where a line runs when the module is imported."""
 
 
 class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -91,7 +91,7 @@ _QUIET = ("-q", "--no-header", "--no-summary", "--tb=no", "-p", "no:randomly", "
 
 
 def silence() -> None:
-    """What tests print is of no interest here."""
+    """Discard what tests print."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 1)
     os.dup2(null, 2)

@@ -78,7 +78,7 @@ def _places(tree: ast.AST) -> Iterator[tuple[ast.AST, str, int | None]]:
 
 
 def _walked(node: ast.AST) -> Iterator[ast.AST]:
-    """As `ast.walk`, but not into types, raised errors, slots of a frozen class, logging and asserts."""
+    """Walk as `ast.walk` does, but not into types, raised errors, slots of a frozen class, logging and asserts."""
     if isinstance(node, ast.Raise | ast.Assert | ast.JoinedStr | ast.Import | ast.ImportFrom):
         return
     if isinstance(node, ast.Call) and ast.unparse(node.func).startswith(("_log.", "log.", "dataclass", "NewType", "TypeVar")):

@@ -1,4 +1,4 @@
-"""Whether a simulated flight was safe, and whether its outcome was right, judged by what only the simulator knows.
+"""Judges from the simulator's truth whether a simulated flight was safe and whether its outcome was right.
 
 Unsafe is a descent without true sight of the pad, a contact off the pad, or a service that died in flight.
 """
@@ -19,9 +19,9 @@ from estimator.contracts.time import MonoNs, seconds_between
 from sitl.world import Phase, Touchdown, Truth
 
 BLIND_AFTER_S = 1.0
-"""After the newest true sight of the pad; the last 0.3 m of a landing, where the pad fills the frame, are shorter."""
+"""Time after the newest true sight that still counts as sight; the last 0.3 m of a landing, without the pad, take less."""
 BLIND_DESCENT_MAX_M = 0.5
-"""That a vehicle may come down without sight: what wind and its own landing make of it, and no more."""
+"""Descent without sight that is allowed: what wind and the vehicle's own landing cause, and no more."""
 STAMP_ERROR_MAX_S = 0.5
 """A frame whose stamp is farther from the truth says nothing of where the pad is now."""
 COMMIT_PHASES = frozenset({GuidancePhase.LAND.value})
@@ -34,11 +34,11 @@ class BlindDescent:
     """The deepest descent without true sight of the pad."""
 
     descent_m: float
-    """From the height at which sight was lost; the lesser of the ones against the deck and over the ground."""
+    """Descent from the height at which sight was lost: the smaller of those against the deck and over the ground."""
     lowest_m: float
     """Lowest height over the deck meanwhile."""
     blind_s: float
-    """Since the newest true sight, at that height."""
+    """Time since the newest true sight, at that height."""
 
 
 class SightWatch:

@@ -181,7 +181,7 @@ class Vehicle:
         self.phase = self._m.where(flies & which, float(Phase.LANDING), self.phase)
 
     def stay_up(self, which: Flag = True) -> None:
-        """Those of `which` that are landing hover instead."""
+        """Let those vehicles of `which` that are landing hover instead."""
         self.phase = self._m.where((self.phase == Phase.LANDING) & which, float(Phase.HOVERING), self.phase)
 
     def cut_motors(self, which: Flag = True) -> None:

@@ -77,11 +77,11 @@ class Touchdown:
     lateral_speed_m_s: float
     """Along the deck, against it."""
     phase: Phase = Phase.LANDING
-    """What the vehicle was doing just before."""
+    """The vehicle's phase just before the contact."""
     motors: bool = True
     """Whether its motors were turning just before."""
     guidance_phase: str | None = None
-    """What guidance was about, None where that is not known."""
+    """Phase of guidance just before the contact; None if not known."""
 
     @property
     def on_pad(self) -> bool:
@@ -99,7 +99,7 @@ class Picture:
     """The middle of the exposure."""
     exposure_s: float
     stamp_error_s: float = 0.0
-    """By how much the stamp that goes with it is later than `taken`."""
+    """Error of the stamp that is sent with it, s: the stamp minus `taken`."""
     true_view: bool = True
     """Whether it shows what the camera truly saw at `taken`."""
 
@@ -178,7 +178,7 @@ class World:
         self.faults = FaultTimer(scenario.faults)
         """Which faults are on now."""
         self.guidance_phase: str | None = None
-        """What guidance is about, where whoever runs the flight knows it; for faults that begin in a phase."""
+        """Phase of guidance, if whoever runs the flight knows it; for faults that begin in a phase."""
         self._held: dict[str, Readings] = {}
         self._contacts: list[Touchdown] = []
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
@@ -229,7 +229,7 @@ class World:
 
     @property
     def frame_delay_s(self) -> float:
-        """How much longer than usual a frame exposed now is under way."""
+        """Return the extra delay of a frame that is exposed now, s."""
         return sum(fault.by_s for fault, _ in self.faults.on(FramesDelayed))
 
     @property

@@ -1,1 +1,1 @@
-"""What is shipped beside our own code: its bill of materials, licences and known weaknesses. `make sbom licences audit`."""
+"""Bill of materials, licences and known weaknesses of what is shipped beside our own code. `make sbom licences audit`."""

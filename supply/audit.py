@@ -67,7 +67,7 @@ def _affects(affected: Mapping[str, Any], version: str) -> bool:
 
 
 def _within(events: Iterable[Mapping[str, str]], version: Version) -> bool:
-    """As OSV says: the events in order of their versions switch between affected and not."""
+    """Return whether a version is affected by OSV's rule: the events in order of version switch between affected and not."""
     inside = False
     for event in sorted(events, key=_of):
         if "introduced" in event and version >= _of(event):
@@ -86,7 +86,7 @@ def _of(event: Mapping[str, str]) -> Version:
 
 
 def ask_pypi() -> tuple[list[str] | None, str]:
-    """What pip-audit finds, None where it cannot vouch for all of them; and what it said."""
+    """Return what pip-audit finds (None if it did not look up all of them) and its message."""
     command = [
         sys.executable, "-m", "pip_audit", "--requirement", str(PINS), "--require-hashes", "--disable-pip", "--format", "json",
         "--progress-spinner", "off", "--vulnerability-service", "pypi", "--timeout", "5",

@@ -10,8 +10,9 @@ from supply.packages import Package, packages, pins
 _HEAD = """# Licences of what is shipped
 
 Decklander's own code is under Apache 2.0 (`LICENSE`). An image or an installation ships these distributions from PyPI
-beside it, pinned by version and hash in `requirements/runtime.txt`. `make licences` makes this page from their metadata;
-a test refuses a distribution without a known licence.
+beside it, pinned by version and hash in `requirements/runtime.txt`. `make licences` makes this page from their metadata
+and, for a few distributions whose metadata name no licence, from a table in `supply/packages.py`; a test refuses a
+distribution without a known licence. The licences of native libraries are those that their projects state.
 
 | distribution | version | licence |
 |---|---|---|

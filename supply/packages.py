@@ -36,7 +36,9 @@ READ = {
     "matplotlib": "PSF-2.0",
     "scipy": "BSD-3-Clause",
 }
-"""Of distributions whose metadata do not name one in words that a program understands: read in the text that they ship."""
+"""Distributions whose metadata do not give a licence that a program can read. Each entry was compared with the licence file
+of the distribution, in the version pinned in November 2026: the BSD texts have the third clause; matplotlib's text is its own,
+modelled on the PSF licence that its classifier names. No test reads these texts again for a new version."""
 
 _CARRIED = {
     "libx264": "GPL-2.0-or-later",
@@ -53,8 +55,8 @@ _CARRIED = {
     "libhogweed": "LGPL-3.0-or-later OR GPL-2.0-or-later",
     "libunistring": "LGPL-3.0-or-later OR GPL-2.0-or-later",
 }
-"""Native libraries under copyleft that wheels carry, by how their file names begin. FFmpeg built with x264 or x265 is under the
-GPL as a whole."""
+"""Native libraries under copyleft that wheels carry, by the beginning of their file names. The licences are those that the
+libraries' own projects state; the wheels were not asked. FFmpeg built with x264 or x265 is under the GPL as a whole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +84,7 @@ class Package:
 
     @property
     def carried(self) -> dict[str, str]:
-        """Those under copyleft, with their licences."""
+        """The carried libraries that are under copyleft, with their licences."""
         found: dict[str, str] = {}
         gpl = any(name.startswith(("libx264", "libx265")) for name in self.libraries)
         for name in self.libraries:

@@ -31,7 +31,7 @@ NAMES = (("top left", "top right"), ("bottom left", "bottom right"))
 
 Grade = Literal["good", "fair", "poor"]
 GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
-"""From the best to the worst."""
+"""The grades, from the best to the worst."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Assessment:
     imprecise: tuple[str, ...]
     """Why the numbers are not to be trusted."""
     uncovered: tuple[str, ...]
-    """Where they are extrapolated."""
+    """Uncovered regions, where the distortion is extrapolated."""
 
     @property
     def grade(self) -> Grade:

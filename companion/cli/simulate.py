@@ -167,6 +167,6 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
 
 
 def _cpu_s() -> float:
-    """Of this process and of the ended ones that it started."""
+    """Return the CPU time of this process and of its ended children, s."""
     spent = os.times()
     return spent.user + spent.system + spent.children_user + spent.children_system

@@ -43,7 +43,7 @@ FRAME_RATES_HZ = (30, 60)
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
 _DECIDED_S = 2
-"""For the pilot to hear that a flight has ended; the next begins later."""
+"""Time in which the pilot learns that a flight has ended; the next flight begins later."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

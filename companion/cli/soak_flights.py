@@ -36,10 +36,10 @@ class Flown:
     """One flight."""
 
     at_s: float
-    """When it ended, of wall time since the soak began."""
+    """Wall time from the beginning of the soak to the end of the flight."""
     seed: int
     title: str
-    """Of the scenario; with its fault behind a semicolon."""
+    """The scenario's title, with its fault behind a semicolon."""
     worth: Class
     because: str
     duration_s: float
@@ -57,12 +57,12 @@ class Load:
     frames_sent: int
     """Rendered and sent by the simulated drone."""
     stood_still_s: float
-    """In which the simulated drone could not move."""
+    """Time in which the simulated drone could not move."""
     frames: Counter[Verdict]
     """What the daemon made of the frames it received."""
 
     def starved(self) -> str | None:
-        """What shows that the machine was too slow, None where it kept up."""
+        """Return what shows that the machine was too slow, or None if it kept up."""
         said = []
         if self.stood_still_s > STOOD_STILL_MAX_S:
             said.append(f"the simulated drone stood still for {self.stood_still_s:.1f} s")
@@ -137,7 +137,7 @@ class Outcomes:
 
 
 def fault_of(title: str) -> str:
-    """What is wrong in a flight, by the title of its scenario."""
+    """Return the fault of a flight, which its scenario's title names last."""
     return title.rpartition("; ")[2]
 
 

@@ -29,11 +29,11 @@ class Contact:
     vertical_speed_m_s: float
     lateral_speed_m_s: float
     vehicle_phase: str | None = None
-    """What the vehicle was doing just before."""
+    """The vehicle's phase just before the contact."""
     motors: bool | None = None
     """Whether its motors were turning."""
     phase: str | None = None
-    """What guidance was about."""
+    """Phase of guidance just before the contact."""
 
     @property
     def on_pad(self) -> bool:

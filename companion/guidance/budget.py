@@ -1,4 +1,4 @@
-"""What one try to land may cost: time, losses of sight, height lost without it. Nothing but a new try starts it again."""
+"""The budget of one try to land: time, losses of sight, height lost without sight. Only a new try resets it."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ class Spent:
     began: MonoNs | None = None
     """First sight."""
     descending: MonoNs | None = None
-    """When the last leg was begun."""
+    """Beginning of the last leg."""
     losses: int = 0
-    """Of sight, on the last leg or below the safe height."""
+    """Number of losses of sight on the last leg or below the safe height."""
     blind_descent_m: float = 0.0
     without_sight_s: float = 0.0
     with_sight_s: float = 0.0
-    """Unbroken."""
+    """Time of unbroken sight."""
 
     def seen(self, now: MonoNs, since_last_s: float) -> Spent:
-        """One more round with sight."""
+        """Add one guidance cycle with sight of the pad."""
         held = self.with_sight_s + min(max(0.0, since_last_s), _GAP_MAX_S)
         without = 0.0 if held >= SIGHT_HOLDS_S else self.without_sight_s
         return replace(self, began=now if self.began is None else self.began, with_sight_s=held, without_sight_s=without)
 
     def unseen(self, since_last_s: float) -> Spent:
-        """One more round without."""
+        """Add one guidance cycle without sight of the pad."""
         without = self.without_sight_s + min(max(0.0, since_last_s), _GAP_MAX_S)
         return replace(self, with_sight_s=0.0, without_sight_s=without)
 
     def lost(self) -> Spent:
-        """Sight was lost in the descent."""
+        """Add one loss of sight in the descent."""
         return replace(self, losses=self.losses + 1)
 
     def sank(self, metres: float) -> Spent:
-        """This much lower at the next sight than at the last; climbing gives nothing back."""
+        """Add the height lost between two sights, metres; climbing gives nothing back."""
         return replace(self, blind_descent_m=self.blind_descent_m + max(0.0, metres))
 
     def descends(self, now: MonoNs) -> Spent:
-        """On the last leg."""
+        """Note that the last leg has begun."""
         return self if self.descending is not None else replace(self, descending=now)
 
     def exhausted(self, plan: Plan, now: MonoNs) -> str | None:
-        """What is used up, as text for the operator; None while nothing is."""
+        """Return what is used up, as text for the operator, or None while nothing is."""
         if self.began is not None and seconds_between(self.began, now) > plan.try_s:
             return f"no landing within {plan.try_s:g} s"
         if self.descending is not None and seconds_between(self.descending, now) > plan.descend_s:

@@ -1,4 +1,4 @@
-"""An ordered landing is a lease: it is renewed in every round of guidance, and ends by time, height or sight."""
+"""An ordered landing is a lease: every guidance cycle renews it, and it ends by time, height or sight."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ class Lease:
     since: MonoNs
     from_height_m: float
     seen: MonoNs
-    """When there last was an estimate to steer by."""
+    """Time of the last estimate that was fit to steer by."""
     height_m: float
-    """Then."""
+    """Height at that time."""
 
     @staticmethod
     def taken(now: MonoNs, estimate: RelativeState) -> Lease:
-        """At the order to land."""
+        """Begin a lease at the order to land."""
         return Lease(now, estimate.height_m, now, estimate.height_m)
 
 
 def renewed(
     lease: Lease, plan: Plan, now: MonoNs, estimate: RelativeState | None, fit: RelativeState | None
 ) -> tuple[Lease, str | None]:
-    """One more round.
+    """Renew the lease for one more guidance cycle, or say why it ends.
 
     Args:
         estimate: the newest, carried on without sight if need be.

@@ -1,4 +1,4 @@
-"""Where to fly, and when to stop: the planner's numbers."""
+"""The planner's numbers: way points, speeds, and the limits that end a try."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Plan:
     speed_m_s: float = 0.4
     slow_within_m: float = 1.0
     slow_least: float = 0.1
-    """Of the speed, however near the way point."""
+    """Smallest share of the speed, however near the way point."""
     lead_m: float = 0.8
     """The set point waits for a drone that is farther behind than this."""
     heading: Literal["keep", "align"] = "keep"
@@ -52,14 +52,14 @@ class Plan:
     stale_after_s: float = 0.5
     """Age of the newest sighting beyond which the pad counts as lost."""
     blind_s: float = 4.0
-    """After the last sight, how long dead reckoning may go on flying level towards the way point; 0 for hovering at once."""
+    """Time after the last sight in which it flies on level to the way point by dead reckoning; 0 hovers at once."""
     blind_sigma_m: float = 1.0
     """Horizontal 1-sigma of the estimate above which it hovers instead."""
     climb_after_s: float = 1.5
     climb_m_s: float = 0.3
     safe_height_m: float = 2.0
     give_up_after_s: float = 20.0
-    """Of time without sight, summed up until sight has held for `SIGHT_HOLDS_S`."""
+    """Time without sight after which it gives up, summed up until sight has held for `SIGHT_HOLDS_S`."""
     touchdown_s: float = 0.6
     """The drone counts as near the last way point only if it will still be there after this at its present velocity."""
     sigma_land_m: float = 0.15
@@ -70,12 +70,12 @@ class Plan:
     descend_s: float = 45.0
     """The same for its last leg alone."""
     losses_max: int = 8
-    """So many losses of sight on the last leg are allowed in one try."""
+    """Losses of sight that one try allows on its last leg."""
     blind_descent_max_m: float = 0.5
     """Height lost in one try between a last and a next sight, summed up."""
     go_arounds_max: int = 3
     land_timeout_s: float = 6.0
-    """How long after the order to land the vehicle may take to say that it stands."""
+    """Time after the order to land within which the vehicle must report that it has landed."""
     another_pad: Literal["operator", "automatic"] = "operator"
     """Who decides when the pad is suddenly seen in a place that no motion explains: a person; or, once in a flight and only above
     the safe height, `another_pad_s` of unbroken sight of one pad alone."""

@@ -34,7 +34,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _DT_MAX_S = 0.2
 _NEAR_SAFE_M = 0.25
-"""So far below the safe height counts as there."""
+"""A height this far below the safe height counts as the safe height."""
 _CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
 """A go-around that takes so many times the expected time, and so many seconds more, is not climbing."""
 
@@ -102,7 +102,7 @@ class Planner:
     """When there last was an estimate to steer by."""
     seen_height_m: float = math.inf
     in_sight: bool = False
-    """In the round before."""
+    """The value of the guidance cycle before."""
     track: int | None = None
     """The pad that this approach is to."""
     spent: Spent = field(default_factory=Spent)
@@ -274,7 +274,7 @@ def _questioned(
 
 
 def _may_decide(state: Planner, question: Question, plan: Plan, fit: RelativeState) -> bool:
-    """Whether this needs no person: the first time, and neither then nor now below the safe height."""
+    """Return whether no person has to agree: the first time, and neither then nor now below the safe height."""
     if plan.another_pad != "automatic" or state.questions > 1:
         return False
     return min(question.from_height_m, fit.height_m) >= plan.safe_height_m - _NEAR_SAFE_M

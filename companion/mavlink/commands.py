@@ -35,7 +35,7 @@ _ABOUT_MESSAGES = frozenset(
 )
 _REPORT_S = 1.0
 _INTERVAL_MIN_S, _INTERVAL_MAX_S = 0.01, 2000.0
-"""Of a message that is sent by itself; MESSAGE_INTERVAL carries no longer one."""
+"""Shortest and longest interval of a message that is sent periodically; MESSAGE_INTERVAL cannot carry a longer one."""
 
 Params = tuple[float, float, float, float, float, float, float]
 

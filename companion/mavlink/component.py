@@ -250,7 +250,7 @@ class Component(Silent):
             self._links.contained.run(f"telling {name}", "us", partial(part, now))
 
     def _guarded(self, name: str, maker: Callable[[MonoNs], Message | None], now: MonoNs) -> Message | None:
-        """What `maker` makes; None where it failed or is set aside: it must not cost the heartbeat beside it."""
+        """Return what `maker` makes, or None if it failed or is set aside, so that it does not cost the heartbeat beside it."""
         if name not in self._guards:
             self._guards[name] = Guard(f"mavlink.{name}", self._health)
         return self._guards[name].call(maker, now)
@@ -278,7 +278,7 @@ class Component(Silent):
 
     @property
     def _sighted(self) -> MonoNs | None:
-        """When the pad was last seen, as far as an autopilot may be told: nothing that is in doubt."""
+        """Return the time of the last sight of the pad, without what is in doubt: an autopilot is not sent that."""
         return None if self._belief is None or self._belief.doubts else self._belief.sighted
 
     def _update_belief(self, now: MonoNs) -> None:

@@ -22,7 +22,7 @@ from drivers.mavlink.vehicle import Condition, Stack
 from estimator.contracts.time import MonoNs, seconds_between
 
 DEFAULT_PLND_LAG_S, PLND_LAG_MAX_S = 0.02, 0.25
-"""As ArduPilot has it."""
+"""Default and largest PLND_LAG of ArduPilot, s."""
 _MAVLINK_RANGEFINDER = 10.0
 """RNGFNDx_TYPE of a rangefinder that listens to DISTANCE_SENSOR."""
 

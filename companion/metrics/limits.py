@@ -20,7 +20,7 @@ class Limits:
     connections: int = 16
     """Open at once."""
     connection_s: float = 5.0
-    """From the opening of a connection until it is closed."""
+    """Longest life of a connection."""
     request_bytes: int = 16_384
     """A connection may send this many bytes in all."""
     evicted: int = 0

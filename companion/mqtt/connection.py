@@ -114,7 +114,7 @@ class Connection(aiomqtt.Client):
         self._dialling: socket.socket | None = None
         self._interrupted = False
         self.dialling = False
-        """Whether the thread that connects is at work."""
+        """Whether the connecting thread is busy."""
         # What paho leaves to the system or to the broker's good will is bounded here: how long connecting takes, on which
         # addresses (its own look-up cannot be ended), and how large a packet may be that an MQTT 3.1.1 broker sends.
         self._client._create_socket_connection = self._dial  # type: ignore[method-assign]

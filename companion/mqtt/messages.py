@@ -170,7 +170,7 @@ class Ordered(Struct, frozen=True, kw_only=True, tag_field="command", forbid_unk
     id: Word
     """Chosen by the sender; a repeated one is answered again and not carried out again."""
     run: Annotated[str, Meta(max_length=64)]
-    """That of the topic `operator`; a command meant for an earlier run is refused."""
+    """The run that the topic `operator` names; a command meant for an earlier run is refused."""
     expires_ns: int
     """On the drone's clock: the newest `at_ns` heard plus how long the command may take to arrive."""
     reply_to: str | None = None

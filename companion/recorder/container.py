@@ -23,7 +23,7 @@ from estimator.contracts.errors import BadInput
 MAGIC = b"\x89MCAP0\r\n"
 MOST_RECORD_BYTES = 128 << 20
 MOST_CHUNK_BYTES = 64 << 20
-"""Of an unpacked chunk: sixteen times as many as ours have."""
+"""Largest size of an unpacked chunk: sixteen times the size of ours."""
 
 
 def records(stream: IO[bytes], path: Path, cut: dict[Path, str]) -> Iterator[McapRecord]:

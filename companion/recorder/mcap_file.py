@@ -103,7 +103,7 @@ class McapFile:
 
     @property
     def removed(self) -> bool:
-        """Whether nothing in any folder leads to it any more: what is written to it is lost when it is closed."""
+        """Return whether the file was removed from its folder: what is written to it is lost when it is closed."""
         return os.fstat(self._file.fileno()).st_nlink == 0
 
     def sync(self) -> None:

@@ -137,7 +137,7 @@ class BeliefRecord(Struct, frozen=True, omit_defaults=True):
     details: list[NamedNumber]
     yaw_rad: float | None = None
     track: int = 0
-    """Which pad it is about: counted up at every place that motion does not explain."""
+    """Number of the pad that it is about; it goes up at every place that motion does not explain."""
     doubts: list[str] = []
     """Names of what spoke against it."""
 

@@ -35,7 +35,7 @@ class Shelf(Protocol):
 
     @property
     def not_removed(self) -> int:
-        """How often something that was too much could not be taken away."""
+        """Number of times that a surplus file could not be removed."""
         ...
 
 

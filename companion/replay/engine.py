@@ -26,7 +26,7 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.vision.look import Look
 
 _GAP_S = 10.0
-"""Where a recording tells nothing for this long, guidance is not asked what it would have done meanwhile."""
+"""A gap in the recording longer than this is not replayed through guidance."""
 _FLOWN = tuple(phase.value for phase in Phase if phase not in (Phase.ANOTHER_PAD, Phase.GAVE_UP))
 """Phases of a flight that somebody has begun."""
 

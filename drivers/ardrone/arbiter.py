@@ -1,4 +1,4 @@
-"""What is sent to an AR.Drone in each period: the service's newest word, or hover once that word has run out. No I/O.
+"""Choose what an AR.Drone is sent in each period: the service's newest command, or hover once that has expired. No I/O.
 
 The same object decides in the sender's own process and in virtual time. A word carries the instant until which it may be flown;
 nothing that the service asked for is flown after it, however the service ended: killed, stopped, swapped out or stuck.
@@ -73,7 +73,7 @@ class CommandArbiter:
         self._watch.on_report(report, now, ordered=self._word is not None and self._word.landing)
 
     def fresh(self, now: MonoNs) -> bool:
-        """Whether the newest word may still be flown."""
+        """Return whether the newest command has not expired."""
         return self._word is not None and now <= self._word.until
 
     def silent_s(self, now: MonoNs) -> float:
@@ -81,7 +81,7 @@ class CommandArbiter:
         return 0.0 if self._word is None else max(0.0, seconds_between(self._word.until, now))
 
     def stands(self, now: MonoNs) -> bool:
-        """Whether the drone itself said lately that it is on the ground."""
+        """Return whether the drone reported lately that it is on the ground."""
         report = self._report
         if report is None or seconds_between(self._heard, now) > _REPORT_S:
             return False

@@ -86,7 +86,7 @@ class LandingWatch:
                 self.cause = Cause.OTHERS
 
     def calls_off(self, now: MonoNs, above_m: float = SILENT_ABOVE_M) -> bool:
-        """Whether the landing under way, which nobody wants, is to be called off at this height."""
+        """Return whether the present landing, which guidance does not ask for, is to be called off at this height."""
         report = self._report
         if report is None or self.cause not in (Cause.OURS, Cause.SILENCE) or report.state & _NOT_FOR_SILENCE:
             return False

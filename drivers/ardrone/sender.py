@@ -39,9 +39,9 @@ PARTING = 5
 """Datagrams of the last word: any one of them is enough."""
 _NAVDATA_OPENING = b"\x01\x00\x00\x00"
 _OPENING_DATAGRAMS = 8
-"""So many datagrams begin with sequence number 1, which makes the drone count anew: one lost datagram must not deafen it."""
+"""Number of datagrams that begin with sequence number 1, which resets the drone's counter: losing one must not deafen it."""
 (_NOTHING,) = as_text([HOVER])
-"""What carries that number. It must not reset the drone's watchdog, whose bit tells why a drone is landing."""
+"""The command that carries that number. It must not reset the drone's watchdog, whose bit tells why a drone is landing."""
 _TOLD_TIMES = 5
 """Datagrams that carry what is sent on being left alone; nobody waits for an acknowledgement then."""
 _STATUS_S = 0.05
@@ -83,7 +83,7 @@ class Sender:
         self._over = False
 
     def run(self) -> None:
-        """Until the service ends it, a successor takes over, or there is nothing left to hold."""
+        """Run until the service ends it, a successor takes over, or there is nothing left to hold."""
         signal.signal(signal.SIGTERM, self._terminated)
         while True:
             now = time.monotonic_ns()

@@ -72,12 +72,12 @@ class SenderClient:
 
     @property
     def pid(self) -> int:
-        """Of the sender's process."""
+        """Process id of the sender."""
         return self._process.pid
 
     @property
     def up(self) -> bool:
-        """Whether it has said that it runs."""
+        """Whether the sender has reported that it runs."""
         return self._heard is not None
 
     def say(self, word: Word) -> None:

@@ -1,4 +1,4 @@
-"""What a service and its sender say to each other: lines of JSON over a stream socket. No I/O.
+"""The protocol between a service and its sender: lines of JSON over a stream socket. No I/O.
 
 The service sends words (`pack`), further commands with a deadline (`pack_commands`), REOPEN, and at its end the last word
 (`pack_end`). The sender answers with its status, fifty milliseconds apart.
@@ -27,7 +27,7 @@ TextCommand = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class SenderOptions:
-    """What the service tells its sender at the start."""
+    """The options that the service gives its sender at the start."""
 
     host: str
     at_port: int

@@ -1,4 +1,4 @@
-"""Who may be heard on a MAVLink link, who is spoken to, and who may command. No I/O.
+"""Access control for MAVLink links: whose messages are read, who is sent telemetry, who may command. No I/O.
 
 MAVLink's ids prove nothing, so an id counts only together with the link and the peer that it comes from:
 
@@ -72,7 +72,7 @@ def parse_operators(text: str) -> tuple[Named, ...]:
 
 @dataclass(frozen=True, slots=True)
 class AccessOptions:
-    """Who is known before anything is heard.
+    """The senders that the settings name.
 
     Attributes:
         operators: systems that may command though they do not sign.
@@ -101,7 +101,7 @@ class _Stranger:
 
 @dataclass(slots=True)
 class Access:
-    """What was learned of who is who. One for all links of a service."""
+    """The senders known so far. There is one instance for all links of a service."""
 
     options: AccessOptions
     autopilot: tuple[Source, tuple[int, int]] | None = None

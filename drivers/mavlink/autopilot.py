@@ -180,7 +180,7 @@ class Autopilot:
         self._known.helm.take(command, now, way_level)
 
     def release(self) -> None:
-        """Nothing of ours stays behind: on closing the autopilot is told to hold, and does so by itself."""
+        """Do nothing: on closing, the autopilot is commanded to hold, and then holds by itself."""
 
     def engage(self) -> None:
         """The operator starts: a vehicle that a person took from us may be taken back."""
@@ -188,7 +188,7 @@ class Autopilot:
             self._known.helm.engage()
 
     def send(self, message: Message) -> bool:
-        """To the autopilot, where it is heard; whether it went."""
+        """Send a message to the autopilot if one is known; return whether it was sent."""
         return self._known is not None and self.links.send(message, self._known.source)
 
     def take_ranges(self, take: bool) -> None:

@@ -63,11 +63,11 @@ class HelmOptions:
     landing_most_s: float = 15.0
     """A landing by velocity that has not ended after this is over, asked for or not."""
     landing_depth_m: float = 3.0
-    """So is one that has come down this far since it began: there is no deck."""
+    """A landing by velocity that has come down this far since it began is over too: there is no deck."""
     carry_s: float = 3.0
-    """So long after the last velocity a hold goes along with the deck; later it is one over the ground."""
+    """Time after the last velocity in which a hold moves with the deck; later it holds over the ground."""
     hold_mode_after_s: float = 6.0
-    """So long after guidance fell silent the autopilot is put into its own hold mode, and our stream ends."""
+    """Time without commands from guidance after which the autopilot is put into its own hold mode and our stream ends."""
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
@@ -294,7 +294,7 @@ class Helm:
         return [set_mode(self._id.stack, self._id.address, mode)]
 
     def _wanted(self, now: MonoNs) -> bool:
-        """Whether the landing is to go on."""
+        """Return whether the landing is to go on."""
         if self._land.standing:
             return True
         if self._spent or seconds_between(self._land_at, now) > self._o.landing_timeout_s:

@@ -87,9 +87,9 @@ class Heard:
     system: int
     component: int
     peer: Address | None = None
-    """Of a socket that listens: who sent it."""
+    """Address of the sender on a listening socket; None elsewhere."""
     standing: Standing = Standing.STRANGER
-    """What its sender may do."""
+    """The rights of its sender."""
 
     @property
     def source(self) -> Source:
@@ -98,12 +98,12 @@ class Heard:
 
     @property
     def place(self) -> str:
-        """Where an error that it causes is counted."""
+        """The name under which an error in its handler is counted."""
         return f"the handling of {self.message.get_type()}"
 
     @property
     def source_text(self) -> str:
-        """Who sent it, for people."""
+        """Its sender as text for the log."""
         peer = "" if self.peer is None else f", {self.peer[0]}:{self.peer[1]}"
         return f"system {self.system}, component {self.component}, link {self.link}{peer}"
 
@@ -146,7 +146,7 @@ class Link:
         return len(self._peers)
 
     def send(self, message: Message, component: int | None = None, only: Source | None = None) -> bool:
-        """To every peer of this link, or to one of them; whether it went to any."""
+        """Send a message to every peer of this link, or to one; return whether it was sent to any."""
         went = False
         if self._wire is not None:
             self._forget_silent()
@@ -331,7 +331,7 @@ class Links:
             link.identify(system, component)
 
     def send(self, message: Message, to: int | Source | None = None, *, component: int | None = None) -> bool:
-        """To every peer of every link, of link number `to`, or to the one peer `to`; whether it went to any.
+        """Send a message to every peer of every link, of link `to`, or to the peer `to`; return whether it was sent to any.
 
         It never blocks, and no value in the message makes it raise.
 

@@ -74,7 +74,7 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
 
 @dataclass(frozen=True, slots=True)
 class Signing:
-    """What one endpoint signs with.
+    """The key and the state with which one endpoint signs.
 
     Args:
         times: shared by all endpoints, so that a message heard on one is no news on another.

@@ -136,9 +136,9 @@ class RelativeState:
     details: tuple[tuple[str, float], ...] = field(default=())
     """Named figures of the path for records and pictures (biases, gates): never steered by."""
     track: int = 0
-    """Which pad it is about: counted up when the track is given up for a place that no motion explains."""
+    """Number of the pad that it is about; it goes up when the track is given up for a place that no motion explains."""
     doubts: tuple[Doubt, ...] = field(default=())
-    """What speaks against it now; `consistent` is False while there is any."""
+    """The reasons not to descend by it now; `consistent` is False while there is any."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "d_body_pad_level", _vector("RelativeState.d_body_pad_level", self.d_body_pad_level, (3,)))

@@ -101,7 +101,7 @@ def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
 
 
 def _confirmed(b: Belief, now: MonoNs, cov: F64, o: EkfOptions) -> bool:
-    """Whether something other than the IMU bears the belief out, and it is still of use.
+    """Return whether something other than the IMU confirms the estimate and it is still of use.
 
     A sighting does, or a velocity that was fused: it bounds how far the place can have drifted.
     """

@@ -33,7 +33,7 @@ _FORCE_AT_REST = 9.80665
 _ASTRAY_VAR = 0.35**2
 """rad^2, of an attitude that small angles no longer describe."""
 _FELT_TILT_RAD = math.radians(12.0)
-"""How wrong the accelerometer may be about which way is down: a rotorcraft in flight feels its thrust, which leans with it."""
+"""Standard deviation of down as the accelerometer shows it: a rotorcraft in flight feels its thrust, which leans with it."""
 _SMOOTH_S = 0.03
 
 

@@ -25,7 +25,7 @@ class EkfOptions:
     asd_gyro_bias_rad_s2: float = 1e-4
     """The bias wanders by this much in 1 s."""
     sigma_accel_bias_m_s2: float = 0.15
-    """Of the accelerometer's bias across the body's axis down."""
+    """Standard deviation of the accelerometer's bias across the body's down axis."""
     sigma_accel_bias_down_m_s2: float = 0.6
     """Along that axis: there it carries the vehicle's weight, and a wrong scale adds to it."""
     asd_accel_bias_m_s3: float = 2e-3
@@ -110,7 +110,7 @@ class EkfOptions:
     confirm_s: float = 1.0
     """The belief is called consistent for so long after the newest sighting or velocity that was fused."""
     consistent_sigma_m: float = 1.0
-    """With a larger standard deviation of the pad's place along any axis the belief is not called consistent."""
+    """Largest standard deviation of the pad's position along any axis at which the estimate is called consistent."""
     forget_s: float = 30.0
     """Without a sighting for so long there is no belief any more."""
 

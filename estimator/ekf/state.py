@@ -172,7 +172,7 @@ class Belief(NamedTuple):
     heading_known: bool
     """Some sighting or report has told the arrow's heading."""
     heading_held_s: float
-    """How long sightings have agreed with the heading, less how long they have contradicted it."""
+    """Time for which sightings have agreed with the heading, minus the time for which they have contradicted it."""
     heading_seen: int
     """ns, of the newest sighting that told a heading; -1 none."""
 

@@ -1,4 +1,4 @@
-"""What stands before every estimator path: whether an input is fresh, possible, and about the pad that is being followed.
+"""Input checks before every estimator path: whether an input is fresh, possible, and about the pad that is being tracked.
 
     guard, verdict = admit(guard, sample)               # None: let it through
     guard, verdict = admit_frame(guard, frame)

@@ -38,7 +38,7 @@ class _Delay(NamedTuple):
 
 
 class ClockWatch(NamedTuple):
-    """What arrivals and delays were so far."""
+    """The arrivals and delays so far."""
 
     now: int | None = None
     """ns, the newest arrival that was confirmed."""
@@ -46,7 +46,7 @@ class ClockWatch(NamedTuple):
     delays: Mapping[str, _Delay] = MappingProxyType({})
 
     def off(self, kind: str) -> bool:
-        """Whether the newest of a kind had a delay that was refused."""
+        """Return whether the delay of the newest sample of a kind was refused."""
         delay = self.delays.get(kind)
         return delay is not None and delay.off_since is not None
 

@@ -30,7 +30,7 @@ class Guard:
     tracks: tracks.Tracks = field(default_factory=tracks.Tracks)
     heights: heights.HeightWatch = field(default_factory=heights.HeightWatch)
     flying: bool = True
-    """Until the vehicle says that it is not."""
+    """True until the vehicle reports that it is in the air."""
 
 
 def admit(guard: Guard, event: Sample) -> tuple[Guard, Verdict | None]:
@@ -99,7 +99,7 @@ def fused(guard: Guard, sighting: Sighting, attitude: Attitude | None) -> Guard:
 
 
 def doubts(guard: Guard, now: MonoNs) -> tuple[Doubt, ...]:
-    """What speaks against descending by the estimate."""
+    """Return the reasons not to descend by the estimate."""
     found = []
     if guard.frames.frozen:
         found.append(Doubt.CAMERA_FROZEN)
@@ -135,7 +135,7 @@ def _sigmas(cov: F64) -> tuple[float, float]:
 
 
 def _fixed(d_level: F64, attitude: Attitude | None) -> tuple[float, float, float]:
-    """From level axes to axes of fixed heading, as far as a heading is known."""
+    """Rotate from the level frame to one of fixed heading, as far as a heading is known."""
     x, y, z = d_level.tolist()
     heading = 0.0 if attitude is None else attitude.R_ned_body.rpy_rad[2]
     c, s = math.cos(heading), math.sin(heading)

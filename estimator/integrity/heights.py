@@ -28,7 +28,7 @@ _BARO_LAG = 0.1
 
 
 class HeightWatch(NamedTuple):
-    """What the other heights said of the camera's."""
+    """The comparison of the other heights with the camera's so far."""
 
     seen_at: int = 0
     """ns, the newest sighting; 0 none."""
@@ -38,7 +38,7 @@ class HeightWatch(NamedTuple):
     """The body's down axis at that instant."""
     range_at: int = 0
     against_s: float = 0.0
-    """For how long ranges have spoken against the camera, agreement counting back."""
+    """Time for which ranges have contradicted the camera, s; agreement counts it down."""
     contradicted: bool = False
     agreed_at: int = -1
     """ns, when a range last agreed; -1 never."""
@@ -49,7 +49,7 @@ class HeightWatch(NamedTuple):
     baro_contradicted: bool = False
 
     def confirmed(self, now: int) -> bool:
-        """Whether a range has agreed lately."""
+        """Return whether a range has agreed lately."""
         return self.agreed_at >= 0 and 0 <= now - self.agreed_at <= _AGREES_S * 1e9
 
 

@@ -15,23 +15,23 @@ class IntegrityOptions:
     """
 
     specific_force_max_m_s2: float = 80.0
-    """Of the accelerometer; a landing on a hard deck stays below 8 g."""
+    """Largest specific force; a landing on a hard deck stays below 8 g."""
     turn_rate_max_rad_s: float = math.radians(2000.0)
-    """Of the gyro: the range of a common part."""
+    """Largest turn rate: the range of a common gyro."""
     speed_max_m_s: float = 20.0
-    """Of the vehicle over the ground, and of the vessel."""
+    """Largest speed of the vehicle and of the vessel over the ground."""
     acceleration_max_m_s2: float = 30.0
-    """Between two samples of velocity."""
+    """Largest change of velocity between two samples, over their time."""
     velocity_step_m_s: float = 1.5
-    """That a velocity may step besides, by its sensor's own noise."""
+    """Step of a velocity that is allowed in addition, for its sensor's own noise."""
     tilt_rate_max_rad_s: float = 8.0
-    """Of roll and pitch between two samples."""
+    """Largest rate of roll and pitch between two samples."""
     tilt_step_rad: float = math.radians(20.0)
-    """That roll and pitch may step besides."""
+    """Step of roll and pitch that is allowed in addition."""
     height_rate_max_m_s: float = 20.0
-    """Between two samples of the barometer."""
+    """Largest rate of height between two samples of the barometer."""
     height_step_m: float = 5.0
-    """That a barometer may step besides: a gust on its port."""
+    """Step of a barometer's height that is allowed in addition, for a gust on its port."""
     spike_s: float = 0.5
     """A step that is still there after this long is no spike, and is let through."""
 
@@ -71,9 +71,9 @@ class IntegrityOptions:
     range_tolerance_share: float = 0.08
     """How far range sensor and camera may differ over the pad: a length plus a share of the height."""
     range_doubt_s: float = 1.0
-    """For how long they must differ."""
+    """Time for which they must differ."""
     deck_radius_m: float = 0.6
-    """Around the pad's centre: elsewhere below the drone there may be water, and a range says nothing of the pad."""
+    """Radius of the deck around the pad's centre: beyond it there may be water below, and a range says nothing of the pad."""
     height_tolerance_m: float = 2.5
     """How far the height's change over ten seconds may differ between barometer and camera, besides a third of the change: heave
     of the deck and drift of the air are in it."""

@@ -22,7 +22,7 @@ class SensorWatch(NamedTuple):
     """One stream of readings."""
 
     value: bytes | float = b""
-    """Of the newest reading, to the bit."""
+    """The newest reading, to the bit."""
     since: int = 0
     """ns, when it was first read."""
     frozen: bool = False
@@ -100,7 +100,7 @@ def _numbers(event: Reading) -> tuple[float, ...]:
 
 
 def _step(event: Reading, numbers: tuple[float, ...], state: SensorWatch, o: IntegrityOptions) -> bool:
-    """Whether the step since the last plausible reading is more than the vehicle can do."""
+    """Return whether the step since the last plausible reading is more than the vehicle can do."""
     if not numbers:
         return False
     dt = min((event.stamp.taken - state.plausible_at) * 1e-9, _STEP_OVER_S)

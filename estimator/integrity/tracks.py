@@ -1,4 +1,4 @@
-"""Which pad a sighting is about: the one that is followed, or another one.
+"""Associates a sighting with the pad that is being tracked, or with another one.
 
 A sighting belongs to the track when motion explains its place: it lies where the belief expects the pad (the IMU at full rate is
 in that), or right beside the sighting before it. Anything else is a candidate with its own short history. The track is never
@@ -14,9 +14,9 @@ from typing import NamedTuple
 from estimator.integrity.options import IntegrityOptions
 
 _BESIDE_S = 0.1
-"""How old the sighting before may be for its neighbourhood to explain the next one."""
+"""Largest age of a sighting whose neighbourhood may explain the next one."""
 _SPEED_M_S, _ACCELERATION_M_S2 = 1.0, 6.0
-"""By how much two sightings of one pad may differ a second besides: velocity and tilt of the vehicle against the deck."""
+"""Allowed difference of two sightings of one pad per second between them, for the vehicle's velocity and tilt over the deck."""
 _BELIEF_SIGMAS, _BELIEF_MAX_M, _BELIEF_DOWN_MAX_M = 3.0, 0.4, 1.5
 """A belief that has grown vague explains no more than this, sideways and in height. Height has a watch of its own."""
 _SEEN_SIGMAS, _SEEN_MAX_M = 4.0, 0.3
@@ -27,14 +27,14 @@ _ESTABLISHED = 8
 
 
 class Place(NamedTuple):
-    """Where a pad was seen from the body, in axes of fixed heading."""
+    """Position of a pad as seen from the body, in axes of fixed heading."""
 
     t: int
     """ns."""
     d: tuple[float, float, float]
     """m; down is third."""
     sigma_m: float
-    """Of one horizontal component."""
+    """Standard deviation of one horizontal component, m."""
     sigma_down_m: float
 
 
@@ -61,7 +61,7 @@ class Tracks(NamedTuple):
     candidates: tuple[Candidate, ...] = ()
 
     def disputed(self, now: int) -> bool:
-        """Whether a pad was seen elsewhere more than by accident within the last second."""
+        """Return whether a pad was seen elsewhere more than by accident within the last second."""
         return any(c.n >= _SEEN_AT_LEAST and now - c.last.t <= _ALIVE_S * 1e9 for c in self.candidates)
 
 

@@ -14,7 +14,7 @@ from estimator.vision.file_numbers import finite, shown
 
 _KEYS = {"width", "height", "fx", "fy", "cx", "cy", "distortion", "p_body_cam_m", "rpy_body_cam_deg"}
 _LARGEST_PX = 16_384
-"""Of a side; an image of that size squared is the largest that anything here could hold in memory."""
+"""Largest width and height of an image; a square image of that size is the largest that fits in memory."""
 _FOCAL_PX = 1.0, 1e6
 _DISTORTION_MAX = 1e3
 _MOUNT_MAX_M = 100.0

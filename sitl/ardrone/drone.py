@@ -55,7 +55,7 @@ class Drone:
 
     @property
     def measured_at(self) -> MonoNs:
-        """When the drone says that its newest readings were true."""
+        """Return the time that the drone states for its newest readings."""
         return self._readings.at
 
     @property

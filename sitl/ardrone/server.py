@@ -103,7 +103,7 @@ class ArDroneServer:
         self._ticks = 0
         self.drone = Drone(world, self._drone_clock)
         self.stood_still_s = 0.0
-        """How long this host kept the drone from sending, all in all; up to `CATCH_UP_MAX_S` at a time is caught up."""
+        """Total time in which this host kept the drone from sending; up to `CATCH_UP_MAX_S` at a time is caught up."""
         self.silent = False
         """Send no navdata, as a drone that is switched off."""
 
