@@ -56,7 +56,8 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
         content = path.read_bytes()
     except (OSError, ValueError) as why:  # a path with a NUL character is a plain ValueError
         raise BadInput(f"signing key {str(path)!r}: {getattr(why, 'strerror', None) or why}") from why
-    if stat.S_IMODE(mode) & 0o077:
+    # systemd guards credentials by an access list, which shows as a group that may read.
+    if not where.startswith(_CREDENTIAL) and stat.S_IMODE(mode) & 0o077:
         raise BadInput(f"signing key {path}: others may read it; chmod 600 {path}")
     if len(content) == 32:
         return SigningKey(content)

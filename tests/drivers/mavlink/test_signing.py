@@ -34,8 +34,9 @@ def test_a_passphrase_gives_the_key_ground_stations_make_of_it(tmp_path: Path) -
     assert load_key(key_file(tmp_path, b"passphrase: sea and sky\n")).secret == hashlib.sha256(b"sea and sky").digest()
 
 
-def test_a_systemd_credential(tmp_path: Path) -> None:
-    key_file(tmp_path, SECRET, 0o400)
+@pytest.mark.parametrize("mode", [0o400, 0o440])  # the second is how systemd's access list for a dynamic user shows
+def test_a_systemd_credential(tmp_path: Path, mode: int) -> None:
+    key_file(tmp_path, SECRET, mode)
     assert load_key("credential:key", {"CREDENTIALS_DIRECTORY": str(tmp_path)}).secret == SECRET
     with pytest.raises(BadInput, match="LoadCredential"):
         load_key("credential:key", {})
