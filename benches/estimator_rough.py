@@ -84,7 +84,7 @@ def fly(
             score(out, memory, voyage, next_s)
             if forecasts and next_s >= next_forecast_s and next_s < scene.duration_s - 3.1:
                 next_forecast_s += 0.5
-                foretell(out, memory, voyage, next_s)
+                score_forecast(out, memory, voyage, next_s)
             next_s += 0.1
         if t < from_s:
             continue
@@ -115,7 +115,7 @@ def score(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) -> None:
     out.yaw_error.append(turn)
 
 
-def foretell(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) -> None:
+def score_forecast(out: Score, memory: ekf.Ekf, voyage: Voyage, now_s: float) -> None:
     told = ekf.forecast(memory, ns(now_s), HORIZONS_S)
     if told is None:
         return

@@ -21,9 +21,9 @@ from companion.signals import ABANDON_S, ENDING, PROCESS, check
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-Deed = Callable[[], object]
+Handler = Callable[[], object]
 _SHORTEST_S = 0.05
-_heeded: dict[int, Deed] = {}
+_heeded: dict[int, Handler] = {}
 
 
 def run(main: Coroutine[Any, Any, T]) -> T:
@@ -61,18 +61,18 @@ def run(main: Coroutine[Any, Any, T]) -> T:
 
 
 @contextmanager
-def heeded(deeds: Mapping[signal.Signals, Deed]) -> Iterator[None]:
+def heeded(handlers: Mapping[signal.Signals, Handler]) -> Iterator[None]:
     """Inside `run`: what each signal does in place of cancelling the main task, called by the event loop.
 
     An ending signal that came before is heeded at once. SIGTERM's deadlines stand; SIGINT has none here, for somebody sits at
     the keyboard who can press twice.
     """
     before = dict(_heeded)
-    _heeded.update({int(number): deed for number, deed in deeds.items()})
-    others = [number for number in deeds if number not in ENDING and PROCESS.heeding]
+    _heeded.update({int(number): handler for number, handler in handlers.items()})
+    others = [number for number in handlers if number not in ENDING and PROCESS.heeding]
     old = {number: signal.signal(number, PROCESS.heed) for number in others}
-    if PROCESS.number is not None and (deed := _heeded.get(PROCESS.number)) is not None:
-        deed()
+    if PROCESS.number is not None and (handler := _heeded.get(PROCESS.number)) is not None:
+        handler()
     try:
         yield
     finally:
@@ -83,11 +83,11 @@ def heeded(deeds: Mapping[signal.Signals, Deed]) -> Iterator[None]:
 
 
 def _take(number: int, loop: asyncio.AbstractEventLoop, task: asyncio.Task[Any]) -> None:
-    deed = _heeded.get(number)
-    if number in ENDING and (deed is None or number != signal.SIGINT):
+    handler = _heeded.get(number)
+    if number in ENDING and (handler is None or number != signal.SIGINT):
         loop.call_later(max(0.0, PROCESS.left_s()), _abandon, loop)
-    if deed is not None:
-        deed()
+    if handler is not None:
+        handler()
     elif number in ENDING:
         task.cancel()
 

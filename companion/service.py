@@ -121,11 +121,11 @@ def log_to_stderr(settings: Settings) -> None:
 
 async def live(daemon: Daemon, pilot: Pilot) -> Outcome | None:
     """Run the daemon as a process does: SIGINT, SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
-    deeds = {
+    handlers = {
         signal.SIGINT: daemon.stop,
         signal.SIGTERM: daemon.stop,
         signal.SIGUSR1: pilot.begin,
         signal.SIGUSR2: pilot.pause,
     }
-    with heeded(deeds):
+    with heeded(handlers):
         return await daemon.run()

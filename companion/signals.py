@@ -106,8 +106,8 @@ def install() -> None:
     threading.Thread(target=_watch, args=(reading,), name="signals", daemon=True).start()
 
 
-def told() -> int | None:
-    """The signal that told us to end; None while none has."""
+def ending_signal() -> int | None:
+    """Return the signal that ended this process's work; None before it comes."""
     return PROCESS.number
 
 

@@ -30,7 +30,7 @@ from companion.report.page import PAGE, write_report
 from companion.service import live, make_daemon, make_pilot
 from companion.settings import load, shipped
 from companion.settings_model import CameraSettings, PadSettings, Settings
-from companion.signals import check, told
+from companion.signals import check, ending_signal
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
@@ -92,7 +92,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                         outcome = await live(daemon, pilot)
                 except TimeoutError:
                     outcome = None
-                if told() == signal.SIGTERM:  # no time for a report; after Ctrl-C there is
+                if ending_signal() == signal.SIGTERM:  # no time for a report; after Ctrl-C there is
                     check()
                 ended = clock.now()
                 if progress is not None:

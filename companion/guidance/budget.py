@@ -43,7 +43,7 @@ class Spent:
         """Add one loss of sight in the descent."""
         return replace(self, losses=self.losses + 1)
 
-    def sank(self, metres: float) -> Spent:
+    def descended(self, metres: float) -> Spent:
         """Add the height lost between two sights, metres; climbing gives nothing back."""
         return replace(self, blind_descent_m=self.blind_descent_m + max(0.0, metres))
 

@@ -28,7 +28,7 @@ class Lease:
     """Height at that time."""
 
     @staticmethod
-    def taken(now: MonoNs, estimate: RelativeState) -> Lease:
+    def begin(now: MonoNs, estimate: RelativeState) -> Lease:
         """Begin a lease at the order to land."""
         return Lease(now, estimate.height_m, now, estimate.height_m)
 

@@ -158,7 +158,7 @@ def _accounted(state: Planner, plan: Plan, now: MonoNs, fit: RelativeState | Non
             spent = spent.unseen(state.since_last_s)
         return replace(state, spent=spent, in_sight=False)
     if not state.in_sight and state.seen is not None:
-        spent = spent.sank(state.seen_height_m - fit.height_m)
+        spent = spent.descended(state.seen_height_m - fit.height_m)
     spent = spent.seen(now, state.since_last_s)
     return replace(state, spent=spent, in_sight=True, seen=now, seen_height_m=fit.height_m)
 
@@ -179,7 +179,7 @@ def _with_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState
     state = replace(state, near_since=since, track=estimate.track)
     if since is not None and seconds_between(since, now) >= goal.dwell_s:
         if last_leg:
-            return replace(state, landing=Lease.taken(now, estimate)), Land(), Phase.LAND
+            return replace(state, landing=Lease.begin(now, estimate)), Land(), Phase.LAND
         state = replace(state, leg=state.leg + 1, near_since=None)
         last_leg = state.leg == len(plan.way_points) - 1
     if last_leg:

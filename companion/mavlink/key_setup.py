@@ -100,14 +100,14 @@ async def _opened(endpoint: Endpoint, key: SigningKey | None, clock: Clock) -> A
         open_links([options], clock, _STATION, access=AccessOptions(everybody=True)) as links,
         asyncio.TaskGroup() as group,
     ):
-        knocking = group.create_task(_knock(links, clock))
+        probing = group.create_task(_probe(links, clock))
         try:
             yield links
         finally:
-            knocking.cancel()
+            probing.cancel()
 
 
-async def _knock(links: Links, clock: Clock) -> None:
+async def _probe(links: Links, clock: Clock) -> None:
     while True:
         links.send(TimeSyncV2(0, clock.now()))
         await clock.sleep(_KNOCK_S)

@@ -42,7 +42,7 @@ _OPENING_DATAGRAMS = 8
 """Number of datagrams that begin with sequence number 1, which resets the drone's counter: losing one must not deafen it."""
 (_NOTHING,) = as_text([HOVER])
 """The command that carries that number. It must not reset the drone's watchdog, whose bit tells why a drone is landing."""
-_TOLD_TIMES = 5
+_ALONE_DATAGRAMS = 5
 """Datagrams that carry what is sent on being left alone; nobody waits for an acknowledgement then."""
 _STATUS_S = 0.05
 _SILENT_S = 1.0
@@ -206,7 +206,7 @@ class Sender:
         if alone != self._alone:
             self._alone = alone
             if self._arbiter.word is not None:
-                self._telling = [self._o.alone if alone else self._o.again] * _TOLD_TIMES
+                self._telling = [self._o.alone if alone else self._o.again] * _ALONE_DATAGRAMS
         if alone:
             self._listen(now)
         elif self._navdata is not None:

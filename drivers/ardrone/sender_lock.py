@@ -17,7 +17,7 @@ import time
 _ASK, _BUSY = b"yield\n", b"busy\n"
 _ANSWER_S = 0.5
 _BIND_S = 1.0
-_HEARING_S = 0.05
+_RECEIVE_TIMEOUT_S = 0.05
 _CREDENTIALS = struct.Struct("3i")
 """struct ucred: process, user, group."""
 
@@ -83,7 +83,7 @@ def yield_to(listener: socket.socket, sequence: int | None) -> bool:
     except OSError:
         return False
     with other:
-        other.settimeout(_HEARING_S)
+        other.settimeout(_RECEIVE_TIMEOUT_S)
         try:
             if _peer(other)[1] != os.getuid() or other.recv(32) != _ASK:
                 return False

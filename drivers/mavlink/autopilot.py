@@ -235,7 +235,7 @@ class Autopilot:
         self._offer(known.sampler.samples(message, heard.heard))
         known.helm.hear(known.sampler.condition)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
-            known.helm.hear_position(float(known.sampler.positions[-1].p_body_ned[2]))
+            known.helm.on_position(float(known.sampler.positions[-1].p_body_ned[2]))
         if name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
             known.helm.hear_attitude(known.sampler.attitude)
 

@@ -199,7 +199,7 @@ class Helm:
         elif taken_away:
             self.hand = Hand.RELEASED
 
-    def hear_position(self, down_m: float) -> None:
+    def on_position(self, down_m: float) -> None:
         """Take how far below its origin the autopilot holds itself to be, metres."""
         self._down_m = down_m
 

@@ -275,7 +275,7 @@ def work():
     os.kill(child, signal.SIGTERM)
     say("child", os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
     time.sleep(0.3)
-    say("told", signals.told())
+    say("told", signals.ending_signal())
 program(work)
 """
     with python(HEAD + source) as process:

@@ -295,13 +295,13 @@ def test_a_landing_goes_on_after_a_late_guidance_cycle() -> None:
 @pytest.mark.parametrize(("seconds", "fall_m_s"), [(15.0, 0.0), (3.0 / 0.4, 0.4)])
 def test_a_landing_by_velocity_is_bounded_by_time_and_by_height(seconds: float, fall_m_s: float) -> None:
     flight = over_a_deck()
-    flight.helm.hear_position(-1.0)
+    flight.helm.on_position(-1.0)
     down_m, sank_s = -1.0, 0.0
     for _ in range(round((seconds + 2.0) * 25)):
         (sent,) = velocities(flight.periods(0.04, Land()))
         down_m += 0.04 * fall_m_s
         sank_s += 0.04 * (sent[2] > 0.0)
-        flight.helm.hear_position(down_m)
+        flight.helm.on_position(down_m)
     assert sank_s == pytest.approx(seconds, abs=0.1)
     assert sent[2] == 0.0, "though it is asked for all the time"
     flight.periods(0.2, GO)
