@@ -76,8 +76,8 @@ def heeded(handlers: Mapping[signal.Signals, Handler]) -> Iterator[None]:
     try:
         yield
     finally:
-        for number, handler in old.items():
-            signal.signal(number, handler)
+        for number, previous in old.items():
+            signal.signal(number, previous)
         _heeded.clear()
         _heeded.update(before)
 
