@@ -9,12 +9,10 @@ _EKF = (
     "tests/estimator/ekf/test_history.py",
     "tests/estimator/test_pipeline.py",
 )
-_INTEGRITY = ("tests/estimator/integrity", "tests/estimator/test_pipeline.py")
+_INTEGRITY = ("tests/estimator/integrity",)
 _GUIDANCE = (
     "tests/companion/test_planner.py",
     "tests/companion/test_pid.py",
-    "tests/companion/test_lease_bounds.py",
-    "tests/companion/test_pilot.py",
 )
 
 TARGETS: dict[str, tuple[str, ...]] = {
@@ -29,10 +27,12 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/integrity/heights.py": _INTEGRITY,
     "estimator/integrity/sensors.py": _INTEGRITY,
     "estimator/integrity/tracks.py": _INTEGRITY,
+    "estimator/integrity/view.py": _INTEGRITY,
     "companion/guidance/planner.py": _GUIDANCE,
-    "companion/guidance/budget.py": _GUIDANCE,
-    "companion/guidance/lease.py": _GUIDANCE,
+    "companion/guidance/budget.py": ("tests/companion/test_budget_bounds.py",),
+    "companion/guidance/lease.py": ("tests/companion/test_lease_bounds.py",),
     "companion/guidance/pid.py": _GUIDANCE,
+    "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
     "drivers/ardrone/helm.py": ("tests/drivers/test_helm.py",),
     "drivers/mavlink/helm.py": ("tests/drivers/mavlink/test_helm.py",),
 }

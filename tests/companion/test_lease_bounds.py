@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from companion.guidance.lease import NO_LANDING, Lease, renewed
-from companion.guidance.plan import Plan
+from companion.guidance.plan import Plan, WayPoint
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
 
@@ -57,3 +58,23 @@ def test_sight_renews_it() -> None:
     lease, why = renewed(Lease(at(0), 1.0, at(0), 1.0), PLAN, at(2.0), belief(0.7), belief(0.7))
     assert why is None
     assert (lease.seen, lease.height_m, lease.since) == (at(2.0), 0.7, at(0))
+
+
+def test_what_lies_on_an_edge_goes_on() -> None:
+    assert ends(PLAN.land_timeout_s, belief(0.1), belief(0.1)) is None
+    assert ends(0.1, belief(-0.6), None, height_m=0.1) is None
+    assert ends(0.1, belief(1.4), belief(1.4)) is None
+    blind_m = float(FINAL.d_body_pad_level[2]) + FINAL.reached_height_m + 0.1
+    assert ends(PLAN.stale_after_s, None, None, height_m=blind_m + 0.1) is None
+    assert ends(PLAN.stale_after_s + 1.0, None, None, height_m=blind_m) is None
+    limit_m = FINAL.reached_m + 0.3
+    assert ends(0.1, belief(0.5, limit_m), belief(0.5, limit_m)) is None
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_camera_at_the_nose_has_the_pad_that_far_ahead_or_behind_over_the_last_way_point(sign: float) -> None:
+    ahead = WayPoint(np.array([sign * 0.2, 0.0, 0.5]), reached_m=0.12, reached_height_m=0.12, dwell_s=0.2)
+    plan, lease = Plan((ahead,)), Lease(at(0), 1.0, at(0), 1.0)
+    for aside_m, drifted in ((0.6, False), (0.63, True)):
+        seen = belief(0.5, sign * aside_m)
+        assert (renewed(lease, plan, at(0.1), seen, seen)[1] is not None) is drifted

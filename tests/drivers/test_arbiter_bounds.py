@@ -1,0 +1,130 @@
+"""The command arbiter at each of its edges: the deadline, the hold, the age of a report, and what the drone said."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.ardrone import at
+from drivers.ardrone import navdata as nd
+from drivers.ardrone.arbiter import HOVER, STAY_UP, CommandArbiter, Word
+from drivers.ardrone.landing_watch import DroneReport
+from estimator.contracts.time import MonoNs
+
+AHEAD = at.Pcmd(at.PCMD_PROGRESSIVE, 0.0, -0.5, 0.0, 0.0)
+FLY = at.Ref(STAY_UP)
+
+
+def ms(t: int) -> MonoNs:
+    return MonoNs(5_000_000_000 + t * 1_000_000)
+
+
+def report(control: nd.ControlState | None, *, flying: bool, bits: int = 0, altitude_m: float | None = 1.5) -> DroneReport:
+    return DroneReport(bits | (nd.State.FLYING if flying else 0), control, altitude_m)
+
+
+def silent(hold_s: float = 60.0, **word: bool) -> CommandArbiter:
+    """An arbiter whose newest word ran out at 120 ms."""
+    arbiter = CommandArbiter(hold_s)
+    arbiter.take(Word(ms(120), AHEAD, STAY_UP, **word))
+    return arbiter
+
+
+def test_hover_presses_no_stick_and_to_stay_up_is_to_wish_to_fly() -> None:
+    assert at.Pcmd(0, 0.0, 0.0, 0.0, 0.0) == HOVER
+    assert at.REF_BASE | at.REF_TAKE_OFF == STAY_UP
+    assert STAY_UP > at.REF_BASE
+
+
+def test_a_word_without_orders_sends_its_sticks_alone_and_its_parts_come_in_order() -> None:
+    assert Word(ms(0), AHEAD).commands() == [AHEAD]
+    assert Word(ms(0), AHEAD, at.REF_BASE).commands() == [at.Ref(at.REF_BASE), AHEAD]
+    assert Word(ms(0), AHEAD, STAY_UP, watchdog=True).commands() == [at.ComWdg(), FLY, AHEAD]
+
+
+def test_before_the_first_word_nothing_is_fresh_and_nothing_is_silent() -> None:
+    arbiter = CommandArbiter(2.0)
+    assert not arbiter.fresh(ms(0))
+    assert arbiter.silent_s(ms(0)) == 0.0
+    assert arbiter.word is None
+    arbiter.lost(ms(0))
+    assert arbiter.word is None
+    assert arbiter.hovers == 0
+
+
+def test_silence_is_counted_from_the_deadline_and_held_up_to_its_end() -> None:
+    arbiter = silent(2.0)
+    assert arbiter.silent_s(ms(0)) == arbiter.silent_s(ms(120)) == 0.0
+    assert arbiter.silent_s(ms(1120)) == 1.0
+    assert arbiter.commands(ms(2120)) == [HOVER]
+    assert arbiter.commands(ms(2121)) == []
+    assert arbiter.commands(ms(121)) == [HOVER]
+    assert arbiter.hovers == 2, "a datagram that is not sent is none"
+
+
+def test_a_service_that_is_gone_never_lengthens_its_word() -> None:
+    arbiter = silent()
+    arbiter.lost(ms(5000))
+    assert arbiter.word is not None
+    assert arbiter.word.until == ms(120)
+    arbiter.lost(ms(50))
+    assert not arbiter.fresh(ms(50))
+    assert arbiter.fresh(MonoNs(ms(50) - 1))
+
+
+@pytest.mark.parametrize("watchdog", [True, False])
+def test_without_a_report_the_watchdog_is_reset_where_the_word_asked_for_it(watchdog: bool) -> None:
+    expected = [at.ComWdg(), HOVER] if watchdog else [HOVER]
+    assert silent(watchdog=watchdog).commands(ms(121)) == expected
+    late = silent(watchdog=watchdog)
+    late.on_report(report(nd.ControlState.HOVERING, flying=True), ms(200))
+    assert late.commands(ms(400)) == [FLY, HOVER], "as old as it may be"
+    assert late.commands(ms(401)) == expected
+
+
+@pytest.mark.parametrize("watchdog", [True, False])
+def test_with_a_report_the_watchdog_is_reset_where_the_drone_says_so(watchdog: bool) -> None:
+    arbiter = silent(watchdog=not watchdog)
+    arbiter.on_report(report(nd.ControlState.FLYING, flying=True, bits=nd.State.COM_WATCHDOG if watchdog else 0), ms(200))
+    assert arbiter.commands(ms(201)) == [*([at.ComWdg()] if watchdog else []), FLY, HOVER]
+
+
+@pytest.mark.parametrize("control", [nd.ControlState.HOVERING, nd.ControlState.LANDED, None])
+def test_one_that_does_not_fly_is_never_told_to(control: nd.ControlState | None) -> None:
+    arbiter = silent()
+    arbiter.on_report(report(control, flying=False), ms(200))
+    assert arbiter.commands(ms(201)) == [HOVER]
+
+
+@pytest.mark.parametrize(
+    ("control", "flying", "stands"),
+    [
+        (nd.ControlState.LANDED, False, True),
+        (nd.ControlState.INIT, False, True),
+        (nd.ControlState.DEFAULT, False, True),
+        (None, False, True),
+        (nd.ControlState.HOVERING, False, False),
+        (nd.ControlState.LANDING, False, False),
+        (nd.ControlState.LANDED, True, False),
+        (None, True, False),
+    ],
+)
+def test_it_stands_where_state_and_control_both_say_so(control: nd.ControlState | None, flying: bool, stands: bool) -> None:
+    arbiter = silent()
+    assert not arbiter.stands(ms(200)), "nobody has said so"
+    arbiter.on_report(report(control, flying=flying), ms(200))
+    assert arbiter.stands(ms(1200)) is stands
+    assert not arbiter.stands(ms(1201)), "said too long ago"
+
+
+def test_a_report_before_the_first_word_belongs_to_no_order() -> None:
+    arbiter = CommandArbiter(60.0)
+    arbiter.on_report(report(nd.ControlState.LANDING, flying=True), ms(100))
+    arbiter.take(Word(ms(120), AHEAD, STAY_UP, landing=True))
+    arbiter.on_report(report(nd.ControlState.LANDING, flying=True), ms(200))
+    assert arbiter.commands(ms(201)) == [HOVER], "somebody else began that landing"
+
+
+def test_a_word_that_does_not_say_so_renews_no_landing() -> None:
+    arbiter = silent()
+    arbiter.on_report(report(nd.ControlState.LANDING, flying=True), ms(200))
+    assert arbiter.commands(ms(201)) == [HOVER], "whoever asked for that landing, guidance did not"
