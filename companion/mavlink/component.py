@@ -21,7 +21,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
 
-from companion.containment import Guard
 from companion.health import Health
 from companion.mavlink.commands import CommandServer, Offered
 from companion.mavlink.computer import ComputerReader, computer_status
@@ -122,7 +121,7 @@ class Component(Silent):
     Args:
         healthy: None while what the flight needs is well, else one line that says what is not.
         believe: the steering path's belief at an instant; None takes that of guidance's newest decision.
-        health: of the service, where faults of its own are counted; None for a health of its own.
+        health: of the service, whose parts it speaks of; None for a health of its own.
     """
 
     def __init__(
@@ -138,7 +137,6 @@ class Component(Silent):
     ) -> None:
         self.options = self._o = options
         self._health = health or Health(clock)
-        self._guards: dict[str, Guard] = {}
         self._told: dict[str, MonoNs] = {}
         self._healthy = healthy
         self._believe = believe
@@ -250,10 +248,8 @@ class Component(Silent):
             self._links.contained.run(f"telling {name}", "us", partial(part, now))
 
     def _guarded(self, name: str, maker: Callable[[MonoNs], Message | None], now: MonoNs) -> Message | None:
-        """Return what `maker` makes, or None if it failed or is set aside, so that it does not cost the heartbeat beside it."""
-        if name not in self._guards:
-            self._guards[name] = Guard(f"mavlink.{name}", self._health)
-        return self._guards[name].call(maker, now)
+        """Return what `maker` makes, or None if it raised, so that it does not cost the messages beside it."""
+        return None if self._links is None else self._links.contained.run(f"making the {name}", "us", partial(maker, now))
 
     def _tell_parameters(self, now: MonoNs) -> None:
         if self._parameters is not None:
