@@ -16,6 +16,7 @@ from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput
 
 _CREDENTIAL, _PASSPHRASE = "credential:", "passphrase:"
+_LONGEST = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +49,16 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
         folder = environment.get("CREDENTIALS_DIRECTORY")
         if folder is None:
             raise BadInput(f"signing key {where!r}: systemd passed no credentials to this process (LoadCredential= in the unit)")
-        path = Path(folder) / where.removeprefix(_CREDENTIAL)
+        name = where.removeprefix(_CREDENTIAL)
+        if not name or "/" in name or name in (".", ".."):
+            raise BadInput(f"signing key {where!r} does not name a credential")
+        path = Path(folder) / name
     else:
         path = Path(where)
     try:
         mode = path.stat().st_mode
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            content = file.read(_LONGEST)  # a setting may name any file, also one without an end
     except (OSError, ValueError) as why:  # a path with a NUL character is a plain ValueError
         raise BadInput(f"signing key {str(path)!r}: {getattr(why, 'strerror', None) or why}") from why
     # systemd guards credentials by an access list, which shows as a group that may read.

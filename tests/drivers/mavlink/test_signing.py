@@ -40,6 +40,10 @@ def test_a_systemd_credential(tmp_path: Path, mode: int) -> None:
     assert load_key("credential:key", {"CREDENTIALS_DIRECTORY": str(tmp_path)}).secret == SECRET
     with pytest.raises(BadInput, match="LoadCredential"):
         load_key("credential:key", {})
+    with pytest.raises(BadInput, match="does not name a credential"):
+        load_key("credential:../key", {"CREDENTIALS_DIRECTORY": str(tmp_path / "sub")})
+    with pytest.raises(BadInput, match="neither 32 bytes"):
+        load_key("credential:zero", {"CREDENTIALS_DIRECTORY": "/dev"})
 
 
 @pytest.mark.parametrize(
