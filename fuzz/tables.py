@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from estimator.vision.drawing import edges_of
 from estimator.vision.pad import Pad
 from fuzz.target import SHARED_MEMORY, Choices, Target, block, refused
 from sitl import scenario as scenarios
+
+Parsed = TypeVar("Parsed")
 
 _NUMBERS = (0, -1, 1, 2**31, 2**63, 2**64, -(2**63) - 1, 10**400, 65535, 65536)
 _REALS = (0.0, -0.0, 1e308, -1e308, 5e-324, float("inf"), float("-inf"), float("nan"), 1e-9, 0.5)
@@ -109,6 +111,17 @@ def table(data: bytes, bases: tuple[dict[str, Any], ...], more: tuple[tuple[str,
     return made
 
 
+def _parsed(made: dict[str, Any] | None, parse: Callable[[dict[str, Any], str], Parsed]) -> Parsed | None:
+    """Return what `parse` makes of a table, or None if it refuses it or there is none."""
+    if made is None:
+        return None
+    try:
+        return parse(made, "fuzz.toml")
+    except BadInput as why:
+        refused(why)
+        return None
+
+
 def _copy(value: Any) -> Any:
     return {k: _copy(v) for k, v in value.items()} if isinstance(value, dict) else value
 
@@ -121,15 +134,8 @@ def _all_settings() -> tuple[tuple[str, ...], ...]:
 
 def run_settings(data: bytes) -> None:
     """Refused in one line, or settings that every part can be made of, and that are the same when written and read again."""
-    made = table(data, _files(""), _all_settings())
-    if made is None:
-        return
-    try:
-        settings = from_mapping(made, "fuzz.toml")
-    except BadInput as why:
-        refused(why)
-        return
-    if settings.fault() is not None:
+    settings = _parsed(table(data, _files(""), _all_settings()), from_mapping)
+    if settings is None or settings.fault() is not None:
         return
     with suppress(BadInput):
         _options(settings)
@@ -154,13 +160,8 @@ def _options(settings: Settings) -> None:
 
 def run_scenario(data: bytes) -> None:
     """Refused in one line, or a scenario whose camera and pad are found or refused."""
-    made = table(data, _files("scenarios"))
-    if made is None:
-        return
-    try:
-        scenario = scenarios.from_mapping(made, "fuzz.toml")
-    except BadInput as why:
-        refused(why)
+    scenario = _parsed(table(data, _files("scenarios")), scenarios.from_mapping)
+    if scenario is None:
         return
     with suppress(BadInput):
         scenarios.camera_model(scenario)
@@ -170,13 +171,8 @@ def run_scenario(data: bytes) -> None:
 
 def run_camera(data: bytes) -> None:
     """Refused in one line, or a camera whose rays and pixels are numbers."""
-    made = table(data, _files("cameras"))
-    if made is None:
-        return
-    try:
-        camera = Camera.from_mapping(made, "fuzz.toml")
-    except BadInput as why:
-        refused(why)
+    camera = _parsed(table(data, _files("cameras")), Camera.from_mapping)
+    if camera is None:
         return
     if camera.distorted:
         return  # numbers that describe no lens: its rays are what they are
@@ -187,13 +183,8 @@ def run_camera(data: bytes) -> None:
 
 def run_pad(data: bytes) -> None:
     """Refused in one line, or a pad that can be drawn and whose edges are numbers."""
-    made = table(data, _files("pads"))
-    if made is None:
-        return
-    try:
-        pad = Pad.from_mapping(made, "fuzz.toml")
-    except BadInput as why:
-        refused(why)
+    pad = _parsed(table(data, _files("pads")), Pad.from_mapping)
+    if pad is None:
         return
     edges_of(pad)
     drawing = pad_drawing(pad)
@@ -216,7 +207,7 @@ def settings_seeds() -> Iterator[bytes]:
 
 def scenario_seeds() -> Iterator[bytes]:
     """The shipped scenarios, one with a fault, and each with a key or two changed."""
-    yield b'\0[[faults]]\nkind = "gust"\nstart_s = 1.0\nduration_s = 2.0\n'
+    yield b'\0title = "gust"\n[[faults]]\nkind = "gust"\nspeed_m_s = 5.0\nat_s = 1.0\nfor_s = 2.0\n'
     yield from _table_seeds("scenarios")
 
 
