@@ -1,11 +1,12 @@
-"""The filter where the world is not as its model: rough seas, a turning ship, and every sensor error at once.
+"""The filter where its model is wrong: rough seas, a turning ship, and every sensor error at once.
 
     python -m benches.estimator_rough [--runs 6] [--first 0] [--sea NAME] [--ideal]
 
 Truth and sensors are those of tests/estimator/ekf/truth.py, which share nothing with the simulator. A row is the mean of its
-flights: position rms, NEES over its 7 degrees of freedom and the share of it inside the central 95 % of chi-square, the share of
-truths inside the 68 / 95 % bands of the forecast position and vertical speed, and the rms error of the forecast vertical speed
-over the rms of the truth (saying nothing would be 1). Of the delay: found less true, over the sigma told.
+flights: position rms, NEES over its 7 degrees of freedom and the share of it inside the central 95 % of chi-square, the share
+of truths inside the 68 / 95 % bands of the forecast position and vertical speed, and the rms error of the forecast vertical
+speed over the rms of the truth (saying nothing would be 1). The delay's columns are the rms error (estimated minus true) and
+the same in estimated sigmas.
 """
 
 from __future__ import annotations
@@ -71,8 +72,8 @@ def fly(
     """One flight through the filter.
 
     Args:
-        since_s: from when on it is scored.
-        from_s: nothing before is heard: a cold start in flight.
+        since_s: the time from which it is scored.
+        from_s: events before this time are left out: a cold start in flight.
         spoil: given each event and its instant, s; what is heard instead.
     """
     voyage = Voyage(scene)

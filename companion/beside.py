@@ -37,7 +37,7 @@ class Beside(Generic[Made]):
     """Makes the part at once, so that wrong settings are found before the service begins, and again after each failure.
 
     Args:
-        name: in health and in the log.
+        name: the name in health and in the log.
         make: makes it; called again for each life.
 
     Raises:

@@ -32,7 +32,7 @@ class Guard:
     """The way to one callee.
 
     Args:
-        name: of the callee in health and in the log.
+        name: the callee's name in health and in the log.
         limit: failures in a row after which it is set aside.
     """
 

@@ -166,7 +166,7 @@ class Health:
         part.last_error = in_words(why)
 
     def contain(self, name: str) -> int:
-        """One more failure of something that the flight does not need; how many there were by now."""
+        """Count a failure of something that the flight does not need; return how many there were so far."""
         self.contained[name] += 1
         return self.contained[name]
 

@@ -239,7 +239,7 @@ class FaultTimer:
     """Which of a flight's faults are on, and since when.
 
     Args:
-        faults: of the scenario, in any order.
+        faults: the scenario's faults, in any order.
     """
 
     def __init__(self, faults: tuple[Fault, ...]) -> None:
@@ -258,8 +258,8 @@ class FaultTimer:
 
         Args:
             t_s: seconds since the start of the flight.
-            height_m: of the vehicle over the deck's plane.
-            phase: of guidance, None where it is not known.
+            height_m: height of the vehicle over the deck's plane.
+            phase: phase of guidance, None if not known.
         """
         begun = []
         for i, fault in enumerate(self._faults):

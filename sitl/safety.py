@@ -128,10 +128,10 @@ def grade(
     """Say what a flight is worth, and why.
 
     Args:
-        outcome: as the pilot saw it; None where the time ran out.
+        outcome: the pilot's outcome; None if the time ran out.
         landed_m: what `on_pad_m` says.
         unsafe: what `dangers` says.
-        expect: of the scenario.
+        expect: the outcome that the scenario expects.
         left_alone: at the end there was no service or no link, so that nothing could be decided.
     """
     if unsafe:

@@ -87,7 +87,7 @@ def real(at_s: float, said: dict[str, Any], outcome: Outcome | None, frames: Cou
 
     Args:
         said: the line of `sitl.ardrone.again` about it.
-        outcome: as the pilot saw it when the flight had ended.
+        outcome: the pilot's outcome when the flight had ended.
         frames: what the daemon made of its frames.
     """
     if said["ended"] == "time is up" and outcome is not Outcome.GAVE_UP:

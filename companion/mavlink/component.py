@@ -121,7 +121,7 @@ class Component(Silent):
     Args:
         healthy: None while what the flight needs is well, else one line that says what is not.
         believe: the steering path's belief at an instant; None takes that of guidance's newest decision.
-        health: of the service, whose parts it speaks of; None for a health of its own.
+        health: the service's health, whose parts it reports; None for a health of its own.
     """
 
     def __init__(

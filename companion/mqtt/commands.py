@@ -62,7 +62,7 @@ class Desk:
     Args:
         session: this run of the service, as all may read it.
         run: this run, as only those may read it who may command.
-        key: that commands are signed with; None where the broker answers for who sends them.
+        key: the key that commands are signed with; None where the broker decides who may send them.
     """
 
     topics: Topics

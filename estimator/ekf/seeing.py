@@ -32,10 +32,10 @@ from estimator.ekf.stride import Outcome, Tools, corrected, forgotten, partial, 
 
 _KEPT = 0.95
 _ROUGH_M_S = 0.1
-"""On a deck that heaves by much more than this a sighting corrects where the camera stands, and how late it is, by the share
-1 - `_KEPT`; on one that heaves by much less in full."""
+"""Heave rate of the deck at which this changes: far above it a sighting corrects the camera's mounting and delay by the share
+1 - `_KEPT` alone, far below it in full."""
 _RATE_KNOWN_VAR = 0.35**2
-"""(m/s)^2, of what a sighting shows: with more nothing is learned of the camera's delay."""
+"""Variance of the rate of what a sighting measures, (m/s)^2, above which the camera's delay is not corrected."""
 
 
 def fuse_sighting(b: Belief, event: Sighting, tools: Tools) -> tuple[Belief, Outcome]:

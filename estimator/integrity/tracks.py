@@ -46,8 +46,8 @@ class Candidate(NamedTuple):
     n: int
     last: Place
     sigmas_m: tuple[float, float] = (math.inf, math.inf)
-    """Of the belief when it was first seen, sideways and down: what it did not explain then it does not come to explain by
-    growing vague."""
+    """Standard deviations of the estimate when the candidate was first seen, sideways and down. A candidate that the estimate did
+    not explain then is not explained by a later, larger uncertainty."""
 
 
 class Tracks(NamedTuple):
