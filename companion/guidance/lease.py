@@ -50,7 +50,7 @@ def renewed(
     if seconds_between(lease.since, now) > plan.land_timeout_s:
         return lease, f"{NO_LANDING} within {plan.land_timeout_s:g} s"
     if estimate is not None and estimate.height_m < -_BELOW_DECK_M:
-        return lease, "it sank past the deck"
+        return lease, "it came down past the deck"
     if fit is not None:
         lease = replace(lease, seen=now, height_m=fit.height_m)
         if fit.height_m > lease.from_height_m + _RISEN_M:

@@ -49,8 +49,8 @@ def test_the_time_without_sight_is_forgiven_by_five_unbroken_seconds_and_by_no_l
 
 def test_losses_and_height_lost_without_sight_add_up_and_climbing_gives_nothing_back() -> None:
     assert Spent().lost().lost().losses == 2
-    assert Spent().sank(0.25).sank(0.5).blind_descent_m == 0.75
-    assert Spent().sank(0.25).sank(-3.0).blind_descent_m == 0.25
+    assert Spent().descended(0.25).descended(0.5).blind_descent_m == 0.75
+    assert Spent().descended(0.25).descended(-3.0).blind_descent_m == 0.25
 
 
 def test_the_last_leg_is_begun_once_in_a_try() -> None:

@@ -37,7 +37,7 @@ def test_it_ends_by_height() -> None:
     assert ends(0.1, belief(1.39), belief(1.39)) is None
     assert "rose" in str(ends(0.1, belief(1.41), belief(1.41)))
     assert ends(0.1, belief(-0.59), None, height_m=0.1) is None
-    assert "sank" in str(ends(0.1, belief(-0.61), None, height_m=0.1))
+    assert "past the deck" in str(ends(0.1, belief(-0.61), None, height_m=0.1))
 
 
 def test_it_ends_where_the_pad_is_not_below() -> None:
