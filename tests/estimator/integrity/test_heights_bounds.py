@@ -1,0 +1,169 @@
+"""Range and barometer against the camera at each edge: where a range counts, how far it may lie, and for how long."""
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Baro, Range
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.integrity.heights import HeightWatch, ranged, saw, weighed
+from estimator.integrity.options import IntegrityOptions
+
+LIMITS = IntegrityOptions()
+S = 1_000_000_000
+T = 100 * S
+OVER = HeightWatch(seen_at=T, d_level=(0.0, 0.0, 2.0), range_at=T - S // 4)
+"""Two metres over the pad, the range before a quarter of a second ago."""
+
+
+def stamp(t: int) -> Stamp:
+    return Stamp(MonoNs(t), MonoNs(t), 0.001, "sim")
+
+
+def heard(state: HeightWatch, range_m: float, t: int = T, sigma_m: float = 1e-9) -> HeightWatch:
+    return ranged(state, Range(stamp(t), range_m, sigma_m), LIMITS)
+
+
+def speaks(state: HeightWatch, range_m: float, t: int = T, sigma_m: float = 1e-9) -> bool | None:
+    """Whether a range agrees; None where it counts for nothing."""
+    after = heard(state, range_m, t, sigma_m)
+    assert after.range_at == t
+    return True if after.agreed_at == t else False if after.against_s > 0.0 else None
+
+
+def test_a_new_watch_has_seen_nothing_and_compares_nothing() -> None:
+    assert weighed(HeightWatch(), Baro(stamp(S // 10), 30.0, 0.5), LIMITS) == HeightWatch()
+    assert speaks(HeightWatch(), 2.0, S // 10) is None
+    assert not any(HeightWatch().confirmed(now) for now in (0, 1, S))
+    assert HeightWatch().down_level == (0.0, 0.0, 1.0)
+
+
+def test_a_sighting_is_kept_with_the_bodys_down_axis() -> None:
+    roll, pitch = 0.2, 0.1
+    seen = Sighting(stamp(T), 1, "registration", np.array([1.0, 2.0, 3.0]), 0.0, False, 1e-4 * np.eye(4), 0.9)
+    state = saw(HeightWatch(), seen, Rotation.from_rpy(roll, pitch, 1.3))
+    assert (state.seen_at, state.d_level) == (T, (1.0, 2.0, 3.0))
+    assert state.down_level == pytest.approx(
+        (math.sin(pitch) * math.cos(roll), -math.sin(roll), math.cos(pitch) * math.cos(roll))
+    )
+
+
+@pytest.mark.parametrize(
+    ("height_m", "range_m", "sigma_m", "agrees"),
+    [
+        (2.0, 2.23, 1e-9, True), (2.0, 2.25, 1e-9, False), (2.0, 1.77, 1e-9, True), (2.0, 1.75, 1e-9, False),
+        (2.0, 2.33, 0.05, True), (2.0, 2.35, 0.05, False), (2.0, 1.67, 0.05, True), (2.0, 1.65, 0.05, False),
+        (4.0, 4.39, 1e-9, True), (4.0, 4.41, 1e-9, False),
+    ],
+)  # fmt: skip
+def test_a_range_may_lie_a_length_a_share_and_two_sigmas_away(
+    height_m: float, range_m: float, sigma_m: float, agrees: bool
+) -> None:
+    assert speaks(OVER._replace(d_level=(0.0, 0.0, height_m)), range_m, sigma_m=sigma_m) is agrees
+
+
+def leaning(cx: float, cy: float, foot_m: tuple[float, float] = (0.0, 0.0), height_m: float = 2.0) -> HeightWatch:
+    """The sensor's axis meets the deck so far from the pad."""
+    cz = math.sqrt(1.0 - cx * cx - cy * cy)
+    d = (cx * height_m / cz + foot_m[0], cy * height_m / cz + foot_m[1], height_m)
+    return OVER._replace(d_level=d, down_level=(cx, cy, cz))
+
+
+@pytest.mark.parametrize("lean", [(0.4, 0.0), (0.0, 0.4), (-0.3, 0.3)])
+def test_it_counts_where_the_axis_meets_the_deck_and_anything_between_axis_and_perpendicular_agrees(
+    lean: tuple[float, float],
+) -> None:
+    along_m = 2.0 / math.sqrt(1.0 - lean[0] ** 2 - lean[1] ** 2)
+    for range_m, agrees in ((along_m + 0.23, True), (along_m + 0.25, False), (2.0, True), (1.77, True), (1.75, False)):
+        assert speaks(leaning(*lean), range_m) is agrees
+    for foot in ((0.49, 0.0), (0.0, -0.49), (0.3, 0.3)):
+        assert speaks(leaning(*lean, foot), 2.1) is True
+    for foot in ((0.51, 0.0), (0.0, -0.51), (0.4, 0.4)):
+        assert speaks(leaning(*lean, foot), 2.1) is None
+
+
+def test_a_foot_on_the_edge_counts() -> None:
+    assert speaks(OVER._replace(d_level=(0.5, 0.0, 2.0)), 2.0) is True
+
+
+@pytest.mark.parametrize(
+    ("state", "range_m", "counts"),
+    [
+        (OVER._replace(down_level=(0.0, 0.0, 0.85)), 3.0, True),
+        (OVER._replace(down_level=(0.0, 0.0, 0.849)), 3.0, False),
+        (OVER._replace(d_level=(0.0, 0.0, 0.35)), 3.0, True),
+        (OVER._replace(d_level=(0.0, 0.0, 0.349)), 3.0, False),
+        (OVER._replace(d_level=(0.0, 0.0, 0.6)), 0.175, True),
+        (OVER._replace(d_level=(0.0, 0.0, 0.6)), 0.174, False),
+    ],
+)
+def test_a_lean_or_a_height_beyond_the_sensor_says_nothing(state: HeightWatch, range_m: float, counts: bool) -> None:
+    assert speaks(state, range_m) is (False if counts else None)
+
+
+@pytest.mark.parametrize(
+    ("after", "counts"), [(3 * S // 10, True), (3 * S // 10 + 1, False), (-3 * S // 10, True), (-3 * S // 10 - 1, False)]
+)
+def test_a_sighting_is_compared_for_three_tenths_of_a_second(after: int, counts: bool) -> None:
+    state = OVER._replace(range_at=T - S)
+    assert speaks(state, 2.0, T + after) is (True if counts else None)
+    weighed_after = weighed(state, Baro(stamp(T + after), 30.0, 0.5), LIMITS)
+    assert (weighed_after.rise != ()) is counts
+
+
+@pytest.mark.parametrize(("since_s", "counted_s"), [(0.25, 0.25), (0.3, 0.3), (5.0, 0.3), (0.0, 0.0), (-1.0, 0.0)])
+def test_time_against_is_counted_between_ranges_up_to_a_pause(since_s: float, counted_s: float) -> None:
+    state = OVER._replace(range_at=T - round(since_s * S), against_s=0.5)
+    assert heard(state, 3.0).against_s == pytest.approx(0.5 + counted_s)
+    assert heard(state, 2.0).against_s == pytest.approx(0.5 - counted_s)
+
+
+def test_a_second_against_contradicts_and_agreement_ends_it_only_when_it_has_weighed_it_up() -> None:
+    assert heard(OVER._replace(against_s=0.75), 3.0).contradicted
+    assert not heard(OVER._replace(against_s=0.74), 3.0).contradicted
+    assert heard(OVER._replace(against_s=1.4), 3.0).against_s == 1.5, "no grudge for ever"
+    assert heard(OVER._replace(against_s=0.5, contradicted=True), 2.0).contradicted
+    over = heard(OVER._replace(against_s=0.25, contradicted=True), 2.0)
+    assert (over.against_s, over.contradicted) == (0.0, False)
+    assert heard(OVER._replace(against_s=0.1), 2.0).against_s == 0.0
+    assert not heard(OVER._replace(against_s=0.5), 2.0).contradicted
+
+
+def test_an_agreement_confirms_for_two_seconds_and_a_disagreement_does_not_take_it_back() -> None:
+    state = heard(heard(OVER, 2.0), 3.0, T + S // 10)
+    assert [state.confirmed(now) for now in (T - 1, T, T + 2 * S, T + 2 * S + 1)] == [False, True, True, False]
+    assert OVER._replace(agreed_at=0).confirmed(0)
+
+
+def pressed(state: HeightWatch, baro_m: float, t: int = T) -> HeightWatch:
+    return weighed(state, Baro(stamp(t), baro_m, 0.5), LIMITS)
+
+
+def test_the_difference_is_smoothed_and_kept_once_a_second_for_ten() -> None:
+    state = pressed(OVER, 32.0)
+    assert (state.rise_now, state.rise, state.seen_height) == (30.0, ((T, 30.0),), ((T, 2.0),))
+    late = pressed(state._replace(seen_at=T + S), 33.0, T + S - 1)
+    assert late.rise_now == pytest.approx(30.1)
+    assert len(late.rise) == len(late.seen_height) == 1
+    second = pressed(state._replace(seen_at=T + S, d_level=(0.0, 0.0, 3.0)), 33.0, T + S)
+    assert second.rise == ((T, 30.0), (T + S, 30.0))
+    assert second.seen_height == ((T, 2.0), (T + S, 3.0))
+    for age, kept in ((10 * S, 2), (10 * S + 1, 1)):
+        later = pressed(state._replace(seen_at=T + age), 32.0, T + age)
+        assert len(later.rise) == len(later.seen_height) == kept
+
+
+@pytest.mark.parametrize(
+    ("drift_m", "from_m", "contradicts"),
+    [
+        (2.5, 2.0, False), (2.51, 2.0, True), (-2.5, 2.0, False), (-2.51, 2.0, True),
+        (3.5, 5.0, False), (3.51, 5.0, True), (3.5, -1.0, False), (3.51, -1.0, True),
+    ],
+)  # fmt: skip
+def test_it_contradicts_beyond_its_tolerance_and_a_third_of_the_change(drift_m: float, from_m: float, contradicts: bool) -> None:
+    rise = ((T - S // 2, 0.0), (T - S // 4, 0.75 * drift_m))
+    state = OVER._replace(rise=rise, rise_now=drift_m, seen_height=((T - S // 2, from_m), (T - S // 4, 2.0)))
+    assert pressed(state, 2.0 + drift_m).baro_contradicted is contradicts
