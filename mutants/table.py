@@ -11,6 +11,7 @@ _EKF = (
 )
 _INTEGRITY = ("tests/estimator/integrity",)
 _GUIDANCE = (
+    "tests/companion/test_planner_bounds.py",
     "tests/companion/test_planner.py",
     "tests/companion/test_pid.py",
 )

@@ -66,7 +66,7 @@ def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float)
         else _Rival(rival.first, max(rival.last, heard), rival.n + 1, rival.kinds | {kind})
     )
     lasting = rival.n >= _CONFIRMED_BY and rival.last - rival.first >= _CONFIRMED_IN_NS
-    if lasting or (rival.n >= 2 and len(rival.kinds) >= 2):
+    if lasting or len(rival.kinds) >= 2:
         return ClockWatch(rival.last), None
     return state._replace(rival=rival), Verdict.TOO_NEW if heard > now else Verdict.TOO_OLD
 

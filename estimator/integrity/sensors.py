@@ -101,8 +101,6 @@ def _numbers(event: Reading) -> tuple[float, ...]:
 
 def _step(event: Reading, numbers: tuple[float, ...], state: SensorWatch, o: IntegrityOptions) -> bool:
     """Return whether the step since the last plausible reading is more than the vehicle can do."""
-    if not numbers:
-        return False
     dt = min((event.stamp.taken - state.plausible_at) * 1e-9, _STEP_OVER_S)
     step = math.dist(numbers, state.plausible)
     match event:

@@ -67,7 +67,7 @@ def test_the_belief_explains_as_far_as_its_doubt_up_to_a_bound(
     aside, (_, below), (_, above) = away(side_m, by_m)[0], away(down_m, by_m)[1], away(down_m, by_m)[2]
     for side, down in (aside, (0.0, below), (0.0, above)):
         assert explains(followed(), place(t, side, 2.0 + down, seen_m), expected) is (by_m < 0.0)
-    assert not explains(followed(), place(t, *[9.0, 9.0], seen_m), expected)
+    assert not explains(followed(), place(t, 9.0, 9.0, seen_m), expected)
 
 
 def test_sideways_and_height_have_a_doubt_each() -> None:
@@ -136,7 +136,7 @@ def test_an_established_track_gives_way_to_one_that_alone_was_seen_for_its_time(
 @pytest.mark.parametrize(("n", "ago", "alone"), [(2, 0, True), (3, S, False), (3, S + 1, True), (9, S // 2, False)])
 def test_alone_is_who_has_no_rival_within_a_second(n: int, ago: int, alone: bool) -> None:
     t = T + 3 * S
-    tracks = followed(20, other(n, T, t - ago, -1.0), other(20, T, t - S), t=T - S)
+    tracks = followed(20, other(n, T, t - ago, -9.0), other(20, T, t - 30 * MS), t=T - S)
     assert judge(tracks, place(t, 1.0), None, LIMITS)[1] is alone
 
 

@@ -1,0 +1,179 @@
+"""The guard: each input meets its watches in turn, a refusal leaves the later ones untouched, and every doubt is told."""
+
+import math
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from estimator.contracts.estimates import Doubt, RelativeState, Sighting, Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.integrity import Guard, admit, admit_frame, admit_sighting, doubts, fused
+from estimator.integrity.clock import ClockWatch
+from estimator.integrity.frames import FrameWatch
+from estimator.integrity.heights import HeightWatch
+from estimator.integrity.sensors import SensorWatch
+from estimator.integrity.tracks import Candidate, Place, Tracks
+from estimator.integrity.view import ViewWatch
+
+S, MS = 1_000_000_000, 1_000_000
+T = 100 * S
+HEADING = 0.5
+
+
+def stamp(t: int, delay: int = 0) -> Stamp:
+    return Stamp(MonoNs(t - delay), MonoNs(t), 0.001, "sim")
+
+
+def attitude(t: int, roll: float = 0.0) -> Attitude:
+    return Attitude(stamp(t), Rotation.from_rpy(roll, 0.0, HEADING), np.eye(3))
+
+
+def sighting(t: int, d: tuple[float, float, float] = (1.0, 0.5, 2.0), delay: int = 0) -> Sighting:
+    cov = np.diag([4e-4, 12e-4, 9e-4, 1e-3])
+    return Sighting(stamp(t, delay), 1, "registration", np.array(d), 0.0, False, cov, 0.9)
+
+
+def belief(d: tuple[float, float, float], sigma_m: float) -> RelativeState:
+    return RelativeState(MonoNs(T), "ekf", np.array(d), np.zeros(3), 0.0, sigma_m**2 * np.eye(7), MonoNs(T), True)
+
+
+def status(t: int, flying: bool | None) -> VehicleStatus:
+    return VehicleStatus(stamp(t), flying, "flying", None, False, True)
+
+
+def test_a_vehicle_flies_until_it_says_that_it_does_not() -> None:
+    assert Guard().flying
+    for flying, then in ((True, True), (False, False), (None, True)):
+        guard, verdict = admit(Guard(flying=not then), status(T, flying))
+        assert (guard.flying, verdict) == (then, None)
+
+
+def test_a_reading_that_repeats_is_refused_in_flight_alone() -> None:
+    for flying, said in ((True, Verdict.FROZEN), (False, None)):
+        guard = Guard(flying=flying)
+        for i in range(4):
+            guard, verdict = admit(guard, Baro(stamp(T + i * S), 1.0, 0.5))
+        assert verdict is said
+
+
+def test_arrival_delay_and_reading_are_judged_in_turn() -> None:
+    guard, verdict = admit(Guard(), Imu(stamp(T), np.zeros(3), np.array([0.0, 0.0, -9.8])))
+    assert verdict is None
+    assert set(guard.sensors) == {Imu}
+    late, verdict = admit(guard, Baro(stamp(T + 2 * S), 1.0, 0.5))
+    assert (verdict, Baro in late.sensors, late.clock.rival is not None) == (Verdict.TOO_NEW, False, True)
+    for i in range(10):
+        guard, verdict = admit(guard, Baro(stamp(T + i * MS), float(i), 0.5))
+        assert verdict is None
+    delayed, verdict = admit(guard, Baro(stamp(T + 10 * MS, delay=S), 1.0, 0.5))
+    assert (verdict, delayed.clock.off("Baro"), delayed.sensors) == (Verdict.TOO_OLD, True, guard.sensors)
+    assert set(guard.sensors) == {Imu, Baro}
+    _, verdict = admit(guard, Imu(stamp(T + 10 * MS), np.zeros(3), np.array([0.0, 0.0, -99.0])))
+    assert verdict is Verdict.IMPOSSIBLE
+
+
+def test_range_and_barometer_are_compared_with_the_camera_unless_they_are_refused() -> None:
+    seen = Guard(heights=HeightWatch(seen_at=T, d_level=(0.0, 0.0, 2.0)))
+    guard, _ = admit(seen, Range(stamp(T), 2.0, 0.01))
+    assert guard.heights.agreed_at == T
+    guard, _ = admit(seen, Baro(stamp(T), 32.0, 0.5))
+    assert guard.heights.rise_now == 30.0
+    for kind, reading in ((Range, Range(stamp(T), 2.0, 0.01)), (Baro, Baro(stamp(T), 2.0, 0.5))):
+        held = replace(seen, sensors=MappingProxyType({kind: SensorWatch(2.0, T - 3 * S)}))
+        guard, verdict = admit(held, reading)
+        assert (verdict, guard.heights) == (Verdict.FROZEN, seen.heights)
+
+
+def test_a_frame_that_repeats_is_refused() -> None:
+    frame = Frame(stamp(T), 1, np.zeros((32, 4, 3), np.uint8))
+    guard, verdict = admit_frame(Guard(), frame)
+    assert verdict is None
+    assert admit_frame(guard, frame)[1] is Verdict.REPEATED
+
+
+def test_a_sighting_is_placed_in_axes_of_fixed_heading_with_its_own_doubt() -> None:
+    guard, verdict = admit_sighting(Guard(), sighting(T), attitude(T), None)
+    c, s = math.cos(HEADING), math.sin(HEADING)
+    assert verdict is None
+    assert guard.tracks.last is not None
+    assert guard.tracks.last.t == T
+    assert guard.tracks.last.d == pytest.approx((c - 0.5 * s, s + 0.5 * c, 2.0))
+    assert (guard.tracks.last.sigma_m, guard.tracks.last.sigma_down_m) == pytest.approx((math.sqrt(8e-4), 0.03))
+    guard, _ = admit_sighting(Guard(), sighting(T), None, None)
+    assert guard.tracks.last is not None
+    assert guard.tracks.last.d == (1.0, 0.5, 2.0), "as far as a heading is known"
+
+
+def followed() -> Guard:
+    guard, _ = admit_sighting(Guard(), sighting(T), attitude(T), None)
+    for _ in range(9):
+        guard = fused(guard, sighting(T), attitude(T))
+    return guard
+
+
+def test_what_the_estimator_took_is_counted_and_its_height_compared_where_the_attitude_is_known() -> None:
+    guard = fused(Guard(), sighting(T), attitude(T, 0.1))
+    assert (guard.tracks.n, guard.heights.seen_at, guard.heights.d_level) == (1, T, (1.0, 0.5, 2.0))
+    assert guard.heights.down_level == pytest.approx((0.0, -math.sin(0.1), math.cos(0.1)))
+    guard = fused(Guard(), sighting(T), None)
+    assert (guard.tracks.n, guard.heights) == (1, HeightWatch())
+
+
+def test_another_place_is_refused_unless_the_belief_expects_it() -> None:
+    t, there = T + 500 * MS, (1.0, -0.5, 2.0)
+    assert admit_sighting(followed(), sighting(t, there), attitude(t), None)[1] is Verdict.ELSEWHERE
+    guard, verdict = admit_sighting(followed(), sighting(t, there), attitude(t), belief((1.0, 0.5, 2.0), 0.1))
+    assert (verdict, len(guard.tracks.candidates)) == (Verdict.ELSEWHERE, 1)
+    assert admit_sighting(followed(), sighting(t, there), attitude(t), belief(there, 0.1))[1] is None
+    assert admit_sighting(followed(), sighting(t, there), attitude(t), belief((1.0, -0.2, 2.0), 0.1))[1] is None
+    assert admit_sighting(followed(), sighting(t, there), attitude(t), belief((1.0, -0.1, 2.0), 0.001))[1] is Verdict.ELSEWHERE
+
+
+def test_a_sightings_stamp_is_judged_before_its_place() -> None:
+    guard, verdict = admit_sighting(followed(), sighting(T + 2 * S, (9.0, 0.0, 2.0)), None, None)
+    assert (verdict, guard.tracks, guard.clock.rival is not None) == (Verdict.TOO_NEW, followed().tracks, True)
+    guard = Guard()
+    for i in range(10):
+        guard, verdict = admit_sighting(guard, sighting(T + i * MS), None, None)
+        assert verdict is None
+    late, verdict = admit_sighting(guard, sighting(T + 10 * MS, (9.0, 0.0, 2.0), delay=160 * MS), None, None)
+    assert (verdict, late.tracks, doubts(late, MonoNs(T))) == (Verdict.TOO_OLD, guard.tracks, (Doubt.STAMPS,))
+    assert doubts(guard, MonoNs(T)) == ()
+
+
+@pytest.mark.parametrize(("flying", "known", "said"), [(True, True, Verdict.FROZEN), (False, True, None), (True, False, None)])
+def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(
+    flying: bool, known: bool, said: Verdict | None
+) -> None:
+    guard = Guard(flying=flying)
+    for i in range(12):
+        t = T + i * 40 * MS
+        at = attitude(t, 0.02 * (-1) ** i)
+        x, y, z = (at.R_ned_body.without_heading() @ np.array([0.1, 0.0, 2.0])).tolist()
+        guard, verdict = admit_sighting(guard, sighting(t, (x, y, z)), at if known else None, None)
+        guard = fused(guard, sighting(t, (x, y, z)), None)
+    assert verdict is said
+
+
+def test_each_doubt_is_told_for_its_own_reason() -> None:
+    frozen = SensorWatch(frozen=True)
+    view = ViewWatch(((T, np.zeros(3), np.eye(3)),), True)
+    other = Candidate(T, 3, Place(T, (9.0, 0.0, 2.0), 0.0, 0.0))
+    for guard, doubt in (
+        (Guard(frames=FrameWatch((), 3)), Doubt.CAMERA_FROZEN),
+        (Guard(view=view), Doubt.VIEW_FROZEN),
+        (Guard(sensors=MappingProxyType({Imu: frozen})), Doubt.IMU_FROZEN),
+        (Guard(sensors=MappingProxyType({Attitude: frozen})), Doubt.ATTITUDE_FROZEN),
+        (Guard(tracks=Tracks(1, 9, None, (other,))), Doubt.ELSEWHERE),
+        (Guard(heights=HeightWatch(contradicted=True)), Doubt.RANGE),
+        (Guard(heights=HeightWatch(baro_contradicted=True)), Doubt.HEIGHT),
+    ):
+        assert doubts(guard, MonoNs(T)) == (doubt,)
+    assert doubts(Guard(clock=ClockWatch(T), sensors=MappingProxyType({Imu: SensorWatch(), Baro: frozen})), MonoNs(T)) == ()
+    assert [doubts(Guard(view=view), MonoNs(T + t)) for t in (S - 1, S)] == [(Doubt.VIEW_FROZEN,), ()]
+    assert doubts(Guard(view=ViewWatch((), True)), MonoNs(T)) == ()
+    assert doubts(Guard(view=view._replace(frozen=False)), MonoNs(T)) == ()
