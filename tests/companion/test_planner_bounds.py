@@ -277,6 +277,14 @@ def test_the_set_point_flies_and_slows_down_near_its_way_point(
     assert aim.v_body_level == pytest.approx([0.0, 0.0, speed_m_s])
 
 
+def test_a_set_point_that_arrives_in_this_cycle_stands_still() -> None:
+    plan = replace(PLAN, speed_m_s=0.5, slow_least=0.5)
+    _, aim, _ = cycle(flying(0.125, point=np.array([0.0, 0.0, 2.03125]), yaw_rad=0.0), belief(2.03125), plan)
+    assert isinstance(aim, SetPoint)
+    assert aim.d_body_pad_level.tolist() == [0.0, 0.0, 2.0]
+    assert aim.v_body_level.tolist() == [0.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize(("behind_m", "waits"), [(0.75, False), (0.85, True)])
 def test_the_set_point_waits_for_a_drone_that_is_too_far_behind(behind_m: float, waits: bool) -> None:
     point = np.array([0.0, 0.0, 4.0])
