@@ -35,6 +35,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/pid.py": _GUIDANCE,
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
     "drivers/ardrone/helm.py": ("tests/drivers/test_helm_bounds.py", "tests/drivers/test_helm.py"),
-    "drivers/mavlink/helm.py": ("tests/drivers/mavlink/test_helm.py",),
+    "drivers/mavlink/helm.py": ("tests/drivers/mavlink/test_helm_bounds.py", "tests/drivers/mavlink/test_helm.py"),
 }
 """Module to tests; only those whose lines meet the mutant's run, the quickest first."""

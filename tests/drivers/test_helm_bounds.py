@@ -11,9 +11,10 @@ from drivers.ardrone.arbiter import HOVER, STAY_UP
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.helm import Helm
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
+from drivers.ardrone.velocity_loop import RESET, step
+from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity
 from estimator.contracts.time import MonoNs, Stamp
 
 FORWARD = Velocity(np.array([0.4, 0.0, 0.0]), 0.0)
@@ -189,9 +190,40 @@ def test_a_landing_ordered_again_is_no_longer_taken_back(cockpit: Cockpit) -> No
         cockpit.helm.take(command, ms(1))
     cockpit.hears(2, LANDING)
     assert cockpit.ref(3) == GROUND
-    cockpit.hears(4, LANDED)
-    cockpit.hears(5, LANDING, nd.State.COM_WATCHDOG, altitude_m=0.3)
-    assert cockpit.ref(6) is None
+
+
+@pytest.mark.parametrize(
+    "before", [(), (Land(), FORWARD, None), (Land(), FORWARD, Land(), TakeOff())], ids=["new", "landed", "flown"]
+)
+def test_how_low_a_landing_for_our_silence_is_called_off_owes_nothing_to_one_before(
+    cockpit: Cockpit, before: tuple[Command | None, ...]
+) -> None:
+    for t, command in enumerate(before):
+        cockpit.hears(10 * t, LANDED if command is None else FLYING)
+        if command is not None:
+            cockpit.helm.take(command, ms(10 * t))
+    if before:
+        cockpit.hears(100, FLYING)
+    for t, altitude_m, ref in ((2000, 0.3, None), (2010, 0.6, STAY_UP)):
+        cockpit.hears(t, LANDING, nd.State.COM_WATCHDOG, altitude_m=altitude_m)
+        assert cockpit.ref(t) == ref
+
+
+def test_a_drone_that_says_both_that_it_lands_and_that_it_does_not_fly_has_not_landed(cockpit: Cockpit) -> None:
+    cockpit.helm.take(Land(standing=True), ms(0))
+    demo = nd.Demo(LANDING.word, 50, 0.0, 0.0, 0.0, 100, 0.0, 0.0, 0.0)
+    cockpit.helm.hear(nd.Navdata.of(0, 1, (demo,)), ms(1))
+    assert cockpit.helm.landing
+
+
+def test_the_first_step_of_the_loop_takes_no_time_and_other_samples_say_nothing_to_it(cockpit: Cockpit) -> None:
+    cockpit.hears(0, FLYING)
+    cockpit.measures(0, 0.1)
+    cockpit.helm.hear_sample(Baro(Stamp(ms(0), ms(0), 0.001, "synced"), 1.0, 0.5))
+    cockpit.helm.take(FORWARD, ms(0))
+    _, wanted = step(RESET, FORWARD, np.array([0.1, 0.0, 0.0]), None, 0.0, cockpit.options.loop)
+    sticks = cockpit.sticks(0)
+    assert (sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw) == (wanted.roll, wanted.pitch, wanted.gaz, wanted.yaw)
 
 
 def test_the_watchdog_is_counted_as_often_as_it_is_reset(cockpit: Cockpit) -> None:
