@@ -21,7 +21,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/ekf/fuse.py": _EKF,
     "estimator/ekf/seeing.py": _EKF,
     "estimator/ekf/filter.py": _EKF,
-    "estimator/ekf/history.py": _EKF,
+    "estimator/ekf/history.py": ("tests/estimator/ekf/test_history_bounds.py", "tests/estimator/ekf/test_history.py"),
     "estimator/integrity/guard.py": _INTEGRITY,
     "estimator/integrity/clock.py": _INTEGRITY,
     "estimator/integrity/frames.py": _INTEGRITY,

@@ -317,3 +317,26 @@ def test_a_take_off_is_tried_for_fifteen_seconds() -> None:
     flight.take(TakeOff(), 20_000)
     flight.take(Land(), 20_001)
     assert all(m.command != mav.MAV_CMD_COMPONENT_ARM_DISARM for m in flight.helm.period(ms(20_100))), "a landing ends it"
+
+
+def test_arming_and_taking_off_carry_nothing_else_and_are_asked_for_again_though_one_try_is_allowed() -> None:
+    flight = Flight(mode="guided", tries=1)
+    flight.told("guided", flying=False, armed=False)
+    flight.take(TakeOff(), 0)
+    for t in (0, 1000, 2000):
+        (arm,) = flight.helm.period(ms(t))
+        assert arm.command == mav.MAV_CMD_COMPONENT_ARM_DISARM
+        assert (arm.target_system, arm.target_component, arm.confirmation) == (7, 1, 0)
+        assert [getattr(arm, f"param{n}") for n in range(1, 8)] == [1, 0, 0, 0, 0, 0, 0]
+        assert flight.helm.period(ms(t + 999)) == []
+    flight.told("guided", flying=False, armed=True)
+    (up,) = flight.helm.period(ms(3000))
+    assert (up.command, up.confirmation) == (mav.MAV_CMD_NAV_TAKEOFF, 0)
+    assert [getattr(up, f"param{n}") for n in range(1, 8)] == [0, 0, 0, 0, 0, 0, 3.0]
+
+
+def test_without_a_heading_no_mode_is_asked_for_either() -> None:
+    flight = Flight()
+    flight.take(GO, 0)
+    assert flight.sends(0, blind=True) == ([], [])
+    assert flight.sends(10) == ([GOING], [GUIDED])

@@ -1,0 +1,135 @@
+"""The filter's past at each of its edges: how late, how far ahead, how long kept, and when time has leapt."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Baro, Range
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.ekf import motion
+from estimator.ekf.algebra import Algebra
+from estimator.ekf.history import History, Leap, put
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.state import N
+from estimator.ekf.stride import Event, Tools
+
+OPTIONS = EkfOptions()
+TOOLS = Tools(OPTIONS, motion.Walk(OPTIONS), Algebra(N))
+MS = 1_000_000
+T = 100_000 * MS
+
+
+def stamp(taken: int, heard: int | None = None) -> Stamp:
+    return Stamp(MonoNs(taken), MonoNs(max(taken, taken if heard is None else heard)), 0.02, "sim")
+
+
+def baro(taken: int, heard: int | None = None) -> Baro:
+    return Baro(Stamp(MonoNs(taken), MonoNs(taken if heard is None else heard), 0.02, "sim"), 1.0, 0.5)
+
+
+def after(*events: Event) -> tuple[History, list[Verdict]]:
+    """Nothing has told which way is down, so the filter itself makes nothing of these and the past alone is seen."""
+    history, verdicts = History(), []
+    for event in events:
+        history, outcome = put(history, event, TOOLS)
+        verdicts.append(outcome.verdict)
+    return history, verdicts
+
+
+def keys(history: History) -> list[tuple[int, int]]:
+    return [(node.key[0] - T, node.key[1]) for node in history.nodes]
+
+
+def test_a_new_past_is_empty_and_answers_nothing() -> None:
+    assert History() == History(None, (), -1, -1, None)
+    assert History().newest() is None
+    assert History().before(T) is None
+
+
+@pytest.mark.parametrize(("ahead", "too_new"), [(50 * MS, False), (50 * MS + 1, True)])
+def test_a_measurement_may_lie_a_little_ahead_of_everything_heard(ahead: int, too_new: bool) -> None:
+    history, verdicts = after(baro(T), baro(T + ahead, T))
+    assert (verdicts[1] is Verdict.TOO_NEW) is too_new
+    assert (len(history.nodes), history.heard) == (1 if too_new else 2, T)
+    history, _ = after(baro(T), baro(T + 80 * MS, T + 10 * MS))
+    assert history.heard == T + 10 * MS, "heard all the same"
+
+
+def test_the_past_is_kept_for_a_second_and_what_is_older_comes_too_late() -> None:
+    history, _ = after(baro(T), baro(T + 1), baro(T + 1000 * MS))
+    assert (len(history.nodes), history.forgotten, history.base) == (3, -1, None)
+    history, _ = after(baro(T), baro(T + 1), baro(T + 2), baro(T + 1000 * MS + 2))
+    assert (keys(history), history.forgotten) == ([(2, 4), (1000 * MS + 2, 4)], T + 1)
+    for taken, verdict in ((T + 1, Verdict.TOO_OLD), (T, Verdict.TOO_OLD)):
+        late, outcome = put(history, baro(taken, T + 1100 * MS), TOOLS)
+        assert (outcome.verdict, keys(late), late.heard) == (verdict, keys(history), T + 1100 * MS)
+    assert put(history, baro(T + 2, T + 1100 * MS), TOOLS)[1].verdict is not Verdict.TOO_OLD
+
+
+def test_events_lie_by_instant_and_kind_whatever_the_order_of_arrival() -> None:
+    level = Attitude(stamp(T + 5), Rotation.identity(), np.eye(3))
+    events = [baro(T + 9), baro(T + 5), Range(stamp(T + 5), 1.0, 0.1), baro(T), level]
+    expected = [(0, 4), (5, 1), (5, 3), (5, 4), (9, 4)]
+    for order in (events, events[::-1], [events[2], *events[:2], *events[3:]]):
+        assert keys(after(*order)[0]) == expected
+
+
+def test_sightings_of_one_instant_lie_by_number_and_method() -> None:
+    def seen(seq: int, method: str) -> Sighting:
+        return Sighting(stamp(T), seq, method, np.array([0.0, 0.0, 2.0]), 0.0, False, 1e-4 * np.eye(4), 0.9)  # type: ignore[arg-type]
+
+    history, _ = after(seen(2, "marker"), seen(1, "selected"), seen(1, "marker"))
+    assert [node.key for node in history.nodes] == [(T, 6, 1, "marker"), (T, 6, 1, "selected"), (T, 6, 2, "marker")]
+
+
+def test_the_belief_before_an_instant_is_the_one_after_the_last_event_not_later() -> None:
+    level = Attitude(stamp(T), Rotation.identity(), 1e-4 * np.eye(3))
+    history, _ = after(level, baro(T + 10 * MS), baro(T + 20 * MS))
+    a, b, c = (node.after for node in history.nodes)
+    assert [history.before(T + t * MS) for t in (10, 19, 20, 99)] == [b, b, c, c]
+    assert history.before(T) is a
+    assert history.before(T - 1) is None
+    assert history.newest() is c
+    history, _ = put(history, baro(T + 1015 * MS), TOOLS)
+    assert history.base is b
+    assert history.base is not None
+    assert history.before(history.base.t) is b
+    assert history.before(history.base.t - 1) is None
+
+
+LEAP = 2000 * MS
+
+
+@pytest.mark.parametrize(
+    ("heard", "verdict"),
+    [(T + LEAP, None), (T + LEAP + 1, Verdict.TOO_NEW), (T - LEAP, None), (T - LEAP - 1, Verdict.TOO_OLD)],
+)
+def test_an_arrival_may_be_a_leap_away(heard: int, verdict: Verdict | None) -> None:
+    history, verdicts = after(baro(T), baro(heard))
+    refused = history.leapt == Leap(heard, 1)
+    assert refused is (verdict is not None)
+    assert not refused or (verdicts[1], history.heard, len(history.nodes)) == (verdict, T, 1)
+
+
+def test_five_in_a_row_are_time_that_leapt() -> None:
+    forward = [baro(T + 2 * LEAP + i * MS) for i in range(5)]
+    history, verdicts = after(baro(T), *forward)
+    assert verdicts[1:5] == [Verdict.TOO_NEW] * 4
+    assert (history.leapt, history.heard) == (None, T + 2 * LEAP + 4 * MS)
+    back = [baro(T - 2 * LEAP + i * MS) for i in range(5)]
+    history, verdicts = after(baro(T), *back)
+    assert verdicts[1:5] == [Verdict.TOO_OLD] * 4
+    assert (history.heard, len(history.nodes), history.forgotten) == (T - 2 * LEAP + 4 * MS, 1, -1), "the past begins anew"
+
+
+def test_a_row_is_broken_by_an_arrival_in_time_or_one_elsewhere() -> None:
+    row = [baro(T + 2 * LEAP + i * MS) for i in range(4)]
+    history, _ = after(baro(T), *row, baro(T + 1))
+    assert history.leapt is None
+    for apart, n in ((LEAP, 5), (LEAP + 1, 1)):
+        history, verdicts = after(baro(T), *row, baro(T + 2 * LEAP + 3 * MS + apart))
+        assert (history.leapt is None) is (n == 5)
+        assert n == 5 or (history.leapt == Leap(T + 2 * LEAP + 3 * MS + apart, 1) and verdicts[-1] is Verdict.TOO_NEW)
