@@ -119,6 +119,7 @@ def test_five_in_a_row_are_time_that_leapt() -> None:
     history, verdicts = after(baro(T), *forward)
     assert verdicts[1:5] == [Verdict.TOO_NEW] * 4
     assert (history.leapt, history.heard) == (None, T + 2 * LEAP + 4 * MS)
+    assert history.forgotten == T, "what was known goes on being known"
     back = [baro(T - 2 * LEAP + i * MS) for i in range(5)]
     history, verdicts = after(baro(T), *back)
     assert verdicts[1:5] == [Verdict.TOO_OLD] * 4
