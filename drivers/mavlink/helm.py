@@ -6,7 +6,8 @@ another mode has the vehicle, and is not argued with: nothing is sent until the 
 operator starts anew, or the vehicle has landed.
 Nothing that guidance asked for is flown for long without its being asked for again. A velocity or a landing that is not
 renewed becomes a hold at the deck's own velocity, then one over the ground, then the autopilot's hold mode, and our stream ends.
-A landing by velocity is bounded by time and by height as well, renewed or not.
+A landing by velocity is bounded by time and by height as well, renewed or not. A person's needs no renewing and may begin at any
+height; when its time is used up our stream ends all the same, and the autopilot's own landing mode goes on with it.
 When the process itself falls silent the autopilot's own failsafe acts: ArduPilot flies on for 3 s and brakes, PX4 brakes after
 1 s. A landing by the autopilot's own mode (ArduPilot LAND) goes on then, by its own rules for a lost target (PLND_STRICT).
 """
@@ -61,9 +62,10 @@ class HelmOptions:
     landing_timeout_s: float = 0.5
     """A landing that guidance has not asked for again for this long is called off."""
     landing_most_s: float = 15.0
-    """A landing by velocity that has not ended after this is over, asked for or not."""
+    """A landing by velocity that has not ended after this is over, asked for or not; a person's is the autopilot's own then."""
     landing_depth_m: float = 3.0
-    """A landing by velocity that has come down this far since it began is over too: there is no deck."""
+    """A landing by velocity that has come down this far since it began is over too: there is no deck. Not so a person's, which
+    may begin at any height."""
     carry_s: float = 3.0
     """Time after the last velocity in which a hold moves with the deck; later it holds over the ground."""
     hold_mode_after_s: float = 6.0
@@ -148,7 +150,9 @@ class Helm:
         elif isinstance(command, Land):
             self._take_off_at = None
             self._motion_at = now
-            if self.hand is Hand.LANDING and not self._spent:
+            if self.hand is Hand.LANDING and command.standing and not self._land.standing:
+                self._land, self._land_at, self._land_began, self._spent = command, now, now, False
+            elif self.hand is Hand.LANDING and not self._spent:
                 self._land_at = now
             elif self.hand not in (Hand.LANDING, Hand.RELEASED) and not self._spent:
                 self._land, self._land_at, self._land_began, self._land_from_m = command, now, now, self._down_m
@@ -285,6 +289,9 @@ class Helm:
             carried = self._carried * (1.0, 1.0, 0.0) if silent_s <= self._o.carry_s else np.zeros(3)
             return self._setpoint(now, Velocity(carried, 0.0))
         self._paused = False
+        if self._sinking and self._land.standing and seconds_between(self._land_began, now) > self._o.landing_most_s:
+            self._sinking = False
+            self._ask_anew(Hand.LANDING)
         if self._sinking:
             v = np.array([self._carried[0], self._carried[1], self._o.sink_m_s])
             return self._setpoint(now, Velocity(v, 0.0))
@@ -294,7 +301,7 @@ class Helm:
         return [set_mode(self._id.stack, self._id.address, mode)]
 
     def _wanted(self, now: MonoNs) -> bool:
-        """Return whether the landing is to go on."""
+        """Return whether the landing is to go on, by velocity or by mode."""
         if self._land.standing:
             return True
         if self._spent or seconds_between(self._land_at, now) > self._o.landing_timeout_s:

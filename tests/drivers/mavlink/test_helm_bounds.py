@@ -228,6 +228,33 @@ def test_a_landing_by_velocity_ends_by_its_time() -> None:
     assert flight.sends(15_300)[0] == [DOWN], "another one is another one"
 
 
+def test_a_persons_landing_by_velocity_becomes_the_autopilots_own_after_its_time() -> None:
+    """It sank for ever."""
+    flight = sinking()
+    flight.take(Land(standing=True), 1_000)
+    flight.helm.on_position(5.0)
+    assert flight.sends(16_000) == ([DOWN], []), "not renewed, and from any height"
+    assert flight.sends(16_000.001) == ([], [AUTO_LAND])
+    assert flight.sends(16_500) == ([], [])
+    assert flight.sends(17_001) == ([], [AUTO_LAND]), "asked for again until it has come about"
+    flight.told("auto.land")
+    assert flight.sends(60_000) == ([], [])
+    assert (flight.helm.hand, flight.helm.landings_called_off) == (Hand.LANDING, 0)
+    assert flight.helm.leave(ms(60_000)) == []
+
+
+def test_a_person_may_order_the_landing_that_guidance_has_under_way_or_has_used_up() -> None:
+    flight = sinking()
+    flight.take(Land(standing=True), 100)
+    flight.take(Land(), 200)
+    assert flight.sends(5_000)[0] == [DOWN], "guidance's own asking makes it no less a person's"
+    spent = sinking()
+    spent.helm.on_position(1.001)
+    assert spent.sends(100)[0] == [LEVEL]
+    spent.take(Land(standing=True), 200)
+    assert spent.sends(5_000)[0] == [DOWN]
+
+
 @pytest.mark.parametrize(("down_m", "v"), [(1.0, DOWN), (1.001, LEVEL), (-9.0, DOWN)])
 def test_a_landing_by_velocity_ends_by_its_depth(down_m: float, v: tuple[float, ...]) -> None:
     flight = sinking()
