@@ -54,7 +54,7 @@ class CommandChannel:
             Recoverable: as said; the next run has a new sender, or a new socket with this host's present address.
         """
         if self._sender is None:
-            self._sender = SenderClient(self._options(), self._clock, self._told)
+            self._sender = SenderClient(self._options(), self._clock, self._told, self._hovered)
             self._counters.at_senders += 1
         else:
             self._sender.reopen()
@@ -94,6 +94,9 @@ class CommandChannel:
         self._counters.at_commands += max(0, now.sequence - before.sequence)
         self._counters.at_errors += now.errors - before.errors
         self._counters.at_late_hovers += now.late_hovers - before.late_hovers
+
+    def _hovered(self) -> None:
+        self._counters.at_hovers_past_sender += 1
 
     def _last_sign(self, opened: MonoNs) -> MonoNs:
         heard = self._navdata.heard

@@ -59,6 +59,8 @@ class Counters:
     """Periods in which the drone was told to end a landing that nobody wants."""
     at_late_hovers: int = 0
     """Datagrams in which the sender put hover for a word of ours that had run out."""
+    at_hovers_past_sender: int = 0
+    """Times that we told the drone to hover ourselves, as the sender was silent or gone."""
     at_senders: int = 0
     """Sender processes that were started; more than one means that one was lost."""
 

@@ -44,7 +44,8 @@ _OPENING_DATAGRAMS = 8
 """The command that carries that number. It must not reset the drone's watchdog, whose bit tells why a drone is landing."""
 _ALONE_DATAGRAMS = 5
 """Datagrams that carry what is sent on being left alone; nobody waits for an acknowledgement then."""
-_STATUS_S = 0.05
+_STATUS_S = 0.02
+"""Least time between two statuses; shorter than the usual period, as the service misses one that does not answer a word."""
 _SILENT_S = 1.0
 """A service that is connected and silent for this long is as good as gone."""
 _ASK_AGAIN_S = 0.5

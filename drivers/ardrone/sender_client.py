@@ -21,6 +21,10 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 _COMMANDS_S = 0.5
 """Commands other than words are dropped when they have waited this long."""
 _READY_S = 5.0
+_SILENT_S = 0.1
+"""A sender answers each word by its status; when none has come for this long, the drone is told to hover past it."""
+_SILENT_PERIODS = 3.5
+"""The same where words come more slowly."""
 _STUCK_S = 0.5
 """A sender that has not told its status for this long is replaced."""
 _END_S = 2.0
@@ -37,13 +41,22 @@ class SenderClient:
 
     Args:
         told: is given each status with the one before it.
+        hovered: is called whenever hover was said past a sender that is silent or gone.
     """
 
-    def __init__(self, options: SenderOptions, clock: Clock, told: Callable[[Status, Status], None]) -> None:
+    def __init__(
+        self,
+        options: SenderOptions,
+        clock: Clock,
+        told: Callable[[Status, Status], None],
+        hovered: Callable[[], None] = lambda: None,
+    ) -> None:
         self._o = options
         self._clock = clock
         self._told = told
         self._status = Status(0, 0, 0, 0)
+        self._hovered = hovered
+        self._silent_s = max(_SILENT_S, _SILENT_PERIODS * options.period_s)
         self._heard: MonoNs | None = None
         self._began = clock.now()
         self._buffer = b""
@@ -81,13 +94,15 @@ class SenderClient:
         return self._heard is not None
 
     def say(self, word: Word) -> None:
-        """Give the newest word; never blocks.
+        """Give the newest word; never blocks. While the sender is silent the drone is told to hover, word after word.
 
         Raises:
             Recoverable: the sender is gone or stuck.
         """
         self._word = word
         self._look()
+        if self._heard is not None and seconds_between(self._heard, self._clock.now()) > self._silent_s:
+            self._hover()
         self._write(pack(word))
 
     def send(self, commands: Sequence[AtCommand]) -> None:
@@ -182,13 +197,21 @@ class SenderClient:
             self._process.wait()
 
     def _hover(self) -> None:
-        """Without a sender the drone flies on by the last command it heard: number 1 makes it hear this one."""
+        """Without a sender the drone flies on by the last command it heard: number 1 makes it hear this one.
+
+        A sender that was only slow goes on with its own numbers, which are higher: the drone hears those as well.
+        """
+        self._hovered()
         data = encode(1, HOVER)
         try:
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as direct:
+            # A name would have to be resolved, which blocks.
+            family, kind, _, _, address = socket.getaddrinfo(
+                self._o.host, self._o.at_port, type=socket.SOCK_DGRAM, flags=socket.AI_NUMERICHOST
+            )[0]
+            with socket.socket(family, kind) as direct:
                 direct.setblocking(False)
                 for _ in range(_BURST):
-                    direct.sendto(data, (self._o.host, self._o.at_port))
+                    direct.sendto(data, address)
         except OSError:
             return  # a name instead of an address, or no network: the next sender will say it
 

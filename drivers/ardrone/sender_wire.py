@@ -1,7 +1,7 @@
 """The protocol between a service and its sender: lines of JSON over a stream socket. No I/O.
 
 The service sends words (`pack`), further commands with a deadline (`pack_commands`), REOPEN, and at its end the last word
-(`pack_end`). The sender answers with its status, fifty milliseconds apart.
+(`pack_end`). The sender answers each word with its status.
 """
 
 from __future__ import annotations

@@ -69,6 +69,20 @@ def alive(pid: int) -> bool:
         return False
 
 
+def stopped(pid: int) -> bool:
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] == "T"
+
+
+class Stopwatch(SystemClock):
+    """Stands still unless it is moved."""
+
+    def __init__(self) -> None:
+        self.instant = super().now()
+
+    def now(self) -> MonoNs:
+        return self.instant
+
+
 @asynccontextmanager
 async def service(options: ArDroneOptions, fake: FakeArDrone) -> AsyncIterator[tuple[subprocess.Popen[bytes], int]]:
     """A service in a process of its own that flies the drone ahead; its sender's process with it."""
@@ -176,6 +190,49 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
         await steer(drone, fake)
         assert fake.state & nd.State.FLYING
         assert not alive(first)
+
+
+async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> None:
+    """Long before it is replaced; one that was only slow is the same process afterwards, and the drone still hears it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
+        drone.bind((HOST, 0))
+        drone.settimeout(60.0)
+        port, past, clock = drone.getsockname()[1], list[None](), Stopwatch()
+        client = SenderClient(SenderOptions(HOST, port, port, 0.03, 60.0), clock, lambda a, b: None, lambda: past.append(None))
+
+        def flies() -> None:
+            client.say(Word(after(CLOCK.now(), 60.0), AHEAD))
+
+        try:
+            flies()
+            await until(lambda: client.up)
+            assert at.decode(drone.recv(2048))[-1][1] == AHEAD
+            os.kill(client.pid, signal.SIGSTOP)
+            await until(lambda: stopped(client.pid))
+            flies()  # what it had said before it stopped is read now
+            clock.instant = after(clock.instant, 0.09)
+            flies()
+            assert not past
+            clock.instant = after(clock.instant, 0.03)
+            flies()
+            assert len(past) == 1
+            drone.setblocking(False)
+            said = []
+            while True:
+                try:
+                    said += at.decode(drone.recv(2048))
+                except BlockingIOError:
+                    break
+            assert said[-3:] == [(1, at.Pcmd(0, 0.0, 0.0, 0.0, 0.0))] * 3
+            os.kill(client.pid, signal.SIGCONT)
+            drone.settimeout(60.0)
+            flies()
+            gate = at.SequenceGate()
+            while (heard := at.decode(drone.recv(2048)))[-1][1] != AHEAD:
+                assert all(gate.accepts(number) for number, _ in heard)
+            assert all(gate.accepts(number) for number, _ in heard)
+        finally:
+            client.end(Word(CLOCK.now(), HOVER))
 
 
 async def test_a_blocked_event_loop_means_hover() -> None:
