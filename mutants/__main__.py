@@ -6,6 +6,7 @@ Ends with 1 when fewer mutants than `--goal` are killed in any file. A mutant th
 from __future__ import annotations
 
 import argparse
+import gc
 import hashlib
 import importlib
 import json
@@ -23,7 +24,10 @@ from mutants.operators import Mutant, mutants
 from mutants.table import TARGETS
 
 ROOT = Path(__file__).parents[1]
-LIBRARIES = ("numpy", "scipy.linalg", "filterpy.kalman", "hypothesis", "pymavlink.dialects.v20.common", "msgspec")
+LIBRARIES = (
+    "numpy", "scipy.linalg", "filterpy.kalman", "hypothesis", "pymavlink.dialects.v20.common", "msgspec",
+    "pytest_asyncio", "pytest_timeout",
+)  # fmt: skip
 """Imported once, before the forks."""
 _PATIENCE = 6.0
 """Times as long as the tests take on the module as it is, and some seconds, until a mutant counts as hanging."""
@@ -130,6 +134,7 @@ def main() -> int:
         os.environ.setdefault(variable, "1")  # a fork does not inherit the threads that numpy would start
     for library in LIBRARIES:
         importlib.import_module(library)
+    gc.freeze()  # what was imported here is not collected in any child
     began = time.monotonic()
     tallies = [judge(path, TARGETS[path], args.share, args.seed) for path in args.only or TARGETS]
     print(f"\n{'file':<34} {'killed':>6} {'of':>5}")

@@ -1,7 +1,8 @@
 """Tests in a forked process: on the module as it is, noting which test meets which line, or on a mutant of it.
 
-The parent has imported pytest and the libraries but nothing of ours, so a child starts in milliseconds and finds the module
-changed without a file being written.
+The parent has imported pytest and the libraries but nothing of ours, so a child starts in a tenth of a second and finds the
+module changed without a file being written. Nobody reads what a failing test says, so nothing is spent on it: asserts are not
+rewritten, Hypothesis draws the same examples each time and does not shrink the one that fails.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from types import CodeType, FrameType, ModuleType
 from typing import Any
 
 import pytest
+from hypothesis import Phase, settings
 
 IMPORTING = ""
 """Stands for a test's name where a line runs when the module is imported."""
@@ -70,6 +72,7 @@ class _Lines:
 
 def baseline(path: Path, tests: Sequence[str], report: Path) -> int:
     """Run the tests as things are and write what each meets; the exit code of pytest."""
+    _no_shrinking()
     lines = _Lines(path)
     sys.settrace(lines.trace)
     code = int(pytest.main([*_QUIET, *tests], plugins=[lines]))
@@ -81,13 +84,23 @@ def baseline(path: Path, tests: Sequence[str], report: Path) -> int:
 def on_mutant(name: str, path: Path, source: str, tests: Sequence[str]) -> int:
     """Run tests on the changed module up to the first that fails; 0 when none notices."""
     try:
+        _no_shrinking()
         sys.meta_path.insert(0, _Changed(name, path, source))
         return int(pytest.main([*_QUIET, "-x", *tests]))
     except BaseException:
         return 1
 
 
-_QUIET = ("-q", "--no-header", "--no-summary", "--tb=no", "-p", "no:randomly", "-W", "ignore")
+def _no_shrinking() -> None:
+    settings.register_profile("mutants", derandomize=True, database=None, phases=(Phase.explicit, Phase.generate))
+    settings.load_profile("mutants")
+
+
+_QUIET = (
+    "-q", "--no-header", "--no-summary", "--tb=no", "--assert=plain", "-W", "ignore",
+    "-p", "no:randomly", "-p", "no:unraisableexception", "-p", "no:threadexception",
+)  # fmt: skip
+"""The two plugins collect garbage for a warning that is ignored here."""
 
 
 def silence() -> None:
