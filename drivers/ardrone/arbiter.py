@@ -53,8 +53,8 @@ class CommandArbiter:
         self._hold_s = hold_s
         self._word: Word | None = None
         self._watch = LandingWatch()
-        self._report: DroneReport | None = None
-        self._heard = MonoNs(0)
+        self._report: tuple[DroneReport, MonoNs] | None = None
+        """The newest, and when it was received."""
         self.hovers = 0
         """Datagrams in which hover stood for a word that had run out."""
 
@@ -69,7 +69,7 @@ class CommandArbiter:
 
     def on_report(self, report: DroneReport, now: MonoNs) -> None:
         """Take what the sender itself heard of the drone while the service is silent."""
-        self._report, self._heard = report, now
+        self._report = report, now
         self._watch.on_report(report, now, ordered=self._word is not None and self._word.landing)
 
     def fresh(self, now: MonoNs) -> bool:
@@ -82,8 +82,8 @@ class CommandArbiter:
 
     def stands(self, now: MonoNs) -> bool:
         """Return whether the drone reported lately that it is on the ground."""
-        report = self._report
-        if report is None or seconds_between(self._heard, now) > _REPORT_S:
+        report = self._reported(now, _REPORT_S)
+        if report is None:
             return False
         return not report.flying and (report.control is None or report.control in _ON_GROUND)
 
@@ -95,12 +95,19 @@ class CommandArbiter:
         if self.fresh(now):
             return word.commands()
         self.hovers += 1
-        report = self._report
-        if report is None or seconds_between(self._heard, now) > FRESH_S:
+        report = self._reported(now, FRESH_S)
+        if report is None:
             return [*([ComWdg()] if word.watchdog else []), HOVER]
         out: list[AtCommand] = [ComWdg()] if report.state & State.COM_WATCHDOG else []
         stays_up = report.flying and (report.control is not ControlState.LANDING or self._watch.calls_off(now))
         return [*out, *([Ref(STAY_UP)] if stays_up else []), HOVER]
+
+    def _reported(self, now: MonoNs, within_s: float) -> DroneReport | None:
+        """Return the newest report, or None where it is older than this."""
+        if self._report is None:
+            return None
+        report, received_at = self._report
+        return report if seconds_between(received_at, now) <= within_s else None
 
     def lost(self, now: MonoNs) -> None:
         """Take note that the service is gone: its word ends now."""

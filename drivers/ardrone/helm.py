@@ -6,6 +6,8 @@ and is cleared only for a commanded landing or on the ground; while the drone's 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from drivers.ardrone.arbiter import HOVER, STAY_UP, Word
 from drivers.ardrone.at import PCMD_PROGRESSIVE, REF_BASE, REF_EMERGENCY, Pcmd
 from drivers.ardrone.counters import Counters
@@ -13,7 +15,7 @@ from drivers.ardrone.landing_watch import ORDERED_ABOVE_M, SILENT_ABOVE_M, Drone
 from drivers.ardrone.navdata import ControlState, Navdata, State
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import RESET, acceleration_of, step
-from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, Land, TakeOff, Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Sample
 from estimator.contracts.time import MonoNs, after, seconds_between
 
@@ -21,6 +23,21 @@ _EMERGENCY_PERIODS = 3
 """The drone acts on the rising edge; three periods survive a lost datagram."""
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
 _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
+
+
+class _Motion(NamedTuple):
+    """A velocity that guidance asks for."""
+
+    velocity: Velocity
+    asked_at: MonoNs
+
+
+class _Landing(NamedTuple):
+    """A commanded landing that is not finished yet."""
+
+    renewed_at: MonoNs
+    standing: bool
+    """A person ordered it, and nobody has to renew it."""
 
 
 class Helm:
@@ -35,17 +52,16 @@ class Helm:
     def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
         self._o = options
         self._counters = counters
-        self._motion: Velocity | Hover = Hover()
-        self._motion_at = MonoNs(0)
+        self._motion: _Motion | None = None
+        """None to hover."""
         self._take_off_at: MonoNs | None = None
-        self._landing: Land | None = None
-        self._landing_at = MonoNs(0)
+        self._landing: _Landing | None = None
         self._taken_back = False
         """Guidance gave another command after its landing."""
         self._watch = LandingWatch()
         self._emergency_periods = 0
         self._state: int | None = None
-        self._heard = MonoNs(0)
+        self._heard_at: MonoNs | None = None
         self._control: ControlState | None = None
         self._velocity: BodyVelocity | None = None
         self._attitude: Attitude | None = None
@@ -65,15 +81,13 @@ class Helm:
     def take(self, command: Command, now: MonoNs) -> None:
         """The newest command."""
         if isinstance(command, TakeOff):
-            self._take_off_at, self._landing = now, None
-            self._motion, self._motion_at = Hover(), now
+            self._take_off_at, self._landing, self._motion = now, None, None
         elif isinstance(command, Land):
-            if self._landing is None or not self._landing.standing:
-                self._landing = command
-            self._take_off_at, self._landing_at, self._taken_back = None, now, False
-            self._motion, self._motion_at = Hover(), now
+            standing = command.standing or (self._landing is not None and self._landing.standing)
+            self._landing = _Landing(now, standing)
+            self._take_off_at, self._motion, self._taken_back = None, None, False
         else:
-            self._motion, self._motion_at = command, now
+            self._motion = _Motion(command, now) if isinstance(command, Velocity) else None
             if self._landing is not None and not self._landing.standing:
                 self._landing, self._taken_back = None, True
 
@@ -84,7 +98,7 @@ class Helm:
 
     def hear(self, navdata: Navdata, now: MonoNs) -> None:
         """The newest datagram in order."""
-        self._state, self._heard = navdata.state, now
+        self._state, self._heard_at = navdata.state, now
         if (control := navdata.control_state) is not None:
             self._control = control
         self._watch.on_report(DroneReport.of(navdata), now, ordered=self._landing is not None)
@@ -107,7 +121,7 @@ class Helm:
         ref = self._ref_bits(now)
         sticks = self._sticks(now)
         # A velocity ends with the guidance cycle that it came from, not with the period that repeats it.
-        since = now if sticks is HOVER else self._motion_at
+        since = now if self._motion is None or sticks is HOVER else self._motion.asked_at
         landing = self._landing is not None and not self._landing.standing
         return Word(after(since, self._o.command_timeout_s), sticks, ref, landing, watchdog)
 
@@ -117,7 +131,7 @@ class Helm:
         return Word(after(now, self._o.command_timeout_s), HOVER, self._ref_bits(now))
 
     def _unknown(self, now: MonoNs) -> bool:
-        return self._state is None or seconds_between(self._heard, now) > self._o.navdata_silence_s
+        return self._heard_at is None or seconds_between(self._heard_at, now) > self._o.navdata_silence_s
 
     def _ref_bits(self, now: MonoNs) -> int | None:
         if self._take_off_at is not None and seconds_between(self._take_off_at, now) > self._o.take_off_timeout_s:
@@ -127,7 +141,7 @@ class Helm:
             self._emergency_periods -= 1
             return REF_BASE | REF_EMERGENCY
         if self._landing is not None and not self._landing.standing:
-            silent = seconds_between(self._landing_at, now) > self._o.landing_timeout_s
+            silent = seconds_between(self._landing.renewed_at, now) > self._o.landing_timeout_s
             if silent and self._watch.calls_off(now):
                 self._landing, self._taken_back = None, True
                 self._counters.landings_given_up += 1
@@ -145,11 +159,11 @@ class Helm:
         return STAY_UP if self.flying else REF_BASE
 
     def _sticks(self, now: MonoNs) -> Pcmd:
-        wanted = self._motion
+        motion = self._motion
         steerable = bool(self.flying) and self._landing is None and self._control not in _NOT_STEERABLE
-        if not isinstance(wanted, Velocity) or not steerable:
+        if motion is None or not steerable:
             return self._hover()
-        if seconds_between(self._motion_at, now) > self._o.command_timeout_s:
+        if seconds_between(motion.asked_at, now) > self._o.command_timeout_s:
             self._counters.hover_for_age += 1
             return self._hover()
         measured = self._velocity
@@ -160,7 +174,7 @@ class Helm:
         attitude = self._attitude
         recent = attitude is not None and seconds_between(attitude.stamp.taken, now) <= self._o.velocity_timeout_s
         a_level = acceleration_of(attitude.R_ned_body) if attitude is not None and recent else None
-        self._loop, sticks = step(self._loop, wanted, measured.v_level, a_level, dt_s, self._o.loop)
+        self._loop, sticks = step(self._loop, motion.velocity, measured.v_level, a_level, dt_s, self._o.loop)
         self._stepped = now
         return Pcmd(PCMD_PROGRESSIVE, sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw)
 

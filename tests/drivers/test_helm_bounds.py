@@ -107,6 +107,16 @@ def test_a_take_off_ends_a_landing_and_the_motion_before(cockpit: Cockpit) -> No
     assert (cockpit.ref(2), cockpit.sticks(2)) == (STAY_UP, HOVER)
 
 
+def test_a_hover_in_place_of_a_velocity_is_the_word_of_this_period_and_not_as_old_as_the_velocity(cockpit: Cockpit) -> None:
+    cockpit.hears(0, FLYING)
+    cockpit.measures(0)
+    cockpit.helm.take(FORWARD, ms(0))
+    word = cockpit.helm.word(ms(100))
+    assert (word.sticks != HOVER, word.until) == (True, ms(250))
+    word = cockpit.helm.word(ms(900))
+    assert (word.sticks, word.ref, word.until) == (HOVER, STAY_UP, ms(1150))
+
+
 def test_a_landing_ends_the_wish_to_take_off_and_stops_the_motion(cockpit: Cockpit) -> None:
     cockpit.hears(0, LANDED)
     cockpit.helm.take(TakeOff(), ms(0))
@@ -182,6 +192,14 @@ def test_a_landing_nobody_renews_is_given_up_after_its_time(
     assert cockpit.ref(silent_ms + 20) == ref, "called off once, it is called off down to fifteen centimetres"
     cockpit.hears(silent_ms + 40, LANDING, altitude_m=0.14)
     assert cockpit.ref(silent_ms + 40) == (None if given_up else GROUND)
+
+
+def test_a_persons_landing_holds_however_long_nobody_repeats_it(cockpit: Cockpit) -> None:
+    cockpit.hears(0, FLYING)
+    cockpit.helm.take(Land(standing=True), ms(0))
+    cockpit.hears(10_000, LANDING, altitude_m=3.0)
+    assert cockpit.ref(10_000) == GROUND
+    assert cockpit.counters.landings_given_up == 0
 
 
 def test_a_landing_ordered_again_is_no_longer_taken_back(cockpit: Cockpit) -> None:
