@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.integrity.options import IntegrityOptions
@@ -18,18 +20,30 @@ _UNMEASURED_VAR = 1e3
 """A velocity component with more was not measured."""
 
 
+class Repeat(NamedTuple):
+    """The newest reading, to the bit."""
+
+    value: bytes | float
+    since: int
+    """ns, when it was first read."""
+
+
+class Plausible(NamedTuple):
+    """The newest reading that was let through."""
+
+    numbers: tuple[float, ...]
+    """The numbers that `_step` compares."""
+    at: int
+    """ns, when it was measured."""
+
+
 class SensorWatch(NamedTuple):
     """One stream of readings."""
 
-    value: bytes | float = b""
-    """The newest reading, to the bit."""
-    since: int = 0
-    """ns, when it was first read."""
+    repeat: Repeat | None = None
     frozen: bool = False
-    """The newest reading was refused for that."""
-    plausible: tuple[float, ...] = ()
-    """The newest reading that was let through, in the numbers that `_step` compares."""
-    plausible_at: int = 0
+    """The newest reading was refused because it repeats."""
+    plausible: Plausible | None = None
     refused_since: int | None = None
     """ns, the first of an unbroken row of steps that were refused."""
 
@@ -42,18 +56,21 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
     """
     t = event.stamp.taken
     value, frozen_s = _bits(event, o)
-    same = value == state.value and t >= state.since
-    state = state._replace(value=value, since=state.since if same else t, frozen=False)
+    repeat = Repeat(value, t)
+    if state.repeat is not None and state.repeat.value == value:
+        repeat = Repeat(value, min(state.repeat.since, t))
+    state = state._replace(repeat=repeat, frozen=False)
     if _beyond(event, o):
         return state, Verdict.IMPOSSIBLE
-    if same and flying and (t - state.since) * 1e-9 > frozen_s:
+    if flying and (t - repeat.since) * 1e-9 > frozen_s:
         return state._replace(frozen=True), Verdict.FROZEN
     numbers = _numbers(event)
-    if state.plausible and t > state.plausible_at and _step(event, numbers, state, o):
+    before = state.plausible
+    if before is not None and t > before.at and _step(event, numbers, before, o):
         since = t if state.refused_since is None else state.refused_since
         if (t - since) * 1e-9 < o.spike_s:
             return state._replace(refused_since=since), Verdict.IMPOSSIBLE
-    return state._replace(plausible=numbers, plausible_at=t, refused_since=None), None
+    return state._replace(plausible=Plausible(numbers, t), refused_since=None), None
 
 
 def _bits(event: Reading, o: IntegrityOptions) -> tuple[bytes | float, float]:
@@ -89,8 +106,8 @@ def _beyond(event: Reading, o: IntegrityOptions) -> bool:
 def _numbers(event: Reading) -> tuple[float, ...]:
     match event:
         case BodyVelocity():
-            measured = event.cov_level.diagonal().tolist()
-            return tuple(v if var < _UNMEASURED_VAR else 0.0 for v, var in zip(event.v_level.tolist(), measured, strict=True))
+            measured = event.cov_level.diagonal() < _UNMEASURED_VAR
+            return tuple(np.where(measured, event.v_level, 0.0).tolist())
         case Attitude():
             return tuple(event.R_ned_body.matrix[2].tolist())
         case Baro():
@@ -99,10 +116,10 @@ def _numbers(event: Reading) -> tuple[float, ...]:
             return ()
 
 
-def _step(event: Reading, numbers: tuple[float, ...], state: SensorWatch, o: IntegrityOptions) -> bool:
+def _step(event: Reading, numbers: tuple[float, ...], before: Plausible, o: IntegrityOptions) -> bool:
     """Return whether the step since the last plausible reading is more than the vehicle can do."""
-    dt = min((event.stamp.taken - state.plausible_at) * 1e-9, _STEP_OVER_S)
-    step = math.dist(numbers, state.plausible)
+    dt = min((event.stamp.taken - before.at) * 1e-9, _STEP_OVER_S)
+    step = math.dist(numbers, before.numbers)
     match event:
         case BodyVelocity():
             return step > o.velocity_step_m_s + o.acceleration_max_m_s2 * dt

@@ -15,7 +15,7 @@ from estimator.integrity import Guard, admit, admit_frame, admit_sighting, doubt
 from estimator.integrity.clock import ClockWatch
 from estimator.integrity.frames import FrameWatch
 from estimator.integrity.heights import HeightWatch
-from estimator.integrity.sensors import SensorWatch
+from estimator.integrity.sensors import Repeat, SensorWatch
 from estimator.integrity.tracks import Candidate, Place, Tracks
 from estimator.integrity.view import ViewWatch
 
@@ -83,7 +83,7 @@ def test_range_and_barometer_are_compared_with_the_camera_unless_they_are_refuse
     guard, _ = admit(seen, Baro(stamp(T), 32.0, 0.5))
     assert guard.heights.rise_now == 30.0
     for kind, reading in ((Range, Range(stamp(T), 2.0, 0.01)), (Baro, Baro(stamp(T), 2.0, 0.5))):
-        held = replace(seen, sensors=MappingProxyType({kind: SensorWatch(2.0, T - 3 * S)}))
+        held = replace(seen, sensors=MappingProxyType({kind: SensorWatch(Repeat(2.0, T - 3 * S))}))
         guard, verdict = admit(held, reading)
         assert (verdict, guard.heights) == (Verdict.FROZEN, seen.heights)
 

@@ -1,6 +1,7 @@
 """Readings at each edge: a limit may be reached and not passed, a step in its time, a repeat for so long."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,10 +80,23 @@ def test_a_step_is_allowed_what_the_vehicle_can_do_within_a_tenth_of_a_second(af
 def test_a_step_on_its_limit_is_possible() -> None:
     assert said(velocity(T, (0.0, 0.0, 0.0)), velocity(T + S, (4.5, 0.0, 0.0))) == [None, None]
     assert said(baro(T, 0.0), baro(T + S, 7.0)) == [None, None]
+    half_turn = replace(LIMITS, tilt_step_rad=math.pi - 0.1 * LIMITS.tilt_rate_max_rad_s)
+    state, _ = watch(SensorWatch(), roll(T, 0.0), half_turn, True)
+    assert watch(state, roll(T + S, math.pi), half_turn, True)[1] is None
 
 
 def test_upside_down_at_once_is_a_step() -> None:
     assert said(roll(T, 0.0), roll(T + 20 * MS, math.pi))[1] is Verdict.IMPOSSIBLE
+
+
+@pytest.mark.parametrize(
+    ("roll_rad", "pitch_rad"), [(2.315840312948539, -0.08309898974996566), (0.6869503213152144, -0.3514859733064353)]
+)
+def test_upside_down_is_a_step_though_rounding_puts_the_poles_farther_apart_than_two(roll_rad: float, pitch_rad: float) -> None:
+    poles = [Rotation.from_rpy(roll_rad, pitch_rad, 1.0), Rotation.from_rpy(roll_rad + math.pi, -pitch_rad, 1.0)]
+    assert math.dist(*(pole.matrix[2].tolist() for pole in poles)) > 2.0
+    upright, over = (Attitude(at(T + i * 20 * MS), pole, np.eye(3)) for i, pole in enumerate(poles))
+    assert said(upright, over) == [None, Verdict.IMPOSSIBLE]
 
 
 def test_readings_that_nobody_compares_may_step() -> None:
