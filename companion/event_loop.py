@@ -4,7 +4,8 @@
     with heeded({SIGTERM: daemon.stop, SIGUSR1: pilot.begin}): ...
 
 `asyncio.run` waits at its end for every task and every thread of the default executor, for as long as they take: one task that
-swallows its cancellation, or a thread inside getaddrinfo, and the program never ends.
+swallows its cancellation, or a thread inside getaddrinfo, and the program never ends. It also ends at a `SystemExit` of any task
+or callback, and leaves the others where they stand; here that is an error of its task, as any other would be, and the loop goes on.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def run(main: Coroutine[Any, Any, T]) -> T:
     try:
         if PROCESS.number is not None:
             into_loop(PROCESS.number)
-        return loop.run_until_complete(task)
+        return _complete(loop, task)
     except asyncio.CancelledError:
         check()
         raise
@@ -92,6 +93,21 @@ def _take(number: int, loop: asyncio.AbstractEventLoop, task: asyncio.Task[Any])
         task.cancel()
 
 
+def _complete(loop: asyncio.AbstractEventLoop, future: asyncio.Future[T]) -> T:
+    """Run the loop until the future is done; return its result.
+
+    The loop throws a `SystemExit` through itself after it has given it to the task that raised it, with nothing lost: it is
+    begun again. A Ctrl-C that nobody handles ends it.
+    """
+    while True:
+        try:
+            return loop.run_until_complete(future)
+        except SystemExit as why:
+            if future.done():
+                raise
+            log.error("a task or callback called sys.exit(%r); the others go on", why.code)
+
+
 def _abandon(loop: asyncio.AbstractEventLoop) -> None:
     if names := _names(loop):
         log.error("not ended %.1f s after the signal: %s; going without", ABANDON_S, names)
@@ -104,9 +120,9 @@ def _close(loop: asyncio.AbstractEventLoop) -> None:
         task.cancel()
     with suppress(RuntimeError):  # stopped by the deadline
         if tasks:
-            loop.run_until_complete(asyncio.wait(tasks, timeout=max(_SHORTEST_S, PROCESS.left_s())))
+            _complete(loop, loop.create_task(asyncio.wait(tasks, timeout=max(_SHORTEST_S, PROCESS.left_s()))))
         generators = loop.create_task(loop.shutdown_asyncgens())
-        loop.run_until_complete(asyncio.wait([generators], timeout=max(_SHORTEST_S, PROCESS.left_s())))
+        _complete(loop, loop.create_task(asyncio.wait([generators], timeout=max(_SHORTEST_S, PROCESS.left_s()))))
     if names := _names(loop):
         log.error("tasks that did not end: %s; going without", names)
     for task in tasks:

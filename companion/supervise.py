@@ -136,11 +136,16 @@ async def run(
 async def uncancelled(name: str, body: Body) -> None:
     """Run `body`, where a cancellation that nobody asked for is a fault: a TaskGroup would take it for an orderly end.
 
+    So is `sys.exit`, in the body or in a task of its own: it would end the process in silence, and with 0 as if all were well.
+    That a task's `SystemExit` arrives here at all takes the loop of `companion.event_loop`; asyncio's own breaks.
+
     Raises:
         RuntimeError: that fault.
     """
     try:
         await body()
+    except SystemExit as why:
+        raise RuntimeError(f"{name} called sys.exit({why.code!r})") from why
     except asyncio.CancelledError as why:
         if _cancelled():
             raise

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from companion import service
+from companion import event_loop, service
 from companion.daemon import Daemon
 from companion.health import Health
 from companion.mavlink.face_part import FacePart
@@ -67,13 +67,15 @@ ERRORS: dict[str, Callable[[], BaseException]] = {
     "unspeakable": Unspeakable,
 }
 METHODS = ("on_sample", "on_frame", "on_decision")
+ROLES = (*METHODS, "body", "child", "callback", "ending", "counters")
 
 
 class Failing:
     """An observer and a body that fail when they are told to.
 
     Args:
-        role: the method that fails, or "body" for the part, "ending" for the part on its way out, "counters" for its figures.
+        role: the method that fails, or "body" for the part, "child" for a task of the part's own, "callback" for what it has the
+            loop call, "ending" for the part on its way out, "counters" for its figures.
         at: calls (or sleeps, for the part) that go well before the first failure.
         for_: calls that fail.
     """
@@ -104,11 +106,17 @@ class Failing:
         self._called("counters")
         return {}
 
+    async def _child(self) -> None:
+        self._called("child")
+
     async def run(self) -> None:
         try:
             while True:
                 self._called("body")
-                await self._clock.sleep(0.05)
+                async with asyncio.TaskGroup() as group:
+                    group.create_task(self._child())
+                    asyncio.get_running_loop().call_soon(self._called, "callback")
+                    await self._clock.sleep(0.05)
         finally:
             self._at = 0
             self._called("ending")
@@ -146,7 +154,7 @@ async def flown(
 
 @pytest.fixture(scope="module")
 def undisturbed() -> list[tuple[int, str]]:
-    commands, health, _ = asyncio.run(flown())
+    commands, health, _ = event_loop.run(flown())
     assert len({text for _, text in commands}) > 20  # it does fly
     assert not health.contained
     return commands
@@ -159,7 +167,7 @@ def quiet(caplog: pytest.LogCaptureFixture) -> None:
 
 @settings(deadline=None, max_examples=12, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    role=st.sampled_from((*METHODS, "body", "ending", "counters")),
+    role=st.sampled_from(ROLES),
     error=st.sampled_from(sorted(ERRORS)),
     at=st.integers(0, 20),
     for_=st.sampled_from((1, 3, 25, 10**9)),
@@ -167,7 +175,7 @@ def quiet(caplog: pytest.LogCaptureFixture) -> None:
 def test_a_part_that_fails_in_any_way_at_any_time_changes_no_command(
     undisturbed: list[tuple[int, str]], role: str, error: str, at: int, for_: int
 ) -> None:
-    commands, health, raised = asyncio.run(flown(role, error, at, for_, 0.5))
+    commands, health, raised = event_loop.run(flown(role, error, at, for_, 0.5))
     assert commands == undisturbed[: len(commands)]
     assert health.parts["vehicle"].restarts == health.parts["guidance"].restarts == 0
     if raised and role in METHODS:
@@ -175,15 +183,15 @@ def test_a_part_that_fails_in_any_way_at_any_time_changes_no_command(
 
 
 @pytest.mark.parametrize("error", sorted(ERRORS))
-@pytest.mark.parametrize("role", [*METHODS, "body", "ending", "counters"])
+@pytest.mark.parametrize("role", ROLES)
 def test_every_error_in_every_role_from_the_first_call_on(undisturbed: list[tuple[int, str]], role: str, error: str) -> None:
-    commands, _, raised = asyncio.run(flown(role, error, seconds=SHORT_S))
+    commands, _, raised = event_loop.run(flown(role, error, seconds=SHORT_S))
     assert commands == undisturbed[: len(commands)]
     assert raised or role in ("ending", "counters")
 
 
 def test_what_fails_again_and_again_is_set_aside_and_said_so() -> None:
-    _, health, raised = asyncio.run(flown("on_sample", "value", seconds=SHORT_S))
+    _, health, raised = event_loop.run(flown("on_sample", "value", seconds=SHORT_S))
     assert raised == 20
     assert not health.parts["failing.on_sample"].up
     assert health.parts["failing.on_sample"].last_error == "off after 20 failures in a row: bad"
@@ -192,10 +200,10 @@ def test_what_fails_again_and_again_is_set_aside_and_said_so() -> None:
 
 
 def test_a_part_that_fails_again_and_again_is_given_up_unless_it_is_the_outside_world() -> None:
-    _, health, raised = asyncio.run(flown("body", "value"))
+    _, health, raised = event_loop.run(flown("body", "value"))
     assert raised == 10
     assert health.parts["failing"].last_error == "off after 10 failures: bad"
-    _, health, raised = asyncio.run(flown("body", "world"))
+    _, health, raised = event_loop.run(flown("body", "world"))
     assert raised > 10
     assert health.parts["failing"].last_error == "gone"
 

@@ -222,6 +222,44 @@ program(lambda: run(main()))
         assert ended(process, signal.SIGTERM) == (143, ["cancelled", "hovered"])
 
 
+AFTER_EXIT = """
+async def part():
+    sys.exit(0)
+async def main():
+    part_of_it = asyncio.create_task(part())
+    asyncio.get_running_loop().call_soon(sys.exit, 3)
+    await asyncio.sleep(0.05)
+    say("ready")
+    try:
+        await asyncio.Event().wait()
+    finally:
+        asyncio.get_running_loop().call_soon(sys.exit, 4)
+        await asyncio.sleep(0.01)
+        say("hovered")
+program(lambda: run(main()))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signals_end_it_in_order_though_its_tasks_and_callbacks_call_exit(number: signal.Signals) -> None:
+    with python(HEAD + AFTER_EXIT, stderr=subprocess.PIPE) as process:
+        assert line(process) == "ready"
+        code, said = ended(process, number)
+        assert (code, said[0]) == (128 + number, "hovered")
+
+
+def test_the_main_task_may_call_exit_itself() -> None:
+    source = """
+async def main():
+    say("ready")
+    sys.exit(5)
+program(lambda: run(main()))
+"""
+    with python(HEAD + source, stderr=subprocess.PIPE) as process:
+        assert line(process) == "ready"
+        assert ended(process)[0] == 5
+
+
 HEEDING = """
 async def main():
     end = asyncio.Event()

@@ -1,9 +1,11 @@
 """The outside world failing restarts one part; a bug of ours takes the group down; cancelling stops it cleanly."""
 
 import asyncio
+import sys
 
 import pytest
 
+from companion import event_loop
 from companion.health import Delays, Health
 from companion.supervise import Restart, contain, keep_alive, run
 from estimator.contracts.errors import Recoverable
@@ -120,6 +122,30 @@ async def test_a_cancellation_that_nobody_asked_for_is_a_bug_of_a_vital_part_and
     with pytest.raises(ExceptionGroup) as caught:
         await run({"vehicle": body}, Restart(), Health(FakeClock()), FakeClock())
     assert caught.value.subgroup(RuntimeError) is not None
+
+
+def test_a_vital_part_whose_task_calls_sys_exit_ends_loudly_after_the_others_have_ended_in_order() -> None:
+    """It was exit code 0 without a word, for which systemd starts nothing again."""
+    ended = []
+
+    async def vehicle() -> None:
+        async def child() -> None:
+            sys.exit(0)
+
+        async with asyncio.TaskGroup() as group:
+            group.create_task(child())
+
+    async def guidance() -> None:
+        try:
+            await asyncio.sleep(3600)
+        finally:
+            await asyncio.sleep(0)
+            ended.append("guidance")
+
+    with pytest.raises(ExceptionGroup) as caught:
+        event_loop.run(run({"vehicle": vehicle, "guidance": guidance}, Restart(), Health(FakeClock()), FakeClock()))
+    assert [str(why) for why in caught.value.exceptions] == ["vehicle called sys.exit(0)"]
+    assert ended == ["guidance"]
 
 
 async def test_a_part_beside_the_flight_that_does_not_end_is_abandoned(caplog: pytest.LogCaptureFixture) -> None:
