@@ -4,8 +4,8 @@
     with heeded({SIGTERM: daemon.stop, SIGUSR1: pilot.begin}): ...
 
 `asyncio.run` waits at its end for every task and every thread of the default executor, for as long as they take: one task that
-swallows its cancellation, or a thread inside getaddrinfo, and the program never ends. It also ends at a `SystemExit` of any task
-or callback, and leaves the others where they stand; here that is an error of its task, as any other would be, and the loop goes on.
+swallows its cancellation, or a thread inside getaddrinfo, and the program never ends. It also ends at a `SystemExit` of any
+task or callback, and leaves the others where they stand; here that is an error of its task as any other, and the loop goes on.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ Source: ArduPilot's log message documentation, Copter 3.2 to 4.6. Angles are in 
 from __future__ import annotations
 
 import math
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -45,16 +46,30 @@ def read(path: Path) -> list[Sample]:
     try:
         samples = _Reader(log).samples()
     except Exception as why:
+        log.give_up(why)
         raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
-    finally:
-        log.close()
+    log.close()
     if not any(isinstance(s, Imu) or type(s).__name__ == "Attitude" for s in samples):
         raise BadInput(f"{path}: holds neither IMU nor ATT messages")
     return sorted(samples, key=lambda s: s.stamp.heard)
 
 
 class _Log(DFReader.DFReader_binary):  # type: ignore[misc]
-    """Ends at a message of no length, at which pymavlink's own reader stands still for ever."""
+    """Ends at a message of no length, at which pymavlink's own reader stands still for ever, and closes what it cannot read."""
+
+    def __init__(self, filename: str) -> None:
+        try:
+            super().__init__(filename)
+        except BaseException as why:
+            self.give_up(why)
+            raise
+
+    def give_up(self, why: BaseException) -> None:
+        """Close the file after an error, whose frames still point into it."""
+        traceback.clear_frames(why.__traceback__)
+        for name in ("filehandle", "data_map"):
+            if (opened := getattr(self, name, None)) is not None:
+                opened.close()
 
     def _parse_next(self) -> Any:
         before = self.offset

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import math
 import struct
@@ -170,6 +171,17 @@ def test_what_cannot_be_read_is_refused_in_one_line(read: object, content: bytes
     assert "\n" not in str(caught.value)
     with pytest.raises(BadInput):
         read(tmp_path / "missing")
+
+
+@pytest.mark.parametrize("content", [b"\xa3\x95\x80" + b"\xff" * 86, b"\xa3\x95\x80\x80\x59FMT\0" + b"\xff" * 80])
+def test_a_dataflash_log_that_is_refused_is_closed(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(content)
+    with pytest.raises(BadInput, match="not a readable dataflash log"):
+        dataflash.read(path)
+    left = [link for link in Path("/proc/self/fd").iterdir() if link.is_symlink() and link.resolve() == path.resolve()]
+    assert left == []
+    gc.collect()  # a file that was not closed says so here, which is an error in these tests
 
 
 def test_angles_of_a_log_are_degrees() -> None:
