@@ -79,8 +79,10 @@ FAULTS: dict[str, Callable[[], Fault]] = {
     "accelerometer 1e4": lambda: Fault(_imu(f=1e4), 0.015),
     "accelerometer 500": lambda: Fault(_imu(f=500.0), 0.015),
     "accelerometer 45": lambda: Fault(_imu(f=45.0), 0.015),
+    "accelerometer 75": lambda: Fault(_imu(f=75.0), 0.015),
     "gyro 300": lambda: Fault(_imu(w=300.0), 0.015),
     "gyro 12": lambda: Fault(_imu(w=12.0), 0.015),
+    "gyro 34": lambda: Fault(_imu(w=34.0), 0.015),
     "attitude 40 degrees": lambda: Fault(_turned, 0.3),
     "velocity 30 m/s": lambda: Fault(
         lambda e: [replace(e, v_level=e.v_level + 30.0 * AHEAD)] if isinstance(e, BodyVelocity) else [e], 0.4

@@ -160,6 +160,6 @@ def _path(name: PathName, options: Options) -> Path:
                 filters.MedianMean(options.max_gap_s), dead_reckoning.DeadReckoning.start(options.dead_reckoning)
             )
         case "ekf":
-            return EkfPath(ekf.start(options.ekf))
+            return EkfPath(ekf.start(options.ekf, limits=None))
         case _:
             raise ValueError(f"no such estimator path: {name}")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from estimator.ekf import forecast as forecasting
 from estimator.ekf import gate, measure, motion, so3
@@ -20,6 +21,10 @@ from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, SCALE, SHORT, TH, TURN_RATE, VELOCITY, Belief, D, N, U, V
 from estimator.ekf.stride import Event, Outcome, Tools, carried, settled
+from estimator.integrity import IntegrityOptions, sensors
+from estimator.integrity.sensors import SensorWatch
+
+_LIMITS = IntegrityOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +34,9 @@ class Ekf:
     options: EkfOptions
     tools: Tools
     history: History
+    limits: IntegrityOptions | None = None
+    """The limits that an IMU sample must keep; None where `estimator.integrity` stands before the filter."""
+    imu: SensorWatch = field(default_factory=SensorWatch)
 
     @property
     def belief(self) -> Belief | None:
@@ -36,23 +44,34 @@ class Ekf:
         return self.history.newest()
 
 
-def start(options: EkfOptions | None = None) -> Ekf:
-    """A filter that has seen nothing. The first call imports filterpy (about a second)."""
+def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _LIMITS) -> Ekf:
+    """Return a filter that has seen nothing. The first call imports filterpy (about a second).
+
+    Args:
+        limits: the limits that an IMU sample must keep. The other sensors have their gates, an IMU sample has none. Give None
+            where `estimator.integrity.admit` has checked every sample before, as in `estimator.pipeline`.
+    """
     o = options or EkfOptions()
-    return Ekf(o, Tools(o, motion.Walk(o), Algebra(N)), History())
+    return Ekf(o, Tools(o, motion.Walk(o), Algebra(N)), History(), limits)
 
 
 def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[Outcome]]:
     """Take one sample or sighting, late or not, in any order.
 
     Returns:
-        The new memory, and one outcome: FUSED; GATED (implausible, or nothing to compare it with yet); TOO_OLD (before the
-        history); TOO_NEW (later than anything heard); SINGULAR; NO_ATTITUDE (nothing has told which way is down yet).
+        The new memory, and one outcome: FUSED; GATED (implausible, or nothing to compare it with yet); IMPOSSIBLE (an IMU sample
+        beyond the limits); FROZEN (one that repeats the one before for too long); TOO_OLD (before the history); TOO_NEW (later
+        than anything heard); SINGULAR; NO_ATTITUDE (nothing has told which way is down yet).
     Raises:
         TypeError: an object that is no measurement (a picture, say).
     """
+    imu = ekf.imu
+    if ekf.limits is not None and isinstance(event, Imu):
+        imu, refusal = sensors.watch(imu, event, ekf.limits, flying=True)
+        if refusal is not None:
+            return replace(ekf, imu=imu), [Outcome(event, refusal)]
     history, outcome = put(ekf.history, event, ekf.tools)
-    return Ekf(ekf.options, ekf.tools, history), [outcome]
+    return replace(ekf, history=history, imu=imu), [outcome]
 
 
 @lru_cache(maxsize=4)  # guidance, recorder and links ask for one instant in turn; nothing in the answer can be written to

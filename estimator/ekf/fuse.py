@@ -99,18 +99,12 @@ def _imu(b: Belief, event: Imu, tools: Tools) -> tuple[Belief, Outcome]:
     w_body, f_body = event.w_body, event.f_body
     # In plain numbers: for three of them numpy's calls cost more than the whole step may.
     (fx, fy, fz), (wx, wy, wz) = f_body.tolist(), w_body.tolist()
-    if not (max(fx, -fx, fy, -fy, fz, -fz) <= o.accel_max_m_s2 and max(wx, -wx, wy, -wy, wz, -wz) <= o.gyro_max_rad_s):
-        return b, Outcome(event, Verdict.GATED)
-    if b.t_imu >= 0:
+    alive = b.t_imu >= 0 and t - b.t_imu <= hold_ns
+    if alive:
         (gx, gy, gz), (vx, vy, vz) = b.f.tolist(), b.w.tolist()
         step_f, step_w = max(abs(fx - gx), abs(fy - gy), abs(fz - gz)), max(abs(wx - vx), abs(wy - vy), abs(wz - vz))
-        alive = t - b.t_imu <= hold_ns
-        if step_f == 0.0 and step_w == 0.0:
-            # No sensor that works says the same twice to the last bit: for `hold_s` it may be one that is read too often.
-            return forgotten(carried(b, t, tools), o), Outcome(event, Verdict.FUSED if alive else Verdict.GATED)
-        if alive and (step_f > o.accel_step_m_s2 or step_w > o.gyro_step_rad_s):
+        if step_f > o.accel_step_m_s2 or step_w > o.gyro_step_rad_s:
             b, w_body, f_body = _limited(b, event, step_f, step_w, o)
-    if b.t_imu >= 0 and t - b.t_imu <= hold_ns:
         share = -math.expm1(-(t - b.t_imu) * 1e-9 / _SMOOTH_S)
         smooth = b.w_smooth + share * (w_body - b.w_smooth)
         w, f = 0.5 * (b.w + w_body), 0.5 * (b.f + f_body)

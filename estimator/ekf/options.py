@@ -29,10 +29,6 @@ class EkfOptions:
     sigma_accel_bias_down_m_s2: float = 0.6
     """Along that axis: there it carries the vehicle's weight, and a wrong scale adds to it."""
     asd_accel_bias_m_s3: float = 2e-3
-    accel_max_m_s2: float = 60.0
-    """Specific force that the vehicle can feel, contact included. A sample beyond is refused, and the one before it holds."""
-    gyro_max_rad_s: float = 15.0
-    """Rate at which the vehicle can turn. A sample beyond is refused."""
     accel_step_m_s2: float = 15.0
     """Change of the specific force from one sample to the next that the vehicle can make. Of a larger one this much is taken, and
     the rest is doubt."""

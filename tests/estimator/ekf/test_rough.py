@@ -145,13 +145,17 @@ def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> Non
         assert verdicts[-1] in (Verdict.FUSED, Verdict.GATED)
 
 
-def test_samples_beyond_the_vehicle_are_counted_as_gated() -> None:
+def test_imu_samples_beyond_the_limits_are_refused_and_steps_within_them_are_taken_in_part() -> None:
     ekf, heard = followed(replace(QUICK, duration_s=10.0), 5.0)
     imu = next(e for e in heard if isinstance(e, Imu) and e.stamp.heard > ns(5.0))
-    for w, f in ((0.0, 61.0 + 9.81), (15.5, 0.0)):
-        after, outcomes = step(ekf, replace(imu, w_body=np.array([0.0, w, 0.0]), f_body=np.array([0.0, 0.0, -f])))
-        assert outcomes[0].verdict is Verdict.GATED
+    for w, f in ((0.0, 80.1), (35.0, 0.0)):
+        spike = replace(imu, w_body=np.array([0.0, w, 0.0]), f_body=np.array([0.0, 0.0, -f]))
+        after, outcomes = step(ekf, spike)
+        assert outcomes[0].verdict is Verdict.IMPOSSIBLE
         assert after.belief is ekf.belief
+        unguarded, outcomes = step(replace(ekf, limits=None), spike)
+        assert outcomes[0].verdict is Verdict.FUSED, "a guard before the filter is the only one"
+        assert unguarded.belief is not ekf.belief
     # Within reach, but not from one sample to the next: part of it is taken, the rest is doubt.
     after, outcomes = step(ekf, replace(imu, f_body=np.array([40.0, 0.0, -9.81])))
     assert outcomes[0].verdict is Verdict.FUSED
@@ -162,6 +166,21 @@ def test_samples_beyond_the_vehicle_are_counted_as_gated() -> None:
     grown = after.belief.P[V, V] - usual.belief.P[V, V] + after.belief.jolt_var_m2_s2 * np.eye(3)
     assert float(np.diag(grown).min()) > (30.0 * 0.02) ** 2 / 2.0
     assert after.belief.f[0] < ekf.belief.f[0] + OPTIONS.accel_step_m_s2 + 1e-9
+
+
+def test_an_imu_that_repeats_itself_is_refused_after_its_time() -> None:
+    ekf, heard = followed(replace(QUICK, duration_s=10.0), 5.0)
+    samples = [e for e in heard if isinstance(e, Imu) and e.stamp.heard > ns(5.0)]
+    first, verdicts = samples[0], []
+    for imu in samples[:20]:
+        ekf, outcomes = step(ekf, replace(imu, w_body=first.w_body, f_body=first.f_body))
+        verdicts.append(outcomes[0].verdict)
+    held = 1 + int(0.15 * QUICK.imu_hz)
+    assert verdicts == [Verdict.FUSED] * held + [Verdict.FROZEN] * (20 - held)
+    assert ekf.belief is not None
+    assert ekf.belief.t == samples[held - 1].stamp.taken, "time goes on by the other sensors"
+    ekf, outcomes = step(ekf, samples[20])
+    assert outcomes[0].verdict is Verdict.FUSED
 
 
 def test_a_heading_that_stays_turned_round_is_believed_in_the_end() -> None:
