@@ -32,9 +32,9 @@ lint: $(VENV)/.dev
 bench: $(VENV)/.dev
 	@for bench in $(subst /,.,$(BENCHES)); do echo "== $$bench"; $(BIN)/python -m $$bench || exit 1; done
 
-# Every parser against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8. ONLY="pave at" for some targets, JOBS=1 for one core.
+# Every parser against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8, CPU=1 for CPU time. ONLY="pave at" for some targets, JOBS=1 for one core.
 fuzz: $(VENV)/.fuzz
-	$(BIN)/python -m fuzz $(if $(HOURS),--hours $(HOURS)) $(if $(SECONDS),--seconds $(SECONDS)) $(if $(JOBS),--jobs $(JOBS)) $(if $(ONLY),--only $(ONLY))
+	$(BIN)/python -m fuzz $(if $(HOURS),--hours $(HOURS)) $(if $(SECONDS),--seconds $(SECONDS)) $(if $(JOBS),--jobs $(JOBS)) $(if $(CPU),--cpu) $(if $(ONLY),--only $(ONLY))
 
 # Filter, guidance and command streamers changed in one place at a time: how many of the changes do the tests notice? SHARE=0.1 for a sample.
 mutants: $(VENV)/.dev

@@ -11,6 +11,7 @@ import argparse
 import os
 import re
 import resource
+import signal
 import subprocess
 import sys
 import time
@@ -18,6 +19,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Thread
 
 from fuzz.target import MODULES
 
@@ -25,6 +27,8 @@ WORK = Path(".fuzz")
 _PROGRESS = re.compile(r"#(\d+)\s.*\bcov: (\d+) ft: (\d+) corp: (\d+)")
 _EXECUTED = re.compile(r"stat::number_of_executed_units:\s*(\d+)")
 _NATIVE = re.compile(r"ERROR: libFuzzer: (.*)")
+_SLOWEST = 6.0
+"""With CPU time as the measure, a target still ends after this many times as long by the clock."""
 _GRACE_S = 60.0
 """A process that goes on for longer than this after its time is ended: it hangs where no alarm reaches it."""
 
@@ -51,18 +55,21 @@ class Result:
 HEAD = f"{'target':<18} {'executions':>10} {'edges':>6} {'features':>8} {'corpus':>7} {'seconds':>7}  faults"
 
 
-def run_target(name: str, seconds: float, work: Path) -> Result:
-    """One target for so long, its start included."""
+def run_target(name: str, seconds: float, work: Path, cpu: bool) -> Result:
+    """Run one target for so long, its start included: seconds of the clock, or with `cpu` of its own CPU time."""
     crashes = work / "crashes"
     began, began_wall = time.monotonic(), time.time()
+    most = seconds * (_SLOWEST if cpu else 1.0)
     command = [
-        sys.executable, "-m", "fuzz.one", name, "--until", str(began + seconds), "--work", str(work / "corpus" / name),
+        sys.executable, "-m", "fuzz.one", name, "--until", str(began + most), "--work", str(work / "corpus" / name),
         "--crashes", str(crashes),
     ]  # fmt: skip
     executions = edges = features = corpus = 0
     tail: list[str] = []
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, env=_environment()) as process:
         assert process.stderr is not None
+        if cpu:
+            Thread(target=_end_after_cpu, args=(process, seconds), daemon=True).start()
         for raw in process.stderr:
             text = raw.decode("utf-8", "replace").rstrip()
             if found := _PROGRESS.match(text):
@@ -71,7 +78,7 @@ def run_target(name: str, seconds: float, work: Path) -> Result:
                 executions = int(found[1])
             elif not text.startswith(("Corrupt JPEG", "Premature end")):
                 tail = [*tail[-30:], text]
-            if time.monotonic() - began > seconds + _GRACE_S:
+            if time.monotonic() - began > most + _GRACE_S:
                 process.kill()
     faults = [path.read_text(encoding="utf-8").partition("\n")[0] for path in _new(crashes, f"{name}-*.txt", began_wall)]
     if process.returncode != 0:
@@ -80,6 +87,20 @@ def run_target(name: str, seconds: float, work: Path) -> Result:
         crashes.mkdir(parents=True, exist_ok=True)
         (crashes / f"{name}-last-words.log").write_text("\n".join(tail) + "\n")
     return Result(name, executions, edges, features, corpus, time.monotonic() - began, tuple(faults))
+
+
+def _end_after_cpu(process: subprocess.Popen[bytes], seconds: float) -> None:
+    """Ask the fuzzer to end once it has used its CPU time; on SIGUSR1 it still prints its statistics."""
+    ticks = os.sysconf("SC_CLK_TCK")
+    while process.poll() is None:
+        try:
+            fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return
+        if (int(fields[11]) + int(fields[12])) / ticks >= seconds:
+            process.send_signal(signal.SIGUSR1)
+            return
+        time.sleep(1.0)
 
 
 def _environment() -> dict[str, str]:
@@ -91,13 +112,13 @@ def _new(folder: Path, pattern: str, since: float) -> Iterator[Path]:
     return (path for path in sorted(folder.glob(pattern)) if path.stat().st_mtime >= since - 1.0)
 
 
-def run(names: Sequence[str], seconds: float, jobs: int, work: Path) -> int:
-    """Every target, `jobs` at a time; the exit code."""
+def run(names: Sequence[str], seconds: float, jobs: int, work: Path, cpu: bool) -> int:
+    """Run every target, `jobs` at a time, and return the exit code."""
     each = seconds * min(jobs, len(names)) / len(names)
-    print(f"{len(names)} targets, {each:.0f} s each, {jobs} at a time\n{HEAD}", flush=True)
+    print(f"{len(names)} targets, {each:.0f} s {'of CPU ' if cpu else ''}each, {jobs} at a time\n{HEAD}", flush=True)
     results = []
     with ThreadPoolExecutor(jobs) as pool:
-        for result in pool.map(lambda name: run_target(name, each, work), names):
+        for result in pool.map(lambda name: run_target(name, each, work, cpu), names):
             print(result.line(), flush=True)
             results.append(result)
     faults = [fault for result in results for fault in result.faults]
@@ -116,12 +137,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m fuzz", description="Fuzz every parser, the time split between them.")
     parser.add_argument("--seconds", type=float, default=0.0)
     parser.add_argument("--hours", type=float, default=0.0)
+    parser.add_argument("--cpu", action="store_true", help="count CPU time instead, for a busy machine")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--only", nargs="+", choices=sorted(MODULES), metavar="TARGET", help=f"of {', '.join(MODULES)}")
     parser.add_argument("--work", type=Path, default=WORK)
     args = parser.parse_args()
     seconds = args.seconds + 3600.0 * args.hours
-    return run(args.only or list(MODULES), seconds or 60.0, max(1, args.jobs), args.work)
+    return run(args.only or list(MODULES), seconds or 60.0, max(1, args.jobs), args.work, args.cpu)
 
 
 if __name__ == "__main__":
