@@ -215,6 +215,8 @@ class Daemon:
                 return
             spent_s = seconds_between(began, self._clock.now())
             await self._clock.sleep(max(0.001, self._period_s - spent_s))
+            late_s = seconds_between(began, self._clock.now()) - self._period_s
+            self.health.delay("guidance_late", max(0.0, late_s))
 
     def _tell(self, decision: Decision) -> None:
         """Log what guidance is about, where that changes."""

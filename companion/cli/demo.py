@@ -10,7 +10,8 @@ import signal
 import sys
 import tempfile
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,11 @@ import numpy as np
 
 from companion import event_loop
 from companion.cli import record_option
+from companion.cli.machine_load import Load
 from companion.cli.progress import Progress
 from companion.cli.verdict import Contact, Ending
 from companion.cli.version import version
+from companion.health import Health
 from companion.observer import Observer
 from companion.pilot import Outcome
 from companion.report.flight_log import FlightLog, TruthSample
@@ -52,7 +55,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "demo",
         help="the whole loop on this machine",
         description="A simulated AR.Drone over a simulated sea, in a process of its own, is flown by the daemon through UDP and "
-        "TCP sockets down onto a ship's pad. Exit code 0 when it landed on the pad, 1 when not.",
+        "TCP sockets down onto a ship's pad. Exit code 0 when it landed on the pad, 1 when not; "
+        "a machine that was too slow for it is named, with the figure.",
     )
     names = ", ".join(shipped("scenarios"))
     parser.add_argument("--scenario", default="demo", metavar="FILE", help=f"what to fly (default demo; shipped: {names})")
@@ -75,7 +79,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         truth_path = Path(folder) / "truth.jsonl"
         async with AsyncExitStack() as drone:
-            settings = _rig(scenario, await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path)))
+            child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path))
+            settings = _rig(scenario, child.ports)
             pilot = make_pilot(settings, shadows=SHADOWS)
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
             progress = None if args.json else Progress()
@@ -103,7 +108,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
                 if recorder is not None:
                     for line in (*truth[:-1:_KEEP_EACH], *truth[-1:]):
                         recorder.on_truth(record_option.truth_from_log(line))
-    ending = _ending(args, outcome, seconds_between(log.started, ended), truth, daemon.health.frames)
+    ending = _ending(args, outcome, seconds_between(log.started, ended), truth, daemon.health, child)
     if not args.no_report:
         _write_report(args, log, ending, truth)
     if args.json:
@@ -115,9 +120,27 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
     return 0 if ending.on_pad else 1
 
 
+@dataclass(slots=True)
+class _Child:
+    """The simulated drone's process, by what it says."""
+
+    ports: dict[str, int]
+    frames_sent: int = 0
+    """Known when it has ended, as what follows."""
+    stood_still_s: float = 0.0
+
+    def ended(self, said: bytes) -> None:
+        """Take its last words; one that was killed has none."""
+        for line in said.splitlines():
+            with suppress(ValueError):
+                words = json.loads(line)
+                if words.get("event") == "ended":
+                    self.frames_sent, self.stood_still_s = words["counters"].get("video_sent", 0), words["stood_still_s"]
+
+
 @asynccontextmanager
-async def _drone(scenario: str, seed: int, truth: Path) -> AsyncIterator[dict[str, int]]:
-    """The simulated drone as a child process; its ports. It ends with us, even if we are killed: its standard input closes."""
+async def _drone(scenario: str, seed: int, truth: Path) -> AsyncIterator[_Child]:
+    """The simulated drone as a child process. It ends with us, even if we are killed: its standard input closes."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
     child = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "sitl.ardrone.serve", scenario, f"--seed={seed}", f"--truth={truth}", *ports),
@@ -134,10 +157,12 @@ async def _drone(scenario: str, seed: int, truth: Path) -> AsyncIterator[dict[st
             raise Recoverable(f"the simulated drone did not start within {_READY_S:.0f} s") from why
         if not line:
             raise Recoverable("the simulated drone ended before it was ready; what it said stands above")
-        yield json.loads(line)["ports"]
+        drone = _Child(json.loads(line)["ports"])
+        yield drone
     finally:
         child.stdin.close()
-        await child.communicate()
+        said, _ = await child.communicate()
+    drone.ended(said)
 
 
 def _rig(scenario: Scenario, ports: dict[str, int]) -> Settings:
@@ -155,7 +180,12 @@ def _rig(scenario: Scenario, ports: dict[str, int]) -> Settings:
 
 
 def _ending(
-    args: argparse.Namespace, outcome: Outcome | None, duration_s: float, truth: list[dict[str, Any]], frames: Any
+    args: argparse.Namespace,
+    outcome: Outcome | None,
+    duration_s: float,
+    truth: list[dict[str, Any]],
+    health: Health,
+    drone: _Child,
 ) -> Ending:
     contacts = tuple(
         Contact(
@@ -171,7 +201,10 @@ def _ending(
         for touched in (truth[-1]["contacts"] if truth else [])
     )
     started = MonoNs(truth[0]["at_ns"]) if truth else MonoNs(0)
-    return Ending(args.scenario, args.seed, outcome, contacts, duration_s, frames, started)
+    delays = health.delays.get("guidance_late")
+    late_s = None if delays is None else delays.quantile(0.5)
+    load = Load(duration_s, drone.frames_sent, drone.stood_still_s, health.frames, late_s)
+    return Ending(args.scenario, args.seed, outcome, contacts, duration_s, health.frames, started, load=load)
 
 
 def _write_report(args: argparse.Namespace, log: FlightLog, ending: Ending, truth: list[dict[str, Any]]) -> None:

@@ -8,18 +8,14 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import Any
 
+from companion.cli.machine_load import Load
 from companion.pilot import Outcome
 from estimator.contracts.estimates import Verdict
 from sitl.flight import FlightResult
 from sitl.safety import Grade, grade
 
-STOOD_STILL_MAX_S = 1.0
-FILMED_MIN, REPLACED_MAX, NO_ATTITUDE_MAX = 0.5, 0.4, 0.15
-"""Shares of a flight's frames: rendered by the simulator of those it should, overtaken before vision came to them, without an
-attitude because the samples came late."""
 STARVED_MAX = 0.5
 """Share of the flights that a machine may spoil before the soak itself says nothing."""
-_FRAMES_HZ = 30.0
 
 
 class Class(Enum):
@@ -47,34 +43,6 @@ class Flown:
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
         return {**asdict(self), "worth": self.worth.value}
-
-
-@dataclass(frozen=True, slots=True)
-class Load:
-    """How well the machine kept up during a flight in real time."""
-
-    duration_s: float
-    frames_sent: int
-    """Rendered and sent by the simulated drone."""
-    stood_still_s: float
-    """Time in which the simulated drone could not move."""
-    frames: Counter[Verdict]
-    """What the daemon made of the frames it received."""
-
-    def starved(self) -> str | None:
-        """Return what shows that the machine was too slow, or None if it kept up."""
-        said = []
-        if self.stood_still_s > STOOD_STILL_MAX_S:
-            said.append(f"the simulated drone stood still for {self.stood_still_s:.1f} s")
-        filmed = self.frames_sent / max(1.0, _FRAMES_HZ * self.duration_s)
-        if filmed < FILMED_MIN:
-            said.append(f"{filmed:.0%} of the frames were rendered in time")
-        every = max(1, self.frames.total())
-        if (share := self.frames[Verdict.REPLACED] / every) > REPLACED_MAX:
-            said.append(f"{share:.0%} of the frames were overtaken by newer ones")
-        if (share := self.frames[Verdict.NO_ATTITUDE] / every) > NO_ATTITUDE_MAX:
-            said.append(f"{share:.0%} of the frames had no attitude")
-        return "; ".join(said) or None
 
 
 def virtual(at_s: float, seed: int, title: str, result: FlightResult) -> Flown:

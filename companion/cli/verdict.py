@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
+from companion.cli.machine_load import Load
 from companion.pilot import Outcome
 from companion.report.flight_log import FlightLog
 from companion.report.flight_log import Touchdown as LoggedTouchdown
@@ -73,6 +74,8 @@ class Ending:
     frames: Counter[Verdict]
     started: MonoNs = _ZERO
     judged: Judged | None = None
+    load: Load | None = None
+    """How well the machine kept up; None where the flight does not depend on it."""
 
     @property
     def contact(self) -> Contact | None:
@@ -105,6 +108,7 @@ class Ending:
             "touchdown": None if self.contact is None else _plain(self.contact),
             "contacts": [self._whole(contact) for contact in self.contacts],
             "in_water": any(contact.surface == "water" for contact in self.contacts),
+            **({} if self.load is None else {"machine_too_slow": self.load.starved()}),
             "frames": {verdict.value: n for verdict, n in sorted(self.frames.items(), key=lambda item: item[0].value)},
         }
         if self.judged is not None:
@@ -123,7 +127,7 @@ class Ending:
         return out
 
     def in_words(self) -> str:
-        """Some lines: how it ended, every further contact, and what was unsafe."""
+        """Some lines: how it ended, every further contact, what was unsafe, and whether a machine too slow is to blame."""
         lines = [f"{self.word} after {self.duration_s:.1f} s, without touching anything"]
         if self.contact is not None:
             lines = [f"{self.word} after {self.duration_s:.1f} s, {_in_words(self.contact)}"]
@@ -139,6 +143,8 @@ class Ending:
             lines += [f"UNSAFE: {line}" for line in j.unsafe]
             if j.grade == "failed" and not j.unsafe:
                 lines.append(f"failed: {j.because}")
+        if self.load is not None and not self.good and (slow := self.load.starved()) is not None:
+            lines.append(f"this machine was too slow to fly in real time, so this shows nothing: {slow}")
         return "\n".join(lines)
 
     def facts(self) -> list[tuple[str, str]]:

@@ -79,6 +79,7 @@ async def serve(
     _say(
         event="ended",
         phase=server.world.phase.name.lower(),
+        stood_still_s=round(server.stood_still_s, 3),
         counters=dict(server.counters + server.drone.counters + server.drone.state.counters),
     )
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
-from companion.cli.soak_flights import Class, Flown, Load, Outcomes, by_fault, real
+from companion.cli.machine_load import Load
+from companion.cli.soak_flights import Class, Flown, Outcomes, by_fault, real
 from companion.cli.soak_plot import plot
 from companion.pilot import Outcome
 from companion.soak import Reading

@@ -40,6 +40,7 @@ def test_it_ends_when_told_and_leaves_the_whole_truth(how: str, tmp_path: Path) 
     ended = json.loads(out)
     assert ended["event"] == "ended"
     assert ended["phase"] == "hovering"
+    assert ended["stood_still_s"] >= 0.0
     records = truth_log.read(truth)
     assert all(r["at_ns"] >= ready["started_ns"] for r in records)
 

@@ -1,0 +1,91 @@
+"""A machine that is too slow for a flight in real time is named, with the figure; the figures here are simulated, not loads."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+from collections import Counter
+from typing import Any
+
+import pytest
+
+from companion.cli import demo
+from companion.cli.machine_load import GUIDANCE_LATE_MAX_S, Load
+from companion.cli.verdict import Ending
+from companion.daemon import Daemon
+from companion.health import Health
+from companion.pilot import Outcome
+from companion.supervise import Restart
+from drivers.clock import SystemClock
+from estimator.contracts.estimates import Verdict
+from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly
+
+SAID: dict[str, Any] = {"event": "ended", "phase": "hovering", "stood_still_s": 0.25, "counters": {"video_sent": 880}}
+
+
+def ended(outcome: Outcome | None, late_s: float = 0.0, said: bytes | None = None) -> Ending:
+    """A demo of 30 s in which guidance cycles came that much late."""
+    health = Health(SystemClock())
+    health.frames = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 30})
+    for _ in range(9):
+        health.delay("guidance_late", late_s)
+    drone = demo._Child({})
+    drone.ended(json.dumps(SAID).encode() if said is None else said)
+    return demo._ending(argparse.Namespace(scenario="demo", seed=1), outcome, 30.0, [], health, drone)
+
+
+def test_a_demo_that_gave_up_on_a_machine_too_slow_says_so_with_the_figure() -> None:
+    late = ended(Outcome.GAVE_UP, 0.085)
+    assert late.in_words().splitlines()[-1] == (
+        "this machine was too slow to fly in real time, so this shows nothing: "
+        "half of the guidance cycles came 85 ms late or later"
+    )
+    assert late.as_json()["machine_too_slow"] == "half of the guidance cycles came 85 ms late or later"
+
+
+def test_a_demo_that_failed_on_a_machine_that_kept_up_blames_no_machine() -> None:
+    failed = ended(Outcome.GAVE_UP, GUIDANCE_LATE_MAX_S)
+    assert failed.in_words() == "gave up after 30.0 s, without touching anything"
+    assert failed.as_json()["machine_too_slow"] is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "figure"),
+    [
+        ({"stood_still_s": 4.0}, "the simulated drone stood still for 4.0 s"),
+        ({"counters": {"video_sent": 200}}, "22% of the frames were rendered in time"),
+        ({"counters": {}}, "0% of the frames were rendered in time"),
+    ],
+)
+def test_what_the_simulated_drone_says_of_its_own_time_is_told(changed: dict[str, Any], figure: str) -> None:
+    said = b'{"event":"ready"}\nno JSON\n' + json.dumps(SAID | changed).encode()
+    assert ended(None, said=said).in_words().endswith(f"this shows nothing: {figure}")
+
+
+def test_a_landing_on_the_pad_is_not_talked_down() -> None:
+    load = Load(30.0, 200, 4.0, Counter(), 0.085)
+    landed = Ending("demo", 1, Outcome.LANDED, (), 30.0, Counter(), load=load)
+    assert "too slow" in landed.in_words(), "it touched nothing"
+    on_pad = demo.Contact(landed.started, "pad", 0.05, 0.0, 0.4, 0.1)
+    good = Ending("demo", 1, Outcome.LANDED, (on_pad,), 30.0, Counter(), load=load)
+    assert "too slow" not in good.in_words()
+
+
+class LateClock(VirtualClock):
+    """Wakes everybody up later than asked for."""
+
+    async def sleep(self, seconds: float) -> None:
+        await super().sleep(seconds + 0.05)
+
+
+@pytest.mark.parametrize(("clock", "late_s"), [(VirtualClock(), 0.0), (LateClock(), 0.05)])
+def test_the_daemon_measures_how_late_guidance_comes(clock: VirtualClock, late_s: float) -> None:
+    vehicle = FakeFlight(clock)
+    daemon = Daemon(
+        vehicle.open, SeeingPilot(vehicle), clock, restart=Restart(), guidance_rate_hz=50.0, health_period_s=0.0,
+    )  # fmt: skip
+    asyncio.run(fly(daemon, vehicle, clock, 0.6))
+    stage = daemon.health.snapshot().stages["guidance_late"]
+    assert stage.count >= 8
+    assert stage.p50_s == pytest.approx(late_s, abs=1e-6)
