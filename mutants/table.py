@@ -10,11 +10,6 @@ _EKF = (
     "tests/estimator/test_pipeline.py",
 )
 _INTEGRITY = ("tests/estimator/integrity",)
-_GUIDANCE = (
-    "tests/companion/test_planner_bounds.py",
-    "tests/companion/test_planner.py",
-    "tests/companion/test_pid.py",
-)
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/ekf/gate.py": _GATE,
@@ -29,10 +24,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/integrity/sensors.py": _INTEGRITY,
     "estimator/integrity/tracks.py": _INTEGRITY,
     "estimator/integrity/view.py": _INTEGRITY,
-    "companion/guidance/planner.py": _GUIDANCE,
+    "companion/guidance/planner.py": ("tests/companion/test_planner_bounds.py", "tests/companion/test_planner.py"),
     "companion/guidance/budget.py": ("tests/companion/test_budget_bounds.py",),
     "companion/guidance/lease.py": ("tests/companion/test_lease_bounds.py",),
-    "companion/guidance/pid.py": _GUIDANCE,
+    "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
     "drivers/ardrone/helm.py": ("tests/drivers/test_helm_bounds.py", "tests/drivers/test_helm.py"),
     "drivers/mavlink/helm.py": ("tests/drivers/mavlink/test_helm_bounds.py", "tests/drivers/mavlink/test_helm.py"),

@@ -60,6 +60,7 @@ class Gains:
     horizontal: AxisGains = AxisGains(0.9, 0.05, 0.1)
     vertical: AxisGains = AxisGains(1.0, 0.15, 0.1)
     heading: AxisGains = AxisGains(0.8, 0.0, 0.0)
+    """`kd` has no effect: the estimate tells no rate of the heading."""
     speed_max_m_s: float = 1.0
     """Horizontal speed; the direction is kept."""
     climb_max_m_s: float = 0.5
@@ -123,19 +124,17 @@ def pid_step(state: Pid, gains: Gains, now: MonoNs, estimate: RelativeState | No
         yaw_error = wrap_pi(set_point.yaw_rad - estimate.yaw_rad)
     error = np.append(estimate.d_body_pad_level - set_point.d_body_pad_level, yaw_error)
     # the measured rate, not the error's: a jump of the set point kicks nothing
-    rate = np.append(estimate.v_pad_level + set_point.v_body_level, 0.0)
-    ahead = np.append(set_point.v_body_level, 0.0)
+    rate = estimate.v_pad_level + set_point.v_body_level
 
-    axes = (gains.horizontal, gains.horizontal, gains.vertical, gains.heading)
-    kp, ki, kd = (np.array([getattr(axis, k) for axis in axes]) for k in ("kp", "ki", "kd"))
-    height_m = float(set_point.d_body_pad_level[2])
-    if height_m > gains.soft_above_m:
-        softer = np.array([max(gains.soft_above_m / height_m, gains.soft_least)] * 2 + [1.0, 1.0])
-        kp, ki, kd = kp * softer, ki * softer, kd * softer
+    level, down, turn = gains.horizontal, gains.vertical, gains.heading
+    soft = max(gains.soft_above_m / max(float(set_point.d_body_pad_level[2]), gains.soft_above_m), gains.soft_least)
+    kp = np.array([soft * level.kp, soft * level.kp, down.kp, turn.kp])
+    ki = np.array([soft * level.ki, soft * level.ki, down.ki, turn.ki])
+    kd = np.array([soft * level.kd, soft * level.kd, down.kd])
 
-    wanted = ahead + kp * error + ki * integral + kd * rate
+    wanted = kp * error + ki * integral + np.append(set_point.v_body_level + kd * rate, 0.0)
     allowed = _limited(wanted, gains)
-    held_back = (wanted - allowed) * error > 0.0
+    held_back = np.sign(wanted - allowed) == np.sign(error)
     integral = np.where(held_back, integral, integral + error * dt)
     most = np.divide(gains.integral_max_m_s, ki, out=np.zeros(4), where=ki > 0.0)
     integral = np.clip(integral, -most, most)
@@ -144,8 +143,7 @@ def pid_step(state: Pid, gains: Gains, now: MonoNs, estimate: RelativeState | No
 
 def _limited(u: F64, gains: Gains) -> F64:
     """(4,) the nearest command within the limits; horizontally the direction is kept."""
-    speed = math.hypot(u[0], u[1])
-    shrink = min(1.0, gains.speed_max_m_s / speed) if speed > 0.0 else 1.0
+    shrink = gains.speed_max_m_s / max(gains.speed_max_m_s, math.hypot(u[0], u[1]))
     return np.array(
         [
             shrink * u[0],
