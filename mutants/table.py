@@ -13,8 +13,12 @@ _INTEGRITY = ("tests/estimator/integrity",)
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/ekf/gate.py": _GATE,
-    "estimator/ekf/fuse.py": _EKF,
-    "estimator/ekf/seeing.py": _EKF,
+    "estimator/ekf/fuse.py": ("tests/estimator/ekf/test_fuse_bounds.py", "tests/estimator/ekf/test_noise_and_inflation.py"),
+    "estimator/ekf/seeing.py": (
+        "tests/estimator/ekf/test_seeing_bounds.py",
+        "tests/estimator/ekf/test_seeing_sea.py",
+        "tests/estimator/ekf/test_noise_and_inflation.py",
+    ),
     "estimator/ekf/filter.py": _EKF,
     "estimator/ekf/history.py": ("tests/estimator/ekf/test_history_bounds.py", "tests/estimator/ekf/test_history.py"),
     "estimator/integrity/guard.py": _INTEGRITY,

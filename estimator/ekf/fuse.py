@@ -69,9 +69,8 @@ def _first(event: Event, tools: Tools) -> tuple[Belief | None, Outcome]:
         f = event.f_body
         size = float(np.linalg.norm(f))
         if abs(size - _FORCE_AT_REST) < 0.5 * _FORCE_AT_REST:
-            x, y, z = (f / size).tolist()
-            pitch = math.asin(max(-1.0, min(1.0, x)))
-            R = so3.from_rpy(math.atan2(-y, -z), pitch, 0.0)
+            x, y, z = f.tolist()
+            R = so3.from_rpy(math.atan2(-y, -z), math.atan2(x, math.hypot(y, z)), 0.0)
             b = initial(o, t, R, _FELT_TILT_RAD, math.radians(2.0), sea.unknown())
             return b._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=f), Outcome(event, Verdict.FUSED)
     return None, Outcome(event, Verdict.NO_ATTITUDE)

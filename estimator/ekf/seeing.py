@@ -57,7 +57,7 @@ def fuse_sighting(b: Belief, event: Sighting, tools: Tools) -> tuple[Belief, Out
         if by_place is not None and by_place.nis <= gate.nis_max(o.gate_probability, 3):
             turned_round = True
             row, fix, nis, dof = place, by_place, by_place.nis, 3
-    if dof > 3 or turned_round:
+    if turned_round or (dof > 3 and nis <= gate.nis_max(o.gate_probability, dof)):
         b = _heading_weighed(b, event, o, agrees=not turned_round)
         if turned_round and b.heading_held_s <= 0.0:
             b = _headed_anew(b, event)
@@ -73,7 +73,7 @@ def fuse_sighting(b: Belief, event: Sighting, tools: Tools) -> tuple[Belief, Out
         b = b._replace(doubt=doubt)
         if not gate.convinced(doubt, b.agreed, o):
             return b, Outcome(event, Verdict.GATED, row.innov, fix.S, nis)
-        b = _opened(b, event, o, anew=True)._replace(agreed=0, nis_mean=1.0)
+        b = _opened(b, event, o, anew=True)._replace(nis_mean=1.0)
         row, fix = _compared(b, event, tools)
         if fix is None:
             return b, Outcome(event, Verdict.SINGULAR, row.innov)
@@ -177,7 +177,7 @@ def _learned(b: Belief, event: Sighting, row: measure.Row, tools: Tools) -> Beli
         var[3:] = np.diag(into_pad.dot(row.R[3:, 3:]).dot(into_pad.T))[:2]
     by = tools.walk.carrying
     if b.ins_var_m2_s2 > 0.0 and b.sea.t >= 0:
-        psd = b.ins_var_m2_s2 / max((b.t - b.sea.t) * 1e-9, 1e-3)
+        psd = b.ins_var_m2_s2 / ((b.t - b.sea.t) * 1e-9)
         by = by._replace(asd_accel=np.sqrt(by.asd_accel**2 + psd * sea.CARRIED))
     learned = sea.look(b.sea, b.t, y, var, by, float(np.linalg.norm(seen)))
     return b._replace(sea=learned, ins_var_m2_s2=0.0)
