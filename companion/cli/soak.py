@@ -243,7 +243,8 @@ async def _listen(lines: asyncio.StreamReader, tally: Tally, pilot: Pilot, healt
                 await asyncio.sleep(0.05)  # the drone says that it landed before the pilot has heard of it
             frames = health.frames - before
             before = Counter(health.frames)
-            tally.flown(said["ended"], real(time.monotonic() - tally.began, said, pilot.outcome, frames))
+            late_s = late.quantile(0.5) if (late := health.delays.get("guidance_late")) is not None else None
+            tally.flown(said["ended"], real(time.monotonic() - tally.began, said, pilot.outcome, frames, late_s))
 
 
 async def _read(tally: Tally, quiet: bool) -> None:

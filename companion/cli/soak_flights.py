@@ -50,19 +50,26 @@ def virtual(at_s: float, seed: int, title: str, result: FlightResult) -> Flown:
     return Flown(at_s, seed, title, Class(result.grade.value), result.because, result.duration_s)
 
 
-def real(at_s: float, said: dict[str, Any], outcome: Outcome | None, frames: Counter[Verdict]) -> Flown:
+def real(
+    at_s: float,
+    said: dict[str, Any],
+    outcome: Outcome | None,
+    frames: Counter[Verdict],
+    guidance_late_s: float | None = None,
+) -> Flown:
     """A flight in real time.
 
     Args:
         said: the line of `sitl.ardrone.again` about it.
         outcome: the pilot's outcome when the flight had ended.
         frames: what the daemon made of its frames.
+        guidance_late_s: median of what guidance cycles came late at the end of the flight, seconds.
     """
     if said["ended"] == "time is up" and outcome is not Outcome.GAVE_UP:
         outcome = None  # the simulator switched the drone off in the air, which the pilot takes for an emergency
     landed_m = said["lateral_m"] if said["on_pad"] else None
     worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], left_alone=said["left_alone"])
-    load = Load(said["duration_s"], said["frames_sent"], said["stood_still_s"], frames)
+    load = Load(said["duration_s"], said["frames_sent"], said["stood_still_s"], frames, guidance_late_s)
     kind = Class(worth.value)
     if kind is Class.FAILED and (slow := load.starved()) is not None:
         kind, because = Class.STARVED, f"{slow} ({because})"

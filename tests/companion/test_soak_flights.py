@@ -69,6 +69,14 @@ def test_a_machine_that_is_too_slow_is_named_for_a_failure_and_a_good_flight_sta
     assert Load(30.0, 880, 0.2, GOOD).starved() is None
 
 
+def test_a_flight_whose_guidance_came_late_is_the_machines() -> None:
+    failed = {**SAID, "ended": "emergency", "on_pad": False}
+    assert real(10.0, failed, Outcome.EMERGENCY, GOOD, 0.02).worth is Class.FAILED
+    late = real(10.0, failed, Outcome.EMERGENCY, GOOD, 0.045)
+    assert late.worth is Class.STARVED
+    assert late.because.startswith("half of the guidance cycles came 45 ms late or later")
+
+
 def test_failed_flights_and_a_starved_soak_are_faults() -> None:
     good = Outcomes([flown(Class.ON_PAD), flown(Class.REFUSED_RIGHTLY)])
     assert good.faults(0) == []
