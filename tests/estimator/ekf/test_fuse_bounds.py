@@ -106,21 +106,6 @@ def moving(**fields: object) -> Belief:
     return belief(**fields)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize(("sensor", "limit"), [("f", 60.0), ("w", 15.0)])
-def test_a_sample_beyond_what_a_vehicle_can_feel_is_refused_and_one_at_the_limit_is_not(
-    axis: int, sign: float, sensor: str, limit: float
-) -> None:
-    b = moving()
-    for size, verdict in ((limit, Verdict.FUSED), (limit * 1.001, Verdict.GATED)):
-        reading = {"f": b.f.copy(), "w": b.w.copy()}
-        reading[sensor][axis] = sign * size
-        after, found = folded(b, imu(T + 10 * MS, reading["w"], reading["f"]))
-        assert found is verdict
-        assert (after is b) is (verdict is Verdict.GATED)
-
-
 def test_a_sample_carries_on_by_the_mean_of_it_and_the_one_before() -> None:
     b = moving(w=np.zeros(3), w_smooth=np.zeros(3))
     f = REST + np.array([1.5, -0.5, 2.5])
@@ -165,31 +150,10 @@ def test_a_sample_of_the_first_instant_holds_as_well() -> None:
     b = moving(t=0, t_imu=0, sighted=0)
     after, _ = folded(b, imu(20 * MS, b.w + 0.3, b.f + 0.2))
     np.testing.assert_allclose(after.w_smooth, b.w_smooth + (1.0 - math.exp(-0.02 / 0.03)) * (b.w + 0.3 - b.w_smooth))
-    after, _ = folded(b, imu(20 * MS, b.w, b.f))
-    assert after.t_imu == 0, "the same again"
     none = moving(t_imu=-1)
     after, verdict = folded(none, imu(T + 20 * MS, none.w, none.f))
-    assert (verdict, after.t_imu) == (Verdict.FUSED, T + 20 * MS), "there was none that it could repeat"
-
-
-@pytest.mark.parametrize(("since", "verdict"), [(HOLD, Verdict.FUSED), (HOLD + 1, Verdict.GATED)])
-def test_the_same_sample_again_does_not_hold_any_longer_for_it(since: int, verdict: Verdict) -> None:
-    b = moving(w_smooth=np.zeros(3))
-    after, found = folded(b, imu(T + since, b.w, b.f))
-    assert found is verdict
-    assert (after.t, after.t_imu) == (T + since, T)
-    np.testing.assert_allclose(after.w_smooth, 0.0)
-    assert after.coast_s == pytest.approx(max(since - HOLD, 0) * 1e-9)
-
-
-@pytest.mark.parametrize("axis", range(6))
-def test_a_sensor_of_which_one_number_changes_is_alive(axis: int) -> None:
-    b = moving()
-    change = np.zeros(6)
-    change[axis] = 1e-9
-    after, verdict = folded(b, imu(T + 80 * MS, b.w + change[:3], b.f + change[3:]))
-    assert verdict is Verdict.FUSED
-    assert after.t_imu == T + 80 * MS
+    assert (verdict, after.t_imu) == (Verdict.FUSED, T + 20 * MS)
+    np.testing.assert_allclose(after.w_smooth, none.w, err_msg="there was none to smooth it with")
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -228,9 +192,8 @@ def test_the_covariance_moves_on_ten_times_a_second(since_ms: int, settles: bool
 
 def test_a_pad_not_seen_for_half_a_minute_is_forgotten_by_any_sample() -> None:
     b = moving(sighted=T - 30 * S + 5 * MS)
-    for event in (imu(T + 10 * MS, b.w + 0.1, b.f), imu(T + 10 * MS, b.w, b.f)):
-        after, _ = folded(b, event)
-        assert (after.sighted, after.agreed) == (-1, 0)
+    after, _ = folded(b, imu(T + 10 * MS, b.w + 0.1, b.f))
+    assert (after.sighted, after.agreed) == (-1, 0)
     after, _ = folded(b, imu(T + 4 * MS, b.w + 0.1, b.f))
     assert after.sighted == b.sighted
 
