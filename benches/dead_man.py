@@ -1,44 +1,56 @@
-"""Kill the daemon in flight, at each phase, and see what the drone does and whether a new daemon lands it.
+"""Kill the daemon in flight, at each of ten phases, and see what the drone does and whether a new daemon lands it.
 
-python -m benches.dead_man --seeds 1 [--how kill|stop] [--phase NAME ...]
+python -m benches.dead_man --seeds 1 [--how kill|stop] [--phase NAME ...] [--jobs 1]
 
-Everything is a process of its own: the simulated drone of `decklander demo`, the daemon, and the sender that the daemon starts.
-The AT commands pass through this program, which so sees what is on the wire and when. `stop` is SIGSTOP instead of SIGKILL; the
-daemon is killed after the three seconds in which the drone is watched.
+Everything is a process of its own: the simulated drone over the demo's sea, the daemon, and the sender that the daemon starts.
+The AT commands pass through this program, which so sees what is on the wire and when; it follows the drone's truth as it flies.
+`stop` is SIGSTOP instead of SIGKILL; the daemon is killed after the three seconds in which the drone is watched.
+
+A flight that does not reach its phase, or in which this machine was starved, is counted apart, and the next seed is flown
+instead.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
-import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
+from benches.processes import Daemon, Truth, Wire, drone
 from companion.observer import Decision, Silent
 from companion.service import live, make_daemon, make_pilot
 from companion.settings import load
-from drivers.ardrone import at
-from sitl.ardrone.truth_log import read as read_truth
 
 ALONE_S = 3.0
 """The drone is watched this long before a new daemon is started."""
-LAND_S = 45.0
+LAND_S = 90.0
 """Time that the new daemon has to land it."""
-REACH_S = 60.0
-COVERED = 'kind = "lens_covered"\nbelow_height_m = 2.4\n'
+REACH_S = 75.0
+"""Time to reach the phase."""
+STANDS_S = 1.0
+"""A drone that stands is watched this long beside the new daemon."""
+TRIES = 3
+"""Flights for each one that is asked for."""
+LATE_MS = 150.0
+SANK_M = 0.5
+STARVED_S = 0.15
+"""A delay of this program while the drone is alone; as much and more is no measurement."""
+BEFORE_S = 4.0
+"""So long before the kill a starved machine shows in"""
+SLOW_GUIDANCE_S = 0.4
+"""a gap between two guidance cycles, twenty of them long;"""
+STOOD_STILL_S = 0.2
+"""a gap in the simulated drone's physics."""
 SETTINGS = """
 [vehicle]
 kind = "ardrone"
@@ -71,6 +83,10 @@ distortion = [0.0, 0.0, 0.0, 0.0, 0.0]
 p_body_cam_m = [0.15, 0.0, 0.0]
 rpy_body_cam_deg = [0.0, 0.0, 90.0]
 """
+PAD = 'where = "pad"\n'
+HIGH = "height_m = 3.0\npad_right_m = 0.8\npad_forward_m = 0.5\n"
+NEAR = "height_m = 2.3\npad_right_m = 0.3\npad_forward_m = 0.2\n"
+FINAL = ("landed", "landed by others", "gave up", "no landing reported", "emergency")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,33 +95,39 @@ class Case:
 
     name: str
     phases: tuple[str, ...]
-    below_m: float = math.inf
+    """Of guidance: one of these."""
     after_s: float = 0.0
-    where: str = "air"
+    below_m: float = math.inf
+    """True height of the body over the pad."""
+    place: str = NEAR
     start: str = "automatic"
-    covered: bool = False
+    covered_below_m: float | None = None
+    """The lens is covered from this height on, for `covered_s`."""
+    covered_s: float = 10.0
+    give_up_s: float = 20.0
 
 
 CASES = (
-    Case("before take-off", ("waiting for the vehicle",), after_s=2.0, where="pad"),
+    Case("before take-off", ("waiting for the vehicle",), after_s=1.5, place=PAD),
     Case("waiting for the start", ("waiting for the start",), after_s=1.0, start="signal"),
-    Case("approach", ("approach",), after_s=1.0),
+    Case("approach", ("approach",), after_s=1.0, place=HIGH),
     Case("descend", ("descend",), below_m=1.3),
-    Case("last half metre", ("descend", "land"), below_m=0.55),
+    Case("last half metre", ("descend",), below_m=0.5),
     Case("landing ordered", ("land",), after_s=0.1),
-    Case("lost", ("lost", "by dead reckoning"), after_s=0.3, covered=True),
-    Case("climb", ("climb",), after_s=0.3, covered=True),
-    Case("gave up", ("gave up",), after_s=0.5, covered=True),
+    Case("lost", ("lost", "by dead reckoning"), after_s=0.3, covered_below_m=1.5),
+    # Lost below the safe height, it climbs after 1.5 s: the lens stays covered for longer than that.
+    Case("climb", ("climb",), after_s=0.3, covered_below_m=1.3),
+    # Lost above the safe height, it hovers until it gives up.
+    Case("gave up", ("gave up",), after_s=0.3, place=HIGH, covered_below_m=2.7, give_up_s=3.0),
     Case("after landing", ("landed",), after_s=0.5),
 )
 
 
 class Teller(Silent):
-    """Prints phase and height of each guidance cycle for the program that kills us."""
+    """Prints the phase of each guidance cycle for the program that kills us."""
 
     def on_decision(self, decision: Decision) -> None:
-        height = math.inf if decision.belief is None else decision.belief.height_m
-        sys.stdout.write(f"{decision.phase}|{height:.3f}\n")
+        sys.stdout.write(f"{decision.phase}\n")
         sys.stdout.flush()
 
 
@@ -117,174 +139,250 @@ def fly(config: str) -> None:
 
 
 @dataclass
-class Wire:
-    """Passes AT datagrams on to the drone and keeps when it was told to move and when to hover."""
+class Flight:
+    """What became of one flight."""
 
-    port: int
-    told: list[tuple[float, bool]] = field(default_factory=list)
-    ended: bool = False
+    case: Case
+    seed: int
+    reached: bool
+    height_m: float = math.nan
+    """True height when the daemon was killed."""
+    hover_ms: float = 0.0
+    drift_m: float = 0.0
+    """Largest horizontal way from the place of the kill in `ALONE_S`."""
+    lowest_m: float = 0.0
+    """Smallest height against that of the kill in that time."""
+    took_over_s: float | None = None
+    """From the new daemon's start to its first command to move."""
+    outcome: str = ""
+    lateral_m: float | None = None
+    unsafe: tuple[str, ...] = ()
+    starved: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        self._in = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._in.bind(("127.0.0.1", 0))
-        self._in.settimeout(0.2)
-        self.own_port = self._in.getsockname()[1]
-        threading.Thread(target=self._run, daemon=True).start()
-
-    def _run(self) -> None:
-        with self._in, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-            while not self.ended:
-                try:
-                    data = self._in.recv(2048)
-                except TimeoutError:
-                    continue
-                now = time.monotonic()
-                out.sendto(data, ("127.0.0.1", self.port))
-                sticks = [c for c in at.decode(data) if isinstance(c, tuple) and isinstance(c[1], at.Pcmd)]
-                if sticks:
-                    self.told.append((now, bool(sticks[-1][1].flags)))
-
-    def hover_after(self, instant: float) -> float:
-        """Seconds from an instant until nothing but hover was on the wire (of the next second); 0 where it was so before."""
-        moving = [t for t, moves in self.told if moves and instant <= t < instant + 1.0]
-        if not moving:
-            return 0.0
-        return next((t - instant for t, moves in self.told if t > moving[-1] and not moves), math.inf)
+    def line(self) -> str:
+        taken = "-" if self.took_over_s is None else f"{self.took_over_s:.1f}"
+        off = "-" if self.lateral_m is None else f"{self.lateral_m:.2f}"
+        safe = "NO" if self.unsafe else "yes" if self.reached else "-"
+        remarks = [*self.unsafe, *(f"starved: {why}" for why in self.starved), *([] if self.reached else ["phase not reached"])]
+        return (
+            f"{self.case.name:22} {self.seed:4}  {self.height_m:8.2f}  {self.hover_ms:8.0f}  {self.drift_m:7.2f}  "
+            f"{self.lowest_m:8.2f}  {taken:>11}  {self.outcome:14}  {off:>5}  {safe:4}  {'; '.join(remarks)}"
+        ).rstrip()
 
 
-@contextmanager
-def drone(scenario: Path, seed: int, truth: Path) -> Iterator[dict[str, int]]:
-    ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
-    words = [sys.executable, "-m", "sitl.ardrone.serve", str(scenario), f"--seed={seed}", f"--truth={truth}", *ports]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
-        yield json.loads(child.stdout.readline())["ports"]
-        assert child.stdin is not None
-        child.stdin.close()
-        child.wait(20)
+HEADER = "phase                  seed  height m  hover ms  drift m  lowest m  took over s  outcome         off m  safe  remarks"
 
 
-class Daemon:
-    """One daemon process and what it tells."""
-
-    def __init__(self, config: Path) -> None:
-        words = [sys.executable, "-m", "benches.dead_man", "--fly", str(config)]
-        self.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, bufsize=1)
-        self.phase, self.height_m, self.since, self.first_moved = "", math.inf, time.monotonic(), math.inf
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            phase, _, height = line.strip().partition("|")
-            if phase != self.phase:
-                self.phase, self.since = phase, time.monotonic()
-            self.height_m = float(height)
-
-    def reach(self, case: Case) -> bool:
-        """Wait until it is time to kill it."""
-        deadline = time.monotonic() + REACH_S
-        while time.monotonic() < deadline and self.process.poll() is None:
-            if self.phase in case.phases and self.height_m <= case.below_m and time.monotonic() - self.since >= case.after_s:
-                return True
-            time.sleep(0.002)
-        return False
-
-    def wait_for(self, *phases: str, seconds: float) -> str:
-        deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline and self.process.poll() is None and self.phase not in phases:
-            time.sleep(0.02)
-        return self.phase
-
-    def end(self) -> None:
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGCONT)
-            self.process.terminate()
-            try:
-                self.process.wait(20)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
-
-
-def run(case: Case, seed: int, how: signal.Signals) -> dict[str, Any]:
+def run(case: Case, seed: int, how: signal.Signals) -> Flight:
     """One flight: up to the phase, killed, watched, taken over."""
-    out: dict[str, Any] = {"phase": case.name, "seed": seed}
     with tempfile.TemporaryDirectory(prefix="decklander-") as name:
         folder = Path(name)
-        scenario, truth = folder / "scenario.toml", folder / "truth.jsonl"
-        place = 'where = "pad"\n' if case.where == "pad" else "height_m = 3.2\npad_right_m = 0.8\npad_forward_m = 0.5\n"
-        fault = f"[[faults]]\n{COVERED}for_s = 14.0\n" if case.covered else ""
-        camera = '[camera]\nfile = "camera.toml"\n'
+        scenario, log = folder / "scenario.toml", folder / "truth.jsonl"
+        fault = ""
+        if case.covered_below_m is not None:
+            fault = f'[[faults]]\nkind = "lens_covered"\nbelow_height_m = {case.covered_below_m}\nfor_s = {case.covered_s}\n'
         (folder / "camera.toml").write_text(CAMERA)
-        scenario.write_text(f'base = "demo"\nduration_limit_s = 300.0\n{camera}[start]\n{place}{fault}')
-        with drone(scenario, seed, truth) as ports:
-            wire = Wire(ports["at"])
-            ports_here = ports | {"at": wire.own_port}
-            again, config = folder / "again.toml", folder / "first.toml"
-            again.write_text(SETTINGS.format(**ports_here, start="automatic", give_up_s=20.0))
-            config.write_text(SETTINGS.format(**ports_here, start=case.start, give_up_s=6.0 if case.covered else 20.0))
-            first = second = Daemon(config)
+        camera = '[camera]\nfile = "camera.toml"\n'
+        scenario.write_text(f'base = "demo"\nduration_limit_s = 600.0\n{camera}[start]\n{case.place}{fault}')
+        with drone(scenario, seed, log) as ports:
+            truth, wire = Truth(log), Wire(ports["at"])
             try:
-                reached = first.reach(case)
-                out["height_m"] = first.height_m
-                killed = time.monotonic()
-                first.process.send_signal(how)
-                time.sleep(ALONE_S)
-                first.process.kill()
-                first.process.wait()
-                back = time.monotonic()
-                second = Daemon(again)
-                flies = case.where == "air" and case.name != "after landing"
-                if reached and flies:
-                    ending = second.wait_for("landed", "landed by others", "gave up", "emergency", seconds=LAND_S)
-                else:
-                    ending = second.wait_for("waiting for the vehicle", seconds=10.0)
-                moved = next((t - back for t, moves in wire.told if moves and t > back), None)
-                time.sleep(0.3)
+                return _flown(case, seed, how, folder, ports | {"at": wire.own_port}, truth, wire)
             finally:
-                first.process.kill()
-                first.process.wait()
-                second.end()
                 wire.ended = True
-        records = read_truth(truth)
-    out |= {"reached": reached, "hover_ms": 1e3 * wire.hover_after(killed), "took_over_s": moved, "ending": ending}
-    return out | judged(records, killed, back, flies)
+                truth.end()
 
 
-def judged(records: list[dict[str, Any]], killed: float, back: float, flies: bool) -> dict[str, Any]:
-    """Measure in the truth how the drone moved while it was alone and how the flight ended."""
-    at_kill = max((r for r in records if r["at_ns"] <= killed * 1e9), key=lambda r: r["at_ns"], default=records[0])
+def _daemon(config: Path) -> Daemon:
+    return Daemon([sys.executable, "-m", "benches.dead_man", "--fly", str(config)])
+
+
+def _flown(case: Case, seed: int, how: signal.Signals, folder: Path, ports: dict[str, int], truth: Truth, wire: Wire) -> Flight:
+    first_config, second_config = folder / "first.toml", folder / "second.toml"
+    first_config.write_text(SETTINGS.format(**ports, start=case.start, give_up_s=case.give_up_s))
+    second_config.write_text(SETTINGS.format(**ports, start="automatic", give_up_s=20.0))
+    first = second = _daemon(first_config)
+    try:
+        if not _reach(case, first, truth):
+            return _missed(case, seed, truth)
+        killed = time.monotonic()
+        first.process.send_signal(how)
+        time.sleep(ALONE_S)
+        first.kill()
+        back = time.monotonic()
+        second = _daemon(second_config)
+        _taken_over(second, truth)
+        moved = next((t - back for t, moves in wire.told if moves and t > back), None)
+    finally:
+        first.kill()
+        second.end()
+    flight = Flight(case, seed, True, hover_ms=1e3 * wire.hover_after(killed), took_over_s=moved)
+    _judge(flight, truth, killed, back)
+    flight.starved = _starved(first, truth, killed, back)
+    return flight
+
+
+def _starved(first: Daemon, truth: Truth, killed: float, back: float) -> tuple[str, ...]:
+    """Why this machine was too slow for what is measured in the seconds before the kill and while the drone is alone."""
+    why, began = [], killed - BEFORE_S
+    if (slow_s := first.slowest_s(began, killed)) > SLOW_GUIDANCE_S:
+        why.append(f"{slow_s:.2f} s between two guidance cycles")
+    if (late_s := max((late for t, late in truth.late if killed - 0.5 <= t <= back), default=0.0)) > STARVED_S:
+        why.append(f"this program was {late_s:.2f} s late")
+    if (stood_s := truth.slowest_s(began, back)) > STOOD_STILL_S:
+        why.append(f"the simulated drone stood still for {stood_s:.2f} s")
+    return tuple(why)
+
+
+def _missed(case: Case, seed: int, truth: Truth) -> Flight:
+    """A flight that nobody killed; it may have gone wrong all the same."""
+    why = tuple(f"touched {c['lateral_m']:.2f} m off, not on the pad" for c in truth.contacts if not c["on_pad"])
+    if truth.phase == "emergency":
+        why += ("its motors were cut",)
+    return Flight(case, seed, False, truth.height_m, outcome=truth.phase, unsafe=why)
+
+
+def _reach(case: Case, daemon: Daemon, truth: Truth) -> bool:
+    """Wait until it is time to kill it; give up when that cannot come any more."""
+    deadline = time.monotonic() + REACH_S
+    while time.monotonic() < deadline and daemon.alive:
+        if daemon.phase in case.phases and truth.height_m <= case.below_m and time.monotonic() - daemon.since >= case.after_s:
+            return True
+        if daemon.phase in FINAL and daemon.phase not in case.phases:
+            return False
+        time.sleep(0.002)
+    return False
+
+
+def _taken_over(daemon: Daemon, truth: Truth) -> None:
+    """Wait until the drone stands and the new daemon leaves it there, or that daemon has decided otherwise, or time is up."""
+    deadline, stands_since = time.monotonic() + LAND_S, math.inf
+    while time.monotonic() < deadline and daemon.alive:
+        now = time.monotonic()
+        stands = truth.phase in ("landed", "emergency") and daemon.phase != ""
+        stands_since = min(stands_since, now) if stands else math.inf
+        if now - stands_since > STANDS_S or (not stands and daemon.phase in FINAL and now - daemon.since > STANDS_S):
+            return
+        time.sleep(0.02)
+
+
+def _judge(flight: Flight, truth: Truth, killed: float, back: float) -> None:
+    """Measure in the truth how the drone moved while it was alone, and how the flight ended."""
+    records = truth.records[:]
+    start = max((r for r in records if r["at_ns"] <= killed * 1e9), key=lambda r: r["at_ns"], default=records[0])
     alone = [r for r in records if killed * 1e9 <= r["at_ns"] <= back * 1e9]
-    x0, y0, h0 = at_kill["d_body_pad_level_m"]
-    turned = [_toward(r, at_kill) for r in alone]
-    drift_m = max((math.hypot(x - x0, y - y0) for x, y, _ in turned), default=0.0)
-    lowest_m = min((h - h0 for _, _, h in turned), default=0.0)
-    contacts = [c for c in records[-1]["contacts"] if c["at"] > killed * 1e9]
-    in_the_alone = [c for c in contacts if c["at"] <= back * 1e9]
+    x0, y0, z0 = start["p_body_ned_m"]
+    flight.height_m = start["d_body_pad_level_m"][2]
+    flight.drift_m = max((math.hypot(r["p_body_ned_m"][0] - x0, r["p_body_ned_m"][1] - y0) for r in alone), default=0.0)
+    flight.lowest_m = min((z0 - r["p_body_ned_m"][2] for r in alone), default=0.0)
+    last, contacts = records[-1], records[-1]["contacts"]
     off_pad = [c for c in contacts if not c["on_pad"]]
-    last = records[-1]
-    landed = last["phase"] == "landed" and not off_pad
-    safe = not off_pad and last["phase"] != "emergency" and (landed or not flies or last["phase"] in ("hovering", "flying"))
-    lateral = contacts[-1]["lateral_m"] if contacts else None
-    return {
-        "drift_m": drift_m, "lowest_m": lowest_m, "true_height_m": h0, "contact_alone": bool(in_the_alone),
-        "landed": landed, "lateral_m": lateral, "safe": safe,
-    }  # fmt: skip
+    by_itself = [r for r in alone if r["phase"] == "landing"] if start["phase"] != "landing" else []
+    why = [f"touched {c['lateral_m']:.2f} m off, not on the pad" for c in off_pad]
+    if last["phase"] == "emergency":
+        why.append("its motors were cut")
+    if by_itself:
+        why.append(f"began to land by itself at {by_itself[0]['d_body_pad_level_m'][2]:.2f} m")
+    if flight.lowest_m < -SANK_M and start["phase"] != "landing":
+        why.append(f"sank {-flight.lowest_m:.2f} m while alone")
+    flight.unsafe = tuple(why)
+    flight.lateral_m = contacts[-1]["lateral_m"] if contacts else None
+    if last["phase"] == "landed":
+        flight.outcome = "on the pad" if contacts else "never flew"
+    else:
+        flight.outcome = {"hovering": "hovers", "flying": "still flies"}.get(last["phase"], last["phase"])
 
 
-def _toward(record: dict[str, Any], first: dict[str, Any]) -> tuple[float, float, float]:
-    """The pad as seen then, in the level axes of the first record."""
-    turn = record["yaw_rad"] - first["yaw_rad"]
-    x, y, z = record["d_body_pad_level_m"]
-    return math.cos(turn) * x - math.sin(turn) * y, math.sin(turn) * x + math.cos(turn) * y, z
+@dataclass
+class Count:
+    """The flights of one phase."""
+
+    case: Case
+    flights: list[Flight] = field(default_factory=list)
+    begun: int = 0
+    under_way: int = 0
+
+    @property
+    def kills(self) -> list[Flight]:
+        """Those that count."""
+        return [f for f in self.flights if f.reached and not f.starved]
+
+    def line(self) -> str:
+        starved = [f for f in self.flights if f.reached and f.starved]
+        unsafe_starved = _unsafe(starved)
+        moving = sorted(f.hover_ms for f in self.kills if f.hover_ms > 0.0)
+        drift = sorted(f.drift_m for f in self.kills)
+        hover = f"{moving[len(moving) // 2]:4.0f} {moving[-1]:4.0f}" if moving else "   -    -"
+        drifted = f"{drift[len(drift) // 2]:4.2f} {drift[-1]:4.2f}" if drift else "   -    -"
+        ends = ", ".join(f"{n} {outcome}" for outcome, n in Counter(f.outcome for f in self.kills).most_common())
+        aside = f"{len(starved)}" + (f" ({unsafe_starved} unsafe)" if unsafe_starved else "")
+        return (
+            f"{self.case.name:22} {len(self.kills):5}  {sum(not f.reached for f in self.flights):11}  {aside:>12}  "
+            f"{_unsafe(self.kills):6}  {sum(ms > LATE_MS for ms in moving):4}  {hover}  {drifted}  {ends}"
+        )
+
+
+class Table:
+    """Hands out flights so that every phase comes to its number, and says how they went."""
+
+    def __init__(self, cases: list[Case], seeds: int, first: int) -> None:
+        self._counts = [Count(case) for case in cases]
+        self._seeds, self._first = seeds, first
+        self._lock = threading.Lock()
+        self.ended = False
+
+    def next(self) -> tuple[Count, int] | None:
+        """The next flight to be flown and its seed: the phase with the fewest comes first."""
+        with self._lock:
+            wanting = [c for c in self._counts if len(c.kills) + c.under_way < self._seeds and c.begun < TRIES * self._seeds]
+            if not wanting or self.ended:
+                return None
+            count = min(wanting, key=lambda c: (len(c.kills) + c.under_way, c.begun))
+            seed = self._first + count.begun
+            count.begun += 1
+            count.under_way += 1
+            return count, seed
+
+    def fly(self, how: signal.Signals) -> None:
+        """One flight after the other until every phase has its number."""
+        while (given := self.next()) is not None:
+            count, seed = given
+            try:
+                flight = run(count.case, seed, how)
+            except (OSError, ValueError, IndexError, subprocess.SubprocessError) as why:
+                flight = Flight(count.case, seed, False, outcome=f"broke: {type(why).__name__}")
+            with self._lock:
+                count.under_way -= 1
+                count.flights.append(flight)
+                print(flight.line(), flush=True)
+
+    def say(self) -> None:
+        """Print the table and its sums."""
+        print("\nphase                  kills  not reached  (starved)     unsafe  late  hover p50/most  drift  outcomes")
+        for count in self._counts:
+            print(count.line())
+        kills = [f for c in self._counts for f in c.kills]
+        every = [f for c in self._counts for f in c.flights]
+        missed = [f for f in every if not f.reached]
+        starved = [f for f in every if f.reached and f.starved]
+        print(
+            f"{len(kills)} kills, {_unsafe(kills)} unsafe. Hover on the wire in ms, of the flights that were moving; late is "
+            f"over {LATE_MS:.0f} ms; drift in {ALONE_S:.0f} s in m.\n{len(every)} flights: {len(missed)} did not reach their "
+            f"phase ({_unsafe(missed)} unsafe), in {len(starved)} this machine was starved ({_unsafe(starved)} unsafe).",
+            flush=True,
+        )
+
+
+def _unsafe(flights: list[Flight]) -> int:
+    return sum(bool(f.unsafe) for f in flights)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--seeds", type=int, default=1, help="flights for each phase")
     parser.add_argument("--first", type=int, default=1, metavar="SEED")
     parser.add_argument("--how", choices=("kill", "stop"), default="kill")
+    parser.add_argument("--jobs", type=int, default=1, help="flights side by side; one takes most of a core")
     parser.add_argument("--phase", nargs="*", choices=[case.name for case in CASES], metavar="NAME")
     parser.add_argument("--fly", metavar="FILE", help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -294,31 +392,18 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # through every finally: no process of ours stays
     os.environ.setdefault("MPLCONFIGDIR", tempfile.gettempdir())
     how = signal.SIGKILL if args.how == "kill" else signal.SIGSTOP
-    print("phase                  seed  height m  hover ms  drift m  lowest m  contact  took over s  landed  off m  safe")
-    rows = []
-    for case in CASES:
-        for seed in range(args.first, args.first + args.seeds):
-            if args.phase and case.name not in args.phase:
-                continue
-            row = run(case, seed, how)
-            rows.append(row)
-            taken = "-" if row["took_over_s"] is None else f"{row['took_over_s']:.1f}"
-            off = "-" if row["lateral_m"] is None else f"{row['lateral_m']:.2f}"
-            print(
-                f"{case.name:22} {seed:4}  {row['true_height_m']:8.2f}  {row['hover_ms']:8.0f}  {row['drift_m']:7.2f}  "
-                f"{row['lowest_m']:8.2f}  {'yes' if row['contact_alone'] else 'no':>7}  {taken:>11}  "
-                f"{'yes' if row['landed'] else 'no':>6}  {off:>5}  {'yes' if row['safe'] else 'NO'}"
-                f"{'' if row['reached'] else '  (phase not reached)'}",
-                flush=True,
-            )
-    moving = sorted(row["hover_ms"] for row in rows if row["hover_ms"] > 0.0)
-    hover = f"p50 {moving[len(moving) // 2]:.0f} ms, max {moving[-1]:.0f} ms" if moving else "at once"
-    drifts = sorted(row["drift_m"] for row in rows)
-    print(
-        f"hover on the wire: {hover} ({len(moving)} that were moving); "
-        f"drift in {ALONE_S:.0f} s: p50 {drifts[len(drifts) // 2]:.2f} m, max {drifts[-1]:.2f} m; "
-        f"unsafe: {sum(not row['safe'] for row in rows)} of {len(rows)}; not reached: {sum(not row['reached'] for row in rows)}"
-    )
+    table = Table([case for case in CASES if not args.phase or case.name in args.phase], args.seeds, args.first)
+    print(HEADER, flush=True)
+    others = [threading.Thread(target=table.fly, args=(how,)) for _ in range(args.jobs - 1)]
+    for other in others:
+        other.start()
+    try:
+        table.fly(how)
+    finally:
+        table.ended = True
+        for other in others:
+            other.join()
+        table.say()
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benches.dead_man import Wire, drone
+from benches.processes import Wire, drone
 from drivers.ardrone.link import open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock

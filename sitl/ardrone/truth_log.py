@@ -43,7 +43,7 @@ def record(truth: Truth) -> dict[str, Any]:
 
 
 class TruthLog:
-    """Writes records; a context manager that closes the file.
+    """Writes records, each at once, so that another process can follow; a context manager that closes the file.
 
     Raises:
         BadInput: the file cannot be made.
@@ -51,16 +51,12 @@ class TruthLog:
 
     def __init__(self, path: Path) -> None:
         try:
-            self._file: IO[str] = path.open("w", encoding="utf-8", buffering=1 << 16)
+            self._file: IO[str] = path.open("w", encoding="utf-8", buffering=1)
         except OSError as why:
             raise BadInput(f"truth log {path}: {why.strerror}") from why
 
     def write(self, truth: Truth) -> None:
         self._file.write(json.dumps(record(truth), separators=(",", ":")) + "\n")
-
-    def flush(self) -> None:
-        """So that a reader sees all of it although the writer lives on."""
-        self._file.flush()
 
     def __enter__(self) -> TruthLog:
         return self
