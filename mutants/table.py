@@ -3,12 +3,6 @@
 from __future__ import annotations
 
 _GATE = ("tests/estimator/ekf/test_gate_bounds.py", "tests/estimator/ekf/test_gate.py")
-_EKF = (
-    *_GATE,
-    "tests/estimator/ekf/test_noise_and_inflation.py",
-    "tests/estimator/ekf/test_history.py",
-    "tests/estimator/test_pipeline.py",
-)
 _INTEGRITY = ("tests/estimator/integrity",)
 
 TARGETS: dict[str, tuple[str, ...]] = {
@@ -19,7 +13,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/estimator/ekf/test_seeing_sea.py",
         "tests/estimator/ekf/test_noise_and_inflation.py",
     ),
-    "estimator/ekf/filter.py": _EKF,
+    "estimator/ekf/filter.py": ("tests/estimator/ekf/test_filter_bounds.py",),
     "estimator/ekf/history.py": ("tests/estimator/ekf/test_history_bounds.py", "tests/estimator/ekf/test_history.py"),
     "estimator/integrity/guard.py": _INTEGRITY,
     "estimator/integrity/clock.py": _INTEGRITY,

@@ -1,0 +1,273 @@
+"""What leaves the filter, of a belief made by hand: place, velocity, heading, covariance, and when it is called consistent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Verdict
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Baro
+from estimator.contracts.time import MonoNs
+from estimator.ekf import Ekf, EkfOptions, at, forecast, moving, sea, so3, start, step
+from estimator.ekf.forecast import probability_of_motion
+from estimator.ekf.history import History
+from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, SCALE, SHORT, TURN_RATE, VELOCITY, Belief, D, N, U, V
+from estimator.ekf.stride import settled
+from estimator.integrity import IntegrityOptions
+from tests.estimator.ekf.hand import MS, OPTIONS, TILTED, TOOLS, S, T, belief, correlated, imu, stamp, state, tools
+
+NOW = MonoNs(T)
+
+
+def holding(b: Belief | None) -> Ekf:
+    return Ekf(OPTIONS, TOOLS, History(base=b))
+
+
+def told(b: Belief, now: int = T) -> RelativeState:
+    found = at(holding(b), MonoNs(now))
+    assert found is not None
+    return found
+
+
+# The numbers
+
+
+def test_place_and_velocity_are_of_the_pad_as_it_is_now_in_axes_that_turn_with_the_body() -> None:
+    """Where the deck was when the camera showed it, less what it has moved in the delay; velocities are of the same deck."""
+    b = belief(TILTED, x=state())
+    found = told(b)
+    into_level = so3.about_down(-0.8)
+    v_waves = b.x[[19, 23, 27]]
+    sway = np.array([*(b.x[52:54] * v_waves[2]), 0.0])
+    d = b.x[D] - b.x[DELAY] * (v_waves + sway)
+    np.testing.assert_allclose(found.d_body_pad_level, into_level @ d, atol=1e-12)
+    vessel = np.array([*b.x[U], 0.0])
+    np.testing.assert_allclose(found.v_pad_level, into_level @ (v_waves + sway + vessel - b.x[V]), atol=1e-12)
+    assert found.yaw_rad == pytest.approx(0.8 - b.x[HEAD])
+    assert (found.at, found.sighted, found.path) == (T, b.sighted, "ekf")
+
+
+def test_a_relative_heading_lies_within_half_a_turn() -> None:
+    x = state()
+    x[HEAD] = -3.0
+    assert told(belief(TILTED, x=x)).yaw_rad == pytest.approx(0.8 + 3.0 - math.tau)
+
+
+def test_the_covariance_is_what_each_error_does_to_what_is_told() -> None:
+    b = belief(TILTED, x=state())
+
+    def leaving(i: int, by: float) -> F64:
+        x, R = b.x.copy(), b.R
+        if i < 3:
+            R = R @ so3.exp(by * np.eye(3)[i])
+        else:
+            x[i] += by
+        found = told(b._replace(x=x, R=R, R_cov=R))
+        assert found.yaw_rad is not None
+        return np.array([*found.d_body_pad_level, *found.v_pad_level, found.yaw_rad])
+
+    h = 1e-5
+    J = np.stack([(leaving(i, h) - leaving(i, -h)) / (2 * h) for i in range(N)], axis=1)
+    cov = told(b).cov
+    np.testing.assert_allclose(cov, J @ b.P @ J.T, atol=1e-9)
+    np.testing.assert_allclose(cov, cov.T, atol=0.0)
+
+
+def test_a_little_later_it_is_the_belief_carried_on_with_all_its_growing_doubt() -> None:
+    b = belief(TILTED, x=state(), t_imu=T, w=np.array([0.1, 0.2, 0.3]), f=np.array([0.3, -0.2, -9.7]))
+    now = T + 50 * MS
+    found, other = told(b, now), told(settled(b, now, TOOLS), now)
+    for name in ("d_body_pad_level", "v_pad_level", "cov"):
+        np.testing.assert_allclose(getattr(found, name), getattr(other, name), atol=1e-9, err_msg=name)
+    assert found.yaw_rad == pytest.approx(other.yaw_rad)
+    assert np.all(np.diag(found.cov) > 0.0)
+    certain = told(b._replace(P=np.zeros((N, N))), now).cov
+    assert np.all(np.linalg.eigvalsh(certain) > 0.0), "of a belief without a doubt some comes in that time"
+
+
+def test_a_heading_never_known_is_none_and_could_be_any() -> None:
+    b = belief(TILTED, x=state())
+    found, known = told(b._replace(heading_known=False)), told(b)
+    assert found.yaw_rad is None
+    expected = known.cov.copy()
+    expected[6] = expected[:, 6] = 0.0
+    expected[6, 6] = UNKNOWN_YAW_VAR
+    np.testing.assert_allclose(found.cov, expected)
+
+
+# Whether there is anything to tell
+
+
+def test_nothing_is_told_of_a_pad_never_seen_or_not_for_half_a_minute() -> None:
+    for b in (None, belief(sighted=-1)):
+        assert at(holding(b), NOW) is None
+        assert forecast(holding(b), NOW, [0.0]) is None
+        assert moving(holding(b)) is None
+    b = belief(TILTED, x=state())
+    for ago_s, there in ((29.999, True), (30.001, False)):
+        ekf = holding(b._replace(sighted=T - round(ago_s * S)))
+        assert (at(ekf, NOW) is not None) is there
+        assert (forecast(ekf, NOW, [0.0]) is not None) is there
+    first = holding(belief(TILTED, x=state(), t=0, sighted=0))
+    assert at(first, MonoNs(0)) is not None
+    assert forecast(first, MonoNs(0), [0.0]) is not None
+    assert moving(first) is not None
+
+
+@pytest.mark.parametrize(("agreed", "nis_mean", "wanted"), [(3, 1.0, True), (2, 1.0, False), (10, 1.99, True), (10, 2.0, False)])
+def test_three_sightings_that_fit_make_it_consistent(agreed: int, nis_mean: float, wanted: bool) -> None:
+    assert told(belief(agreed=agreed, nis_mean=nis_mean)).consistent is wanted
+
+
+def test_it_is_consistent_for_a_second_after_the_newest_sighting_or_velocity() -> None:
+    aids = list(belief().aids)
+    for sighted, velocity, wanted in (
+        (T - S, -1, True),
+        (T - S - MS, -1, False),
+        (T - S - MS, T - S, True),
+        (T - 2 * S, T - S - MS, False),
+        (T - S, T - 9 * S, True),
+    ):
+        aids[VELOCITY] = aids[VELOCITY]._replace(fused=velocity)
+        assert told(belief(sighted=sighted, aids=tuple(aids))).consistent is wanted
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_it_is_consistent_while_the_place_is_known_to_a_metre_along_each_axis(axis: int) -> None:
+    P = np.eye(N) * 1e-12
+    for sigma_m, wanted in ((0.999, True), (1.001, False)):
+        P[3 + axis, 3 + axis] = sigma_m**2
+        assert told(belief(P=P)).consistent is wanted
+    for sigma_m, wanted in ((0.499, True), (0.501, False)):
+        P[3 + axis, 3 + axis] = sigma_m**2
+        chosen = tools(consistent_sigma_m=0.5)
+        found = at(Ekf(chosen.options, chosen, History(base=belief(P=P))), NOW)
+        assert found is not None
+        assert found.consistent is wanted
+    P[6 + axis, 6 + axis] = 9.0
+    assert told(belief(P=P)).consistent, "of its velocity nothing is asked"
+
+
+# The figures for records
+
+
+def test_every_figure_for_the_records_is_the_one_it_is_called_by() -> None:
+    x, P = state(), correlated()
+    P[SCALE, SCALE] = -1e-9
+    b = belief(TILTED, x=x, P=P, nis_mean=1.3)
+    b = b._replace(sea=b.sea._replace(zeta=np.array([0.1, 0.2, 0.3, 0.4, 0.5]), sigma=np.array([0.3, 0.4, 0.5, 0.02, 0.03])))
+    expected = {
+        "nis_mean": 1.3,
+        "probability_moving": probability_of_motion(b),
+        "velocity_scale": x[SCALE],
+        "camera_delay_s": x[DELAY],
+        "baro_offset_m": x[BARO],
+        "range_offset_m": x[SHORT],
+        "v_vessel_north_m_s": x[16],
+        "v_vessel_east_m_s": x[17],
+        "turn_rate_rad_s": x[TURN_RATE],
+        "sigma_velocity_scale": 0.0,
+        "sigma_camera_delay_s": math.sqrt(P[DELAY, DELAY]),
+    }
+    for k, axis in enumerate("xyz"):
+        expected[f"sigma_mount_{axis}_rad"] = math.sqrt(P[43 + k, 43 + k])
+        expected[f"mount_{axis}_rad"] = x[MOUNT][k]
+        expected[f"gyro_bias_{axis}_rad_s"] = x[BG][k]
+        expected[f"accel_bias_{axis}_m_s2"] = x[BA][k]
+    for k, channel in enumerate(("north", "east", "down", "roll", "pitch")):
+        expected[f"period_{channel}_s"] = 2.0 * math.pi / b.sea.w_rad_s[k]
+        expected[f"damping_{channel}"] = b.sea.zeta[k]
+        expected[f"swing_{channel}"] = b.sea.sigma[k]
+    found = dict(told(b).details)
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value), name
+
+
+# Forecasts
+
+
+@pytest.mark.parametrize("later_ms", [0, 50])
+def test_a_forecast_of_now_is_what_is_told_of_now(later_ms: int) -> None:
+    b = belief(TILTED, x=state(), t_imu=T, w=np.array([0.1, 0.2, 0.3]), f=np.array([0.3, -0.2, -9.7]))
+    now = T + later_ms * MS
+    ahead, found = forecast(holding(b), MonoNs(now), [0.0]), told(b, now)
+    assert ahead is not None
+    assert ahead.at == now
+    np.testing.assert_allclose(ahead.d_body_pad_level[0], found.d_body_pad_level, atol=1e-9)
+    np.testing.assert_allclose(ahead.cov_d_level[0], found.cov[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(ahead.horizons_s, [0.0])
+
+
+def test_horizons_are_numbers_of_zero_or_more() -> None:
+    ekf = holding(belief(TILTED, x=state()))
+    for bad in ([-0.001], [1.0, -1.0], [math.nan], [math.inf], [0.0, math.inf]):
+        with pytest.raises(ValueError, match="horizons"):
+            forecast(ekf, NOW, bad)
+    for good in ([0.0, 1.0], np.array([[0.5], [2.0]])):
+        found = forecast(ekf, NOW, good)
+        assert found is not None
+        assert found.horizons_s.shape == (2,)
+        assert found.d_body_pad_level.shape == (2, 3)
+
+
+def test_a_vessel_under_way_moves_and_one_that_lies_still_may_not() -> None:
+    P = np.eye(N) * 1e-6
+    under_way, still = np.zeros(N), np.zeros(N)
+    under_way[U] = 3.0, 1.0
+    b = belief(x=under_way, P=P, sea=sea.unknown())
+    moves = moving(holding(b))
+    assert moves == probability_of_motion(b)
+    assert moves > 0.99
+    rests = moving(holding(b._replace(x=still)))
+    assert rests is not None
+    assert rests < 0.1
+
+
+# A filter and its steps
+
+
+def test_a_new_filter_has_the_options_given_or_the_usual_ones_and_knows_nothing() -> None:
+    chosen = EkfOptions(forget_s=7.0)
+    for ekf, options in ((start(chosen), chosen), (start(), EkfOptions())):
+        assert ekf.options == ekf.tools.options == ekf.tools.walk.options == options
+        assert ekf.history == History()
+        assert ekf.belief is None
+        assert ekf.limits == IntegrityOptions()
+    assert start(limits=None).limits is None
+
+
+def test_a_step_makes_a_new_memory_and_leaves_the_old_one() -> None:
+    old = holding(belief())
+    new, outcomes = step(old, Baro(stamp(T), 1.0, 0.5))
+    assert [outcome.verdict for outcome in outcomes] == [Verdict.FUSED]
+    assert len(new.history.nodes) == 1
+    assert old.history == History(base=old.belief)
+    assert (new.options, new.tools) == (old.options, old.tools)
+    for f in fields(Ekf):
+        assert f.name in ("history", "imu") or getattr(new, f.name) is getattr(old, f.name)
+
+
+def test_an_imu_sample_is_held_to_its_limits_where_nothing_before_the_filter_did() -> None:
+    rest, thrown = (0.0, 0.0, -9.81), (0.0, 0.0, 1e4)
+    ekf, outcomes = step(start(), imu(T, (0.01, 0.0, 0.0), rest))
+    assert outcomes[0].verdict is Verdict.FUSED
+    spike = imu(T + 10 * MS, (0.0, 0.02, 0.0), thrown)
+    refused, outcomes = step(ekf, spike)
+    assert [o.verdict for o in outcomes] == [Verdict.IMPOSSIBLE]
+    assert outcomes[0].event is spike
+    assert refused.history is ekf.history
+    unchecked, outcomes = step(replace(ekf, limits=None), spike)
+    assert outcomes[0].verdict is not Verdict.IMPOSSIBLE
+    assert unchecked.history is not ekf.history
+    verdicts = []
+    for k in range(1, 400):
+        ekf, outcomes = step(ekf, imu(T + 10 * k * MS, (0.01, 0.0, 0.0), rest))
+        verdicts.append(outcomes[0].verdict)
+    assert verdicts[-1] is Verdict.FROZEN, "the watch over the IMU goes on from sample to sample"
+    _, outcomes = step(ekf, Baro(stamp(T + 4000 * MS), 1.0, 0.5))
+    assert outcomes[0].verdict is not Verdict.FROZEN, "it is the IMU's alone"
