@@ -231,7 +231,7 @@ def _going_around(
         assert state.point is not None
         return state, SetPoint(state.point, None, v_body_level), Phase.GO_AROUND
     state = replace(state, point=None)
-    blind_since = climb.since if state.seen is None else MonoNs(max(climb.since, state.seen))
+    blind_since = max(climb.since, state.seen or climb.since)
     if seconds_between(blind_since, now) * plan.climb_m_s < plan.safe_height_m - state.seen_height_m:
         v = _level_velocity(state, plan, now, estimate)
         v[2] = -plan.climb_m_s
@@ -302,13 +302,13 @@ def _level_velocity(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeS
     if not estimate.consistent or computed_s > plan.stale_after_s or _sigma_m(estimate) > plan.blind_sigma_m:
         return v
     off = estimate.d_body_pad_level[:2] - plan.way_points[state.leg].d_body_pad_level[:2]
-    v[:2] = off * min(plan.speed_m_s / plan.slow_within_m, plan.speed_m_s / max(1e-9, math.hypot(off[0], off[1])))
+    v[:2] = off * plan.speed_m_s / max(plan.slow_within_m, math.hypot(off[0], off[1]))
     return v
 
 
 def _sigma_m(estimate: RelativeState) -> float:
     """Largest horizontal 1-sigma."""
-    return math.sqrt(float(np.linalg.eigvalsh(estimate.cov[:2, :2])[-1]))
+    return math.sqrt(float(np.linalg.eigvalsh(estimate.cov[:2, :2]).max()))
 
 
 def _turned_with_the_body(point: F64, yaw_rad: float | None, estimate: RelativeState) -> F64:
@@ -325,10 +325,10 @@ def _flown_on(point: F64, drone: F64, goal: F64, plan: Plan, dt: float) -> tuple
     """The set point `dt` later on its straight line to the goal, and the velocity (of the body, in level) it moves with."""
     to_go = goal - point
     distance_m = float(np.linalg.norm(to_go))
-    if distance_m < 1e-6 or float(np.linalg.norm(point - drone)) > plan.lead_m:
-        return (goal if distance_m < 1e-6 else point), np.zeros(3)
+    if float(np.linalg.norm(point - drone)) > plan.lead_m:
+        return point, np.zeros(3)
     speed = plan.speed_m_s * max(min(1.0, distance_m / plan.slow_within_m), plan.slow_least)
-    direction = to_go / distance_m
     if speed * dt >= distance_m:
         return goal, np.zeros(3)
+    direction = to_go / distance_m
     return point + direction * (speed * dt), -direction * speed

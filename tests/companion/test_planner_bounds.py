@@ -83,7 +83,7 @@ def test_near_a_way_point_is_within_both_its_distances(height_m: float, aside: t
         ((0.0, 0.0), (0.0, -0.19, 0.0), 0.01, True), ((0.0, 0.0), (0.0, -0.21, 0.0), 0.01, False),
         ((0.1, 0.0), (-0.3, 0.0, 0.0), 0.01, True), ((0.0, 0.1), (0.0, 0.1, 0.0), 0.01, False),
         ((0.0, 0.0), (0.0, 0.0, 9.0), 0.149, True), ((0.0, 0.0), (0.0, 0.0, 0.0), 0.151, False),
-        ((0.13, 0.0), (-0.1, 0.0, 0.0), 0.01, False),
+        ((0.13, 0.0), (-0.1, 0.0, 0.0), 0.01, False), ((0.12, 0.0), (0.0, 0.0, 0.0), 0.15, True),
     ],
 )  # fmt: skip
 def test_near_the_last_way_point_is_still_to_be_there_and_sure_of_it(
@@ -218,6 +218,13 @@ def test_without_sight_it_climbs_for_as_long_as_it_lacks_height(since_s: float, 
         assert after.spent == Spent(without_sight_s=6.25)
 
 
+def test_a_climb_without_sight_ends_when_the_height_that_lacked_is_made_up() -> None:
+    plan = replace(PLAN, climb_m_s=0.5)
+    state = lost(8.0, 1.5, going_around=GoAround(at(NOW - 1.0), 1.5), go_arounds=1)
+    assert cycle(state, None, plan)[1:] == (Hover(), Phase.LOST)
+    assert cycle(asked(1.0, 1.5), None, plan)[1:] == (Hover(), Phase.ANOTHER_PAD)
+
+
 def test_a_landing_goes_on_with_its_lease_and_ends_in_a_go_around() -> None:
     landing = flying(leg=1, seen_height_m=0.3, landing=Lease(at(NOW - 1.0), 0.3, at(NOW - 1.0), 0.3))
     state, aim, phase = cycle(landing, belief(0.2))
@@ -277,6 +284,17 @@ def test_the_set_point_flies_and_slows_down_near_its_way_point(
     assert aim.v_body_level == pytest.approx([0.0, 0.0, speed_m_s])
 
 
+@pytest.mark.parametrize(("within_m", "set_point_m_s", "blind_m_s"), [(0.25, 0.4, 0.4), (0.5, 0.4, 0.4), (2.0, 0.1, 0.1)])
+def test_it_slows_down_within_the_distance_that_the_plan_names(within_m: float, set_point_m_s: float, blind_m_s: float) -> None:
+    plan = replace(PLAN, slow_within_m=within_m)
+    _, aim, _ = cycle(flying(0.1, point=np.array([0.0, 0.0, 2.5]), yaw_rad=0.0), belief(2.5), plan)
+    assert isinstance(aim, SetPoint)
+    assert aim.v_body_level == pytest.approx([0.0, 0.0, set_point_m_s])
+    _, aim, _ = cycle(lost(1.0), belief(4.0, (0.0, -0.5), age_s=1.0), plan)
+    assert isinstance(aim, Velocity)
+    assert aim.v_level == pytest.approx([0.0, -blind_m_s, 0.0])
+
+
 def test_a_set_point_that_arrives_in_this_cycle_stands_still() -> None:
     plan = replace(PLAN, speed_m_s=0.5, slow_least=0.5)
     _, aim, _ = cycle(flying(0.125, point=np.array([0.0, 0.0, 2.03125]), yaw_rad=0.0), belief(2.03125), plan)
@@ -285,10 +303,10 @@ def test_a_set_point_that_arrives_in_this_cycle_stands_still() -> None:
     assert aim.v_body_level.tolist() == [0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(("behind_m", "waits"), [(0.75, False), (0.85, True)])
+@pytest.mark.parametrize(("behind_m", "waits"), [(0.74, False), (0.75, False), (0.76, True)])
 def test_the_set_point_waits_for_a_drone_that_is_too_far_behind(behind_m: float, waits: bool) -> None:
     point = np.array([0.0, 0.0, 4.0])
-    _, aim, _ = cycle(flying(0.1, point=point, yaw_rad=0.0), belief(4.0 + behind_m))
+    _, aim, _ = cycle(flying(0.1, point=point, yaw_rad=0.0), belief(4.0 + behind_m), replace(PLAN, lead_m=0.75))
     assert isinstance(aim, SetPoint)
     assert bool(aim.d_body_pad_level[2] == 4.0) is waits
     assert np.any(aim.v_body_level != 0.0) != waits
@@ -296,8 +314,11 @@ def test_the_set_point_waits_for_a_drone_that_is_too_far_behind(behind_m: float,
 
 @pytest.mark.parametrize(
     ("before", "now", "point"),
-    [(0.0, math.pi / 2, (-2.0, -1.0)), (3.0, 3.0 - math.pi / 2, (2.0, 1.0)), (None, 1.0, (1.0, -2.0)), (1.0, None, (1.0, -2.0))],
-)
+    [
+        (0.2, 0.2 + math.atan2(3.0, 4.0), (-0.4, -2.2)), (0.0, math.pi / 2, (-2.0, -1.0)),
+        (3.0, 3.0 - math.pi / 2, (2.0, 1.0)), (None, 1.0, (1.0, -2.0)), (1.0, None, (1.0, -2.0)),
+    ],
+)  # fmt: skip
 def test_the_set_point_keeps_its_place_against_the_pad_while_the_body_turns(
     before: float | None, now: float | None, point: tuple[float, float]
 ) -> None:
