@@ -12,8 +12,7 @@ from estimator.contracts.time import MonoNs
 from estimator.ekf import sea, so3
 from estimator.ekf.motion import QUARTER, turned
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.oscillator import transition
-from estimator.ekf.state import LIST, SWAY_PER_HEAVE, TH, TURN_RATE, WAVES, Belief, D, N, U, V
+from estimator.ekf.state import DISPLACEMENT, LIST, RATE, SWAY_PER_HEAVE, TH, TURN_RATE, Belief, D, N, U, V
 
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}
 
@@ -63,65 +62,52 @@ class Forecast:
 
 
 def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
-    """From a settled belief. Means and covariances are those of the mixture over the bank's members."""
+    """From a settled belief. Waves are the bank's: means and covariances are those of the mixture over its members."""
     h = np.asarray(horizons_s, dtype=float)
     n = h.size
     x, P = b.x, b.P
-    waves, cov_waves = x[WAVES], P[WAVES[:, :, None], WAVES[:, None, :]]
-    second = waves[:, :, None] * waves[:, None, :] + cov_waves
-    weight = b.sea.weight
-    power = weight * sea.SIGMA**2
-    mean_a = np.zeros((n, 5, 2, 4))
-    extra = np.zeros((n, 5, 2))
-    for k in range(n):
-        A, q = transition(sea.W, sea.ZETA, float(h[k]), sea.AT_REST)
-        for row in range(2):
-            a = A[:, row]
-            mean = weight @ a
-            mean_a[k, :, row] = mean
-            # Second moment of the members' forecasts, less that of their mean transition: noise and disagreement.
-            moment = (weight * ((a @ second) * a).sum(axis=2)).sum(axis=1) + power @ q[:, row, row]
-            extra[k, :, row] = moment - ((mean[:, None] @ second)[:, 0] * mean).sum(axis=1)
-    extra = np.maximum(extra, 0.0)
+    waves = sea.ahead(b.sea, at, x[RATE], h)
 
     Z = so3.about_down(-so3.heading(b.R))
     d_now = Z.dot(x[D])
     by_heading = np.array([d_now[1], -d_now[0], 0.0])
-    u, sway, heave = x[U], x[SWAY_PER_HEAVE], x[WAVES[2]]
+    u, sway = x[U], x[SWAY_PER_HEAVE]
     d, cov_d = np.zeros((n, 3)), np.zeros((n, 3, 3))
     height, rise, roll, pitch = (np.zeros((2, n)) for _ in range(4))
     for k in range(n):
         T = float(h[k])
-        A = mean_a[k]
+        change, by_rate, var = waves.change[k], waves.by_rate[k], waves.var_change[k]
         J = np.zeros((3, N))
         J[:, D] = np.eye(3)
         J[:, V] = -T * np.eye(3)
         turn = turned(float(x[TURN_RATE]), T)
-        change = A[:3, 0] - np.array([1.0, 0.0, 0.0, 0.0])
         J[:2, U] = turn.reach
-        J[np.arange(3)[:, None], WAVES[:3]] = change
-        J[:2, WAVES[2]] += sway[:, None] * change[2]
-        ned = J.dot(x)
-        J[[0, 1], [52, 53]] = change[2].dot(heave)
+        ned = J.dot(x) + change[:3]
+        ned[:2] += sway * change[2]
+        J[np.arange(3), RATE[:3]] = by_rate[:3, 0]
+        J[:2, RATE[2]] += sway * by_rate[2, 0]
+        J[[0, 1], [52, 53]] = change[2]
         curving = QUARTER.dot(u) * (0.5 * T * T)
         J[:2, TURN_RATE] = curving
         J = Z.dot(J)
         J[:, TH] = np.outer(by_heading, so3.heading_row(b.R).dot(b.R))
-        noise = np.diag(extra[k, :3, 0])
+        noise = np.diag(var[:3])
         noise[:2, :2] += np.eye(2) * (o.asd_vessel_velocity_m_s2**2 * T**3 / 3.0)
         # The rate of turn wanders by asd sqrt(t): integrated three times against the velocity.
         noise[:2, :2] += np.outer(curving, curving) * (0.2 * o.asd_turn_rate_rad_s2**2 * T)
         phase = np.append(sway, 1.0)
-        noise += (np.outer(phase, phase) - np.diag([0.0, 0.0, 1.0])) * extra[k, 2, 0]
+        noise += (np.outer(phase, phase) - np.diag([0.0, 0.0, 1.0])) * var[2]
         d[k] = Z.dot(ned)
         cov_d[k] = J.dot(P).dot(J.T) + Z.dot(noise).dot(Z.T)
-        for out, channel, row in ((height, 2, 0), (rise, 2, 1), (roll, 3, 0), (pitch, 4, 0)):
+        for out, channel in ((roll, 3), (pitch, 4)):
             c = np.zeros(N)
-            c[WAVES[channel]] = A[channel, row]
-            if channel >= 3:
-                c[LIST[channel - 3]] = 1.0
-            out[0, k] = c.dot(x)
-            out[1, k] = math.sqrt(max(float(c.dot(P).dot(c)) + float(extra[k, channel, row]), 0.0))
+            c[LIST[channel - 3]] = c[DISPLACEMENT[channel]] = 1.0
+            out[0, k] = c.dot(x) + change[channel]
+            c[RATE[channel]] = by_rate[channel, 0]
+            out[1, k] = math.sqrt(max(float(c.dot(P).dot(c)) + float(var[channel]), 0.0))
+    for out, row in ((height, 0), (rise, 1)):
+        out[0] = waves.mean[:, 2, row]
+        out[1] = np.sqrt(waves.var[:, 2, row] + waves.by_rate[:, 2, row] ** 2 * P[RATE[2], RATE[2]])
     return Forecast(
         at, h, d, cov_d, -height[0], height[1], -rise[0], rise[1], roll[0], roll[1], pitch[0], pitch[1]
     )  # fmt: skip

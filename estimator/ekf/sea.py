@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.ekf import skill
 from estimator.ekf.oscillator import stationary, transition
 
 PERIODS_S = np.geomspace(2.2, 14.0, 9)
@@ -29,6 +30,8 @@ MEMORY_S = 180.0
 """Evidence fades over this time, so that another sea is learned."""
 PERIOD_S = 0.2
 """Members look at most this often; a wave is seen dozens of times anyway."""
+_SHARE_OF_EVIDENCE = 0.6
+"""What the evidence for a member counts in a forecast."""
 _NIS_MAX = 16.0
 """Beyond, a surprise counts no more against a member."""
 
@@ -47,6 +50,8 @@ W, ZETA, SIGMA, LOG_PRIOR = _grid()
 """(G,) rad/s, (G,), (5, G) m or rad, (G,): the members."""
 AT_REST = stationary(W, ZETA)
 """(G, 4, 4) for sigma = 1."""
+_AHEAD = np.stack([transition(W, ZETA, h, AT_REST).A[:, :2] for h in skill.HORIZONS_S.tolist()])
+"""(3, G, 2, 4) displacement and rate at the horizons of `skill`."""
 
 DRIFT_VAR = np.array([[25.0, 9.0, 1.0]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
 """(5, 3) prior of offset, its rate, acceleration. A deck's list is an offset that does not drift."""
@@ -93,6 +98,8 @@ class Sea(NamedTuple):
     """(5, G, 7) each member's [displacement, rate, force, its rate, offset of the IMU's carrying on, its rate, acceleration]."""
     P: F64
     """(5, G, 7, 7)"""
+    skill: skill.Skill
+    """How much of the bank's forecasts has come true."""
     weight: F64
     """(5, G), sums to one."""
     w_rad_s: F64
@@ -109,7 +116,7 @@ def unknown() -> Sea:
     for i in range(3):
         P[:, :, 4 + i, 4 + i] = DRIFT_VAR[:, i, None]
     log_weight = np.broadcast_to(LOG_PRIOR, SIGMA.shape)
-    return Sea(-1, log_weight, np.zeros((*SIGMA.shape, _SIZE)), P, *_summary(log_weight))
+    return Sea(-1, log_weight, np.zeros((*SIGMA.shape, _SIZE)), P, skill.unknown(), *_summary(log_weight))
 
 
 def look(sea: Sea, t: int, y: F64, var: F64, by: Carrying, reach_m: float) -> Sea:
@@ -140,7 +147,77 @@ def look(sea: Sea, t: int, y: F64, var: F64, by: Carrying, reach_m: float) -> Se
     log_weight = log_weight - 0.5 * told * (np.log(S) + np.minimum(innov * innov / S, _NIS_MAX))
     log_weight = np.maximum(log_weight - log_weight.max(axis=1, keepdims=True), -30.0)
     P = P - K[..., :, None] * PH[..., None, :]
-    return Sea(t, log_weight, x + K * innov[..., None], P, *_summary(log_weight))
+    x = x + K * innov[..., None]
+    summary = _summary(log_weight)
+    known = sea.skill
+    if skill.due(known, t):
+        waves = _weight_ahead(log_weight, summary[0][:, :1])[..., None] * x[..., :4]
+        known = skill.compared(known, t, waves[..., :2].sum(axis=1), np.einsum("kgri,cgi->kcr", _AHEAD, waves))
+    return Sea(t, log_weight, x, P, known, *summary)
+
+
+def _weight_ahead(log_weight: F64, rest: F64) -> F64:
+    """Return the (5, G) weights for a forecast, with (5, 1) `rest` for the member at rest.
+
+    No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.
+    Source: Grunwald and van Ommen, Inconsistency of Bayesian inference for misspecified linear models, Bayesian Analysis, 2017.
+    """
+    log_weight = _SHARE_OF_EVIDENCE * (log_weight - LOG_PRIOR)[:, 1:]
+    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    return np.concatenate([rest, (1.0 - rest) * weight / weight.sum(axis=1, keepdims=True)], axis=1)
+
+
+class Ahead(NamedTuple):
+    """The bank's forecast at H instants, [displacement, rate] by direction: (H, 5, 2) and (H, 5, 2, 4) each."""
+
+    mean: F64
+    """What the members make of the waves, by their weights, as much of it as has come true so far."""
+    change: F64
+    """The same less what it is now, of the displacement."""
+    by_rate: F64
+    """What one more unit of the present rate would add."""
+    var: F64
+    """Besides what the doubt about the present rate makes of it."""
+    var_change: F64
+    """(H, 5) the same of the displacement's change."""
+
+
+def ahead(sea: Sea, t: int, rate: F64, horizons_s: F64) -> Ahead:
+    """Foretell the waves from `t` (ns) on.
+
+    Every member goes on from its own state: what pushes it belongs to its own period and damping, and another's would send it
+    elsewhere. Only the present rate is the main filter's, which has seen more.
+
+    Args:
+        rate: (5,) present rate by direction.
+        horizons_s: (H,)
+    """
+    A, q = transition(W, ZETA, max(0, t - sea.t) * 1e-9 if sea.t >= 0 else 0.0, AT_REST)
+    size, weight = (SIGMA**2)[..., None], _weight_ahead(sea.log_weight, sea.weight[:, :1])
+    w = weight[..., None]
+    x = (A @ sea.x[..., :4, None])[..., 0]
+    P = A @ sea.P[..., :4, :4] @ A.transpose(0, 2, 1) + size[..., None] * q
+    x[..., 1] += (rate - (weight * x[..., 1]).sum(axis=1))[:, None]
+    column = P[..., 1]
+    P = P - column[..., :, None] * column[..., None, :] / np.maximum(column[..., 1], 1e-18)[..., None, None]
+    now = (w * x).sum(axis=1)[:, 0]
+    shape = (horizons_s.size, 5, 2)
+    mean, by_rate, var, var_change = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape[:2])
+    for k, horizon in enumerate(horizons_s.tolist()):
+        A, q = transition(W, ZETA, horizon, AT_REST)
+        a, noise = A[:, :2], size * np.diagonal(q, axis1=1, axis2=2)[:, :2]
+        told = np.einsum("gri,cgi->cgr", a, x)
+        mean[k] = (w * told).sum(axis=1)
+        by_rate[k] = (w * a[..., 1]).sum(axis=1)
+        var[k] = (w * (np.einsum("gri,cgij,grj->cgr", a, P, a) + noise + (told - mean[k][:, None]) ** 2)).sum(axis=1)
+        a = a[:, 0] - np.array([1.0, 0.0, 0.0, 0.0])
+        moved = told[..., 0] - x[..., 0]
+        spread = (moved - (weight * moved).sum(axis=1, keepdims=True)) ** 2
+        var_change[k] = (weight * (np.einsum("gi,cgij,gj->cg", a, P, a) + noise[..., 0] + spread)).sum(axis=1)
+    kept = skill.share(sea.skill, horizons_s)
+    doubt = ((1.0 - kept) * mean) ** 2
+    mean = kept * mean
+    return Ahead(mean, mean[..., 0] - now, by_rate, var + doubt, var_change + doubt[..., 0])
 
 
 def _carried(x: F64, P: F64, dt: float, by: Carrying, reach_m: float) -> tuple[F64, F64]:

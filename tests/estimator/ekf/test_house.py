@@ -28,6 +28,7 @@ def test_imports() -> None:
                     "estimator",
                     "filterpy",
                     "functools",
+                    "itertools",
                 }, path
                 assert not name.startswith("estimator.vision"), path
 

@@ -1,0 +1,49 @@
+"""What becomes of a forecast is compared with it, and as much of the next one is kept as came true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimator.ekf import skill
+from estimator.ekf.skill import HORIZONS_S, Skill
+
+STEP_NS = 600_000_000
+
+
+def learned(slope: float, n: int, step_ns: int = STEP_NS) -> Skill:
+    """Forecasts of a slow wave that says `1 / slope` times what comes."""
+    known = skill.unknown()
+    for k in range(n):
+        t = k * step_ns * 1e-9
+        came = np.full((5, 2), np.sin(0.5 * t))
+        ahead = np.stack([np.full((5, 2), np.sin(0.5 * (t + h)) / slope) for h in HORIZONS_S])
+        assert skill.due(known, k * step_ns)
+        known = skill.compared(known, k * step_ns, came, ahead)
+    return known
+
+
+def test_before_anything_was_compared_the_present_is_whole_and_the_rest_is_the_prior() -> None:
+    share = skill.share(skill.unknown(), np.array([0.0, 0.5, 1.0, 3.0, 9.0]))
+    assert share.shape == (5, 5, 2)
+    np.testing.assert_allclose(share[:, 0, 0], [1.0, 0.85, 0.7, 0.7, 0.7])
+
+
+def test_the_share_goes_from_its_prior_to_the_slope_of_what_came_over_what_was_foretold() -> None:
+    for slope, expected in ((0.5, 0.5), (1.0, 1.0), (2.0, 1.0), (1e-3, 0.0), (-1.0, 0.0)):
+        share = skill.share(learned(slope, 200), HORIZONS_S)
+        np.testing.assert_allclose(share, expected, atol=0.15)
+    few = skill.share(learned(0.4, 12), HORIZONS_S)
+    assert np.all((few > 0.45) & (few < 0.7))
+
+
+def test_forecasts_are_kept_until_their_longest_horizon_has_come_and_no_longer() -> None:
+    known = learned(1.0, 100)
+    assert 5 <= len(known.told) <= 8
+    assert not skill.due(known, known.told[-1].t + 499_999_999)
+    assert skill.due(known, known.told[-1].t + 500_000_000)
+
+
+def test_a_pause_in_the_sightings_compares_nothing_across_it() -> None:
+    assert learned(1.0, 30, 5_000_000_000).n.max() == 0.0
+    assert learned(1.0, 30).n.min() == pytest.approx(24, abs=6)
