@@ -132,7 +132,9 @@ class Daemon:
 
     def __init__(self, words: list[str]) -> None:
         self.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, bufsize=1)
-        self.phase, self.since, self.cycles = "", time.monotonic(), [time.monotonic()]
+        self.phase, self.since = "", time.monotonic()
+        self.cycles: list[float] = []
+        """When each cycle was told."""
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
