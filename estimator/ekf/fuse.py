@@ -118,7 +118,7 @@ def _imu(b: Belief, event: Imu, tools: Tools) -> tuple[Belief, Outcome]:
 def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions) -> tuple[Belief, F64, F64]:
     """A sample that leaves the one before it by more than the vehicle can do follows part of the way; the rest is doubt."""
     dt = (event.stamp.taken - b.t) * 1e-9
-    share_f, share_w = min(1.0, o.accel_step_m_s2 / max(step_f, 1e-9)), min(1.0, o.gyro_step_rad_s / max(step_w, 1e-9))
+    share_f, share_w = o.accel_step_m_s2 / max(step_f, o.accel_step_m_s2), o.gyro_step_rad_s / max(step_w, o.gyro_step_rad_s)
     b = b._replace(
         jolt_var_m2_s2=b.jolt_var_m2_s2 + (step_f * dt) ** 2 * (share_f < 1.0),
         jolt_var_rad2=b.jolt_var_rad2 + (step_w * dt) ** 2 * (share_w < 1.0),

@@ -161,7 +161,7 @@ def test_a_sample_of_the_first_instant_holds_as_well() -> None:
 def test_a_step_beyond_what_a_vehicle_can_make_is_followed_part_of_the_way_and_the_rest_is_doubt(axis: int, sign: float) -> None:
     b = moving(f=np.zeros(3), w=np.zeros(3), jolt_var_m2_s2=0.1, jolt_var_rad2=0.2)
     e = sign * np.eye(3)[axis]
-    for step_f, step_w in ((15.0, 4.0), (30.0, 1.0), (0.0, 8.0), (45.0, 12.0), (1.0, 8.0)):
+    for step_f, step_w in ((15.0, 4.0), (30.0, 1.0), (30.0, 0.0), (0.0, 8.0), (45.0, 12.0), (1.0, 8.0)):
         after, verdict = folded(b, imu(T + 20 * MS, step_w * e, step_f * e))
         assert verdict is Verdict.FUSED
         np.testing.assert_allclose(after.f, min(step_f, 15.0) * e, atol=1e-12)
