@@ -27,6 +27,13 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/lease.py": ("tests/companion/test_lease_bounds.py",),
     "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
+    "drivers/ardrone/landing_watch.py": (
+        "tests/drivers/test_landing_watch_bounds.py",
+        "tests/drivers/test_arbiter_bounds.py",
+        "tests/drivers/test_helm_bounds.py",
+        "tests/drivers/test_arbiter.py",
+        "tests/drivers/test_helm.py",
+    ),
     "drivers/ardrone/helm.py": ("tests/drivers/test_helm_bounds.py", "tests/drivers/test_helm.py"),
     "drivers/mavlink/helm.py": ("tests/drivers/mavlink/test_helm_bounds.py", "tests/drivers/mavlink/test_helm.py"),
 }

@@ -63,15 +63,15 @@ class LandingWatch:
     """Follows the reports and remembers who began the present landing."""
 
     def __init__(self) -> None:
-        self._report: DroneReport | None = None
-        self._heard = MonoNs(0)
+        self._newest: tuple[DroneReport, MonoNs] | None = None
+        """The newest report, and when it was received."""
         self.cause: Cause | None = None
         """None while the drone is not landing."""
 
     def on_report(self, report: DroneReport, now: MonoNs, *, ordered: bool) -> None:
         """Take the newest report; `ordered` says whether we are asking the drone to land."""
-        gap = self._report is None or seconds_between(self._heard, now) > GAP_S
-        self._report, self._heard = report, now
+        gap = self._newest is None or seconds_between(self._newest[1], now) > GAP_S
+        self._newest = report, now
         if report.control is None:
             return
         if not (report.flying and report.control is ControlState.LANDING):
@@ -87,9 +87,9 @@ class LandingWatch:
 
     def calls_off(self, now: MonoNs, above_m: float = SILENT_ABOVE_M) -> bool:
         """Return whether the present landing, which guidance does not ask for, is to be called off at this height."""
-        report = self._report
-        if report is None or self.cause not in (Cause.OURS, Cause.SILENCE) or report.state & _NOT_FOR_SILENCE:
+        if self._newest is None or self.cause not in (Cause.OURS, Cause.SILENCE):
             return False
-        if seconds_between(self._heard, now) > FRESH_S or report.altitude_m is None:
+        report, received_at = self._newest
+        if report.state & _NOT_FOR_SILENCE or seconds_between(received_at, now) > FRESH_S or report.altitude_m is None:
             return False
         return report.altitude_m >= above_m
