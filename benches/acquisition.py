@@ -1,9 +1,9 @@
-"""How often the pad is found in a whole picture, by height and condition, how calibrated that is, and how long it takes.
+"""How often the pad is found in a whole frame, by height and condition, how calibrated that is, and how long it takes.
 
 `python -m benches.acquisition [--frames N] [--seed S] [--failures DIR] [--write DIR]` from the repository's root. What is found
 is registered and judged as the eyes do. A pad is found when that keeps the judge's claim (centre, range, heading) with a
 confidence of 0.5 or more. Times are of acquisition alone, processor time on one thread, beside a floor measured in between: one
-BGR to HSV conversion and one inRange of a picture of the same size. As many frames have no pad as have one, and none had part in
+BGR to HSV conversion and one inRange of a frame of the same size. As many frames have no pad as have one, and none had part in
 the judge's fit; `--write` leaves the reliability diagram of all of them as reliability.png. On the photographs of the real pad,
 without attitude, the corners of the H are held against hand labels.
 """
@@ -26,7 +26,19 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benches.pad_scenes import (  # noqa: E402
+from estimator.contracts.geometry import F64  # noqa: E402
+from estimator.contracts.samples import Attitude  # noqa: E402
+from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
+from estimator.vision.camera import Camera  # noqa: E402
+from estimator.vision.detect.acquire import Candidate, acquire  # noqa: E402
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align  # noqa: E402
+from estimator.vision.detect.verification import keeps_claim  # noqa: E402
+from estimator.vision.pad import Pad  # noqa: E402
+from estimator.vision.pad_pose import PadPose  # noqa: E402
+from estimator.vision.pose import Orientation  # noqa: E402
+from estimator.vision.register.fit_verification import confidence, features  # noqa: E402
+from estimator.vision.register.registration import Options, register  # noqa: E402
+from sitl.testing.pad_scenes import (  # noqa: E402
     CONDITIONS,
     DATA,
     Scene,
@@ -37,18 +49,6 @@ from benches.pad_scenes import (  # noqa: E402
     photo_pose,
     visible_share,
 )
-from estimator.contracts.geometry import F64  # noqa: E402
-from estimator.contracts.samples import Attitude  # noqa: E402
-from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.acquire import Candidate, acquire  # noqa: E402
-from estimator.vision.acquire_align import SIGMA_TILT_RAD, Pyramid, align  # noqa: E402
-from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.judge import keeps_claim  # noqa: E402
-from estimator.vision.judge_registered import confidence, evidence  # noqa: E402
-from estimator.vision.pad import Pad  # noqa: E402
-from estimator.vision.pad_pose import PadPose  # noqa: E402
-from estimator.vision.pose import Orientation  # noqa: E402
-from estimator.vision.registration import Options, register  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 0.8, 1.5, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0)
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.001)
@@ -61,7 +61,7 @@ def floor_ms(px: np.ndarray) -> float:
     return (time.process_time_ns() - began) * 1e-6
 
 
-def picture_of(px: np.ndarray, camera: Camera, pad: Pad, truth: PadPose | None, best: Candidate | None, text: str) -> np.ndarray:
+def image_of(px: np.ndarray, camera: Camera, pad: Pad, truth: PadPose | None, best: Candidate | None, text: str) -> np.ndarray:
     """The frame with the candidate's drawing in magenta; a far pad enlarged."""
     im = px.copy()
     if best is not None:
@@ -78,11 +78,11 @@ def picture_of(px: np.ndarray, camera: Camera, pad: Pad, truth: PadPose | None, 
     return im
 
 
-def sheet(pictures: list[np.ndarray], path: Path) -> None:
-    pictures = pictures[:40]
-    while len(pictures) % 4:
-        pictures.append(np.zeros_like(pictures[0]))
-    cv2.imwrite(str(path), np.vstack([np.hstack(pictures[i : i + 4]) for i in range(0, len(pictures), 4)]))
+def sheet(images: list[np.ndarray], path: Path) -> None:
+    images = images[:40]
+    while len(images) % 4:
+        images.append(np.zeros_like(images[0]))
+    cv2.imwrite(str(path), np.vstack([np.hstack(images[i : i + 4]) for i in range(0, len(images), 4)]))
 
 
 def registered(scene: Scene, candidates: list[Candidate], camera: Camera, pad: Pad) -> tuple[float, bool] | None:
@@ -93,10 +93,10 @@ def registered(scene: Scene, candidates: list[Candidate], camera: Camera, pad: P
     out: list[tuple[float, bool]] = []
     for c in candidates[:2]:
         found = register(scene.px, camera, pad, c.pose, Orientation.of(attitude, math.radians(2.0)), Options(coarse=False))
-        laid = None if found is None else align(Pyramid(scene.px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
-        if found is not None and laid is not None:
+        aligned = None if found is None else align(Pyramid(scene.px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
+        if found is not None and aligned is not None:
             right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
-            out.append((confidence(evidence(laid, found, pad)), right))
+            out.append((confidence(features(aligned, found, pad)), right))
     return max(out, default=None)
 
 
@@ -160,7 +160,7 @@ def photographs(failures: Path | None) -> None:
             good = best is not None and best.score >= 0.5 and keeps_claim(best.pose, truth, camera, pad, best.yaw_ambiguous)
             found += good
             if not good:
-                bad.append(picture_of(px, camera, pad, None, best, row["frame"]))
+                bad.append(image_of(px, camera, pad, None, best, row["frame"]))
             result = None if best is None else register(px, camera, pad, best.pose, None, Options(coarse=False))
             if result is not None:
                 ways = [result.pose, result.pose.turned(math.pi)][: 2 if result.yaw_ambiguous else 1]
@@ -221,9 +221,9 @@ def main() -> None:
                     said = "none" if sure is None else f"{sure[0]:.2f} {'right' if sure[1] else 'wrong'}"
                     told = "" if scene.R_level_body else "no attitude"
                     text = f"{condition} {height} {said} vis {scene.visible:.2f} {told}"
-                    bad.append(picture_of(scene.px, camera, pad, scene.truth, best, text))
+                    bad.append(image_of(scene.px, camera, pad, scene.truth, best, text))
                 elif not good:
-                    bad.append(picture_of(scene.px, camera, pad, scene.truth, None, f"{condition} {height} none"))
+                    bad.append(image_of(scene.px, camera, pad, scene.truth, None, f"{condition} {height} none"))
     empty_ms = []
     for _ in range(len(HEIGHTS_M) * len(CONDITIONS) * args.frames):
         scene = empty_scene(rng, camera, float(np.exp(rng.uniform(math.log(0.3), math.log(30)))))

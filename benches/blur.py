@@ -1,6 +1,6 @@
 """What blur does to the range: `python -m benches.blur [--frames N] [--write FOLDER]`.
 
-Registration and, on the same pictures, the thesis' ellipse, from a sharp picture to one that the lens (Gaussian) or the
+Registration and, on the same frames, the thesis' ellipse, from a sharp frame to one that the lens (Gaussian) or the
 drone's way during the exposure (a line with the same spread along it) has blurred by 3 px at one sigma. Even grey floor, the
 renderer's sensor noise, 1.5 degrees of tilt that is known, starts off by 0.3 px. Printed: bias in % of the range with its
 standard error. `--write` draws it as blur.png.
@@ -25,13 +25,13 @@ import numpy as np  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from estimator.vision.ellipse import find_disc  # noqa: E402
 from estimator.vision.pose import View, solve  # noqa: E402
-from estimator.vision.registration import Options, register  # noqa: E402
-from estimator.vision.segmentation import COLOUR_SETS, segment  # noqa: E402
+from estimator.vision.register.registration import Options, register  # noqa: E402
+from estimator.vision.thesis.ellipse import find_disc  # noqa: E402
+from estimator.vision.thesis.segmentation import COLOUR_SETS, segment  # noqa: E402
 from sitl.light import Sensor  # noqa: E402
+from sitl.testing.pad_views import Stage  # noqa: E402
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad  # noqa: E402
-from tests.estimator.vision.shots import Stage  # noqa: E402
 
 HEIGHTS_M = (1.0, 3.0, 6.0, 12.0)
 BLURS_PX = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
@@ -108,7 +108,7 @@ def draw(rows: dict[tuple[By, float], list[tuple[Bias, Bias]]], path: Path) -> N
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=12, help="pictures for each height and blur")
+    parser.add_argument("--frames", type=int, default=12, help="frames for each height and blur")
     parser.add_argument("--write", type=Path, help="draw blur.png into this folder")
     args = parser.parse_args()
     cv2.setNumThreads(1)

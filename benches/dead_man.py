@@ -27,9 +27,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benches.processes import Daemon, Truth, Wire, drone
-from companion.observer import Decision, Silent
-from companion.service import live, make_daemon, make_pilot
-from companion.settings import load
+from companion.config.settings import load
+from companion.observer import Decision, NullObserver
+from companion.runtime.service import live, make_daemon, make_pilot
 
 ALONE_S = 3.0
 """The drone is watched this long before a new daemon is started."""
@@ -123,7 +123,7 @@ CASES = (
 )
 
 
-class Teller(Silent):
+class Teller(NullObserver):
     """Prints the phase of each guidance cycle for the program that kills us."""
 
     def on_decision(self, decision: Decision) -> None:
@@ -160,13 +160,13 @@ class Flight:
     starved: tuple[str, ...] = ()
 
     def line(self) -> str:
-        taken = "-" if self.took_over_s is None else f"{self.took_over_s:.1f}"
+        measured_at = "-" if self.took_over_s is None else f"{self.took_over_s:.1f}"
         off = "-" if self.lateral_m is None else f"{self.lateral_m:.2f}"
         safe = "NO" if self.unsafe else "yes" if self.reached else "-"
         remarks = [*self.unsafe, *(f"starved: {why}" for why in self.starved), *([] if self.reached else ["phase not reached"])]
         return (
             f"{self.case.name:22} {self.seed:4}  {self.height_m:8.2f}  {self.hover_ms:8.0f}  {self.drift_m:7.2f}  "
-            f"{self.lowest_m:8.2f}  {taken:>11}  {self.outcome:14}  {off:>5}  {safe:4}  {'; '.join(remarks)}"
+            f"{self.lowest_m:8.2f}  {measured_at:>11}  {self.outcome:14}  {off:>5}  {safe:4}  {'; '.join(remarks)}"
         ).rstrip()
 
 

@@ -24,11 +24,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from benches.estimator_truth import Flight, Setting, events, ns
 from estimator import ekf
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
 from estimator.paths import DeadReckoningPath, MedianMeanPath
+from sitl.testing.estimator_truth import Flight, Setting, events, ns
 
 HOLD_S = (12.0, 26.0)
 """While the body stays about 2 m over the pad's mean place."""
@@ -123,7 +123,7 @@ def fly(seed: int) -> Result:
     verdicts: dict[str, int] = defaultdict(int)
     next_s, next_forecast_s = 5.0, 10.0
     for event in events(flight):
-        while event.stamp.heard >= ns(next_s):
+        while event.stamp.received_at >= ns(next_s):
             d, v, yaw = (x[0] for x in flight.relative(np.array([next_s])))
             states = {name: path.at(ns(next_s)) for name, path in others.items()} | {"ekf": ekf.at(memory, ns(next_s))}
             for name, state in states.items():
@@ -185,8 +185,8 @@ def floor() -> float:
 
 def foretell(memory: ekf.Ekf, flight: Flight, now_s: float, covered: dict[tuple[str, float, float], list[int]]) -> None:
     """Compare one forecast with what came."""
-    told = ekf.forecast(memory, ns(now_s), HORIZONS_S)
-    if told is None:
+    predicted = ekf.forecast(memory, ns(now_s), HORIZONS_S)
+    if predicted is None:
         return
     t = now_s + np.array(HORIZONS_S)
     p, v, R = flight.pad(t)
@@ -203,7 +203,7 @@ def foretell(memory: ekf.Ekf, flight: Flight, now_s: float, covered: dict[tuple[
         truth["pitch_rad"] = -np.arcsin(R[:, 2, 0])
     for what, true in truth.items():
         for probability in (0.68, 0.95):
-            low, high = told.band(what, probability)
+            low, high = predicted.band(what, probability)
             inside = (low <= true) & (true <= high)
             for k, h in enumerate(HORIZONS_S):
                 counter = covered[what, h, probability]

@@ -2,7 +2,7 @@
 
     python -m benches.estimator_faults [--seed 0] [--fault NAME]
 
-A rough flight over waves (tests/estimator/ekf/truth.py), the fault at 12 s. Columns: largest error of the position from there on
+A rough flight over waves (sitl/testing/voyage_truth.py), the fault at 12 s. Columns: largest error of the position from there on
 and largest error over its standard deviation (of the 3-vector); the same from one second after the fault's end; seconds after
 the fault's end until the error stays below 3 sigma; seconds in which it was beyond 4 sigma and called consistent.
 """
@@ -25,7 +25,7 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs
-from tests.estimator.ekf.truth import Event, Scene
+from sitl.testing.voyage_truth import Event, Scene
 
 BEGIN_S = 12.0
 SCENE = Scene(sea="jonswap", duration_s=22.0, gaps=0, imu_hz=100.0)
@@ -57,7 +57,7 @@ def _opposite(e: Event) -> Sequence[Event]:
 
 
 def _ahead(e: Event) -> Sequence[Event]:
-    later = replace(e.stamp, taken=MonoNs(e.stamp.taken + HOUR_NS), heard=MonoNs(e.stamp.heard + HOUR_NS))
+    later = replace(e.stamp, measured_at=MonoNs(e.stamp.measured_at + HOUR_NS), received_at=MonoNs(e.stamp.received_at + HOUR_NS))
     return [replace(e, stamp=later)]
 
 

@@ -74,9 +74,11 @@ class Recording:
         return Rotation.from_rpy(0.0, 0.0, -psi) @ self.d_ned(t_s), psi
 
 
-def stamp(taken_s: float, heard_s: float | None = None) -> Stamp:
-    taken = round(taken_s * 1e9)
-    return Stamp(MonoNs(taken), MonoNs(taken if heard_s is None else round(heard_s * 1e9)), 0.002, "synced")
+def stamp(measured_at_s: float, received_at_s: float | None = None) -> Stamp:
+    measured_at = round(measured_at_s * 1e9)
+    return Stamp(
+        MonoNs(measured_at), MonoNs(measured_at if received_at_s is None else round(received_at_s * 1e9)), 0.002, "synced"
+    )
 
 
 def load(folder: Path = FOLDER) -> Recording:
@@ -141,18 +143,20 @@ def sightings(flight: Recording, rate_hz: float, blind: Sequence[tuple[float, fl
     """Looks at the pad while flying, heard late, none while `blind`."""
     rng = np.random.default_rng(seed)
     out = []
-    for seq, taken in enumerate(np.arange(FLYING_S[0] - 2.0, FLYING_S[1], 1.0 / rate_hz).tolist()):
+    for seq, measured_at in enumerate(np.arange(FLYING_S[0] - 2.0, FLYING_S[1], 1.0 / rate_hz).tolist()):
         noise = rng.standard_normal(4)
-        if any(a <= taken < b for a, b in blind):
+        if any(a <= measured_at < b for a, b in blind):
             continue
-        body, level = flight.attitude(taken), flight.attitude_told(taken).without_heading()
-        d = level @ (body.inv @ flight.d_ned(taken) + SIGMA_M * noise[:3])
+        body, level = flight.attitude(measured_at), flight.attitude_told(measured_at).without_heading()
+        d = level @ (body.inv @ flight.d_ned(measured_at) + SIGMA_M * noise[:3])
         yaw = (level @ body.inv).inv.rpy_rad[2] + SIGMA_YAW_RAD * float(noise[3])
         lever = skew(d) @ np.diag([1.0, 1.0, 0.0])
         cov = np.zeros((4, 4))
         cov[:3, :3] = level.rotate_cov(np.diag(np.square(SIGMA_M))) + lever @ COV_ATTITUDE @ lever.T
         cov[3, 3] = SIGMA_YAW_RAD**2
-        seen = Sighting(stamp(taken, taken + DELAY_S), seq, "selected", d, wrap_pi(yaw), False, 0.5 * (cov + cov.T), 1.0)
+        seen = Sighting(
+            stamp(measured_at, measured_at + DELAY_S), seq, "selected", d, wrap_pi(yaw), False, 0.5 * (cov + cov.T), 1.0
+        )
         out.append(seen)
     return out
 
@@ -200,14 +204,14 @@ PATHS: dict[str, Callable[[], EkfPath | OtherPath]] = {
 
 def run(flight: Recording, path: EkfPath | OtherPath, seen: Sequence[Sighting], until_s: float) -> tuple[F64, F64, F64]:
     """(n,) times, (n, 3) errors of the place, (n,) NEES of it, every 50 ms while flying; nan where there is no belief."""
-    events = sorted([*flight.samples, *seen], key=lambda e: e.stamp.heard)
+    events = sorted([*flight.samples, *seen], key=lambda e: e.stamp.received_at)
     times, errors, nees = [], [], []
     next_s = FLYING_S[0]
     for event in events:
-        heard = event.stamp.heard * 1e-9
-        if heard > until_s:
+        received_at = event.stamp.received_at * 1e-9
+        if received_at > until_s:
             break
-        while heard > next_s:
+        while received_at > next_s:
             state = path.at(MonoNs(round(next_s * 1e9)))
             error = np.full(3, np.nan)
             if state is not None:
@@ -238,12 +242,12 @@ def gaps(flight: Recording, name: str, begin_s: Sequence[float], lengths_s: Sequ
 
 def cold_starts(flight: Recording, begin_s: Sequence[float], after_s: float = 5.0) -> F64:
     """Start the filter in flight; return (starts, 3): error and 1-sigma of the place (m), probability of a moving pad."""
-    events = sorted([*flight.samples, *sightings(flight, 10.0, [])], key=lambda e: e.stamp.heard)
+    events = sorted([*flight.samples, *sightings(flight, 10.0, [])], key=lambda e: e.stamp.received_at)
     rows = []
     for begin in begin_s:
         path, end = EkfPath(), begin + after_s
         for event in events:
-            if event.stamp.taken * 1e-9 >= begin and event.stamp.heard * 1e-9 <= end:
+            if event.stamp.measured_at * 1e-9 >= begin and event.stamp.received_at * 1e-9 <= end:
                 path.step(event)
         state = path.at(MonoNs(round(end * 1e9)))
         if state is None:

@@ -2,7 +2,7 @@
 
     python -m benches.estimator_rough [--runs 6] [--first 0] [--sea NAME] [--ideal]
 
-Truth and sensors are those of tests/estimator/ekf/truth.py, which share nothing with the simulator. A row is the mean of its
+Truth and sensors are those of sitl/testing/voyage_truth.py, which share nothing with the simulator. A row is the mean of its
 flights: position rms, NEES over its 7 degrees of freedom and the share of it inside the central 95 % of chi-square, the share
 of truths inside the 68 / 95 % bands of the forecast position and vertical speed, and the rms error of the forecast vertical
 speed over the rms of the truth (saying nothing would be 1). The delay's columns are the rms error (estimated minus true) and
@@ -24,8 +24,8 @@ import numpy as np
 
 from estimator import ekf
 from estimator.contracts.geometry import F64
-from tests.estimator.ekf import truth
-from tests.estimator.ekf.truth import OPTIONS, SEAS, Event, Scene, Voyage, ns
+from sitl.testing import voyage_truth
+from sitl.testing.voyage_truth import OPTIONS, SEAS, Event, Scene, Voyage, ns
 
 HORIZONS_S = (1.0, 2.0, 3.0)
 CHI2_7 = (1.690, 16.013)
@@ -77,11 +77,11 @@ def fly(
         spoil: given each event and its instant, s; what is heard instead.
     """
     voyage = Voyage(scene)
-    heard, sensors = truth.events(voyage)
+    received_at, sensors = voyage_truth.events(voyage)
     memory, out, next_s, next_forecast_s = ekf.start(options), Score(), since_s, since_s + 2.0
-    for event in heard:
-        t = (event.stamp.taken - truth.EPOCH_NS) * 1e-9
-        while event.stamp.heard >= ns(next_s):
+    for event in received_at:
+        t = (event.stamp.measured_at - voyage_truth.EPOCH_NS) * 1e-9
+        while event.stamp.received_at >= ns(next_s):
             score(out, memory, voyage, next_s)
             if forecasts and next_s >= next_forecast_s and next_s < scene.duration_s - 3.1:
                 next_forecast_s += 0.5
@@ -174,7 +174,7 @@ def main(arguments: Sequence[str]) -> int:
         scores = []
         for seed in range(chosen.first, chosen.first + chosen.runs):
             scene = Scene(seed=seed, sea=sea, hidden_delay_s=0.03 if seed % 4 < 2 else -0.03)
-            scores.append(fly(truth.without_errors(scene) if chosen.ideal else scene))
+            scores.append(fly(voyage_truth.without_errors(scene) if chosen.ideal else scene))
         print(row(sea, scores), flush=True)
     return 0
 

@@ -23,15 +23,15 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benches.pad_scenes import DATA, Scene, empty_scene, load_camera, load_pad  # noqa: E402
 from estimator.contracts.geometry import Rotation, Transform  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.acquire import acquire  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.eyes import Eyes, EyesMemory, see  # noqa: E402
+from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
-from estimator.vision.segmentation import COLOUR_SETS  # noqa: E402
+from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
+from sitl.testing.pad_scenes import DATA, Scene, empty_scene, load_camera, load_pad  # noqa: E402
 
 CHUNK = 100
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
@@ -45,9 +45,9 @@ def scene_of(chunk: int, i: int) -> Scene:
 
 def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotation | None) -> float:
     """Confidence of the sighting in a frame, 0 without one."""
-    eyes = Eyes(camera, pad, COLOUR_SETS["simulator"], "fused", math.radians(2.0))
+    tracker = TrackerConfig(camera, pad, COLOUR_SETS["simulator"], "fused", math.radians(2.0))
     attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, np.eye(3) * math.radians(1.0) ** 2)
-    seen, _ = see(eyes, EyesMemory(), Frame(STAMP, 0, px), attitude)
+    seen, _ = track(tracker, TrackerMemory(), Frame(STAMP, 0, px), attitude)
     return 0.0 if seen.selected is None else seen.selected.confidence
 
 
@@ -65,7 +65,7 @@ def best_scores(chunk: int) -> tuple[list[float], float]:
 
 
 def photographs() -> list[tuple[str, float]]:
-    """(name, best score) at several sizes of the picture."""
+    """(name, best score) at several sizes of the frame."""
     pad = load_pad("thesis")
     mount = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
     out = []
@@ -113,18 +113,18 @@ def main() -> int:
             f"{sum(s >= 0.5 for _, s in seen)} at 0.5 or more"
         )
     if args.worst is not None:
-        from benches.acquisition import picture_of, sheet
+        from benches.acquisition import image_of, sheet
 
         args.worst.mkdir(parents=True, exist_ok=True)
         camera, pad = load_camera("sim"), load_pad("thesis")
-        pictures = []
+        images = []
         for k in order:
             scene = scene_of(chunks.start + int(k) // CHUNK, int(k) % CHUNK)
             best = acquire(scene.px, camera, pad, scene.R_level_body)
-            pictures.append(
-                picture_of(scene.px, camera, pad, None, best[0] if best else None, f"{all_[k]:.2f} {scene.height_m:.1f} m")
+            images.append(
+                image_of(scene.px, camera, pad, None, best[0] if best else None, f"{all_[k]:.2f} {scene.height_m:.1f} m")
             )
-        sheet(pictures, args.worst / "worst.png")
+        sheet(images, args.worst / "worst.png")
     return int((all_ >= 0.5).any() or any(s >= 0.5 for _, s in seen))
 
 

@@ -12,12 +12,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-import companion.settings as settings_of
+import companion.config.settings as settings_of
 from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.outputs import OutputOptions
 from companion.mavlink.pilot_operator import PilotTower
 from companion.observer import Decision
-from companion.service import make_pilot
+from companion.runtime.service import make_pilot
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
 from drivers.mavlink.endpoint import parse_endpoint
@@ -28,8 +28,8 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import Stamp, after
 from sitl.autopilots.body import Body
 from sitl.scenario import load
-from tests.drivers.fake_ardrone import until
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+from sitl.testing.fake_ardrone import until
+from sitl.testing.fake_autopilot import FakeAutopilot
 
 HOST = "127.0.0.1"
 SECONDS = 6.0
@@ -41,7 +41,7 @@ async def measure(rate_hz: float) -> None:
     settings = settings_of.load("sim")
     pilot = make_pilot(settings)
     body = Body(load("calm"), 1, 0.005)
-    pictures = [body.expose()().px for _ in range(4)]
+    images = [body.expose()().px for _ in range(4)]
     state = body.state()
     fake = FakeAutopilot(Stack.ARDUPILOT, p_ned=state.p_ned)
     fake.rpy = lambda t: state.R_ned_body.rpy_rad
@@ -66,14 +66,14 @@ async def measure(rate_hz: float) -> None:
 
             async def pump() -> None:
                 async for sample in autopilot.samples:
-                    pilot.hear(sample)
+                    pilot.on_sample(sample)
                     component.on_sample(sample)
 
             pumping = group.create_task(pump())
             await until(lambda: autopilot.attitude is not None and len(autopilot.positions) > 5)
             loop = asyncio.get_running_loop()
             began = time.monotonic()
-            for number, px in enumerate(cycle(pictures), 1):
+            for number, px in enumerate(cycle(images), 1):
                 now = clock.now()
                 if time.monotonic() - began > SECONDS:
                     break
@@ -81,8 +81,8 @@ async def measure(rate_hz: float) -> None:
                 frame = Frame(Stamp(after(now, -0.03), now, 0.001, "sim"), number, px)
                 attitude = pilot.attitude_at(frame.stamp)
                 if attitude is not None:
-                    look = await loop.run_in_executor(None, pilot.look, frame, attitude)
-                    verdict = pilot.saw(look)
+                    look = await loop.run_in_executor(None, pilot.detect, frame, attitude)
+                    verdict = pilot.on_detection(look)
                     understood = clock.now()
                     sent = autopilot.links.all[0].counters.bytes_out
                     component.on_frame(SimpleNamespace(verdict=verdict))  # type: ignore[arg-type]

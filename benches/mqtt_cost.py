@@ -20,16 +20,16 @@ from typing import Any
 
 import msgspec
 
+from companion.config.model import CameraSettings, PadSettings, Settings
+from companion.config.settings import load
 from companion.mqtt.settings import MqttSettings
-from companion.observer import Observer, Silent
-from companion.service import make_daemon, make_pilot
-from companion.settings import load
-from companion.settings_model import CameraSettings, PadSettings, Settings
+from companion.observer import NullObserver, Observer
+from companion.runtime.service import make_daemon, make_pilot
 from drivers.clock import SystemClock
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.scenario import load as load_scenario
-from tests.companion.mqtt.broker import MOSQUITTO, Broker, free_port, make_certificates
-from tests.companion.mqtt.rig import decision, happening, running, until
+from sitl.testing.mosquitto import MOSQUITTO, Broker, free_port, make_certificates
+from sitl.testing.mqtt_service import decision, event, running, until
 from tests.companion.mqtt.test_words import seen
 
 SCENARIO = "demo"
@@ -102,10 +102,10 @@ async def told(part: Observer, tell: Callable[[MonoNs], None]) -> float:
 
 
 async def part_alone(settings: MqttSettings, folder: Path) -> None:
-    nobody = await told(Silent(), lambda _: None)
+    nobody = await told(NullObserver(), lambda _: None)
     async with running(settings, folder) as rig:
         await until(lambda: rig.count("connections") == 1)
-        somebody = await told(rig.part, lambda now: rig.part.tell(happening(now, "number 1")))
+        somebody = await told(rig.part, lambda now: rig.part.tell(event(now, "number 1")))
         counts = rig.part.counts()
     sent = {name: counts[name] for name in ("state_sent", "sighting_sent", "health_sent", "events_delivered")}
     print(f"the part alone, {TOLD_S:.0f} s: {100 * (somebody - nobody):.1f} % of a core ({sent})")

@@ -13,9 +13,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.companion.mqtt.broker import MOSQUITTO, Broker, make_certificates
-from tests.companion.mqtt.consumer import Consumer
-from tests.companion.mqtt.rig import happening, running, until
+from sitl.testing.mosquitto import MOSQUITTO, Broker, make_certificates
+from sitl.testing.mqtt_consumer import Consumer
+from sitl.testing.mqtt_service import event, running, until
 
 EVENTS = 10_000
 EACH_S = 0.005
@@ -55,7 +55,7 @@ async def outage(broker: Broker, spool: Path) -> int:
                 if n == KILL_AT:
                     await stopped
                     group.create_task(asyncio.to_thread(broker.away, signal.SIGKILL, 0.0))
-                rig.part.tell(happening(rig.clock.now(), f"number {n}"))
+                rig.part.tell(event(rig.clock.now(), f"number {n}"))
                 due = time.monotonic() + EACH_S
                 await asyncio.sleep(EACH_S)
                 late_s = max(late_s, time.monotonic() - due)

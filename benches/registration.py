@@ -1,4 +1,4 @@
-"""Registration on rendered pictures against the Cramer-Rao bound, by height: `python benches/registration.py [--frames N]`.
+"""Registration on rendered frames against the Cramer-Rao bound, by height: `python benches/registration.py [--frames N]`.
 
 One thread, 640x360, f = 374.67 px, the renderer's sensor noise and blur, 1.5 degrees of tilt with the attitude given, an even
 grey floor round the pad (`--scene` for a deck at sea with worn paint, shade and uneven light). Starts are off by half a pixel.
@@ -29,13 +29,13 @@ sys.path.insert(0, str(ROOT))
 from estimator.contracts.geometry import F64, Rotation  # noqa: E402
 from estimator.vision.bound import information, sigmas  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
-from estimator.vision.registration import Options, register  # noqa: E402
-from estimator.vision.registration_state import light_table  # noqa: E402
+from estimator.vision.register.registration import Options, register  # noqa: E402
+from estimator.vision.register.state import light_table  # noqa: E402
 from sitl.camera import Shot  # noqa: E402
 from sitl.light import FLAT, Light, Sensor  # noqa: E402
 from sitl.surroundings import Surroundings  # noqa: E402
+from sitl.testing.pad_views import PLAIN, Stage, error, pad_error  # noqa: E402
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad  # noqa: E402
-from tests.estimator.vision.shots import PLAIN, Stage, error, pad_error  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 
@@ -87,7 +87,7 @@ def milliseconds_of_floor(px: np.ndarray) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=60, help="pictures at each height")
+    parser.add_argument("--frames", type=int, default=60, help="frames at each height")
     parser.add_argument("--heights", default=",".join(map(str, HEIGHTS_M)), help="metres, with commas")
     parser.add_argument("--blur", type=float, default=0.6, help="sigma of the lens' blur, px")
     parser.add_argument("--scene", action="store_true", help="deck, sea, worn paint, shade and uneven light")

@@ -1,7 +1,7 @@
 """How long a rendered frame takes, by height, on one thread: `python benches/render.py [--frames N]` from the repository's root.
 
 Times are processor time, the smallest of several rounds, beside a floor measured in between: one BGR to HSV conversion and one
-inRange of a picture of the same size.
+inRange of a frame of the same size.
 """
 
 from __future__ import annotations
@@ -70,14 +70,14 @@ def main() -> None:
     renderer = Renderer(camera, pad, Surroundings(Deck.of(FERRY), waves))
     print(f"building a renderer: {(time.perf_counter() - began) * 1e3:.0f} ms")
     rng = np.random.default_rng(0)
-    picture = renderer.render(shot_over_pad(vessel, 0.0, 3.0), rng)
+    image = renderer.render(shot_over_pad(vessel, 0.0, 3.0), rng)
     print("height_m  min_ms  median_ms  ratio_to_floor")
     for height_m in HEIGHTS_M:
         shot = shot_over_pad(vessel, 12.3, height_m)
         renderer.render(shot, rng)
-        floor = milliseconds(
-            lambda: cv2.inRange(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV), (52, 217, 38), (68, 255, 153)), rounds
-        )[0]
+        floor = milliseconds(lambda: cv2.inRange(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), (52, 217, 38), (68, 255, 153)), rounds)[
+            0
+        ]
         best, median = milliseconds(lambda shot=shot: renderer.render(shot, rng), rounds)
         print(f"{height_m:8.1f}  {best:6.2f}  {median:9.2f}  {median / floor:14.1f}")
 

@@ -18,33 +18,33 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benches.pad_scenes import CONDITIONS, Scene, load_camera, load_pad, pad_scene  # noqa: E402
 from estimator.contracts.estimates import RelativeState  # noqa: E402
 from estimator.contracts.geometry import Rotation  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.eyes import Eyes, EyesMemory, see  # noqa: E402
-from estimator.vision.segmentation import COLOUR_SETS  # noqa: E402
+from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
+from sitl.testing.pad_scenes import CONDITIONS, Scene, load_camera, load_pad, pad_scene  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 10.0, 15.0, 20.0, 30.0)
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD, SIGMA_YAW_RAD = math.radians(1.0), math.radians(2.0), 0.02
 
 
-def looked(scene: Scene, R_level_body: Rotation, eyes: Eyes, rng: np.random.Generator) -> tuple[float, float]:
+def looked(scene: Scene, R_level_body: Rotation, tracker: TrackerConfig, rng: np.random.Generator) -> tuple[float, float]:
     """Confidence of what is selected, 0 for nothing, and how far off it is over the height."""
     assert scene.truth is not None
-    mount = eyes.camera.T_body_cam
+    mount = tracker.camera.T_body_cam
     d_level = R_level_body @ (mount.R @ scene.truth.t_cam_pad + mount.t)
     arrow = (R_level_body @ mount.R @ scene.truth.R_cam_pad).matrix[:, 0]
     sigma_m = max(0.02, 0.004 * scene.height_m)
     belief = RelativeState(
-        STAMP.taken, "ekf", d_level + rng.normal(0.0, sigma_m, 3), np.zeros(3),
+        STAMP.measured_at, "ekf", d_level + rng.normal(0.0, sigma_m, 3), np.zeros(3),
         -math.atan2(arrow[1], arrow[0]) + rng.normal(0.0, SIGMA_YAW_RAD),
-        np.diag([sigma_m**2] * 3 + [0.01] * 3 + [SIGMA_YAW_RAD**2]), STAMP.taken, True,
+        np.diag([sigma_m**2] * 3 + [0.01] * 3 + [SIGMA_YAW_RAD**2]), STAMP.measured_at, True,
     )  # fmt: skip
     attitude = Attitude(STAMP, R_level_body, np.eye(3) * SIGMA_ATTITUDE_RAD**2)
-    seen = see(eyes, EyesMemory(), Frame(STAMP, 0, scene.px), attitude, belief)[0].selected
+    seen = track(tracker, TrackerMemory(), Frame(STAMP, 0, scene.px), attitude, belief)[0].selected
     if seen is None:
         return 0.0, math.inf
     return seen.confidence, float(np.linalg.norm(seen.d_body_pad_level - d_level)) / scene.height_m
@@ -55,7 +55,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=12, help="at each height in each condition")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    eyes = Eyes(load_camera("sim"), load_pad("thesis"), COLOUR_SETS["simulator"], "fused", SIGMA_DECK_RAD)
+    tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), COLOUR_SETS["simulator"], "fused", SIGMA_DECK_RAD)
     wrong: list[str] = []
     print("called 0.5 or more, % " + "".join(f"{h:>7g} m" for h in HEIGHTS_M))
     for condition in CONDITIONS:
@@ -64,11 +64,11 @@ def main() -> None:
             rng = np.random.default_rng([9, int(height_m * 10), CONDITIONS.index(condition)])
             sure = n = 0
             while n < args.frames:
-                scene = pad_scene(rng, eyes.camera, eyes.pad, height_m, condition)
+                scene = pad_scene(rng, tracker.camera, tracker.pad, height_m, condition)
                 if scene.R_level_body is None:
                     continue
                 n += 1
-                confidence, off = looked(scene, scene.R_level_body, eyes, rng)
+                confidence, off = looked(scene, scene.R_level_body, tracker, rng)
                 sure += confidence >= 0.5
                 if confidence >= 0.5 and off > 0.1:
                     wrong.append(f"{condition} {height_m:g} m")

@@ -7,7 +7,7 @@ The markers' black squares are inscribed in the pad's disc (552 mm), with a whit
 the vector from camera to pad, written with the true attitude; lateral is the root mean square of the two horizontal axes'
 standard deviations, the camera being up to a tenth of its height aside, so that a range error shows there by a tenth. Times are
 processor time, medians, and as ratios to a floor measured in the same run: one BGR to HSV conversion and one inRange of the whole
-picture; the thesis' three share one time. A frame counts as found when the error is below a tenth of the height. An H alone
+frame; the thesis' three share one time. A frame counts as found when the error is below a tenth of the height. An H alone
 leaves its heading open by half a turn, which is not counted as error.
 """
 
@@ -34,23 +34,23 @@ from pupil_apriltags import Detector  # noqa: E402
 from benches.registration import bound, milliseconds_of_floor  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
-from estimator.vision.acquire import acquire  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.look import look  # noqa: E402
+from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
-from estimator.vision.registration import Options, Registration, register  # noqa: E402
-from estimator.vision.segmentation import COLOUR_SETS  # noqa: E402
+from estimator.vision.register.registration import Options, Registration, register  # noqa: E402
+from estimator.vision.thesis.detection import detect  # noqa: E402
+from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
 from sitl.light import FLAT, Sensor  # noqa: E402
+from sitl.testing.pad_images import STAMP  # noqa: E402
+from sitl.testing.pad_views import PLAIN, Stage, View  # noqa: E402
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad  # noqa: E402
-from tests.estimator.vision.picture import STAMP  # noqa: E402
-from tests.estimator.vision.shots import PLAIN, Stage, View  # noqa: E402
 
 U8 = NDArray[np.uint8]
 T = TypeVar("T")
 HEIGHTS_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 FINE = 6
-"""Subsamples a pixel side for the markers' pictures."""
+"""Subsamples a pixel side for the markers' frames."""
 FLOOR_LIGHT, WHITE_LIGHT, BLACK_LIGHT = 0.16, 0.8, 0.02
 
 
@@ -115,7 +115,7 @@ def of_pose(view: View, camera: Camera, pose: PadPose) -> tuple[F64, float]:
 
 
 class MarkerScene:
-    """Pictures of a square marker where the pad would be."""
+    """Frames of a square marker where the pad would be."""
 
     def __init__(self, cells: NDArray[np.uint8], side_m: float, camera: Camera, sensor: Sensor, seed: int) -> None:
         self.side_m = side_m
@@ -127,7 +127,7 @@ class MarkerScene:
         self._camera, self._sensor = camera, sensor
         self._rng = np.random.default_rng(seed)
 
-    def picture(self, pose: PadPose) -> U8:
+    def image(self, pose: PadPose) -> U8:
         """(H, W, 3): the marker's top edge toward the arrow."""
         h = self._half_m
         corners = np.array([(h, -h, 0.0), (h, h, 0.0), (-h, h, 0.0), (-h, -h, 0.0)])
@@ -187,9 +187,9 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
         orientation = view.orientation()
         frame = Frame(STAMP, 0, view.px)
         attitude = Attitude(STAMP, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), 1e-8 * np.eye(3))
-        seen = look(frame, attitude, camera, pad, COLOUR_SETS["simulator"], sigma_deck_rad=1e-5)
+        seen = detect(frame, attitude, camera, pad, COLOUR_SETS["simulator"], sigma_deck_rad=1e-5)
         began = time.process_time_ns()
-        look(frame, attitude, camera, pad, COLOUR_SETS["simulator"], sigma_deck_rad=1e-5)
+        detect(frame, attitude, camera, pad, COLOUR_SETS["simulator"], sigma_deck_rad=1e-5)
         took = (time.process_time_ns() - began) * 1e-6
         mount = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0) @ camera.T_body_cam.t
         for name in ("ellipse", "arrow", "corners"):
@@ -212,14 +212,14 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
             place = None if result is None else of_pose(view, camera, result.pose)
             tallies[name].add(place, view, ms, either_way=result is not None and result.yaw_ambiguous)
 
-        px = aruco_scene.picture(view.pose)
+        px = aruco_scene.image(view.pose)
 
         def by_aruco(px: U8 = px, view: View = view) -> tuple[F64, float] | None:
             corners, ids, _ = aruco.detectMarkers(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
             return None if ids is None else pnp(corners[0][0], side_m, view, camera)
 
         tallies["ArUco, sub-pixel"].add(*_swap(timed(by_aruco), view))
-        px = tag_scene.picture(view.pose)
+        px = tag_scene.image(view.pose)
 
         def by_apriltag(px: U8 = px, view: View = view) -> tuple[F64, float] | None:
             found = APRILTAG.detect(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
@@ -244,7 +244,7 @@ HEADER = ["height m", "method", "found", "lateral mm", "range mm", "range bias m
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=20, help="pictures at each height")
+    parser.add_argument("--frames", type=int, default=20, help="frames at each height")
     parser.add_argument("--heights", default=",".join(map(str, HEIGHTS_M)), help="metres, with commas")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write benchmarks.md and benchmarks.png there")
     args = parser.parse_args()

@@ -3,7 +3,7 @@ frame takes by stage: `python -m benches.vision_methods [--frames N]` from the r
 
 Rendered frames have the thesis' camera and pad, 1 to 2 degrees of tilt with the attitude given, sensor noise, blur, worn paint
 and uneven light. Times are processor time on one thread, the smallest of several rounds, beside a floor measured in between: one
-BGR to HSV conversion and one inRange of a picture of the same size.
+BGR to HSV conversion and one inRange of a frame of the same size.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from estimator.contracts.estimates import Method, Sighting  # noqa: E402
 from estimator.contracts.geometry import F64, Rotation, wrap_pi  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.arrow import find_arrow  # noqa: E402
-from estimator.vision.blob import U8  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.corners import find_corners  # noqa: E402
-from estimator.vision.ellipse import find_disc  # noqa: E402
-from estimator.vision.look import look  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Marks, Orientation, View, solve  # noqa: E402
-from estimator.vision.segmentation import COLOUR_SETS, SIMULATOR, ColourSet, HsvRange, Segmentation, segment  # noqa: E402
+from estimator.vision.thesis.arrow import find_arrow  # noqa: E402
+from estimator.vision.thesis.blob import U8  # noqa: E402
+from estimator.vision.thesis.corners import find_corners  # noqa: E402
+from estimator.vision.thesis.detection import detect  # noqa: E402
+from estimator.vision.thesis.ellipse import find_disc  # noqa: E402
+from estimator.vision.thesis.segmentation import COLOUR_SETS, SIMULATOR, ColourSet, HsvRange, Segmentation, segment  # noqa: E402
 from sitl.camera import Renderer, Shot  # noqa: E402
 
 HEIGHTS_M = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
@@ -68,7 +68,7 @@ def flights(height_m: float, frames: int, renderer: Renderer, seed: int) -> Iter
         heading = rng.uniform(-math.pi, math.pi)
         R_ned_body = Rotation.from_rpy(tilt * math.cos(towards), tilt * math.sin(towards), heading)
         # As in the thesis the vehicle hovers over the pad, here with the camera's place and the tilt made up for, so that the pad
-        # stays about the middle of the picture at every height.
+        # stays about the middle of the frame at every height.
         axis = R_ned_body.matrix[:, 2]
         camera_ahead = R_ned_body @ renderer.camera.T_body_cam.t
         p_pad = np.array([0.0, 0.0, -1.0])
@@ -100,7 +100,7 @@ def rendered(frames: int, seed: int) -> None:
         seen: dict[str, list[F64]] = {m: [] for m in METHODS}
         nees: dict[str, list[float]] = {m: [] for m in METHODS}
         for frame, attitude, d, yaw_rad in flights(height_m, frames, renderer, seed):
-            view = look(frame, attitude, camera, pad, SIMULATOR, sigma_deck_rad=0.0)
+            view = detect(frame, attitude, camera, pad, SIMULATOR, sigma_deck_rad=0.0)
             for name, s in (*view.methods.items(), ("selected", view.selected)):
                 if s is not None:
                     e = error(s, d, yaw_rad)
@@ -129,27 +129,27 @@ def photographs() -> None:
     print(
         f"{'limits':<10} {'tilt':<6} {'method':<9} {'found':>6} {'median':>7} {'p95':>7} {'worst':>7} {'heading':>8} {'worst':>6}"
     )
-    for told in (True, False):
+    for measured in (True, False):
         # As `decklander detect` does by itself: of the three sets of the thesis the one with the most confident result.
         for name, sets in (("indoor", [COLOUR_SETS["indoor"]]), ("by hand", [BY_HAND]), ("auto", list(COLOUR_SETS.values()))):
             off: dict[str, list[tuple[float, float]]] = {m: [] for m in METHODS}
             for row in rows:
                 frame, attitude, d, yaw_rad = photograph(row, camera)
-                looks = [look(frame, attitude if told else None, camera, pad, colours) for colours in sets]
+                looks = [detect(frame, attitude if measured else None, camera, pad, colours) for colours in sets]
                 best = max(looks, key=lambda seen: -1.0 if seen.selected is None else seen.selected.confidence)
                 for method, s in (*best.methods.items(), ("selected", best.selected)):
                     if s is not None:
                         e = error(s, d, yaw_rad)
                         off[method].append((float(np.linalg.norm(e[:3]) / np.linalg.norm(d) / 10.0), abs(float(e[3]))))
-            for method in METHODS if told else ("selected",):
+            for method in METHODS if measured else ("selected",):
                 if not off[method]:
-                    print(f"{name:<10} {'told' if told else 'level':<6} {method:<9} {0:5.0f}%")
+                    print(f"{name:<10} {'told' if measured else 'level':<6} {method:<9} {0:5.0f}%")
                     continue
                 rel, head = np.array(off[method]).T
                 head = head[~np.isnan(head)]
                 turn = f"{np.median(head):8.2f} {head.max():6.1f}" if head.size else f"{'-':>8}"
                 print(
-                    f"{name:<10} {'told' if told else 'level':<6} {method:<9} {100 * len(rel) / len(rows):5.0f}% "
+                    f"{name:<10} {'told' if measured else 'level':<6} {method:<9} {100 * len(rel) / len(rows):5.0f}% "
                     f"{np.median(rel):7.2f} {np.percentile(rel, 95):7.2f} {rel.max():7.2f} {turn}"
                 )
 
@@ -158,7 +158,7 @@ def photograph(row: dict[str, str], camera: Camera) -> tuple[Frame, Attitude, F6
     """One photograph with the tilt, place and heading of its reference."""
     px = cv2.imread(str(PHOTOS / "images" / row["frame"]))
     if px is None:
-        raise SystemExit(f"{row['frame']}: not a picture that can be read")
+        raise SystemExit(f"{row['frame']}: not a frame that can be read")
     R_cam_pad = Rotation.from_rotvec([float(row[f"rvec_{k}"]) for k in "xyz"])
     t = np.array([float(row[f"t_cam_{k}_m"]) for k in "xyz"])
     roll, pitch, yaw = (R_cam_pad.inv @ camera.T_body_cam.R.inv).rpy_rad
@@ -195,7 +195,7 @@ def stages(rounds: int, seed: int) -> None:
                 partial(arrow_of, seg, view, pad),
                 partial(find_corners, seg, view, pad),
                 partial(poses_of, marks, view),
-                partial(look, frame, attitude, camera, pad, SIMULATOR),
+                partial(detect, frame, attitude, camera, pad, SIMULATOR),
             ],
         )
         floor, segmented, e, a, c, p, whole = times

@@ -9,17 +9,17 @@ from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs
-from estimator.vision.look import Look
+from estimator.vision.thesis.detection import Detection
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrameSeen:
+class ProcessedFrame:
     """One frame and what became of it."""
 
     frame: Frame
     attitude: Attitude | None
     """At the exposure."""
-    look: Look | None
+    detection: Detection | None
     """What vision saw; None where it was not asked."""
     verdict: Verdict
     began: MonoNs
@@ -47,18 +47,18 @@ class Observer(Protocol):
 
     def on_sample(self, sample: Sample) -> None: ...
 
-    def on_frame(self, seen: FrameSeen) -> None: ...
+    def on_frame(self, processed: ProcessedFrame) -> None: ...
 
     def on_decision(self, decision: Decision) -> None: ...
 
 
-class Silent:
+class NullObserver:
     """An observer that does nothing: a base for those that want only some of it."""
 
     def on_sample(self, sample: Sample) -> None:
         return None
 
-    def on_frame(self, seen: FrameSeen) -> None:
+    def on_frame(self, processed: ProcessedFrame) -> None:
         return None
 
     def on_decision(self, decision: Decision) -> None:

@@ -20,9 +20,9 @@ from estimator.contracts.estimates import Doubt, PathName, RelativeState, Verdic
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
-from estimator.vision.eyes import Eyes, EyesMemory, see
-from estimator.vision.look import Look
 from estimator.vision.pad import Pad
+from estimator.vision.thesis.detection import Detection
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
 
 class Outcome(Enum):
@@ -54,9 +54,11 @@ class Pilot:
         automatic: begin the approach as soon as the vehicle flies; else wait for `begin`.
     """
 
-    def __init__(self, eyes: Eyes, options: pipeline.Options, plan: Plan, gains: Gains, *, automatic: bool = True) -> None:
-        self._eyes = eyes
-        self._eyes_memory = EyesMemory()
+    def __init__(
+        self, tracker: TrackerConfig, options: pipeline.Options, plan: Plan, gains: Gains, *, automatic: bool = True
+    ) -> None:
+        self._tracker = tracker
+        self._tracker_memory = TrackerMemory()
         self._memory = pipeline.start(options)
         self._plan = plan
         self._gains = gains
@@ -81,11 +83,11 @@ class Pilot:
 
     @property
     def camera(self) -> Camera:
-        return self._eyes.camera
+        return self._tracker.camera
 
     @property
     def pad(self) -> Pad:
-        return self._eyes.pad
+        return self._tracker.pad
 
     @property
     def vehicle(self) -> VehicleStatus | None:
@@ -138,7 +140,7 @@ class Pilot:
         doubts = (*(doubt for doubt in believed.doubts if doubt is not Doubt.ELSEWHERE), Doubt.ELSEWHERE)
         return replace(believed, consistent=False, doubts=doubts)
 
-    def hear(self, sample: Sample) -> tuple[pipeline.Outcome, ...]:
+    def on_sample(self, sample: Sample) -> tuple[pipeline.Outcome, ...]:
         """Take a sample; what became of it, path by path."""
         if isinstance(sample, VehicleStatus):
             self._status = sample
@@ -156,19 +158,19 @@ class Pilot:
 
     def admit(self, frame: Frame) -> Verdict | None:
         """Take a frame before it is searched; None when it may be, else its verdict."""
-        self._memory, verdict = pipeline.see(self._memory, frame)
+        self._memory, verdict = pipeline.on_frame(self._memory, frame)
         return verdict
 
-    def look(self, frame: Frame, attitude: Attitude) -> Look:
+    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
         """Search a frame for the pad, where it is expected first.
 
         May run on another thread, one at a time: what it reads of the estimator is immutable, what it writes is its own.
         """
-        believed = pipeline.belief(self._memory, frame.stamp.taken)
-        seen, self._eyes_memory = see(self._eyes, self._eyes_memory, frame, attitude, believed)
+        believed = pipeline.belief(self._memory, frame.stamp.measured_at)
+        seen, self._tracker_memory = track(self._tracker, self._tracker_memory, frame, attitude, believed)
         return seen
 
-    def saw(self, seen: Look) -> Verdict:
+    def on_detection(self, seen: Detection) -> Verdict:
         """Take what was found in a frame; the frame's verdict is the steering path's."""
         if seen.selected is None:
             return Verdict.NO_PAD

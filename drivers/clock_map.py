@@ -73,7 +73,7 @@ class ClockMap:
         self._least: deque[tuple[int, int]] = deque()
         """(heard, difference less the drift allowed up to then), ascending in both: the front is the least of the window."""
         self._newest_remote: int | None = None
-        self._heard = 0
+        self._received_at = 0
         self._count = 0
         self._excess_s = options.unknown_s
         self._fell_s = 0.0
@@ -88,9 +88,9 @@ class ClockMap:
         self._excess_s = self._o.unknown_s
         self._fell_s = 0.0
 
-    def stamp(self, remote_ns: int, heard: MonoNs) -> Stamp:
+    def stamp(self, remote_ns: int, received_at: MonoNs) -> Stamp:
         """When `remote_ns` was on our clock. Never raises on any remote value; `heard` counts as not before the last."""
-        now = self._heard = max(heard, self._heard)
+        now = self._received_at = max(received_at, self._received_at)
         remote = self._unwrapped(remote_ns, now)
         if self._newest_remote is not None and self._set_anew(remote, now):
             self.restarts += 1
@@ -102,7 +102,7 @@ class ClockMap:
         self._fell_s = _FADE * self._fell_s + abs(before - offset) / NS_PER_S
         self._count = min(self._count + 1, _MEMORY)
         self._excess_s += ((difference - offset) / NS_PER_S - self._excess_s) / (self._count + _PRIOR)
-        taken = remote + offset - round(self._o.floor_s * NS_PER_S)
+        measured_at = remote + offset - round(self._o.floor_s * NS_PER_S)
         self._newest_remote = remote if self._newest_remote is None else max(remote, self._newest_remote)
         sigma_s = math.hypot(
             self._o.floor_sigma_s,
@@ -113,17 +113,17 @@ class ClockMap:
             # A map that has moved lately may move as far again: the messages so far were all late.
             self._fell_s,
         )
-        return Stamp(MonoNs(taken), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "synced")
+        return Stamp(MonoNs(measured_at), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "synced")
 
     def _unwrapped(self, remote_ns: int, now: int) -> int:
         """The counter without its wraps: the value nearest to what the time since the last message leads to expect."""
         wrap = self._o.wrap_ns
         if wrap is None or self._newest_remote is None:
             return remote_ns
-        expected = self._newest_remote + now - self._newest_heard()
+        expected = self._newest_remote + now - self._newest_received()
         return expected + (remote_ns - expected + wrap // 2) % wrap - wrap // 2
 
-    def _newest_heard(self) -> int:
+    def _newest_received(self) -> int:
         return self._least[-1][0]
 
     def _set_anew(self, remote: int, now: int) -> bool:

@@ -26,14 +26,14 @@ class AttitudeHistory:
         rate = self.newest_rate_rad_s
         kept = self.samples
         if kept:
-            dt = seconds_between(kept[-1].stamp.taken, sample.stamp.taken)
+            dt = seconds_between(kept[-1].stamp.measured_at, sample.stamp.measured_at)
             if dt <= 0:
                 return self
             if dt < 0.1:
                 x, y, z = (kept[-1].R_ned_body.inv @ sample.R_ned_body).rotvec_rad / dt
                 rate = (float(x), float(y), float(z))
             first = 0
-            while first < len(kept) and seconds_between(kept[first].stamp.taken, sample.stamp.taken) > self.span_s:
+            while first < len(kept) and seconds_between(kept[first].stamp.measured_at, sample.stamp.measured_at) > self.span_s:
                 first += 1
             kept = kept[first:]
         return AttitudeHistory(self.span_s, (*kept, sample), rate)
@@ -46,24 +46,24 @@ class AttitudeHistory:
         """
         if not self.samples:
             return None
-        i = bisect_left(self.samples, instant, key=lambda s: s.stamp.taken)
+        i = bisect_left(self.samples, instant, key=lambda s: s.stamp.measured_at)
         if i == len(self.samples):
             newest = self.samples[-1]
-            ahead_s = seconds_between(newest.stamp.taken, instant)
+            ahead_s = seconds_between(newest.stamp.measured_at, instant)
             if ahead_s > reach_s:
                 return None
             turned = np.array(self.newest_rate_rad_s) * ahead_s
             cov = newest.cov_body + np.diag((0.1 * turned) ** 2)
             return Attitude(stamp, newest.R_ned_body @ Rotation.from_rotvec(turned), cov)
         later = self.samples[i]
-        if later.stamp.taken == instant:
+        if later.stamp.measured_at == instant:
             return Attitude(stamp, later.R_ned_body, later.cov_body)
         if i == 0:
             return None
         earlier = self.samples[i - 1]
-        span_s = seconds_between(earlier.stamp.taken, later.stamp.taken)
+        span_s = seconds_between(earlier.stamp.measured_at, later.stamp.measured_at)
         if span_s > gap_s:
             return None
-        share = seconds_between(earlier.stamp.taken, instant) / span_s
+        share = seconds_between(earlier.stamp.measured_at, instant) / span_s
         turned = (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad * share
         return Attitude(stamp, earlier.R_ned_body @ Rotation.from_rotvec(turned), later.cov_body)

@@ -223,9 +223,9 @@ def _attitude(state: DeadReckoning, sample: Attitude) -> DeadReckoning:
     heading = sample.R_ned_body.rpy_rad[2]
     if state.R_ned_body is None:
         # what was summed before had no heading; nothing is tied to it yet
-        fresh = replace(state, t=sample.stamp.taken, epoch=sample.stamp.taken, track=np.zeros((0, 5)))
+        fresh = replace(state, t=sample.stamp.measured_at, epoch=sample.stamp.measured_at, track=np.zeros((0, 5)))
         return _knot(replace(fresh, R_ned_body=sample.R_ned_body, heading_rad=heading))
-    state = _advance(state, sample.stamp.taken)
+    state = _advance(state, sample.stamp.measured_at)
     turned = wrap_pi(heading - state.heading_rad)
     # level axes turn with the body: what is held in them turns the other way
     v, a = _turned(state.v_rel, -turned), _turned(state.a_rel, -turned)
@@ -233,12 +233,12 @@ def _attitude(state: DeadReckoning, sample: Attitude) -> DeadReckoning:
 
 
 def _velocity(state: DeadReckoning, sample: BodyVelocity) -> DeadReckoning:
-    if state.v_t is not None and sample.stamp.taken < state.v_t:
+    if state.v_t is not None and sample.stamp.measured_at < state.v_t:
         return state
     o = state.options
-    state = _advance(state, sample.stamp.taken)
+    state = _advance(state, sample.stamp.measured_at)
     if state.rest is not None:
-        state = replace(state, rest=add_velocity(state.rest, sample.stamp.taken, sample.v_level))
+        state = replace(state, rest=add_velocity(state.rest, sample.stamp.measured_at, sample.v_level))
     v = o.velocity_scale * (sample.v_level - _biases(state)[0])
     v[np.abs(v) < o.dead_band_v_m_s] = 0.0
     measured = np.diag(sample.cov_level) < _NOT_MEASURED_VAR
@@ -247,48 +247,48 @@ def _velocity(state: DeadReckoning, sample: BodyVelocity) -> DeadReckoning:
     return replace(
         state,
         v_rel=np.where(measured, -v, state.v_rel),
-        v_t=sample.stamp.taken,
+        v_t=sample.stamp.measured_at,
         cov_v=cov_v,
         vertical_measured=bool(measured[2]),
     )
 
 
 def _imu(state: DeadReckoning, sample: Imu) -> DeadReckoning:
-    if state.R_ned_body is None or (state.a_t is not None and sample.stamp.taken < state.a_t):
+    if state.R_ned_body is None or (state.a_t is not None and sample.stamp.measured_at < state.a_t):
         return state
     R_level_body = state.R_ned_body.without_heading()
-    state = _advance(state, sample.stamp.taken)
+    state = _advance(state, sample.stamp.measured_at)
     a_body = sample.f_body + R_level_body.inv @ np.array([0.0, 0.0, GRAVITY_M_S2])
     if state.rest is not None:
-        state = replace(state, rest=add_acceleration(state.rest, sample.stamp.taken, a_body))
+        state = replace(state, rest=add_acceleration(state.rest, sample.stamp.measured_at, a_body))
     a = R_level_body @ (a_body - _biases(state)[1])
     mean, n = state.a_vertical_mean, state.a_samples + 1
-    step_s = 0.0 if state.a_t is None else min(seconds_between(state.a_t, sample.stamp.taken), state.options.hold_s)
+    step_s = 0.0 if state.a_t is None else min(seconds_between(state.a_t, sample.stamp.measured_at), state.options.hold_s)
     mean += (a[2] - mean) * max(1.0 / n, 1.0 - math.exp(-step_s / state.options.vertical_mean_s))
     small = np.abs(a) < state.options.dead_band_a_m_s2
     # the vertical axis has its mean taken off instead: a dead-band would hide how a descent is stopped
     a = np.array([0.0 if small[0] else a[0], 0.0 if small[1] else a[1], a[2] - mean])
-    return replace(state, a_rel=-a, a_t=sample.stamp.taken, a_vertical_mean=float(mean), a_samples=n)
+    return replace(state, a_rel=-a, a_t=sample.stamp.measured_at, a_vertical_mean=float(mean), a_samples=n)
 
 
 def _sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, Verdict]:
-    taken = sighting.stamp.taken
+    measured_at = sighting.stamp.measured_at
     last = state.anchor
     if state.R_ned_body is None:
         return state, Verdict.NO_ATTITUDE
-    if seconds_between(state.epoch, taken) < state.track[0, 0] or (last is not None and taken <= last.t):
+    if seconds_between(state.epoch, measured_at) < state.track[0, 0] or (last is not None and measured_at <= last.t):
         return state, Verdict.TOO_OLD
-    state = _advance(state, taken)
+    state = _advance(state, measured_at)
     z = sighting.d_body_pad_level
-    if last is not None and (before := at(state, taken)) is not None:
+    if last is not None and (before := at(state, measured_at)) is not None:
         innov = z - before.d_body_pad_level
         S = before.cov[:3, :3] + sighting.cov[:3, :3] + 1e-9 * np.eye(3)
         agrees = float(innov @ np.linalg.solve(S, innov)) <= _NIS_MAX
         state = replace(state, agreed=(*state.agreed, agrees)[-5:])
-        state = _correct_vertical(state, taken, float(innov[2]), seconds_between(last.t, taken))
-    odo, heading = _past(state, taken)
+        state = _correct_vertical(state, measured_at, float(innov[2]), seconds_between(last.t, measured_at))
+    odo, heading = _past(state, measured_at)
     anchor = _Anchor(
-        t=taken,
+        t=measured_at,
         d_fixed=_turned(z, heading),
         odo=odo,
         heading_rad=heading,
@@ -305,13 +305,13 @@ def _sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, V
             state,
             arrow_rad=arrow,
             arrow_var=float(sighting.cov[3, 3]),
-            arrow_t=taken,
+            arrow_t=measured_at,
             arrow_ambiguous=still_ambiguous,
         )
     return state, Verdict.FUSED
 
 
-def _correct_vertical(state: DeadReckoning, taken: MonoNs, innov_m: float, since_last_s: float) -> DeadReckoning:
+def _correct_vertical(state: DeadReckoning, measured_at: MonoNs, innov_m: float, since_last_s: float) -> DeadReckoning:
     """Pull the vertical velocity towards the sightings' rate and redo the odometer's vertical motion since `taken`."""
     o = state.options
     if state.vertical_measured or state.t is None:
@@ -319,14 +319,14 @@ def _correct_vertical(state: DeadReckoning, taken: MonoNs, innov_m: float, since
     dv = innov_m * (1.0 - math.exp(-since_last_s / o.vertical_tau_s)) / max(since_last_s, o.vertical_tau_s / 10.0)
     dv = max(-2.0, min(2.0, dv))
     track = state.track.copy()
-    track[:, 3] += dv * np.maximum(0.0, track[:, 0] - seconds_between(state.epoch, taken))
-    late_s = max(0.0, seconds_between(taken, state.t))
+    track[:, 3] += dv * np.maximum(0.0, track[:, 0] - seconds_between(state.epoch, measured_at))
+    late_s = max(0.0, seconds_between(measured_at, state.t))
     return replace(
         state,
         v_rel=state.v_rel + np.array([0.0, 0.0, dv]),
         odo=state.odo + np.array([0.0, 0.0, dv * late_s]),
         track=track,
-        vertical_t=taken,
+        vertical_t=measured_at,
     )
 
 

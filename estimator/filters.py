@@ -40,7 +40,7 @@ class _Entry:
 class Filtered:
     """What the filter makes of the newest sightings."""
 
-    taken: MonoNs
+    measured_at: MonoNs
     """When the newest sighting that took part was true."""
     holds_at: MonoNs
     """The instant the output describes under uniform motion: two samples back once the window is full."""
@@ -100,7 +100,7 @@ def step(state: MedianMean, t: MonoNs, d: F64, yaw_rad: float | None, ambiguous:
     span_s = float(median_times[-1] - median_times[0])
     yaw, certain = _heading(entries, heading)
     out = Filtered(
-        taken=t,
+        measured_at=t,
         holds_at=MonoNs(t + round(1e9 * float(median_times.mean()))),
         d_body_pad_level=medians.mean(axis=0),
         v_pad_level=(medians[-1] - medians[0]) / span_s if span_s > 0.0 else None,
@@ -117,14 +117,16 @@ def smooth(state: MedianMean, sighting: Sighting) -> tuple[MedianMean, Sighting 
     Its covariance is the newest sighting's, shrunk by `VARIANCE_RATIO`: right for noise that is white from frame to frame,
     too small for what stays from frame to frame (tilt, camera mount), so no bias must hide in the noise it is given.
     """
-    state, out = step(state, sighting.stamp.taken, sighting.d_body_pad_level, sighting.yaw_rad, sighting.yaw_ambiguous)
+    state, out = step(state, sighting.stamp.measured_at, sighting.d_body_pad_level, sighting.yaw_rad, sighting.yaw_ambiguous)
     if out is None:
         return state, None
     cov = sighting.cov * VARIANCE_RATIO[out.samples - 1]
     if out.yaw_rad is None or sighting.yaw_rad is None:
         cov[3, :] = cov[:, 3] = 0.0
         cov[3, 3] = UNKNOWN_YAW_VAR
-    stamp = Stamp(min(out.holds_at, sighting.stamp.taken), sighting.stamp.heard, sighting.stamp.sigma_s, sighting.stamp.source)
+    stamp = Stamp(
+        min(out.holds_at, sighting.stamp.measured_at), sighting.stamp.received_at, sighting.stamp.sigma_s, sighting.stamp.source
+    )
     yaw = out.yaw_rad if sighting.yaw_rad is not None else None
     return state, replace(
         sighting,

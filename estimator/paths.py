@@ -50,7 +50,9 @@ class MedianMeanPath:
     def step(self, event: Event) -> tuple[Self, Verdict | None]:
         if not isinstance(event, Sighting):
             return self, None
-        memory, out = filters.step(self.filter, event.stamp.taken, event.d_body_pad_level, event.yaw_rad, event.yaw_ambiguous)
+        memory, out = filters.step(
+            self.filter, event.stamp.measured_at, event.d_body_pad_level, event.yaw_rad, event.yaw_ambiguous
+        )
         if out is None:
             return self, Verdict.TOO_OLD
         return replace(self, filter=memory, newest=out, sighting=event), Verdict.FUSED
@@ -72,7 +74,7 @@ class MedianMeanPath:
             v_pad_level=np.zeros(3) if out.v_pad_level is None else out.v_pad_level,
             yaw_rad=out.yaw_rad,
             cov=cov,
-            sighted=out.taken,
+            sighted=out.measured_at,
             consistent=True,
             details=(("yaw_ambiguous", float(out.yaw_ambiguous)),),
         )

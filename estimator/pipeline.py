@@ -65,7 +65,7 @@ def start(options: Options) -> Memory:
     return Memory(options, AttitudeHistory(options.history_s), paths, integrity.Guard(options.integrity))
 
 
-def see(memory: Memory, frame: Frame) -> tuple[Memory, Verdict | None]:
+def on_frame(memory: Memory, frame: Frame) -> tuple[Memory, Verdict | None]:
     """Take one frame before vision does; REPEATED when it shows nothing that was not seen before, else None."""
     guard, verdict = integrity.admit_frame(memory.guard, frame)
     return replace(memory, guard=guard), verdict
@@ -80,7 +80,7 @@ def step(memory: Memory, event: Event) -> tuple[Memory, tuple[Outcome, ...]]:
         attitude = attitude_at(memory, event.stamp)
         refusal = _refusal(memory.options, event)
         if refusal is None:
-            before = memory.paths[0].at(event.stamp.taken)
+            before = memory.paths[0].at(event.stamp.measured_at)
             guard, refusal = integrity.admit_sighting(memory.guard, event, attitude, before)
             memory = replace(memory, guard=guard)
     else:
@@ -129,7 +129,7 @@ def beliefs(memory: Memory, now: MonoNs) -> tuple[RelativeState, ...]:
 
 def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
     """The attitude at the instant a frame was exposed, None when no sample covers it."""
-    return memory.attitudes.at(stamp.taken, stamp)
+    return memory.attitudes.at(stamp.measured_at, stamp)
 
 
 def _dressed(state: RelativeState, guard: integrity.Guard, now: MonoNs) -> RelativeState:

@@ -10,9 +10,9 @@ from unittest.mock import patch
 import av
 import numpy as np
 
-from companion.service import make_pilot
-from companion.settings import load
-from companion.settings_model import Settings
+from companion.config.model import Settings
+from companion.config.settings import load
+from companion.runtime.service import make_pilot
 from drivers.ardrone import at, control, navdata
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel
@@ -42,10 +42,10 @@ def run_navdata(data: bytes) -> None:
     clock, counters = LockStepClock(_START), Counters()
     pilot = make_pilot(_settings())
 
-    def received(_: navdata.Navdata, samples: list[Sample], heard: MonoNs) -> None:
+    def received(_: navdata.Navdata, samples: list[Sample], received_at: MonoNs) -> None:
         for sample in samples:
-            pilot.hear(sample)
-        pilot.decide(heard)
+            pilot.on_sample(sample)
+        pilot.decide(received_at)
 
     channel = NavdataChannel(ArDroneOptions(), clock, counters, received, lambda: None)
     while choices:
@@ -108,7 +108,7 @@ def run_pave(data: bytes) -> None:
 
 
 class _AnyCodec:
-    """A decoder of H.264 that answers as the input says: pictures of any size, several, none, or an error."""
+    """A decoder of H.264 that answers as the input says: frames of any size, several, none, or an error."""
 
     def __init__(self, choices: Choices) -> None:
         self._choices = choices
@@ -139,17 +139,17 @@ def pave_seeds() -> Iterator[bytes]:
 
 
 def run_video(data: bytes) -> None:
-    """A stream through the true decoder: damaged pictures are counted, whatever the access unit holds."""
+    """A stream through the true decoder: damaged frames are counted, whatever the access unit holds."""
     parser, decoder = PaveParser(), VideoDecoder()
     batch = parser.feed(data)
     for unit in batch:
-        picture = decoder.newest([unit])
-        assert picture is None or picture.px.shape == (unit.header.display_height, unit.header.display_width, 3)
+        image = decoder.newest([unit])
+        assert image is None or image.px.shape == (unit.header.display_height, unit.header.display_width, 3)
     assert decoder.units == len(batch)
 
 
 def video_seeds() -> Iterator[bytes]:
-    """Two encoded pictures of 64 by 48 pixels."""
+    """Two encoded frames of 64 by 48 pixels."""
     encoder, rng = Encoder(64, 48, 30.0, 1000.0), np.random.default_rng(1)
     units = [encoder.encode(np.full((48, 64, 3), 90, np.uint8) + rng.integers(0, 9, (48, 64, 3), np.uint8)) for _ in range(2)]
     kinds = [FrameType.IDR if unit.idr else FrameType.P for unit in units]

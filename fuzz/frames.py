@@ -10,16 +10,16 @@ import cv2
 import msgspec
 import numpy as np
 
-from companion import rig
-from companion.settings import load
-from drivers.v4l2_formats import H264Decoder, Layout, to_bgr
+from companion.config import build
+from companion.config.settings import load
+from drivers.camera.v4l2_formats import H264Decoder, Layout, to_bgr
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
-from estimator.vision.eyes import Eyes, EyesMemory, see
-from estimator.vision.look import Look
+from estimator.vision.thesis.detection import Detection
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from fuzz.target import Choices, Target, block
 from sitl.ardrone.video import Encoder
 from sitl.scenario import load as load_scenario
@@ -68,15 +68,15 @@ def run_vision(data: bytes) -> None:
     if how & 2:
         d = np.array([(choices.number(1) - 128) * 0.01, 0.1, 0.05 + abs(height_m) * 4])
         cov = np.eye(7) * 10.0 ** (choices.number(1) % 6 - 4)
-        belief = RelativeState(t.taken, "ekf", d, np.zeros(3), choices.number(1) * 0.02, cov, t.taken, True)
-    eyes, memory = _eyes("registration" if how & 4 else "fused"), EyesMemory()
+        belief = RelativeState(t.measured_at, "ekf", d, np.zeros(3), choices.number(1) * 0.02, cov, t.measured_at, True)
+    tracker, memory = _tracker("registration" if how & 4 else "fused"), TrackerMemory()
     for _ in range(1 + (how >> 3 & 1)):
-        seen, memory = see(eyes, memory, Frame(t, 1, _image(choices, how >> 4), 0.001), attitude, belief)
+        seen, memory = track(tracker, memory, Frame(t, 1, _image(choices, how >> 4), 0.001), attitude, belief)
         _check(seen)
 
 
 def _image(choices: Choices, how: int) -> np.ndarray:
-    """Bytes as they come, flat, tiled, noise, or a picture of the pad with bytes over a part of it."""
+    """Bytes as they come, flat, tiled, noise, or a frame of the pad with bytes over a part of it."""
     rest = choices.take(512 if how & 8 else 1 << 14)
     if how & 7 < 5:
         px = _views()[how & 3].copy()
@@ -93,7 +93,7 @@ def _image(choices: Choices, how: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
 
 
-def _check(seen: Look) -> None:
+def _check(seen: Detection) -> None:
     for sighting in (seen.selected, *seen.methods.values()):
         if sighting is not None:
             assert np.all(np.isfinite(sighting.d_body_pad_level))
@@ -110,14 +110,14 @@ def _camera() -> Camera:
 
 
 @cache
-def _eyes(speaks: str) -> Eyes:
-    made = rig.eyes(load("sim"))
+def _tracker(speaks: str) -> TrackerConfig:
+    made = build.tracker(load("sim"))
     return replace(made, camera=_camera(), speaks="registration" if speaks == "registration" else "fused")
 
 
 @cache
 def _views() -> tuple[np.ndarray, ...]:
-    """The simulated camera's own pictures of the pad, from four heights, made small."""
+    """The simulated camera's own frames of the pad, from four heights, made small."""
     scenario = load_scenario("calm")
     out = []
     for height_m in (0.6, 1.2, 2.5, 4.0):

@@ -31,8 +31,8 @@ def reader(name: str, *reads: Callable[[Path], Iterable[object]]) -> Callable[[b
                     refused(why)
                     continue
                 samples = [item for item in found if isinstance(item, Sample)]
-                heard = [sample.stamp.heard for sample in samples]
-                assert heard == sorted(heard)
+                received_at = [sample.stamp.received_at for sample in samples]
+                assert received_at == sorted(received_at)
 
     return run
 

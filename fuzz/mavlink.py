@@ -20,13 +20,13 @@ from unittest.mock import patch
 
 import numpy as np
 
-from companion.health import Health
-from companion.mavlink.face_part import FacePart
+from companion.config.model import Settings
+from companion.config.settings import from_mapping
+from companion.config.vehicle import AutopilotSettings
+from companion.mavlink.bridge_part import BridgePart
 from companion.mavlink.make import AutopilotPart
-from companion.service import make_pilot
-from companion.settings import from_mapping
-from companion.settings_model import Settings
-from companion.settings_vehicle import AutopilotSettings
+from companion.runtime.health import Health
+from companion.runtime.service import make_pilot
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
@@ -164,15 +164,15 @@ async def _autopilot(choices: Choices) -> None:
     assert isinstance(vehicle, AutopilotSettings)
     part = AutopilotPart(_settings(), vehicle, pilot, Health(clock), clock, lambda on: None, lambda *crossed: None)
 
-    async def hear(samples: Line[Sample]) -> None:
+    async def on_message(samples: Line[Sample]) -> None:
         async for sample in samples:
-            pilot.hear(sample)
+            pilot.on_sample(sample)
             part.component.on_sample(sample)
 
     first = choices.number(1)
     with patch("drivers.mavlink.links.open_wire", wires.open):
         async with part.open() as link, asyncio.TaskGroup() as group:
-            task = group.create_task(hear(link.samples))
+            task = group.create_task(on_message(link.samples))
             await clock.settle()
             if first < 0xC0:
                 beat = mav.MAVLink_heartbeat_message(2, AUTOPILOTS[first % 3], 0xD1, 4, 4, 3)
@@ -253,9 +253,9 @@ def autopilot_seeds() -> Iterator[bytes]:
     yield b"\xff" + bytes([1, _RAW, 0]) + block(b"\xfd\x09\x00\x00" + bytes(12)) + step(said[0])
 
 
-def run_face(data: bytes) -> None:
+def run_bridge(data: bytes) -> None:
     """Stations at the face of a drone that speaks no MAVLink: commands in, what it says of itself out."""
-    asyncio.run(_face(Choices(data)))
+    asyncio.run(_bridge(Choices(data)))
 
 
 class _Craft:
@@ -269,10 +269,10 @@ class _Craft:
         assert command is not None
 
 
-async def _face(choices: Choices) -> None:
+async def _bridge(choices: Choices) -> None:
     clock, wires = LockStepClock(), Wires()
     links = [LinkOptions(parse_endpoint("udpin://127.0.0.1:14550")), LinkOptions(parse_endpoint("udpout://127.0.0.1:14551"))]
-    part = FacePart(links, 1, clock, tap=lambda *crossed: None)
+    part = BridgePart(links, 1, clock, tap=lambda *crossed: None)
     sampler = _samples()
 
     @asynccontextmanager
@@ -309,7 +309,7 @@ def _samples() -> tuple[Sample, ...]:
     )
 
 
-def face_seeds() -> Iterator[bytes]:
+def bridge_seeds() -> Iterator[bytes]:
     """What a station says to a quadrotor."""
     to = (1, 1)
     commands = (400, 22, 21, 193, 17, 252, 512, 511, 520)
@@ -407,7 +407,7 @@ def signing_seeds() -> Iterator[bytes]:
 
 TARGETS = {
     "mavlink_autopilot": Target(run_autopilot, autopilot_seeds),
-    "mavlink_face": Target(run_face, face_seeds),
+    "mavlink_bridge": Target(run_bridge, bridge_seeds),
     "mavlink_codec": Target(run_codec, codec_seeds),
     "mavlink_signing": Target(run_signing, signing_seeds),
 }

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
-from companion.health import Health
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.settings import MetricsSettings
+from companion.runtime.health import Health
 from drivers.clock import SystemClock
 from fuzz.target import Choices, Target, block
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from companion.mqtt import messages, watch_view
-from companion.mqtt.commands import Desk
+from companion.mqtt.commands import CommandHandler
 from companion.mqtt.messages import (
     Belief,
     Event,
@@ -69,22 +69,22 @@ def run_command(data: bytes) -> None:
     choices = Choices(data)
     how = choices.number(1)
     topics, key = Topics("drone"), KEY if how & 2 else None
-    desk = Desk(topics, SESSION, _Operated("not now" if how & 1 else None), RUN, key)
-    now, taken = MonoNs(1_000_000_000_000), 0
+    command_handler = CommandHandler(topics, SESSION, _Operated("not now" if how & 1 else None), RUN, key)
+    now, measured_at = MonoNs(1_000_000_000_000), 0
     while choices:
         how = choices.number(1)
         reply_to = choices.block().decode("utf-8", "replace") if how & 2 else None
         payload = choices.block()
         if how & 4:
             payload = signed(KEY, topics.command, payload)
-        judged = desk.take(payload, now, retained=bool(how & 1), reply_to=reply_to)
-        taken += 1
+        judged = command_handler.take(payload, now, retained=bool(how & 1), reply_to=reply_to)
+        measured_at += 1
         now = MonoNs(now + (how >> 3) * 1_000_000_000)
         assert judged.topic.startswith(topics.reply)
         assert messages.decode("reply", encode(judged.reply)) == judged.reply
         assert not (judged.reply.accepted and how & 1 and not judged.repeated), "a retained command was carried out"
         assert not (judged.reply.accepted and key is not None and not how & 4), "an unsigned command was carried out"
-    assert sum(desk.counts.values()) == taken
+    assert sum(command_handler.counts.values()) == measured_at
 
 
 def command_seeds() -> Iterator[bytes]:
@@ -114,7 +114,7 @@ def run_watch(data: bytes) -> None:
         topic = choices.block().decode("utf-8", "replace")
         now_s += choices.number(1) * 0.1
         split(topic)
-        model.hear(topic, choices.block(), now_s)
+        model.on_message(topic, choices.block(), now_s)
     _draw(model, now_s)
 
 
@@ -139,7 +139,7 @@ def watch_seeds() -> Iterator[bytes]:
             vehicle=VehicleState(mode="flying", flying=True, battery_fraction=0.5, emergency=False, link_ok=True, age_s=0.1),
         ),
         "sighting": Sighting(
-            session=SESSION, at_ns=3, taken_ns=2, sequence=1, verdict="fused", chosen="ellipse",
+            session=SESSION, at_ns=3, measured_at_ns=2, sequence=1, verdict="fused", chosen="ellipse",
             selected=found, methods={"ellipse": found},
         ),
         "health": HealthReport(

@@ -15,13 +15,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from companion import rig, rig_camera, rig_mavlink, settings_pages
-from companion.notify import Manager, watchdog_interval_s
+from companion.config import build, build_camera, build_mavlink, reference
+from companion.config.model import Settings
+from companion.config.settings import SHIPPED, from_mapping, read_toml, shipped
+from companion.config.vehicle import ArDroneSettings
 from companion.print_pad.drawing import pad_drawing
 from companion.print_pad.sheets import sheets
-from companion.settings import SHIPPED, from_mapping, read_toml, shipped
-from companion.settings_model import Settings
-from companion.settings_vehicle import ArDroneSettings
+from companion.runtime.notify import Manager, watchdog_interval_s
 from drivers.mavlink.signing import load_key
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
@@ -129,7 +129,7 @@ def _copy(value: Any) -> Any:
 @cache
 def _all_settings() -> tuple[tuple[str, ...], ...]:
     """Every key that can be set, from the settings' own page of themselves."""
-    return tuple(_keys(tomllib.loads(settings_pages.toml(from_mapping(_files("")[0], "fuzz")))))
+    return tuple(_keys(tomllib.loads(reference.toml(from_mapping(_files("")[0], "fuzz")))))
 
 
 def run_settings(data: bytes) -> None:
@@ -139,23 +139,23 @@ def run_settings(data: bytes) -> None:
         return
     with suppress(BadInput):
         _options(settings)
-    assert from_mapping(tomllib.loads(settings_pages.toml(settings)), "again") == settings
+    assert from_mapping(tomllib.loads(reference.toml(settings)), "again") == settings
 
 
 def _options(settings: Settings) -> None:
     """What `run` makes of settings before it opens anything."""
-    rig.plan(settings)
-    rig.gains(settings)
-    rig.restart(settings)
-    rig.estimator_options(settings)
-    rig_camera.controls(settings.camera.controls)
+    build.plan(settings)
+    build.gains(settings)
+    build.restart(settings)
+    build.estimator_options(settings)
+    build_camera.controls(settings.camera.controls)
     if isinstance(settings.vehicle, ArDroneSettings):
-        rig.ardrone_options(settings)
+        build.ardrone_options(settings)
     else:
-        said = rig_mavlink.component_options(settings.vehicle, 0.39, settings.guidance.stale_after_s)
-        rig_mavlink.autopilot_options(settings.vehicle, settings.service.sample_queue_items, said.parameters, {})
-    rig.eyes(settings)
-    rig_camera.camera_options(settings)
+        said = build_mavlink.component_options(settings.vehicle, 0.39, settings.guidance.stale_after_s)
+        build_mavlink.autopilot_options(settings.vehicle, settings.service.sample_queue_items, said.parameters, {})
+    build.tracker(settings)
+    build_camera.camera_options(settings)
 
 
 def run_scenario(data: bytes) -> None:

@@ -20,7 +20,7 @@ MODULES = {
     "control": "fuzz.ardrone",
     "at": "fuzz.ardrone",
     "mavlink_autopilot": "fuzz.mavlink",
-    "mavlink_face": "fuzz.mavlink",
+    "mavlink_bridge": "fuzz.mavlink",
     "mavlink_codec": "fuzz.mavlink",
     "mavlink_signing": "fuzz.mavlink",
     "mqtt_command": "fuzz.mqtt",

@@ -7,14 +7,17 @@ _INTEGRITY = ("tests/estimator/integrity",)
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/ekf/gate.py": _GATE,
-    "estimator/ekf/fuse.py": ("tests/estimator/ekf/test_fuse_bounds.py", "tests/estimator/ekf/test_noise_and_inflation.py"),
-    "estimator/ekf/seeing.py": (
-        "tests/estimator/ekf/test_seeing_bounds.py",
-        "tests/estimator/ekf/test_seeing_sea.py",
+    "estimator/ekf/process_event.py": (
+        "tests/estimator/ekf/test_process_event_bounds.py",
+        "tests/estimator/ekf/test_noise_and_inflation.py",
+    ),
+    "estimator/ekf/vision_update.py": (
+        "tests/estimator/ekf/test_vision_update_bounds.py",
+        "tests/estimator/ekf/test_vision_update_deck_motion.py",
         "tests/estimator/ekf/test_noise_and_inflation.py",
     ),
     "estimator/ekf/filter.py": ("tests/estimator/ekf/test_filter_bounds.py",),
-    "estimator/ekf/history.py": ("tests/estimator/ekf/test_history_bounds.py", "tests/estimator/ekf/test_history.py"),
+    "estimator/ekf/history.py": ("tests/estimator/ekf/test_history_bounds.py",),
     "estimator/integrity/guard.py": _INTEGRITY,
     "estimator/integrity/clock.py": _INTEGRITY,
     "estimator/integrity/frames.py": _INTEGRITY,
@@ -30,11 +33,17 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "drivers/ardrone/landing_watch.py": (
         "tests/drivers/test_landing_watch_bounds.py",
         "tests/drivers/test_arbiter_bounds.py",
-        "tests/drivers/test_helm_bounds.py",
+        "tests/drivers/test_command_streamer_bounds.py",
         "tests/drivers/test_arbiter.py",
-        "tests/drivers/test_helm.py",
+        "tests/drivers/test_command_streamer.py",
     ),
-    "drivers/ardrone/helm.py": ("tests/drivers/test_helm_bounds.py", "tests/drivers/test_helm.py"),
-    "drivers/mavlink/helm.py": ("tests/drivers/mavlink/test_helm_bounds.py", "tests/drivers/mavlink/test_helm.py"),
+    "drivers/ardrone/command_streamer.py": (
+        "tests/drivers/test_command_streamer_bounds.py",
+        "tests/drivers/test_command_streamer.py",
+    ),
+    "drivers/mavlink/setpoint_streamer.py": (
+        "tests/drivers/mavlink/test_setpoint_streamer_bounds.py",
+        "tests/drivers/mavlink/test_setpoint_streamer.py",
+    ),
 }
 """Module to tests; only those whose lines meet the mutant's run, the quickest first."""

@@ -106,14 +106,14 @@ def rotation_of(q: tuple[Num, Num, Num, Num]) -> tuple[Vec, Vec, Vec]:
     )
 
 
-def forth(rows: tuple[Vec, Vec, Vec], v: Vec) -> Vec:
+def rotate(rows: tuple[Vec, Vec, Vec], v: Vec) -> Vec:
     """R v."""
     a, b, c = rows
     x, y, z = v
     return (a[0] * x + a[1] * y + a[2] * z, b[0] * x + b[1] * y + b[2] * z, c[0] * x + c[1] * y + c[2] * z)
 
 
-def back(rows: tuple[Vec, Vec, Vec], v: Vec) -> Vec:
+def inverse_rotate(rows: tuple[Vec, Vec, Vec], v: Vec) -> Vec:
     """R^T v."""
     a, b, c = rows
     x, y, z = v

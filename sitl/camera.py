@@ -53,7 +53,7 @@ class Shot:
 
 
 class Renderer:
-    """Pictures of one scene through one camera.
+    """Frames of one scene through one camera.
 
     Args:
         pad: None for scenes without one; the deck then lies where the pad would.
@@ -85,7 +85,7 @@ class Renderer:
 
     def render(self, shot: Shot, rng: np.random.Generator) -> U8:
         """(H, W, 3) BGR, as the sensor gives it. Of `rng` one number is drawn, for the noise."""
-        return self._development.develop(self.radiance(shot), rng)
+        return self._development.sensor_image(self.radiance(shot), rng)
 
     def radiance(self, shot: Shot) -> F32:
         """(H, W, 3) BGR linear light on the sensor before noise and tone curve; 1 is full scale, brighter is not cut off."""
@@ -233,10 +233,10 @@ class Renderer:
         )
         if cast is None:
             return
-        taken, rows, cols = cast
+        alpha, rows, cols = cast
         if mask is not None:
-            taken = taken * (mask[rows, cols].astype(np.float32) * np.float32(1.0 / 255.0))
-        gain[rows, cols] *= np.float32(1.0) - np.float32(self.light.drone_shadow) * taken
+            alpha = alpha * (mask[rows, cols].astype(np.float32) * np.float32(1.0 / 255.0))
+        gain[rows, cols] *= np.float32(1.0) - np.float32(self.light.drone_shadow) * alpha
 
     def _add_glare(self, added: F32 | None, R_cam_pad: F64, t_cam_pad: F64, plane: F64) -> F32:
         h, w = self.camera.height, self.camera.width
@@ -290,7 +290,7 @@ def _vignette(lens: Lens, loss: float) -> F32:
 
 
 def _smear(canvas: U8, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64, F64]]) -> U8:
-    """The scenery blurred along its motion in the middle of the picture, where that is a pixel or more."""
+    """The scenery blurred along its motion in the middle of the frame, where that is a pixel or more."""
     camera = lens.camera
     R, t = middle
     axis = np.array([0.0, 0.0, 1.0])

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from sitl.airframe import Airframe
-from sitl.algebra import Algebra, Flag, Num, Vec, back, cross, forth, rpy_of
+from sitl.algebra import Algebra, Flag, Num, Vec, cross, inverse_rotate, rotate, rpy_of
 from sitl.sea import GRAVITY_M_S2
 
 Rows = tuple[Vec, Vec, Vec]
@@ -109,13 +109,13 @@ class Relative:
 
 def relative(ground: Ground, p: Vec, v: Vec, body: Rows, w_body: Vec) -> Relative:
     """Of a body at `p` with velocity `v` (ned), R_ned_body `body` and rates `w_body`."""
-    d = back(ground.R, (p[0] - ground.p[0], p[1] - ground.p[1], p[2] - ground.p[2]))
-    u = back(ground.R, (v[0] - ground.v[0], v[1] - ground.v[1], v[2] - ground.v[2]))
+    d = inverse_rotate(ground.R, (p[0] - ground.p[0], p[1] - ground.p[1], p[2] - ground.p[2]))
+    u = inverse_rotate(ground.R, (v[0] - ground.v[0], v[1] - ground.v[1], v[2] - ground.v[2]))
     carried = cross(ground.w, d)
-    columns = [back(ground.R, (body[0][i], body[1][i], body[2][i])) for i in (0, 1, 2)]
+    columns = [inverse_rotate(ground.R, (body[0][i], body[1][i], body[2][i])) for i in (0, 1, 2)]
     e, f, g = columns
     R = ((e[0], f[0], g[0]), (e[1], f[1], g[1]), (e[2], f[2], g[2]))
-    t = forth(R, w_body)
+    t = rotate(R, w_body)
     return Relative(
         d,
         (u[0] - carried[0], u[1] - carried[1], u[2] - carried[2]),
@@ -125,7 +125,7 @@ def relative(ground: Ground, p: Vec, v: Vec, body: Rows, w_body: Vec) -> Relativ
 
 
 @dataclass(slots=True)
-class Push:
+class ContactForce:
     """What the feet pass on to the body."""
 
     force: Vec
@@ -136,7 +136,7 @@ class Push:
     """How many feet or corners."""
 
 
-def push(m: Algebra, shape: DeckShape, airframe: Airframe, r: Relative, step_s: float) -> Push:
+def contact_force(m: Algebra, shape: DeckShape, airframe: Airframe, r: Relative, step_s: float) -> ContactForce:
     """Spring and damper normal to the deck under each foot (and each upper corner of a body on its side), friction along it.
 
     Friction is what would stop the foot within a few steps, but no more than the coefficient times the normal force: it
@@ -159,7 +159,7 @@ def push(m: Algebra, shape: DeckShape, airframe: Airframe, r: Relative, step_s: 
     if m.any(r.R[2][2] < 0.7):
         corners += [(x, y, -feet.top_m) for x, y, _ in corners]
     for corner in corners:
-        arm = forth(r.R, corner)
+        arm = rotate(r.R, corner)
         slip = cross(r.w, arm)
         vx, vy, vz = r.v[0] + slip[0], r.v[1] + slip[1], r.v[2] + slip[2]
         deep = r.d[2] + arm[2]
@@ -171,10 +171,10 @@ def push(m: Algebra, shape: DeckShape, airframe: Airframe, r: Relative, step_s: 
         fx, fy, fz = fx + nx, fy + ny, fz + nz
         tx, ty, tz = tx + arm[1] * nz - arm[2] * ny, ty + arm[2] * nx - arm[0] * nz, tz + arm[0] * ny - arm[1] * nx
         touching = touching + m.where(down, 1.0, 0.0)
-    return Push((fx, fy, fz), (tx, ty, tz), touching)
+    return ContactForce((fx, fy, fz), (tx, ty, tz), touching)
 
 
-def afloat(m: Algebra, airframe: Airframe, wet: Flag, depth: Num, v: Vec, w: Vec, sea_vz: Num) -> tuple[Vec, Vec]:
+def buoyancy(m: Algebra, airframe: Airframe, wet: Flag, depth: Num, v: Vec, w: Vec, sea_vz: Num) -> tuple[Vec, Vec]:
     """Acceleration in ned and torque in body of what lies in the water `depth` m deep: buoyant, heavily damped, full of foam."""
     up = m.clip(depth / 0.06, 0.0, 3.0) * GRAVITY_M_S2
     ix, iy, iz = airframe.inertia_kg_m2

@@ -1,4 +1,4 @@
-"""Many flights of one scenario at once, without pictures or sensors: vehicles on their own seas, in arrays.
+"""Many flights of one scenario at once, without frames or sensors: vehicles on their own seas, in arrays.
 
 fleet = Fleet(load("sea_state_4"), seeds=range(1000))
 fleet.vehicle.command(roll, pitch, gaz, yaw, progressive)

@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from companion.health import Health
-from companion.observer import FrameSeen, Observer
+from companion.config.build import ardrone_options
+from companion.config.model import Settings
+from companion.observer import Observer, ProcessedFrame
 from companion.pilot import Outcome, Pilot
-from companion.rig import ardrone_options
-from companion.settings_model import Settings
+from companion.runtime.health import Health
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
+from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
-from drivers.ardrone.helm import Helm
 from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.samples import Sampler
 from drivers.ardrone.setup import configuration_commands
@@ -33,11 +33,11 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import refusal
-from sitl.darkroom import Darkroom
 from sitl.faults import ServiceKilled
+from sitl.render_worker import RenderWorker
 from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
 from sitl.scenario import Scenario
-from sitl.world import Phase, Picture, Touchdown, Truth, World
+from sitl.world import Phase, RenderedFrame, Touchdown, Truth, World
 
 NAVDATA_DELAY_S = 0.004
 COMMAND_DELAY_S = 0.004
@@ -127,8 +127,8 @@ class Flight:
     ) -> None:
         cv2.setNumThreads(1)
         self.world = World(scenario, seed)
-        self.room: Darkroom | None = None
-        """Makes the pictures, where one is set before the first step; else they are made in place. The same bits either way."""
+        self.room: RenderWorker | None = None
+        """Makes the frames, where one is set before the first step; else they are made in place. The same bits either way."""
         if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
         self._renew = renew or (lambda: pilot)
@@ -136,7 +136,7 @@ class Flight:
         self._died: str | None = None
         self._reason = ""
         self._watch = SightWatch(self.world.now)
-        self._views: dict[int, Picture] = {}
+        self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
         self._timing = timing or Timing()
         self._limit_s = scenario.duration_limit_s
@@ -145,8 +145,8 @@ class Flight:
         self._sequence = self._ticks = 0
         start = self.world.now
         self._clock = _VirtualClock(start)
-        self._on_the_way: deque[tuple[MonoNs, Callable[[], Picture]]] = deque()
-        self._looking: tuple[MonoNs, FrameSeen] | None = None
+        self._on_the_way: deque[tuple[MonoNs, Callable[[], RenderedFrame]]] = deque()
+        self._looking: tuple[MonoNs, ProcessedFrame] | None = None
         self._due_guidance = self._due_frame = self._due_command = start
         self._gone = False
         self._begin_service(pilot)
@@ -187,15 +187,15 @@ class Flight:
     def _serve(self, now: MonoNs) -> None:
         """What the service does in one tick."""
         if not self.world.active("navdata_silent") and not self.world.active("link_lost"):
-            self._hear(now)
+            self._deliver_samples(now)
         self._film(now)
-        self._see(now)
+        self._process(now)
         if now >= self._due_guidance:
             self._due_guidance = after(self._due_guidance, self._guidance_period_s)
             self._decide(now)
         if now >= self._due_command:
             self._due_command = after(self._due_command, self._options.command_period_s)
-            self._arbiter.take(self._helm.word(now))
+            self._arbiter.take(self._streamer.word(now))
             self._send(self._arbiter.commands(now))
 
     def run(self) -> FlightResult:
@@ -209,12 +209,12 @@ class Flight:
         if self.world.active("service_killed"):
             if not self._gone:
                 self._arbiter.lost(self._clock.t)
-                self._send(self._options.patience(self._options.hold_com_watchdog_s))
+                self._send(self._options.timeouts(self._options.hold_com_watchdog_s))
             self._gone = True
             return True
         if self._gone:
             self._gone = False
-            self._send(self._options.patience(self._options.com_watchdog_s))
+            self._send(self._options.timeouts(self._options.com_watchdog_s))
             self._begin_service(self._renew())
         return False
 
@@ -230,7 +230,7 @@ class Flight:
         """What a process of the service holds, as it is when it has just begun."""
         now = self._clock.t
         self._pilot = pilot
-        self._helm = Helm(self._options, Counters())
+        self._streamer = CommandStreamer(self._options, Counters())
         self._sampler = Sampler(self._options.samples)
         self._due_guidance = self._due_frame = self._due_command = now
         self._on_the_way.clear()
@@ -243,13 +243,13 @@ class Flight:
                 continue
             self._drone.take(at.encode(self._sequence, command), self._clock.t)
 
-    def _hear(self, now: MonoNs) -> None:
+    def _deliver_samples(self, now: MonoNs) -> None:
         navdata = self._drone.navdata()
-        heard = after(now, NAVDATA_DELAY_S)
-        self._helm.hear(navdata, heard)
-        for sample in self._sampler.samples(navdata, _stamp(self._drone.measured_at, heard)):
-            self._helm.hear_sample(sample)
-            for outcome in self._pilot.hear(sample):
+        received_at = after(now, NAVDATA_DELAY_S)
+        self._streamer.on_navdata(navdata, received_at)
+        for sample in self._sampler.samples(navdata, _stamp(self._drone.measured_at, received_at)):
+            self._streamer.on_sample(sample)
+            for outcome in self._pilot.on_sample(sample):
                 self.health.input(outcome.kind, outcome.verdict)
             for observer in self._observers:
                 observer.on_sample(sample)
@@ -263,7 +263,7 @@ class Flight:
         delay_s = self._timing.frame_delay_s + self.world.frame_delay_s
         self._on_the_way.append((after(self.world.at, delay_s), self.world.expose(self.room)))
 
-    def _see(self, now: MonoNs) -> None:
+    def _process(self, now: MonoNs) -> None:
         if self._looking is not None and now >= self._looking[0]:
             self._conclude(self._looking[1])
             self._looking = None
@@ -272,43 +272,43 @@ class Flight:
             if arrived is not None:
                 self.health.frame(Verdict.REPLACED)
                 self._judge(arrived.seq, Verdict.REPLACED)
-            heard, developed = self._on_the_way.popleft()
-            picture = developed()
+            received_at, exposed = self._on_the_way.popleft()
+            image = exposed()
             self._frames += 1
-            self._views[self._frames] = replace(picture, px=_NO_PIXELS)
-            stamp = _stamp(after(picture.taken, picture.stamp_error_s), heard)
-            arrived = Frame(stamp, self._frames, picture.px, picture.exposure_s)
+            self._views[self._frames] = replace(image, px=_NO_PIXELS)
+            stamp = _stamp(after(image.exposed_at, image.stamp_error_s), received_at)
+            arrived = Frame(stamp, self._frames, image.px, image.exposure_s)
         if arrived is None:
             return
         refused = self._pilot.admit(arrived)
         if refused is not None:
-            self._conclude(FrameSeen(arrived, None, None, refused, now, now))
+            self._conclude(ProcessedFrame(arrived, None, None, refused, now, now))
             return
         attitude = self._pilot.attitude_at(arrived.stamp)
         done = after(now, self._timing.vision_s)
         if attitude is None:
-            self._conclude(FrameSeen(arrived, None, None, Verdict.NO_ATTITUDE, now, now))
+            self._conclude(ProcessedFrame(arrived, None, None, Verdict.NO_ATTITUDE, now, now))
         else:
-            seen = self._pilot.look(arrived, attitude)
-            self._looking = done, FrameSeen(arrived, attitude, seen, Verdict.NO_PAD, now, done)
+            processed = self._pilot.detect(arrived, attitude)
+            self._looking = done, ProcessedFrame(arrived, attitude, processed, Verdict.NO_PAD, now, done)
 
-    def _conclude(self, seen: FrameSeen) -> None:
-        if seen.look is not None:
-            seen = replace(seen, verdict=self._pilot.saw(seen.look))
-        self.health.frame(seen.verdict)
-        self._judge(seen.frame.seq, seen.verdict)
-        self.health.delay("exposure_to_belief", seconds_between(seen.frame.stamp.taken, seen.done))
+    def _conclude(self, processed: ProcessedFrame) -> None:
+        if processed.detection is not None:
+            processed = replace(processed, verdict=self._pilot.on_detection(processed.detection))
+        self.health.frame(processed.verdict)
+        self._judge(processed.frame.seq, processed.verdict)
+        self.health.delay("exposure_to_belief", seconds_between(processed.frame.stamp.measured_at, processed.done))
         for observer in self._observers:
-            observer.on_frame(seen)
+            observer.on_frame(processed)
 
     def _judge(self, seq: int, verdict: Verdict) -> None:
         view = self._views.pop(seq)
-        self._watch.frame(view.taken, verdict, true_view=view.true_view, stamp_error_s=view.stamp_error_s)
+        self._watch.frame(view.exposed_at, verdict, true_view=view.true_view, stamp_error_s=view.stamp_error_s)
 
     def _decide(self, now: MonoNs) -> None:
         decision = self._pilot.decide(now)
         if decision.command is not None:
-            self._helm.take(decision.command, now)
+            self._streamer.take(decision.command, now)
         self.world.guidance_phase = decision.phase
         self._reason = decision.reason or self._reason
         for observer in self._observers:
@@ -343,6 +343,6 @@ class Flight:
         return f"{said}; frames since the pad was last truly seen: {told or 'none'}"
 
 
-def _stamp(taken: MonoNs, received: MonoNs) -> Stamp:
+def _stamp(measured_at: MonoNs, received: MonoNs) -> Stamp:
     """A sample that claims to be from the future is received, as far as its stamp can say, when it claims to be true."""
-    return Stamp(taken, max(taken, received), STAMP_SIGMA_S, "sim")
+    return Stamp(measured_at, max(measured_at, received), STAMP_SIGMA_S, "sim")

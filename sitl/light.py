@@ -1,6 +1,6 @@
 """Light on the scene and what the sensor makes of it.
 
-Everything between paint and picture is computed in linear light, because a lens and a sensor add up light and the tone curve
+Everything between paint and frame is computed in linear light, because a lens and a sensor add up light and the tone curve
 comes last. Adding up sRGB values instead moves the place where an edge crosses half way, by a fifth of a pixel between dark and
 bright paint. `Sensor.blend = "srgb"` does just that, for comparison with renderers that do so.
 """
@@ -35,7 +35,7 @@ class Light:
     exposure_ev: float = 0.0
     """Stops against the exposure that puts white paint at 80 % of full scale."""
     vignetting: float = 0.20
-    """Share of light lost in the corners of the picture."""
+    """Share of light lost in the corners of the frame."""
     sun_elevation_rad: float = math.radians(55.0)
     sun_azimuth_rad: float = math.radians(140.0)
     """Clockwise from north, where the sun stands."""
@@ -138,7 +138,7 @@ def _decode(blend: str) -> F32:
 
 @lru_cache(maxsize=2)
 def _encode(blend: str) -> U8:
-    """(65536,) from light in 1/65535 of full scale to the value of the picture."""
+    """(65536,) from light in 1/65535 of full scale to the value of the frame."""
     light = np.arange(65536) / 65535.0
     if blend == "linear":
         light = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
@@ -147,12 +147,12 @@ def _encode(blend: str) -> U8:
 
 @lru_cache(maxsize=1)
 def _noise_bank() -> F32:
-    """(4194304,) standard normal numbers, always the same: a picture takes a stretch of them from a random place on."""
+    """(4194304,) standard normal numbers, always the same: a frame takes a stretch of them from a random place on."""
     return np.random.default_rng(0x0153).standard_normal(1 << 22, dtype=np.float32)
 
 
 class Development:
-    """From paint values to light and from light to the picture, for one light and one sensor."""
+    """From paint values to light and from light to the frame, for one light and one sensor."""
 
     def __init__(self, light: Light, sensor: Sensor) -> None:
         self._sensor = sensor
@@ -172,7 +172,7 @@ class Development:
         size = 2 * math.ceil(3.0 * sigma) + 1
         return np.asarray(cv2.GaussianBlur(light, (size, size), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
 
-    def develop(self, light: F32, rng: np.random.Generator) -> U8:
+    def sensor_image(self, light: F32, rng: np.random.Generator) -> U8:
         """Shot and read noise, tone curve, eight bits. Draws one number from `rng`; changes `light`."""
         s = self._sensor
         if math.isfinite(s.full_well_e) or s.read_noise_e > 0:

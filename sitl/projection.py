@@ -1,4 +1,4 @@
-"""Where planes and polygons of the world fall in one picture."""
+"""Where planes and polygons of the world fall in one frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NEAR_M = 0.002
 """Nothing nearer is drawn; `Camera.project` refuses points nearer than half of it."""
 
 _FAR_PX = 8000.0
-"""OpenCV clips polygons to the picture by itself, reliably while their fixed-point coordinates fit into 32 bits."""
+"""OpenCV clips polygons to the frame by itself, reliably while their fixed-point coordinates fit into 32 bits."""
 
 
 class Lens:
@@ -78,7 +78,7 @@ class Lens:
         return [self.outline(p, steps) for p in polygons_cam]
 
     def outline(self, points_cam: F64, steps: int = 1) -> F64:
-        """(N, 3) m polygon in `cam` to (M, 2) px, cut to a little more than the picture; M is 0 when nothing is left.
+        """(N, 3) m polygon in `cam` to (M, 2) px, cut to a little more than the frame; M is 0 when nothing is left.
 
         Args:
             steps: pieces to cut each edge of a polygon of few corners into, where the lens bends straight lines.

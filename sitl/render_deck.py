@@ -1,4 +1,4 @@
-"""The deck in the picture: its drawing, edges and side, decals, the drone's shadow, wear and puddles."""
+"""The deck in the frame: its drawing, edges and side, decals, the drone's shadow, wear and puddles."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class DeckPainter:
 def drone_shadow(
     lens: Lens, R_cam_pad: F64, t_cam_pad: F64, R_pad_body: F64, p_body_pad: F64, to_sun_pad: F64
 ) -> tuple[F32, slice, slice] | None:
-    """Share of sunlight taken away by a quadcopter half a metre wide, and the part of the picture it is in.
+    """Share of sunlight taken away by a quadcopter half a metre wide, and the part of the frame it is in.
 
     Four rotors inside guards and a slim hull, cast along the sun onto the pad's plane; the edge is as soft as the sun is wide.
     """
@@ -125,7 +125,7 @@ def drone_shadow(
 
 
 def draw(canvas: U8, lens: Lens, points_cam: F64, rgb: RGB) -> None:
-    """Fill a polygon (N, 3) m in `cam` on the picture, anti-aliased by OpenCV's drawing."""
+    """Fill a polygon (N, 3) m in `cam` on the frame, anti-aliased by OpenCV's drawing."""
     uv = lens.outline(points_cam, 6)
     if len(uv) >= 3:
         cv2.fillPoly(canvas, [fixed_point(uv)], rgb[::-1], cv2.LINE_AA, SHIFT)

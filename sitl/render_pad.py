@@ -1,4 +1,4 @@
-"""The pad in the picture: what share of each pixel each paint covers.
+"""The pad in the frame: what share of each pixel each paint covers.
 
 Whole pixels are filled as polygons. A pixel that an edge may touch is integrated: each of s x s subpixels and each
 sub-exposure asks every edge of the drawing for its signed distance, and turns it into a covered share. A square seen along a
@@ -24,13 +24,13 @@ from sitl.projection import F32, I32, SHIFT, Lens, fixed_point
 BACKGROUND, RIM, DISC, ORANGE, WHITE = range(5)
 
 _BUDGET = 24_000
-"""Subsamples a picture may cost: 5 x 5 a pixel at 10 m, 8 x 8 from 20 m on, one where the pad fills the picture."""
+"""Subsamples a frame may cost: 5 x 5 a pixel at 10 m, 8 x 8 from 20 m on, one where the pad fills the frame."""
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PadInPicture:
+class PadInImage:
     """Fills for the whole pixels, in paint order, and shares for the others."""
 
     fills: tuple[tuple[int, I32], ...]
@@ -51,13 +51,13 @@ class PadPainter:
         self._circle = pad.circle(1.0, 192)
         self._arrow, self._h = pad.arrowhead(), pad.h_corners()
 
-    def place(self, cam_from_pad: Sequence[tuple[F64, F64]]) -> PadInPicture | None:
+    def place(self, cam_from_pad: Sequence[tuple[F64, F64]]) -> PadInImage | None:
         """The pad at the poses of the sub-exposures, the middle one of which gives the fills.
 
         Args:
             cam_from_pad: rotation (3, 3) and pad's centre (3,) m in `cam`, one for each sub-exposure.
         Returns:
-            None when no part of the pad is in the picture, or the camera looks at it from below.
+            None when no part of the pad is in the frame, or the camera looks at it from below.
         """
         cam_from_pad = [(R, t) for R, t in cam_from_pad if float(R[:, 2] @ t) > 1e-3]
         if not cam_from_pad:
@@ -87,24 +87,24 @@ class PadPainter:
         painted = tuple((paint, fixed_point(uv)) for paint, uv in fills if len(uv))
         if where is None:
             nothing = np.empty(0, np.intp)
-            return PadInPicture(painted, nothing, nothing, np.empty((0, 5), np.float32))
+            return PadInImage(painted, nothing, nothing, np.empty((0, 5), np.float32))
         cols = where[:, 0, 0].astype(np.intp) + x0
         rows = where[:, 0, 1].astype(np.intp) + y0
         fine = max(1, min(8, int(math.sqrt(_BUDGET / (len(rows) * len(cam_from_pad))))))
         total = np.zeros((5, len(rows)), np.float32)
         for R, t in cam_from_pad:
             total += self._shares(R, t, rows, cols, fine)
-        return PadInPicture(painted, rows, cols, np.ascontiguousarray(total.T) * np.float32(1.0 / len(cam_from_pad)))
+        return PadInImage(painted, rows, cols, np.ascontiguousarray(total.T) * np.float32(1.0 / len(cam_from_pad)))
 
     def _reference(self, R: F64, t: F64) -> F64:
-        """(9, 2) px of points whose travel tells the motion blur; nan behind the camera, clipped to near the picture."""
+        """(9, 2) px of points whose travel tells the motion blur; nan behind the camera, clipped to near the frame."""
         points = np.concatenate([np.zeros((1, 3)), self._pad.circle(self._pad.disc_radius_m, 8)])
         camera = self._lens.camera
         uv = camera.project(points @ R.T + t)
         return np.clip(uv, -100.0, (camera.width + 100.0, camera.height + 100.0))
 
     def travel_px(self, first: tuple[F64, F64], last: tuple[F64, F64]) -> float:
-        """The longest way a point of the pad goes in the picture from one pose to another, px."""
+        """The longest way a point of the pad goes in the frame from one pose to another, px."""
         return float(np.nanmax(np.abs(self._reference(*first) - self._reference(*last)), initial=0.0))
 
     def _outlines(self, R: F64, t: F64) -> list[tuple[int, F64]]:

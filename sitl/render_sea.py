@@ -1,4 +1,4 @@
-"""The sea in the picture: swell from the wave field, ripples, foam, the sun's glitter, the ship's shadow and wake."""
+"""The sea in the frame: swell from the wave field, ripples, foam, the sun's glitter, the ship's shadow and wake."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SeaPainter:
         self._ripples, self._foam = ripples(surroundings.seed), foam(surroundings.seed)
 
     def paint(self, R_ned_cam: F64, p_cam_ned: F64, t_s: float, rows: slice, cols: slice, ship: list[F64]) -> U8:
-        """(h, w, 3) BGR of the picture's part `rows`, `cols`.
+        """(h, w, 3) BGR of the frame's part `rows`, `cols`.
 
         Args:
             ship: outlines on the water, (N, 3) m ned: none, or hull at the waterline, its shadow, and the wake if it makes one.

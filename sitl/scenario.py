@@ -16,9 +16,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.settings import SHIPPED, read_toml, shipped
-from companion.settings_keys import choice, number, text
-from companion.settings_refusal import explain
+from companion.config.keys import choice, number, text
+from companion.config.refusal import explain
+from companion.config.settings import SHIPPED, read_toml, shipped
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad

@@ -160,7 +160,7 @@ class Waves:
         return np.stack([k * np.cos(self.towards_rad), k * np.sin(self.towards_rad)], axis=-1)
 
     def longest(self, n: int) -> Waves:
-        """The n harmonics of greatest amplitude, those that a picture from some metres up shows as swell."""
+        """The n harmonics of greatest amplitude, those that a frame from some metres up shows as swell."""
         order = np.argsort(-self.amplitude_m, axis=1, kind="stable")[:, :n]
         return Waves(
             *(np.take_along_axis(v, order, 1) for v in (self.amplitude_m, self.w_rad_s, self.towards_rad, self.phase_rad))

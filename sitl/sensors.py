@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs
-from sitl.algebra import Floats, Vec, back, forth, rotation_of, rpy_of
+from sitl.algebra import Floats, Vec, inverse_rotate, rotate, rotation_of, rpy_of
 from sitl.contact import DeckShape, Ground
 from sitl.scenario import SensorSettings
 from sitl.vehicle import Vehicle
@@ -99,15 +99,15 @@ class Sensors:
             self._battery = max(0.0, self._battery - self._step_s / s.battery_life_s)
         if self._tick % self._echo_every == 0:
             self._echo_noise.step()
-            heard = (
+            received_at = (
                 nearest_surface(self._shape, vehicle, ground, math.radians(s.ultrasound_cone_deg))
                 if self.ultrasound_works
                 else None
             )
-            if heard is not None:
-                heard += s.ultrasound_sigma_m * self._echo_noise.values[0]
-                heard = heard if s.ultrasound_min_m <= heard <= s.ultrasound_max_m else None
-            self._echoes.append((self._tick + round(s.ultrasound_delay_s / self._step_s), heard))
+            if received_at is not None:
+                received_at += s.ultrasound_sigma_m * self._echo_noise.values[0]
+                received_at = received_at if s.ultrasound_min_m <= received_at <= s.ultrasound_max_m else None
+            self._echoes.append((self._tick + round(s.ultrasound_delay_s / self._step_s), received_at))
         while self._echoes and self._echoes[0][0] <= self._tick:
             self._echo = self._echoes.popleft()[1]
 
@@ -123,7 +123,7 @@ class Sensors:
         field = None
         if self.magnetometer_works:
             field = (
-                np.array(back(rows, EARTH_FIELD_NED_T))
+                np.array(inverse_rotate(rows, EARTH_FIELD_NED_T))
                 + self._magnetic_bias
                 + s.magnetometer_sigma_t * np.array(self._magnetometer.values)
             )
@@ -150,18 +150,18 @@ def nearest_surface(shape: DeckShape, vehicle: Vehicle, ground: Ground, cone_rad
     """
     rows = rotation_of(vehicle.q)
     p, g = vehicle.p, ground.p
-    d = back(ground.R, (p[0] - g[0], p[1] - g[1], p[2] - g[2]))
+    d = inverse_rotate(ground.R, (p[0] - g[0], p[1] - g[1], p[2] - g[2]))
     above_water = ground.sea_z - p[2]
     rays: list[Vec] = [(math.tan(a * cone_rad), math.tan(b * cone_rad), 1.0) for a in _RAYS for b in _RAYS]
-    down = forth(rows, (0.0, 0.0, 1.0))
-    rays_ned = [_unit(forth(rows, ray)) for ray in rays]
+    down = rotate(rows, (0.0, 0.0, 1.0))
+    rays_ned = [_unit(rotate(rows, ray)) for ray in rays]
     least = math.cos(0.5 * cone_rad)
-    for plumb in ((0.0, 0.0, 1.0), forth(ground.R, (0.0, 0.0, 1.0))):
+    for plumb in ((0.0, 0.0, 1.0), rotate(ground.R, (0.0, 0.0, 1.0))):
         if plumb[0] * down[0] + plumb[1] * down[1] + plumb[2] * down[2] >= least:
             rays_ned.append(plumb)
     best = math.inf
     for ray in rays_ned:
-        u = back(ground.R, ray)
+        u = inverse_rotate(ground.R, ray)
         distance = math.inf
         if u[2] > 1e-6 and d[2] < 0.0:
             t = -d[2] / u[2]

@@ -79,7 +79,7 @@ def deck_shape(ship: Hull, pad_yaw_rad: float) -> DeckShape:
 def wind(scenario: Scenario) -> Wind:
     """The steady air and its gusts."""
     w = scenario.wind
-    return Wind(blowing(w.speed_m_s, w.from_deg), w.gust_sigma_m_s, w.gust_time_s)
+    return Wind(wind_from(w.speed_m_s, w.from_deg), w.gust_sigma_m_s, w.gust_time_s)
 
 
 def renderer(scenario: Scenario, waves: Waves, vessel: Vessel) -> Renderer:
@@ -141,7 +141,7 @@ def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, 
     vehicle.place(p_pad_ned - to_pad, np.array([speed * math.cos(course), speed * math.sin(course), 0.0]), heading)
 
 
-def blowing(speed_m_s: float, from_deg: float) -> tuple[float, float, float]:
+def wind_from(speed_m_s: float, from_deg: float) -> tuple[float, float, float]:
     """m/s in ned, where the air moves to."""
     a = math.radians(from_deg)
     return (-speed_m_s * math.cos(a), -speed_m_s * math.sin(a), 0.0)

@@ -83,7 +83,7 @@ class Decal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """Everything in the picture but the pad and the light."""
+    """Everything in the frame but the pad and the light."""
 
     deck: Deck | None = Deck()
     """None for open sea."""
@@ -98,7 +98,7 @@ class Surroundings:
 
     def __post_init__(self) -> None:
         if self.waves is not None and self.waves.batch != 1:
-            raise ValueError(f"a picture shows one sea, got a batch of {self.waves.batch}")
+            raise ValueError(f"a frame shows one sea, got a batch of {self.waves.batch}")
 
 
 def _disc(radius: float = 1.0, n: int = 40) -> F64:
@@ -110,7 +110,7 @@ def _box(x: float, y: float, half_x: float, half_y: float) -> F64:
     return np.array([(x - half_x, y - half_y), (x + half_x, y - half_y), (x + half_x, y + half_y), (x - half_x, y + half_y)])
 
 
-def _letter_h(scale: float, rgb: RGB) -> list[tuple[F64, RGB]]:
+def _h_marking(scale: float, rgb: RGB) -> list[tuple[F64, RGB]]:
     return [
         (_box(0.0, -0.40 * scale, 0.70 * scale, 0.10 * scale), rgb),
         (_box(0.0, 0.40 * scale, 0.70 * scale, 0.10 * scale), rgb),
@@ -133,11 +133,11 @@ def _awning(colour: RGB | None) -> list[tuple[F64, RGB]]:
 def _helipad(colour: RGB | None) -> list[tuple[F64, RGB]]:
     field = colour or (70, 95, 75)
     yellow, white = (235, 195, 40), (240, 240, 240)
-    return [(_disc(1.0, 8), field), (_disc(0.80), yellow), (_disc(0.70), field), *_letter_h(0.55, white)]
+    return [(_disc(1.0, 8), field), (_disc(0.80), yellow), (_disc(0.70), field), *_h_marking(0.55, white)]
 
 
 def _bare_h(colour: RGB | None) -> list[tuple[F64, RGB]]:
-    return [(_box(0, 0, 1.0, 1.0), colour or (10, 100, 20)), *_letter_h(0.75, (245, 245, 245))]
+    return [(_box(0, 0, 1.0, 1.0), colour or (10, 100, 20)), *_h_marking(0.75, (245, 245, 245))]
 
 
 def _green_disc(colour: RGB | None) -> list[tuple[F64, RGB]]:

@@ -22,17 +22,17 @@ from sitl.algebra import (
     Floats,
     Num,
     Vec,
-    back,
     cross,
-    forth,
+    inverse_rotate,
     product,
     quaternion_of_rpy,
+    rotate,
     rotation_of,
     rpy_of,
 )  # fmt: skip
-from sitl.contact import DEEPEST_M, DeckShape, Ground, Relative, Rows, afloat, push, relative
+from sitl.contact import DEEPEST_M, DeckShape, Ground, Relative, Rows, buoyancy, contact_force, relative
 from sitl.disturbances import Disturbances, Wind
-from sitl.rotors import HEALTHY, Four, cushion, delivered, thrusts
+from sitl.rotors import HEALTHY, Four, delivered, ground_effect, thrusts
 from sitl.sea import GRAVITY_M_S2
 
 Quaternion = tuple[Num, Num, Num, Num]
@@ -217,7 +217,7 @@ class Vehicle:
     def f_body(self) -> F64:
         """(3,) or (B, 3) m/s^2, specific force: at rest and level (0, 0, -9.81)."""
         x, y, z = self.a
-        f = back(rotation_of(self.q), (x, y, z - GRAVITY_M_S2))
+        f = inverse_rotate(rotation_of(self.q), (x, y, z - GRAVITY_M_S2))
         return np.stack([np.asarray(c) for c in f], axis=-1)
 
     @property
@@ -262,25 +262,27 @@ class Vehicle:
         lift, turn = self.thrust_n, self.torque_n_m
         if self.rotor_health != HEALTHY:
             lift, turn = delivered(f, lift, turn, self.rotor_health)
-        lift = lift * cushion(m, f, height)
+        lift = lift * ground_effect(m, f, height)
 
         g, u = self.gust, self.extra_wind
         s = self.wind.v_ned
-        air = back(rows, (self.v[0] - g[0] - u[0] - s[0], self.v[1] - g[1] - u[1] - s[1], self.v[2] - g[2] - u[2] - s[2]))
+        air = inverse_rotate(
+            rows, (self.v[0] - g[0] - u[0] - s[0], self.v[1] - g[1] - u[1] - s[1], self.v[2] - g[2] - u[2] - s[2])
+        )
         kx, ky, kz = f.drag_per_s
-        accel = forth(rows, (-kx * air[0], -ky * air[1], -kz * air[2] - lift / f.mass_kg))
+        accel = rotate(rows, (-kx * air[0], -ky * air[1], -kz * air[2] - lift / f.mass_kg))
         ax, ay, az = accel[0], accel[1], accel[2] + GRAVITY_M_S2
         touching: Num = self._zero
         if m.any(over & (height < 0.4)):
-            contact = push(m, self.shape, f, r, dt)
+            contact = contact_force(m, self.shape, f, r, dt)
             touching = contact.touching
-            force, moment = forth(ground.R, contact.force), back(r.R, contact.torque)
+            force, moment = rotate(ground.R, contact.force), inverse_rotate(r.R, contact.torque)
             ax, ay, az = ax + force[0] / f.mass_kg, ay + force[1] / f.mass_kg, az + force[2] / f.mass_kg
             turn = (turn[0] + moment[0], turn[1] + moment[1], turn[2] + moment[2])
         depth = ahead[2] + f.feet.below_m - ground.sea_z
         wet = m.no(over) & (depth > 0.0)
         if m.any(wet):
-            b, t = afloat(m, f, wet, depth, self.v, self.w, ground.sea_vz)
+            b, t = buoyancy(m, f, wet, depth, self.v, self.w, ground.sea_vz)
             ax, ay, az = ax + b[0], ay + b[1], az + b[2]
             turn = (turn[0] + t[0], turn[1] + t[1], turn[2] + t[2])
         self._fly(ground, (ax, ay, az), turn)
@@ -301,7 +303,7 @@ class Vehicle:
         theta = m.atan2(-rows[2][0], c) + error[1]
 
         if self.flow_works:
-            seen = forth(ground.R, r.v)
+            seen = rotate(ground.R, r.v)
             deck = over & av.flow_sees_deck
             noise = self._disturbances.flow
             vx, vy = m.where(deck, seen[0], self.v[0]), m.where(deck, seen[1], self.v[1])
@@ -380,14 +382,14 @@ class Vehicle:
     def _carried(self, ground: Ground) -> tuple[Vec, Vec, Quaternion, Vec]:
         """p, v, q, w of a body tied to the deck."""
         m = self._m
-        d = forth(ground.R, self._tied_d)
-        u = forth(ground.R, cross(ground.w, self._tied_d))
+        d = rotate(ground.R, self._tied_d)
+        u = rotate(ground.R, cross(ground.w, self._tied_d))
         q = product(quaternion_of_rpy(m, *rpy_of(m, ground.R)), self._tied_q)
         return (
             (ground.p[0] + d[0], ground.p[1] + d[1], ground.p[2] + d[2]),
             (ground.v[0] + u[0], ground.v[1] + u[1], ground.v[2] + u[2]),
             q,
-            back(rotation_of(self._tied_q), ground.w),
+            inverse_rotate(rotation_of(self._tied_q), ground.w),
         )
 
     def _after(
@@ -417,14 +419,14 @@ class Vehicle:
         """Tie what lies still with its motors off to the deck; untie what the deck throws off."""
         m, f = self._m, self.airframe
         if m.any(self.tied):
-            x, y, z = back(ground.R, (self.a[0], self.a[1], self.a[2] - GRAVITY_M_S2))
+            x, y, z = inverse_rotate(ground.R, (self.a[0], self.a[1], self.a[2] - GRAVITY_M_S2))
             slips = x * x + y * y > (f.feet.friction * m.clip(-z, 0.0, 1e3)) * (f.feet.friction * m.clip(-z, 0.0, 1e3))
             self.tied = self.tied & m.no(slips)
         v, w = r.v, r.w
         still = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2] < 9e-4) & (w[0] * w[0] + w[1] * w[1] + w[2] * w[2] < 0.04)
         ties = still & m.no(motors) & (touching >= 3.0) & m.no(self.tied)
         if m.any(ties):
-            d = back(ground.R, (self.p[0] - ground.p[0], self.p[1] - ground.p[1], self.p[2] - ground.p[2]))
+            d = inverse_rotate(ground.R, (self.p[0] - ground.p[0], self.p[1] - ground.p[1], self.p[2] - ground.p[2]))
             self._tied_d = _pick(m, ties, d, self._tied_d)
             w0, x0, y0, z0 = quaternion_of_rpy(m, *rpy_of(m, ground.R))
             q = product((w0, -x0, -y0, -z0), self.q)

@@ -5,7 +5,7 @@
     world.stick(Stick(roll=0.1, progressive=True))
     world.readings(), world.render(), world.truth()
 
-Commands take effect at the next step; asking for readings, pictures or truth changes nothing.
+Commands take effect at the next step; asking for readings, frames or truth changes nothing.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.airframe import Limits
 from sitl.camera import Renderer, Shot
 from sitl.contact import Ground
-from sitl.darkroom import Darkroom
 from sitl.faults import FaultTimer, FramesDelayed, FramesDropped, FramesMisstamped, FramesShifted, Gust, WeakRotor
 from sitl.faulty_sensors import FROZEN, distorted
+from sitl.render_worker import RenderWorker
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.sensors import Readings, Sensors
-from sitl.stage import airframe, blowing, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind
+from sitl.stage import airframe, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind, wind_from
 from sitl.vehicle import SEA, Phase, Vehicle
 
-__all__ = ["Phase", "Picture", "Readings", "Stick", "Touchdown", "Truth", "World"]
+__all__ = ["Phase", "Readings", "RenderedFrame", "Stick", "Touchdown", "Truth", "World"]
 
 STEP_NS = 4_000_000
 """Of the physics: 250 Hz, some fifteen steps to a radian of the stiffest spring."""
@@ -90,12 +90,12 @@ class Touchdown:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class RenderedFrame:
     """One exposure."""
 
     px: NDArray[np.uint8]
     """(H, W, 3) BGR."""
-    taken: MonoNs
+    exposed_at: MonoNs
     """The middle of the exposure."""
     exposure_s: float
     stamp_error_s: float = 0.0
@@ -249,7 +249,7 @@ class World:
         true = self._sensors.read(self.at, self._vehicle, self._motors_on)
         return distorted(true, self.faults, self._held) if self.faults.active_kinds else true
 
-    def render(self) -> Picture:
+    def render(self) -> RenderedFrame:
         """What the bottom camera sees, the newest step being the middle of the exposure."""
         return self.expose()()
 
@@ -260,12 +260,12 @@ class World:
             self._renderer = renderer(self.scenario, self.waves, self.vessel)
         return self._renderer
 
-    def expose(self, room: Darkroom | None = None) -> Callable[[], Picture]:
-        """`render` in two parts: the scene is fixed now, and the call makes the picture, in another thread if need be, while
+    def expose(self, room: RenderWorker | None = None) -> Callable[[], RenderedFrame]:
+        """`render` in two parts: the scene is fixed now, and the call makes the frame, in another thread if need be, while
         the world goes on. One such call at a time.
 
         Args:
-            room: makes the picture from now on; the call then waits for it.
+            room: makes the frame from now on; the call then waits for it.
         """
         at, exposure_s = self.at, self.scenario.camera.exposure_s
         error_s = sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
@@ -273,15 +273,15 @@ class World:
         image, true_view = (self._newest_image, False) if frozen else self._image(room)
         assert image is not None
         self._newest_image = image
-        return lambda: Picture(image(), at, exposure_s, error_s, true_view)
+        return lambda: RenderedFrame(image(), at, exposure_s, error_s, true_view)
 
-    def _image(self, room: Darkroom | None) -> tuple[Callable[[], NDArray[np.uint8]], bool]:
+    def _image(self, room: RenderWorker | None) -> tuple[Callable[[], NDArray[np.uint8]], bool]:
         """The call that makes the image of the scene as it is now, and whether that is what the camera truly sees."""
         rng = np.random.default_rng([self._camera_seed, self._tick])
         if self.faults.active("lens_covered"):
             dark = rng.integers(0, 8, (self.camera.height, self.camera.width, 3), dtype=np.uint8)
             return lambda: dark, False
-        v, g, develop = self._vehicle, self._ground, self.renderer.render
+        v, g, expose = self._vehicle, self._ground, self.renderer.render
         aside = self._aside()
         shot = Shot(
             t_s=self._seconds,
@@ -295,7 +295,7 @@ class World:
             v_pad_ned=np.array(g.v),
             w_pad=np.array(g.w),
         )
-        made = cache(room.order(shot, rng) if room is not None else lambda: develop(shot, rng))
+        made = cache(room.order(shot, rng) if room is not None else lambda: expose(shot, rng))
         return made, not aside.any()
 
     def _aside(self) -> F64:
@@ -403,4 +403,4 @@ class World:
 def _gust(fault: Gust, since_s: float) -> tuple[float, float, float]:
     """m/s in ned. Source: the "1 - cosine" discrete gust of MIL-F-8785C, 3.7.1.3, in time instead of place."""
     share = 0.5 * (1.0 - math.cos(math.tau * since_s / (fault.for_s or math.inf)))
-    return blowing(share * fault.speed_m_s, fault.from_deg)
+    return wind_from(share * fault.speed_m_s, fault.from_deg)

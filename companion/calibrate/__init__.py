@@ -1,1 +1,1 @@
-"""A camera's intrinsics and distortion from pictures of a printed board."""
+"""A camera's intrinsics and distortion from images of a printed board."""

@@ -1,4 +1,4 @@
-"""The calibration board: what is printed, and where its corners are in a picture."""
+"""The calibration board: what is printed, and where its corners are in an image."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Board:
         return black
 
     def find(self, grey: U8) -> tuple[NDArray[np.int64], F64] | None:
-        """Corners in a picture: their (n,) indices into `corners_m` and (n, 2) px; None when it is not seen well enough."""
+        """Corners in an image: their (n,) indices into `corners_m` and (n, 2) px; None when it is not seen well enough."""
         if self.kind == "chessboard":
             pattern = (self.columns - 1, self.rows - 1)
             ok, corners = cv2.findChessboardCornersSB(grey, pattern, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)

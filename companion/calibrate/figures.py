@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from companion.calibrate.judge import CELLS, coverage
+from companion.calibrate.assess import CELLS, coverage
 from companion.calibrate.solve import Solution
 from companion.calibrate.views import View
 
 
 def write_coverage(views: Sequence[View], size: tuple[int, int], path: Path) -> None:
-    """A PNG: every corner of every view in the picture, and the cells that hold none."""
+    """A PNG: every corner of every view in the image, and the cells that hold none."""
     w, h = size
     figure, axes = _figure(7.2, 6.6 * h / w + 0.9)
     counts = coverage(views, size)
@@ -31,14 +31,14 @@ def write_coverage(views: Sequence[View], size: tuple[int, int], path: Path) -> 
                 )
     for view in views:
         axes.plot(view.uv_px[:, 0], view.uv_px[:, 1], ".", ms=5, color="#1f4e79", alpha=0.7, mew=0)
-    _picture_axes(axes, size)
+    _image_axes(axes, size)
     covered = np.mean(counts > 0)
-    axes.set_title(f"{len(views)} views, {sum(len(v.ids) for v in views)} corners, {covered:.0%} of the picture covered", size=10)
+    axes.set_title(f"{len(views)} views, {sum(len(v.ids) for v in views)} corners, {covered:.0%} of the image covered", size=10)
     _save(figure, path)
 
 
 def write_residuals(solution: Solution, path: Path) -> None:
-    """A PNG: residuals as arrows over the picture, enlarged, and each view's error."""
+    """A PNG: residuals as arrows over the image, enlarged, and each view's error."""
     size = (solution.camera.width, solution.camera.height)
     figure = Figure(figsize=(11.0, 4.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -51,7 +51,7 @@ def write_residuals(solution: Solution, path: Path) -> None:
         color="#1f4e79",
     )  # fmt: skip
     left.plot(solution.camera.cx, solution.camera.cy, "+", color="#b03a2e", ms=12)
-    _picture_axes(left, size)
+    _image_axes(left, size)
     left.set_title(f"residuals, {enlarged:.0f} times enlarged; + principal point", size=10)
     every = [(f, True) for f in solution.fits] + [(f, False) for f in solution.left_out]
     colours = ["#1f4e79" if used else "#b03a2e" for _, used in every]
@@ -76,7 +76,7 @@ def _patch(corner: tuple[float, float], width: float, height: float, colour: str
     return Rectangle(corner, width, height, facecolor=colour, edgecolor="white")
 
 
-def _picture_axes(axes, size: tuple[int, int]) -> None:  # type: ignore[no-untyped-def]
+def _image_axes(axes, size: tuple[int, int]) -> None:  # type: ignore[no-untyped-def]
     axes.set_xlim(-0.5, size[0] - 0.5)
     axes.set_ylim(size[1] - 0.5, -0.5)
     axes.set_aspect("equal")

@@ -1,4 +1,4 @@
-"""Views from pictures, from a video, or from a live camera that a person moves the board before."""
+"""Views from images, from a video, or from a live camera that a person moves the board before."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 import av
 import numpy as np
 
-from companion.calibrate.judge import missing_before
+from companion.calibrate.assess import missing_before
 from companion.calibrate.views import Collection
-from drivers import images
+from drivers.camera import images
+from drivers.camera.video_source import open_camera
+from drivers.camera.video_source_options import CameraOptions
+from drivers.camera.videos import open_video
 from drivers.clock import SystemClock
-from drivers.video_source import open_camera
-from drivers.video_source_options import CameraOptions
-from drivers.videos import open_video
 from estimator.contracts.errors import BadInput, Recoverable
 
 PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
@@ -23,18 +23,18 @@ PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", "
 Told = Callable[[Collection], None]
 
 
-def picture_files(paths: Sequence[Path]) -> list[Path]:
-    """The pictures and videos that the paths name; of folders all pictures in them.
+def image_files(paths: Sequence[Path]) -> list[Path]:
+    """The images and videos that the paths name; of folders all images in them.
 
     Raises:
-        BadInput: a path that does not exist, or a folder without pictures.
+        BadInput: a path that does not exist, or a folder without images.
     """
     files: list[Path] = []
     for path in paths:
         if path.is_dir():
             inside = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURES)
             if not inside:
-                raise BadInput(f"{path}: no picture in this folder")
+                raise BadInput(f"{path}: no image in this folder")
             files += inside
         elif path.is_file():
             files.append(path)
@@ -44,7 +44,7 @@ def picture_files(paths: Sequence[Path]) -> list[Path]:
 
 
 def look_at(file: Path, collection: Collection, tell: Told) -> None:
-    """Add a picture, or every frame of a video.
+    """Add an image, or every frame of a video.
 
     Raises:
         BadInput: it is neither, or of another size than those before it.
@@ -55,7 +55,7 @@ def look_at(file: Path, collection: Collection, tell: Told) -> None:
         except OSError as why:
             raise BadInput(f"{file}: {why.strerror or why}") from why
         except images.ImageRefused as why:
-            raise BadInput(f"{file}: not a picture that can be read ({why})") from why
+            raise BadInput(f"{file}: not an image that can be read ({why})") from why
         collection.add(file.name, px)
         tell(collection)
         return
@@ -67,14 +67,14 @@ def look_at(file: Path, collection: Collection, tell: Told) -> None:
     except images.ImageRefused as why:
         raise BadInput(f"{file}: {why}") from why
     except (av.FFmpegError, OSError, IndexError) as why:
-        raise BadInput(f"{file}: neither a picture nor a video that can be read") from why
+        raise BadInput(f"{file}: neither an image nor a video that can be read") from why
 
 
 async def watch(options: CameraOptions, collection: Collection, tell: Told, timeout_s: float, first_s: float = 10.0) -> None:
-    """Add what a live camera shows until the views cover the picture, or until `timeout_s`.
+    """Add what a live camera shows until the views cover the image, or until `timeout_s`.
 
     Raises:
-        Recoverable: no picture within `first_s`; the text says why.
+        Recoverable: no image within `first_s`; the text says why.
         BadInput, SetupImpossible: as `open_camera`.
     """
     loop = asyncio.get_running_loop()
@@ -83,7 +83,7 @@ async def watch(options: CameraOptions, collection: Collection, tell: Told, time
             async with asyncio.timeout(first_s):
                 frame = await camera.frames.get()
         except TimeoutError as why:
-            raise Recoverable(camera.down or f"no picture within {first_s:g} s") from why
+            raise Recoverable(camera.down or f"no image within {first_s:g} s") from why
         try:
             async with asyncio.timeout(timeout_s):
                 while True:

@@ -43,7 +43,7 @@ class Fit:
     residual_px: F64
     """(n, 2) measured minus predicted."""
     tilt_deg: tuple[float, float]
-    """Of the board against the picture's plane, about the picture's x and y."""
+    """Of the board against the image's plane, about the image's x and y."""
     distance_m: float
 
     @property
@@ -74,8 +74,8 @@ def solve(views: Sequence[View], board: Board, size: tuple[int, int], mount: Tra
     """The camera that explains the views best.
 
     Args:
-        size: (width, height) px of the pictures.
-        mount: `T_body_cam` of the camera; straight down with the nose at the top of the picture when None.
+        size: (width, height) px of the images.
+        mount: `T_body_cam` of the camera; straight down with the nose at the top of the image when None.
 
     Raises:
         BadInput: too few views, or views that no camera explains (the wrong board, say).
@@ -129,7 +129,7 @@ def _best_model(views: Sequence[View], board: Board, size: tuple[int, int], moun
 
 
 def _one_to_one(camera: Camera) -> bool:
-    """Whether the distortion grows with the angle all over the picture."""
+    """Whether the distortion grows with the angle all over the image."""
     w, h = camera.width, camera.height
     edge = np.array([(u, v) for u in (0, w / 2, w - 1) for v in (0, h / 2, h - 1)], dtype=float)
     reach = float(np.linalg.norm((edge - (camera.cx, camera.cy)) / (camera.fx, camera.fy), axis=1).max())

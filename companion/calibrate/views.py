@@ -1,4 +1,4 @@
-"""Pictures that show the board, as many different ones as a calibration can use."""
+"""Images that show the board, as many different ones as a calibration can use."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ U8 = NDArray[np.uint8]
 MOST = 60
 """Views kept; more only cost time."""
 _NEW = 0.06
-"""Share of the picture's diagonal that the board must have moved, shrunk or turned to be a new view."""
+"""Share of the image's diagonal that the board must have moved, shrunk or turned to be a new view."""
 _STILL = 0.004
-"""Share of the diagonal that the board may have moved since the frame before, in a moving picture: more is blur."""
+"""Share of the diagonal that the board may have moved since the frame before, in a moving image: more is blur."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """One picture of the board."""
+    """One image of the board."""
 
     name: str
     ids: NDArray[np.int64]
@@ -34,9 +34,9 @@ class View:
 
 
 class Collection:
-    """Views of one camera, gathered one picture after the other.
+    """Views of one camera, gathered one image after the other.
 
-    With `moving` (video, live camera) a picture is taken only when the board stands still in it and shows something new.
+    With `moving` (video, live camera) an image is taken only when the board stands still in it and shows something new.
     """
 
     def __init__(self, board: Board, moving: bool) -> None:
@@ -48,12 +48,12 @@ class Collection:
         self.views: list[View] = []
         self.looked = 0
         self.without: list[str] = []
-        """Names of pictures in which the board was not found."""
+        """Names of images in which the board was not found."""
         self.repeated = 0
-        """Pictures that showed nothing new, or a moving board."""
+        """Images that showed nothing new, or a moving board."""
 
     def add(self, name: str, px: U8) -> View | None:
-        """Look at one (H, W) or (H, W, 3) picture; the view, when it was kept.
+        """Look at one (H, W) or (H, W, 3) image; the view, when it was kept.
 
         Raises:
             BadInput: its size is not that of the others.
@@ -62,7 +62,7 @@ class Collection:
         if self.size is None:
             self.size = size
         if size != self.size:
-            raise BadInput(f"{name}: {size[0]}x{size[1]} px, but the pictures before it have {self.size[0]}x{self.size[1]} px")
+            raise BadInput(f"{name}: {size[0]}x{size[1]} px, but the images before it have {self.size[0]}x{self.size[1]} px")
         self.looked += 1
         grey = np.asarray(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), np.uint8) if px.ndim == 3 else px
         found = self._board.find(grey)

@@ -1,4 +1,4 @@
-"""`decklander calibrate camera`: a camera file from pictures of a printed board, its grade, and what the pictures lack."""
+"""`decklander calibrate camera`: a camera file from images of a printed board, its grade, and what the images lack."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from companion import event_loop
-from companion.calibrate import figures, judge
+from companion.calibrate import assess, figures
 from companion.calibrate.board import Board
 from companion.calibrate.camera_file import text
-from companion.calibrate.gather import PICTURES, look_at, picture_files, watch
+from companion.calibrate.gather import PICTURES, image_files, look_at, watch
 from companion.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.calibrate.views import Collection
 from companion.cli import board_option
-from drivers.video_source_options import FORMATS, CameraOptions, StreamOptions, V4l2Options
+from companion.runtime import event_loop
+from drivers.camera.video_source_options import FORMATS, CameraOptions, StreamOptions, V4l2Options
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
 
@@ -29,15 +29,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     outer = subparsers.add_parser("calibrate", help="measure a camera", description="Measure a camera.")
     p = outer.add_subparsers(dest="action", metavar="WHAT", required=True).add_parser(
         "camera",
-        help="intrinsics and distortion from pictures of a printed board",
-        description="Intrinsics and distortion from pictures of a printed board (print one: decklander pad --board charuco). "
+        help="intrinsics and distortion from images of a printed board",
+        description="Intrinsics and distortion from images of a printed board (print one: decklander pad --board charuco). "
         "The result is graded: good; fair, when its numbers hold but parts of the image or of the tilts were not covered; poor. "
-        "Exit code 1 when it is worse than --accept allows; then no file is written and what the pictures lack is listed.",
+        "Exit code 1 when it is worse than --accept allows; then no file is written and what the images lack is listed.",
     )
-    p.add_argument("paths", nargs="*", metavar="PATH", help="pictures, folders of pictures, or videos")
+    p.add_argument("paths", nargs="*", metavar="PATH", help="images, folders of images, or videos")
     p.add_argument("--device", metavar="NAME", help="a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
-    p.add_argument("--size", metavar="WxH", help="picture of the live V4L2 camera")
-    p.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="its pictures a second (default: %(default)s)")
+    p.add_argument("--size", metavar="WxH", help="image of the live V4L2 camera")
+    p.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="its images a second (default: %(default)s)")
     p.add_argument("--format", default="auto", choices=["auto", *FORMATS], help="its pixel format (default: %(default)s)")
     p.add_argument(
         "--seconds", type=float, default=120.0, metavar="S", help="look at it no longer than this (default: %(default)s)"
@@ -50,13 +50,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     p.add_argument(
         "--accept",
         default="good",
-        choices=judge.GRADES,
+        choices=assess.GRADES,
         help="write a camera of this grade or a better one (default: %(default)s)",
     )
     p.add_argument("--figures", metavar="DIR", help="where to put coverage.png and residuals.png")
     p.add_argument("--position-m", default="0,0,0", metavar="F,R,D", help="camera in the body: forward, right, down")
     p.add_argument(
-        "--rpy-deg", default="0,0,90", metavar="R,P,Y", help="its mount; 0,0,90 looks down, nose at the picture's top (default)"
+        "--rpy-deg", default="0,0,90", metavar="R,P,Y", help="its mount; 0,0,90 looks down, nose at the image's top (default)"
     )
     p.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     """0 when a camera file was written, 1 when the set is too poor.
 
     Raises:
-        BadInput: an argument, a picture or the board is wrong.
+        BadInput: an argument, an image or the board is wrong.
     """
     board = board_option.board(args, args.board)
     position, rpy = _three(args.position_m, "--position-m"), _three(args.rpy_deg, "--rpy-deg")
@@ -76,15 +76,15 @@ def run(args: argparse.Namespace) -> int:
     collection = _gather(args, board)
     size = collection.size or (0, 0)
     if len(collection.views) < LEAST_VIEWS:
-        lacks = judge.missing_before(collection.views, size) if collection.views else ["the board"]
-        _say(args, collection, None, judge.Assessment(tuple(lacks), ()), written=False)
+        lacks = assess.missing_before(collection.views, size) if collection.views else ["the board"]
+        _say(args, collection, None, assess.Assessment(tuple(lacks), ()), written=False)
         return 1
     solution = solve(collection.views, board, size, mount)
     if args.figures is not None:
         figures.write_coverage([f.view for f in solution.fits], size, Path(args.figures) / "coverage.png")
         figures.write_residuals(solution, Path(args.figures) / "residuals.png")
-    found = judge.assess(solution, size)
-    accepted = judge.GRADES.index(found.grade) <= judge.GRADES.index(args.accept)
+    found = assess.assess(solution, size)
+    accepted = assess.GRADES.index(found.grade) <= assess.GRADES.index(args.accept)
     if accepted:
         source = args.device or f"{len(args.paths)} files or folders"
         try:
@@ -98,20 +98,20 @@ def run(args: argparse.Namespace) -> int:
 def _gather(args: argparse.Namespace, board: Board) -> Collection:
 
     if bool(args.paths) == (args.device is not None):
-        raise BadInput("give either pictures and videos, or --device")
+        raise BadInput("give either images and videos, or --device")
     quiet = args.json or not sys.stderr.isatty()
 
     def tell(collection: Collection) -> None:
         if not quiet:
-            lacks = judge.missing_before(collection.views, collection.size or (1, 1))
-            line = f"{collection.looked} pictures, {len(collection.views)} views; {lacks[0] if lacks else 'enough'}"
+            lacks = assess.missing_before(collection.views, collection.size or (1, 1))
+            line = f"{collection.looked} images, {len(collection.views)} views; {lacks[0] if lacks else 'enough'}"
             sys.stderr.write(f"\r{line[:100]:<100}")
 
     if args.device is not None:
         collection = Collection(board, moving=True)
         event_loop.run(watch(_camera(args), collection, tell, args.seconds))
     else:
-        files = picture_files([Path(p) for p in args.paths])
+        files = image_files([Path(p) for p in args.paths])
 
         collection = Collection(board, moving=any(f.suffix.lower() not in PICTURES for f in files))
         for file in files:
@@ -126,7 +126,7 @@ def _camera(args: argparse.Namespace) -> CameraOptions:
         return StreamOptions(args.device)
     match = re.fullmatch(r"(\d+)[xX](\d+)", args.size or "")
     if match is None:
-        raise BadInput(f"--size must be the picture to calibrate, such as 640x480, got {args.size!r}")
+        raise BadInput(f"--size must be the image to calibrate, such as 640x480, got {args.size!r}")
     try:
         return V4l2Options(args.device, int(match[1]), int(match[2]), args.rate, args.format)
     except ValueError as why:
@@ -144,12 +144,12 @@ def _three(text: str, name: str) -> tuple[float, float, float]:
 
 
 def _say(
-    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: judge.Assessment, *, written: bool
+    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: assess.Assessment, *, written: bool
 ) -> None:
     if args.json:
         sys.stdout.write(json.dumps(_record(args, collection, solution, found, written=written)) + "\n")
         return
-    lines = [f"{collection.looked} pictures: {len(collection.views)} views, the board not found in {len(collection.without)}"]
+    lines = [f"{collection.looked} images: {len(collection.views)} views, the board not found in {len(collection.without)}"]
     if solution is not None:
         c, s = solution.camera, solution.sigma
         lines += [
@@ -168,14 +168,14 @@ def _say(
 
 
 def _record(
-    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: judge.Assessment, *, written: bool
+    args: argparse.Namespace, collection: Collection, solution: Solution | None, found: assess.Assessment, *, written: bool
 ) -> dict[str, object]:
     record: dict[str, object] = {
         "good": found.grade == "good",
         "grade": found.grade,
         "missing": found.missing,
         "file": args.out if written else None,
-        "pictures": collection.looked,
+        "images": collection.looked,
         "views": len(collection.views),
         "without_board": collection.without,
     }

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from companion import settings_pages
-from companion.settings import load, shipped
+from companion.config import reference
+from companion.config.settings import load, shipped
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -35,9 +35,9 @@ def run(args: argparse.Namespace) -> int:
             load(file)
             sys.stdout.write(f"{file}: good\n")
     elif args.action == "show":
-        sys.stdout.write(settings_pages.toml(load(args.file)))
+        sys.stdout.write(reference.toml(load(args.file)))
     elif args.action == "schema":
-        sys.stdout.write(settings_pages.schema())
+        sys.stdout.write(reference.schema())
     else:
-        sys.stdout.write(settings_pages.reference())
+        sys.stdout.write(reference.reference())
     return 0

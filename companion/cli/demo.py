@@ -18,22 +18,22 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from companion import event_loop
 from companion.cli import record_option
 from companion.cli.machine_load import Load
 from companion.cli.progress import Progress
 from companion.cli.verdict import Contact, Ending
 from companion.cli.version import version
-from companion.health import Health
+from companion.config.model import CameraSettings, PadSettings, Settings
+from companion.config.settings import load, shipped
 from companion.observer import Observer
 from companion.pilot import Outcome
 from companion.report.flight_log import FlightLog, TruthSample
-from companion.report.keeper import LogKeeper
+from companion.report.log_observer import LogObserver
 from companion.report.page import PAGE, write_report
-from companion.service import live, make_daemon, make_pilot
-from companion.settings import load, shipped
-from companion.settings_model import CameraSettings, PadSettings, Settings
-from companion.signals import check, ending_signal
+from companion.runtime import event_loop
+from companion.runtime.health import Health
+from companion.runtime.service import live, make_daemon, make_pilot
+from companion.runtime.signals import check, ending_signal
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
@@ -84,7 +84,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             pilot = make_pilot(settings, shadows=SHADOWS)
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
             progress = None if args.json else Progress()
-            observers: list[Observer] = [LogKeeper(log)] if progress is None else [LogKeeper(log), progress]
+            observers: list[Observer] = [LogObserver(log)] if progress is None else [LogObserver(log), progress]
             facts = {"kind": "demo", "scenario": args.scenario, "seed": str(args.seed)}
             with record_option.recording(args, settings, facts, live=True) as recorder:
                 if recorder is not None:

@@ -1,6 +1,6 @@
-"""`decklander detect`: the pad in pictures and videos, one line or one JSON object a frame.
+"""`decklander detect`: the pad in images and videos, one line or one JSON object a frame.
 
-What was asked for is checked before any work: paths, camera, pad, attitudes. A file that turns out not to be a picture is
+What was asked for is checked before any work: paths, camera, pad, attitudes. A file that turns out not to be an image is
 named on stderr, the others are still done, and the exit code is 2.
 """
 
@@ -21,19 +21,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.settings import find_file, read_toml
-from drivers import images
-from drivers.videos import open_video
+from companion.config.settings import find_file, read_toml
+from drivers.camera import images
+from drivers.camera.videos import open_video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
-from estimator.vision.eyes import Eyes, EyesMemory, see, together
-from estimator.vision.look import Look, look
 from estimator.vision.pad import Pad
-from estimator.vision.segmentation import COLOUR_SETS, ColourSet
+from estimator.vision.thesis.detection import Detection, detect
+from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, together, track
 
 U8 = NDArray[np.uint8]
 
@@ -52,7 +52,7 @@ class _Tilt:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Picture:
+class _Image:
     source: str
     index: int
     px: U8
@@ -67,7 +67,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="The position is that of the pad from the body, forward, right, down, in a frame that keeps the body's heading "
         "but not its tilt; the heading is the body's against the arrow, clockwise from above positive.",
     )
-    p.add_argument("paths", nargs="+", metavar="PATH", help="a picture, a video, or a folder of them")
+    p.add_argument("paths", nargs="+", metavar="PATH", help="an image, a video, or a folder of them")
     p.add_argument(
         "--camera", required=True, metavar="FILE", help="camera file, or the name of a shipped one (sim, ardrone2_bottom)"
     )
@@ -77,7 +77,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     p.add_argument(
         "--attitude",
         metavar="FILE",
-        help="CSV with header source,roll_deg,pitch_deg; source is the picture's path or file name, of a video's frame with "
+        help="CSV with header source,roll_deg,pitch_deg; source is the image's path or file name, of a video's frame with "
         "#INDEX after it. A frame without a row counts as level, at the price of a wide covariance",
     )
     p.add_argument(
@@ -98,10 +98,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look at every frame. 0 when one shows the pad, 1 when none does, 2 when a file was no picture.
+    """Look at every frame. 0 when one shows the pad, 1 when none does, 2 when a file was no image.
 
     Raises:
-        BadInput: a path, the camera, the pad or the attitudes are wrong, or a picture is not of the camera's size.
+        BadInput: a path, the camera, the pad or the attitudes are wrong, or an image is not of the camera's size.
     """
     files = _files(args.paths)
     camera_file = find_file(args.camera, "cameras", Path(), "--camera")
@@ -116,19 +116,19 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.write(_HEADER)
     for file in files:
         try:
-            for picture in _pictures(file, camera, camera_file):
-                attitude = _attitude(tilts, picture, math.radians(args.attitude_sigma_deg))
-                frame = Frame(_STAMP, picture.index, picture.px)
+            for image in _images(file, camera, camera_file):
+                attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg))
+                frame = Frame(_STAMP, image.index, image.px)
                 began = time.perf_counter()
                 seen, colours = _best(frame, attitude, camera, pad, sets)
                 elapsed_ms = (time.perf_counter() - began) * 1e3
                 frames += 1
                 found += seen.selected is not None
-                record = _record(picture, seen, colours, elapsed_ms)
-                sys.stdout.write(json.dumps(record) + "\n" if args.json else _line(picture, seen, elapsed_ms))
+                record = _record(image, seen, colours, elapsed_ms)
+                sys.stdout.write(json.dumps(record) + "\n" if args.json else _line(image, seen, elapsed_ms))
                 if album is not None:
-                    _write(album / f"{file.stem}_{picture.index:05d}.png", _drawn(picture, seen, camera))
-        except _NoPictureError as why:
+                    _write(album / f"{file.stem}_{image.index:05d}.png", _drawn(image, seen, camera))
+        except _NoImageError as why:
             unreadable += 1
             sys.stdout.flush()
             sys.stderr.write(f"decklander: {why}\n")
@@ -139,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if found else 1
 
 
-class _NoPictureError(Exception):
+class _NoImageError(Exception):
     """One file cannot be decoded; the text names it."""
 
 
@@ -161,7 +161,7 @@ def _files(paths: Sequence[str]) -> list[Path]:
             if path.is_dir():
                 inside = sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in PICTURES | VIDEOS)
                 if not inside:
-                    raise BadInput(f"{text}: no picture or video in this folder")
+                    raise BadInput(f"{text}: no image or video in this folder")
                 files += inside
             elif path.is_file():
                 files.append(path)
@@ -172,7 +172,7 @@ def _files(paths: Sequence[str]) -> list[Path]:
     return files
 
 
-def _pictures(file: Path, camera: Camera, camera_file: Path) -> Iterator[_Picture]:
+def _images(file: Path, camera: Camera, camera_file: Path) -> Iterator[_Image]:
     size = camera.width, camera.height
     if file.suffix.lower() not in VIDEOS:
         try:
@@ -180,27 +180,27 @@ def _pictures(file: Path, camera: Camera, camera_file: Path) -> Iterator[_Pictur
             claimed = images.claimed_size(data)
             if claimed is not None and size not in (claimed, claimed[::-1]):
                 raise _wrong_size(str(file), claimed, camera, camera_file)
-            yield _Picture(str(file), 0, images.decode(data, size, turned=True))
+            yield _Image(str(file), 0, images.decode(data, size, turned=True))
             return
         except OSError as why:
-            raise _NoPictureError(f"{file}: {why.strerror or why}") from why
+            raise _NoImageError(f"{file}: {why.strerror or why}") from why
         except images.ImageRefused as why:
             if file.suffix.lower() in PICTURES:
-                raise _NoPictureError(f"{file}: not a picture that can be read ({why})") from why
+                raise _NoImageError(f"{file}: not an image that can be read ({why})") from why
     index = 0
     try:
         with open_video(str(file), size) as container:
             for frame in container.decode(video=0):
                 if (frame.width, frame.height) != size:
                     raise _wrong_size(str(file), (frame.width, frame.height), camera, camera_file)
-                yield _Picture(str(file), index, np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
+                yield _Image(str(file), index, np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
                 index += 1
     except images.ImageRefused as why:
         raise BadInput(f"{file}: {why} ({camera_file})") from why
     except (av.FFmpegError, OSError, IndexError) as why:
-        raise _NoPictureError(f"{file}: neither a picture nor a video that can be read (stopped at frame {index})") from why
+        raise _NoImageError(f"{file}: neither an image nor a video that can be read (stopped at frame {index})") from why
     if index == 0:
-        raise _NoPictureError(f"{file}: a video without frames")
+        raise _NoImageError(f"{file}: a video without frames")
 
 
 def _wrong_size(source: str, size: tuple[int, int], camera: Camera, camera_file: Path) -> BadInput:
@@ -235,7 +235,7 @@ def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, _Tilt]:
         )
     known = {Path(source.split("#")[0]).name for source in tilts}
     if not any(file.name in known for file in files):
-        raise BadInput(f"{path}: no row is of any of the pictures; the first column is their path or file name")
+        raise BadInput(f"{path}: no row is of any of the images; the first column is their path or file name")
     return tilts
 
 
@@ -249,9 +249,9 @@ def _degrees(cell: str, name: str, where: str) -> float:
     return value
 
 
-def _attitude(tilts: Mapping[str, _Tilt], picture: _Picture, sigma_rad: float) -> Attitude | None:
-    name = Path(picture.source).name
-    keys = (f"{picture.source}#{picture.index}", f"{name}#{picture.index}", picture.source, name)
+def _attitude(tilts: Mapping[str, _Tilt], image: _Image, sigma_rad: float) -> Attitude | None:
+    name = Path(image.source).name
+    keys = (f"{image.source}#{image.index}", f"{name}#{image.index}", image.source, name)
     tilt = next((tilts[key] for key in keys if key in tilts), None)
     if tilt is None:
         return None
@@ -259,20 +259,20 @@ def _attitude(tilts: Mapping[str, _Tilt], picture: _Picture, sigma_rad: float) -
     return Attitude(_STAMP, R, np.eye(3) * sigma_rad**2)
 
 
-def _best(frame: Frame, attitude: Attitude | None, camera: Camera, pad: Pad, sets: Sequence[ColourSet]) -> tuple[Look, str]:
+def _best(frame: Frame, attitude: Attitude | None, camera: Camera, pad: Pad, sets: Sequence[ColourSet]) -> tuple[Detection, str]:
     """All methods fused, the thesis' with the colour set that gives the most confident result; and that set."""
-    looks = [(look(frame, attitude, camera, pad, colours), colours.name) for colours in sets]
+    looks = [(detect(frame, attitude, camera, pad, colours), colours.name) for colours in sets]
     thesis, colours = max(looks, key=lambda pair: -1.0 if pair[0].selected is None else pair[0].selected.confidence)
-    registered, _ = see(Eyes(camera, pad, sets[0], "registration"), EyesMemory(), frame, attitude)
+    registered, _ = track(TrackerConfig(camera, pad, sets[0], "registration"), TrackerMemory(), frame, attitude)
     return together(thesis, registered.selected), colours
 
 
-def _record(picture: _Picture, seen: Look, colours: str, elapsed_ms: float) -> dict[str, object]:
+def _record(image: _Image, seen: Detection, colours: str, elapsed_ms: float) -> dict[str, object]:
     """One JSON object: the keys of DESIGN.md section 4, and which colour limits it came from."""
     names = list(dict.fromkeys((*METHODS, *seen.methods)))
     return {
-        "source": picture.source,
-        "index": picture.index,
+        "source": image.source,
+        "index": image.index,
         "found": seen.selected is not None,
         **_numbers(seen.selected),
         "method": seen.chosen,
@@ -302,9 +302,9 @@ _HEADER = (
 )
 
 
-def _line(picture: _Picture, seen: Look, elapsed_ms: float) -> str:
-    name = Path(picture.source).name
-    name = name if picture.index == 0 and Path(picture.source).suffix.lower() not in VIDEOS else f"{name}#{picture.index}"
+def _line(image: _Image, seen: Detection, elapsed_ms: float) -> str:
+    name = Path(image.source).name
+    name = name if image.index == 0 and Path(image.source).suffix.lower() not in VIDEOS else f"{name}#{image.index}"
     if seen.selected is None:
         return f"{name:<28} {'nothing':<12} {'':>49} {'':>5} {elapsed_ms:6.1f}\n"
     s = seen.selected
@@ -331,20 +331,20 @@ def _write(path: Path, px: U8) -> None:
         raise BadInput(f"--annotate: cannot write {path}")
 
 
-def _drawn(picture: _Picture, seen: Look, camera: Camera) -> U8:
+def _drawn(image: _Image, seen: Detection, camera: Camera) -> U8:
     """Twice as large, with every method's features and the figures below."""
     scale = 2 if camera.width <= 1000 else 1
     h, w = camera.height * scale, camera.width * scale
     canvas = np.zeros((h + 44, w, 3), np.uint8)
-    canvas[:h] = cv2.resize(picture.px, (w, h), interpolation=cv2.INTER_NEAREST)
-    below = [_line(picture, seen, 0.0).rsplit(None, 1)[0]]
+    canvas[:h] = cv2.resize(image.px, (w, h), interpolation=cv2.INTER_NEAREST)
+    below = [_line(image, seen, 0.0).rsplit(None, 1)[0]]
     shift = 4
     for name, s in seen.methods.items():
         if s is None:
             continue
         ink = _INK.get(name, (255, 255, 255))
         for feature in s.features:
-            # Pixel centres stay pixel centres when the picture grows.
+            # Pixel centres stay pixel centres when the image grows.
             uv = np.nan_to_num((feature.uv_px + 0.5) * scale - 0.5, nan=-1e4).clip(-1e4, 1e4)
             fixed = np.rint(uv * (1 << shift)).astype(np.int32)
             if feature.kind == "point":

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import msgspec
 
-from companion import event_loop
+from companion.config.build_mavlink import autopilot_options
+from companion.config.settings import Settings, load
+from companion.config.vehicle import AutopilotSettings
 from companion.doctor.diagnose import RULES, diagnose
-from companion.doctor.finding import Finding, Gravity
+from companion.doctor.finding import Finding, Severity
 from companion.doctor.gather import examine
 from companion.doctor.gather_service import examine_service
-from companion.doctor.picture import Picture, decode, encode
-from companion.rig_mavlink import autopilot_options
-from companion.settings import Settings, load
-from companion.settings_vehicle import AutopilotSettings
+from companion.doctor.snapshot import Snapshot, decode, encode
+from companion.runtime import event_loop
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions
 from drivers.mavlink.endpoint import parse_endpoint
@@ -54,40 +54,40 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--signing-key", metavar="FILE", help="key file (or credential:NAME) where the links are signed")
     parser.add_argument("--seconds", type=float, default=4.0, help="how long to listen for each question (default 4)")
     parser.add_argument("--still-pad", action="store_true", help="the pad does not move: leave out what matters on a ship only")
-    parser.add_argument("--picture", metavar="FILE", help="examine a picture that was saved, not this machine; - for stdin")
+    parser.add_argument("--snapshot", metavar="FILE", help="examine a frame that was saved, not this machine; - for stdin")
     parser.add_argument("--save", metavar="FILE", help="save what was found out, to examine it elsewhere")
     parser.add_argument("--json", action="store_true", help="one JSON object a finding")
 
 
 def run(args: argparse.Namespace) -> int:
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
-    picture = _saved(args.picture) if args.picture else event_loop.run(_examined(args))
-    picture = msgspec.structs.replace(picture, moving_pad=picture.moving_pad and not args.still_pad)
+    snapshot = _saved(args.snapshot) if args.snapshot else event_loop.run(_examined(args))
+    snapshot = msgspec.structs.replace(snapshot, moving_pad=snapshot.moving_pad and not args.still_pad)
     if args.save:
         try:
-            Path(args.save).write_bytes(encode(picture))
+            Path(args.save).write_bytes(encode(snapshot))
         except OSError as why:
             raise BadInput(f"--save {args.save}: {why.strerror or why}") from why
-    found = diagnose(picture)
+    found = diagnose(snapshot)
     if args.json:
         for finding in found:
-            sys.stdout.write(json.dumps(asdict(finding) | {"gravity": finding.gravity.name.lower()}) + "\n")
+            sys.stdout.write(json.dumps(asdict(finding) | {"gravity": finding.severity.name.lower()}) + "\n")
     else:
-        sys.stdout.write(_page(picture, found))
-    return 1 if any(f.gravity is not Gravity.ADVICE for f in found) else 0
+        sys.stdout.write(_page(snapshot, found))
+    return 1 if any(f.severity is not Severity.ADVICE for f in found) else 0
 
 
-def _saved(where: str) -> Picture:
+def _saved(where: str) -> Snapshot:
     try:
         data = sys.stdin.buffer.read() if where == "-" else Path(where).read_bytes()
     except OSError as why:
-        raise BadInput(f"--picture {where}: {why.strerror or why}") from why
+        raise BadInput(f"--snapshot {where}: {why.strerror or why}") from why
     return decode(data, where)
 
 
-async def _examined(args: argparse.Namespace) -> Picture:
+async def _examined(args: argparse.Namespace) -> Snapshot:
     if not (args.link or args.config or args.broker):
-        raise BadInput("nothing to examine: give --link URL, --config FILE, --broker HOST:PORT or --picture FILE")
+        raise BadInput("nothing to examine: give --link URL, --config FILE, --broker HOST:PORT or --snapshot FILE")
     if not 0.5 <= args.seconds <= 600:
         raise BadInput(f"--seconds must lie in 0.5..600, got {args.seconds:g}")
     if args.broker and ":" in args.broker and not args.broker.rpartition(":")[2].isdigit():
@@ -96,9 +96,9 @@ async def _examined(args: argparse.Namespace) -> Picture:
     service = await examine_service(settings, args.broker, SystemClock())
     options = _options(args, settings)
     if options is None:
-        return Picture(0.0, service=service)
-    picture = await examine(options, SystemClock(), args.seconds, _progress)
-    return msgspec.structs.replace(picture, service=service)
+        return Snapshot(0.0, service=service)
+    snapshot = await examine(options, SystemClock(), args.seconds, _progress)
+    return msgspec.structs.replace(snapshot, service=service)
 
 
 def _options(args: argparse.Namespace, settings: Settings | None) -> AutopilotOptions | None:
@@ -123,16 +123,16 @@ def _progress(text: str) -> None:
         sys.stderr.write(f"{text} ...\n")
 
 
-def _page(picture: Picture, found: tuple[Finding, ...]) -> str:
+def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
     lines = []
-    if (a := picture.autopilot) is not None:
+    if (a := snapshot.autopilot) is not None:
         version = "" if a.firmware is None else " " + ".".join(map(str, a.firmware))
         lines.append(f"{a.stack}{version}, system {a.system}, mode {a.mode}, {len(a.parameters)} parameters read")
         lines += [f"  {name:<22} {rate:6.1f} Hz" for name, rate in sorted(a.rates_hz.items(), key=lambda i: -i[1])[:8]]
-    if picture.sync is not None and picture.sync.round_trip_s is not None:
+    if snapshot.sync is not None and snapshot.sync.round_trip_s is not None:
         lines.append(
-            f"clock: round trip {1e3 * picture.sync.round_trip_s:.1f} ms, {'locked' if picture.sync.locked else 'not locked'}"
+            f"clock: round trip {1e3 * snapshot.sync.round_trip_s:.1f} ms, {'locked' if snapshot.sync.locked else 'not locked'}"
         )
-    lines += [f"{f.gravity.name.lower()}: {f.what} [{f.rule}]\n    cure: {f.cure}" for f in found]
+    lines += [f"{f.severity.name.lower()}: {f.what} [{f.rule}]\n    cure: {f.fix}" for f in found]
     lines.append(f"{len(found)} of {len(RULES)} known traps found" if found else f"none of {len(RULES)} known traps found")
     return "\n".join(lines) + "\n"

@@ -1,7 +1,7 @@
 """The command `decklander`: finds the subcommand, runs it, and turns what went wrong into one line and an exit code.
 
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
-of our output went away; 143 ended by SIGTERM, with what was begun cleared away (`companion.signals` says how).
+of our output went away; 143 ended by SIGTERM, with what was begun cleared away (`companion.runtime.signals` says how).
 
 Each subcommand is a module with `add_parser(subparsers)` and `run(args) -> int`, imported only when it is asked for.
 """
@@ -17,7 +17,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
-from companion import signals
+from companion.runtime import signals
 from estimator.contracts.errors import BadInput, DecklanderError
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -29,7 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "replay": ("companion.cli.replay", "a recording through the estimator again"),
     "record": ("companion.cli.record", "look into recordings, mend them, make them from others'"),
     "watch": ("companion.cli.watch", "drones live in the terminal, over MQTT"),
-    "calibrate": ("companion.cli.calibrate", "a camera file from pictures of a printed board"),
+    "calibrate": ("companion.cli.calibrate", "a camera file from frames of a printed board"),
     "pad": ("companion.cli.pad", "print the pad or a calibration board true to scale"),
     "doctor": ("companion.cli.doctor", "why nothing happens: names every known trap of autopilot and links with its cure"),
     "keys": ("companion.cli.keys", "make, show, install and remove the key that MAVLink is signed with"),

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 from companion.cli import board_option
+from companion.config.settings import find_file, read_toml
 from companion.print_pad.drawing import board_drawing, pad_drawing
 from companion.print_pad.pdf import pdf
 from companion.print_pad.sheets import PAPERS, sheets
 from companion.print_pad.svg import svg
-from companion.settings import find_file, read_toml
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
 

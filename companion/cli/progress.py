@@ -6,11 +6,11 @@ import sys
 from collections import deque
 from typing import TextIO
 
-from companion.observer import Decision, FrameSeen, Silent
+from companion.observer import Decision, NullObserver, ProcessedFrame
 from estimator.contracts.time import MonoNs, seconds_between
 
 
-class Progress(Silent):
+class Progress(NullObserver):
     """Height, lateral distance, phase, frame rate and delay, as the daemon itself believes them.
 
     Args:
@@ -28,10 +28,10 @@ class Progress(Silent):
         self._delay_s: float | None = None
         self._verdict = ""
 
-    def on_frame(self, seen: FrameSeen) -> None:
-        self._frames.append(seen.frame.stamp.taken)
-        self._delay_s = seconds_between(seen.frame.stamp.taken, seen.done)
-        self._verdict = seen.verdict.value.replace("_", " ")
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self._frames.append(processed.frame.stamp.measured_at)
+        self._delay_s = seconds_between(processed.frame.stamp.measured_at, processed.done)
+        self._verdict = processed.verdict.value.replace("_", " ")
 
     def on_decision(self, decision: Decision) -> None:
         self._began = decision.at if self._began is None else self._began

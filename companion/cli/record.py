@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from companion.observer import FrameSeen
+from companion.config.settings import Settings, camera_model, load, shipped
+from companion.observer import ProcessedFrame
 from companion.recorder.reading import RecordedFrame, Recording, instant, open_recording
 from companion.recorder.rewriting import Cut, rewrite
 from companion.recorder.setup import about, recorder_to_file
-from companion.settings import Settings, camera_model, load, shipped
 from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
@@ -47,7 +47,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     mend.add_argument("--inputs", action="store_true", help="only samples, frames and truth, not what was concluded from them")
     mend.add_argument("--samples-each", type=int, default=1, metavar="N", help="keep each n-th sample of a kind")
     mend.add_argument("--frames-each", type=int, default=1, metavar="N", help="keep each n-th frame")
-    mend.add_argument("--no-pictures", action="store_true", help="keep what was seen, not the pictures")
+    mend.add_argument("--no-frames", action="store_true", help="keep what was seen, not the frames")
     foreign = actions.add_parser(
         "import",
         help="make a recording of what others recorded",
@@ -74,29 +74,29 @@ def _info(args: argparse.Namespace) -> int:
     recording = open_recording(args.files)
     first: int | None = None
     last = 0
-    pictures = 0
+    images = 0
     verdicts: Counter[str] = Counter()
     for event in recording.events():
         at = instant(event)
         first, last = (at if first is None else min(first, at)), max(last, at)
         if isinstance(event, RecordedFrame):
-            pictures += event.picture is not None
+            images += event.image is not None
             verdicts[event.record.verdict] += 1
     seconds = 0.0 if first is None else (last - first) * 1e-9
     if args.json:
-        out: dict[str, Any] = {"seconds": round(seconds, 3), "messages": dict(recording.counts), "pictures": pictures}
+        out: dict[str, Any] = {"seconds": round(seconds, 3), "messages": dict(recording.counts), "frames": images}
         out |= {"verdicts": dict(verdicts), "cut": {str(p): why for p, why in recording.cut.items()}, **recording.metadata}
         sys.stdout.write(json.dumps(out) + "\n")
         return 0
-    sys.stdout.write("\n".join(_described(recording, seconds, pictures, verdicts)) + "\n")
+    sys.stdout.write("\n".join(_described(recording, seconds, images, verdicts)) + "\n")
     return 0
 
 
-def _described(recording: Recording, seconds: float, pictures: int, verdicts: Counter[str]) -> list[str]:
+def _described(recording: Recording, seconds: float, images: int, verdicts: Counter[str]) -> list[str]:
     out = [f"{path} is cut short ({why})" for path, why in recording.cut.items()]
     out += [f"{name}: " + ", ".join(f"{k} {v}" for k, v in data.items()) for name, data in recording.metadata.items()]
     out.append(f"holds {', '.join(recording.attachments) or 'no settings'}")
-    out.append(f"{seconds:.1f} s, {pictures} pictures; frames: " + (", ".join(f"{k} {n}" for k, n in verdicts.items()) or "none"))
+    out.append(f"{seconds:.1f} s, {images} frames; frames: " + (", ".join(f"{k} {n}" for k, n in verdicts.items()) or "none"))
     out += [f"{n:8d}  {topic}" for topic, n in sorted(recording.counts.items())]
     out += [f"{n:8d}  {topic} not understood by this version" for topic, n in sorted(recording.skipped.items())]
     return out
@@ -110,7 +110,7 @@ def _cut(args: argparse.Namespace) -> int:
     if any(path.resolve() == args.output.resolve() for path in args.files):
         raise BadInput(f"--output {args.output} is one of the files that are read")
     recording = open_recording(args.files)
-    what = Cut(args.from_s, args.to_s, args.inputs, args.samples_each, args.frames_each, not args.no_pictures)
+    what = Cut(args.from_s, args.to_s, args.inputs, args.samples_each, args.frames_each, not args.no_images)
     n = _written(args.output, lambda: rewrite(recording, args.output, what))
     sys.stdout.write(f"{args.output}: {n} events, {args.output.stat().st_size / 1e6:.2f} MB\n")
     return 0
@@ -125,7 +125,7 @@ class _Source:
         """What it holds, in order, on the common clock; `size` is the camera's, px."""
         for datum in self._own(size):
             s = datum.stamp
-            moved = Stamp(MonoNs(s.taken + self.offset_ns), MonoNs(s.heard + self.offset_ns), s.sigma_s, s.source)
+            moved = Stamp(MonoNs(s.measured_at + self.offset_ns), MonoNs(s.received_at + self.offset_ns), s.sigma_s, s.source)
             yield replace(datum, stamp=moved)
 
     def _own(self, size: tuple[int, int]) -> Iterator[Sample | Frame]:
@@ -174,16 +174,18 @@ def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -
     described = about(settings, {"kind": "import", "sources": ", ".join(s.path.name for s in sources)})
     counts: Counter[str] = Counter()
     with recorder_to_file(output, camera, described) as recorder:
-        for datum in heapq.merge(*(s.data((camera.width, camera.height)) for s in sources), key=lambda d: d.stamp.heard):
+        for datum in heapq.merge(*(s.data((camera.width, camera.height)) for s in sources), key=lambda d: d.stamp.received_at):
             if isinstance(datum, Frame):
                 height, width = datum.px.shape[:2]
                 if (width, height) != (camera.width, camera.height):
                     raise BadInput(
-                        f"pictures are {width}x{height} px, the camera file {settings.camera.file} describes "
+                        f"frames are {width}x{height} px, the camera file {settings.camera.file} describes "
                         f"{camera.width}x{camera.height} px"
                     )
                 # Nobody looked at it yet: that is what REPLACED means.
-                recorder.on_frame(FrameSeen(datum, None, None, Verdict.REPLACED, datum.stamp.heard, datum.stamp.heard))
+                recorder.on_frame(
+                    ProcessedFrame(datum, None, None, Verdict.REPLACED, datum.stamp.received_at, datum.stamp.received_at)
+                )
                 counts["frames"] += 1
             else:
                 recorder.on_sample(datum)
@@ -193,10 +195,10 @@ def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -
     return counts
 
 
-def _written(output: Path, deed: Callable[[], Any]) -> Any:
+def _written(output: Path, handler: Callable[[], Any]) -> Any:
     try:
         output.open("ab").close()
-        return deed()
+        return handler()
     except OSError as why:
         raise BadInput(f"{output}: {why.strerror or why}") from why
     except BadInput:

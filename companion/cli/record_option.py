@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from companion.config.settings import Settings, camera_model
 from companion.recorder.recorder import Recorder
 from companion.recorder.records import ContactRecord, TruthRecord
 from companion.recorder.setup import about, recorder_to_file, wall_offset_ns
-from companion.settings import Settings, camera_model
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from sitl.world import Touchdown, Truth
@@ -22,7 +22,7 @@ from sitl.world import Touchdown, Truth
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record", type=Path, metavar="FILE", help="record the flight there (MCAP; see docs/recordings.md)")
     parser.add_argument(
-        "--record-frames", choices=("jpeg", "png", "none"), default="jpeg", help="how its pictures are kept (default jpeg)"
+        "--record-frames", choices=("jpeg", "png", "none"), default="jpeg", help="how its frames are kept (default jpeg)"
     )
 
 

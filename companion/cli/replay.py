@@ -12,17 +12,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from companion.config.settings import Settings
 from companion.observer import Observer
 from companion.recorder.reading import RecordedFrame, Recording, open_recording
 from companion.recorder.records import TruthRecord
 from companion.recorder.setup import about, recorder_to_file
 from companion.replay.engine import Replay
-from companion.replay.keeping import Difference, Keeper, differences, recorded_beliefs
+from companion.replay.log_observer import Difference, LogObserver, differences, recorded_beliefs
 from companion.replay.pilots import available_paths, pilot_of, settings_of
 from companion.report.figures import ErrorRow, all_series, error_rows
 from companion.report.flight_log import FlightLog
 from companion.report.page import PAGE, write_report
-from companion.settings import Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -55,13 +55,13 @@ class Pass:
     """One replay and what it left."""
 
     name: str
-    keeper: Keeper
+    log_observer: LogObserver
     replay: Replay
     wall_s: float
     flown_s: float
 
     def errors(self) -> list[ErrorRow]:
-        return error_rows(self.keeper.log, all_series(self.keeper.log)) if self.keeper.log.truth else []
+        return error_rows(self.log_observer.log, all_series(self.log_observer.log)) if self.log_observer.log.truth else []
 
 
 def run(args: argparse.Namespace) -> int:
@@ -75,11 +75,15 @@ def run(args: argparse.Namespace) -> int:
     passes = [_pass(args, recording, "as set", settings_of(recording, args.config), args.config is None, args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), False, None))
-    compared: dict[str, list[Difference]] = {"the recording": differences(passes[0].keeper.beliefs, recorded_beliefs(recording))}
+    compared: dict[str, list[Difference]] = {
+        "the recording": differences(passes[0].log_observer.beliefs, recorded_beliefs(recording))
+    }
     if args.against is not None:
-        compared[args.against] = differences(passes[0].keeper.beliefs, passes[1].keeper.beliefs)
+        compared[args.against] = differences(passes[0].log_observer.beliefs, passes[1].log_observer.beliefs)
     if args.compare is not None:
-        compared[str(args.compare)] = differences(passes[0].keeper.beliefs, recorded_beliefs(open_recording([args.compare])))
+        compared[str(args.compare)] = differences(
+            passes[0].log_observer.beliefs, recorded_beliefs(open_recording([args.compare]))
+        )
     if args.report is not None:
         for i, done in enumerate(passes):
             write_report(_finished(recording, done, compared), args.report if i == 0 else args.report / "against")
@@ -95,42 +99,42 @@ def run(args: argparse.Namespace) -> int:
 def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: Settings, own: bool, record: Path | None) -> Pass:
     pilot = pilot_of(recording, settings, args.path, own_camera=own)
     steering = args.path or settings.estimator.path
-    keeper = Keeper(FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering))
-    observers: list[Observer] = [keeper]
+    log_observer = LogObserver(FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering))
+    observers: list[Observer] = [log_observer]
     replay = Replay(recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=observers)
     began = time.monotonic()
     if record is None:
-        flown_s = _feed(replay, keeper, args.report is not None, [])
+        flown_s = _feed(replay, log_observer, args.report is not None, [])
     else:
         described = about(settings, {"kind": "replay", "of": recording.name})
         with recorder_to_file(record, pilot.camera, described, frames="none") as recorder:
             replay = Replay(
-                recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=[keeper, recorder]
+                recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=[log_observer, recorder]
             )
-            flown_s = _feed(replay, keeper, args.report is not None, [recorder.on_truth])
-    return Pass(name, keeper, replay, time.monotonic() - began, flown_s)
+            flown_s = _feed(replay, log_observer, args.report is not None, [recorder.on_truth])
+    return Pass(name, log_observer, replay, time.monotonic() - began, flown_s)
 
 
-def _feed(replay: Replay, keeper: Keeper, pictures: bool, truth_to: Sequence[Callable[[TruthRecord], None]]) -> float:
+def _feed(replay: Replay, log_observer: LogObserver, images: bool, truth_to: Sequence[Callable[[TruthRecord], None]]) -> float:
     """To the end; the recording's length in seconds."""
     first = last = MonoNs(0)
-    picture: bytes | None = None
+    image: bytes | None = None
     for at, event in replay.steps():
         if not first:
-            keeper.log.started = first = at
+            log_observer.log.started = first = at
         last = max(last, at)
-        keeper.keep_picture(picture)
-        picture = event.picture if pictures and isinstance(event, RecordedFrame) else None
+        log_observer.attach_image(image)
+        image = event.image if images and isinstance(event, RecordedFrame) else None
         if isinstance(event, TruthRecord):
-            keeper.on_truth(event)
+            log_observer.on_truth(event)
             for tell in truth_to:
                 tell(event)
-    keeper.keep_picture(picture)
+    log_observer.attach_image(image)
     return seconds_between(first, last)
 
 
 def _finished(recording: Recording, done: Pass, compared: dict[str, list[Difference]]) -> FlightLog:
-    log, counts = done.keeper.log, done.replay.counts
+    log, counts = done.log_observer.log, done.replay.counts
     log.outcome = "unfinished" if done.replay.outcome is None else done.replay.outcome.value
     log.facts += [("recording", recording.name), ("settings", done.name), ("outputs", done.replay.digest[:16])]
     log.facts += [("frames looked at again", str(counts.looked)), ("frames as recorded", str(counts.as_recorded))]

@@ -7,17 +7,17 @@ import asyncio
 import sys
 from contextlib import AsyncExitStack
 
-from companion import event_loop
 from companion.cli.progress import Progress
+from companion.config.settings import Settings
 from companion.mavlink import operator
 from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.outputs import OutputOptions
-from companion.observer import Decision, Observer, Silent
+from companion.observer import Decision, NullObserver, Observer
 from companion.pilot import Pilot
 from companion.recorder.reading import Recording
 from companion.replay.engine import Replay
 from companion.replay.pilots import pilot_of
-from companion.settings import Settings
+from companion.runtime import event_loop
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
 from drivers.mavlink.endpoint import parse_endpoint
@@ -52,7 +52,7 @@ class _Deaf:
         return operator.Progress(None)
 
 
-class _Newest(Silent):
+class _Newest(NullObserver):
     """The newest belief that guidance had."""
 
     belief: RelativeState | None = None

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 
-from companion import event_loop
+from companion.config.build_camera import camera_options
+from companion.config.proven import Proven
+from companion.config.settings import Settings, load, shipped
+from companion.config.vehicle import AutopilotSettings, BridgeSettings, unsigned
 from companion.pilot import Outcome
-from companion.proven import Proven
-from companion.rig_camera import camera_options
-from companion.service import live, log_to_stderr, make_daemon, make_pilot
-from companion.settings import Settings, load, shipped
-from companion.settings_vehicle import AutopilotSettings, FaceSettings, unsigned
+from companion.runtime import event_loop
+from companion.runtime.service import live, log_to_stderr, make_daemon, make_pilot
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -61,7 +61,7 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
 
 
 def _vehicle(settings: Settings) -> str:
-    v, face = settings.vehicle, settings.face
+    v, bridge = settings.vehicle, settings.bridge
     if isinstance(v, AutopilotSettings):
         signed = unsigned(v) or "signed"
         who = f", and from system {v.operators}" if v.operators else ""
@@ -72,23 +72,27 @@ def _vehicle(settings: Settings) -> str:
         )
     return (
         f"vehicle: ardrone at {v.host}, navdata {v.navdata_port}/udp, video {v.video_port}/tcp, "
-        f"commands {v.at_port}/udp, configuration {v.control_port}/tcp" + (_shown(face) if face.links else "")
+        f"commands {v.at_port}/udp, configuration {v.control_port}/tcp" + (_shown(bridge) if bridge.links else "")
     )
 
 
-def _shown(face: FaceSettings) -> str:
+def _shown(bridge: BridgeSettings) -> str:
     who = (
-        f"system {face.operators}" if face.operators else "whoever signs" if face.signing_key_file else "nobody (face.operators)"
+        f"system {bridge.operators}"
+        if bridge.operators
+        else "whoever signs"
+        if bridge.signing_key_file
+        else "nobody (face.operators)"
     )
     return (
-        f"; shown to ground stations as system {face.system_id} over {face.links} ({unsigned(face) or 'signed'}), "
+        f"; shown to ground stations as system {bridge.system_id} over {bridge.links} ({unsigned(bridge) or 'signed'}), "
         f"commands from {who}"
     )
 
 
 def _source(settings: Settings) -> str:
     c = settings.camera
-    return "pictures come from the vehicle" if c.source == "vehicle" else f"pictures from {c.source} {c.device}"
+    return "frames come from the vehicle" if c.source == "vehicle" else f"frames from {c.source} {c.device}"
 
 
 def _broker(settings: Settings) -> str:

@@ -15,19 +15,19 @@ import msgspec
 
 from companion.cli import record_option
 from companion.cli.progress import Progress
-from companion.cli.verdict import Contact, Ending, Judged
+from companion.cli.verdict import Contact, Ending, HandledCommand
+from companion.config.model import CameraSettings, PadSettings
+from companion.config.settings import load, shipped
 from companion.observer import Observer
 from companion.report.flight_log import FlightLog, TruthSample
-from companion.report.keeper import LogKeeper
+from companion.report.log_observer import LogObserver
 from companion.report.page import PAGE, write_report
-from companion.service import make_pilot
-from companion.settings import load, shipped
-from companion.settings_model import CameraSettings, PadSettings
+from companion.runtime.service import make_pilot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
-from sitl.darkroom import darkroom
 from sitl.flight import Flight, FlightResult
+from sitl.render_worker import render_worker
 from sitl.safety import outside_commit
 from sitl.scenario import FAULTS, Scenario
 from sitl.scenario import load as load_scenario
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     observers: list[Observer] = [] if progress is None else [progress]
     log = FlightLog(scenario.title, started=MonoNs(0), pad=pilot.pad, camera=pilot.camera, steering=settings.estimator.path)
     if args.report is not None:
-        observers.append(LogKeeper(log))
+        observers.append(LogObserver(log))
     began, spent_s = time.monotonic(), _cpu_s()
     steps = 0
     facts = {"kind": "simulate", "scenario": args.scenario, "seed": str(args.seed)}
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
         flight = Flight(scenario, args.seed, settings, pilot, observers=observers, renew=renew, contain=True)
         if recorder is not None:
             recorder.watch(flight.health)
-        with darkroom(flight.world.renderer) as flight.room:
+        with render_worker(flight.world.renderer) as flight.room:
             while flight.step():
                 steps += 1
                 if steps % TRUTH_EACH:
@@ -152,7 +152,7 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         )
         for t in result.truth.contacts
     )
-    judged = Judged(
+    judged = HandledCommand(
         result.grade.value,
         result.because,
         result.unsafe,

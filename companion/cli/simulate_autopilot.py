@@ -16,12 +16,12 @@ from pathlib import Path
 
 import msgspec
 
-from companion import event_loop
 from companion.cli.progress import Progress
 from companion.cli.verdict import Contact, Ending
+from companion.config.model import CameraSettings, PadSettings, Settings
+from companion.config.settings import load
 from companion.observer import Observer
-from companion.settings import load
-from companion.settings_model import CameraSettings, PadSettings, Settings
+from companion.runtime import event_loop
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.flight import Autopilot, AutopilotFlight, FlightEnd

@@ -6,10 +6,10 @@ import argparse
 import json
 import sys
 
-from companion import event_loop
 from companion.cli.progress import Progress
 from companion.cli.simulate_autopilot import ending_of, refuse_faults, rig
 from companion.observer import Observer
+from companion.runtime import event_loop
 from drivers.mavlink.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from sitl.autopilots.follow import follow

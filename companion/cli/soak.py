@@ -18,17 +18,17 @@ from typing import Any
 
 import msgspec
 
-from companion import event_loop
 from companion.cli.soak_flights import Class, Flown, Outcomes, real, virtual
+from companion.cli.soak_judge import Findings, Reading, findings, read
 from companion.cli.soak_parts import cpu_at, start_time_s, without_thesis_methods
 from companion.cli.soak_plot import plot
-from companion.health import Health
+from companion.config.model import CameraSettings, PadSettings, Settings
+from companion.config.settings import load, shipped
 from companion.pilot import Pilot
-from companion.service import make_daemon, make_pilot
-from companion.settings import load, shipped
-from companion.settings_model import CameraSettings, PadSettings, Settings
-from companion.signals import Stopped
-from companion.soak import Findings, Reading, findings, read
+from companion.runtime import event_loop
+from companion.runtime.health import Health
+from companion.runtime.service import make_daemon, make_pilot
+from companion.runtime.signals import Stopped
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict

@@ -16,10 +16,10 @@ from itertools import chain
 
 import msgspec
 
-from companion import rig
-from companion.daemon import Daemon, Link
-from companion.service import make_pilot
-from companion.settings_model import Settings
+from companion.config import build
+from companion.config.model import Settings
+from companion.runtime.daemon import Daemon, Link
+from companion.runtime.service import make_pilot
 from drivers.ardrone import at
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.samples import Sampler
@@ -34,7 +34,7 @@ from estimator.contracts.time import Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.scenario import Scenario
-from sitl.world import Picture, World
+from sitl.world import RenderedFrame, World
 
 _READY_S = 60.0
 _FILM_S = 2.0
@@ -97,18 +97,18 @@ class _Reel:
     def __init__(self, rate_hz: int, scenario: Scenario, settings: Settings, clock: SystemClock) -> None:
         world = World(scenario, 1)
         drone = Drone(world, DroneClock(world.now))
-        asked = [(*commands, at.Ctrl(at.CTRL_ACK)) for _, commands in configuration_commands(rig.ardrone_options(settings))]
+        asked = [(*commands, at.Ctrl(at.CTRL_ACK)) for _, commands in configuration_commands(build.ardrone_options(settings))]
         for n, command in enumerate(chain.from_iterable(asked)):
             drone.take(at.encode(n + 1, command), world.now)
         self._navdata: list[Navdata] = []
-        self._pictures: list[Picture] = []
+        self._images: list[RenderedFrame] = []
         self._clock, self._rate_hz = clock, rate_hz
         for tick in range(round(_FILM_S / TICK_S)):
             drone.tick(after(world.now, TICK_S))
             self._navdata.append(drone.navdata())
-            if (tick + 1) * TICK_S * rate_hz >= len(self._pictures):
-                self._pictures.append(world.render())
-        self._sampler = Sampler(rig.ardrone_options(settings).samples)
+            if (tick + 1) * TICK_S * rate_hz >= len(self._images):
+                self._images.append(world.render())
+        self._sampler = Sampler(build.ardrone_options(settings).samples)
         self.frames: Latest[Frame] = Latest()
         self.samples: Line[Sample] = Line(settings.service.sample_queue_items)
 
@@ -142,22 +142,22 @@ class _Reel:
     async def _film(self) -> None:
         due, n = self._clock.now(), 0
         while True:
-            picture, now = self._pictures[_back_and_forth(n, len(self._pictures))], self._clock.now()
+            image, now = self._images[_back_and_forth(n, len(self._images))], self._clock.now()
             stamp = Stamp(after(now, -_DELAY_S), now, _SIGMA_S, "sim")
-            self.frames.offer(Frame(stamp, n, picture.px, picture.exposure_s))
+            self.frames.offer(Frame(stamp, n, image.px, image.exposure_s))
             due, n = after(due, 1.0 / self._rate_hz), n + 1
             await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
 
 
 async def cpu_at(rate_hz: int, scenario: Scenario, settings: Settings, duration_s: float = 15.0) -> Cost:
-    """The daemon for `duration_s` with so many pictures a second, the decoding of video left out."""
+    """The daemon for `duration_s` with so many frames a second, the decoding of video left out."""
     clock = SystemClock()
     reel = _Reel(rate_hz, scenario, settings, clock)
     daemon = Daemon(
         reel.open,
         make_pilot(settings),
         clock,
-        restart=rig.restart(settings),
+        restart=build.restart(settings),
         guidance_rate_hz=settings.guidance.rate_hz,
         threads=settings.vision.threads,
     )

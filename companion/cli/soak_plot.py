@@ -1,4 +1,4 @@
-"""A soak as a picture: what the process took over time, and what each flight was worth."""
+"""A soak as a frame: what the process took over time, and what each flight was worth."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from companion.cli.soak_flights import Class, Flown, by_fault, fault_of
-from companion.soak import Reading
+from companion.cli.soak_judge import Reading
 from estimator.contracts.errors import BadInput
 
 _COLOURS = {Class.ON_PAD: "#2a9d3a", Class.REFUSED_RIGHTLY: "#3a6fb0", Class.FAILED: "#c0392b", Class.STARVED: "#8a8a8a"}
 
 
 def plot(path: Path, readings: Sequence[Reading], flights: Sequence[Flown]) -> None:
-    """Write the picture; its ending says which kind of file (png, svg, pdf).
+    """Write the frame; its ending says which kind of file (png, svg, pdf).
 
     Raises:
         BadInput: the file cannot be written.

@@ -44,10 +44,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    from companion.config.settings import load
     from companion.mqtt.connection import Endpoint
     from companion.mqtt.settings import MqttSettings
     from companion.mqtt.topics import Topics
-    from companion.settings import load
 
     if args.config is not None:
         settings = load(args.config).mqtt
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
     endpoint = Endpoint.of(settings)
     out, live = sys.stdout, sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-    from companion import event_loop
+    from companion.runtime import event_loop
 
     return event_loop.run(_Watch(endpoint, args.drone, out, live).run(args.seconds))
 
@@ -123,10 +123,10 @@ class _Watch:
         while True:
             try:
                 async with connect(self._endpoint, f"decklander-watch-{uuid.uuid4().hex[:8]}", incoming=_INCOMING) as connection:
-                    await connection.hear(self._topic, qos=1, retained=True)
+                    await connection.subscribe_to(self._topic, qos=1, retained=True)
                     self._model.connected, self._model.trouble = True, ""
-                    async for heard in connection.heard():
-                        self._take(heard.topic, heard.payload)
+                    async for publication in connection.publications():
+                        self._take(publication.topic, publication.payload)
             except (Recoverable, MqttError) as why:
                 if not self._live and str(why) != self._model.trouble:
                     sys.stderr.write(f"no broker: {why}\n")
@@ -137,10 +137,10 @@ class _Watch:
         from companion.mqtt.watch_view import line
 
         now_s = time.monotonic()
-        taken = self._model.hear(topic, payload, now_s)
-        if taken is None or self._live:
+        update = self._model.on_message(topic, payload, now_s)
+        if update is None or self._live:
             return
-        drone, event = taken
+        drone, event = update
         if event is not None or now_s - self._said.get(drone.name, -_LINE_EACH_S) >= _LINE_EACH_S:
             if event is None:
                 self._said[drone.name] = now_s

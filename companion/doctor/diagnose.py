@@ -1,17 +1,17 @@
-"""All rules over one picture. Pure."""
+"""All rules over one frame. Pure."""
 
 from __future__ import annotations
 
 from companion.doctor import rules_ardupilot, rules_links, rules_px4
 from companion.doctor.finding import Finding, Rule
-from companion.doctor.picture import Picture
+from companion.doctor.snapshot import Snapshot
 
 RULES: tuple[Rule, ...] = (*rules_links.RULES, *rules_ardupilot.RULES, *rules_px4.RULES)
 PARAMETERS = {"ArduPilot": rules_ardupilot.PARAMETERS, "PX4": rules_px4.PARAMETERS, "other": ()}
 """What the rules want to know of an autopilot, by stack."""
 
 
-def diagnose(picture: Picture) -> tuple[Finding, ...]:
+def diagnose(snapshot: Snapshot) -> tuple[Finding, ...]:
     """Every trap that is there, the gravest first."""
-    found = [finding for rule in RULES if (finding := rule(picture)) is not None]
-    return tuple(sorted(found, key=lambda f: f.gravity))
+    found = [finding for rule in RULES if (finding := rule(snapshot)) is not None]
+    return tuple(sorted(found, key=lambda f: f.severity))

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-from companion.doctor.picture import Picture
+from companion.doctor.snapshot import Snapshot
 
 
-class Gravity(IntEnum):
+class Severity(IntEnum):
     """How bad it is; the worst first."""
 
     ERROR = 0
@@ -26,24 +26,24 @@ class Finding:
 
     rule: str
     """Short name, the same in every release."""
-    gravity: Gravity
+    severity: Severity
     what: str
     """What is wrong, in one line."""
-    cure: str
+    fix: str
     """What to do, in one line."""
 
 
-Rule = Callable[[Picture], Finding | None]
+Rule = Callable[[Snapshot], Finding | None]
 """A pure function; None where the trap is not there or cannot be judged."""
 
 
-def error(rule: str, what: str, cure: str) -> Finding:
-    return Finding(rule, Gravity.ERROR, what, cure)
+def error(rule: str, what: str, fix: str) -> Finding:
+    return Finding(rule, Severity.ERROR, what, fix)
 
 
-def warning(rule: str, what: str, cure: str) -> Finding:
-    return Finding(rule, Gravity.WARNING, what, cure)
+def warning(rule: str, what: str, fix: str) -> Finding:
+    return Finding(rule, Severity.WARNING, what, fix)
 
 
-def advice(rule: str, what: str, cure: str) -> Finding:
-    return Finding(rule, Gravity.ADVICE, what, cure)
+def advice(rule: str, what: str, fix: str) -> Finding:
+    return Finding(rule, Severity.ADVICE, what, fix)

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from companion.doctor.diagnose import PARAMETERS
-from companion.doctor.picture import AutopilotPicture, LinkPicture, Picture, SyncPicture
+from companion.doctor.snapshot import AutopilotSnapshot, LinkSnapshot, Snapshot, TimeSyncSnapshot
 from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.links import Heard
+from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import is_autopilot
 from estimator.contracts.ports import Clock
@@ -32,19 +32,19 @@ class _Notes:
     enabled: bool | None = None
     healthy: bool | None = None
 
-    def hear(self, heard: Heard) -> None:
-        m, name = heard.message, heard.message.get_type()
-        if name == "HEARTBEAT" and is_autopilot(m, heard.component):
-            self.systems.add(heard.system)
-        elif name == "AUTOPILOT_VERSION" and heard.component == mav.MAV_COMP_ID_AUTOPILOT1:
+    def on_message(self, received: ReceivedMessage) -> None:
+        m, name = received.message, received.message.get_type()
+        if name == "HEARTBEAT" and is_autopilot(m, received.component):
+            self.systems.add(received.system)
+        elif name == "AUTOPILOT_VERSION" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             v = m.flight_sw_version
             self.firmware = (v >> 24 & 0xFF, v >> 16 & 0xFF, v >> 8 & 0xFF)
-        elif name == "SYS_STATUS" and heard.component == mav.MAV_COMP_ID_AUTOPILOT1:
+        elif name == "SYS_STATUS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
             self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
             self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
 
 
-async def examine(options: AutopilotOptions, clock: Clock, seconds: float, say: Say = lambda text: None) -> Picture:
+async def examine(options: AutopilotOptions, clock: Clock, seconds: float, say: Say = lambda text: None) -> Snapshot:
     """Listen and ask.
 
     Args:
@@ -55,13 +55,13 @@ async def examine(options: AutopilotOptions, clock: Clock, seconds: float, say: 
     began = clock.now()
     quiet = replace(options, parameters=())
     async with open_autopilot(quiet, clock) as autopilot:
-        autopilot.listen(notes.hear)
+        autopilot.add_listener(notes.on_message)
         say(f"listening on {', '.join(str(link.endpoint) for link in autopilot.links.all)}")
         await _wait(clock, seconds, lambda: autopilot.connected)
         rates: dict[str, float] = {}
         if autopilot.identity is not None:
             rates = await _ask(autopilot, clock, seconds, say)
-        return _picture(autopilot, notes, rates, seconds_between(began, clock.now()))
+        return _snapshot(autopilot, notes, rates, seconds_between(began, clock.now()))
 
 
 async def _ask(autopilot: Autopilot, clock: Clock, seconds: float, say: Say) -> dict[str, float]:
@@ -87,9 +87,9 @@ async def _wait(clock: Clock, seconds: float, done: Callable[[], bool]) -> None:
         await clock.sleep(_POLL_S)
 
 
-def _picture(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], seconds: float) -> Picture:
+def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], seconds: float) -> Snapshot:
     links = tuple(
-        LinkPicture(
+        LinkSnapshot(
             str(link.endpoint),
             link.down,
             link.counters.bytes_in,
@@ -105,12 +105,12 @@ def _picture(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], secon
     )
     identity, sync = autopilot.identity, autopilot.sync
     if identity is None or sync is None:
-        return Picture(seconds, links)
+        return Snapshot(seconds, links)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
-    return Picture(
+    return Snapshot(
         seconds,
         links,
-        AutopilotPicture(
+        AutopilotSnapshot(
             stack=identity.stack.value,
             system=identity.system,
             others=tuple(sorted(notes.systems - {identity.system})),
@@ -128,5 +128,5 @@ def _picture(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], secon
             precland_enabled=notes.enabled,
             precland_healthy=notes.healthy,
         ),
-        SyncPicture(sync.locked, sync.round_trip_s, sync.jumps),
+        TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps),
     )

@@ -9,13 +9,13 @@ from msgspec import structs
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
-from companion import secret_files
-from companion.doctor.picture import ServicePicture
-from companion.rig_camera import camera_options
-from companion.settings import camera_model, pad_model
-from companion.settings_model import Settings
-from companion.settings_vehicle import ArDroneSettings
-from drivers.video_source import open_camera
+from companion.config import secret_files
+from companion.config.build_camera import camera_options
+from companion.config.model import Settings
+from companion.config.settings import camera_model, pad_model
+from companion.config.vehicle import ArDroneSettings
+from companion.doctor.snapshot import ServiceSnapshot
+from drivers.camera.video_source import open_camera
 from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
@@ -27,64 +27,64 @@ _WITHHELD = "withheld_"
 
 async def examine_service(
     settings: Settings | None, broker: str | None, clock: Clock, seconds: float = 2.0, timeout_s: float = 2.0
-) -> ServicePicture:
+) -> ServiceSnapshot:
     """Files, broker and drone; of a service that runs and tells its metrics those, else of the camera what it sends.
 
     Args:
         broker: HOST:PORT to look for; None for the one in the settings.
-        seconds: how long to count the camera's pictures.
+        seconds: how long to count the camera's frames.
     """
-    picture = ServicePicture()
+    snapshot = ServiceSnapshot()
     if settings is not None:
-        picture = await _of_rig(settings, clock, seconds, timeout_s)
+        snapshot = await _of_rig(settings, clock, seconds, timeout_s)
         if broker is None and settings.mqtt.transport != "off":
             broker = f"{settings.mqtt.host}:{settings.mqtt.port}"
     if broker is None:
-        return picture
+        return snapshot
     host, _, port = broker.rpartition(":")
     fault = await _unreachable(host or broker, int(port) if host else 1883, timeout_s)
-    return structs.replace(picture, broker=broker, broker_fault=fault)
+    return structs.replace(snapshot, broker=broker, broker_fault=fault)
 
 
-async def _of_rig(settings: Settings, clock: Clock, seconds: float, timeout_s: float) -> ServicePicture:
-    picture = ServicePicture()
+async def _of_rig(settings: Settings, clock: Clock, seconds: float, timeout_s: float) -> ServiceSnapshot:
+    snapshot = ServiceSnapshot()
     try:
         model = camera_model(settings)
         pad_model(settings)
     except BadInput as why:
-        return structs.replace(picture, camera_fault=str(why))
-    picture = structs.replace(picture, camera_size=(model.width, model.height))
+        return structs.replace(snapshot, camera_fault=str(why))
+    snapshot = structs.replace(snapshot, camera_size=(model.width, model.height))
     vehicle = settings.vehicle
     if isinstance(vehicle, ArDroneSettings):
         fault = await _unreachable(vehicle.host, vehicle.control_port, timeout_s)
-        picture = structs.replace(picture, drone=f"{vehicle.host}:{vehicle.control_port}", drone_fault=fault)
-    told = await _told(settings, timeout_s)
-    if told is not None:
-        return _of_metrics(picture, told)
-    return await _of_camera(picture, settings, clock, seconds)
+        snapshot = structs.replace(snapshot, drone=f"{vehicle.host}:{vehicle.control_port}", drone_fault=fault)
+    scraped = await _scrape(settings, timeout_s)
+    if scraped is not None:
+        return _of_metrics(snapshot, scraped)
+    return await _of_camera(snapshot, settings, clock, seconds)
 
 
-async def _of_camera(picture: ServicePicture, settings: Settings, clock: Clock, seconds: float) -> ServicePicture:
+async def _of_camera(snapshot: ServiceSnapshot, settings: Settings, clock: Clock, seconds: float) -> ServiceSnapshot:
     try:
         options = camera_options(settings)
         if options is None:
-            return picture
+            return snapshot
         async with open_camera(options, clock) as camera:
             try:
                 async with asyncio.timeout(_FIRST_FRAME_S):
                     frame = await camera.frames.get()
             except TimeoutError:
-                return structs.replace(picture, device_fault=camera.down or "it sends no picture")
+                return structs.replace(snapshot, device_fault=camera.down or "it sends no frame")
             height, width = frame.px.shape[:2]
             began, before = clock.now(), camera.counters.frames
             await clock.sleep(seconds)
             rate_hz = (camera.counters.frames - before) / seconds_between(began, clock.now())
     except DecklanderError as why:
-        return structs.replace(picture, device_fault=str(why))
-    return structs.replace(picture, frame_size=(width, height), frame_rate_hz=rate_hz)
+        return structs.replace(snapshot, device_fault=str(why))
+    return structs.replace(snapshot, frame_size=(width, height), frame_rate_hz=rate_hz)
 
 
-async def _told(settings: Settings, timeout_s: float) -> list[Sample] | None:
+async def _scrape(settings: Settings, timeout_s: float) -> list[Sample] | None:
     """The metrics of the service where it runs; None where nobody answers."""
     m = settings.metrics
     if m.endpoint == "off":
@@ -104,15 +104,15 @@ async def _told(settings: Settings, timeout_s: float) -> list[Sample] | None:
         return None
 
 
-def _of_metrics(picture: ServicePicture, told: list[Sample]) -> ServicePicture:
-    counted = {s.labels["name"]: s.value for s in told if s.name == "decklander_count"}
-    rates_hz = {s.labels["kind"]: s.value for s in told if s.name == "decklander_item_rate_hertz"}
+def _of_metrics(snapshot: ServiceSnapshot, scraped: list[Sample]) -> ServiceSnapshot:
+    counted = {s.labels["name"]: s.value for s in scraped if s.name == "decklander_count"}
+    rates_hz = {s.labels["kind"]: s.value for s in scraped if s.name == "decklander_item_rate_hertz"}
     medians_s = {
-        s.labels["stage"]: s.value for s in told if s.name == "decklander_stage_seconds" and s.labels["quantile"] == "0.5"
+        s.labels["stage"]: s.value for s in scraped if s.name == "decklander_stage_seconds" and s.labels["quantile"] == "0.5"
     }
     sent, ranges = counted.get("targets_sent"), counted.get("sends_ranges")
     return structs.replace(
-        picture,
+        snapshot,
         frame_rate_hz=rates_hz.get("Frame"),
         exposure_to_belief_s=medians_s.get("exposure_to_belief"),
         targets_sent=None if sent is None else int(sent),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.doctor.finding import Finding, Rule, advice, error, warning
-from companion.doctor.picture import AutopilotPicture, Picture
+from companion.doctor.snapshot import AutopilotSnapshot, Snapshot
 
 PARAMETERS = (
     "PLND_ENABLED", "PLND_TYPE", "PLND_EST_TYPE", "PLND_LAG", "PLND_OPTIONS", "PLND_STRICT", "PLND_ORIENT", "PLND_YAW_ALIGN",
@@ -16,25 +16,25 @@ _BY_MAVLINK, _DOWN, _COMPANION, _KALMAN = 10.0, 25.0, 1.0, 1.0
 _MOVING_TARGET = 1
 
 
-def _ardupilot(p: Picture) -> AutopilotPicture | None:
+def _ardupilot(p: Snapshot) -> AutopilotSnapshot | None:
     return p.autopilot if p.autopilot is not None and p.autopilot.stack == "ArduPilot" else None
 
 
-def _value(p: Picture, name: str) -> float | None:
+def _value(p: Snapshot, name: str) -> float | None:
     a = _ardupilot(p)
     return None if a is None else a.parameters.get(name)
 
 
-def _enabled(p: Picture) -> bool:
+def _enabled(p: Snapshot) -> bool:
     return bool(_value(p, "PLND_ENABLED"))
 
 
-def _said(p: Picture, text: str) -> bool:
+def _texts_of(p: Snapshot, text: str) -> bool:
     a = _ardupilot(p)
     return a is not None and any(text in t.lower() for t in a.texts)
 
 
-def plnd_missing(p: Picture) -> Finding | None:
+def plnd_missing(p: Snapshot) -> Finding | None:
     a = _ardupilot(p)
     if a is None or "PLND_ENABLED" not in a.absent:
         return None
@@ -45,13 +45,13 @@ def plnd_missing(p: Picture) -> Finding | None:
     )
 
 
-def plnd_disabled(p: Picture) -> Finding | None:
+def plnd_disabled(p: Snapshot) -> Finding | None:
     if _value(p, "PLND_ENABLED") != 0.0:
         return None
     return error("plnd-disabled", "PLND_ENABLED is 0", "set PLND_ENABLED 1 and reboot the autopilot")
 
 
-def plnd_not_rebooted(p: Picture) -> Finding | None:
+def plnd_not_rebooted(p: Snapshot) -> Finding | None:
     a = _ardupilot(p)
     if a is None or not _enabled(p) or _value(p, "PLND_TYPE") != _COMPANION:
         return None
@@ -64,21 +64,21 @@ def plnd_not_rebooted(p: Picture) -> Finding | None:
     return None
 
 
-def plnd_type(p: Picture) -> Finding | None:
+def plnd_type(p: Snapshot) -> Finding | None:
     kind = _value(p, "PLND_TYPE")
     if not _enabled(p) or kind is None or kind == _COMPANION:
         return None
     return error("plnd-type", f"PLND_TYPE is {kind:g}", "set PLND_TYPE 1 (companion computer) and reboot the autopilot")
 
 
-def plnd_estimator(p: Picture) -> Finding | None:
+def plnd_estimator(p: Snapshot) -> Finding | None:
     kind = _value(p, "PLND_EST_TYPE")
     if not _enabled(p) or kind is None or kind == _KALMAN:
         return None
     return warning("plnd-estimator", "PLND_EST_TYPE is 0: raw measurements, no velocity of the pad", "set PLND_EST_TYPE 1")
 
 
-def plnd_lag(p: Picture) -> Finding | None:
+def plnd_lag(p: Snapshot) -> Finding | None:
     lag_s, delay_s = _value(p, "PLND_LAG"), p.service.exposure_to_belief_s
     if not _enabled(p) or lag_s is None or delay_s is None:
         return None
@@ -87,12 +87,12 @@ def plnd_lag(p: Picture) -> Finding | None:
         return None
     return advice(
         "plnd-lag",
-        f"PLND_LAG is {lag_s:g} s, but a picture is {1e3 * delay_s:.0f} ms old when it is understood",
+        f"PLND_LAG is {lag_s:g} s, but a frame is {1e3 * delay_s:.0f} ms old when it is understood",
         f"set PLND_LAG {best_s:.2f} and reboot: then targets are of instants that were seen, not predicted",
     )
 
 
-def plnd_still_target(p: Picture) -> Finding | None:
+def plnd_still_target(p: Snapshot) -> Finding | None:
     options = _value(p, "PLND_OPTIONS")
     if not _enabled(p) or options is None or not p.moving_pad or int(options) & _MOVING_TARGET:
         return None
@@ -103,7 +103,7 @@ def plnd_still_target(p: Picture) -> Finding | None:
     )
 
 
-def plnd_mount_twice(p: Picture) -> Finding | None:
+def plnd_mount_twice(p: Snapshot) -> Finding | None:
     if not _enabled(p):
         return None
     names = ("PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_YAW_ALIGN")
@@ -120,7 +120,7 @@ def plnd_mount_twice(p: Picture) -> Finding | None:
     )
 
 
-def plnd_blind(p: Picture) -> Finding | None:
+def plnd_blind(p: Snapshot) -> Finding | None:
     if not _enabled(p) or _value(p, "PLND_STRICT") != 0.0:
         return None
     return warning(
@@ -130,7 +130,7 @@ def plnd_blind(p: Picture) -> Finding | None:
     )
 
 
-def plnd_low_ceiling(p: Picture) -> Finding | None:
+def plnd_low_ceiling(p: Snapshot) -> Finding | None:
     ceiling_m = _value(p, "PLND_ALT_MAX")
     if not _enabled(p) or ceiling_m is None or ceiling_m >= 4.0:
         return None
@@ -139,12 +139,12 @@ def plnd_low_ceiling(p: Picture) -> Finding | None:
     )
 
 
-def _kinds(p: Picture) -> dict[int, float]:
+def _kinds(p: Snapshot) -> dict[int, float]:
     found = {n: _value(p, f"RNGFND{n}_TYPE") for n in range(1, 5)}
     return {n: v for n, v in found.items() if v is not None}
 
 
-def no_rangefinder(p: Picture) -> Finding | None:
+def no_rangefinder(p: Snapshot) -> Finding | None:
     kinds = _kinds(p)
     if not kinds or any(kinds.values()):
         return None
@@ -155,7 +155,7 @@ def no_rangefinder(p: Picture) -> Finding | None:
     )
 
 
-def rangefinder_unfed(p: Picture) -> Finding | None:
+def rangefinder_unfed(p: Snapshot) -> Finding | None:
     if _BY_MAVLINK not in _kinds(p).values() or p.service.sends_ranges is not False:
         return None
     return error(
@@ -165,7 +165,7 @@ def rangefinder_unfed(p: Picture) -> Finding | None:
     )
 
 
-def rangefinder_turned(p: Picture) -> Finding | None:
+def rangefinder_turned(p: Snapshot) -> Finding | None:
     for n, kind in _kinds(p).items():
         orient = _value(p, f"RNGFND{n}_ORIENT")
         if kind == _BY_MAVLINK and orient not in (None, _DOWN):
@@ -177,7 +177,7 @@ def rangefinder_turned(p: Picture) -> Finding | None:
     return None
 
 
-def ekf_external(p: Picture) -> Finding | None:
+def ekf_external(p: Snapshot) -> Finding | None:
     names = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
     wrong = [f"EK3_SRC1_{n}" for n in names if _value(p, f"EK3_SRC1_{n}") == _EXTERNAL_NAV]
     if not wrong:
@@ -189,7 +189,7 @@ def ekf_external(p: Picture) -> Finding | None:
     )
 
 
-def ekf_height_by_range(p: Picture) -> Finding | None:
+def ekf_height_by_range(p: Snapshot) -> Finding | None:
     by_range = _value(p, "EK3_SRC1_POSZ") == _BY_RANGE or (_value(p, "EK3_RNG_USE_HGT") or 0.0) > 0.0
     if not by_range or not p.moving_pad:
         return None
@@ -200,7 +200,7 @@ def ekf_height_by_range(p: Picture) -> Finding | None:
     )
 
 
-def gyro_calibration(p: Picture) -> Finding | None:
+def gyro_calibration(p: Snapshot) -> Finding | None:
     if _value(p, "INS_GYRO_CAL") != 1.0 or not p.moving_pad:
         return None
     return warning(
@@ -210,8 +210,8 @@ def gyro_calibration(p: Picture) -> Finding | None:
     )
 
 
-def frame_not_supported(p: Picture) -> Finding | None:
-    if not _said(p, "frame not supported"):
+def frame_not_supported(p: Snapshot) -> Finding | None:
+    if not _texts_of(p, "frame not supported"):
         return None
     return error(
         "frame-not-supported",
@@ -220,8 +220,8 @@ def frame_not_supported(p: Picture) -> Finding | None:
     )
 
 
-def init_failed(p: Picture) -> Finding | None:
-    if not _said(p, "init failed"):
+def init_failed(p: Snapshot) -> Finding | None:
+    if not _texts_of(p, "init failed"):
         return None
     return error(
         "target-too-rare",
@@ -230,8 +230,8 @@ def init_failed(p: Picture) -> Finding | None:
     )
 
 
-def target_lost(p: Picture) -> Finding | None:
-    if not _said(p, "target lost"):
+def target_lost(p: Snapshot) -> Finding | None:
+    if not _texts_of(p, "target lost"):
         return None
     return warning(
         "target-lost",
@@ -240,7 +240,7 @@ def target_lost(p: Picture) -> Finding | None:
     )
 
 
-def old_firmware(p: Picture) -> Finding | None:
+def old_firmware(p: Snapshot) -> Finding | None:
     a = _ardupilot(p)
     if a is None or a.firmware is None or a.firmware >= (4, 1, 0):
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.doctor.finding import Finding, Rule, advice, error, warning
-from companion.doctor.picture import LinkPicture, Picture
+from companion.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.requests import INSTEAD
 
@@ -20,20 +20,20 @@ _REASONS = {
 }
 
 
-def link_down(p: Picture) -> Finding | None:
+def link_down(p: Snapshot) -> Finding | None:
     """A link that cannot be opened."""
     for link in p.links:
         if link.down is not None:
-            cure = next((c for text, c in _REASONS.items() if text in link.down.lower()), "check what the link's address names")
-            return error("link-down", f"{link.url} is not open: {link.down}", cure)
+            fix = next((c for text, c in _REASONS.items() if text in link.down.lower()), "check what the link's address names")
+            return error("link-down", f"{link.url} is not open: {link.down}", fix)
     return None
 
 
-def _open(p: Picture) -> list[LinkPicture]:
+def _open(p: Snapshot) -> list[LinkSnapshot]:
     return [link for link in p.links if link.down is None]
 
 
-def link_silent(p: Picture) -> Finding | None:
+def link_silent(p: Snapshot) -> Finding | None:
     """Open, and not a byte comes."""
     for link in _open(p):
         if link.bytes_in == 0 and (p.seconds >= 2.0 or p.autopilot is None):
@@ -43,7 +43,7 @@ def link_silent(p: Picture) -> Finding | None:
     return None
 
 
-def link_garbage(p: Picture) -> Finding | None:
+def link_garbage(p: Snapshot) -> Finding | None:
     """Bytes, but no messages in them."""
     for link in _open(p):
         if link.bytes_in > 200 and link.damaged > 2 * max(link.messages, 1):
@@ -55,7 +55,7 @@ def link_garbage(p: Picture) -> Finding | None:
     return None
 
 
-def link_signature(p: Picture) -> Finding | None:
+def link_signature(p: Snapshot) -> Finding | None:
     """Signed on one side only, or with another key."""
     for link in _open(p):
         if link.refused_signature > 0:
@@ -67,7 +67,7 @@ def link_signature(p: Picture) -> Finding | None:
     return None
 
 
-def link_unsigned(p: Picture) -> Finding | None:
+def link_unsigned(p: Snapshot) -> Finding | None:
     """A network link that believes addresses."""
     for link in _open(p):
         if link.signed is False and not parse_endpoint(link.url).is_private:
@@ -79,7 +79,7 @@ def link_unsigned(p: Picture) -> Finding | None:
     return None
 
 
-def link_strangers(p: Picture) -> Finding | None:
+def link_strangers(p: Snapshot) -> Finding | None:
     """Somebody speaks and is not listened to."""
     for link in _open(p):
         if link.strangers > 20 and p.autopilot is not None:
@@ -91,7 +91,7 @@ def link_strangers(p: Picture) -> Finding | None:
     return None
 
 
-def link_old_version(p: Picture) -> Finding | None:
+def link_old_version(p: Snapshot) -> Finding | None:
     """MAVLink 1 cuts the position off a LANDING_TARGET."""
     for link in _open(p):
         if link.messages >= 20 and link.old_version > 0.5 * link.messages:
@@ -103,7 +103,7 @@ def link_old_version(p: Picture) -> Finding | None:
     return None
 
 
-def link_lossy(p: Picture) -> Finding | None:
+def link_lossy(p: Snapshot) -> Finding | None:
     """A link that loses messages."""
     for link in _open(p):
         total = link.messages + link.lost
@@ -116,7 +116,7 @@ def link_lossy(p: Picture) -> Finding | None:
     return None
 
 
-def no_autopilot(p: Picture) -> Finding | None:
+def no_autopilot(p: Snapshot) -> Finding | None:
     """Messages, but nobody who flies."""
     if p.autopilot is None and any(link.messages > 0 for link in p.links):
         return error(
@@ -127,7 +127,7 @@ def no_autopilot(p: Picture) -> Finding | None:
     return None
 
 
-def several_autopilots(p: Picture) -> Finding | None:
+def several_autopilots(p: Snapshot) -> Finding | None:
     """Two vehicles on one network, and the wrong one may be taken."""
     a = p.autopilot
     if a is not None and a.others:
@@ -139,7 +139,7 @@ def several_autopilots(p: Picture) -> Finding | None:
     return None
 
 
-def stream_refused(p: Picture) -> Finding | None:
+def stream_refused(p: Snapshot) -> Finding | None:
     """A stream that the autopilot will not send."""
     a = p.autopilot
     if a is None:
@@ -154,7 +154,7 @@ def stream_refused(p: Picture) -> Finding | None:
     return None
 
 
-def stream_silent(p: Picture) -> Finding | None:
+def stream_silent(p: Snapshot) -> Finding | None:
     """A stream that was accepted and does not come."""
     a = p.autopilot
     if a is None or p.seconds < 3.0:
@@ -170,7 +170,7 @@ def stream_silent(p: Picture) -> Finding | None:
     return None
 
 
-def stream_slow(p: Picture) -> Finding | None:
+def stream_slow(p: Snapshot) -> Finding | None:
     """Attitude too rare to take the tilt out."""
     a = p.autopilot
     if a is None:
@@ -185,7 +185,7 @@ def stream_slow(p: Picture) -> Finding | None:
     return None
 
 
-def clock_not_locked(p: Picture) -> Finding | None:
+def clock_not_locked(p: Snapshot) -> Finding | None:
     """Without a common clock a stamp says nothing."""
     if p.autopilot is None or p.sync is None or p.sync.locked:
         return None
@@ -196,7 +196,7 @@ def clock_not_locked(p: Picture) -> Finding | None:
     )
 
 
-def clock_far(p: Picture) -> Finding | None:
+def clock_far(p: Snapshot) -> Finding | None:
     """A round trip that makes the clocks doubtful; PX4 refuses to converge beyond 10 ms."""
     if p.sync is None or p.autopilot is None or p.sync.round_trip_s is None:
         return None
@@ -204,13 +204,13 @@ def clock_far(p: Picture) -> Finding | None:
     if p.sync.round_trip_s <= limit_s:
         return None
     found = f"the shortest TIMESYNC round trip is {1e3 * p.sync.round_trip_s:.0f} ms"
-    cure = "connect the autopilot by wire (serial 921600, USB, Ethernet), not by radio or Wi-Fi"
+    fix = "connect the autopilot by wire (serial 921600, USB, Ethernet), not by radio or Wi-Fi"
     if p.autopilot.stack == "PX4":
-        return error("clock-far", f"{found}: PX4 never converges and then ignores our stamps", cure)
-    return warning("clock-far", f"{found}: stamps are known to {500 * p.sync.round_trip_s:.0f} ms", cure)
+        return error("clock-far", f"{found}: PX4 never converges and then ignores our stamps", fix)
+    return warning("clock-far", f"{found}: stamps are known to {500 * p.sync.round_trip_s:.0f} ms", fix)
 
 
-def clock_jumps(p: Picture) -> Finding | None:
+def clock_jumps(p: Snapshot) -> Finding | None:
     """A clock that is set while we listen."""
     if p.sync is not None and p.sync.jumps > 0:
         return warning(
@@ -221,14 +221,14 @@ def clock_jumps(p: Picture) -> Finding | None:
     return None
 
 
-def camera_fault(p: Picture) -> Finding | None:
+def camera_fault(p: Snapshot) -> Finding | None:
     """The camera or pad file."""
     if p.service.camera_fault is not None:
         return error("camera-file", p.service.camera_fault, "correct the file; decklander config check names every key")
     return None
 
 
-def camera_device(p: Picture) -> Finding | None:
+def camera_device(p: Snapshot) -> Finding | None:
     """A camera that is not there, not allowed, or cannot do what is asked."""
     if p.service.device_fault is not None:
         return error(
@@ -240,7 +240,7 @@ def camera_device(p: Picture) -> Finding | None:
     return None
 
 
-def camera_size(p: Picture) -> Finding | None:
+def camera_size(p: Snapshot) -> Finding | None:
     """A calibration of another resolution."""
     s = p.service
     if s.frame_size is not None and s.camera_size is not None and s.frame_size != s.camera_size:
@@ -252,7 +252,7 @@ def camera_size(p: Picture) -> Finding | None:
     return None
 
 
-def camera_slow(p: Picture) -> Finding | None:
+def camera_slow(p: Snapshot) -> Finding | None:
     """Too few frames."""
     rate = p.service.frame_rate_hz
     if rate is not None and rate < 10.0:
@@ -264,7 +264,7 @@ def camera_slow(p: Picture) -> Finding | None:
     return None
 
 
-def broker_fault(p: Picture) -> Finding | None:
+def broker_fault(p: Snapshot) -> Finding | None:
     if p.service.broker_fault is not None:
         return warning(
             "broker",
@@ -274,7 +274,7 @@ def broker_fault(p: Picture) -> Finding | None:
     return None
 
 
-def drone_fault(p: Picture) -> Finding | None:
+def drone_fault(p: Snapshot) -> Finding | None:
     if p.service.drone_fault is not None:
         return error(
             "drone",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.doctor.finding import Finding, Rule, advice, error, warning
-from companion.doctor.picture import AutopilotPicture, Picture
+from companion.doctor.snapshot import AutopilotSnapshot, Snapshot
 
 PARAMETERS = (
     "PLD_HACC_RAD", "PLD_BTOUT", "LTEST_MODE", "VTE_EN", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "EKF2_EV_CTRL", "EKF2_HGT_REF",
@@ -20,16 +20,16 @@ def event_id(name: str) -> int:
     return 1 << 24 | value & 0xFFFFFF
 
 
-def _px4(p: Picture) -> AutopilotPicture | None:
+def _px4(p: Snapshot) -> AutopilotSnapshot | None:
     return p.autopilot if p.autopilot is not None and p.autopilot.stack == "PX4" else None
 
 
-def _value(p: Picture, name: str) -> float | None:
+def _value(p: Snapshot, name: str) -> float | None:
     a = _px4(p)
     return None if a is None else a.parameters.get(name)
 
 
-def precland_missing(p: Picture) -> Finding | None:
+def precland_missing(p: Snapshot) -> Finding | None:
     a = _px4(p)
     if a is None or "PLD_HACC_RAD" not in a.absent:
         return None
@@ -40,7 +40,7 @@ def precland_missing(p: Picture) -> Finding | None:
     )
 
 
-def precland_moving(p: Picture) -> Finding | None:
+def precland_moving(p: Snapshot) -> Finding | None:
     a = _px4(p)
     if a is None or not p.moving_pad or a.mode != "auto.precland":
         return None
@@ -51,7 +51,7 @@ def precland_moving(p: Picture) -> Finding | None:
     )
 
 
-def unsupported_frame(p: Picture) -> Finding | None:
+def unsupported_frame(p: Snapshot) -> Finding | None:
     a = _px4(p)
     if a is None:
         return None
@@ -65,7 +65,7 @@ def unsupported_frame(p: Picture) -> Finding | None:
     )
 
 
-def offboard_loss(p: Picture) -> Finding | None:
+def offboard_loss(p: Snapshot) -> Finding | None:
     timeout_s = _value(p, "COM_OF_LOSS_T")
     if timeout_s is None or timeout_s <= 2.0:
         return None
@@ -76,7 +76,7 @@ def offboard_loss(p: Picture) -> Finding | None:
     )
 
 
-def offboard_action(p: Picture) -> Finding | None:
+def offboard_action(p: Snapshot) -> Finding | None:
     action = _value(p, "COM_OBL_RC_ACT")
     if action is None or action not in (3.0, 4.0) or not p.moving_pad:
         return None
@@ -88,7 +88,7 @@ def offboard_action(p: Picture) -> Finding | None:
     )
 
 
-def height_by_range(p: Picture) -> Finding | None:
+def height_by_range(p: Snapshot) -> Finding | None:
     if _value(p, "EKF2_HGT_REF") != _RANGE_HEIGHT or not p.moving_pad:
         return None
     return error(
@@ -98,7 +98,7 @@ def height_by_range(p: Picture) -> Finding | None:
     )
 
 
-def external_vision(p: Picture) -> Finding | None:
+def external_vision(p: Snapshot) -> Finding | None:
     if not _value(p, "EKF2_EV_CTRL"):
         return None
     return warning(
@@ -108,14 +108,14 @@ def external_vision(p: Picture) -> Finding | None:
     )
 
 
-def targets_withheld(p: Picture) -> Finding | None:
+def targets_withheld(p: Snapshot) -> Finding | None:
     """Our own sending, whatever the autopilot."""
     s = p.service
     if s.targets_sent is None or s.targets_sent > 0 or not s.withheld:
         return None
     why = max(s.withheld, key=lambda k: s.withheld[k])
     cures = {
-        "not seen": "the pad is not in the picture, or colours and light do not suit: decklander detect on a frame shows why",
+        "not seen": "the pad is not in the frame, or colours and light do not suit: decklander detect on a frame shows why",
         "standing": "nothing is told of while the vehicle says that it stands: this is as it should be on the ground",
         "no attitude": "no attitude covers the instant: see attitude-slow and clock-not-locked",
         "no local position": "LOCAL_POSITION_NED does not come: see stream-silent",

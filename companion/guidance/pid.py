@@ -64,7 +64,7 @@ class Gains:
     speed_max_m_s: float = 1.0
     """Horizontal speed; the direction is kept."""
     climb_max_m_s: float = 0.5
-    sink_max_m_s: float = 0.5
+    descent_rate_max_m_s: float = 0.5
     turn_max_rad_s: float = 0.6
     integral_max_m_s: float = 0.5
     """What the integral alone may command on one axis: the pad's own speed and the wind."""
@@ -148,7 +148,7 @@ def _limited(u: F64, gains: Gains) -> F64:
         [
             shrink * u[0],
             shrink * u[1],
-            min(gains.sink_max_m_s, max(-gains.climb_max_m_s, u[2])),
+            min(gains.descent_rate_max_m_s, max(-gains.climb_max_m_s, u[2])),
             min(gains.turn_max_rad_s, max(-gains.turn_max_rad_s, u[3])),
         ]
     )

@@ -118,7 +118,7 @@ class CommandServer:
         self.refusal: str | None = None
         """Why the newest command was not done, None when it was."""
 
-    def hear(self, message: Message, sender: tuple[int, int], us: tuple[int, int], now: MonoNs) -> list[Message]:
+    def on_message(self, message: Message, sender: tuple[int, int], us: tuple[int, int], now: MonoNs) -> list[Message]:
         """The answer, and what was asked for with it."""
         kind = message.get_type()
         if kind not in ("COMMAND_LONG", "COMMAND_INT") or (message.target_system, message.target_component) != us:
@@ -172,7 +172,7 @@ class CommandServer:
         self.refusal = None
         first = params[0]
         if command == mav.MAV_CMD_NAV_LAND:
-            result = self._deed(self._operator.begin())
+            result = self._handler(self._operator.begin())
             if result == ACCEPTED:
                 self._running = _Running(command, sender, now)
                 result = IN_PROGRESS
@@ -180,15 +180,15 @@ class CommandServer:
         if command == mav.MAV_CMD_DO_PAUSE_CONTINUE:
             if first not in (0.0, 1.0):
                 return self._denied(f"pause or continue, not {first:g}"), []
-            return self._deed(self._operator.begin() if first else self._operator.pause()), []
+            return self._handler(self._operator.begin() if first else self._operator.pause()), []
         if command == mav.MAV_CMD_DO_GO_AROUND:
-            return self._deed(self._operator.abort()), []
+            return self._handler(self._operator.abort()), []
         if command == mav.MAV_CMD_USER_1:
             if not math.isfinite(first) or first not in range(len(PATHS)):
                 return self._denied(f"no estimator path {first:g}"), []
-            return self._deed(self._operator.choose_path(PATHS[int(first)])), []
+            return self._handler(self._operator.choose_path(PATHS[int(first)])), []
         if command in (mav.MAV_CMD_LOGGING_START, mav.MAV_CMD_LOGGING_STOP):
-            return self._deed(self._operator.record(command == mav.MAV_CMD_LOGGING_START)), []
+            return self._handler(self._operator.record(command == mav.MAV_CMD_LOGGING_START)), []
         return self._about_messages(command, params, now)
 
     def _about_messages(self, command: int, params: Params, now: MonoNs) -> tuple[int, list[Message]]:
@@ -208,7 +208,7 @@ class CommandServer:
             return ACCEPTED, [mav.MAVLink_message_interval_message(number, self._offered.interval_us(number))]
         return UNSUPPORTED, []
 
-    def _deed(self, refusal: str | None) -> int:
+    def _handler(self, refusal: str | None) -> int:
         self.refusal = refusal
         return ACCEPTED if refusal is None else _REFUSED
 

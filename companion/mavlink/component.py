@@ -21,7 +21,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
 
-from companion.health import Health
 from companion.mavlink.commands import CommandServer, Offered
 from companion.mavlink.computer import ComputerReader, computer_status
 from companion.mavlink.operator import Operator
@@ -30,11 +29,12 @@ from companion.mavlink.parameters import ParameterServer, Store
 from companion.mavlink.refusals import Refusals
 from companion.mavlink.status_texts import Severity, StatusTexts
 from companion.mavlink.target_track import TargetTrack
-from companion.observer import Decision, FrameSeen, Silent
+from companion.observer import Decision, NullObserver, ProcessedFrame
+from companion.runtime.health import Health
 from drivers.mavlink.access import Standing
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
-from drivers.mavlink.links import Heard, Links
+from drivers.mavlink.links import Links, ReceivedMessage
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -115,7 +115,7 @@ class _View:
         return {} if self.autopilot.parameters is None else self.autopilot.parameters.values
 
 
-class Component(Silent):
+class Component(NullObserver):
     """See the module.
 
     Args:
@@ -173,7 +173,7 @@ class Component(Silent):
     def attach(self, autopilot: Autopilot) -> None:
         """Speak over this autopilot's links from now on."""
         self._autopilot, self._links = autopilot, autopilot.links
-        autopilot.listen(self.hear)
+        autopilot.add_listener(self.on_message)
 
     def detach(self) -> None:
         """Speak no more; the links are about to close."""
@@ -183,11 +183,11 @@ class Component(Silent):
 
     def on_sample(self, sample: Sample) -> None:
         if isinstance(sample, Attitude):
-            self._track.hear(sample)
+            self._track.on_attitude(sample)
 
-    def on_frame(self, seen: FrameSeen) -> None:
+    def on_frame(self, processed: ProcessedFrame) -> None:
         """A fused sighting is told of at once, not at the next tick."""
-        if seen.verdict is Verdict.FUSED and self._autopilot is not None:
+        if processed.verdict is Verdict.FUSED and self._autopilot is not None:
             now = self._clock.now()
             self._update_belief(now)
             self._send(self.outputs.target(now, _View(self._autopilot), self._sighted))
@@ -203,32 +203,32 @@ class Component(Silent):
 
     # What others tell
 
-    def hear(self, heard: Heard) -> None:
+    def on_message(self, received: ReceivedMessage) -> None:
         """A message of any link: commands and parameters are answered to who sent them, changes are told to all."""
         if self._links is None:
             return
         now, us = self._clock.now(), self._links.identity
-        if self.refusals.refuses(heard, us):
-            self._answer(heard, self.refusals.answer(heard))
+        if self.refusals.refuses(received, us):
+            self._answer(received, self.refusals.answer(received))
             if self._parameters is not None:
-                self._answer(heard, self._parameters.in_force(heard.message))
-            if (news := self.refusals.news(heard)) is not None:
+                self._answer(received, self._parameters.in_force(received.message))
+            if (news := self.refusals.news(received)) is not None:
                 self.texts.say(Severity.WARNING, f"Decklander: {news}", now)
             return
-        self._answer(heard, self._commands.hear(heard.message, (heard.system, heard.component), us, now))
-        if heard.message.get_type() in ("COMMAND_LONG", "COMMAND_INT") and self._commands.refusal is not None:
+        self._answer(received, self._commands.on_message(received.message, (received.system, received.component), us, now))
+        if received.message.get_type() in ("COMMAND_LONG", "COMMAND_INT") and self._commands.refusal is not None:
             self.texts.say(Severity.WARNING, f"Decklander: {self._commands.refusal}", now)
             self._commands.refusal = None
-        if self._parameters is not None and heard.standing >= Standing.PEER:
-            self._send(self._parameters.hear(heard.message, us))
+        if self._parameters is not None and received.standing >= Standing.PEER:
+            self._send(self._parameters.on_message(received.message, us))
             if self._parameters.refused is not None:
                 self.texts.say(Severity.WARNING, f"Decklander: {self._parameters.refused}", now)
                 self._parameters.refused = None
 
-    def _answer(self, heard: Heard, messages: list[Message]) -> None:
+    def _answer(self, received: ReceivedMessage, messages: list[Message]) -> None:
         if self._links is not None:
             for message in messages:
-                self._links.send(message, heard.source)
+                self._links.send(message, received.source)
 
     # What it says
 

@@ -76,7 +76,9 @@ class DeckWay:
         if belief is None or attitude is None or not positions or not belief.consistent:
             return None
         newest = positions[-1]
-        late = max(belief.age_s(now), seconds_between(newest.stamp.taken, now), seconds_between(attitude.stamp.taken, now))
+        late = max(
+            belief.age_s(now), seconds_between(newest.stamp.measured_at, now), seconds_between(attitude.stamp.measured_at, now)
+        )
         sigma_m_s = math.sqrt(max(float(belief.cov[3, 3] + belief.cov[4, 4]), 0.0))
         if late > _FRESH_S or sigma_m_s > _SIGMA_MAX_M_S:
             return None

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from drivers.mavlink.access import AccessOptions
 from drivers.mavlink.dialect import TimeSyncV2, mav
 from drivers.mavlink.endpoint import Endpoint
-from drivers.mavlink.links import Heard, LinkOptions, Links, open_links
+from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.signing import Signing, SigningKey
 from drivers.mavlink.signing_times import SigningTimes
 from drivers.mavlink.vehicle import ARMED, is_autopilot, stack_of
@@ -56,13 +56,13 @@ async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | Non
     async with _opened(endpoint, current, clock) as links:
         try:
             async with asyncio.timeout(seconds):
-                async for heard in links.heard:
-                    message = heard.message
-                    if message.get_type() != "HEARTBEAT" or system not in (None, heard.system):
+                async for received in links.received:
+                    message = received.message
+                    if message.get_type() != "HEARTBEAT" or system not in (None, received.system):
                         continue
-                    if is_autopilot(message, heard.component):
+                    if is_autopilot(message, received.component):
                         armed = bool(message.base_mode & ARMED)
-                        return Met(heard.system, heard.component, stack_of(message).value, armed, _is_signed(heard))
+                        return Met(received.system, received.component, stack_of(message).value, armed, _is_signed(received))
         except TimeoutError:
             pass
         raise Recoverable(_silence(links, endpoint, current))
@@ -83,8 +83,10 @@ async def observe(endpoint: Endpoint, key: SigningKey | None, of: Met, clock: Cl
     async with _opened(endpoint, key, clock) as links:
         try:
             async with asyncio.timeout(seconds):
-                async for heard in links.heard:
-                    if (heard.system, heard.component) == (of.system, of.component) and _is_signed(heard) is (key is not None):
+                async for received in links.received:
+                    if (received.system, received.component) == (of.system, of.component) and _is_signed(received) is (
+                        key is not None
+                    ):
                         return True
         except TimeoutError:
             pass
@@ -113,9 +115,9 @@ async def _probe(links: Links, clock: Clock) -> None:
         await clock.sleep(_KNOCK_S)
 
 
-def _is_signed(heard: Heard) -> bool:
+def _is_signed(received: ReceivedMessage) -> bool:
     """Return whether the frame says that it is signed; no key is needed to see that."""
-    frame = heard.message.get_msgbuf()
+    frame = received.message.get_msgbuf()
     return frame[0] == mav.PROTOCOL_MARKER_V2 and bool(frame[2] & mav.MAVLINK_IFLAG_SIGNED)
 
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 
-from companion import rig, rig_mavlink
-from companion.daemon import Link
-from companion.health import Health
+from companion.config import build, build_mavlink
+from companion.config.model import Settings
+from companion.config.vehicle import AutopilotSettings
 from companion.mavlink.component import Component, speaking
 from companion.mavlink.deck_way import DeckWay
 from companion.mavlink.pilot_operator import PilotTower
 from companion.mavlink.refusals import link_counters
 from companion.mavlink.tunables import Tunables
 from companion.pilot import Pilot
-from companion.settings_model import Settings
-from companion.settings_vehicle import AutopilotSettings
+from companion.runtime.daemon import Link
+from companion.runtime.health import Health
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.links import Links, Tap
 from estimator.contracts.ports import Clock
@@ -47,8 +47,8 @@ class AutopilotPart:
         self._tap = tap
         self._open: Autopilot | None = None
         self._links: Links | None = None
-        said = rig_mavlink.component_options(vehicle, pilot.pad.disc_radius_m, settings.guidance.stale_after_s)
-        self._options = rig_mavlink.autopilot_options(vehicle, settings.service.sample_queue_items, said.parameters)
+        said = build_mavlink.component_options(vehicle, pilot.pad.disc_radius_m, settings.guidance.stale_after_s)
+        self._options = build_mavlink.autopilot_options(vehicle, settings.service.sample_queue_items, said.parameters)
         self.component = Component(
             said,
             PilotTower(pilot, lambda: self.component.belief, recording),
@@ -81,8 +81,8 @@ class AutopilotPart:
     def _apply(self, settings: Settings) -> None:
         estimator = settings.estimator
         self._pilot.retune(
-            rig.plan(settings),
-            rig.gains(settings),
+            build.plan(settings),
+            build.gains(settings),
             min_confidence=estimator.min_confidence,
             max_delay_s=estimator.max_delay_s,
         )

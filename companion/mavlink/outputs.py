@@ -43,7 +43,7 @@ class OutputOptions:
     ranges: Literal["auto", "on", "off"] = "auto"
     """Send DISTANCE_SENSOR: auto where an ArduPilot's parameters say that its rangefinder is a MAVLink one."""
     range_rate_hz: float = 20.0
-    standing_m: float = 0.1
+    ground_clearance_m: float = 0.1
     """What a rangefinder would read while the vehicle stands; ArduPilot refuses to arm without a reading."""
     range_id: int = 0
     vision_target_estimator: bool = False
@@ -52,7 +52,7 @@ class OutputOptions:
     """From the message's arrival until the autopilot takes it up."""
 
     def __post_init__(self) -> None:
-        for name in ("pad_radius_m", "rate_hz", "stale_s", "range_rate_hz", "standing_m"):
+        for name in ("pad_radius_m", "rate_hz", "stale_s", "range_rate_hz", "ground_clearance_m"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
         if not 1.0 <= self.rate_hz <= 50.0 or not 0 <= self.range_id <= 255:
@@ -160,7 +160,7 @@ class Outputs:
             lag_s = min(max(vehicle.parameter_values.get("PLND_LAG", DEFAULT_PLND_LAG_S), 0.0), PLND_LAG_MAX_S)
             transit_s = 0.5 * (vehicle.round_trip_s or 0.0) + self._o.receiver_s
             return lag_locked(self._track, now, lag_s, transit_s), "no attitude"
-        newest = vehicle.positions[-1].stamp.taken if vehicle.positions else now
+        newest = vehicle.positions[-1].stamp.measured_at if vehicle.positions else now
         at = min(now, newest)
         if self._newest is not None and at <= self._newest:
             return None, "no newer position"
@@ -169,7 +169,7 @@ class Outputs:
     def _range(self, now: MonoNs, vehicle: Vehicle, sighted: MonoNs | None) -> Message:
         sigma_m, range_m = 0.05, None
         if vehicle.condition.flying is False:
-            range_m = self._o.standing_m
+            range_m = self._o.ground_clearance_m
         elif sighted is not None and seconds_between(sighted, now) <= self._o.stale_s:
             seen = self._track.at(now)
             if seen is not None:

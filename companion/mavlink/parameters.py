@@ -47,7 +47,7 @@ class ParameterServer:
         self.refused: str | None = None
         """Why the newest PARAM_SET was not taken, None when it was."""
 
-    def hear(self, message: Message, us: tuple[int, int]) -> list[Message]:
+    def on_message(self, message: Message, us: tuple[int, int]) -> list[Message]:
         """The values to broadcast in answer."""
         kind = message.get_type()
         if not kind.startswith("PARAM_") or not hasattr(message, "target_system"):

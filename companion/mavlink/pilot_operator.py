@@ -25,27 +25,27 @@ class PilotTower:
         recording: Callable[[bool], str | None] | None = None,
     ) -> None:
         self._pilot = pilot
-        self._deeds = PilotOperator(pilot, recording)
+        self._handlers = PilotOperator(pilot, recording)
         self._believe = believe
         self._from_m: float | None = None
 
     def begin(self) -> str | None:
-        refusal = self._deeds.start()
+        refusal = self._handlers.start()
         if refusal is None:
             self._from_m = None
         return refusal
 
     def pause(self) -> str | None:
-        return self._deeds.pause()
+        return self._handlers.pause()
 
     def abort(self) -> str | None:
-        return self._deeds.abort()
+        return self._handlers.abort()
 
     def choose_path(self, path: PathName) -> str | None:
-        return self._deeds.steer_by(path)
+        return self._handlers.steer_by(path)
 
     def record(self, on: bool) -> str | None:
-        return self._deeds.record(on)
+        return self._handlers.record(on)
 
     def progress(self) -> Progress:
         outcome = self._pilot.outcome

@@ -8,7 +8,7 @@ from collections import Counter
 from companion.mavlink.commands import DENIED
 from drivers.mavlink.access import Standing
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.links import Heard, Links
+from drivers.mavlink.links import Links, ReceivedMessage
 
 _log = logging.getLogger(__name__)
 
@@ -29,35 +29,35 @@ class Refusals:
         self.counts: Counter[str] = Counter()
         """Messages that were refused, by name."""
 
-    def refuses(self, heard: Heard, us: tuple[int, int]) -> bool:
+    def refuses(self, received: ReceivedMessage, us: tuple[int, int]) -> bool:
         """Return whether this message asks us (system, component) for something that its sender may not have."""
-        message, name = heard.message, heard.message.get_type()
-        if heard.standing >= Standing.OPERATOR or name not in (*_COMMANDS, "PARAM_SET"):
+        message, name = received.message, received.message.get_type()
+        if received.standing >= Standing.OPERATOR or name not in (*_COMMANDS, "PARAM_SET"):
             return False
         if (message.target_system, message.target_component) != us:
             return False
         self.counts[name] += 1
         return True
 
-    def answer(self, heard: Heard) -> list[Message]:
+    def answer(self, received: ReceivedMessage) -> list[Message]:
         """Return the answer to a command that was refused; a parameter's is its value in force."""
-        if heard.standing < Standing.PEER or heard.message.get_type() not in _COMMANDS:
+        if received.standing < Standing.PEER or received.message.get_type() not in _COMMANDS:
             return []
-        return [mav.MAVLink_command_ack_message(heard.message.command, DENIED, 0, 0, heard.system, heard.component)]
+        return [mav.MAVLink_command_ack_message(received.message.command, DENIED, 0, 0, received.system, received.component)]
 
-    def news(self, heard: Heard) -> str | None:
+    def news(self, received: ReceivedMessage) -> str | None:
         """Return what a pilot is to be told, None where that sender was told of before; it is logged too, with the cure."""
-        sender = (heard.system, heard.component)
+        sender = (received.system, received.component)
         if sender in self._told or len(self._told) >= _TOLD_MAX:
             return None
         self._told.add(sender)
         _log.warning(
             "MAVLink: %s of %s refused: it is no operator; name its system in %s, or sign the link (decklander keys)",
-            heard.message.get_type(),
-            heard.source_text,
+            received.message.get_type(),
+            received.source_text,
             self._setting,
         )
-        return f"system {heard.system} may not command"
+        return f"system {received.system} may not command"
 
 
 def link_counters(links: Links, refusals: Refusals) -> dict[str, float]:

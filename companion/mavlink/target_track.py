@@ -73,7 +73,7 @@ class TargetTrack:
         self._attitudes = AttitudeHistory(span_s)
         self._knots: deque[_Knot] = deque()
 
-    def hear(self, attitude: Attitude) -> None:
+    def on_attitude(self, attitude: Attitude) -> None:
         """The autopilot's own attitude."""
         self._attitudes = self._attitudes.add(attitude)
 
@@ -140,17 +140,17 @@ def position_at(positions: tuple[LocalPosition, ...], instant: MonoNs, reach_s: 
     """
     if not positions:
         return None
-    i = bisect_right(positions, instant, key=lambda p: p.stamp.taken)
+    i = bisect_right(positions, instant, key=lambda p: p.stamp.measured_at)
     a = positions[max(i - 1, 0)]
-    if abs(seconds_between(a.stamp.taken, instant)) > reach_s:
+    if abs(seconds_between(a.stamp.measured_at, instant)) > reach_s:
         return None
     if 0 < i < len(positions):
         b = positions[i]
-        span_s = seconds_between(a.stamp.taken, b.stamp.taken)
+        span_s = seconds_between(a.stamp.measured_at, b.stamp.measured_at)
         if 0 < span_s <= reach_s:
-            share = seconds_between(a.stamp.taken, instant) / span_s
+            share = seconds_between(a.stamp.measured_at, instant) / span_s
             return np.asarray(a.p_body_ned + (b.p_body_ned - a.p_body_ned) * share)
-    return np.asarray(a.p_body_ned + a.v_body_ned * seconds_between(a.stamp.taken, instant))
+    return np.asarray(a.p_body_ned + a.v_body_ned * seconds_between(a.stamp.measured_at, instant))
 
 
 def lag_locked(track: TargetTrack, now: MonoNs, plnd_lag_s: float, transit_s: float) -> Seen | None:

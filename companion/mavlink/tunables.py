@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from companion.settings import from_mapping
-from companion.settings_model import Settings
+from companion.config.model import Settings
+from companion.config.settings import from_mapping
 
 NAMES: dict[str, str] = {
     "PID_H_KP": "guidance.pid.horizontal.kp",
@@ -22,7 +22,7 @@ NAMES: dict[str, str] = {
     "PID_Y_KD": "guidance.pid.heading.kd",
     "PID_SPEED_MAX": "guidance.pid.speed_max_m_s",
     "PID_CLIMB_MAX": "guidance.pid.climb_max_m_s",
-    "PID_SINK_MAX": "guidance.pid.sink_max_m_s",
+    "PID_SINK_MAX": "guidance.pid.descent_rate_max_m_s",
     "PID_TURN_MAX": "guidance.pid.turn_max_deg_s",
     "PID_INTEGRAL_MAX": "guidance.pid.integral_max_m_s",
     "PLAN_SPEED": "guidance.planner.speed_m_s",

@@ -10,12 +10,12 @@ import math
 
 from aiohttp import web
 
-from companion import secret_files
-from companion.health import Health
+from companion.config import secret_files
 from companion.metrics.exposition import CONTENT_TYPE, text
 from companion.metrics.limits import Limits, bounded
 from companion.metrics.settings import MetricsSettings
-from companion.vital import stuck
+from companion.runtime.health import Health
+from companion.runtime.liveness import stuck
 from estimator.contracts.errors import BadInput, Recoverable
 
 log = logging.getLogger(__name__)

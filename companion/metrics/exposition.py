@@ -9,7 +9,7 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4 as CONTENT_TYP
 from prometheus_client.exposition import generate_latest
 from prometheus_client.registry import Collector, CollectorRegistry
 
-from companion.health import HealthSnapshot
+from companion.runtime.health import HealthSnapshot
 
 __all__ = ["CONTENT_TYPE", "text"]
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.settings_keys import choice, number, on_loopback, text
+from companion.config.keys import choice, number, on_loopback, text
 
 
 class MetricsSettings(Struct, frozen=True, forbid_unknown_fields=True):

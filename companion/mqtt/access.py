@@ -7,7 +7,7 @@ import ssl
 from collections.abc import Mapping
 from pathlib import Path
 
-from companion import secret_files
+from companion.config import secret_files
 from companion.mqtt.settings import MqttSettings
 from estimator.contracts.errors import BadInput
 

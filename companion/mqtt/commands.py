@@ -44,7 +44,7 @@ class Operated(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class HandledCommand:
     """What became of one message on the command topic."""
 
     reply: Reply
@@ -56,7 +56,7 @@ class Judged:
 
 
 @dataclass(slots=True)
-class Desk:
+class CommandHandler:
     """Takes commands in.
 
     Args:
@@ -70,24 +70,26 @@ class Desk:
     operated: Operated
     run: str
     key: bytes | None = field(default=None, repr=False)
-    _answered: OrderedDict[str, Judged] = field(default_factory=OrderedDict)
+    _answered: OrderedDict[str, HandledCommand] = field(default_factory=OrderedDict)
     counts: Counter[str] = field(default_factory=Counter)
 
-    def take(self, payload: bytes, now: MonoNs, *, retained: bool = False, reply_to: str | None = None) -> Judged:
+    def take(self, payload: bytes, now: MonoNs, *, retained: bool = False, reply_to: str | None = None) -> HandledCommand:
         """Judge one message and carry it out if nothing stands against it.
 
         Args:
             retained: the broker had kept it; whoever sent it may be long gone.
             reply_to: the response topic of MQTT 5, where the command itself names none.
         """
-        judged = self._judge(payload, now, retained, reply_to)
-        self.counts["repeated" if judged.repeated else judged.reply.reason or "accepted"] += 1
-        return judged
+        handled = self._handle(payload, now, retained, reply_to)
+        self.counts["repeated" if handled.repeated else handled.reply.reason or "accepted"] += 1
+        return handled
 
-    def _judge(self, payload: bytes, now: MonoNs, retained: bool, reply_to: str | None) -> Judged:
-        def refuse(reason: Refusal, words: str, of: str | None = None, name: str | None = None, to: str | None = None) -> Judged:
+    def _handle(self, payload: bytes, now: MonoNs, retained: bool, reply_to: str | None) -> HandledCommand:
+        def refuse(
+            reason: Refusal, words: str, of: str | None = None, name: str | None = None, to: str | None = None
+        ) -> HandledCommand:
             answer = Reply(session=self.session, at_ns=now, id=of, accepted=False, reason=reason, text=words)
-            return Judged(answer, to or self.topics.reply, name)
+            return HandledCommand(answer, to or self.topics.reply, name)
 
         if len(payload) > LONGEST_BYTES:
             return refuse("too_long", f"{len(payload)} bytes, at most {LONGEST_BYTES} are read")
@@ -109,25 +111,25 @@ class Desk:
             return refuse("reply_elsewhere", f"answers go to {self.topics.reply} or one name below it", command.id, name)
         to = wished or self.topics.reply
         if (known := self._answered.get(command.id)) is not None:
-            return Judged(known.reply, to, name, repeated=True)
+            return HandledCommand(known.reply, to, name, repeated=True)
         if retained:
-            judged = refuse("retained", "a retained command is never carried out", command.id, name, to)
+            handled = refuse("retained", "a retained command is never carried out", command.id, name, to)
         elif not hmac.compare_digest(command.run.encode(errors="replace"), self.run.encode()):
-            judged = refuse("other_run", "meant for another run of the service", command.id, name, to)
+            handled = refuse("other_run", "meant for another run of the service", command.id, name, to)
         elif command.expires_ns < now:
             late_s = seconds_between(MonoNs(command.expires_ns), now)
-            judged = refuse("expired", f"came {late_s:.3g} s after it had expired", command.id, name, to)
+            handled = refuse("expired", f"came {late_s:.3g} s after it had expired", command.id, name, to)
         elif command.expires_ns > after(now, FARTHEST_S):
-            judged = refuse("expiry_too_far", f"it may expire {FARTHEST_S:.0f} s from now at most", command.id, name, to)
+            handled = refuse("expiry_too_far", f"it may expire {FARTHEST_S:.0f} s from now at most", command.id, name, to)
         elif (cannot := self._carry_out(command)) is not None:
-            judged = refuse("not_possible", cannot, command.id, name, to)
+            handled = refuse("not_possible", cannot, command.id, name, to)
         else:
             done = Reply(session=self.session, at_ns=now, id=command.id, accepted=True, reason=None, text=f"{name} done")
-            judged = Judged(done, to, name)
-        self._answered[command.id] = judged
+            handled = HandledCommand(done, to, name)
+        self._answered[command.id] = handled
         if len(self._answered) > REMEMBERED:
             self._answered.popitem(last=False)
-        return judged
+        return handled
 
     def _carry_out(self, command: Command) -> str | None:
         match command:

@@ -72,7 +72,7 @@ class Endpoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class Publication:
     """A message from the broker."""
 
     topic: str
@@ -126,29 +126,29 @@ class Connection(aiomqtt.Client):
         """Publications that the broker refused."""
         self.last_refusal = ""
 
-    async def hear(self, topic: str, qos: int, *, retained: bool = False) -> None:
+    async def subscribe_to(self, topic: str, qos: int, *, retained: bool = False) -> None:
         """Subscribe; without `retained`, MQTT 5 brokers are told to leave out what they had kept.
 
         Raises:
             Recoverable: the broker refuses.
         """
         options = SubscribeOptions(qos=qos, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
-        told = {"options": options} if self._mqtt5 and not retained else {"qos": qos}
+        qos_fields = {"options": options} if self._mqtt5 and not retained else {"qos": qos}
         async with self._answered():
-            granted = await self.subscribe(topic, timeout=math.inf, **told)
+            granted = await self.subscribe(topic, timeout=math.inf, **qos_fields)
         for code in granted:
             if code.value >= 0x80 if isinstance(code, ReasonCode) else code >= 0x80:
                 raise Recoverable(f"the broker refuses the subscription to {topic}")
 
-    async def heard(self) -> AsyncIterator[Heard]:
+    async def publications(self) -> AsyncIterator[Publication]:
         """Messages as they come. Only to be cancelled when the connection is to end: the next message would be lost."""
         async for message in self.messages:
             reply_to = getattr(message.properties, "ResponseTopic", None)
             correlation = getattr(message.properties, "CorrelationData", None)
             payload = message.payload if isinstance(message.payload, bytes) else b""
-            yield Heard(str(message.topic), payload, message.retain, reply_to, correlation)
+            yield Publication(str(message.topic), payload, message.retain, reply_to, correlation)
 
-    async def say(
+    async def publish_message(
         self, topic: str, payload: bytes, *, qos: int = 0, retain: bool = False, correlation: bytes | None = None
     ) -> None:
         """Publish; returns when it is written out (QoS 0) or answered (QoS 1)."""

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from companion.health import HealthSnapshot
 from companion.mqtt.messages import (
     Belief,
     FlowReport,
@@ -20,7 +19,8 @@ from companion.mqtt.messages import (
     VehicleState,
 )
 from companion.mqtt.messages import Sighting as SightingMessage
-from companion.observer import Decision, FrameSeen
+from companion.observer import Decision, ProcessedFrame
+from companion.runtime.health import HealthSnapshot
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64
@@ -46,7 +46,7 @@ def state(session: str, decision: Decision, vehicle: VehicleStatus | None) -> St
             battery_fraction=vehicle.battery_fraction,
             emergency=vehicle.emergency,
             link_ok=vehicle.link_ok,
-            age_s=seconds_between(vehicle.stamp.heard, at),
+            age_s=seconds_between(vehicle.stamp.received_at, at),
         ),
     )
 
@@ -82,15 +82,15 @@ def order(command: Command | None) -> Order | None:
             return None
 
 
-def sighting(session: str, seen: FrameSeen) -> SightingMessage:
+def sighting(session: str, processed: ProcessedFrame) -> SightingMessage:
     """A frame and what each method saw in it."""
-    look = seen.look
+    look = processed.detection
     return SightingMessage(
         session=session,
-        at_ns=seen.done,
-        taken_ns=seen.frame.stamp.taken,
-        sequence=seen.frame.seq,
-        verdict=seen.verdict.value,
+        at_ns=processed.done,
+        measured_at_ns=processed.frame.stamp.measured_at,
+        sequence=processed.frame.seq,
+        verdict=processed.verdict.value,
         chosen=None if look is None else look.chosen,
         selected=None if look is None else _found(look.selected),
         methods={} if look is None else {name: _found(one) for name, one in look.methods.items()},

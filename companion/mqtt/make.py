@@ -7,10 +7,9 @@ import uuid
 from collections.abc import Callable
 from importlib import metadata
 
-from companion import secret_files
-from companion.health import Health
+from companion.config import secret_files
 from companion.mqtt import access
-from companion.mqtt.commands import Desk
+from companion.mqtt.commands import CommandHandler
 from companion.mqtt.connection import Endpoint
 from companion.mqtt.operator import PilotOperator
 from companion.mqtt.outbox import Outbox
@@ -19,6 +18,7 @@ from companion.mqtt.settings import MqttSettings
 from companion.mqtt.spool import Spool
 from companion.mqtt.topics import Topics
 from companion.pilot import Pilot
+from companion.runtime.health import Health
 from estimator.contracts.ports import Clock
 
 
@@ -38,8 +38,8 @@ def make_mqtt(
     spool = Spool(access.spool_folder(settings), settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
     key = secret_files.key(settings.command_key_file, "mqtt", "command_key_file")
-    desk = Desk(topics, session, PilotOperator(pilot, recording), secrets.token_hex(16), key)
-    return MqttPart(settings, endpoint, outbox, desk, health, clock, session=session, version=_version())
+    command_handler = CommandHandler(topics, session, PilotOperator(pilot, recording), secrets.token_hex(16), key)
+    return MqttPart(settings, endpoint, outbox, command_handler, health, clock, session=session, version=_version())
 
 
 def _version() -> str:

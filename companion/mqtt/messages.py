@@ -98,7 +98,7 @@ class Found(Struct, frozen=True, kw_only=True):
 class Sighting(Message, frozen=True, kw_only=True):
     """The newest frame and what became of it. `at_ns` is when vision had done with it."""
 
-    taken_ns: int
+    measured_at_ns: int
     """Mid-exposure."""
     sequence: int
     verdict: str

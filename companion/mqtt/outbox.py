@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 from companion.mqtt.connection import Connection
 from companion.mqtt.disk import DiskThread
-from companion.mqtt.happenings import Happening
+from companion.mqtt.events import PendingEvent
 from companion.mqtt.messages import Event, encode
 from companion.mqtt.spool import Fsync, Record, Spool
 from drivers.mailbox import Line
@@ -36,16 +36,16 @@ class Outbox:
         self._session = session
         self._topic = topic
         self._fsync = fsync
-        self._line: Line[Happening] = Line(LINE)
+        self._line: Line[PendingEvent] = Line(LINE)
         self._more = asyncio.Event()
         self._disk = DiskThread("spool")
         self._unsynced = False
         self.delivered = 0
         self.refused = 0
 
-    def put(self, happening: Happening) -> None:
+    def put(self, event: PendingEvent) -> None:
         """Never blocks, never fails; beyond `LINE` waiting for the disk the oldest is dropped and counted."""
-        self._line.offer(happening)
+        self._line.offer(event)
 
     def counts(self) -> Mapping[str, float]:
         """Of events, for health."""
@@ -65,12 +65,12 @@ class Outbox:
         while True:
             try:
                 async with asyncio.timeout(_SYNC_S if self._unsynced else None):
-                    happening = await self._line.get()
+                    event = await self._line.get()
             except TimeoutError:
                 self._unsynced = False
                 await self._disk.do(self._spool.sync)
                 continue
-            await self._append([happening, *await self._waiting()])
+            await self._append([event, *await self._waiting()])
 
     async def flush(self) -> None:
         """Bring what waits in memory to disk now."""
@@ -124,34 +124,34 @@ class Outbox:
         self._disk.end()
 
     async def _publish(self, connection: Connection, record: Record) -> None:
-        await connection.say(self._topic, record.body, qos=1)
+        await connection.publish_message(self._topic, record.body, qos=1)
 
-    async def _waiting(self) -> list[Happening]:
+    async def _waiting(self) -> list[PendingEvent]:
         """All that is in the line; does not pause, so nothing can be cancelled between taking and spooling."""
         return [await self._line.get() for _ in range(len(self._line))]
 
-    async def _append(self, happenings: list[Happening]) -> None:
+    async def _append(self, events: list[PendingEvent]) -> None:
         always = self._fsync == "always"
-        await self._disk.do(lambda: self._append_now(happenings, always))
+        await self._disk.do(lambda: self._append_now(events, always))
         self._unsynced = self._fsync == "second"
         self._more.set()
 
-    def _append_now(self, happenings: list[Happening], sync: bool) -> None:
+    def _append_now(self, events: list[PendingEvent], sync: bool) -> None:
         first = self._spool.next_number
-        self._spool.append([self._encoded(h, number) for number, h in enumerate(happenings, first)])
+        self._spool.append([self._encoded(h, number) for number, h in enumerate(events, first)])
         if sync:
             self._spool.sync()
 
-    def _encoded(self, happening: Happening, number: int) -> bytes:
+    def _encoded(self, event: PendingEvent, number: int) -> bytes:
         return encode(
             Event(
                 session=self._session,
-                at_ns=happening.at,
+                at_ns=event.at,
                 id=f"{self._session}-{number}",
                 spool=self._spool.name,
                 sequence=number,
-                kind=happening.kind,
-                text=happening.text,
-                data=dict(happening.data),
+                kind=event.kind,
+                text=event.text,
+                data=dict(event.data),
             )
         )

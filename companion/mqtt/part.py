@@ -16,16 +16,16 @@ from typing import Literal, NoReturn
 
 import aiomqtt
 
-from companion.health import Health
 from companion.mqtt import encode as encoding
-from companion.mqtt.commands import Desk
-from companion.mqtt.connection import Connection, Endpoint, Heard, connect
-from companion.mqtt.happenings import Changes, Happening
+from companion.mqtt.commands import CommandHandler
+from companion.mqtt.connection import Connection, Endpoint, Publication, connect
+from companion.mqtt.events import Changes, PendingEvent
 from companion.mqtt.messages import Message, OperatorNotice, Status, encode
 from companion.mqtt.outbox import Outbox
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.topics import Topics
-from companion.observer import Decision, FrameSeen
+from companion.observer import Decision, ProcessedFrame
+from companion.runtime.health import Health
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample, VehicleStatus
@@ -54,7 +54,7 @@ class MqttPart:
         settings: MqttSettings,
         endpoint: Endpoint,
         outbox: Outbox,
-        desk: Desk,
+        command_handler: CommandHandler,
         health: Health,
         clock: Clock,
         *,
@@ -64,8 +64,8 @@ class MqttPart:
         self._settings = settings
         self._endpoint = endpoint
         self._outbox = outbox
-        self._desk = desk
-        self._topics: Topics = desk.topics
+        self._command_handler = command_handler
+        self._topics: Topics = command_handler.topics
         self._health = health
         self._clock = clock
         self._session = session
@@ -74,35 +74,35 @@ class MqttPart:
         self._started_unix_s = time.time()
         self._changes = Changes()
         self._decision: Decision | None = None
-        self._seen: FrameSeen | None = None
+        self._seen: ProcessedFrame | None = None
         self._vehicle: VehicleStatus | None = None
         self._counts: Counter[str] = Counter()
         self._trouble: str | None = None
         self._stopping = False
         health.counters("mqtt", self.counts)
-        self.tell(Happening(self._started, "service", "service started", {"version": version, "unix_s": self._started_unix_s}))
+        self.tell(PendingEvent(self._started, "service", "service started", {"version": version, "unix_s": self._started_unix_s}))
 
     def on_sample(self, sample: Sample) -> None:
         if isinstance(sample, VehicleStatus):
             self._vehicle = sample
             self.tell(*self._changes.vehicle(sample))
 
-    def on_frame(self, seen: FrameSeen) -> None:
-        self._seen = seen
-        self.tell(*self._changes.frame(seen))
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self._seen = processed
+        self.tell(*self._changes.frame(processed))
 
     def on_decision(self, decision: Decision) -> None:
         self._decision = decision
         self.tell(*self._changes.decision(decision))
 
-    def tell(self, *happenings: Happening) -> None:
+    def tell(self, *events: PendingEvent) -> None:
         """Events, in order. Never waits, never fails."""
-        for happening in happenings:
-            self._outbox.put(happening)
+        for event in events:
+            self._outbox.put(event)
 
     def counts(self) -> Mapping[str, float]:
         """For health."""
-        commands = {f"commands_{name}": n for name, n in self._desk.counts.items()}
+        commands = {f"commands_{name}": n for name, n in self._command_handler.counts.items()}
         return {**self._counts, **commands, **self._outbox.counts()}
 
     async def run(self) -> None:
@@ -134,7 +134,7 @@ class MqttPart:
                 await self._clock.sleep(rest_s * random.uniform(0.5, 1.0))
                 rest_s = min(2.0 * rest_s, self._settings.reconnect_cap_s)
         finally:
-            self._say_stopped()
+            self._log_stopped()
 
     def _failed(self, why: str) -> None:
         """Said once, then counted: a broker may be away for hours."""
@@ -151,17 +151,17 @@ class MqttPart:
             try:
                 await self._converse(connection)
             except asyncio.CancelledError:
-                await self._say_goodbye(connection)
+                await self._publish_stopped(connection)
                 raise
 
     async def _converse(self, connection: Connection) -> None:
         if self._settings.commands != "off":
-            await connection.hear(self._topics.command, qos=1)
+            await connection.subscribe_to(self._topics.command, qos=1)
             notice = OperatorNotice(
-                session=self._session, at_ns=self._clock.now(), run=self._desk.run, commands=self._settings.commands
+                session=self._session, at_ns=self._clock.now(), run=self._command_handler.run, commands=self._settings.commands
             )
-            await connection.say(self._topics.operator, encode(notice), qos=1, retain=True)
-        await connection.say(self._topics.status, encode(self._status("up")), qos=1, retain=True)
+            await connection.publish_message(self._topics.operator, encode(notice), qos=1, retain=True)
+        await connection.publish_message(self._topics.status, encode(self._status("up")), qos=1, retain=True)
         self._counts["connections"] += 1
         self._trouble = None
         self._health.up(BROKER)
@@ -176,16 +176,16 @@ class MqttPart:
                 ("health", s.health_hz, self._newest_health),
             ):
                 if rate_hz > 0:
-                    group.create_task(self._keep_saying(connection, leaf, rate_hz, newest))
+                    group.create_task(self._publish_periodically(connection, leaf, rate_hz, newest))
 
-    async def _keep_saying(
+    async def _publish_periodically(
         self, connection: Connection, leaf: str, rate_hz: float, newest: Callable[[], Message | None]
     ) -> NoReturn:
         topic, due = self._topics.of(leaf), self._clock.now()
         while True:
             message = newest()
             if message is not None:
-                await connection.say(topic, encode(message))
+                await connection.publish_message(topic, encode(message))
                 self._counts[f"{leaf}_sent"] += 1
             now = self._clock.now()
             due = max(after(due, 1.0 / rate_hz), now)
@@ -196,51 +196,53 @@ class MqttPart:
         return None if decision is None else encoding.state(self._session, decision, self._vehicle)
 
     def _newest_sighting(self) -> Message | None:
-        seen, self._seen = self._seen, None
-        return None if seen is None else encoding.sighting(self._session, seen)
+        processed, self._seen = self._seen, None
+        return None if processed is None else encoding.sighting(self._session, processed)
 
     def _newest_health(self) -> Message:
         return encoding.health(self._session, self._health.snapshot())
 
     async def _take_commands(self, connection: Connection) -> None:
         recent: deque[MonoNs] = deque(maxlen=self._settings.commands_max_hz)
-        async for heard in connection.heard():
+        async for publication in connection.publications():
             now = self._clock.now()
             if len(recent) == recent.maxlen and seconds_between(recent[0], now) < 1.0:
                 self._counts["floods"] += 1
                 raise Recoverable(f"flooded: more than {recent.maxlen} commands a second")
             recent.append(now)
             if self._settings.commands != "off":
-                await self._take(connection, heard, now)
+                await self._take(connection, publication, now)
 
-    async def _take(self, connection: Connection, heard: Heard, now: MonoNs) -> None:
-        judged = self._desk.take(heard.payload, now, retained=heard.retained, reply_to=heard.reply_to)
-        reply = judged.reply
-        if judged.command is not None and not judged.repeated:
-            words = f"command {judged.command} " + ("accepted" if reply.accepted else f"refused: {reply.text}")
+    async def _take(self, connection: Connection, publication: Publication, now: MonoNs) -> None:
+        handled = self._command_handler.take(
+            publication.payload, now, retained=publication.retained, reply_to=publication.reply_to
+        )
+        reply = handled.reply
+        if handled.command is not None and not handled.repeated:
+            words = f"command {handled.command} " + ("accepted" if reply.accepted else f"refused: {reply.text}")
             data: dict[str, str | float | bool | None] = {
-                "command": judged.command, "id": reply.id, "accepted": reply.accepted, "reason": reply.reason,
+                "command": handled.command, "id": reply.id, "accepted": reply.accepted, "reason": reply.reason,
             }  # fmt: skip
             log.info("%s", words)
-            self._outbox.put(Happening(now, "command", words, data))
-        await connection.say(judged.topic, encode(reply), qos=1, correlation=heard.correlation)
+            self._outbox.put(PendingEvent(now, "command", words, data))
+        await connection.publish_message(handled.topic, encode(reply), qos=1, correlation=publication.correlation)
 
-    async def _say_goodbye(self, connection: Connection) -> None:
+    async def _publish_stopped(self, connection: Connection) -> None:
         """The last events and an orderly farewell, if the broker takes them in time."""
-        self._say_stopped()
+        self._log_stopped()
         try:
             async with asyncio.timeout(_GOODBYE_S):
                 await self._outbox.flush()
                 while await self._outbox.deliver_batch(connection):
                     pass
-                await connection.say(self._topics.status, encode(self._status("stopped")), qos=1, retain=True)
+                await connection.publish_message(self._topics.status, encode(self._status("stopped")), qos=1, retain=True)
         except* (TimeoutError, aiomqtt.MqttError) as group:
             log.info("the broker did not take our farewell: %s", _first_words(group))
 
-    def _say_stopped(self) -> None:
+    def _log_stopped(self) -> None:
         if not self._stopping:
             self._stopping = True
-            self._outbox.put(Happening(self._clock.now(), "service", "service stopped"))
+            self._outbox.put(PendingEvent(self._clock.now(), "service", "service stopped"))
 
     def _status(self, reason: Literal["up", "stopped", "lost"]) -> Status:
         return Status(

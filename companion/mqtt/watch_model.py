@@ -53,7 +53,7 @@ class DroneModel:
     _ids: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
     _last: tuple[str, int] | None = None
 
-    def hear(self, leaf: str, payload: bytes, now_s: float) -> Event | None:
+    def on_message(self, leaf: str, payload: bytes, now_s: float) -> Event | None:
         """Take a message; the event when it is a new one."""
         if leaf.partition("/")[0] not in PUBLISHED:
             return None
@@ -97,7 +97,7 @@ class WatchModel:
     connected: bool = False
     trouble: str = ""
 
-    def hear(self, topic: str, payload: bytes, now_s: float) -> tuple[DroneModel, Event | None] | None:
+    def on_message(self, topic: str, payload: bytes, now_s: float) -> tuple[DroneModel, Event | None] | None:
         """Take a message; whose it was, and the event when it is a new one. None for what is not ours."""
         parts = split(topic)
         if parts is None or (self.only is not None and parts[0] != self.only):
@@ -108,7 +108,7 @@ class WatchModel:
             self.ignored += 1
             return None
         drone = self.drones.setdefault(name, DroneModel(name))
-        return drone, drone.hear(leaf, payload, now_s)
+        return drone, drone.on_message(leaf, payload, now_s)
 
     @property
     def shown(self) -> DroneModel | None:

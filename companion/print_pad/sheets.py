@@ -95,8 +95,8 @@ def _spread(drawing: Drawing, size: tuple[float, float], margin: float, overlap:
         lines = _marks(size, margin, overlap, neighbours)
         text = f"{drawing.name}   sheet {number} of {len(cells)}: row {row + 1}, column {column + 1}"
         labels = [Label(margin, margin - 3.4, text)]
-        ruler, told = _ruler(size, margin)
-        out.append(Sheet(row, column, *size, margin, margin, x, y, wide, high, (*lines, *ruler), (*labels, told)))
+        ruler, caption = _ruler(size, margin)
+        out.append(Sheet(row, column, *size, margin, margin, x, y, wide, high, (*lines, *ruler), (*labels, caption)))
     return out
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
-from companion.beside import Beside
-from companion.containment import Guard
-from companion.health import Health
 from companion.recorder.recorder import PART, Recorder
+from companion.runtime.beside import Beside
+from companion.runtime.containment import Guard
+from companion.runtime.health import Health
 from estimator.contracts.time import MonoNs
 
 

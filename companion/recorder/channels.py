@@ -8,7 +8,7 @@ from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
 
 IMAGE, ANNOTATIONS, CALIBRATION = "/camera/image", "/camera/annotations", "/camera/calibration"
-LOOK, DECISION, TRUTH, LINK, HEALTH, LOG, TRANSFORMS = "/look", "/decision", "/truth", "/link", "/health", "/log", "/tf"
+DETECTION, DECISION, TRUTH, LINK, HEALTH, LOG, TRANSFORMS = "/detection", "/decision", "/truth", "/link", "/health", "/log", "/tf"
 TRUE_POSE = "/pose/truth"
 PATHS = ("median_mean", "dead_reckoning", "ekf")
 
@@ -33,7 +33,7 @@ SAMPLES: dict[type[msgspec.Struct], str] = {
 
 TOPICS: dict[str, type[msgspec.Struct]] = {
     **{topic: kind for kind, topic in SAMPLES.items()},
-    LOOK: rec.LookRecord,
+    DETECTION: rec.DetectionRecord,
     **{belief(path): rec.BeliefRecord for path in PATHS},
     DECISION: rec.DecisionRecord,
     TRUTH: rec.TruthRecord,
@@ -49,7 +49,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
 
 
 def schema_name(kind: type[msgspec.Struct]) -> str:
-    """`foxglove.PoseInFrame`, `decklander.Look`."""
+    """`foxglove.PoseInFrame`, `decklander.Detection`."""
     if kind.__module__ == fox.__name__:
         return f"foxglove.{kind.__name__}"
     return f"decklander.{kind.__name__.removesuffix('Record')}"

@@ -15,7 +15,7 @@ from estimator.contracts.estimates import Doubt, Method, PathName, Pose6, Relati
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, StampSource
-from estimator.vision.look import Look
+from estimator.vision.thesis.detection import Detection
 
 
 def sample(of: rec.SampleRecord) -> Sample:
@@ -43,14 +43,14 @@ def sample(of: rec.SampleRecord) -> Sample:
 def stamp(of: rec.StampRecord) -> Stamp:
     if of.source not in get_args(StampSource):
         raise ValueError(f"no such source of a stamp: {of.source!r}")
-    return Stamp(MonoNs(of.taken_ns), MonoNs(of.heard_ns), of.sigma_s, cast(StampSource, of.source))
+    return Stamp(MonoNs(of.measured_at_ns), MonoNs(of.received_at_ns), of.sigma_s, cast(StampSource, of.source))
 
 
 def attitude(of: rec.AttitudeRecord) -> Attitude:
     return Attitude(stamp(of.stamp), Rotation(_matrix(of.R_ned_body, 3)), _matrix(of.cov_body, 3))
 
 
-def look(of: rec.LookRecord) -> Look | None:
+def detection(of: rec.DetectionRecord) -> Detection | None:
     """None where vision was not asked. Features are not among it: they are annotations."""
     if of.tried is None:
         return None
@@ -62,7 +62,7 @@ def look(of: rec.LookRecord) -> Look | None:
 
     methods = {_method(name): seen(name) for name in of.tried}
     chosen = None if of.chosen is None else _method(of.chosen)
-    return Look(seen("selected"), chosen, MappingProxyType(methods))
+    return Detection(seen("selected"), chosen, MappingProxyType(methods))
 
 
 def _method(name: str) -> Method:

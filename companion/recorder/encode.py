@@ -7,14 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.health import HealthSnapshot
-from companion.observer import Decision, FrameSeen
+from companion.observer import Decision, ProcessedFrame
 from companion.recorder import records as rec
+from companion.runtime.health import HealthSnapshot
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.look import Look
+from estimator.vision.thesis.detection import Detection
 
 COMMANDS: dict[type[Command], str] = {Velocity: "velocity", Hover: "hover", TakeOff: "take_off", Land: "land"}
 
@@ -44,7 +44,7 @@ def sample(of: Sample) -> rec.SampleRecord:
 
 
 def stamp(of: Stamp) -> rec.StampRecord:
-    return rec.StampRecord(int(of.taken), int(of.heard), float(of.sigma_s), of.source)
+    return rec.StampRecord(int(of.measured_at), int(of.received_at), float(of.sigma_s), of.source)
 
 
 def attitude(of: Attitude) -> rec.AttitudeRecord:
@@ -52,10 +52,10 @@ def attitude(of: Attitude) -> rec.AttitudeRecord:
     return rec.AttitudeRecord(stamp(of.stamp), _flat(of.R_ned_body.matrix), _flat(of.cov_body), roll, pitch, yaw)
 
 
-def look(of: FrameSeen) -> rec.LookRecord:
+def detection(of: ProcessedFrame) -> rec.DetectionRecord:
     height, width = of.frame.px.shape[:2]
-    seen = of.look
-    return rec.LookRecord(
+    processed = of.detection
+    return rec.DetectionRecord(
         stamp(of.frame.stamp),
         of.frame.seq,
         of.frame.exposure_s,
@@ -65,16 +65,16 @@ def look(of: FrameSeen) -> rec.LookRecord:
         int(of.began),
         int(of.done),
         None if of.attitude is None else attitude(of.attitude),
-        None if seen is None else list(seen.methods),
-        None if seen is None else seen.chosen,
-        **({} if seen is None else _methods(seen)),
+        None if processed is None else list(processed.methods),
+        None if processed is None else processed.chosen,
+        **({} if processed is None else _methods(processed)),
     )
 
 
-def _methods(seen: Look) -> dict[str, rec.SightingRecord]:
-    found = {name: sighting(s) for name, s in seen.methods.items() if s is not None}
-    if seen.selected is not None:
-        found["selected"] = sighting(seen.selected)
+def _methods(processed: Detection) -> dict[str, rec.SightingRecord]:
+    found = {name: sighting(s) for name, s in processed.methods.items() if s is not None}
+    if processed.selected is not None:
+        found["selected"] = sighting(processed.selected)
     return {str(name): s for name, s in found.items()}
 
 

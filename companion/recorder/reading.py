@@ -12,20 +12,20 @@ from typing import IO, Any, cast
 import msgspec
 from mcap.records import Attachment, Channel, Message, Metadata
 
+from companion.config.settings import Settings, from_mapping
 from companion.observer import Decision
 from companion.recorder import channels, decode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
 from companion.recorder.container import records
-from companion.settings import Settings, from_mapping
-from drivers import images
+from drivers.camera import images
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from estimator.vision.camera import Camera
-from estimator.vision.look import Look
 from estimator.vision.pad import Pad
+from estimator.vision.thesis.detection import Detection
 
 SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
 _NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
@@ -37,8 +37,8 @@ _APART_NS = 24 * 3600 * NS_PER_S
 class RecordedFrame:
     """One frame as it was recorded."""
 
-    record: rec.LookRecord
-    picture: bytes | None
+    record: rec.DetectionRecord
+    image: bytes | None
     """As a file (JPEG, PNG); None where it was not kept."""
 
     @property
@@ -60,9 +60,9 @@ class RecordedFrame:
         Verdict(self.record.verdict)
         _ = self.stamp, self.attitude, self.look()
 
-    def look(self) -> Look | None:
+    def look(self) -> Detection | None:
         """What vision saw then, without the features in pixels; None where it was not asked."""
-        return decode.look(self.record)
+        return decode.detection(self.record)
 
     def frame(self, size: tuple[int, int]) -> Frame | None:
         """Decode the image again.
@@ -73,10 +73,10 @@ class RecordedFrame:
         Returns:
             None where the image was not kept, is damaged, or claims another size.
         """
-        if self.picture is None:
+        if self.image is None:
             return None
         try:
-            px = images.decode(self.picture, size)
+            px = images.decode(self.image, size)
         except images.ImageRefused:
             return None
         return Frame(self.stamp, self.record.seq, px, self.record.exposure_s)
@@ -95,7 +95,7 @@ def instant(event: Event) -> MonoNs:
         case rec.TruthRecord() | rec.LinkRecord() | rec.HealthRecord():
             return MonoNs(event.at_ns)
         case _:
-            return event.stamp.heard
+            return event.stamp.received_at
 
 
 class _Instants:
@@ -133,7 +133,7 @@ class Recording:
         return self.paths[0].name
 
     def events(self) -> Iterator[Event]:
-        """Everything it holds, in the order in which it was told; pictures are decoded when they are asked for."""
+        """Everything it holds, in the order in which it was told; frames are decoded when they are asked for."""
         self.counts, self.skipped, self.cut = Counter(), Counter(), {}
         for path in self.paths:
             with _opened(path) as stream:
@@ -214,11 +214,11 @@ def open_recording(paths: Sequence[Path]) -> Recording:
 
 
 class _Assembly:
-    """Puts together what was written as several messages: a picture and its look, beliefs and their decision."""
+    """Puts together what was written as several messages: a frame and its look, beliefs and their decision."""
 
     def __init__(self) -> None:
         self._decoders = {topic: msgspec.json.Decoder(kind) for topic, kind in channels.TOPICS.items()}
-        self._picture: fox.CompressedImage | None = None
+        self._image: fox.CompressedImage | None = None
         self._beliefs: list[RelativeState] = []
 
     def event(self, topic: str, data: bytes) -> Event | None:
@@ -228,11 +228,11 @@ class _Assembly:
         message = self._decoders[topic].decode(data)
         match message:
             case fox.CompressedImage():
-                self._picture = message
+                self._image = message
                 return None
-            case rec.LookRecord():
-                picture, self._picture = self._picture, None
-                frame = RecordedFrame(message, None if picture is None else picture.data)
+            case rec.DetectionRecord():
+                image, self._image = self._image, None
+                frame = RecordedFrame(message, None if image is None else image.data)
                 frame.check()
                 return frame
             case rec.BeliefRecord():

@@ -19,13 +19,13 @@ from enum import Enum
 from types import TracebackType
 from typing import Literal, ParamSpec
 
-from companion.health import Health
-from companion.observer import Decision, FrameSeen
+from companion.observer import Decision, ProcessedFrame
 from companion.recorder import encode
 from companion.recorder import records as rec
 from companion.recorder.mcap_file import About, McapFile
-from companion.recorder.scribe import FrameForm, Scribe
-from companion.recorder.shelf import Shelf, in_words
+from companion.recorder.message_encoder import FrameForm, MessageEncoder
+from companion.recorder.storage_policy import StoragePolicy, in_words
+from companion.runtime.health import Health
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, seconds_between
@@ -59,13 +59,13 @@ class Options:
 
     frames: FrameForm = "jpeg"
     frames_each: int = 1
-    """Keep the picture of each n-th frame; what was seen in the others is kept too."""
+    """Keep the frame of each n-th frame; what was seen in the others is kept too."""
     jpeg_quality: int = 90
     max_file_s: float = 600.0
     queue_records: int = 4096
     """That may wait for the thread."""
     queue_frames: int = 15
-    """Pictures among them: 0.7 MB each at 640x360."""
+    """Frames among them: 0.7 MB each at 640x360."""
     flush_s: float = 1.0
     """Between two flushes: what a killed process loses."""
     sync_s: float = 5.0
@@ -99,10 +99,12 @@ class Recorder:
         health: where its own state is shown, and which is recorded.
     """
 
-    def __init__(self, shelf: Shelf, camera: Camera, about: About, options: Options, health: Health | None = None) -> None:
-        self._shelf = shelf
+    def __init__(
+        self, storage_policy: StoragePolicy, camera: Camera, about: About, options: Options, health: Health | None = None
+    ) -> None:
+        self._storage_policy = storage_policy
         self._options = options
-        self._scribe = Scribe(camera, about.offset_ns, options.frames, options.jpeg_quality)
+        self._message_encoder = MessageEncoder(camera, about.offset_ns, options.frames, options.jpeg_quality)
         self._about = about
         self._health: Health | None = None
         if health is not None:
@@ -114,7 +116,7 @@ class Recorder:
         self._began = self._flushed = self._synced = MonoNs(0)
         self._tried: MonoNs | None = None
         self._rest_s = options.retry_s
-        self._told_health: MonoNs | None = None
+        self._recorded_health: MonoNs | None = None
         self._shown = State.IDLE
         self._seen = 0
         self._paused = False
@@ -199,21 +201,24 @@ class Recorder:
         return self.why if on and self._state is State.BLOCKED else None
 
     def on_sample(self, sample: Sample) -> None:
-        self._give(sample.stamp.heard, sample)
+        self._give(sample.stamp.received_at, sample)
 
-    def on_frame(self, seen: FrameSeen) -> None:
+    def on_frame(self, processed: ProcessedFrame) -> None:
         self._seen += 1
         keep = self._options.frames != "none" and (self._seen - 1) % self._options.frames_each == 0
         if keep and not self._frames_waiting.acquire(blocking=self._options.when_full == "wait"):
-            self.dropped["picture"] += 1
+            self.dropped["image"] += 1
             keep = False
-        if not self._give(seen.done, (encode.look(seen), seen if keep else None, seen.look)) and keep:
+        if (
+            not self._give(processed.done, (encode.detection(processed), processed if keep else None, processed.detection))
+            and keep
+        ):
             self._frames_waiting.release()
 
     def on_decision(self, decision: Decision) -> None:
         self._give(decision.at, decision)
-        if self._told_health is None or seconds_between(self._told_health, decision.at) >= 1.0:
-            self._told_health = decision.at
+        if self._recorded_health is None or seconds_between(self._recorded_health, decision.at) >= 1.0:
+            self._recorded_health = decision.at
             self._show()
             if self._health is not None:
                 self._give(decision.at, encode.health(decision.at, self._health.snapshot()))
@@ -240,7 +245,7 @@ class Recorder:
     def counted(self) -> dict[str, float]:
         """What it has counted, for health: dropped records by kind under `dropped_<kind>`."""
         out: dict[str, float] = {"written": self.written, "lost": self.lost, "faults": self.faults, "files": self.files}
-        out |= {"blocked": self.blocked, "not_removed": self._shelf.not_removed}
+        out |= {"blocked": self.blocked, "not_removed": self._storage_policy.not_removed}
         return out | {f"dropped_{kind}": n for kind, n in sorted(self.dropped.items())}
 
     def _show(self) -> None:
@@ -269,10 +274,10 @@ class Recorder:
         finally:
             self._state = State.CLOSED
 
-    def _guarded(self, deed: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
+    def _guarded(self, handler: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
         """A fault of the disk ends the file, a fault of ours costs a record; neither ends the flight."""
         try:
-            deed(*args, **kwargs)
+            handler(*args, **kwargs)
         except OSError as why:
             file, self._file = self._file, None
             if file is not None:
@@ -286,18 +291,18 @@ class Recorder:
                 log.exception("recorder: a fault of its own; further ones are only counted")
 
     def _take(self, item: _Item) -> None:
-        taken = False
+        accepted = False
         try:
             if not self._ready(item.at):
                 return
             assert self._file is not None
-            for topic, at_ns, message in self._scribe.messages(item.at, item.what):
+            for topic, at_ns, message in self._message_encoder.messages(item.at, item.what):
                 self._file.add(topic, at_ns, message)
                 self.written += 1
                 self._unflushed += 1
-            taken = True
+            accepted = True
         finally:
-            if not taken:
+            if not accepted:
                 self.dropped[_kind(item.what)] += 1
             if isinstance(item.what, tuple) and item.what[1] is not None:
                 self._frames_waiting.release()
@@ -315,7 +320,7 @@ class Recorder:
         if self._tried is not None and self._state is State.BLOCKED and 0.0 <= seconds_between(self._tried, at) < self._rest_s:
             return False
         self._tried = at
-        reason = self._shelf.lacks_room(_ROOM_AGAIN_MB if self._state is State.BLOCKED else 0.0)
+        reason = self._storage_policy.lacks_room(_ROOM_AGAIN_MB if self._state is State.BLOCKED else 0.0)
         if reason is not None:
             self._lacks(reason)
             return False
@@ -323,17 +328,17 @@ class Recorder:
         return True
 
     def _open(self, at: MonoNs) -> None:
-        self._file = McapFile(self._shelf.next_path(), self._about)
+        self._file = McapFile(self._storage_policy.next_path(), self._about)
         self.files += 1
-        self._scribe.begin()
-        for topic, at_ns, message in self._scribe.preamble(at):
+        self._message_encoder.begin()
+        for topic, at_ns, message in self._message_encoder.preamble(at):
             self._file.add(topic, at_ns, message)
         self._file.flush()
         self._began = self._flushed = self._synced = at
         if self._state is State.BLOCKED:
             log.warning("recorder: records again, in %s", self._file.path)
         self._state, self.why, self._rest_s = State.RECORDING, "", self._options.retry_s
-        self._shelf.tidy(self._file.path)
+        self._storage_policy.tidy(self._file.path)
 
     def _flush(self, now: MonoNs | None) -> None:
         """When it is due at `now`; at once without one."""
@@ -350,11 +355,11 @@ class Recorder:
                 raise OSError(f"{file.path} was removed while it was written")
             file.sync()
             self._synced = now
-            self._shelf.tidy(file.path)
-        limit = self._shelf.max_file_bytes
+            self._storage_policy.tidy(file.path)
+        limit = self._storage_policy.max_file_bytes
         if limit is not None and (file.bytes >= limit or seconds_between(self._began, now) >= self._options.max_file_s):
             self._end_file()
-        elif (reason := self._shelf.lacks_room()) is not None:
+        elif (reason := self._storage_policy.lacks_room()) is not None:
             self._end_file()
             self._lacks(reason)
 
@@ -375,5 +380,5 @@ class Recorder:
 
 def _kind(what: object) -> str:
     if isinstance(what, tuple):
-        return "look"
+        return "detection"
     return type(what).__name__.removesuffix("Record").lower()

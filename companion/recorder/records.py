@@ -20,8 +20,8 @@ Pixels = Annotated[int, Meta(ge=1, le=65_535)]
 class StampRecord(Struct, frozen=True):
     """When it was true, when it was heard, how well the first is known."""
 
-    taken_ns: Instant
-    heard_ns: Instant
+    measured_at_ns: Instant
+    received_at_ns: Instant
     sigma_s: float
     source: str
 
@@ -94,7 +94,7 @@ class SightingRecord(Struct, frozen=True, omit_defaults=True):
     pose6: Pose6Record | None = None
 
 
-class LookRecord(Struct, frozen=True, omit_defaults=True):
+class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     """One frame: when, what every method saw, and what became of it."""
 
     stamp: StampRecord
@@ -226,7 +226,7 @@ class CounterRecord(Struct, frozen=True):
 
 
 class HealthRecord(Struct, frozen=True):
-    """Health of the service (`companion.health.HealthSnapshot`), once a second."""
+    """Health of the service (`companion.runtime.health.HealthSnapshot`), once a second."""
 
     at_ns: Instant
     parts: list[PartRecord]

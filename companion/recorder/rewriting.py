@@ -14,9 +14,9 @@ from companion.observer import Decision
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
 from companion.recorder.mcap_file import About, Attachment, McapFile
+from companion.recorder.message_encoder import MessageEncoder
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
-from companion.recorder.records import HealthRecord, LinkRecord, LookRecord, TruthRecord
-from companion.recorder.scribe import Scribe
+from companion.recorder.records import DetectionRecord, HealthRecord, LinkRecord, TruthRecord
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method
 from estimator.contracts.samples import VehicleStatus
@@ -35,7 +35,7 @@ class Cut:
     samples_each: int = 1
     """Of each kind of sample; what the vehicle says of itself is always kept."""
     frames_each: int = 1
-    pictures: bool = True
+    images: bool = True
 
 
 def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
@@ -51,11 +51,11 @@ def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
     metadata = {name: data for name, data in recording.metadata.items() if name != "clock"}
     offset_ns = _offset_ns(recording)
     attachments = [Attachment(name, "application/toml", data) for name, data in recording.attachments.items()]
-    scribe = Scribe(camera, offset_ns, "none", 90)
+    message_encoder = MessageEncoder(camera, offset_ns, "none", 90)
     output.unlink(missing_ok=True)
     file = McapFile(output, About(metadata, attachments, offset_ns))
     try:
-        n = _copy(recording, file, scribe, cut, offset_ns)
+        n = _copy(recording, file, message_encoder, cut, offset_ns)
     except BaseException:
         file.abandon()
         raise
@@ -70,7 +70,7 @@ def _offset_ns(recording: Recording) -> int:
     return int(text)
 
 
-def _copy(recording: Recording, file: McapFile, scribe: Scribe, cut: Cut, offset_ns: int) -> int:
+def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder, cut: Cut, offset_ns: int) -> int:
     first: MonoNs | None = None
     met: Counter[str] = Counter()
     n = 0
@@ -78,7 +78,7 @@ def _copy(recording: Recording, file: McapFile, scribe: Scribe, cut: Cut, offset
         at = instant(event)
         if first is None:
             first = at
-            for topic, t, message in scribe.preamble(at):
+            for topic, t, message in message_encoder.preamble(at):
                 file.add(topic, t, message)
         since_s = seconds_between(first, at)
         if (cut.from_s > 0 and since_s < cut.from_s) or (cut.to_s is not None and since_s > cut.to_s):
@@ -88,25 +88,25 @@ def _copy(recording: Recording, file: McapFile, scribe: Scribe, cut: Cut, offset
         n += 1
         t = max(0, at + offset_ns)
         if isinstance(event, RecordedFrame):
-            if cut.pictures and event.picture is not None:
-                taken = event.record.stamp.taken_ns + offset_ns
-                form = "png" if event.picture.startswith(b"\x89PNG") else "jpeg"
-                file.add(channels.IMAGE, t, fox.compressed_image(taken, event.picture, form))
-            file.add(channels.LOOK, t, _without_methods(event.record) if cut.inputs else event.record)
+            if cut.images and event.image is not None:
+                exposed_at = event.record.stamp.measured_at_ns + offset_ns
+                form = "png" if event.image.startswith(b"\x89PNG") else "jpeg"
+                file.add(channels.IMAGE, t, fox.compressed_image(exposed_at, event.image, form))
+            file.add(channels.DETECTION, t, _without_methods(event.record) if cut.inputs else event.record)
         elif cut.inputs and not isinstance(event, TruthRecord | LinkRecord | HealthRecord | Decision):
             record = encode.sample(event)
             file.add(channels.SAMPLES[type(record)], t, record)
         elif cut.inputs and isinstance(event, TruthRecord):
             file.add(channels.TRUTH, t, event)
         else:
-            for topic, moment, message in scribe.messages(at, event):
+            for topic, moment, message in message_encoder.messages(at, event):
                 file.add(topic, moment, message)
         if file.pending_bytes > 1 << 22:
             file.flush()
     return n
 
 
-def _without_methods(record: LookRecord) -> LookRecord:
+def _without_methods(record: DetectionRecord) -> DetectionRecord:
     tried = None if record.tried is None else list[str]()
     return msgspec.structs.replace(record, tried=tried, **dict.fromkeys(get_args(Method), None) | {"selected": record.selected})
 

@@ -8,15 +8,15 @@ from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 
-from companion import settings_pages
-from companion.health import Health
+from companion.config import reference
+from companion.config.model import Settings
+from companion.config.settings import camera_model, find_file
 from companion.recorder.mcap_file import About, Attachment
+from companion.recorder.message_encoder import FrameForm
 from companion.recorder.reading import CAMERA, PAD, SETTINGS
 from companion.recorder.recorder import Options, Recorder
-from companion.recorder.scribe import FrameForm
-from companion.recorder.shelf import Folder, SingleFile
-from companion.settings import camera_model, find_file
-from companion.settings_model import Settings
+from companion.recorder.storage_policy import Folder, SingleFile
+from companion.runtime.health import Health
 from estimator.contracts.ports import Clock
 from estimator.vision.camera import Camera
 
@@ -29,7 +29,7 @@ def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> 
     Raises:
         BadInput: the camera or pad file is missing.
     """
-    files = [Attachment(SETTINGS, "application/toml", settings_pages.toml(settings).encode())]
+    files = [Attachment(SETTINGS, "application/toml", reference.toml(settings).encode())]
     for name, text, folder in ((CAMERA, settings.camera.file, "cameras"), (PAD, settings.pad.file, "pads")):
         path = find_file(text, folder, Path(), name)
         files.append(Attachment(name, "application/toml", path.read_bytes()))
@@ -66,9 +66,9 @@ def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
         sync_s=r.sync_s,
         close_s=1.5,
     )
-    shelf = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb)
+    storage_policy = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb)
     described = about(settings, {"kind": "service"}, wall_offset_ns(clock))
-    recorder = Recorder(shelf, camera_model(settings), described, options, health)
+    recorder = Recorder(storage_policy, camera_model(settings), described, options, health)
     if not r.enabled:
         recorder.pause()
     return recorder

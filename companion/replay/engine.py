@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from companion.guidance.planner import Phase
-from companion.observer import Decision, FrameSeen, Observer
+from companion.observer import Decision, Observer, ProcessedFrame
 from companion.pilot import Outcome, Pilot
 from companion.recorder import encode
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
@@ -23,7 +23,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
-from estimator.vision.look import Look
+from estimator.vision.thesis.detection import Detection
 
 _GAP_S = 10.0
 """A gap in the recording longer than this is not replayed through guidance."""
@@ -38,7 +38,7 @@ class Counts:
     samples: int = 0
     frames: int = 0
     looked: int = 0
-    """Frames whose picture went through vision again."""
+    """Frames whose frame went through vision again."""
     as_recorded: int = 0
     """Frames of which the recorded sightings were taken."""
     decisions: int = 0
@@ -48,10 +48,10 @@ class Replay:
     """One pass of a recording through a pilot.
 
     Args:
-        sightings: take what vision saw then instead of looking at the pictures again; frames without a picture always do.
+        sightings: take what vision saw then instead of looking at the frames again; frames without a frame always do.
         rate_hz: rounds of guidance a second where the recording holds none.
         shift_ns: added to every instant, to play it as if it happened now.
-        observers: told what the service would tell them; frames whose picture was not kept come black.
+        observers: told what the service would tell them; frames whose frame was not kept come black.
     """
 
     def __init__(
@@ -126,12 +126,14 @@ class Replay:
     def _moved(self, stamp: Stamp) -> Stamp:
         if not self._shift_ns:
             return stamp
-        return replace(stamp, taken=MonoNs(stamp.taken + self._shift_ns), heard=MonoNs(stamp.heard + self._shift_ns))
+        return replace(
+            stamp, measured_at=MonoNs(stamp.measured_at + self._shift_ns), received_at=MonoNs(stamp.received_at + self._shift_ns)
+        )
 
     def _sample(self, recorded: Sample) -> None:
         sample = replace(recorded, stamp=self._moved(recorded.stamp))
         self.counts.samples += 1
-        for outcome in self._pilot.hear(sample):
+        for outcome in self._pilot.on_sample(sample):
             self._hash.update(f"{outcome.path} {outcome.kind} {outcome.verdict.value}".encode())
         for observer in self._observers:
             observer.on_sample(sample)
@@ -144,27 +146,27 @@ class Replay:
         self.counts.frames += 1
         attitude = recorded.attitude
         attitude = self._pilot.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
-        look: Look | None = None
+        look: Detection | None = None
         verdict = Verdict.NO_ATTITUDE
         if frame is None and not self._sightings and (recorded.record.width, recorded.record.height) != size:
             frame, verdict = _black(recorded), Verdict.FAILED
         elif frame is None:
             self.counts.as_recorded += 1
             look = self._seen_then(recorded)
-            verdict = Verdict(recorded.record.verdict) if look is None else self._pilot.saw(look)
+            verdict = Verdict(recorded.record.verdict) if look is None else self._pilot.on_detection(look)
             frame = _black(recorded)
         elif (refused := self._pilot.admit(replace(frame, stamp=stamp))) is not None:
             verdict = refused
         elif attitude is not None:
             self.counts.looked += 1
-            look = self._pilot.look(replace(frame, stamp=stamp), attitude)
-            verdict = self._pilot.saw(look)
-        seen = FrameSeen(replace(frame, stamp=stamp), attitude, look, verdict, began, done)
-        self._hash.update(self._encoder.encode(encode.look(seen)))
+            look = self._pilot.detect(replace(frame, stamp=stamp), attitude)
+            verdict = self._pilot.on_detection(look)
+        processed = ProcessedFrame(replace(frame, stamp=stamp), attitude, look, verdict, began, done)
+        self._hash.update(self._encoder.encode(encode.detection(processed)))
         for observer in self._observers:
-            observer.on_frame(seen)
+            observer.on_frame(processed)
 
-    def _seen_then(self, recorded: RecordedFrame) -> Look | None:
+    def _seen_then(self, recorded: RecordedFrame) -> Detection | None:
         look = recorded.look()
         if look is None or not self._shift_ns:
             return look

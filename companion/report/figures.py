@@ -104,8 +104,8 @@ def all_series(log: FlightLog) -> list[Series]:
         paths.setdefault(estimate.path, []).append(estimate)
     out = []
     for name, seen in methods.items():
-        seen = sorted(seen, key=lambda s: s.stamp.taken)
-        out.append(_series(log, truth, name, False, [s.stamp.taken for s in seen], seen))
+        seen = sorted(seen, key=lambda s: s.stamp.measured_at)
+        out.append(_series(log, truth, name, False, [s.stamp.measured_at for s in seen], seen))
     for path, states in paths.items():
         states = sorted(states, key=lambda s: s.at)
         out.append(_series(log, truth, path, True, [s.at for s in states], states))

@@ -55,12 +55,12 @@ class PhaseChange:
 class FrameRecord:
     """What became of one frame. Its sightings are those of `FlightLog.sightings` with the same `seq`."""
 
-    taken: MonoNs
+    exposed_at: MonoNs
     seq: int
     verdict: Verdict
     R_level_body: Rotation | None = None
     """Roll and pitch at the exposure, where known: places the drawn outline."""
-    picture: bytes | Path | None = None
+    image: bytes | Path | None = None
     """JPEG (or any format OpenCV reads) as bytes or file; None where it was not kept."""
 
 

@@ -18,7 +18,7 @@ from estimator.vision.pad import Pad
 U8 = NDArray[np.uint8]
 
 PANEL_SHARE = 0.16
-"""Height of the figures' panel below the picture, of the picture's height."""
+"""Height of the figures' panel below the frame, of the frame's height."""
 _SHIFT = 4
 _FAR_PX = 20_000.0
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -46,11 +46,11 @@ def annotated_size(width: int, height: int, scale: float = 1.0) -> tuple[int, in
     return w + w % 2, (panel := h + round(h * PANEL_SHARE)) + panel % 2
 
 
-def annotate(picture: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float = 1.0) -> U8:
-    """A copy of the picture, scaled, with everything drawn over it and the panel of figures below.
+def annotate(image: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float = 1.0) -> U8:
+    """A copy of the frame, scaled, with everything drawn over it and the panel of figures below.
 
     Args:
-        picture: (H, W, 3) BGR of any size; drawings follow `camera`'s pixels.
+        frame: (H, W, 3) BGR of any size; drawings follow `camera`'s pixels.
     Returns:
         BGR of `annotated_size(camera.width, camera.height, scale)`.
     """
@@ -58,7 +58,7 @@ def annotate(picture: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: flo
     h = round(camera.height * scale)
     canvas = np.full((out_h, out_w, 3), 24, np.uint8)
     view = canvas[:h]
-    view[:] = cv2.resize(picture, (out_w, h), interpolation=cv2.INTER_LINEAR if scale >= 1.0 else cv2.INTER_AREA)
+    view[:] = cv2.resize(image, (out_w, h), interpolation=cv2.INTER_LINEAR if scale >= 1.0 else cv2.INTER_AREA)
     pen = _Pen(view, scale)
     if overlay.estimate is not None:
         for line in _pad_lines(overlay.estimate, overlay.R_level_body or Rotation.identity(), camera, pad):
@@ -73,7 +73,7 @@ def annotate(picture: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: flo
 
 
 class _Pen:
-    """Draws in the camera's pixels onto a scaled picture, each stroke with a dark rim so that it shows on any ground."""
+    """Draws in the camera's pixels onto a scaled frame, each stroke with a dark rim so that it shows on any ground."""
 
     def __init__(self, view: U8, scale: float) -> None:
         self._view = view

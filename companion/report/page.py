@@ -21,7 +21,7 @@ _FEW = 20
 
 
 def write_report(log: FlightLog, folder: Path, video: Path | None = None) -> Path:
-    """Write `folder`/index.html and, unless given, draw the video from the log's kept pictures.
+    """Write `folder`/index.html and, unless given, draw the video from the log's kept frames.
 
     Args:
         log: what the flight left behind; any part may be empty.
@@ -103,7 +103,7 @@ def _touchdown(log: FlightLog) -> str:
 
 def _video(video: str | None) -> str:
     if video is None:
-        return '<h2>Video</h2><p class="note">No pictures were kept.</p>'
+        return '<h2>Video</h2><p class="note">No frames were kept.</p>'
     return (
         f'<h2>Video</h2><video controls muted playsinline preload="auto" src="{escape(video, quote=True)}"></video>'
         '<p class="note">Yellow: the pad as the estimate has it. Other colours: what each method saw, in the colours of the '

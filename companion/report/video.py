@@ -1,4 +1,4 @@
-"""An H.264 file that any browser plays, fed one picture at a time."""
+"""An H.264 file that any browser plays, fed one frame at a time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from companion.report.flight_log import FlightLog, FrameRecord
 from companion.report.overlay import Overlay, annotate, annotated_size
-from drivers import images
+from drivers.camera import images
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.time import MonoNs, seconds_between
@@ -24,9 +24,9 @@ _LIMITED_RANGE = 1
 
 
 class FlightVideo:
-    """Writes BGR pictures as MP4 (H.264, yuv420p, BT.709, index in front). May be fed in flight or after it.
+    """Writes BGR frames as MP4 (H.264, yuv420p, BT.709, index in front). May be fed in flight or after it.
 
-    Pictures keep their own times, so a lost frame is a pause and not a jump. Nothing is left behind where no picture came.
+    Frames keep their own times, so a lost frame is a pause and not a jump. Nothing is left behind where no frame came.
 
     Args:
         path: the file to write; what is there is replaced.
@@ -44,7 +44,7 @@ class FlightVideo:
         if not fps > 0.0:
             raise BadInput(f"{path}: fps must be positive, got {fps}")
         self.path = path
-        self.pictures = 0
+        self.frame_images = 0
         self._size = size
         self._first: MonoNs | None = None
         self._pts = -1
@@ -64,26 +64,26 @@ class FlightVideo:
             raise BadInput(f"{path}: cannot write a video there: {why}") from why
         self._container, self._stream = container, stream
 
-    def add(self, picture: NDArray[np.uint8], at: MonoNs) -> bool:
-        """Append a (H, W, 3) BGR picture of the instant `at`; False for one that is not later than the last.
+    def add(self, image: NDArray[np.uint8], at: MonoNs) -> bool:
+        """Append a (H, W, 3) BGR frame of the instant `at`; False for one that is not later than the last.
 
         Raises:
-            ValueError: a picture of another size.
+            ValueError: a frame of another size.
             Recoverable: the disk refuses it.
         """
-        if picture.shape != (self._size[1], self._size[0], 3) or picture.dtype != np.uint8:
-            raise ValueError(f"want {self._size[1], self._size[0], 3} uint8 BGR, got {picture.shape} {picture.dtype}")
+        if image.shape != (self._size[1], self._size[0], 3) or image.dtype != np.uint8:
+            raise ValueError(f"want {self._size[1], self._size[0], 3} uint8 BGR, got {image.shape} {image.dtype}")
         if self._first is None:
             self._first = at
         pts = round(seconds_between(self._first, at) * _CLOCK_HZ)
         if pts <= self._pts:
             return False
         self._pts = pts
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="bgr24")
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
         frame = frame.reformat(format="yuv420p", dst_colorspace=_BT709, dst_color_range=_LIMITED_RANGE)
         frame.pts, frame.time_base = pts, Fraction(1, _CLOCK_HZ)
         self._write(frame)
-        self.pictures += 1
+        self.frame_images += 1
         return True
 
     def _write(self, frame: av.VideoFrame | None) -> None:
@@ -98,11 +98,11 @@ class FlightVideo:
             return
         self._closed = True
         try:
-            if self.pictures:
+            if self.frame_images:
                 self._write(None)
         finally:
             self._container.close()
-            if not self.pictures:
+            if not self.frame_images:
                 self.path.unlink(missing_ok=True)
 
     def __enter__(self) -> FlightVideo:
@@ -113,12 +113,12 @@ class FlightVideo:
 
 
 def video_from_log(log: FlightLog, path: Path, fps: float = 30.0, scale: float = 1.0) -> int:
-    """Draw every kept picture of the log into a video; returns how many there were (none, no file).
+    """Draw every kept frame of the log into a video; returns how many there were (none, no file).
 
     Raises:
         BadInput: the file cannot be written.
     """
-    kept = [f for f in sorted(log.frames, key=lambda f: f.taken) if f.picture is not None]
+    kept = [f for f in sorted(log.frames, key=lambda f: f.exposed_at) if f.image is not None]
     if not kept:
         return 0
     by_seq: dict[int, list[Sighting]] = {}
@@ -130,19 +130,19 @@ def video_from_log(log: FlightLog, path: Path, fps: float = 30.0, scale: float =
     changes = sorted(log.phases, key=lambda p: p.at)
     with FlightVideo(path, annotated_size(log.camera.width, log.camera.height, scale), fps) as video:
         for frame in kept:
-            picture = _decode(frame)
-            if picture is None:
+            image = _decode(frame)
+            if image is None:
                 continue
             overlay = Overlay(
-                t_s=seconds_between(log.started, frame.taken),
+                t_s=seconds_between(log.started, frame.exposed_at),
                 verdict=frame.verdict,
-                phase=next((p.phase for p in reversed(changes) if p.at <= frame.taken), ""),
+                phase=next((p.phase for p in reversed(changes) if p.at <= frame.exposed_at), ""),
                 sightings=tuple(by_seq.get(frame.seq, ())),
-                estimate=_nearest(states, instants, frame.taken),
+                estimate=_nearest(states, instants, frame.exposed_at),
                 R_level_body=frame.R_level_body,
             )
-            video.add(annotate(picture, overlay, log.camera, log.pad, scale), frame.taken)
-        return video.pictures
+            video.add(annotate(image, overlay, log.camera, log.pad, scale), frame.exposed_at)
+        return video.frame_images
 
 
 def _nearest(states: list[RelativeState], instants: NDArray[np.int64], at: MonoNs) -> RelativeState | None:
@@ -154,14 +154,14 @@ def _nearest(states: list[RelativeState], instants: NDArray[np.int64], at: MonoN
 
 
 def _decode(frame: FrameRecord) -> NDArray[np.uint8] | None:
-    """The picture, or None where its bytes are none or its file is gone."""
-    if isinstance(frame.picture, Path):
-        if not frame.picture.is_file():
+    """The frame, or None where its bytes are none or its file is gone."""
+    if isinstance(frame.image, Path):
+        if not frame.image.is_file():
             return None
-        return np.asarray(p, np.uint8) if (p := cv2.imread(str(frame.picture), cv2.IMREAD_COLOR)) is not None else None
-    if not frame.picture:
+        return np.asarray(p, np.uint8) if (p := cv2.imread(str(frame.image), cv2.IMREAD_COLOR)) is not None else None
+    if not frame.image:
         return None
     try:
-        return images.decode(frame.picture)
+        return images.decode(frame.image)
     except images.ImageRefused:
         return None

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drivers.ardrone.at import AtCommand
+from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
-from drivers.ardrone.helm import Helm
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_client import SenderClient
@@ -19,11 +19,13 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 class CommandChannel:
     """Says the helm's word every period, and whatever the other channels want sent. The sender outlives a broken run."""
 
-    def __init__(self, options: ArDroneOptions, clock: Clock, counters: Counters, helm: Helm, navdata: NavdataChannel) -> None:
+    def __init__(
+        self, options: ArDroneOptions, clock: Clock, counters: Counters, streamer: CommandStreamer, navdata: NavdataChannel
+    ) -> None:
         self._o = options
         self._clock = clock
         self._counters = counters
-        self._helm = helm
+        self._streamer = streamer
         self._navdata = navdata
         self._sender: SenderClient | None = None
 
@@ -62,7 +64,7 @@ class CommandChannel:
         try:
             while True:
                 now = self._clock.now()
-                self._sender.say(self._helm.word(now))
+                self._sender.say(self._streamer.word(now))
                 if seconds_between(self._last_sign(opened), now) > self._o.reopen_after_s:
                     break
                 due = max(after(due, self._o.command_period_s), now)
@@ -79,14 +81,14 @@ class CommandChannel:
         if hold:
             self._sender.let_go()
         else:
-            self._sender.end(self._helm.leave(self._clock.now()))
+            self._sender.end(self._streamer.leave(self._clock.now()))
         self._sender = None
 
     def _options(self) -> SenderOptions:
         o = self._o
         return SenderOptions(
             o.host, o.at_port, o.navdata_port, o.command_period_s, o.hold_s,
-            as_text(o.patience(o.hold_com_watchdog_s)), as_text(o.patience(o.com_watchdog_s)),
+            as_text(o.timeouts(o.hold_com_watchdog_s)), as_text(o.timeouts(o.com_watchdog_s)),
         )  # fmt: skip
 
     def _told(self, before: Status, now: Status) -> None:
@@ -99,5 +101,5 @@ class CommandChannel:
         self._counters.at_hovers_past_sender += 1
 
     def _last_sign(self, opened: MonoNs) -> MonoNs:
-        heard = self._navdata.heard
-        return opened if heard is None else max(opened, heard)
+        received_at = self._navdata.received_at
+        return opened if received_at is None else max(opened, received_at)

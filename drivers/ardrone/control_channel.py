@@ -83,21 +83,21 @@ class ControlChannel:
             raise Recoverable("the drone closed the control connection")
         return more
 
-    def _compare(self, told: dict[str, str]) -> None:
-        self.configuration = told
-        wrong = [key for key, asked in self._o.configuration().items() if key in told and not _same(asked, told[key])]
+    def _compare(self, read_back: dict[str, str]) -> None:
+        self.configuration = read_back
+        wrong = [key for key, asked in self._o.configuration().items() if key in read_back and not _same(asked, read_back[key])]
         if not wrong:
             self._tries = 0
             return
         self._counters.config_mismatches += len(wrong)
-        _log.warning("ardrone reads back otherwise than asked for: %s", ", ".join(f"{k} = {told[k]}" for k in wrong))
+        _log.warning("ardrone reads back otherwise than asked for: %s", ", ".join(f"{k} = {read_back[k]}" for k in wrong))
         if self._tries < _TRIES:
             self._tries += 1
             self._setup.again()
 
 
-def _same(asked: str, told: str) -> bool:
-    a, b = control.number(asked), control.number(told)
+def _same(asked: str, read_back: str) -> bool:
+    a, b = control.number(asked), control.number(read_back)
     if a is None or b is None:
-        return asked.strip() == told.strip()
+        return asked.strip() == read_back.strip()
     return abs(a - b) <= 1e-4 * max(1.0, abs(a))

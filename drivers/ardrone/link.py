@@ -7,13 +7,13 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 
 from drivers.ardrone.command_channel import CommandChannel
+from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.control_channel import ControlChannel
 from drivers.ardrone.counters import Counters
-from drivers.ardrone.helm import Helm
-from drivers.ardrone.keep_up import BackOff, keep_up
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.reconnect import BackOff, reconnect
 from drivers.ardrone.setup import Setup
 from drivers.ardrone.video_channel import VideoChannel
 from drivers.mailbox import Latest, Line
@@ -37,9 +37,9 @@ class ArDrone:
         self.samples: Line[Sample] = Line(options.sample_line)
         self.down: dict[str, str] = {}
         """Channels waiting to be started again, each with the reason."""
-        self._helm = Helm(options, self.counters)
-        self._navdata = NavdataChannel(options, clock, self.counters, self._heard, self._restarted)
-        self._commands = CommandChannel(options, clock, self.counters, self._helm, self._navdata)
+        self._streamer = CommandStreamer(options, self.counters)
+        self._navdata = NavdataChannel(options, clock, self.counters, self._received_at, self._restarted)
+        self._commands = CommandChannel(options, clock, self.counters, self._streamer, self._navdata)
         self._setup = Setup(options, clock, self.counters, self._commands, self._navdata)
         self._control = ControlChannel(options, self.counters, self._commands, self._setup)
         self._video = VideoChannel(options, clock, self.counters, self._setup, self.frames)
@@ -52,7 +52,7 @@ class ArDrone:
         """
         if not self._open:
             raise Recoverable("the link to the AR.Drone is closed")
-        self._helm.take(command, self._clock.now())
+        self._streamer.take(command, self._clock.now())
 
     def release(self) -> None:
         """The service ends on purpose: on closing, the drone is left in its own hover instead of being held for a successor."""
@@ -60,7 +60,7 @@ class ArDrone:
 
     def toggle_emergency(self) -> None:
         """Cut the motors at once, or leave the emergency state. Never done but by this call."""
-        self._helm.toggle_emergency()
+        self._streamer.toggle_emergency()
 
     @property
     def navdata(self) -> Navdata | None:
@@ -77,11 +77,11 @@ class ArDrone:
         """What the drone last said of its configuration; empty before."""
         return self._control.configuration
 
-    def _heard(self, navdata: Navdata, samples: list[Sample], heard: MonoNs) -> None:
-        self._helm.hear(navdata, heard)
-        self._setup.hear(navdata.state)
+    def _received_at(self, navdata: Navdata, samples: list[Sample], received_at: MonoNs) -> None:
+        self._streamer.on_navdata(navdata, received_at)
+        self._setup.on_state(navdata.state)
         for sample in samples:
-            self._helm.hear_sample(sample)
+            self._streamer.on_sample(sample)
             self.samples.offer(sample)
 
     def _restarted(self) -> None:
@@ -113,9 +113,9 @@ async def open_ardrone(options: ArDroneOptions, clock: Clock) -> AsyncIterator[A
     drone = ArDrone(options, clock)
     back_off = BackOff(options.restart_first_s, options.restart_most_s)
     # Without commands a flying drone lands by itself, so that socket is never left closed for long.
-    brisk = BackOff(options.command_period_s, min(options.restart_most_s, 8 * options.command_period_s))
+    fast_back_off = BackOff(options.command_period_s, min(options.restart_most_s, 8 * options.command_period_s))
     channels = {
-        "at": (drone._commands.run, brisk),
+        "at": (drone._commands.run, fast_back_off),
         "navdata": (drone._navdata.run, back_off),
         "setup": (drone._setup.run, back_off),
         "control": (drone._control.run, back_off),
@@ -124,7 +124,7 @@ async def open_ardrone(options: ArDroneOptions, clock: Clock) -> AsyncIterator[A
     failed: Exception | None = None
     async with asyncio.TaskGroup() as group:
         tasks = [
-            group.create_task(keep_up(name, body, clock, wait, drone.counters.restarts, drone.down), name=f"ardrone-{name}")
+            group.create_task(reconnect(name, body, clock, wait, drone.counters.restarts, drone.down), name=f"ardrone-{name}")
             for name, (body, wait) in channels.items()
         ]
         hold = True

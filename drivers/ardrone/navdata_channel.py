@@ -53,13 +53,13 @@ class NavdataChannel:
             )
         )
         self._expected: int | None = None
-        self._heard: MonoNs | None = None
+        self._received_at: MonoNs | None = None
         self.newest: Navdata | None = None
 
     @property
-    def heard(self) -> MonoNs | None:
+    def received_at(self) -> MonoNs | None:
         """When the newest good datagram was heard."""
-        return self._heard
+        return self._received_at
 
     async def run(self) -> None:
         """Until the stream is silent for `reopen_after_s`.
@@ -73,16 +73,16 @@ class NavdataChannel:
             while True:
                 await self._clock.sleep(min(_LOOK_S, self._o.navdata_silence_s / 4))
                 now = self._clock.now()
-                heard = opened if self._heard is None else max(opened, self._heard)
-                if seconds_between(heard, now) > self._o.reopen_after_s:
+                received_at = opened if self._received_at is None else max(opened, self._received_at)
+                if seconds_between(received_at, now) > self._o.reopen_after_s:
                     raise Recoverable(f"no navdata for {self._o.reopen_after_s} s")
-                if seconds_between(max(heard, asked), now) > self._o.navdata_silence_s:
+                if seconds_between(max(received_at, asked), now) > self._o.navdata_silence_s:
                     self._counters.navdata_silences += 1
                     self._expected = None
                     socket.send(OPENING)
                     asked = now
 
-    def take(self, datagram: bytes, heard: MonoNs) -> None:
+    def take(self, datagram: bytes, received_at: MonoNs) -> None:
         """One datagram as it came in. Never raises on any bytes."""
         self._counters.navdata_datagrams += 1
         navdata = decode(datagram)
@@ -93,10 +93,10 @@ class NavdataChannel:
         if not self._in_order(navdata.sequence):
             self._counters.navdata_out_of_order += 1
             return
-        self.newest, self._heard = navdata, heard
-        samples = self._sampler.samples(navdata, self._stamp(navdata, heard)) if navdata.options else []
+        self.newest, self._received_at = navdata, received_at
+        samples = self._sampler.samples(navdata, self._stamp(navdata, received_at)) if navdata.options else []
         self._counters.samples += len(samples)
-        self._received(navdata, samples, heard)
+        self._received(navdata, samples, received_at)
 
     def _in_order(self, sequence: int) -> bool:
         expected = self._expected
@@ -114,8 +114,8 @@ class NavdataChannel:
         self._expected = sequence + 1
         return True
 
-    def _stamp(self, navdata: Navdata, heard: MonoNs) -> Stamp:
+    def _stamp(self, navdata: Navdata, received_at: MonoNs) -> Stamp:
         drone_us = time_us(navdata)
         if drone_us is not None:
-            return self._map.stamp(drone_us * 1000, heard)
-        return Stamp(after(heard, -self._o.navdata_delay_s), heard, self._o.arrival_sigma_s, "arrival")
+            return self._map.stamp(drone_us * 1000, received_at)
+        return Stamp(after(received_at, -self._o.navdata_delay_s), received_at, self._o.arrival_sigma_s, "arrival")

@@ -17,7 +17,7 @@ _ZERO5F = (0.0,) * 5
 @option(11)
 @dataclass(frozen=True, slots=True)
 class VisionRaw:
-    """Translation between two pictures as the flow sensor saw it."""
+    """Translation between two frames as the flow sensor saw it."""
 
     vision_t_raw: Annotated[Floats, "3f"] = (0.0, 0.0, 0.0)
 
@@ -34,7 +34,7 @@ class VisionOf:
 @option(13)
 @dataclass(frozen=True, slots=True)
 class Vision:
-    """State of the flow sensor, with the attitude at the picture it used last."""
+    """State of the flow sensor, with the attitude at the frame it used last."""
 
     vision_state: U32 = 0
     vision_misc: I32 = 0
@@ -86,7 +86,7 @@ class TrackersSend:
 @option(16)
 @dataclass(frozen=True, slots=True)
 class VisionDetect:
-    """Up to four tags the drone itself detected; positions and sizes run 0..1000 whatever the picture's size."""
+    """Up to four tags the drone itself detected; positions and sizes run 0..1000 whatever the frame's size."""
 
     nb_detected: U32 = 0
     type: Annotated[Ints, "4I"] = _ZERO4

@@ -110,7 +110,7 @@ class ArDroneOptions:
         wanted.update(self.settings)
         return wanted
 
-    def patience(self, seconds: int) -> list[AtCommand]:
+    def timeouts(self, seconds: int) -> list[AtCommand]:
         """Commands that set `com_watchdog_s` alone, without waiting for the acknowledge bit: nobody may be there to wait."""
         ids: list[AtCommand] = [] if self.ids is None else [ConfigIds(*self.ids)]
         return [Ctrl(CTRL_ACK), *ids, Config("general:com_watchdog", str(seconds)), Ctrl(CTRL_ACK)]

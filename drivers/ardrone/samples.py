@@ -130,10 +130,10 @@ class Sampler:
         if kind not in keys:
             return True
         given = self._given.get(kind)
-        taken = sample.stamp.taken
-        if given is not None and given[0] == keys[kind] and 0 <= seconds_between(given[1], taken) < self._repeat_s:
+        measured_at = sample.stamp.measured_at
+        if given is not None and given[0] == keys[kind] and 0 <= seconds_between(given[1], measured_at) < self._repeat_s:
             return False
-        self._given[kind] = keys[kind], taken
+        self._given[kind] = keys[kind], measured_at
         return True
 
 

@@ -110,7 +110,7 @@ class Sender:
             silent = self._service is None or self._arbiter.silent_s(MonoNs(time.monotonic_ns())) > _SILENT_S
             self._over = yield_to(self._listener, self._sequence if silent else None) or self._over
         if self._navdata in ready:
-            self._hear()
+            self._on_message()
         if self._service in ready:
             self._take()
 
@@ -246,7 +246,7 @@ class Sender:
                 self._navdata.close()
             self._navdata = None
 
-    def _hear(self) -> None:
+    def _on_message(self) -> None:
         assert self._navdata is not None
         newest = b""
         with suppress(OSError):  # BlockingIOError after the last one, or a port that refuses

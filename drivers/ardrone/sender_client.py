@@ -57,7 +57,7 @@ class SenderClient:
         self._status = Status(0, 0, 0, 0)
         self._hovered = hovered
         self._silent_s = max(_SILENT_S, _SILENT_PERIODS * options.period_s)
-        self._heard: MonoNs | None = None
+        self._received_at: MonoNs | None = None
         self._began = clock.now()
         self._buffer = b""
         self._word: Word | None = None
@@ -91,7 +91,7 @@ class SenderClient:
     @property
     def up(self) -> bool:
         """Whether the sender has reported that it runs."""
-        return self._heard is not None
+        return self._received_at is not None
 
     def say(self, word: Word) -> None:
         """Give the newest word; never blocks. While the sender is silent the drone is told to hover, word after word.
@@ -101,7 +101,7 @@ class SenderClient:
         """
         self._word = word
         self._look()
-        if self._heard is not None and seconds_between(self._heard, self._clock.now()) > self._silent_s:
+        if self._received_at is not None and seconds_between(self._received_at, self._clock.now()) > self._silent_s:
             self._hover()
         self._write(pack(word))
 
@@ -143,7 +143,7 @@ class SenderClient:
         self._read()  # after a standstill of ours its word lies here unread
         if self._lost is not None:
             raise Recoverable(self._lost)
-        since, patience_s = (self._began, _READY_S) if self._heard is None else (self._heard, _STUCK_S)
+        since, patience_s = (self._began, _READY_S) if self._received_at is None else (self._received_at, _STUCK_S)
         if seconds_between(since, self._clock.now()) > patience_s:
             self._lose(f"the sender of AT commands says nothing for {patience_s} s")
             raise Recoverable(self._lost or "")
@@ -169,7 +169,7 @@ class SenderClient:
         if not said:
             self._lose("the sender of AT commands is gone")
             return
-        self._heard = self._clock.now()
+        self._received_at = self._clock.now()
         *lines, self._buffer = (self._buffer + said).split(b"\n")
         if BUSY in lines:
             self._busy = True
@@ -186,7 +186,7 @@ class SenderClient:
         self._lost = why
         self._close()
         self._kill(_GONE_S)
-        if not self._busy and self._word is not None and self._heard is not None:
+        if not self._busy and self._word is not None and self._received_at is not None:
             self._hover()
 
     def _kill(self, patience_s: float) -> None:

@@ -60,7 +60,7 @@ class Setup:
         self.done_at = None
         self.needed.set()
 
-    def hear(self, state: int) -> None:
+    def on_state(self, state: int) -> None:
         """State bits that a configured drone does not show."""
         if self.done.is_set() and state & (State.NAVDATA_BOOTSTRAP | State.NAVDATA_DEMO):
             self.again()

@@ -1,6 +1,6 @@
-"""H.264 access units of PaVE frames to pictures.
+"""H.264 access units of PaVE frames to frames.
 
-A decoder that lost a unit goes on with wrong pictures and does not always say so, so after any gap, damage or error everything is
+A decoder that lost a unit goes on with wrong frames and does not always say so, so after any gap, damage or error everything is
 dropped up to the next IDR. `VideoDecoder.newest` blocks for 1-2 ms a frame of 640x360: call it from one worker thread, in order.
 """
 
@@ -21,8 +21,8 @@ MAX_PIXELS = 1920 * 1088
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """A decoded picture and where in the batch its unit stood."""
+class DecodedImage:
+    """A decoded frame and where in the batch its unit stood."""
 
     index: int
     px: NDArray[np.uint8]
@@ -30,14 +30,14 @@ class Picture:
 
 
 class VideoDecoder:
-    """Access units in, the newest picture out. Every unit given to it ends in exactly one of the counters."""
+    """Access units in, the newest frame out. Every unit given to it ends in exactly one of the counters."""
 
     def __init__(self) -> None:
         self._codec: VideoCodecContext | None = None
-        self.pictures = 0
+        self.images = 0
         """Given out."""
         self.overtaken = 0
-        """A newer picture of the same batch was given out instead."""
+        """A newer frame of the same batch was given out instead."""
         self.waiting = 0
         """Dropped: no IDR since the start, a gap or damage."""
         self.damaged = 0
@@ -50,22 +50,22 @@ class VideoDecoder:
     @property
     def units(self) -> int:
         """How many were given to it."""
-        return self.pictures + self.overtaken + self.waiting + self.damaged + self.unsupported + self.empty
+        return self.images + self.overtaken + self.waiting + self.damaged + self.unsupported + self.empty
 
-    def newest(self, batch: Sequence[PaveFrame]) -> Picture | None:
-        """Decode a batch in order and convert only its newest picture; units before the batch's last IDR are not even decoded."""
+    def newest(self, batch: Sequence[PaveFrame]) -> DecodedImage | None:
+        """Decode a batch in order and convert only its newest frame; units before the batch's last IDR are not even decoded."""
         start = max((i for i, f in enumerate(batch) if _entry(f)), default=0)
         self.overtaken += start
         seen: tuple[int, av.VideoFrame] | None = None
         for index in range(start, len(batch)):
-            picture = self._decode(batch[index])
-            if picture is not None:
+            image = self._decode(batch[index])
+            if image is not None:
                 self.overtaken += seen is not None
-                seen = index, picture
+                seen = index, image
         if seen is None:
             return None
-        self.pictures += 1
-        return Picture(seen[0], np.asarray(seen[1].to_ndarray(format="bgr24"), dtype=np.uint8))
+        self.images += 1
+        return DecodedImage(seen[0], np.asarray(seen[1].to_ndarray(format="bgr24"), dtype=np.uint8))
 
     def _decode(self, unit: PaveFrame) -> av.VideoFrame | None:
         header = unit.header
@@ -84,18 +84,18 @@ class VideoDecoder:
                 return None
             self._codec = _new_codec()
         try:
-            pictures = self._codec.decode(av.Packet(unit.payload))
+            images = self._codec.decode(av.Packet(unit.payload))
         except FFmpegError:
-            pictures = []
-        if not pictures and header.frame_type == FrameType.HEADERS:
+            images = []
+        if not images and header.frame_type == FrameType.HEADERS:
             self.empty += 1
             return None
         size = header.display_width, header.display_height
-        if len(pictures) != 1 or pictures[0].is_corrupt or (pictures[0].width, pictures[0].height) != size:
+        if len(images) != 1 or images[0].is_corrupt or (images[0].width, images[0].height) != size:
             self.damaged += 1
             self._codec = None
             return None
-        return pictures[0]
+        return images[0]
 
 
 def _entry(unit: PaveFrame) -> bool:

@@ -85,24 +85,24 @@ class VideoChannel:
             return
         self._counters.video_units += len(batch)
         stamps = [self._stamp(unit, began if carried and i == 0 else now) for i, unit in enumerate(batch)]
-        picture = await asyncio.get_running_loop().run_in_executor(pool, self._decoder.newest, batch)
+        image = await asyncio.get_running_loop().run_in_executor(pool, self._decoder.newest, batch)
         self._count()
-        if picture is None:
+        if image is None:
             return
-        stamp = stamps[picture.index]
-        if not self._selected(stamp.heard):
+        stamp = stamps[image.index]
+        if not self._selected(stamp.received_at):
             self._counters.frames_before_setup += 1
             return
-        frame = Frame(stamp, batch[picture.index].header.frame_number, picture.px, self._o.exposure_s)
+        frame = Frame(stamp, batch[image.index].header.frame_number, image.px, self._o.exposure_s)
         self._counters.frames += 1
         self._counters.frames_replaced += self._frames.offer(frame) is not None
 
-    def _stamp(self, unit: PaveFrame, heard: MonoNs) -> Stamp:
-        return self._map.stamp(unit.header.timestamp_ms * _MS, heard)
+    def _stamp(self, unit: PaveFrame, received_at: MonoNs) -> Stamp:
+        return self._map.stamp(unit.header.timestamp_ms * _MS, received_at)
 
-    def _selected(self, heard: MonoNs) -> bool:
+    def _selected(self, received_at: MonoNs) -> bool:
         done_at = self._setup.done_at
-        return done_at is not None and seconds_between(done_at, heard) >= self._o.video_settle_s
+        return done_at is not None and seconds_between(done_at, received_at) >= self._o.video_settle_s
 
     def _count(self) -> None:
         decoder, counters = self._decoder, self._counters

@@ -23,24 +23,24 @@ _OPTION = struct.Struct("<HH")
 
 
 def frames(path: Path) -> Iterator[Frame]:
-    """The pictures of a PaVE capture that decode, at the times of their headers; from the first key frame on.
+    """The frames of a PaVE capture that decode, at the times of their headers; from the first key frame on.
 
     Raises:
-        BadInput: the file cannot be read, or no picture in it decodes.
+        BadInput: the file cannot be read, or no frame in it decodes.
     """
     parser, decoder = PaveParser(), VideoDecoder()
     first_ms: int | None = None
     given = 0
     for unit in parser.feed(_bytes(path)):
-        picture = decoder.newest([unit])
-        if picture is None:
+        image = decoder.newest([unit])
+        if image is None:
             continue
         first_ms = unit.header.timestamp_ms if first_ms is None else first_ms
         given += 1
         at_ns = ((unit.header.timestamp_ms - first_ms) % (1 << 32)) * 1_000_000
-        yield Frame(stamp(at_ns, FRAME_DELAY_S), unit.header.frame_number, picture.px)
+        yield Frame(stamp(at_ns, FRAME_DELAY_S), unit.header.frame_number, image.px)
     if not given:
-        raise BadInput(f"{path}: no picture in it decodes")
+        raise BadInput(f"{path}: no frame in it decodes")
 
 
 def samples(path: Path) -> list[Sample]:

@@ -51,7 +51,7 @@ def read(path: Path) -> list[Sample]:
     log.close()
     if not any(isinstance(s, Imu) or type(s).__name__ == "Attitude" for s in samples):
         raise BadInput(f"{path}: holds neither IMU nor ATT messages")
-    return sorted(samples, key=lambda s: s.stamp.heard)
+    return sorted(samples, key=lambda s: s.stamp.received_at)
 
 
 class _Log(DFReader.DFReader_binary):  # type: ignore[misc]

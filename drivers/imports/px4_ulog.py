@@ -79,7 +79,7 @@ def _samples(topics: dict[str, dict[str, Any]]) -> list[Sample]:
         "vehicle_land_detected": _status,
     }
     samples = [s for name, data in topics.items() for s in _all(data, first_us, makers[name])]
-    return sorted(samples, key=lambda s: s.stamp.heard)
+    return sorted(samples, key=lambda s: s.stamp.received_at)
 
 
 def _all(data: dict[str, Any], first_us: int, make: Callable[[dict[str, Any], int, int], Sample | None]) -> Iterator[Sample]:

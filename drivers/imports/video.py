@@ -1,4 +1,4 @@
-"""Pictures of a video file, at its own time stamps."""
+"""Frames of a video file, at its own time stamps."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from pathlib import Path
 import numpy as np
 from av.error import FFmpegError
 
-from drivers.images import ImageRefused
+from drivers.camera.images import ImageRefused
+from drivers.camera.videos import open_video
 from drivers.imports.stamps import FRAME_DELAY_S, stamp
-from drivers.videos import open_video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
 
 
 def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
-    """Every picture in order, the first at 0; a file that breaks off ends there.
+    """Every frame in order, the first at 0; a file that breaks off ends there.
 
     Args:
         size: width and height that are expected; frames that are far larger are refused before they are decoded.
 
     Raises:
-        BadInput: the file cannot be read, holds no video, or not one picture of it decodes.
+        BadInput: the file cannot be read, holds no video, or not one frame of it decodes.
     """
     try:
         container = open_video(str(path), size)
@@ -34,16 +34,16 @@ def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
         first_s: float | None = None
         number = 0
         try:
-            for picture in container.decode(video=0):
-                if picture.pts is None:
+            for image in container.decode(video=0):
+                if image.pts is None:
                     continue
-                time_s = float(picture.time or 0.0)
+                time_s = float(image.time or 0.0)
                 first_s = time_s if first_s is None else first_s
-                px = np.asarray(picture.to_ndarray(format="bgr24"), dtype=np.uint8)
+                px = np.asarray(image.to_ndarray(format="bgr24"), dtype=np.uint8)
                 number += 1
                 yield Frame(stamp(round((time_s - first_s) * 1e9), FRAME_DELAY_S), number, px)
         except FFmpegError as why:
             if number == 0:
-                raise BadInput(f"{path}: no picture of it decodes: {why}") from why
+                raise BadInput(f"{path}: no frame of it decodes: {why}") from why
         if number == 0:
-            raise BadInput(f"{path}: no picture of it decodes")
+            raise BadInput(f"{path}: no frame of it decodes")

@@ -90,7 +90,7 @@ class AccessOptions:
 @dataclass(slots=True)
 class _Held:
     source: Source
-    heard: MonoNs
+    received_at: MonoNs
 
 
 @dataclass(slots=True)
@@ -141,7 +141,7 @@ class Access:
 
     def _holds(self, system: int, source: Source, now: MonoNs) -> bool:
         held = self._held.get(system)
-        if held is not None and held.source != source and seconds_between(held.heard, now) <= self.options.silence_s:
+        if held is not None and held.source != source and seconds_between(held.received_at, now) <= self.options.silence_s:
             return False
         self._held[system] = _Held(source, now)  # as many as the settings name
         return True

@@ -16,10 +16,10 @@ from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessOptions, Named, Source, Standing
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
-from drivers.mavlink.helm import Helm, HelmOptions
-from drivers.mavlink.links import Heard, LinkOptions, Links, open_links
+from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.requests import RATES_HZ, Parameters, Streams
 from drivers.mavlink.samples import LocalPosition, SampleOptions, Sampler
+from drivers.mavlink.setpoint_streamer import SetpointStreamer, StreamerOptions
 from drivers.mavlink.timesync import TimeSync, TimeSyncOptions, answer_to
 from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
 from estimator.contracts.commands import Command, Velocity
@@ -62,7 +62,7 @@ class AutopilotOptions:
     sample_line: int = 4096
     samples: SampleOptions = field(default_factory=SampleOptions)
     sync: TimeSyncOptions = field(default_factory=TimeSyncOptions)
-    helm: HelmOptions = field(default_factory=HelmOptions)
+    streamer: StreamerOptions = field(default_factory=StreamerOptions)
 
     def __post_init__(self) -> None:
         if not self.links:
@@ -84,10 +84,10 @@ class _Known:
     sampler: Sampler
     streams: Streams
     parameters: Parameters
-    helm: Helm
+    streamer: SetpointStreamer
     source: Source
     """The link and the peer that it is heard on; from elsewhere nobody is believed to be it."""
-    heard: MonoNs
+    received_at: MonoNs
     lost: bool = False
 
 
@@ -99,13 +99,13 @@ class Autopilot:
         self._clock = clock
         self._open = True
         self._known: _Known | None = None
-        self._listeners: list[Callable[[Heard], None]] = []
+        self._listeners: list[Callable[[ReceivedMessage], None]] = []
         self._boots = 0
         self._knocked: MonoNs | None = None
         self._reopened = list(links.opened)
         self.links = links
         self.frames: Latest[Frame] = Latest()
-        """An autopilot has no pictures; a camera driver offers them here."""
+        """An autopilot has no frames; a camera driver offers them here."""
         self.samples: Line[Sample] = Line(options.sample_line)
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=100)
         """The newest STATUSTEXTs of the autopilot: when, severity, text."""
@@ -159,8 +159,8 @@ class Autopilot:
         return None if self._known is None else self._known.streams
 
     @property
-    def helm(self) -> Helm | None:
-        return None if self._known is None else self._known.helm
+    def streamer(self) -> SetpointStreamer | None:
+        return None if self._known is None else self._known.streamer
 
     def command(self, command: Command) -> None:
         """Take the newest command; it is flown as `Helm` says.
@@ -177,7 +177,7 @@ class Autopilot:
             # The autopilot's velocities are over the ground.
             way_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.carried(now)
             command = Velocity(command.v_level + way_level, command.yaw_rate_rad_s)
-        self._known.helm.take(command, now, way_level)
+        self._known.streamer.take(command, now, way_level)
 
     def release(self) -> None:
         """Do nothing: on closing, the autopilot is commanded to hold, and then holds by itself."""
@@ -185,7 +185,7 @@ class Autopilot:
     def engage(self) -> None:
         """The operator starts: a vehicle that a person took from us may be taken back."""
         if self._known is not None:
-            self._known.helm.engage()
+            self._known.streamer.engage()
 
     def send(self, message: Message) -> bool:
         """Send a message to the autopilot if one is known; return whether it was sent."""
@@ -196,81 +196,85 @@ class Autopilot:
         if self._known is not None:
             self._known.sampler.ranges = take and self._o.ranges
 
-    def listen(self, listener: Callable[[Heard], None]) -> None:
+    def add_listener(self, listener: Callable[[ReceivedMessage], None]) -> None:
         """Call this with every message of every link, ours excepted, before it becomes samples. It must be quick."""
         self._listeners.append(listener)
 
     async def _read(self) -> None:
-        async for heard in self.links.heard:
-            if (heard.system, heard.component) == self.links.identity:
+        async for received in self.links.received:
+            if (received.system, received.component) == self.links.identity:
                 continue  # our own, routed back
-            for handler in (self._hear, *self._listeners):
-                self.links.contained.run(heard.place, heard.source_text, partial(handler, heard))
+            for handler in (self._on_message, *self._listeners):
+                self.links.contained.run(received.place, received.source_text, partial(handler, received))
 
-    def _hear(self, heard: Heard) -> None:
-        message, name = heard.message, heard.message.get_type()
-        if name == "TIMESYNC" and heard.standing >= Standing.PEER:
-            answer = answer_to(message, self._clock.now(), (heard.system, heard.component), self.links.identity)
+    def _on_message(self, received: ReceivedMessage) -> None:
+        message, name = received.message, received.message.get_type()
+        if name == "TIMESYNC" and received.standing >= Standing.PEER:
+            answer = answer_to(message, self._clock.now(), (received.system, received.component), self.links.identity)
             if answer is not None:
-                self.links.send(answer, heard.source)
-        if name == "HEARTBEAT" and self._chosen(heard):
-            self._meet(heard, stack_of(message))
+                self.links.send(answer, received.source)
+        if name == "HEARTBEAT" and self._chosen(received):
+            self._meet(received, stack_of(message))
         known = self._known
-        if known is None or heard.system != known.identity.system or heard.component != known.identity.component:
-            if self._o.vessel_system == heard.system and known is not None and heard.standing >= Standing.REPORTER:
-                self._offer(known.sampler.vessel(message, heard.heard))
+        if known is None or received.system != known.identity.system or received.component != known.identity.component:
+            if self._o.vessel_system == received.system and known is not None and received.standing >= Standing.REPORTER:
+                self._offer(known.sampler.vessel(message, received.received_at))
             return
-        if heard.source != known.source:
+        if received.source != known.source:
             return  # the same message by another way, or somebody who uses its ids
-        known.heard = heard.heard
+        known.received_at = received.received_at
         self.counts[name] += 1
         if name == "TIMESYNC":
-            known.sync.hear(message, heard.heard)
+            known.sync.on_message(message, received.received_at)
         elif name == "STATUSTEXT":
-            self.texts.append((heard.heard, int(message.severity), str(message.text)))
+            self.texts.append((received.received_at, int(message.severity), str(message.text)))
         elif name == "EVENT":
             self.events.append(int(message.id))
-        known.streams.hear(message, heard.heard)
-        known.parameters.hear(message)
-        self._offer(known.sampler.samples(message, heard.heard))
-        known.helm.hear(known.sampler.condition)
+        known.streams.on_message(message, received.received_at)
+        known.parameters.on_message(message)
+        self._offer(known.sampler.samples(message, received.received_at))
+        known.streamer.on_condition(known.sampler.condition)
         if name == "LOCAL_POSITION_NED" and known.sampler.positions:
-            known.helm.on_position(float(known.sampler.positions[-1].p_body_ned[2]))
+            known.streamer.on_position(float(known.sampler.positions[-1].p_body_ned[2]))
         if name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
-            known.helm.hear_attitude(known.sampler.attitude)
+            known.streamer.on_attitude(known.sampler.attitude)
 
     def _offer(self, samples: list[Sample]) -> None:
         for sample in samples:
             self.samples.offer(sample)
 
-    def _chosen(self, heard: Heard) -> bool:
-        if not is_autopilot(heard.message, heard.component) or heard.system == self._o.vessel_system:
+    def _chosen(self, received: ReceivedMessage) -> bool:
+        if not is_autopilot(received.message, received.component) or received.system == self._o.vessel_system:
             return False
         known = self._known
         if known is not None:
             # Where it was heard last it is believed; elsewhere once it has been silent there.
-            return (heard.system, heard.component) == known.identity.address and (heard.source == known.source or known.lost)
-        return self._o.system in (None, heard.system)
+            return (received.system, received.component) == known.identity.address and (
+                received.source == known.source or known.lost
+            )
+        return self._o.system in (None, received.system)
 
-    def _meet(self, heard: Heard, stack: Stack) -> None:
-        self.links.bind_autopilot(heard)
+    def _meet(self, received: ReceivedMessage, stack: Stack) -> None:
+        self.links.bind_autopilot(received)
         known = self._known
         if known is None or known.identity.stack is not stack:
-            identity = Identity(heard.system, heard.component, stack, int(heard.message.type))
+            identity = Identity(received.system, received.component, stack, int(received.message.type))
             sync = TimeSync(self._o.sync)
             clock = BootClock(sync)
             sampler = Sampler(stack, clock, self._o.samples, ranges=self._o.ranges)
             parameters = Parameters(stack, self._o.parameters)
-            streams, helm = Streams(RATES_HZ[stack]), Helm(identity, self._o.helm)
-            self._known = _Known(identity, sync, clock, sampler, streams, parameters, helm, heard.source, heard.heard)
-            self.links.identify(heard.system, self._o.component)
+            streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o.streamer)
+            self._known = _Known(
+                identity, sync, clock, sampler, streams, parameters, streamer, received.source, received.received_at
+            )
+            self.links.identify(received.system, self._o.component)
             self._boots = 0
             self.connects += 1
-            _log.info("autopilot: %s, system %d, on %s", stack.value, heard.system, self.links.all[heard.link].endpoint)
+            _log.info("autopilot: %s, system %d, on %s", stack.value, received.system, self.links.all[received.link].endpoint)
         elif known.lost:
-            if heard.source != known.source:
-                _log.warning("autopilot: heard again from elsewhere: %s", heard.source_text)
-            known.lost, known.source = False, heard.source
+            if received.source != known.source:
+                _log.warning("autopilot: heard again from elsewhere: %s", received.source_text)
+            known.lost, known.source = False, received.source
             self._again(known)
 
     def _again(self, known: _Known) -> None:
@@ -291,7 +295,7 @@ class Autopilot:
                 self.links.send(TimeSyncV2(0, now))
 
     def _period(self, known: _Known, now: MonoNs) -> None:
-        if not known.lost and seconds_between(known.heard, now) > self._o.silence_s:
+        if not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
             known.lost = True
             self.samples.offer(known.sampler.status(now, link_ok=False))
             _log.warning("autopilot: not heard for %.1f s", self._o.silence_s)
@@ -306,7 +310,7 @@ class Autopilot:
                 self._again(known)
         target = known.identity.address
         for message in (
-            *known.helm.period(now),
+            *known.streamer.period(now),
             *known.sync.due(now, target),
             *known.streams.due(now, target),
             *known.parameters.due(now, target),
@@ -316,7 +320,7 @@ class Autopilot:
     def _close(self) -> None:
         self._open = False
         if self._known is not None and not self._known.lost:
-            for message in self._known.helm.leave(self._clock.now()):
+            for message in self._known.streamer.leave(self._clock.now()):
                 self.links.send(message, self._known.source)
         closed = Recoverable("the link to the autopilot is closed")
         self.frames.fail(closed)

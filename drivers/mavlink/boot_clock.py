@@ -37,7 +37,7 @@ class BootClock:
         self.restarts = 0
         """Times the autopilot was seen to have booted."""
 
-    def stamp(self, boot: BootNs, heard: MonoNs) -> Stamp:
+    def stamp(self, boot: BootNs, received_at: MonoNs) -> Stamp:
         """When `boot` was on our clock; never later than `heard`."""
         if self._newest is not None and boot < self._newest - NS_PER_S and self._newest - boot < MS_WRAP_NS // 2:
             self.restarts += 1
@@ -45,14 +45,14 @@ class BootClock:
             self._map.reset()
             self._sync.reset()
         self._newest = boot if self._newest is None else max(boot, self._newest)
-        mapped = self._map.stamp(boot, heard)
-        found = self._sync.offset_ns(heard)
+        mapped = self._map.stamp(boot, received_at)
+        found = self._sync.offset_ns(received_at)
         if found is None:
             return mapped
         offset, sigma_s = found
-        expected = heard + offset
+        expected = received_at + offset
         unwrapped = expected + (boot - expected + MS_WRAP_NS // 2) % MS_WRAP_NS - MS_WRAP_NS // 2
-        taken = unwrapped - offset
-        if not -0.02 * NS_PER_S <= heard - taken <= _LATE_MAX_S * NS_PER_S:
+        measured_at = unwrapped - offset
+        if not -0.02 * NS_PER_S <= received_at - measured_at <= _LATE_MAX_S * NS_PER_S:
             return mapped
-        return Stamp(MonoNs(min(taken, heard)), heard, math.hypot(sigma_s, 0.001 / math.sqrt(12.0)), "synced")
+        return Stamp(MonoNs(min(measured_at, received_at)), received_at, math.hypot(sigma_s, 0.001 / math.sqrt(12.0)), "synced")

@@ -168,7 +168,7 @@ class Codec:
             self.counters.unknown += 1
             return True, None
         if self._signing is not None:
-            self._signing.times.heard(signing.timestamp)
+            self._signing.times.note_received(signing.timestamp)
             self._signing.times.bound()
         self._count(message, frame[0])
         return True, message

@@ -77,13 +77,13 @@ class LinkCounters:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class ReceivedMessage:
     """One message and where it came from."""
 
     message: Message
     link: int
     """Number of the link, in the order given."""
-    heard: MonoNs
+    received_at: MonoNs
     system: int
     component: int
     peer: Address | None = None
@@ -111,7 +111,7 @@ class Heard:
 @dataclass(slots=True)
 class _Peer:
     codec: Codec
-    heard: MonoNs
+    received_at: MonoNs
 
 
 class Link:
@@ -161,11 +161,11 @@ class Link:
                 if self._wire.send(data, address):
                     self.counters.bytes_out += len(data)
                     went = True
-                    self._links.told(self._clock.now(), self.endpoint, "out", data, message)
+                    self._links.notify_tap(self._clock.now(), self.endpoint, "out", data, message)
         self.counters.dropped += not went
         return went
 
-    def admit(self, address: Address | None, heard: MonoNs) -> None:
+    def admit(self, address: Address | None, received_at: MonoNs) -> None:
         """Speak to this peer from now on."""
         if address in self._peers:
             return
@@ -173,15 +173,15 @@ class Link:
         if len(self._peers) >= self._o.peers_max:
             chosen = self._links.access.autopilot
             others = [a for a in self._peers if chosen is None or (self._number, a) != chosen[0]]
-            del self._peers[min(others or self._peers, key=lambda a: self._peers[a].heard)]
-        self._peers[address] = _Peer(self._codec(), heard)
+            del self._peers[min(others or self._peers, key=lambda a: self._peers[a].received_at)]
+        self._peers[address] = _Peer(self._codec(), received_at)
 
     def dismiss(self, address: Address | None) -> None:
         """Speak to this peer no more, unless we were told to connect to it."""
         if not self._asked_for:
             self._peers.pop(address, None)
 
-    async def keep_up(self) -> None:
+    async def reconnect(self) -> None:
         """Open, and open again whenever it broke."""
         wait_s = self._o.restart_first_s
         while True:
@@ -219,16 +219,16 @@ class Link:
         self.counters.codecs.append(codec.counters)
         return codec
 
-    def _received(self, data: bytes, heard: MonoNs, address: Address | None) -> None:
-        self._links.contained.run("the MAVLink codec", f"{self.endpoint}", lambda: self._decode(data, heard, address))
+    def _received(self, data: bytes, received_at: MonoNs, address: Address | None) -> None:
+        self._links.contained.run("the MAVLink codec", f"{self.endpoint}", lambda: self._decode(data, received_at, address))
 
-    def _decode(self, data: bytes, heard: MonoNs, address: Address | None) -> None:
+    def _decode(self, data: bytes, received_at: MonoNs, address: Address | None) -> None:
         self.counters.bytes_in += len(data)
         peer = self._peers.get(address)
         if peer is not None:
-            peer.heard = heard
+            peer.received_at = received_at
         for message in self._codec_for(peer).feed(data):
-            self._hand_on(message, heard, address)
+            self._hand_on(message, received_at, address)
 
     @property
     def _asked_for(self) -> bool:
@@ -243,30 +243,30 @@ class Link:
         self._strangers.restart()
         return self._strangers
 
-    def _hand_on(self, message: Message, heard: MonoNs, address: Address | None) -> None:
+    def _hand_on(self, message: Message, received_at: MonoNs, address: Address | None) -> None:
         ids = (int(message.get_srcSystem()), int(message.get_srcComponent()))
         source = (self._number, address)
-        access, line = self._links.access, self._links.heard
+        access, line = self._links.access, self._links.received
         if ids[0] == 0:
             access.refused["no system id"] += 1
             return
-        standing = access.standing(source, ids, heard, asked_for=self._asked_for, signed=self.signed)
+        standing = access.standing(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
         if standing is Standing.STRANGER:
             self.counters.strangers += 1
-            access.refuse_stranger(ids, address, heard)
+            access.refuse_stranger(ids, address, received_at)
             # A flood of strangers may fill half of the line, never push out what was asked for.
             if message.get_type() == "HEARTBEAT" and 2 * len(line) < line.capacity:
-                line.offer(Heard(message, self._number, heard, *ids, address, standing))
+                line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, standing))
             return
         if standing >= Standing.PEER:
-            self.admit(address, heard)
-        self._links.told(heard, self.endpoint, "in", bytes(message.get_msgbuf()), message)
-        line.offer(Heard(message, self._number, heard, *ids, address, standing))
+            self.admit(address, received_at)
+        self._links.notify_tap(received_at, self.endpoint, "in", bytes(message.get_msgbuf()), message)
+        line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, standing))
 
     def _forget_silent(self) -> None:
         if not self._asked_for:
             now = self._clock.now()
-            for address in [a for a, p in self._peers.items() if seconds_between(p.heard, now) > self._o.peer_timeout_s]:
+            for address in [a for a, p in self._peers.items() if seconds_between(p.received_at, now) > self._o.peer_timeout_s]:
                 del self._peers[address]
             self._fold_counters()
 
@@ -307,12 +307,12 @@ class Links:
         """Holds the errors of whoever handles what came in."""
         self.unfit: Counter[str] = Counter()
         """Messages of ours that were not sent since a value does not fit the wire, by "MESSAGE.field"."""
-        self.heard: Line[Heard] = Line(capacity)
+        self.received: Line[ReceivedMessage] = Line(capacity)
         self.opened = [0 for _ in options]
         """How often each link was opened: grows when it comes back."""
         self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
 
-    def told(self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes, message: Message) -> None:
+    def notify_tap(self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes, message: Message) -> None:
         """A message crossed a link."""
         tap, name = self.tap, message.get_type()
         if tap is not None and name not in _SECRET:
@@ -343,13 +343,13 @@ class Links:
         sent = [link.send(message, component) for link in (self.all if to is None else (self.all[to],))]
         return any(sent)
 
-    def bind_autopilot(self, heard: Heard) -> None:
+    def bind_autopilot(self, received: ReceivedMessage) -> None:
         """Hold the autopilot to the peer that this message came from; what comes over it may command from now on."""
         before = self.access.autopilot
-        self.access.autopilot = (heard.source, (heard.system, heard.component))
-        if before is not None and before[0] != heard.source:
+        self.access.autopilot = (received.source, (received.system, received.component))
+        if before is not None and before[0] != received.source:
             self.all[before[0][0]].dismiss(before[0][1])
-        self.all[heard.link].admit(heard.peer, heard.heard)
+        self.all[received.link].admit(received.peer, received.received_at)
 
 
 @asynccontextmanager
@@ -370,13 +370,13 @@ async def open_links(
     links = Links(options, clock, identity, capacity, access or AccessOptions())
     failed: Exception | None = None
     async with asyncio.TaskGroup() as group:
-        tasks = [group.create_task(link.keep_up(), name=f"mavlink-{link.endpoint}") for link in links.all]
+        tasks = [group.create_task(link.reconnect(), name=f"mavlink-{link.endpoint}") for link in links.all]
         try:
             yield links
         except Exception as why:  # the caller's own error must not come out wrapped in a group
             failed = why
         finally:
-            links.heard.fail(Recoverable("the MAVLink links are closed"))
+            links.received.fail(Recoverable("the MAVLink links are closed"))
             for task in tasks:
                 task.cancel()
             for times in {id(one.signing.times): one.signing.times for one in options if one.signing is not None}.values():

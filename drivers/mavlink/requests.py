@@ -50,7 +50,7 @@ class _Stream:
     tries: int = 0
     asked: MonoNs | None = None
     result: int | None = None
-    heard: MonoNs | None = None
+    received_at: MonoNs | None = None
 
 
 class Streams:
@@ -105,7 +105,7 @@ class Streams:
                 ]
         return []
 
-    def hear(self, message: Message, heard: MonoNs) -> None:
+    def on_message(self, message: Message, received_at: MonoNs) -> None:
         """Any message of the autopilot."""
         kind = message.get_type()
         if kind == "COMMAND_ACK":
@@ -113,20 +113,20 @@ class Streams:
                 name, self._waiting = self._waiting, None
                 waiting = self._streams[name]
                 waiting.result = None if message.result == _BUSY else int(message.result)
-                waiting.heard = heard
+                waiting.received_at = received_at
                 other = INSTEAD.get(name)
                 if waiting.result not in (None, _ACCEPTED) and other is not None and other not in self._streams:
                     self._streams[other], self._ids[other] = _Stream(waiting.interval_s), message_id(other)
         elif kind in self._streams:
-            self._streams[kind].heard = heard
+            self._streams[kind].received_at = received_at
 
     def _check_silence(self, stream: _Stream, now: MonoNs) -> None:
-        if stream.result != _ACCEPTED or stream.heard is None:
+        if stream.result != _ACCEPTED or stream.received_at is None:
             return
-        if seconds_between(stream.heard, now) > max(self._silence_s, 10.0 * stream.interval_s):
+        if seconds_between(stream.received_at, now) > max(self._silence_s, 10.0 * stream.interval_s):
             # Asked for again, but a message with nothing to say (no lidar) is not asked for all the time.
             stream.result, stream.tries = None, min(stream.tries, self._tries - 1)
-            stream.heard = MonoNs(now + round(4 * self._silence_s * NS_PER_S))
+            stream.received_at = MonoNs(now + round(4 * self._silence_s * NS_PER_S))
 
 
 class Parameters:
@@ -177,7 +177,7 @@ class Parameters:
             out.append(name)
         return [mav.MAVLink_param_request_read_message(*target, name.encode(), -1) for name in out]
 
-    def hear(self, message: Message) -> None:
+    def on_message(self, message: Message) -> None:
         """Any message of the autopilot."""
         kind = message.get_type()
         if kind == "PARAM_VALUE":

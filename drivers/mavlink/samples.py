@@ -106,25 +106,25 @@ class Sampler:
             "SCALED_PRESSURE": self._pressure,
         }
 
-    def samples(self, message: Message, heard: MonoNs) -> list[Sample]:
+    def samples(self, message: Message, received_at: MonoNs) -> list[Sample]:
         """Every sample in one message of the autopilot."""
         handle = self._table.get(message.get_type())
         if handle is None:
             return []
         try:
-            return handle(message, heard)
+            return handle(message, received_at)
         except ValueError:  # the contracts refuse what is not finite or not possible
             self.refused[message.get_type()] += 1
             return []
 
-    def vessel(self, message: Message, heard: MonoNs) -> list[Sample]:
+    def vessel(self, message: Message, received_at: MonoNs) -> list[Sample]:
         """GLOBAL_POSITION_INT of the ship's own system."""
         if message.get_type() != "GLOBAL_POSITION_INT":
             return []
         if message.hdg > _HEADING_MAX_CDEG and message.hdg != _NO_HEADING:
             self.refused[message.get_type()] += 1
             return []
-        stamp = self._vessel_clock.stamp(boot_ms(message.time_boot_ms), heard)
+        stamp = self._vessel_clock.stamp(boot_ms(message.time_boot_ms), received_at)
         known = message.hdg != _NO_HEADING
         return [
             VesselReport(
@@ -143,75 +143,75 @@ class Sampler:
         stamp = Stamp(now, now, 0.0, "arrival")
         return VehicleStatus(stamp, c.flying, c.mode, c.battery_fraction, c.terminated, link_ok)
 
-    def _told(self, condition: Condition, heard: MonoNs) -> list[Sample]:
+    def _status_samples(self, condition: Condition, received_at: MonoNs) -> list[Sample]:
         changed = condition != self.condition
         self.condition = condition
-        due = self._status_at is None or seconds_between(self._status_at, heard) >= self._o.status_period_s
-        return [self.status(heard, link_ok=True)] if changed or due else []
+        due = self._status_at is None or seconds_between(self._status_at, received_at) >= self._o.status_period_s
+        return [self.status(received_at, link_ok=True)] if changed or due else []
 
-    def _heartbeat(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _heartbeat(self, m: Message, received_at: MonoNs) -> list[Sample]:
         armed = bool(m.base_mode & ARMED)
-        told = replace(
+        condition = replace(
             self.condition,
             mode=mode_name(self._stack, m.custom_mode),
             armed=armed,
             flying=flying_of(self._landed_state, m.system_status, armed),
             terminated=m.system_status == mav.MAV_STATE_FLIGHT_TERMINATION,
         )
-        return self._told(told, heard)
+        return self._status_samples(condition, received_at)
 
-    def _extended(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _extended(self, m: Message, received_at: MonoNs) -> list[Sample]:
         self._landed_state = m.landed_state
         flying = flying_of(m.landed_state, mav.MAV_STATE_UNINIT, bool(self.condition.armed))
         if m.landed_state == 0:
             flying = self.condition.flying
-        return self._told(replace(self.condition, flying=flying), heard)
+        return self._status_samples(replace(self.condition, flying=flying), received_at)
 
-    def _sys_status(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _sys_status(self, m: Message, received_at: MonoNs) -> list[Sample]:
         share = None if m.battery_remaining < 0 else min(1.0, m.battery_remaining / 100.0)
         self.condition = replace(self.condition, battery_fraction=share)
         return []
 
-    def _attitude(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _attitude(self, m: Message, received_at: MonoNs) -> list[Sample]:
         self._quaternions = True
-        return self._turned(m, Rotation.from_quat([m.q1, m.q2, m.q3, m.q4]), heard)
+        return self._turned(m, Rotation.from_quat([m.q1, m.q2, m.q3, m.q4]), received_at)
 
-    def _attitude_angles(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _attitude_angles(self, m: Message, received_at: MonoNs) -> list[Sample]:
         if self._quaternions:
             return []  # the same once more
-        return self._turned(m, Rotation.from_rpy(*_within(_ANGLE_MAX_RAD, m.roll, m.pitch, m.yaw)), heard)
+        return self._turned(m, Rotation.from_rpy(*_within(_ANGLE_MAX_RAD, m.roll, m.pitch, m.yaw)), received_at)
 
-    def _turned(self, m: Message, rotation: Rotation, heard: MonoNs) -> list[Sample]:
+    def _turned(self, m: Message, rotation: Rotation, received_at: MonoNs) -> list[Sample]:
         cov = np.diag([self._o.sigma_tilt_rad**2, self._o.sigma_tilt_rad**2, self._o.sigma_yaw_rad**2])
-        self.attitude = Attitude(self._clock.stamp(boot_ms(m.time_boot_ms), heard), rotation, cov)
+        self.attitude = Attitude(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), rotation, cov)
         return [self.attitude]
 
-    def _position(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _position(self, m: Message, received_at: MonoNs) -> list[Sample]:
         p_body_ned = _within(_PLACE_MAX_M, m.x, m.y, m.z)
         v_body_ned = _within(_SPEED_MAX_M_S, m.vx, m.vy, m.vz)
-        stamp = self._clock.stamp(boot_ms(m.time_boot_ms), heard)
+        stamp = self._clock.stamp(boot_ms(m.time_boot_ms), received_at)
         self.positions.append(LocalPosition(stamp, p_body_ned, v_body_ned))
         attitude = self.attitude
-        if attitude is None or abs(seconds_between(attitude.stamp.taken, stamp.taken)) > self._o.attitude_gap_s:
+        if attitude is None or abs(seconds_between(attitude.stamp.measured_at, stamp.measured_at)) > self._o.attitude_gap_s:
             return []
         yaw_rad = attitude.R_ned_body.rpy_rad[2]
         v_level = Rotation.from_rpy(0.0, 0.0, yaw_rad).inv @ v_body_ned
         return [BodyVelocity(stamp, v_level, np.eye(3) * self._o.sigma_velocity_m_s**2)]
 
-    def _raw_imu(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _raw_imu(self, m: Message, received_at: MonoNs) -> list[Sample]:
         if self._stack is not Stack.ARDUPILOT:
             # Only there is "raw" known to mean milli-g and mrad/s in body axes.
             return []
         f_body = np.array([m.xacc, m.yacc, m.zacc]) * (1e-3 * G_M_S2)
         w_body = np.array([m.xgyro, m.ygyro, m.zgyro]) * 1e-3
-        return [Imu(self._clock.stamp(boot_us(m.time_usec), heard), w_body, f_body)]
+        return [Imu(self._clock.stamp(boot_us(m.time_usec), received_at), w_body, f_body)]
 
-    def _highres_imu(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _highres_imu(self, m: Message, received_at: MonoNs) -> list[Sample]:
         moved = m.fields_updated & _ACC_AND_GYRO == _ACC_AND_GYRO
         if moved:
             w_body = _within(_TURN_MAX_RAD_S, m.xgyro, m.ygyro, m.zgyro)
             f_body = _within(_FORCE_MAX_M_S2, m.xacc, m.yacc, m.zacc)
-        stamp = self._clock.stamp(boot_us(m.time_usec), heard)
+        stamp = self._clock.stamp(boot_us(m.time_usec), received_at)
         out: list[Sample] = []
         if moved:
             out.append(Imu(stamp, w_body, f_body))
@@ -219,17 +219,17 @@ class Sampler:
             out.append(Baro(stamp, height_of_pressure_m(100.0 * m.abs_pressure), self._o.sigma_baro_m))
         return out
 
-    def _distance(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _distance(self, m: Message, received_at: MonoNs) -> list[Sample]:
         usable = m.min_distance <= m.current_distance <= m.max_distance and m.signal_quality != 1
         if not self.ranges or m.orientation != DOWN or not usable:
             return []
         sigma_m = 0.01 * math.sqrt(m.covariance) if 0 < m.covariance < 255 else self._o.sigma_range_m
-        return [Range(self._clock.stamp(boot_ms(m.time_boot_ms), heard), 0.01 * m.current_distance, max(sigma_m, 0.005))]
+        return [Range(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), 0.01 * m.current_distance, max(sigma_m, 0.005))]
 
-    def _pressure(self, m: Message, heard: MonoNs) -> list[Sample]:
+    def _pressure(self, m: Message, received_at: MonoNs) -> list[Sample]:
         if not _PRESSURE_HPA[0] <= m.press_abs <= _PRESSURE_HPA[1]:
             raise ValueError("pressure")
-        stamp = self._clock.stamp(boot_ms(m.time_boot_ms), heard)
+        stamp = self._clock.stamp(boot_ms(m.time_boot_ms), received_at)
         return [Baro(stamp, height_of_pressure_m(100.0 * m.press_abs), self._o.sigma_baro_m)]
 
 

@@ -78,7 +78,7 @@ class SigningTimes:
         self._save_if_due()
         return self._used
 
-    def heard(self, time: int) -> None:
+    def note_received(self, time: int) -> None:
         """A message of that time was believed: ours go on after it, unless it would run the clock out."""
         if time < _LATEST:
             self._used = max(self._used, time)

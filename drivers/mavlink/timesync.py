@@ -45,7 +45,7 @@ class TimeSyncOptions:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    heard: MonoNs
+    received_at: MonoNs
     offset_ns: int
     round_trip_ns: int
 
@@ -103,17 +103,17 @@ class TimeSync:
         self._asked.append(now)
         return [TimeSyncV2(0, now, *target)]
 
-    def hear(self, message: Message, heard: MonoNs) -> None:
+    def on_message(self, message: Message, received_at: MonoNs) -> None:
         """An answer to one of our requests; everything else is refused and counted."""
         if message.ts1 not in self._asked:
             self.refused += message.tc1 != 0
             return
         self._asked.remove(message.ts1)
-        round_trip_ns = heard - message.ts1
+        round_trip_ns = received_at - message.ts1
         if not 0 <= round_trip_ns <= self._o.round_trip_max_s * NS_PER_S or message.tc1 <= 0:
             self.refused += 1
             return
-        answer = _Answer(heard, message.tc1 - (message.ts1 + heard) // 2, round_trip_ns)
+        answer = _Answer(received_at, message.tc1 - (message.ts1 + received_at) // 2, round_trip_ns)
         if not self._agrees(answer):
             self._odd += 1
             if self._odd < _JUMPS_TO_BELIEVE:
@@ -126,19 +126,19 @@ class TimeSync:
             change_s = abs(round_trip_ns - self._answers[-1].round_trip_ns) / NS_PER_S
             self.jitter_s += (change_s - self.jitter_s) / 16.0
         self._answers.append(answer)
-        while seconds_between(self._answers[0].heard, heard) > self._o.window_s:
+        while seconds_between(self._answers[0].received_at, received_at) > self._o.window_s:
             self._answers.popleft()
         self.answers += 1
 
     def _agrees(self, answer: _Answer) -> bool:
         if not self._answers:
             return True
-        best = min(self._answers, key=lambda a: self._doubt_s(a, answer.heard))
-        room_s = self._doubt_s(best, answer.heard) + 0.5 * answer.round_trip_ns / NS_PER_S + _SLACK_S
+        best = min(self._answers, key=lambda a: self._doubt_s(a, answer.received_at))
+        room_s = self._doubt_s(best, answer.received_at) + 0.5 * answer.round_trip_ns / NS_PER_S + _SLACK_S
         return abs(answer.offset_ns - best.offset_ns) <= room_s * NS_PER_S
 
     def _doubt_s(self, answer: _Answer, now: MonoNs) -> float:
-        return 0.5 * answer.round_trip_ns / NS_PER_S + 1e-6 * self._o.drift_ppm * abs(seconds_between(answer.heard, now))
+        return 0.5 * answer.round_trip_ns / NS_PER_S + 1e-6 * self._o.drift_ppm * abs(seconds_between(answer.received_at, now))
 
 
 def answer_to(message: Message, now: MonoNs, asker: tuple[int, int], us: tuple[int, int]) -> Message | None:

@@ -63,7 +63,7 @@ class Doubt(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Feature:
-    """Something a method saw, in pixels, for pictures and records; no estimate is computed from it."""
+    """Something a method saw, in pixels, for frames and records; no estimate is computed from it."""
 
     kind: Literal["ellipse", "point", "line", "outline"]
     label: str
@@ -96,7 +96,7 @@ class Sighting:
     d_body_pad_level: F64
     """(3,) m forward, right, down."""
     yaw_rad: float | None
-    """Heading of the body against the arrow, clockwise from above positive, (-pi, pi]; None when the picture does not tell."""
+    """Heading of the body against the arrow, clockwise from above positive, (-pi, pi]; None when the frame does not tell."""
     yaw_ambiguous: bool
     """The heading may as well be 180 degrees away (an H alone)."""
     cov: F64
@@ -134,7 +134,7 @@ class RelativeState:
     consistent: bool
     """Whether recent innovations agree with the covariance claimed."""
     details: tuple[tuple[str, float], ...] = field(default=())
-    """Named figures of the path for records and pictures (biases, gates): never steered by."""
+    """Named figures of the path for records and frames (biases, gates): never steered by."""
     track: int = 0
     """Number of the pad that it is about; it goes up when the track is given up for a place that no motion explains."""
     doubts: tuple[Doubt, ...] = field(default=())

@@ -35,7 +35,7 @@ def _covariance(name: str, value: F64, n: int) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One picture. Pixel (u, v) is px[v, u]; (0, 0) is the centre of the top-left pixel."""
+    """One frame. Pixel (u, v) is px[v, u]; (0, 0) is the centre of the top-left pixel."""
 
     stamp: Stamp
     seq: int

@@ -31,9 +31,9 @@ class Stamp:
         ValueError: negative or absurd sigma (1 s or more), or a sample true later than it was heard by over 5 sigma.
     """
 
-    taken: MonoNs
+    measured_at: MonoNs
     """Mid-exposure or sampling instant."""
-    heard: MonoNs
+    received_at: MonoNs
     """When its first byte reached this process."""
     sigma_s: float
     """One standard deviation of `taken`, seconds."""
@@ -42,10 +42,10 @@ class Stamp:
     def __post_init__(self) -> None:
         if not 0.0 <= self.sigma_s < 1.0:
             raise ValueError(f"a stamp's sigma must lie in [0, 1) s, got {self.sigma_s}")
-        if self.taken > self.heard + round(5 * NS_PER_S * self.sigma_s):
+        if self.measured_at > self.received_at + round(5 * NS_PER_S * self.sigma_s):
             raise ValueError(f"a sample cannot be heard before it is taken: {self}")
 
     @property
     def delay_s(self) -> float:
         """Seconds from when it was true to when it was heard."""
-        return seconds_between(self.taken, self.heard)
+        return seconds_between(self.measured_at, self.received_at)

@@ -12,26 +12,26 @@ from estimator.contracts.samples import UNKNOWN_VAR, Baro, BodyVelocity, Range, 
 from estimator.ekf import gate, measure, motion
 from estimator.ekf.algebra import nis_of
 from estimator.ekf.options import EkfOptions
+from estimator.ekf.propagate import Event, FilterParams, Outcome, corrected, propagated, propagated_with_covariance
 from estimator.ekf.state import (
+    ATT_BIAS,
+    ATT_ERR,
     ATTITUDE,
-    BARO,
-    HEAD,
+    BARO_OFFSET,
     HEIGHT,
+    PAD_YAW,
+    POS_REL,
     RANGE,
-    SCALE,
     SWAY_PER_HEAVE,
-    TH,
-    TILT,
+    VEL_SCALE,
     VELOCITY,
+    VESSEL_VEL,
     WAVES,
     Aid,
     Belief,
-    D,
     Gathered,
     N,
-    U,
 )  # fmt: skip
-from estimator.ekf.stride import Event, Outcome, Tools, carried, corrected, settled
 
 _STUCK_S = 1.0
 """A kind of aiding refused for so long without a break is let back in with what it contradicts made uncertain."""
@@ -47,10 +47,10 @@ _CORRELATION = (
 )  # fmt: skip
 
 
-def fuse_velocity(b: Belief, event: BodyVelocity, tools: Tools) -> tuple[Belief, Outcome]:
+def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple[Belief, Outcome]:
     """Over the ground, or over the deck: where that is not given, the samples themselves tell, and doubt widens the noise."""
-    o = tools.options
-    b = carried(b, event.stamp.taken, tools)
+    o = params.options
+    b = propagated(b, event.stamp.measured_at, params)
     if o.velocity_is_over == "either" and b.sighted >= 0:
         b = _seen_below(b, event, o)
     share = _share_over_pad(b, o)
@@ -61,12 +61,12 @@ def fuse_velocity(b: Belief, event: BodyVelocity, tools: Tools) -> tuple[Belief,
     over = motion.peek_velocity(b)
     if share > 0.0:
         over = over - share * measure.v_pad_ned(b.x)
-    innov = v - measure.told_velocity(over, b.R, float(b.x[SCALE]))
+    innov = v - measure.measured_velocity(over, b.R, float(b.x[VEL_SCALE]))
     if axes == (0, 1):
         innov, cov = innov[:2], cov[:2, :2]
     elif len(axes) < 3:
         innov, cov = innov[list(axes)], cov[np.ix_(axes, axes)]
-    return gather(b, VELOCITY, event, innov, cov, tools, axes=axes, share=share)
+    return gather(b, VELOCITY, event, innov, cov, params, axes=axes, share=share)
 
 
 def _share_over_pad(b: Belief, o: EkfOptions) -> float:
@@ -99,7 +99,7 @@ def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
     return b._replace(over_pad=max(-6.0, min(6.0, odds)), t_velocity=b.t)
 
 
-def _for_the_deck(ground: measure.Row, deck: measure.Row, P: F64) -> float:
+def _for_the_deck(ground: measure.LinearizedMeasurement, deck: measure.LinearizedMeasurement, P: F64) -> float:
     """Log-odds, -3..3, that one sample gives to reading it as a velocity over the deck and not over the ground."""
     by_ground, by_deck = (row.H.dot(P).dot(row.H.T) + row.R for row in (ground, deck))
     misfit_ground, misfit_deck = nis_of(ground.innov, by_ground), nis_of(deck.innov, by_deck)
@@ -114,37 +114,37 @@ def _for_the_deck(ground: measure.Row, deck: measure.Row, P: F64) -> float:
     return max(-3.0, min(3.0, 0.5 * (max(misfit_ground, least) - max(misfit_deck, least))))
 
 
-def fuse_range(b: Belief, event: Range, tools: Tools) -> tuple[Belief, Outcome]:
-    b = carried(b, event.stamp.taken, tools)
+def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, Outcome]:
+    b = propagated(b, event.stamp.measured_at, params)
     if b.sighted < 0:
         return b, Outcome(event, Verdict.GATED)
     x = motion.peek(b)
     # Beyond the deck's edge there is water.
     away, spread = _foot(b, x)
-    row = None if away + 2.0 * spread > tools.options.deck_radius_m else measure.distance(x, b.R, event.range_m, event.sigma_m)
+    row = None if away + 2.0 * spread > params.options.deck_radius_m else measure.distance(x, b.R, event.range_m, event.sigma_m)
     if row is None:
         return b, Outcome(event, Verdict.GATED)
-    return gather(b, RANGE, event, row.innov, row.R, tools)
+    return gather(b, RANGE, event, row.innov, row.R, params)
 
 
 def _foot(b: Belief, x: F64) -> tuple[float, float]:
     """How far from the pad's centre the body's down axis meets the deck, and how well that is known; m."""
     c = b.R[:, 2]
-    foot = x[D] - c * float(x[5] / max(c[2], 0.3))
+    foot = x[POS_REL] - c * float(x[5] / max(c[2], 0.3))
     spread = math.sqrt(max(float(b.P[3, 3] + b.P[4, 4]) / 2.0, 0.0))
     return math.hypot(float(foot[0]), float(foot[1])), spread
 
 
-def fuse_baro(b: Belief, event: Baro, tools: Tools) -> tuple[Belief, Outcome]:
-    b = carried(b, event.stamp.taken, tools)
+def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, Outcome]:
+    b = propagated(b, event.stamp.measured_at, params)
     if b.sighted < 0:
         return b, Outcome(event, Verdict.GATED)
-    innov = np.array([event.height_m - (motion.peek_height(b) + float(b.x[BARO]))])
-    return gather(b, HEIGHT, event, innov, np.array([[event.sigma_m * event.sigma_m]]), tools)
+    innov = np.array([event.height_m - (motion.peek_height(b) + float(b.x[BARO_OFFSET]))])
+    return gather(b, HEIGHT, event, innov, np.array([[event.sigma_m * event.sigma_m]]), params)
 
 
 def gather(
-    b: Belief, kind: int, event: Event, innov: F64, R: F64, tools: Tools, axes: tuple[int, ...] = (), share: float = 0.0
+    b: Belief, kind: int, event: Event, innov: F64, R: F64, params: FilterParams, axes: tuple[int, ...] = (), share: float = 0.0
 ) -> tuple[Belief, Outcome]:
     """Add to what is fused at the end of the aiding period, unless it is implausible.
 
@@ -155,7 +155,7 @@ def gather(
         axes: which components of a velocity they are.
         share: of the pad's velocity in it.
     """
-    o = tools.options
+    o = params.options
     aid = b.aids[kind]
     so_far = aid.gathered
     if so_far is None or so_far.axes != axes or so_far.share != share or _stale(so_far, b.t, o):
@@ -171,14 +171,14 @@ def gather(
     if nis > gate.nis_max(o.gate_probability, innov.size):
         since = aid.refused if aid.refused >= 0 else b.t
         if (b.t - since) * 1e-9 > _STUCK_S:
-            b = _loosened(b, kind, innov)
+            b = _inflated(b, kind, innov)
             since = -1
         return _with_aid(b, kind, aid._replace(refused=since)), Outcome(event, Verdict.GATED, innov, S, nis)
     so_far = so_far._replace(n=so_far.n + 1, innov=so_far.innov + innov, R=so_far.R + R)
     b = _with_aid(b, kind, Aid(so_far, aid.fused))
     first = min([other.gathered.since for other in b.aids if other.gathered is not None])
     if (b.t - first) * 1e-9 >= o.aiding_period_s or aid.fused < 0:
-        b = aided(b, tools)
+        b = aided(b, params)
     return b, Outcome(event, Verdict.FUSED, innov, S, nis)
 
 
@@ -220,12 +220,12 @@ def _axes_only(axes: tuple[int, ...]) -> F64:
     return np.diag([0.0 if i in axes else UNKNOWN_VAR for i in range(3)])
 
 
-def aided(b: Belief, tools: Tools) -> Belief:
+def aided(b: Belief, params: FilterParams) -> Belief:
     """Fuse the means of everything gathered, at once. Nothing gathered may outlive another correction: it would be made twice."""
-    o = tools.options
+    o = params.options
     if not any(aid.gathered for aid in b.aids):
         return b
-    b = motion.settle(b, tools.walk, tools.algebra)
+    b = motion.propagate_covariance(b, params.process_noise, params.algebra)
     innov, H, R = [], [], []
     aids = list(b.aids)
     for kind, aid in enumerate(b.aids):
@@ -248,42 +248,42 @@ def aided(b: Belief, tools: Tools) -> Belief:
     for block in R:
         noise[at : at + len(block), at : at + len(block)] = block
         at += len(block)
-    fix = tools.algebra.correct(b.P, np.concatenate(innov), np.concatenate(H), noise)
+    fix = params.algebra.correct(b.P, np.concatenate(innov), np.concatenate(H), noise)
     return b if fix is None else corrected(b, fix.dx, fix.P)
 
 
-def _loosened(b: Belief, kind: int, innov: F64) -> Belief:
+def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
     """Doubt what a stubborn sensor contradicts, in the directions in which the place of the pad does not suffer."""
     P = b.P.copy()
     if kind == ATTITUDE:
         # All directions turn together about the vertical: what an attitude with a new idea of north comes to.
         g = np.zeros(N)
-        g[TH] = b.R.T[:, 2]
-        g[HEAD] = 1.0
+        g[ATT_ERR] = b.R.T[:, 2]
+        g[PAD_YAW] = 1.0
         for part in (np.arange(3, 6), np.arange(6, 9), *WAVES[:3].T):
             x, y, _ = b.x[part]
             g[part] = (-y, x, 0.0)
-        g[U] = (-b.x[17], b.x[16])
+        g[VESSEL_VEL] = (-b.x[17], b.x[16])
         g[SWAY_PER_HEAVE] = (-b.x[53], b.x[52])
         angle = float(innov.dot(b.R.T[:, 2]))
         P += np.outer(g, g) * angle**2
         size = min(float(innov.dot(innov)), 0.1)
-        P[TH, TH] += np.eye(3) * (0.1 * size)
-        P[TILT, TILT] += size
+        P[ATT_ERR, ATT_ERR] += np.eye(3) * (0.1 * size)
+        P[ATT_BIAS, ATT_BIAS] += size
     elif kind == VELOCITY:
         # Body and vessel drift together.
         g = np.zeros((N, 2))
         g[6, 0] = g[16, 0] = g[7, 1] = g[17, 1] = 1.0
         P += g.dot(g.T) * float(innov[:2].dot(innov[:2]))
-        P[SCALE, SCALE] += 0.01
+        P[VEL_SCALE, VEL_SCALE] += 0.01
     elif kind == HEIGHT:
-        P[BARO, BARO] += float(innov[0]) ** 2
+        P[BARO_OFFSET, BARO_OFFSET] += float(innov[0]) ** 2
     return b._replace(P=P)
 
 
-def fuse_vessel(b: Belief, event: VesselReport, tools: Tools) -> tuple[Belief, Outcome]:
-    o = tools.options
-    b = aided(settled(b, event.stamp.taken, tools), tools)
+def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[Belief, Outcome]:
+    o = params.options
+    b = aided(propagated_with_covariance(b, event.stamp.measured_at, params), params)
     rows = []
     if event.v_vessel_ned is not None and event.cov_v_ned is not None:
         rows.append(measure.vessel_velocity(b.x, event.v_vessel_ned, event.cov_v_ned))
@@ -298,7 +298,7 @@ def fuse_vessel(b: Belief, event: VesselReport, tools: Tools) -> tuple[Belief, O
         R[at : at + len(r.R), at : at + len(r.R)] = r.R
         at += len(r.R)
     innov = np.concatenate([r.innov for r in rows])
-    fix = tools.algebra.correct(b.P, innov, np.concatenate([r.H for r in rows]), R)
+    fix = params.algebra.correct(b.P, innov, np.concatenate([r.H for r in rows]), R)
     if fix is None:
         return b, Outcome(event, Verdict.SINGULAR, innov)
     if fix.nis > gate.nis_max(o.gate_probability, n):

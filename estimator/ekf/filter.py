@@ -19,8 +19,25 @@ from estimator.ekf.algebra import Algebra
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, SCALE, SHORT, TH, TURN_RATE, VELOCITY, Belief, D, N, U, V
-from estimator.ekf.stride import Event, Outcome, Tools, carried, settled
+from estimator.ekf.propagate import Event, FilterParams, Outcome, propagated, propagated_with_covariance
+from estimator.ekf.state import (
+    ACCEL_BIAS,
+    ATT_ERR,
+    BARO_OFFSET,
+    CAMERA_DELAY,
+    CAMERA_MOUNT,
+    GYRO_BIAS,
+    PAD_YAW,
+    POS_REL,
+    RANGE_OFFSET,
+    TURN_RATE,
+    VEL,
+    VEL_SCALE,
+    VELOCITY,
+    VESSEL_VEL,
+    Belief,
+    N,
+)
 from estimator.integrity import IntegrityOptions, sensors
 from estimator.integrity.sensors import SensorWatch
 
@@ -32,7 +49,7 @@ class Ekf:
     """The whole memory. Immutable: `step` gives the next one, and an old one stays what it was."""
 
     options: EkfOptions
-    tools: Tools
+    params: FilterParams
     history: History
     limits: IntegrityOptions | None = None
     """The limits that an IMU sample must keep; None where `estimator.integrity` stands before the filter."""
@@ -52,7 +69,7 @@ def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _
             where `estimator.integrity.admit` has checked every sample before, as in `estimator.pipeline`.
     """
     o = options or EkfOptions()
-    return Ekf(o, Tools(o, motion.Walk(o), Algebra(N)), History(), limits)
+    return Ekf(o, FilterParams(o, motion.ProcessNoise(o), Algebra(N)), History(), limits)
 
 
 def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[Outcome]]:
@@ -63,14 +80,14 @@ def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[Outcome]]:
         beyond the limits); FROZEN (one that repeats the one before for too long); TOO_OLD (before the history); TOO_NEW (later
         than anything heard); SINGULAR; NO_ATTITUDE (nothing has told which way is down yet).
     Raises:
-        TypeError: an object that is no measurement (a picture, say).
+        TypeError: an object that is no measurement (a frame, say).
     """
     imu = ekf.imu
     if ekf.limits is not None and isinstance(event, Imu):
         imu, refusal = sensors.watch(imu, event, ekf.limits, flying=True)
         if refusal is not None:
             return replace(ekf, imu=imu), [Outcome(event, refusal)]
-    history, outcome = put(ekf.history, event, ekf.tools)
+    history, outcome = put(ekf.history, event, ekf.params)
     return replace(ekf, history=history, imu=imu), [outcome]
 
 
@@ -80,28 +97,28 @@ def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
     b = ekf.history.before(now)
     if b is None or b.sighted < 0 or (now - b.sighted) * 1e-9 > ekf.options.forget_s:
         return None
-    b = carried(b, now, ekf.tools)
+    b = propagated(b, now, ekf.params)
     P = b.P
     # Seven numbers leave: their covariance is brought here, not the whole state's.
-    b, F, Q = motion.moved(b, ekf.tools.walk)
+    b, F, Q = motion.moved(b, ekf.params.process_noise)
     x, T = measure.aligned(b)
     psi = so3.heading(b.R)
     Z = so3.about_down(-psi)
-    d, v = Z.dot(x[D]), Z.dot(measure.v_pad_ned(x) - x[V])
+    d, v = Z.dot(x[POS_REL]), Z.dot(measure.v_pad_ned(x) - x[VEL])
     turning = so3.heading_row(b.R).dot(b.R)
     J = np.zeros((7, N))
-    J[:3, D] = Z
-    J[:3, TH] = np.outer([d[1], -d[0], 0.0], turning)
+    J[:3, POS_REL] = Z
+    J[:3, ATT_ERR] = np.outer([d[1], -d[0], 0.0], turning)
     J[3:6] = Z.dot(measure.by_v_pad_ned(x))
-    J[3:6, V] = -Z
-    J[3:6, TH] = np.outer([v[1], -v[0], 0.0], turning)
-    J[6, TH] = turning
-    J[6, HEAD] = -1.0
+    J[3:6, VEL] = -Z
+    J[3:6, ATT_ERR] = np.outer([v[1], -v[0], 0.0], turning)
+    J[6, ATT_ERR] = turning
+    J[6, PAD_YAW] = -1.0
     J = J.dot(T)
     cov = J.dot(Q).dot(J.T)
     J = J.dot(F)
     cov += J.dot(P).dot(J.T)
-    yaw: float | None = wrap_pi(psi - float(x[HEAD]))
+    yaw: float | None = wrap_pi(psi - float(x[PAD_YAW]))
     if not b.heading_known:
         yaw = None
         cov[6, :] = cov[:, 6] = 0.0
@@ -140,7 +157,7 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
     b = ekf.history.before(now)
     if b is None or b.sighted < 0 or (now - b.sighted) * 1e-9 > ekf.options.forget_s:
         return None
-    b = settled(b, now, ekf.tools)
+    b = propagated_with_covariance(b, now, ekf.params)
     x, T = measure.aligned(b)
     b = b._replace(x=x, P=T.dot(b.P).dot(T.T))
     return forecasting.forecast(b, now, h, ekf.options)
@@ -163,14 +180,14 @@ _NAMES = (
     *(f"gyro_bias_{k}_rad_s" for k in _AXES), *(f"accel_bias_{k}_m_s2" for k in _AXES),
     *(f"period_{k}_s" for k in _CHANNELS), *(f"damping_{k}" for k in _CHANNELS), *(f"swing_{k}" for k in _CHANNELS),
 )  # fmt: skip
-_PLAIN = np.r_[SCALE, DELAY, BARO, SHORT, U, TURN_RATE]
-_SURE = np.r_[SCALE, DELAY, MOUNT]
+_PLAIN = np.r_[VEL_SCALE, CAMERA_DELAY, BARO_OFFSET, RANGE_OFFSET, VESSEL_VEL, TURN_RATE]
+_SURE = np.r_[VEL_SCALE, CAMERA_DELAY, CAMERA_MOUNT]
 
 
 def _details(b: Belief) -> tuple[tuple[str, float], ...]:
     x, sea = b.x, b.sea
     values = [b.nis_mean, forecasting.probability_of_motion(b), *x[_PLAIN].tolist()]
     values += np.sqrt(np.maximum(b.P[_SURE, _SURE], 0.0)).tolist()
-    values += [*x[MOUNT].tolist(), *x[BG].tolist(), *x[BA].tolist()]
+    values += [*x[CAMERA_MOUNT].tolist(), *x[GYRO_BIAS].tolist(), *x[ACCEL_BIAS].tolist()]
     values += [*(math.tau / sea.w_rad_s).tolist(), *sea.zeta.tolist(), *sea.sigma.tolist()]
     return tuple(zip(_NAMES, values, strict=True))

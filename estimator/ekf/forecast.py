@@ -9,10 +9,22 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
-from estimator.ekf import sea, so3
+from estimator.ekf import deck_motion_bank, so3
 from estimator.ekf.motion import QUARTER, turned
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.state import DISPLACEMENT, LIST, RATE, SWAY_PER_HEAVE, TH, TURN_RATE, Belief, D, N, U, V
+from estimator.ekf.state import (
+    ATT_ERR,
+    DECK_DISP,
+    DECK_RATE,
+    DECK_TRIM,
+    POS_REL,
+    SWAY_PER_HEAVE,
+    TURN_RATE,
+    VEL,
+    VESSEL_VEL,
+    Belief,
+    N,
+)
 
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}
 
@@ -66,31 +78,31 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
     h = np.asarray(horizons_s, dtype=float)
     n = h.size
     x, P = b.x, b.P
-    waves = sea.ahead(b.sea, at, x[RATE], h)
+    waves = deck_motion_bank.ahead(b.sea, at, x[DECK_RATE], h)
 
     Z = so3.about_down(-so3.heading(b.R))
-    d_now = Z.dot(x[D])
+    d_now = Z.dot(x[POS_REL])
     by_heading = np.array([d_now[1], -d_now[0], 0.0])
-    u, sway = x[U], x[SWAY_PER_HEAVE]
+    u, sway = x[VESSEL_VEL], x[SWAY_PER_HEAVE]
     d, cov_d = np.zeros((n, 3)), np.zeros((n, 3, 3))
     height, rise, roll, pitch = (np.zeros((2, n)) for _ in range(4))
     for k in range(n):
         T = float(h[k])
         change, by_rate, var = waves.change[k], waves.by_rate[k], waves.var_change[k]
         J = np.zeros((3, N))
-        J[:, D] = np.eye(3)
-        J[:, V] = -T * np.eye(3)
+        J[:, POS_REL] = np.eye(3)
+        J[:, VEL] = -T * np.eye(3)
         turn = turned(float(x[TURN_RATE]), T)
-        J[:2, U] = turn.reach
+        J[:2, VESSEL_VEL] = turn.reach
         ned = J.dot(x) + change[:3]
         ned[:2] += sway * change[2]
-        J[np.arange(3), RATE[:3]] = by_rate[:3, 0]
-        J[:2, RATE[2]] += sway * by_rate[2, 0]
+        J[np.arange(3), DECK_RATE[:3]] = by_rate[:3, 0]
+        J[:2, DECK_RATE[2]] += sway * by_rate[2, 0]
         J[[0, 1], [52, 53]] = change[2]
         curving = QUARTER.dot(u) * (0.5 * T * T)
         J[:2, TURN_RATE] = curving
         J = Z.dot(J)
-        J[:, TH] = np.outer(by_heading, so3.heading_row(b.R).dot(b.R))
+        J[:, ATT_ERR] = np.outer(by_heading, so3.heading_row(b.R).dot(b.R))
         noise = np.diag(var[:3])
         noise[:2, :2] += np.eye(2) * (o.asd_vessel_velocity_m_s2**2 * T**3 / 3.0)
         # The rate of turn wanders by asd sqrt(t): integrated three times against the velocity.
@@ -101,13 +113,13 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
         cov_d[k] = J.dot(P).dot(J.T) + Z.dot(noise).dot(Z.T)
         for out, channel in ((roll, 3), (pitch, 4)):
             c = np.zeros(N)
-            c[LIST[channel - 3]] = c[DISPLACEMENT[channel]] = 1.0
+            c[DECK_TRIM[channel - 3]] = c[DECK_DISP[channel]] = 1.0
             out[0, k] = c.dot(x) + change[channel]
-            c[RATE[channel]] = by_rate[channel, 0]
+            c[DECK_RATE[channel]] = by_rate[channel, 0]
             out[1, k] = math.sqrt(max(float(c.dot(P).dot(c)) + float(var[channel]), 0.0))
     for out, row in ((height, 0), (rise, 1)):
         out[0] = waves.mean[:, 2, row]
-        out[1] = np.sqrt(waves.var[:, 2, row] + waves.by_rate[:, 2, row] ** 2 * P[RATE[2], RATE[2]])
+        out[1] = np.sqrt(waves.var[:, 2, row] + waves.by_rate[:, 2, row] ** 2 * P[DECK_RATE[2], DECK_RATE[2]])
     return Forecast(
         at, h, d, cov_d, -height[0], height[1], -rise[0], rise[1], roll[0], roll[1], pitch[0], pitch[1]
     )  # fmt: skip
@@ -115,9 +127,9 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
 
 def probability_of_motion(b: Belief, prior_rest: float = 0.5) -> float:
     """That the vessel is under way, or rocking: from the bank's evidence and from the steady velocity."""
-    evidence = sea.log_evidence_of_rest(b.sea)
-    north, east = b.x[U].tolist()
-    (nn, ne), (_, ee) = b.P[U, U].tolist()
+    evidence = deck_motion_bank.log_evidence_of_rest(b.sea)
+    north, east = b.x[VESSEL_VEL].tolist()
+    (nn, ne), (_, ee) = b.P[VESSEL_VEL, VESSEL_VEL].tolist()
     # Standing still to a few cm/s against moving with some 1 m/s.
     for var, sign in ((0.03**2, 1.0), (1.0, -1.0)):
         n, e = nn + var, ee + var

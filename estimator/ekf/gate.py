@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.state import Doubt
+from estimator.ekf.state import RejectionStreak
 
 _CHI2 = {
     0.01: (6.635, 9.210, 11.345, 13.277, 15.086, 16.812, 18.475, 20.090, 21.666),
@@ -28,7 +28,7 @@ def nis_max(probability: float, dof: int) -> float:
     return _CHI2[probability][dof - 1]
 
 
-def doubted(doubt: Doubt, t: int, offset_ned: F64, var_m2: float) -> Doubt:
+def extended(streak: RejectionStreak, t: int, offset_ned: F64, var_m2: float) -> RejectionStreak:
     """One more refused sighting: it joins the row when it says what the last one said, else it begins a new one.
 
     Args:
@@ -37,22 +37,22 @@ def doubted(doubt: Doubt, t: int, offset_ned: F64, var_m2: float) -> Doubt:
         var_m2: variance of one component of what was seen.
     """
     x, y, z = offset_ned.tolist()
-    fresh = Doubt(1, t, t, (x, y, z), var_m2)
-    if doubt.n == 0 or t < doubt.last:
+    fresh = RejectionStreak(1, t, t, (x, y, z), var_m2)
+    if streak.n == 0 or t < streak.last:
         return fresh
-    dt = (t - doubt.last) * 1e-9
-    step = math.dist((x, y, z), doubt.offset_ned)
-    limit = 4.0 * math.sqrt(var_m2 + doubt.var_m2) + min(_GROWTH_M_S * dt, _GROWTH_MAX_M) + 0.02 * math.hypot(x, y, z)
+    dt = (t - streak.last) * 1e-9
+    step = math.dist((x, y, z), streak.offset_ned)
+    limit = 4.0 * math.sqrt(var_m2 + streak.var_m2) + min(_GROWTH_M_S * dt, _GROWTH_MAX_M) + 0.02 * math.hypot(x, y, z)
     if step > limit or dt > 2.0:
         return fresh
-    return Doubt(doubt.n + 1, doubt.since, t, (x, y, z), var_m2)
+    return RejectionStreak(streak.n + 1, streak.since, t, (x, y, z), var_m2)
 
 
-def convinced(doubt: Doubt, agreed: int, options: EkfOptions) -> bool:
+def should_reset(streak: RejectionStreak, agreed: int, options: EkfOptions) -> bool:
     """Whether the row of refusals outweighs the belief. A belief that few sightings made needs few to be overthrown."""
     if agreed < 3:
-        return doubt.n > agreed
-    return doubt.n >= options.reopen_count and (doubt.last - doubt.since) * 1e-9 >= options.reopen_s
+        return streak.n > agreed
+    return streak.n >= options.reopen_count and (streak.last - streak.since) * 1e-9 >= options.reopen_s
 
 
 def consistent(nis_mean: float) -> bool:

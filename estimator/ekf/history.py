@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
-from estimator.ekf.fuse import fold
+from estimator.ekf.process_event import process_event
+from estimator.ekf.propagate import Event, FilterParams, Outcome
 from estimator.ekf.state import Belief
-from estimator.ekf.stride import Event, Outcome, Tools
 
 _RANK = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, VesselReport: 5, Sighting: 6}
 
@@ -29,7 +29,7 @@ class Node(NamedTuple):
 class Leap(NamedTuple):
     """Events in a row whose times of arrival agree with one another and not with those before."""
 
-    heard: int
+    received_at: int
     """ns, of the newest."""
     n: int
 
@@ -41,7 +41,7 @@ class History(NamedTuple):
     nodes: tuple[Node, ...] = ()
     forgotten: int = -1
     """ns, the newest instant that is no longer kept; -1 none."""
-    heard: int = -1
+    received_at: int = -1
     """ns, the newest arrival."""
     leapt: Leap | None = None
     """Arrivals in a row that put themselves far from `heard`."""
@@ -57,7 +57,7 @@ class History(NamedTuple):
         return self.base if self.base is not None and self.base.t <= t else None
 
 
-def put(history: History, event: Event, tools: Tools) -> tuple[History, Outcome]:
+def put(history: History, event: Event, params: FilterParams) -> tuple[History, Outcome]:
     """Take one event, late or not.
 
     Raises:
@@ -66,36 +66,36 @@ def put(history: History, event: Event, tools: Tools) -> tuple[History, Outcome]
     rank = _RANK.get(type(event))
     if rank is None:
         raise TypeError(f"the filter takes samples and sightings, not {type(event).__name__}")
-    stamp, o = event.stamp, tools.options
+    stamp, o = event.stamp, params.options
     leap_ns = round(o.leap_s * 1e9)
-    if history.heard >= 0 and abs(stamp.heard - history.heard) > leap_ns:
+    if history.received_at >= 0 and abs(stamp.received_at - history.received_at) > leap_ns:
         # One wrong stamp must not make everything after it too old; when all agree, it is time that leapt.
         before = history.leapt
-        n = before.n + 1 if before is not None and abs(stamp.heard - before.heard) <= leap_ns else 1
+        n = before.n + 1 if before is not None and abs(stamp.received_at - before.received_at) <= leap_ns else 1
         if n < o.leap_count:
-            verdict = Verdict.TOO_NEW if stamp.heard > history.heard else Verdict.TOO_OLD
-            return history._replace(leapt=Leap(stamp.heard, n)), Outcome(event, verdict)
-        history = history._replace(leapt=None) if stamp.heard > history.heard else History()
+            verdict = Verdict.TOO_NEW if stamp.received_at > history.received_at else Verdict.TOO_OLD
+            return history._replace(leapt=Leap(stamp.received_at, n)), Outcome(event, verdict)
+        history = history._replace(leapt=None) if stamp.received_at > history.received_at else History()
     elif history.leapt is not None:
         history = history._replace(leapt=None)
-    heard = max(history.heard, stamp.heard)
-    t = stamp.taken
-    if t > heard + round(o.max_ahead_s * 1e9):
-        return history._replace(heard=heard), Outcome(event, Verdict.TOO_NEW)
+    received_at = max(history.received_at, stamp.received_at)
+    t = stamp.measured_at
+    if t > received_at + round(o.max_ahead_s * 1e9):
+        return history._replace(received_at=received_at), Outcome(event, Verdict.TOO_NEW)
     if t <= history.forgotten:
-        return history._replace(heard=heard), Outcome(event, Verdict.TOO_OLD)
+        return history._replace(received_at=received_at), Outcome(event, Verdict.TOO_OLD)
     key = (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
     nodes = history.nodes
     i = len(nodes)
     while i > 0 and nodes[i - 1].key > key:
         i -= 1
-    b, outcome = fold(nodes[i - 1].after if i else history.base, event, tools)
+    b, outcome = process_event(nodes[i - 1].after if i else history.base, event, params)
     again = [Node(key, event, b)]
     for node in nodes[i:]:
-        b, _ = fold(b, node.event, tools)
+        b, _ = process_event(b, node.event, params)
         again.append(Node(node.key, node.event, b))
     nodes = nodes[:i] + tuple(again)
-    return _trimmed(history._replace(nodes=nodes, heard=heard), round(o.history_s * 1e9)), outcome
+    return _trimmed(history._replace(nodes=nodes, received_at=received_at), round(o.history_s * 1e9)), outcome
 
 
 def _trimmed(history: History, span_ns: int) -> History:

@@ -15,33 +15,33 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.ekf import so3
 from estimator.ekf.state import (
-    BARO,
-    BG,
-    DELAY,
-    DISPLACEMENT,
-    HEAD,
-    LIST,
-    MOUNT,
-    RATE,
-    SCALE,
-    SHORT,
+    ATT_BIAS,
+    ATT_ERR,
+    BARO_OFFSET,
+    CAMERA_DELAY,
+    CAMERA_MOUNT,
+    DECK_DISP,
+    DECK_RATE,
+    DECK_TRIM,
+    GYRO_BIAS,
+    PAD_YAW,
+    POS_REL,
+    RANGE_OFFSET,
     SWAY_PER_HEAVE,
-    TH,
-    TILT,
-    TURN,
     TURN_RATE,
+    VEL,
+    VEL_SCALE,
+    VESSEL_VEL,
+    YAW_RATE,
     Belief,
-    D,
     N,
-    U,
-    V,
 )
 
 _I3 = np.eye(3)
 _D3 = np.arange(3, 6)
 _DOWN = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros((0, N))
-_ROLL, _PITCH = int(DISPLACEMENT[3]), int(DISPLACEMENT[4])
+_ROLL, _PITCH = int(DECK_DISP[3]), int(DECK_DISP[4])
 NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
 _NOT_A_PART = 1.5
 """An attitude's error this many times the covariance that should hold it is no part of it; what vision linearises otherwise than
@@ -51,18 +51,18 @@ KNOWN_YAW_VAR = 2.0
 
 BY_ATTITUDE, BY_HEIGHT = np.zeros((3, N)), np.zeros((1, N))
 """(3, N), (1, N): the Jacobians of `attitude` and `height`, the same at any state."""
-BY_ATTITUDE[:, TH] = _I3
-BY_ATTITUDE[[0, 1], TILT] = 1.0
-BY_HEIGHT[0, [5, DISPLACEMENT[2], BARO]] = 1.0, -1.0, 1.0
+BY_ATTITUDE[:, ATT_ERR] = _I3
+BY_ATTITUDE[[0, 1], ATT_BIAS] = 1.0
+BY_HEIGHT[0, [5, DECK_DISP[2], BARO_OFFSET]] = 1.0, -1.0, 1.0
 BY_ATTITUDE.setflags(write=False)
 BY_HEIGHT.setflags(write=False)
 
 
-class Row(NamedTuple):
+class LinearizedMeasurement(NamedTuple):
     """A linearised measurement of m numbers."""
 
     innov: F64
-    """(m,) measured less predicted."""
+    """(m,) measured minus predicted."""
     H: F64
     """(m, N) of the prediction, by the error state."""
     R: F64
@@ -84,18 +84,18 @@ class Deck(NamedTuple):
 
 def deck(x: F64) -> Deck:
     """From heading, list, and the oscillators of roll and pitch."""
-    roll, pitch, yaw = float(x[_ROLL] + x[LIST[0]]), float(x[_PITCH] + x[LIST[1]]), float(x[HEAD])
+    roll, pitch, yaw = float(x[_ROLL] + x[DECK_TRIM[0]]), float(x[_PITCH] + x[DECK_TRIM[1]]), float(x[PAD_YAW])
     R = so3.from_rpy(roll, pitch, yaw)
     c, s = math.cos(yaw), math.sin(yaw)
     cp = math.cos(pitch)
     axes = np.array([[c * cp, -s, 0.0], [s * cp, c, 0.0], [-math.sin(pitch), 0.0, 1.0]])
-    return Deck(R, axes, axes.dot([x[RATE[3]], x[RATE[4]], x[TURN] + x[TURN_RATE]]))
+    return Deck(R, axes, axes.dot([x[DECK_RATE[3]], x[DECK_RATE[4]], x[YAW_RATE] + x[TURN_RATE]]))
 
 
 def v_pad_ned(x: F64) -> F64:
     """(3,) m/s."""
-    v = x[RATE[:3]].copy()
-    v[:2] += x[U] + x[SWAY_PER_HEAVE] * v[2]
+    v = x[DECK_RATE[:3]].copy()
+    v[:2] += x[VESSEL_VEL] + x[SWAY_PER_HEAVE] * v[2]
     return v
 
 
@@ -103,9 +103,9 @@ def by_v_pad_ned(x: F64) -> F64:
     """(3, N) Jacobian of `v_pad_ned`."""
     J = np.zeros((3, N))
     J[[0, 1], [16, 17]] = 1.0
-    J[[0, 1, 2], RATE[:3]] = 1.0
-    J[:2, RATE[2]] = x[SWAY_PER_HEAVE]
-    J[[0, 1], [52, 53]] = x[RATE[2]]
+    J[[0, 1, 2], DECK_RATE[:3]] = 1.0
+    J[:2, DECK_RATE[2]] = x[SWAY_PER_HEAVE]
+    J[[0, 1], [52, 53]] = x[DECK_RATE[2]]
     return J
 
 
@@ -123,13 +123,13 @@ def sighting(
     yaw_sigma: float,
     *,
     place_only: bool = False,
-) -> Row:
+) -> LinearizedMeasurement:
     """Place of the pad in the body's own axes, and its heading or whole orientation.
 
     A sighting is written in `level`, which vision found with the vehicle's own attitude. Turned back by that attitude it is what
     the camera saw, free of that attitude's error.
 
-    When the picture is later than its stamp, so is the deck in it. The state's deck is the one the camera shows: its waves cannot
+    When the frame is later than its stamp, so is the deck in it. The state's deck is the one the camera shows: its waves cannot
     be told from the same waves a little later, so only the body's motion is turned back by the delay (`aligned` does the rest).
 
     Args:
@@ -141,14 +141,14 @@ def sighting(
         place_only: leave out what it says of heading and orientation.
     """
     A = levelling(R, levelled_by)
-    E = so3.exp(-x[MOUNT])
-    d_b = R.T.dot(x[D])
-    late = float(x[DELAY])
-    turning = so3.cross_matrix(w - x[BG])
-    v_b = R.T.dot(np.array([x[16], x[17], 0.0]) - x[V])
+    E = so3.exp(-x[CAMERA_MOUNT])
+    d_b = R.T.dot(x[POS_REL])
+    late = float(x[CAMERA_DELAY])
+    turning = so3.cross_matrix(w - x[GYRO_BIAS])
+    v_b = R.T.dot(np.array([x[16], x[17], 0.0]) - x[VEL])
     rates = v_b - turning.dot(d_b)
     shown = d_b + late * rates
-    jl = so3.left_jacobian(x[MOUNT])
+    jl = so3.left_jacobian(x[CAMERA_MOUNT])
 
     whole = s.pose6
     m = 3
@@ -163,16 +163,16 @@ def sighting(
     ER = E.dot(R.T)
     arm = so3.cross_matrix(d_b)
     by_rate = np.zeros((3, N))
-    by_rate[:, TH] = E.dot(so3.cross_matrix(v_b) - turning.dot(arm))
-    by_rate[:, D] = -E.dot(turning).dot(R.T)
-    by_rate[:, V] = -ER
-    by_rate[:, U] = ER[:, :2]
-    by_rate[:, BG] = -E.dot(arm)
-    H[:3, TH] = E.dot(arm)
-    H[:3, D] = ER
+    by_rate[:, ATT_ERR] = E.dot(so3.cross_matrix(v_b) - turning.dot(arm))
+    by_rate[:, POS_REL] = -E.dot(turning).dot(R.T)
+    by_rate[:, VEL] = -ER
+    by_rate[:, VESSEL_VEL] = ER[:, :2]
+    by_rate[:, GYRO_BIAS] = -E.dot(arm)
+    H[:3, ATT_ERR] = E.dot(arm)
+    H[:3, POS_REL] = ER
     H[:3] += late * by_rate
-    H[:3, MOUNT] = E.dot(so3.cross_matrix(shown)).dot(jl)
-    H[:3, DELAY] = E.dot(rates)
+    H[:3, CAMERA_MOUNT] = E.dot(so3.cross_matrix(shown)).dot(jl)
+    H[:3, CAMERA_DELAY] = E.dot(rates)
     # How an error of the levelling attitude, about body axes, moves what vision reports: by its tilt, never by its heading.
     tilt = A - np.outer(_DOWN, so3.heading_row(A).dot(A))
     J = np.zeros((m, 3))
@@ -185,17 +185,17 @@ def sighting(
     if m > 3:
         pad = deck(x)
         AE = A.dot(E)
-        spin = AE.dot(x[BG] - w)
+        spin = AE.dot(x[GYRO_BIAS] - w)
         M = so3.exp(late * spin).dot(AE.dot(R.T.dot(pad.R)))
         G = np.zeros((3, N))
-        G[:, TH] = -AE
-        G[:, MOUNT] = -AE.dot(jl)
+        G[:, ATT_ERR] = -AE
+        G[:, CAMERA_MOUNT] = -AE.dot(jl)
         columns = AE.dot(R.T.dot(pad.axes))
-        G[:, _ROLL] = G[:, LIST[0]] = columns[:, 0]
-        G[:, _PITCH] = G[:, LIST[1]] = columns[:, 1]
-        G[:, HEAD] = columns[:, 2]
-        G[:, BG] = late * AE
-        G[:, DELAY] = spin
+        G[:, _ROLL] = G[:, DECK_TRIM[0]] = columns[:, 0]
+        G[:, _PITCH] = G[:, DECK_TRIM[1]] = columns[:, 1]
+        G[:, PAD_YAW] = columns[:, 2]
+        G[:, GYRO_BIAS] = late * AE
+        G[:, CAMERA_DELAY] = spin
         if whole is None:
             row = so3.heading_row(M)
             yaw = wrap((s.yaw_rad or 0.0) + so3.heading(M))
@@ -213,9 +213,9 @@ def sighting(
     R_noise = turn.dot(without(cov, J, cov_levelled_by)).dot(turn.T)
     slip = s.stamp.sigma_s
     if slip > 0.0:
-        rate = H[:, DELAY]
+        rate = H[:, CAMERA_DELAY]
         R_noise = R_noise + np.outer(rate, rate) * (slip * slip)
-    return Row(innov, H, 0.5 * (R_noise + R_noise.T), by_rate)
+    return LinearizedMeasurement(innov, H, 0.5 * (R_noise + R_noise.T), by_rate)
 
 
 def aligned(b: Belief) -> tuple[F64, F64]:
@@ -223,19 +223,19 @@ def aligned(b: Belief) -> tuple[F64, F64]:
 
     For what leaves the filter, not for going on.
     """
-    late, rate = float(b.x[DELAY]), b.x[RATE]
+    late, rate = float(b.x[CAMERA_DELAY]), b.x[DECK_RATE]
     x = b.x.copy()
-    x[DISPLACEMENT] -= late * rate
+    x[DECK_DISP] -= late * rate
     sway = b.x[SWAY_PER_HEAVE]
     rate_ned = rate[:3].copy()
     rate_ned[:2] += sway * rate[2]
-    x[D] -= late * rate_ned
+    x[POS_REL] -= late * rate_ned
     T = np.eye(N)
-    T[DISPLACEMENT, RATE] = T[_D3, RATE[:3]] = -late
-    T[_D3[:2], RATE[2]] = -late * sway
+    T[DECK_DISP, DECK_RATE] = T[_D3, DECK_RATE[:3]] = -late
+    T[_D3[:2], DECK_RATE[2]] = -late * sway
     T[_D3[:2], [52, 53]] = -late * rate[2]
-    T[DISPLACEMENT, DELAY] = -rate
-    T[_D3, DELAY] = -rate_ned
+    T[DECK_DISP, CAMERA_DELAY] = -rate
+    T[_D3, CAMERA_DELAY] = -rate_ned
     return x, T
 
 
@@ -278,19 +278,19 @@ def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
     return np.asarray((half * np.maximum(1.0 - share, keep)).dot(half.T))
 
 
-def attitude(x: F64, R: F64, seen: F64, cov_body: F64) -> Row:
+def attitude(x: F64, R: F64, seen: F64, cov_body: F64) -> LinearizedMeasurement:
     """The vehicle's own attitude, (3, 3) R_ned_body, and its constant error of tilt."""
-    return Row(attitude_innov(x, R, seen), BY_ATTITUDE, cov_body, _NONE)
+    return LinearizedMeasurement(attitude_innov(x, R, seen), BY_ATTITUDE, cov_body, _NONE)
 
 
 def attitude_innov(x: F64, R: F64, seen: F64) -> F64:
     """(3,) of `attitude`."""
     innov = so3.log(R.T.dot(seen))
-    innov[:2] -= x[TILT[0] : TILT[1] + 1]
+    innov[:2] -= x[ATT_BIAS[0] : ATT_BIAS[1] + 1]
     return innov
 
 
-def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> Row | None:
+def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> LinearizedMeasurement | None:
     """Velocity in `level`: horizontally with the sensor's scale, vertically without; None when no axis was measured.
 
     Args:
@@ -299,22 +299,22 @@ def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> 
     axes = measured_axes(cov_level)
     if not axes:
         return None
-    scale = float(x[SCALE])
+    scale = float(x[VEL_SCALE])
     Z = so3.about_down(-so3.heading(R))
-    over = x[V] - share_pad * v_pad_ned(x)
+    over = x[VEL] - share_pad * v_pad_ned(x)
     v = Z.dot(over)
     k = np.array([scale, scale, 1.0])
     H = np.zeros((3, N))
-    H[:, TH] = (k * np.array([v[1], -v[0], 0.0]))[:, None] * so3.heading_row(R).dot(R)
-    H[:, V] = k[:, None] * Z
+    H[:, ATT_ERR] = (k * np.array([v[1], -v[0], 0.0]))[:, None] * so3.heading_row(R).dot(R)
+    H[:, VEL] = k[:, None] * Z
     if share_pad > 0.0:
-        H -= share_pad * H[:, V].dot(by_v_pad_ned(x))
-    H[:2, SCALE] = v[:2]
-    innov = v_level - told_velocity(over, R, scale)
+        H -= share_pad * H[:, VEL].dot(by_v_pad_ned(x))
+    H[:2, VEL_SCALE] = v[:2]
+    innov = v_level - measured_velocity(over, R, scale)
     if len(axes) == 3:
-        return Row(innov, H, cov_level, _NONE)
+        return LinearizedMeasurement(innov, H, cov_level, _NONE)
     pick = list(axes)
-    return Row(innov[pick], H[pick], cov_level[pick][:, pick], _NONE)
+    return LinearizedMeasurement(innov[pick], H[pick], cov_level[pick][:, pick], _NONE)
 
 
 def measured_axes(cov_level: F64) -> tuple[int, ...]:
@@ -323,7 +323,7 @@ def measured_axes(cov_level: F64) -> tuple[int, ...]:
     return tuple([i for i in (0, 1, 2) if var[i] < NOT_MEASURED_VAR])
 
 
-def told_velocity(v_ned: F64, R: F64, scale: float) -> F64:
+def measured_velocity(v_ned: F64, R: F64, scale: float) -> F64:
     """(3,) in `level`, what a sensor with that scale tells of a velocity."""
     x, y, z = v_ned.tolist()
     ahead, aside = float(R[0, 0]), float(R[1, 0])
@@ -331,39 +331,41 @@ def told_velocity(v_ned: F64, R: F64, scale: float) -> F64:
     return np.array([k * (ahead * x + aside * y), k * (ahead * y - aside * x), z])
 
 
-def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> Row | None:
+def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> LinearizedMeasurement | None:
     """Along the body's down axis to the plane of the deck, plus an error of its own; None where that axis does not meet it."""
     pad = deck(x)
     n, c = pad.R[:, 2], R[:, 2]
     cosine = float(n.dot(c))
     if cosine < 0.3:
         return None
-    r = float(n.dot(x[D])) / cosine
+    r = float(n.dot(x[POS_REL])) / cosine
     H = np.zeros((1, N))
-    H[0, D] = n / cosine
-    H[0, TH] = (r / cosine) * n.dot(R).dot(so3.cross_matrix(_DOWN))
-    reach = (x[D] - r * c) / cosine
+    H[0, POS_REL] = n / cosine
+    H[0, ATT_ERR] = (r / cosine) * n.dot(R).dot(so3.cross_matrix(_DOWN))
+    reach = (x[POS_REL] - r * c) / cosine
     by_axis = so3.cross_matrix(n).dot(reach).dot(pad.axes)
-    H[0, _ROLL] = H[0, LIST[0]] = by_axis[0]
-    H[0, _PITCH] = H[0, LIST[1]] = by_axis[1]
-    H[0, HEAD] = by_axis[2]
-    H[0, SHORT] = 1.0
-    return Row(np.array([range_m - r - x[SHORT]]), H, np.array([[sigma_m * sigma_m]]), _NONE)
+    H[0, _ROLL] = H[0, DECK_TRIM[0]] = by_axis[0]
+    H[0, _PITCH] = H[0, DECK_TRIM[1]] = by_axis[1]
+    H[0, PAD_YAW] = by_axis[2]
+    H[0, RANGE_OFFSET] = 1.0
+    return LinearizedMeasurement(np.array([range_m - r - x[RANGE_OFFSET]]), H, np.array([[sigma_m * sigma_m]]), _NONE)
 
 
-def height(x: F64, height_m: float, sigma_m: float) -> Row:
+def height(x: F64, height_m: float, sigma_m: float) -> LinearizedMeasurement:
     """Barometric height: over the pad's mean level, plus an offset of its own."""
-    below = x[5] - x[DISPLACEMENT[2]]
-    return Row(np.array([height_m - (below + x[BARO])]), BY_HEIGHT, np.array([[sigma_m * sigma_m]]), _NONE)
+    below = x[5] - x[DECK_DISP[2]]
+    return LinearizedMeasurement(
+        np.array([height_m - (below + x[BARO_OFFSET])]), BY_HEIGHT, np.array([[sigma_m * sigma_m]]), _NONE
+    )
 
 
-def vessel_velocity(x: F64, v_ned: F64, cov_ned: F64) -> Row:
+def vessel_velocity(x: F64, v_ned: F64, cov_ned: F64) -> LinearizedMeasurement:
     """What the ship's own navigation says: steady and wave motion together."""
-    return Row(v_ned - v_pad_ned(x), by_v_pad_ned(x), cov_ned, _NONE)
+    return LinearizedMeasurement(v_ned - v_pad_ned(x), by_v_pad_ned(x), cov_ned, _NONE)
 
 
-def vessel_heading(x: F64, heading_rad: float, sigma_rad: float) -> Row:
+def vessel_heading(x: F64, heading_rad: float, sigma_rad: float) -> LinearizedMeasurement:
     """Heading of the arrow as the ship tells it."""
     H = np.zeros((1, N))
-    H[0, HEAD] = 1.0
-    return Row(np.array([wrap(heading_rad - float(x[HEAD]))]), H, np.array([[sigma_rad * sigma_rad]]), _NONE)
+    H[0, PAD_YAW] = 1.0
+    return LinearizedMeasurement(np.array([wrap(heading_rad - float(x[PAD_YAW]))]), H, np.array([[sigma_rad * sigma_rad]]), _NONE)

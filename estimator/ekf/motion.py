@@ -14,34 +14,34 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.ekf import so3
 from estimator.ekf.algebra import Algebra
+from estimator.ekf.deck_motion_bank import carrying
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.oscillator import transition
-from estimator.ekf.sea import carrying
 from estimator.ekf.state import (
-    BA,
-    BARO,
-    BG,
-    DELAY,
-    DISPLACEMENT,
+    ACCEL_BIAS,
+    ATT_BIAS,
+    ATT_ERR,
+    BARO_OFFSET,
+    CAMERA_DELAY,
+    CAMERA_MOUNT,
+    DECK_DISP,
+    DECK_RATE,
     G_NED,
     GRAVITY_M_S2,
-    HEAD,
-    MOUNT,
-    RATE,
-    SCALE,
-    SHORT,
+    GYRO_BIAS,
+    PAD_YAW,
+    POS_REL,
+    RANGE_OFFSET,
     SWAY_PER_HEAVE,
-    TH,
-    TILT,
-    TURN,
     TURN_RATE,
+    VEL,
+    VEL_SCALE,
+    VESSEL_VEL,
     WAVE_YAW,
     WAVES,
+    YAW_RATE,
     Belief,
-    D,
     N,
-    U,
-    V,
 )  # fmt: skip
 
 _I3 = np.eye(3)
@@ -61,30 +61,30 @@ _ZERO3, _ZERO33 = np.zeros(3), np.zeros((3, 3))
 _DH = slice(3, 5)
 """North and east of `D`."""
 _HEAVE = slice(int(WAVES[2, 0]), int(WAVES[2, 3]) + 1)
-_YAW = np.array([WAVE_YAW, TURN])
+_YAW = np.array([WAVE_YAW, YAW_RATE])
 _YAW_DAMPING = 0.5
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 """Turns a horizontal vector clockwise by 90 degrees; the rate of one that turns is this times it."""
 
 
-class Walk:
+class ProcessNoise:
     """Noise that enters in proportion to time: (N,) densities, computed once."""
 
     def __init__(self, o: EkfOptions) -> None:
         self.options = o
         q = np.zeros(N)
-        q[TH] = o.asd_gyro_rad_s**2
-        q[BG] = o.asd_gyro_bias_rad_s2**2
-        q[BA] = o.asd_accel_bias_m_s3**2
-        q[SCALE] = o.asd_velocity_scale**2
-        q[U] = o.asd_vessel_velocity_m_s2**2
+        q[ATT_ERR] = o.asd_gyro_rad_s**2
+        q[GYRO_BIAS] = o.asd_gyro_bias_rad_s2**2
+        q[ACCEL_BIAS] = o.asd_accel_bias_m_s3**2
+        q[VEL_SCALE] = o.asd_velocity_scale**2
+        q[VESSEL_VEL] = o.asd_vessel_velocity_m_s2**2
         q[TURN_RATE] = o.asd_turn_rate_rad_s2**2
         q[SWAY_PER_HEAVE] = o.asd_sway_per_heave**2
-        q[DELAY] = o.delay_drift_s_sqrt_s**2
-        q[MOUNT] = o.mount_drift_rad_sqrt_s**2
-        q[BARO] = o.asd_baro_offset_m**2
-        q[SHORT] = o.asd_range_offset_m**2
-        q[TILT] = o.asd_attitude_bias_rad_s**2
+        q[CAMERA_DELAY] = o.delay_drift_s_sqrt_s**2
+        q[CAMERA_MOUNT] = o.mount_drift_rad_sqrt_s**2
+        q[BARO_OFFSET] = o.asd_baro_offset_m**2
+        q[RANGE_OFFSET] = o.asd_range_offset_m**2
+        q[ATT_BIAS] = o.asd_attitude_bias_rad_s**2
         self.psd = q
         self.carrying = carrying(o.asd_accel_m_s2, o.asd_gyro_rad_s, o.asd_accel_bias_m_s3)
         self.psd_accel = o.asd_accel_m_s2**2
@@ -92,7 +92,7 @@ class Walk:
         self.psd_coast_turn = o.asd_coast_rad_s**2
 
 
-def carry(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, **also: Any) -> Belief:
+def propagate_state(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, **also: Any) -> Belief:
     """To instant `t` (ns) with the rate and specific force as measured, or coasting where no IMU sample holds.
 
     Fields of the belief given in `also` are replaced along the way.
@@ -110,10 +110,10 @@ def carry(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, **also: Any
             coast_s=b.coast_s + dt,
             **also,
         )
-    turn = so3.exp((w_body - b.x[BG]) * dt)
+    turn = so3.exp((w_body - b.x[GYRO_BIAS]) * dt)
     R = b.R.dot(turn)
     mid = 0.5 * (b.R + R)
-    a = mid.dot(f_body - b.x[BA])
+    a = mid.dot(f_body - b.x[ACCEL_BIAS])
     return b._replace(
         t=t,
         R=R,
@@ -125,11 +125,11 @@ def carry(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, **also: Any
     )
 
 
-def settle(b: Belief, walk: Walk, algebra: Algebra) -> Belief:
+def propagate_covariance(b: Belief, process_noise: ProcessNoise, algebra: Algebra) -> Belief:
     """Bring `x` and `P` from `t_cov` to `t`."""
     if b.t <= b.t_cov:
         return b
-    after, F, Q = moved(b, walk)
+    after, F, Q = moved(b, process_noise)
     return after._replace(P=algebra.predict(b.P, F, Q))
 
 
@@ -148,9 +148,9 @@ class Linear(NamedTuple):
 
 # A late sighting has the same steps made again, and the sea's summary stays for some of them.
 @lru_cache(maxsize=48)
-def _linear(walk: Walk, T: float, coast_s: float, summary: bytes) -> Linear:
+def _linear(process_noise: ProcessNoise, T: float, coast_s: float, summary: bytes) -> Linear:
     """Over T s, `coast_s` of them without an IMU. `summary`: w_rad_s, zeta, sigma of the sea, one after the other."""
-    o = walk.options
+    o = process_noise.options
     w, zeta, sigma = np.frombuffer(summary).reshape(3, 5)
     A, q_unit = transition(w, zeta, T)
     q_unit[:, :2, :2] += (4.0 * _SHORT_SHARE * zeta * w**3)[:, None, None] * np.array(
@@ -161,34 +161,34 @@ def _linear(walk: Walk, T: float, coast_s: float, summary: bytes) -> Linear:
     q_yaw = q_yaw * o.sigma_wave_yaw_rate_rad_s**2
 
     F = _IN.copy()
-    F[D, V] = -T * _I3
+    F[POS_REL, VEL] = -T * _I3
     flat = F.reshape(-1)
     flat[_BLOCKS] = A.ravel()
     flat[_D_BY_WAVES] = (A[:3, 0] - _FIRST).ravel()
     F[_YAW[:, None], _YAW] = A_yaw
-    F[HEAD, _YAW] = A_yaw[0] - _FIRST[:2]
-    F[HEAD, TURN_RATE] = T
+    F[PAD_YAW, _YAW] = A_yaw[0] - _FIRST[:2]
+    F[PAD_YAW, TURN_RATE] = T
 
     Q = np.zeros((N, N))
-    q = walk.psd * T
-    force, spin = walk.psd_accel * T, 0.0
+    q = process_noise.psd * T
+    force, spin = process_noise.psd_accel * T, 0.0
     if coast_s > 0.0:
-        force += walk.psd_coast * coast_s
-        spin = walk.psd_coast_turn * coast_s
-    q[TH] += spin
-    q[V] = force
-    q[D] = force * (T * T / 3.0)
-    q[HEAD] = q_yaw[0, 0] + q[TURN_RATE] * (T * T / 3.0)
+        force += process_noise.psd_coast * coast_s
+        spin = process_noise.psd_coast_turn * coast_s
+    q[ATT_ERR] += spin
+    q[VEL] = force
+    q[POS_REL] = force * (T * T / 3.0)
+    q[PAD_YAW] = q_yaw[0, 0] + q[TURN_RATE] * (T * T / 3.0)
     # What the noise does to a pad's displacement it does to its distance as well.
-    q[D] += q_waves[:3, 0, 0]
+    q[POS_REL] += q_waves[:3, 0, 0]
     flat = Q.reshape(-1)
     flat[:: N + 1] = q
     flat[_BLOCKS] = q_waves.ravel()
     flat[_D_BY_WAVES] = flat[_WAVES_BY_D] = q_waves[:3, 0].ravel()
     flat[_D_BY_V] = flat[_V_BY_D] = -0.5 * T * force
     Q[_YAW[:, None], _YAW] = q_yaw
-    Q[HEAD, _YAW] = Q[_YAW, HEAD] = q_yaw[0]
-    Q[HEAD, TURN_RATE] = Q[TURN_RATE, HEAD] = 0.5 * T * q[TURN_RATE]
+    Q[PAD_YAW, _YAW] = Q[_YAW, PAD_YAW] = q_yaw[0]
+    Q[PAD_YAW, TURN_RATE] = Q[TURN_RATE, PAD_YAW] = 0.5 * T * q[TURN_RATE]
     for part in (A, A_yaw, F, Q):
         part.setflags(write=False)
     return Linear(A, A_yaw, F, Q)
@@ -224,31 +224,31 @@ def _yawing(w: float, T: float) -> tuple[F64, F64]:
     return A, P - A.dot(P).dot(A.T)
 
 
-def moved(b: Belief, walk: Walk) -> tuple[Belief, F64, F64]:
+def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
     """The belief with all but `P` brought from `t_cov` to `t`, and the (N, N) F and Q by which `P` goes there."""
     T = (b.t - b.t_cov) * 1e-9
     sea = b.sea
-    same = _linear(walk, T, b.coast_s, sea.w_rad_s.tobytes() + sea.zeta.tobytes() + sea.sigma.tobytes())
+    same = _linear(process_noise, T, b.coast_s, sea.w_rad_s.tobytes() + sea.zeta.tobytes() + sea.sigma.tobytes())
 
     x = b.x.copy()
     waves = b.x[_SEA].reshape(WAVES.shape)
     after = (same.A @ waves[:, :, None])[:, :, 0]
     x[_SEA] = after.ravel()
     fall = 0.5 * GRAVITY_M_S2 * T * T
-    moved = (after - waves)[:3, 0] - b.x[V] * T - b.dp
+    moved = (after - waves)[:3, 0] - b.x[VEL] * T - b.dp
     moved[2] -= fall
     turn, rate = turned(float(b.x[TURN_RATE]), T), b.x[TURN_RATE]
-    u, coupling = b.x[U], b.x[SWAY_PER_HEAVE]
-    x[U], x[SWAY_PER_HEAVE] = turn.by.dot(u), turn.by.dot(coupling)
+    u, coupling = b.x[VESSEL_VEL], b.x[SWAY_PER_HEAVE]
+    x[VESSEL_VEL], x[SWAY_PER_HEAVE] = turn.by.dot(u), turn.by.dot(coupling)
     heaved = float(after[2, 0] - waves[2, 0])
     moved[:2] += turn.reach.dot(u) + coupling * heaved
-    x[D] += moved
-    x[V] += b.dv
+    x[POS_REL] += moved
+    x[VEL] += b.dv
     x[8] += GRAVITY_M_S2 * T
     x[_YAW] = same.A_yaw.dot(b.x[_YAW])
-    x[HEAD] += rate * T + float(x[WAVE_YAW] - b.x[WAVE_YAW])
+    x[PAD_YAW] += rate * T + float(x[WAVE_YAW] - b.x[WAVE_YAW])
     # Downwards the accelerometer's bias stays in: what is learned of it in flight would be a jerk of the deck.
-    biased = float(b.turned[2].dot(b.x[BA]))
+    biased = float(b.turned[2].dot(b.x[ACCEL_BIAS]))
     ins_p = b.ins_p + b.ins_v * T + b.dp
     ins_v = b.ins_v + b.dv
     ins_p[2] += 0.5 * T * biased
@@ -260,17 +260,17 @@ def moved(b: Belief, walk: Walk) -> tuple[Belief, F64, F64]:
     back = b.R.T.dot(b.R_cov)
     dv_R = so3.cross_matrix(b.dv).dot(b.R_cov)
     dp_R = so3.cross_matrix(b.dp).dot(b.R_cov)
-    F[TH, TH] = back
-    F[TH, BG] = (-0.5 * T) * (_I3 + back)
-    F[V, TH] = -dv_R
-    F[V, BG] = (0.5 * T) * dv_R
-    F[V, BA] = -b.turned
-    F[D, TH] = dp_R
-    F[D, BG] = (-T / 3.0) * dp_R
-    F[D, BA] = (0.5 * T) * b.turned
-    F[_DH, U] = turn.reach
-    F[U, U] = F[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = turn.by
-    F[U, TURN_RATE] = T * QUARTER.dot(x[U])
+    F[ATT_ERR, ATT_ERR] = back
+    F[ATT_ERR, GYRO_BIAS] = (-0.5 * T) * (_I3 + back)
+    F[VEL, ATT_ERR] = -dv_R
+    F[VEL, GYRO_BIAS] = (0.5 * T) * dv_R
+    F[VEL, ACCEL_BIAS] = -b.turned
+    F[POS_REL, ATT_ERR] = dp_R
+    F[POS_REL, GYRO_BIAS] = (-T / 3.0) * dp_R
+    F[POS_REL, ACCEL_BIAS] = (0.5 * T) * b.turned
+    F[_DH, VESSEL_VEL] = turn.reach
+    F[VESSEL_VEL, VESSEL_VEL] = F[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = turn.by
+    F[VESSEL_VEL, TURN_RATE] = T * QUARTER.dot(x[VESSEL_VEL])
     F[SWAY_PER_HEAVE, TURN_RATE] = T * QUARTER.dot(x[SWAY_PER_HEAVE])
     F[_DH, TURN_RATE] = (0.5 * T * T) * QUARTER.dot(u)
     F[_DH, _HEAVE] += coupling[:, None] * (same.A[2, 0] - _FIRST)
@@ -295,7 +295,8 @@ def moved(b: Belief, walk: Walk) -> tuple[Belief, F64, F64]:
 
     R = so3.orthonormalised(b.R)
     belief = b._replace(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v,
-        ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + walk.psd_coast * b.coast_s, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
+        ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + process_noise.psd_coast * b.coast_s,
+        jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
     )  # fmt: skip
     return belief, F, Q
 
@@ -306,20 +307,20 @@ def peek(b: Belief) -> F64:
     if T <= 0.0:
         return b.x
     x = b.x.copy()
-    drift = b.x[RATE[:3]] * T - b.x[V] * T - b.dp
+    drift = b.x[DECK_RATE[:3]] * T - b.x[VEL] * T - b.dp
     drift[2] -= 0.5 * GRAVITY_M_S2 * T * T
-    drift[:2] += (b.x[U] + b.x[SWAY_PER_HEAVE] * b.x[RATE[2]]) * T
-    x[D] += drift
-    x[DISPLACEMENT] += b.x[RATE] * T
-    x[V] += b.dv
+    drift[:2] += (b.x[VESSEL_VEL] + b.x[SWAY_PER_HEAVE] * b.x[DECK_RATE[2]]) * T
+    x[POS_REL] += drift
+    x[DECK_DISP] += b.x[DECK_RATE] * T
+    x[VEL] += b.dv
     x[8] += GRAVITY_M_S2 * T
-    x[HEAD] += (b.x[TURN] + b.x[TURN_RATE]) * T
+    x[PAD_YAW] += (b.x[YAW_RATE] + b.x[TURN_RATE]) * T
     return x
 
 
 def peek_velocity(b: Belief) -> F64:
     """(3,) of `peek`, v_body_ned alone."""
-    v = b.x[V] + b.dv
+    v = b.x[VEL] + b.dv
     v[2] += GRAVITY_M_S2 * 1e-9 * (b.t - b.t_cov)
     return v
 
@@ -328,4 +329,4 @@ def peek_height(b: Belief) -> float:
     """Of `peek`, how far below the body the pad's mean level is, m."""
     T = (b.t - b.t_cov) * 1e-9
     x = b.x
-    return float(x[5] - x[DISPLACEMENT[2]] - x[8] * T - b.dp[2]) - 0.5 * GRAVITY_M_S2 * T * T
+    return float(x[5] - x[DECK_DISP[2]] - x[8] * T - b.dp[2]) - 0.5 * GRAVITY_M_S2 * T * T

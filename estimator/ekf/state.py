@@ -8,46 +8,46 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from estimator.ekf.deck_motion_bank import Sea
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.sea import Sea
 
 GRAVITY_M_S2 = 9.80665
 G_NED = np.array([0.0, 0.0, GRAVITY_M_S2])
 G_NED.setflags(write=False)
 
-TH = slice(0, 3)
+ATT_ERR = slice(0, 3)
 """Attitude error, rad, in `body`: `R_true = R @ exp(x[TH])`. The nominal is `Belief.R`, so `x[TH]` is always zero."""
-D = slice(3, 6)
+POS_REL = slice(3, 6)
 """d_body_pad_ned, m."""
-V = slice(6, 9)
+VEL = slice(6, 9)
 """v_body_ned, m/s over the ground."""
-BG = slice(9, 12)
-"""Gyro bias, rad/s, in `body`: measured less true."""
-BA = slice(12, 15)
-"""Accelerometer bias, m/s^2, in `body`: measured less true."""
-SCALE = 15
+GYRO_BIAS = slice(9, 12)
+"""Gyro bias, rad/s, in `body`: measured minus true."""
+ACCEL_BIAS = slice(12, 15)
+"""Accelerometer bias, m/s^2, in `body`: measured minus true."""
+VEL_SCALE = 15
 """Measured over true horizontal velocity."""
-U = slice(16, 18)
+VESSEL_VEL = slice(16, 18)
 """The vessel's steady velocity, north and east, m/s."""
 WAVES = 18 + np.arange(20).reshape(5, 4)
 """(5, 4) places of [displacement, rate, force, its rate] of the pad north, east, down (m) and the deck's roll, pitch (rad)."""
-DISPLACEMENT, RATE = WAVES[:, 0], WAVES[:, 1]
-HEAD = 38
+DECK_DISP, DECK_RATE = WAVES[:, 0], WAVES[:, 1]
+PAD_YAW = 38
 """Heading of the arrow, rad clockwise from north."""
-TURN = 39
+YAW_RATE = 39
 """Rate of its yawing on waves, rad/s; the steady turn is `TURN_RATE`."""
-LIST = np.arange(40, 42)
+DECK_TRIM = np.arange(40, 42)
 """Constant list and trim of the deck, rad."""
-DELAY = 42
+CAMERA_DELAY = 42
 """s: sightings show the world this much later than their stamps say."""
-MOUNT = slice(43, 46)
+CAMERA_MOUNT = slice(43, 46)
 """Rotation vector, rad, in `body`: the camera stands `exp(x[MOUNT])` away from where its file says."""
-BARO = 46
+BARO_OFFSET = 46
 """Height shown by the barometer less height over the pad's mean level, m."""
-TILT = np.arange(47, 49)
-"""Constant error of the vehicle's own attitude about the body's x and y axes, rad: told less true."""
-SHORT = 49
-"""Constant error of the range sensor, m: told less true. Where it sits, and the air's temperature."""
+ATT_BIAS = np.arange(47, 49)
+"""Constant error of the vehicle's own attitude about the body's x and y axes, rad: measured minus true."""
+RANGE_OFFSET = 49
+"""Constant error of the range sensor, m: measured minus true. Where it sits, and the air's temperature."""
 WAVE_YAW = 50
 """Yaw on waves, part of `HEAD`, rad."""
 TURN_RATE = 51
@@ -96,7 +96,7 @@ class Aid(NamedTuple):
     """ns, of the first of an unbroken row of refusals; -1 none."""
 
 
-class Doubt(NamedTuple):
+class RejectionStreak(NamedTuple):
     """Sightings refused in a row that agree with one another."""
 
     n: int = 0
@@ -162,7 +162,7 @@ class Belief(NamedTuple):
     t_velocity: int
     """ns, of the newest velocity sample; -1 none."""
     sea: Sea
-    doubt: Doubt
+    rejections: RejectionStreak
     sighted: int
     """ns, when the newest fused sighting was true; -1 none since the start or since it was forgotten."""
     agreed: int
@@ -185,28 +185,28 @@ def waves_unknown(sea: Sea) -> F64:
 def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_heading_rad: float, sea: Sea) -> Belief:
     """Knows an attitude and nothing else."""
     x = np.zeros(N)
-    x[SCALE] = options.velocity_scale
+    x[VEL_SCALE] = options.velocity_scale
     P = np.zeros((N, N))
     down = R.T[:, 2]
-    P[TH, TH] = sigma_tilt_rad**2 * (np.eye(3) - np.outer(down, down)) + sigma_heading_rad**2 * np.outer(down, down)
+    P[ATT_ERR, ATT_ERR] = sigma_tilt_rad**2 * (np.eye(3) - np.outer(down, down)) + sigma_heading_rad**2 * np.outer(down, down)
     var = np.zeros(N)
-    var[D] = LOST_VAR_M2
-    var[V] = options.sigma_initial_velocity_m_s**2
-    var[BG] = options.sigma_gyro_bias_rad_s**2
-    var[BA] = options.sigma_accel_bias_m_s2**2, options.sigma_accel_bias_m_s2**2, options.sigma_accel_bias_down_m_s2**2
-    var[SCALE] = options.sigma_velocity_scale**2
-    var[U] = options.sigma_vessel_velocity_m_s**2
-    var[HEAD] = math.pi**2 / 3.0
-    var[TURN] = options.sigma_wave_yaw_rate_rad_s**2
+    var[POS_REL] = LOST_VAR_M2
+    var[VEL] = options.sigma_initial_velocity_m_s**2
+    var[GYRO_BIAS] = options.sigma_gyro_bias_rad_s**2
+    var[ACCEL_BIAS] = options.sigma_accel_bias_m_s2**2, options.sigma_accel_bias_m_s2**2, options.sigma_accel_bias_down_m_s2**2
+    var[VEL_SCALE] = options.sigma_velocity_scale**2
+    var[VESSEL_VEL] = options.sigma_vessel_velocity_m_s**2
+    var[PAD_YAW] = math.pi**2 / 3.0
+    var[YAW_RATE] = options.sigma_wave_yaw_rate_rad_s**2
     var[WAVE_YAW] = (options.sigma_wave_yaw_rate_rad_s * options.wave_yaw_period_s / math.tau) ** 2
     var[TURN_RATE] = options.sigma_turn_rate_rad_s**2
     var[SWAY_PER_HEAVE] = options.sigma_sway_per_heave**2
-    var[LIST] = options.sigma_list_rad**2
-    var[DELAY] = options.sigma_delay_s**2
-    var[MOUNT] = options.sigma_mount_rad**2
-    var[BARO] = options.sigma_baro_offset_m**2
-    var[TILT] = options.sigma_attitude_bias_rad**2
-    var[SHORT] = options.sigma_range_offset_m**2
+    var[DECK_TRIM] = options.sigma_list_rad**2
+    var[CAMERA_DELAY] = options.sigma_delay_s**2
+    var[CAMERA_MOUNT] = options.sigma_mount_rad**2
+    var[BARO_OFFSET] = options.sigma_baro_offset_m**2
+    var[ATT_BIAS] = options.sigma_attitude_bias_rad**2
+    var[RANGE_OFFSET] = options.sigma_range_offset_m**2
     P[np.diag_indices(N)] += var
     P[WAVES[:, :, None], WAVES[:, None, :]] = waves_unknown(sea)
     z3 = np.zeros(3)
@@ -214,6 +214,6 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
         t=t, R=R, x=x, P=P, t_cov=t, R_cov=R, dv=z3, dp=z3, turned=np.zeros((3, 3)), coast_s=0.0,
         t_imu=-1, w=z3, w_smooth=z3, f=z3, levelled_by=None, cov_levelled_by=np.zeros((3, 3)), heading_is_given=False,
         ins_p=z3, ins_v=z3, ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
-        aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, doubt=Doubt(),
+        aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, rejections=RejectionStreak(),
         sighted=-1, agreed=0, nis_mean=1.0, heading_known=False, heading_held_s=0.0, heading_seen=-1,
     )  # fmt: skip

@@ -53,22 +53,22 @@ class ClockWatch(NamedTuple):
 
 def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float) -> tuple[ClockWatch, Verdict | None]:
     """Take an arrival; TOO_NEW or TOO_OLD when it is alone with its time."""
-    heard, now = stamp.heard, state.now
+    received_at, now = stamp.received_at, state.now
     if now is None:
-        return state._replace(now=heard), None
+        return state._replace(now=received_at), None
     step = round(step_max_s * 1e9)
-    if abs(heard - now) <= step:
-        return state._replace(now=max(now, heard), rival=None), None
+    if abs(received_at - now) <= step:
+        return state._replace(now=max(now, received_at), rival=None), None
     rival = state.rival
     rival = (
-        _Rival(heard, heard, 1, frozenset((kind,)))
-        if rival is None or not -step <= heard - rival.last <= step
-        else _Rival(rival.first, max(rival.last, heard), rival.n + 1, rival.kinds | {kind})
+        _Rival(received_at, received_at, 1, frozenset((kind,)))
+        if rival is None or not -step <= received_at - rival.last <= step
+        else _Rival(rival.first, max(rival.last, received_at), rival.n + 1, rival.kinds | {kind})
     )
     lasting = rival.n >= _CONFIRMED_BY and rival.last - rival.first >= _CONFIRMED_IN_NS
     if lasting or len(rival.kinds) >= 2:
         return ClockWatch(rival.last), None
-    return state._replace(rival=rival), Verdict.TOO_NEW if heard > now else Verdict.TOO_OLD
+    return state._replace(rival=rival), Verdict.TOO_NEW if received_at > now else Verdict.TOO_OLD
 
 
 def watch_delay(
@@ -87,8 +87,8 @@ def watch_delay(
     elif delay.n < _FIRST_FEW:
         delay = _Delay(d)
     else:
-        since = stamp.heard if delay.off_since is None else delay.off_since
-        if (stamp.heard - since) * 1e-9 >= settle_s:
+        since = stamp.received_at if delay.off_since is None else delay.off_since
+        if (stamp.received_at - since) * 1e-9 >= settle_s:
             delay = _Delay(d)
         else:
             verdict = Verdict.TOO_OLD if d > delay.median_s else Verdict.TOO_NEW

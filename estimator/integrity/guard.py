@@ -121,11 +121,11 @@ def doubts(guard: Guard, now: MonoNs) -> tuple[Doubt, ...]:
 
 
 def _place(sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
-    return tracks.Place(sighting.stamp.taken, _fixed(sighting.d_body_pad_level, attitude), *_sigmas(sighting.cov))
+    return tracks.Place(sighting.stamp.measured_at, _fixed(sighting.d_body_pad_level, attitude), *_sigmas(sighting.cov))
 
 
 def _expected(belief: RelativeState, sighting: Sighting, attitude: Attitude | None) -> tracks.Place:
-    return tracks.Place(sighting.stamp.taken, _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))
+    return tracks.Place(sighting.stamp.measured_at, _fixed(belief.d_body_pad_level, attitude), *_sigmas(belief.cov))
 
 
 def _sigmas(cov: F64) -> tuple[float, float]:

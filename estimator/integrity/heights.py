@@ -57,12 +57,12 @@ def saw(state: HeightWatch, sighting: Sighting, R_ned_body: Rotation) -> HeightW
     """A sighting that the estimator took."""
     x, y, z = sighting.d_body_pad_level.tolist()
     cx, cy, cz = R_ned_body.without_heading().matrix[:, 2].tolist()
-    return state._replace(seen_at=sighting.stamp.taken, d_level=(x, y, z), down_level=(cx, cy, cz))
+    return state._replace(seen_at=sighting.stamp.measured_at, d_level=(x, y, z), down_level=(cx, cy, cz))
 
 
 def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch:
     """A range: compared with the newest sighting where that is fresh and has the pad below."""
-    t = event.stamp.taken
+    t = event.stamp.measured_at
     if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
         return state._replace(range_at=t)
     x, y, z = state.d_level
@@ -86,7 +86,7 @@ def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch
 
 def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch:
     """A barometer's height: its difference to the camera's must not run away while the pad is seen."""
-    t = event.stamp.taken
+    t = event.stamp.measured_at
     if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
         return state
     height = state.d_level[2]

@@ -54,7 +54,7 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
     Returns:
         The new state; IMPOSSIBLE, FROZEN (in flight only: on the ground an estimate of velocity rests at zero), or None.
     """
-    t = event.stamp.taken
+    t = event.stamp.measured_at
     value, frozen_s = _bits(event, o)
     repeat = Repeat(value, t)
     if state.repeat is not None and state.repeat.value == value:
@@ -118,7 +118,7 @@ def _numbers(event: Reading) -> tuple[float, ...]:
 
 def _step(event: Reading, numbers: tuple[float, ...], before: Plausible, o: IntegrityOptions) -> bool:
     """Return whether the step since the last plausible reading is more than the vehicle can do."""
-    dt = min((event.stamp.taken - before.at) * 1e-9, _STEP_OVER_S)
+    dt = min((event.stamp.measured_at - before.at) * 1e-9, _STEP_OVER_S)
     step = math.dist(numbers, before.numbers)
     match event:
         case BodyVelocity():

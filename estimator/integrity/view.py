@@ -1,4 +1,4 @@
-"""A pad that keeps its place in the image while the body turns is no pad below: the picture is frozen, whatever noise lies on it.
+"""A pad that keeps its place in the image while the body turns is no pad below: the frame is frozen, whatever noise lies on it.
 
 Turning alone moves everything in the image, at any distance, by the same angle. So the bearing of the pad in the body is compared
 with what the vehicle's own attitude says that turning alone did to it.
@@ -31,7 +31,7 @@ class ViewWatch(NamedTuple):
 
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
     """Take one sighting and the attitude at its exposure."""
-    t = sighting.stamp.taken
+    t = sighting.stamp.measured_at
     distance_m = float(np.linalg.norm(sighting.d_body_pad_level))
     if distance_m < 1e-6:
         return state

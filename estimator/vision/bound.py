@@ -1,4 +1,4 @@
-"""The Cramer-Rao bound: how well any unbiased estimator could do on given pictures.
+"""The Cramer-Rao bound: how well any unbiased estimator could do on given frames.
 
 Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, section 3.9 (signals in Gaussian noise).
 """
@@ -11,12 +11,12 @@ from estimator.contracts.geometry import F64
 
 
 def information(minus: list[F64], plus: list[F64], steps: list[float], var: F64) -> F64:
-    """Fisher information about parameters from the mean pictures at small steps to either side.
+    """Fisher information about parameters from the mean frames at small steps to either side.
 
     Args:
-        minus, plus: P mean pictures each, any shape, one parameter moved by its step down and up.
+        minus, plus: P mean frames each, any shape, one parameter moved by its step down and up.
         steps: P steps, in the parameters' units.
-        var: variance of each pixel's noise, of the pictures' shape; the noise is independent between pixels, and so weak a
+        var: variance of each pixel's noise, of the frames' shape; the noise is independent between pixels, and so weak a
             function of the parameters that it tells nothing by itself.
     Returns:
         (P, P) symmetric.

@@ -46,15 +46,13 @@ class Camera:
         if d.shape != (5,) or not np.all(np.isfinite(d)):
             raise ValueError(f"distortion needs five finite numbers k1, k2, p1, p2, k3, got {self.distortion!r}")
         if self.width < 16 or self.height < 16:
-            raise ValueError(f"a picture of {self.width}x{self.height} px is too small")
+            raise ValueError(f"a frame of {self.width}x{self.height} px is too small")
         if max(self.width, self.height) > _LARGEST_PX:
-            raise ValueError(f"a picture of {self.width}x{self.height} px is too large; at most {_LARGEST_PX} px a side are read")
+            raise ValueError(f"a frame of {self.width}x{self.height} px is too large; at most {_LARGEST_PX} px a side are read")
         if not (_FOCAL_PX[0] <= self.fx <= _FOCAL_PX[1] and _FOCAL_PX[0] <= self.fy <= _FOCAL_PX[1]):
             raise ValueError(f"fx and fy must lie in {_FOCAL_PX[0]:g}..{_FOCAL_PX[1]:g} px, got {self.fx!r} and {self.fy!r}")
         if not (abs(self.cx) <= _FOCAL_PX[1] and abs(self.cy) <= _FOCAL_PX[1]):
-            raise ValueError(
-                f"cx and cy must be within {_FOCAL_PX[1]:g} px of the picture's corner, got {self.cx!r}, {self.cy!r}"
-            )
+            raise ValueError(f"cx and cy must be within {_FOCAL_PX[1]:g} px of the frame's corner, got {self.cx!r}, {self.cy!r}")
         if np.max(np.abs(self.T_body_cam.t)) > _MOUNT_MAX_M:
             raise ValueError(f"a camera cannot be mounted more than {_MOUNT_MAX_M:g} m from the body's origin")
         if np.max(np.abs(d)) > _DISTORTION_MAX:
@@ -131,7 +129,7 @@ class Camera:
     def rays(self, uv_px: F64) -> F64:
         """(N, 2) px to (N, 2) ideal image-plane coordinates (x/z, y/z); the inverse of `project` by Newton's method.
 
-        Converges to 1e-9 wherever the distortion is one-to-one, which a calibrated lens is over its own picture.
+        Converges to 1e-9 wherever the distortion is one-to-one, which a calibrated lens is over its own frame.
         """
         target: F64 = (np.asarray(uv_px, dtype=float) - self._centre) / self._focal
         if not self.distorted:

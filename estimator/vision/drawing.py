@@ -1,6 +1,6 @@
 """The pad's drawing for measuring: its edges as points with normals, and the share of paint a blurred pixel sees.
 
-A pixel of a blurred picture sees each paint with a weight: the drawing's region convolved with the point spread. Across a
+A pixel of a blurred frame sees each paint with a weight: the drawing's region convolved with the point spread. Across a
 straight edge that is the normal distribution's integral; at the corners of the H it is a product of two, because an isotropic
 Gaussian parts into its axes. A circle's edge moves inward as it is blurred. For the heat equation in polar coordinates the
 drift is 1/r, whose characteristics are r0^2 = r^2 + sigma^2, so a circle of radius R is seen at r with

@@ -1,4 +1,4 @@
-"""Several methods looked at one picture: which of them agree, and what they say together.
+"""Several methods looked at one frame: which of them agree, and what they say together.
 
 Agreement: each cue in turn is taken for true and the others are held against it; the cue with the most confidence behind it wins
 and those it does not agree with are outliers (RANSAC with every hypothesis tried, Fischler & Bolles 1981).
@@ -88,8 +88,8 @@ def _intersected(cues: list[Sighting], confidence: float) -> Sighting:
     """Covariance intersection of cues that agree, the most certain first."""
     first = cues[0]
     sure = next((cue for cue in cues if cue.yaw_rad is not None and not cue.yaw_ambiguous), None)
-    told = sure or next((cue for cue in cues if cue.yaw_rad is not None), None)
-    reference = 0.0 if told is None or told.yaw_rad is None else told.yaw_rad
+    source = sure or next((cue for cue in cues if cue.yaw_rad is not None), None)
+    reference = 0.0 if source is None or source.yaw_rad is None else source.yaw_rad
     informations = [_information(cue) for cue in cues]
     sizes = np.array([1.0 / np.trace(cue.cov[:3, :3]) for cue in cues])
     weights = sizes / sizes.sum()
@@ -99,7 +99,7 @@ def _intersected(cues: list[Sighting], confidence: float) -> Sighting:
         vector += w * info @ np.append(cue.d_body_pad_level, _turn_from(cue, reference))
     cov = np.linalg.inv(total)
     fused = cov @ vector
-    yaw = None if told is None else wrap_pi(reference + float(fused[3]))
+    yaw = None if source is None else wrap_pi(reference + float(fused[3]))
     if yaw is None:
         cov = _with_unknown_yaw(cov)
     return replace(

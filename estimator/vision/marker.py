@@ -1,7 +1,7 @@
 """Square markers (AprilTag, ArUco) for people who have them instead of the painted pad: the same sighting, by `cv2.aruco`.
 
 Several markers of any sizes may lie on one deck, a small one inside a large one for the last metres: all that are seen are solved
-together. The pose minimises the corners' distance in the picture and, weakly, the tilt of a deck that is taken as level; of the
+together. The pose minimises the corners' distance in the frame and, weakly, the tilt of a deck that is taken as level; of the
 two poses a single square allows, the better by both is kept.
 """
 
@@ -124,11 +124,11 @@ def find_markers(
         sigma_deck_rad: one standard deviation of the deck's roll and pitch, which is taken as level.
 
     Raises:
-        ValueError: the picture is not of the camera's size.
+        ValueError: the frame is not of the camera's size.
     """
     if frame.px.shape[:2] != (camera.height, camera.width):
         h, w = frame.px.shape[:2]
-        raise ValueError(f"the picture is {w}x{h} px, the camera's are {camera.width}x{camera.height}")
+        raise ValueError(f"the frame is {w}x{h} px, the camera's are {camera.width}x{camera.height}")
     corners_px, places = _seen(np.asarray(cv2.cvtColor(frame.px, cv2.COLOR_BGR2GRAY), np.uint8), board)
     if not len(corners_px):
         return None

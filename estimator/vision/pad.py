@@ -19,7 +19,7 @@ LARGEST_M = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Colours:
-    """Nominal paint, sRGB 0..255. A starting point for pictures and colour limits, never trusted by itself."""
+    """Nominal paint, sRGB 0..255. A starting point for frames and colour limits, never trusted by itself."""
 
     disc: tuple[int, int, int]
     ring: tuple[int, int, int]

@@ -2,7 +2,7 @@
 
 The thesis' pose from one image point and one image length (section 4.1.6), put right: the rays of the points are turned into
 the level frame, cut with the pad's plane at an unknown depth, and a similarity (shift, turn, scale) lays the drawing on them; the
-scale is the length that fixes the depth. In that plane a tilted picture of the pad is no longer distorted, so neither tilt nor
+scale is the length that fixes the depth. In that plane a tilted frame of the pad is no longer distorted, so neither tilt nor
 the camera's place on the body is neglected.
 """
 

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from companion.settings import shipped
+from companion.config.settings import shipped
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
 from sitl.ardrone.server import ArDroneServer
@@ -34,7 +34,7 @@ _LOOK_S = 0.1
 class Pause:
     """Between two flights, seconds."""
 
-    stands_s: float = 3.0
+    landed_s: float = 3.0
     """The drone stands and says so."""
     silent_s: float = 2.0
     """Long enough for a client to give up what it believed of the drone's state: on the ground it orders the motors off."""
@@ -48,10 +48,10 @@ def faulty(scenario: Scenario, seed: int, *, virtual: bool = False) -> Scenario:
     """
     start = scenario.start
     highest_m = math.inf if start.where == "pad" else start.height_m
-    shelf = [
-        (name, other) for name, other in _shelf(virtual) if all((f.below_height_m or 0.0) <= highest_m for f in other.faults)
+    choices = [
+        (name, other) for name, other in _choices(virtual) if all((f.below_height_m or 0.0) <= highest_m for f in other.faults)
     ]
-    name, fault = shelf[int(np.random.default_rng([seed, 0xFA]).integers(len(shelf)))]
+    name, fault = choices[int(np.random.default_rng([seed, 0xFA]).integers(len(choices)))]
     title = f"{scenario.title}; {FAULTS}/{name}"[:120]
     faults = (*scenario.faults, *fault.faults)
     return msgspec.structs.replace(scenario, title=title, faults=faults, expect=fault.expect, because=fault.because)
@@ -63,7 +63,7 @@ def real_time(scenario: Scenario) -> bool:
 
 
 @cache
-def _shelf(virtual: bool) -> list[tuple[str, Scenario]]:
+def _choices(virtual: bool) -> list[tuple[str, Scenario]]:
     every = [(name, load(f"{FAULTS}/{name}")) for name in shipped(f"scenarios/{FAULTS}")]
     return [(name, scenario) for name, scenario in every if virtual or real_time(scenario)]
 
@@ -95,7 +95,7 @@ async def fly_again(
         following = faulty(scenario, seed) if faults else scenario
         rested = clock.now()
         world = await asyncio.to_thread(_prepared, following, seed)
-        await clock.sleep(max(0.0, pause.stands_s - seconds_between(rested, clock.now())))
+        await clock.sleep(max(0.0, pause.landed_s - seconds_between(rested, clock.now())))
         server.silent = True
         await clock.sleep(pause.silent_s)
         server.enter(world)

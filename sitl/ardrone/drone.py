@@ -13,7 +13,7 @@ from estimator.contracts.time import MonoNs
 from sitl.ardrone.config import Configuration
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.navdata_from_world import ALL_OPTIONS, Shot, Situation, datagram, upright_m
-from sitl.ardrone.state import HOVER, Deed, DroneState
+from sitl.ardrone.state import HOVER, DroneState, RefAction
 from sitl.world import Phase, Stick, World
 
 TICK_S = 0.005
@@ -34,10 +34,10 @@ class Drone:
         self.world = world
         self.counters: Counter[str] = Counter()
         self.state = DroneState(self._configuration(network or {}))
-        self.answers: dict[Deed, Callable[[], bytes]] = {}
+        self.answers: dict[RefAction, Callable[[], bytes]] = {}
         """What the control channel is to send, made when it is sent; asked for twice, it is sent once."""
         self.shot = Shot()
-        """The newest picture filmed, sent or not."""
+        """The newest frame filmed, sent or not."""
         self._clock = clock
         self._stick = self._flown = HOVER
         self._readings = world.readings()
@@ -74,17 +74,17 @@ class Drone:
         self._stick = self._flown = HOVER
         self._readings = world.readings()
         self._altitude_m, self._echo_m = 0.0, None
-        self._do(Deed.APPLY_LIMITS)
+        self._do(RefAction.APPLY_LIMITS)
 
     def take(self, data: bytes, now: MonoNs) -> None:
         """One datagram of the AT port."""
-        for deed in self.state.take(data, now, self.world.phase):
-            self._do(deed)
+        for handler in self.state.take(data, now, self.world.phase):
+            self._do(handler)
 
     def tick(self, at: MonoNs) -> None:
         """Let time pass up to `at`, about `TICK_S` after the last."""
-        for deed in self.state.tick(at, self.world.phase):
-            self._do(deed)
+        for handler in self.state.tick(at, self.world.phase):
+            self._do(handler)
         stick = self._within_altitude(self._stick)
         if stick != self._flown and self.world.phase in _STEERABLE:
             self._flown = stick
@@ -124,39 +124,39 @@ class Drone:
         )
         return datagram(situation, self._sequence, mask)
 
-    def _do(self, deed: Deed | Stick) -> None:
-        if isinstance(deed, Stick):
-            self._stick = deed
+    def _do(self, handler: RefAction | Stick) -> None:
+        if isinstance(handler, Stick):
+            self._stick = handler
             return
-        self.counters[deed.value] += 1
-        match deed:
-            case Deed.TAKE_OFF:
+        self.counters[handler.value] += 1
+        match handler:
+            case RefAction.TAKE_OFF:
                 self._stick = self._flown = HOVER
                 self.world.take_off()
-            case Deed.LAND:
+            case RefAction.LAND:
                 self._stick = self._flown = HOVER
                 self.world.land()
-            case Deed.STAY_UP:
+            case RefAction.STAY_UP:
                 self._stick = self._flown = HOVER
                 self.world.stay_up()
-            case Deed.CUT_MOTORS:
+            case RefAction.CUT_MOTORS:
                 self.world.emergency()
-            case Deed.LEAVE_EMERGENCY:
+            case RefAction.LEAVE_EMERGENCY:
                 self.world.leave_emergency()
-            case Deed.FLAT_TRIM:
+            case RefAction.FLAT_TRIM:
                 # The simulated attitude estimate has no trim to set; the counter shows that it was asked for.
                 pass
-            case Deed.APPLY_LIMITS:
+            case RefAction.APPLY_LIMITS:
                 number, limits = self.state.config.number, self.world.limits
                 limits.euler_angle_max_rad = number("control:euler_angle_max")
                 limits.vz_max_m_s = 1e-3 * number("control:control_vz_max")
                 limits.yaw_rate_max_rad_s = number("control:control_yaw")
-            case Deed.SEND_CONFIGURATION:
-                self.answers[deed] = lambda: control.render(self.state.config.dump())
-            case Deed.SEND_CUSTOM_IDS:
-                self.answers[deed] = self.state.config.custom_ids
+            case RefAction.SEND_CONFIGURATION:
+                self.answers[handler] = lambda: control.render(self.state.config.dump())
+            case RefAction.SEND_CUSTOM_IDS:
+                self.answers[handler] = self.state.config.custom_ids
             case _:
-                assert_never(deed)
+                assert_never(handler)
 
     def _configuration(self, network: dict[str, int]) -> Configuration:
         """The table as this drone starts with it: its own ports and the limits its world was given."""

@@ -24,7 +24,7 @@ ALL_OPTIONS = (1 << 28) - 1
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """The last picture that went out, as navdata speaks of it."""
+    """The last frame that went out, as navdata speaks of it."""
 
     number: int = 0
     time_ms: int = 0

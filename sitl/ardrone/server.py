@@ -26,7 +26,7 @@ from sitl.ardrone.navdata_from_world import Shot
 from sitl.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoPort
 from sitl.ardrone.truth_log import TruthLog
 from sitl.ardrone.video import AccessUnit, Encoder
-from sitl.world import Picture, World
+from sitl.world import RenderedFrame, World
 
 DEMO_TICKS = 13
 """Ticks between two datagrams in demo mode and in the bootstrap: 15.4 Hz."""
@@ -119,7 +119,7 @@ class ArDroneServer:
                 "cmd_port": self.ports.control,
             }
             self.drone = Drone(self.world, self._drone_clock, network)
-            # The first picture takes longest, as textures are made for it: before the drone has to keep time.
+            # The first frame takes longest, as textures are made for it: before the drone has to keep time.
             self.world.render()
             pool = stack.enter_context(ThreadPoolExecutor(1, "render"))
             group = await stack.enter_async_context(asyncio.TaskGroup())
@@ -203,9 +203,9 @@ class ArDroneServer:
         if self.world.active("link_lost"):
             return
         self.drone.take(data, self._clock.now())
-        self._navdata.heard_of(sender[0])
+        self._navdata.received_from(sender[0])
 
-    # Pictures
+    # Frames
 
     async def _film(self, pool: ThreadPoolExecutor) -> None:
         loop = asyncio.get_running_loop()
@@ -224,15 +224,15 @@ class ArDroneServer:
             front = None if config["video:video_channel"] == "1" else self.world.truth().R_ned_body
             shoot = partial(self._shoot, self.world.expose(), front, 1.0 / period_s, config.number("video:max_bitrate"))
             late_s = self.world.frame_delay_s
-            picture, unit = await loop.run_in_executor(pool, shoot)
-            self._send_picture(picture, unit, rpy, altitude_m, late_s)
+            image, unit = await loop.run_in_executor(pool, shoot)
+            self._send_image(image, unit, rpy, altitude_m, late_s)
 
     def _shoot(
-        self, develop: Callable[[], Picture], front: Rotation | None, fps: float, bitrate_kbps: float
-    ) -> tuple[Picture, AccessUnit]:
+        self, expose: Callable[[], RenderedFrame], front: Rotation | None, fps: float, bitrate_kbps: float
+    ) -> tuple[RenderedFrame, AccessUnit]:
         """Runs in the pool's thread, and touches nothing of the world's but what was fixed for it."""
-        picture = develop()
-        px = picture.px
+        image = expose()
+        px = image.px
         height, width = px.shape[:2]
         if front is not None:
             px = front_view(front, width, height)
@@ -240,15 +240,15 @@ class ArDroneServer:
         wanted = (width, height, fps, bitrate_kbps)
         if encoder is None or (encoder.width, encoder.height, encoder.fps, encoder.max_bitrate_kbps) != wanted:
             encoder = self._encoder = Encoder(*wanted, crf=self._habits.crf)
-        return picture, encoder.encode(px)
+        return image, encoder.encode(px)
 
-    def _send_picture(
-        self, picture: Picture, unit: AccessUnit, rpy: tuple[float, float, float], altitude_m: float, late_s: float
+    def _send_image(
+        self, image: RenderedFrame, unit: AccessUnit, rpy: tuple[float, float, float], altitude_m: float, late_s: float
     ) -> None:
         encoder = self._encoder
         assert encoder is not None
         number = self.drone.shot.number + 1
-        timestamp_ms = self._drone_clock.milliseconds(after(picture.taken, picture.stamp_error_s))
+        timestamp_ms = self._drone_clock.milliseconds(after(image.exposed_at, image.stamp_error_s))
         width, height = encoder.coded_size
         header = pave.PaveHeader(
             payload_size=len(unit.data),
@@ -268,7 +268,7 @@ class ArDroneServer:
         )
         self._stream_position += len(unit.data) - unit.sps_size - unit.pps_size
         self.drone.shot = Shot(number, timestamp_ms, rpy, altitude_m, len(unit.data), round(encoder.max_bitrate_kbps))
-        wait_s = self._habits.video_delay_s + late_s - seconds_between(picture.taken, self._clock.now())
+        wait_s = self._habits.video_delay_s + late_s - seconds_between(image.exposed_at, self._clock.now())
         loop = asyncio.get_running_loop()
         # A stream keeps its order: what follows a late frame waits behind it. Of two calls for one instant either may be first.
         self._video_due = max(self._video_due + _IN_ORDER_S, loop.time() + max(0.0, wait_s))

@@ -63,7 +63,7 @@ class NavdataPort(asyncio.DatagramProtocol):
     def error_received(self, exc: Exception) -> None:
         self._counters["navdata_socket_error"] += 1
 
-    def heard_of(self, host: str) -> None:
+    def received_from(self, host: str) -> None:
         """Commands came from this host: its navdata clients live."""
         for address in self._clients:
             if address[0] == host:
@@ -72,7 +72,7 @@ class NavdataPort(asyncio.DatagramProtocol):
     def send(self, datagram: bytes) -> None:
         """To every client whose lease runs."""
         now = self._now()
-        for address in [a for a, heard in self._clients.items() if seconds_between(heard, now) > NAVDATA_LEASE_S]:
+        for address in [a for a, received_at in self._clients.items() if seconds_between(received_at, now) > NAVDATA_LEASE_S]:
             del self._clients[address]
             self._counters["navdata_client_expired"] += 1
         if self._transport is None or self._transport.is_closing() or self._transport.get_write_buffer_size() > _BACKLOG_MAX:

@@ -47,7 +47,7 @@ _MAJOR = {
 }
 
 
-class Deed(Enum):
+class RefAction(Enum):
     """What the drone is to do besides following the stick."""
 
     TAKE_OFF = "take_off"
@@ -83,7 +83,7 @@ class DroneState:
         self.counters: Counter[str] = Counter()
         self.leds = Leds(0, 0.0, 0.0)
         self._gate = at.SequenceGate()
-        self._heard: MonoNs | None = None
+        self._received_at: MonoNs | None = None
         self._ids: Ids | None = None
         self._ack = False
         self._bootstrap = True
@@ -103,7 +103,7 @@ class DroneState:
         """Somebody spoke to the drone once, and nobody has for general:com_watchdog seconds."""
         return self._silent
 
-    def take(self, datagram: bytes, now: MonoNs, phase: Phase) -> Iterator[Deed | Stick]:
+    def take(self, datagram: bytes, now: MonoNs, phase: Phase) -> Iterator[RefAction | Stick]:
         """One datagram of the AT port. What cannot be read or comes out of order is counted and has no effect."""
         for item in at.decode(datagram):
             if isinstance(item, Refusal):
@@ -114,20 +114,20 @@ class DroneState:
                 self.counters["at_out_of_order"] += 1
                 continue
             self.counters["at_taken"] += 1
-            self._heard = now
+            self._received_at = now
             self._silent = self._landed_for_silence = False
             ids, self._ids = self._ids, None
             yield from self._obey(command, ids, phase)
 
-    def tick(self, now: MonoNs, phase: Phase) -> Iterator[Deed | Stick]:
+    def tick(self, now: MonoNs, phase: Phase) -> Iterator[RefAction | Stick]:
         """Let time pass: after general:com_watchdog seconds of silence the drone hovers, after twice that it lands.
 
         A drone nobody ever spoke to stays as it is.
         """
-        if self._heard is None:
+        if self._received_at is None:
             return
         patience_s = self.config.number("general:com_watchdog")
-        quiet_s = seconds_between(self._heard, now)
+        quiet_s = seconds_between(self._received_at, now)
         if quiet_s >= patience_s and not self._silent:
             self._silent = self._watchdog = True
             self._gate.reset()
@@ -137,7 +137,7 @@ class DroneState:
         if quiet_s >= 2 * patience_s and phase in _STEERABLE and not self._landed_for_silence:
             self._landed_for_silence = True
             self.counters["landed_for_silence"] += 1
-            yield Deed.LAND
+            yield RefAction.LAND
 
     def word(self, phase: Phase, battery_low: bool, ultrasound_deaf: bool) -> int:
         """Navdata's state word."""
@@ -164,7 +164,7 @@ class DroneState:
         """The demo option's control state: major in the upper, minor in the lower 16 bits."""
         return _MAJOR[phase].word | (LOST_COM if self._silent and phase is Phase.HOVERING else 0)
 
-    def _obey(self, command: at.AtCommand, ids: Ids | None, phase: Phase) -> Iterator[Deed | Stick]:
+    def _obey(self, command: at.AtCommand, ids: Ids | None, phase: Phase) -> Iterator[RefAction | Stick]:
         match command:
             case at.Ref():
                 yield from self._refer(command, phase)
@@ -181,7 +181,7 @@ class DroneState:
                 self._watchdog = False
             case at.Ftrim():
                 if phase is Phase.LANDED:
-                    yield Deed.FLAT_TRIM
+                    yield RefAction.FLAT_TRIM
                 else:
                     self.counters["ftrim_refused_in_flight"] += 1
             case at.Led():
@@ -194,22 +194,22 @@ class DroneState:
             case _:
                 assert_never(command)
 
-    def _refer(self, ref: at.Ref, phase: Phase) -> Iterator[Deed]:
+    def _refer(self, ref: at.Ref, phase: Phase) -> Iterator[RefAction]:
         pressed = ref.emergency and not self._emergency_asked
         self._emergency_asked = ref.emergency
         if pressed:
             leaves = phase is Phase.EMERGENCY
             self._user_emergency = not leaves
-            yield Deed.LEAVE_EMERGENCY if leaves else Deed.CUT_MOTORS
+            yield RefAction.LEAVE_EMERGENCY if leaves else RefAction.CUT_MOTORS
         elif ref.take_off and phase is Phase.LANDED:
-            yield Deed.TAKE_OFF
+            yield RefAction.TAKE_OFF
         elif ref.take_off and phase is Phase.LANDING:
             # Assumed, not read anywhere: the wish to fly ends a landing as it begins a flight.
-            yield Deed.STAY_UP
+            yield RefAction.STAY_UP
         elif not ref.take_off and phase in _STEERABLE:
-            yield Deed.LAND
+            yield RefAction.LAND
 
-    def _configure(self, key: str, value: str, ids: Ids | None) -> Iterator[Deed]:
+    def _configure(self, key: str, value: str, ids: Ids | None) -> Iterator[RefAction]:
         # Bit 6 says that a CONFIG was received, not that it was liked: the client reads the configuration back to know.
         if self._ack:
             self.counters["config_during_ack"] += 1
@@ -226,17 +226,17 @@ class DroneState:
         elif name == "control:flight_anim":
             self.counters["not_flown_anim"] += 1
         elif name in LIMIT_KEYS:
-            yield Deed.APPLY_LIMITS
+            yield RefAction.APPLY_LIMITS
 
-    def _control(self, mode: int) -> Iterator[Deed]:
+    def _control(self, mode: int) -> Iterator[RefAction]:
         if mode == at.CTRL_ACK:
             self._ack = False
         elif mode == at.CTRL_CONFIGURATION:
             self._ack = True
-            yield Deed.SEND_CONFIGURATION
+            yield RefAction.SEND_CONFIGURATION
         elif mode == at.CTRL_CUSTOM_IDS:
             self._ack = True
-            yield Deed.SEND_CUSTOM_IDS
+            yield RefAction.SEND_CUSTOM_IDS
 
 
 def stick_of(command: at.Pcmd | at.PcmdMag) -> Stick:

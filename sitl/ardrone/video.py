@@ -1,4 +1,4 @@
-"""Pictures to H.264 as an AR.Drone 2.0 sends it: baseline, one slice a frame, an IDR every half second, no delay."""
+"""Frames to H.264 as an AR.Drone 2.0 sends it: baseline, one slice a frame, an IDR every half second, no delay."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NAL_IDR, _NAL_SEI, _NAL_SPS, _NAL_PPS = 5, 6, 7, 8
 
 @dataclass(frozen=True, slots=True)
 class AccessUnit:
-    """One encoded picture in Annex-B."""
+    """One encoded frame in Annex-B."""
 
     data: bytes
     idr: bool
@@ -27,9 +27,9 @@ class AccessUnit:
 
 
 class Encoder:
-    """libx264, one picture in, one access unit out.
+    """libx264, one frame in, one access unit out.
 
-    Width and height may be any even numbers: what lies beyond the picture in its last macroblocks is cropped by the SPS.
+    Width and height may be any even numbers: what lies beyond the frame in its last macroblocks is cropped by the SPS.
     """
 
     def __init__(self, width: int, height: int, fps: float, max_bitrate_kbps: float, crf: float = 23.0) -> None:
@@ -65,7 +65,7 @@ class Encoder:
         return -(-self.width // 16) * 16, -(-self.height // 16) * 16
 
     def encode(self, px: NDArray[np.uint8]) -> AccessUnit:
-        """Encode one (height, width, 3) BGR picture.
+        """Encode one (height, width, 3) BGR frame.
 
         Raises:
             ValueError: another shape or type.

@@ -94,7 +94,7 @@ class JsonBackend:
         """Datagrams that were no packet."""
         self.restarts = 0
 
-    def hear(self, data: bytes) -> bytes | None:
+    def on_packet(self, data: bytes) -> bytes | None:
         """The answer to a datagram; None where there is none to give."""
         servos = decode(data)
         if servos is None:
@@ -138,7 +138,7 @@ class _Datagrams(asyncio.DatagramProtocol):
     async def answer(self, backend: JsonBackend, settle: Settle) -> None:
         async for data, addr in self.inbox:
             self.answering = data
-            answer = backend.hear(data)
+            answer = backend.on_packet(data)
             if answer is not None:
                 await settle()
                 self._transport.sendto(answer, addr)

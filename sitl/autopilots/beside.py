@@ -1,4 +1,4 @@
-"""The daemon as it runs beside an autopilot, with pictures that somebody else takes."""
+"""The daemon as it runs beside an autopilot, with frames that somebody else takes."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Literal
 
 import msgspec
 
-from companion import rig
-from companion.daemon import Daemon, Link
-from companion.health import Health
+from companion.config import build
+from companion.config.build_vehicle import vehicle_parts
+from companion.config.model import CameraSettings, Settings
+from companion.config.vehicle import AutopilotSettings
 from companion.observer import Observer
 from companion.pilot import Pilot
-from companion.rig_vehicle import vehicle_parts
-from companion.settings_model import CameraSettings, Settings
-from companion.settings_vehicle import AutopilotSettings
+from companion.runtime.daemon import Daemon, Link
+from companion.runtime.health import Health
 from drivers.mavlink.autopilot import Autopilot
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
@@ -36,7 +36,7 @@ class Beside:
             self._open,
             pilot,
             clock,
-            restart=rig.restart(settings),
+            restart=build.restart(settings),
             guidance_rate_hz=settings.guidance.rate_hz,
             threads=settings.vision.threads,
             observers=(*self._parts.observers, *observers),
@@ -61,7 +61,7 @@ class Beside:
         return link if isinstance(link, Autopilot) else None
 
     def offer(self, frame: Frame) -> None:
-        """A picture that has arrived."""
+        """A frame that has arrived."""
         for link in self._opened:
             link.frames.offer(frame)
 
@@ -71,7 +71,7 @@ class Beside:
 
 
 def beside_autopilot(settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal") -> Settings:
-    """These settings with an autopilot at `links` as the vehicle, pictures brought by us, and begun as `start` says."""
+    """These settings with an autopilot at `links` as the vehicle, frames brought by us, and begun as `start` says."""
     vehicle = settings.vehicle
     if isinstance(vehicle, AutopilotSettings):
         vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")

@@ -15,7 +15,7 @@ from sitl.contact import Ground
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.stage import airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
 from sitl.vehicle import DECK, SEA, Phase
-from sitl.world import Picture
+from sitl.world import RenderedFrame
 
 _CHUNK_S = 0.25
 _SEA_S = 0.02
@@ -143,11 +143,11 @@ class Body:
         """Whether it can still fly: neither turned over nor in the water."""
         return self._vehicle.phase != Phase.EMERGENCY
 
-    def expose(self) -> Callable[[], Picture]:
-        """The scene is fixed now, the call makes the picture. One such call at a time."""
+    def expose(self) -> Callable[[], RenderedFrame]:
+        """The scene is fixed now, the call makes the frame. One such call at a time."""
         if self._renderer is None:
             self._renderer = renderer(self.scenario, self.waves, self.vessel)
-        v, g, develop = self._vehicle, self._ground, self._renderer.render
+        v, g, expose = self._vehicle, self._ground, self._renderer.render
         shot = Shot(
             t_s=self.t_s,
             R_ned_body=Rotation(v.R_ned_body),
@@ -161,7 +161,7 @@ class Body:
         )
         rng = np.random.default_rng([self._camera_seed, self._tick])
         at, exposure_s = MonoNs(round(self.t_s * NS_PER_S)), self.scenario.camera.exposure_s
-        return lambda: Picture(develop(shot, rng), at, exposure_s)
+        return lambda: RenderedFrame(expose(shot, rng), at, exposure_s)
 
     def _deck(self) -> Ground:
         i = self._tick - self._chunk_at - 1

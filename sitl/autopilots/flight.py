@@ -20,11 +20,11 @@ import cv2
 import msgspec
 import numpy as np
 
-from companion.health import Health
+from companion.config.model import Settings
 from companion.observer import Observer
 from companion.pilot import Outcome, Pilot
-from companion.service import make_pilot
-from companion.settings_model import Settings
+from companion.runtime.health import Health
+from companion.runtime.service import make_pilot
 from drivers.mavlink.access import AccessOptions
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
@@ -202,8 +202,8 @@ class AutopilotFlight:
         return speed * np.array([math.cos(course), math.sin(course), 0.0])
 
     async def _listen(self, links: Links) -> None:
-        async for heard in links.heard:
-            self.station.hear(heard.message, heard.heard)
+        async for received in links.received:
+            self.station.on_message(received.message, received.received_at)
 
     async def _watch(self, program: Program) -> None:
         """Whether the program goes on stepping."""

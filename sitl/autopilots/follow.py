@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from companion.health import Health
+from companion.config.model import Settings
 from companion.observer import Observer
 from companion.pilot import Outcome
-from companion.service import make_pilot
-from companion.settings_model import Settings
+from companion.runtime.health import Health
+from companion.runtime.service import make_pilot
 from drivers.clock import SystemClock
-from drivers.mavlink.links import Heard
+from drivers.mavlink.links import ReceivedMessage
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
@@ -29,7 +29,7 @@ from sitl.autopilots.pose import Pose, PoseSource
 from sitl.camera import Shot
 from sitl.scenario import Scenario, pad_model
 from sitl.stage import flight_seeds, renderer, sea_and_vessel
-from sitl.world import Picture
+from sitl.world import RenderedFrame
 
 PERIOD_S = 0.04
 _STAMP_SIGMA_S = 0.002
@@ -69,7 +69,7 @@ class DeckUnder:
         self._renderer = renderer(scenario, self._waves, self._vessel)
         self._camera_seed = seeds.camera
         self._exposure_s = scenario.camera.exposure_s
-        self._began, self._pictures = first.at, 0
+        self._began, self._images = first.at, 0
         start, pad = scenario.start, self._vessel.pad_at(0.0)
         below_m = Airframe().feet.below_m if stands else start.height_m
         # The arrow keeps its heading in the world; the vehicle has the one it has.
@@ -83,33 +83,35 @@ class DeckUnder:
         pad = self._vessel.pad_at(t_s)
         return t_s, pad.p_ned, pad.v_ned, pad.R_ned, pad.w
 
-    def look(self, pose: Pose) -> Callable[[], Picture]:
-        """The picture from there, made when it is called."""
+    def look(self, pose: Pose) -> Callable[[], RenderedFrame]:
+        """The frame from there, made when it is called."""
         t_s, p, v, R, w = self._deck(pose.at)
         shot = Shot(
             t_s=t_s, R_ned_body=pose.R_ned_body, p_body_ned=pose.p_ned + self._shift, R_ned_pad=Rotation(R), p_pad_ned=p,
             v_body_ned=pose.v_ned, w_body=pose.w_body, v_pad_ned=v, w_pad=w,
         )  # fmt: skip
-        self._pictures += 1
-        rng = np.random.default_rng([self._camera_seed, self._pictures])
-        return lambda: Picture(self._renderer.render(shot, rng), pose.at, self._exposure_s)
+        self._images += 1
+        rng = np.random.default_rng([self._camera_seed, self._images])
+        return lambda: RenderedFrame(self._renderer.render(shot, rng), pose.at, self._exposure_s)
 
     def height_m(self, pose: Pose) -> float:
         """Over the pad's centre."""
         return float((self._deck(pose.at)[1] - pose.p_ned - self._shift)[2])
 
-    def landing(self, pose: Pose, sink_m_s: float) -> Landing:
+    def landing(self, pose: Pose, descent_rate_m_s: float) -> Landing:
         """As if it stood on the deck there.
 
         Args:
-            sink_m_s: at which it came down.
+            descent_rate_m_s: at which it came down.
         """
         t_s, p, v, R, _ = self._deck(pose.at)
         d = R.T @ (pose.p_ned + self._shift - p)
         lateral_m = float(np.hypot(d[0], d[1]))
         yaw = wrap_pi(pose.R_ned_body.rpy_rad[2] - Rotation(R).rpy_rad[2])
         slide = pose.v_ned - v
-        return Landing(t_s, True, lateral_m <= self.pad_radius_m, lateral_m, yaw, sink_m_s, math.hypot(slide[0], slide[1]))
+        return Landing(
+            t_s, True, lateral_m <= self.pad_radius_m, lateral_m, yaw, descent_rate_m_s, math.hypot(slide[0], slide[1])
+        )
 
 
 async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, observers: Sequence[Observer] = ()) -> FollowEnd:
@@ -137,7 +139,7 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
 
 
 class _Watcher:
-    """Takes poses, makes pictures, notes how it came down."""
+    """Takes poses, makes frames, notes how it came down."""
 
     def __init__(self, scenario: Scenario, seed: int, side: Beside, clock: SystemClock) -> None:
         self._scenario, self._seed, self._side, self._clock = scenario, seed, side, clock
@@ -147,7 +149,7 @@ class _Watcher:
         self._newest: Pose | None = None
         self._placed: MonoNs | None = None
         """When it first told where it is."""
-        self._sink_m_s = 0.0
+        self._descent_rate_m_s = 0.0
         self._listening: object = None
         self._last: Pose | None = None
         self.by_truth = False
@@ -158,14 +160,14 @@ class _Watcher:
         """As it stood when it was last heard of; None where it never was."""
         if self._deck is None or self._last is None:
             return None
-        return self._deck.landing(self._last, self._sink_m_s)
+        return self._deck.landing(self._last, self._descent_rate_m_s)
 
     @property
     def flown_s(self) -> float:
         return 0.0 if self._flew is None else seconds_between(self._flew, self._clock.now())
 
     async def film(self, pool: ThreadPoolExecutor, daemon: asyncio.Task[Outcome | None]) -> str:
-        """Pictures, period by period; why there was no flight, empty where there was one."""
+        """Frames, period by period; why there was no flight, empty where there was one."""
         loop, began = asyncio.get_running_loop(), self._clock.now()
         while not daemon.done():
             turn = self._clock.now()
@@ -178,10 +180,10 @@ class _Watcher:
             elif self._ready_for(pose):
                 assert self._deck is not None
                 self._newest = pose
-                picture = await loop.run_in_executor(pool, self._deck.look(pose))
+                image = await loop.run_in_executor(pool, self._deck.look(pose))
                 self.frames += 1
                 stamp = Stamp(pose.at, max(self._clock.now(), pose.at), _STAMP_SIGMA_S, "sim")
-                self._side.offer(Frame(stamp, self.frames, picture.px, picture.exposure_s))
+                self._side.offer(Frame(stamp, self.frames, image.px, image.exposure_s))
             if self.flown_s > self._scenario.duration_limit_s:
                 return ""
             await self._clock.sleep(max(PERIOD_S - seconds_between(turn, self._clock.now()), 0.002))
@@ -200,7 +202,7 @@ class _Watcher:
             return None
         if autopilot is not self._listening:
             self._listening = autopilot
-            autopilot.listen(self._hear)
+            autopilot.add_listener(self._on_message)
         late = self._deck is not None and not self.by_truth
         if autopilot.streams is not None and autopilot.streams.settled and not late:
             for message in self._source.ask(autopilot.identity.stack, autopilot.identity.address, now):
@@ -219,12 +221,12 @@ class _Watcher:
         if flying and self._flew is None:
             self._flew = now
         if self._deck.height_m(pose) > _CLEAR_M:
-            self._sink_m_s = float(pose.v_ned[2])
+            self._descent_rate_m_s = float(pose.v_ned[2])
         self._last = pose
         return pose
 
-    def _hear(self, heard: Heard) -> None:
+    def _on_message(self, received: ReceivedMessage) -> None:
         autopilot = self._side.autopilot
-        if autopilot is None or autopilot.identity is None or heard.system != autopilot.identity.system:
+        if autopilot is None or autopilot.identity is None or received.system != autopilot.identity.system:
             return
-        self._source.hear(heard.message, heard.heard, autopilot.positions)
+        self._source.on_message(received.message, received.received_at, autopilot.positions)

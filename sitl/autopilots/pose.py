@@ -75,7 +75,7 @@ class PoseSource:
         """Whether the simulator itself tells lately."""
         return self._told is not None and seconds_between(self._told, now) < _TRUTH_LAST_S
 
-    def hear(self, message: Message, now: MonoNs, positions: tuple[LocalPosition, ...]) -> None:
+    def on_message(self, message: Message, now: MonoNs, positions: tuple[LocalPosition, ...]) -> None:
         """Any message of the vehicle.
 
         Args:
@@ -103,8 +103,8 @@ class PoseSource:
         """
         if not positions or attitude is None:
             return None
-        last, at = positions[-1], attitude.stamp.taken
-        since_s = seconds_between(last.stamp.taken, at)
+        last, at = positions[-1], attitude.stamp.measured_at
+        since_s = seconds_between(last.stamp.measured_at, at)
         if abs(since_s) > _GAP_S:
             return None
         truthful = by_truth and self.truthful(now)
@@ -125,7 +125,7 @@ class PoseSource:
         north = math.radians(lat - lat0) * _EARTH_M
         east = math.radians(lon - lon0) * _EARTH_M * math.cos(math.radians(lat0))
         last = positions[-1]
-        there = last.p_body_ned + seconds_between(last.stamp.taken, now) * last.v_body_ned
+        there = last.p_body_ned + seconds_between(last.stamp.measured_at, now) * last.v_body_ned
         apart = np.array([north, east, alt0_m - alt_m]) - there
         since_s = 0.0 if self._told is None else min(max(seconds_between(self._told, now), 1e-3), _TRUTH_LAST_S)
         self._known_s += since_s

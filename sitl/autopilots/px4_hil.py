@@ -122,7 +122,7 @@ class HilBackend:
         self._stepped(self.body)
         return self._readings()
 
-    def hear(self, message: Message) -> list[Message]:
+    def on_message(self, message: Message) -> list[Message]:
         """The readings one step after an actuator message; nothing for any other message."""
         if message.get_type() != "HIL_ACTUATOR_CONTROLS":
             return []
@@ -168,8 +168,8 @@ async def _converse(
                 continue
             if not data:
                 return
-            for heard in codec.feed(data):
-                messages = backend.hear(heard)
+            for received_at in codec.feed(data):
+                messages = backend.on_message(received_at)
                 if messages:
                     first = False
                     await settle()

@@ -40,7 +40,7 @@ class Task(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class StationTimeouts:
     """How long each task may take, in s."""
 
     meet_s: float = 60.0
@@ -77,11 +77,11 @@ class GroundStation:
     """
 
     def __init__(
-        self, stack: Stack, *, height_m: float, flies_there: bool = True, system: int = 1, patience: Patience | None = None
+        self, stack: Stack, *, height_m: float, flies_there: bool = True, system: int = 1, timeouts: StationTimeouts | None = None
     ) -> None:
         self._stack, self._height_m, self._flies_there = stack, height_m, flies_there
         self._autopilot, self._companion = (system, _AUTOPILOT), (system, COMPANION)
-        self._patience = patience or Patience()
+        self._timeouts = timeouts or StationTimeouts()
         self._since: MonoNs | None = None
         self._asked: dict[str, MonoNs] = {}
         self._there_since: MonoNs | None = None
@@ -97,7 +97,7 @@ class GroundStation:
         self.results: list[tuple[int, int]] = []
         """COMMAND_ACKs of the autopilot other than accepted ones: command, result."""
 
-    def hear(self, message: Message, now: MonoNs) -> None:
+    def on_message(self, message: Message, now: MonoNs) -> None:
         """Any message of the vehicle's system."""
         kind, component = message.get_type(), message.get_srcComponent()
         if message.get_srcSystem() != self._autopilot[0]:
@@ -129,21 +129,21 @@ class GroundStation:
         if self._since is None:
             self._since = now
         out = [_heartbeat()] if self._due("heartbeat", now) else []
-        return out + self._deeds[self.task](self, now, view)
+        return out + self._handlers[self.task](self, now, view)
 
     def _meet(self, now: MonoNs, view: View) -> list[Message]:
-        self._give_up_after(self._patience.meet_s, now, "no heartbeat of the autopilot was heard")
+        self._give_up_after(self._timeouts.meet_s, now, "no heartbeat of the autopilot was heard")
         return []
 
     def _arm(self, now: MonoNs, view: View) -> list[Message]:
-        self._give_up_after(self._patience.arm_s, now, f"the autopilot would not arm: {self._last_words}")
+        self._give_up_after(self._timeouts.arm_s, now, f"the autopilot would not arm: {self._last_words}")
         mode = TAKE_OFF_MODE[self._stack]
         if self._stack is Stack.ARDUPILOT and self.mode != mode:
             return [set_mode(self._stack, self._autopilot, mode)] if self._due("mode", now) else []
         return [self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)] if self._due("arm", now) else []
 
     def _take_off(self, now: MonoNs, view: View) -> list[Message]:
-        self._give_up_after(self._patience.take_off_s, now, f"it did not take off: {self._last_words}")
+        self._give_up_after(self._timeouts.take_off_s, now, f"it did not take off: {self._last_words}")
         if view.height_m > 0.85 * self._height_m:
             self._next(Task.GO if self._flies_there else Task.ORDER, now)
             return []
@@ -154,7 +154,7 @@ class GroundStation:
         return [self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._height_m)]
 
     def _go(self, now: MonoNs, view: View) -> list[Message]:
-        self._give_up_after(self._patience.go_s, now, "it did not reach the start of the landing")
+        self._give_up_after(self._timeouts.go_s, now, "it did not reach the start of the landing")
         # The place heaves with the pad: nobody flies after that.
         close = math.hypot(*view.to_start_level[:2]) < 0.6 and abs(view.to_start_level[2]) < _HEAVE_M
         near = close and math.hypot(*view.v_rel_level[:2]) < 0.5 and abs(view.turn_rad) < math.radians(8.0)
@@ -168,13 +168,13 @@ class GroundStation:
         return [velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
 
     def _order(self, now: MonoNs, view: View) -> list[Message]:
-        self._give_up_after(self._patience.order_s, now, "the companion did not answer the order to land")
+        self._give_up_after(self._timeouts.order_s, now, "the companion did not answer the order to land")
         return [self._command(mav.MAV_CMD_NAV_LAND, to=self._companion)] if self._due("order", now) else []
 
     def _nothing(self, now: MonoNs, view: View) -> list[Message]:
         return []
 
-    _deeds: dict[Task, Callable[[GroundStation, MonoNs, View], list[Message]]] = {  # noqa: RUF012
+    _handlers: dict[Task, Callable[[GroundStation, MonoNs, View], list[Message]]] = {  # noqa: RUF012
         Task.MEET: _meet,
         Task.ARM: _arm,
         Task.TAKE_OFF: _take_off,

@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 NONSENSE: tuple[Any, ...] = (
     None, True, "", "x" * 5000, -1, 0, 2**31, 2**63, 2**64, 10**30, -(2**63), 10**400, 1.5, -1e308, 1e308, 1e-300, [], {},
-    [0.0] * 2, [1e300] * 3, [1e300] * 9, [[[]]], {"taken_ns": -1}, "ekf", "fused", "velocity",
+    [0.0] * 2, [1e300] * 3, [1e300] * 9, [[[]]], {"measured_at_ns": -1}, "ekf", "fused", "velocity",
 )  # fmt: skip
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.observer import FrameSeen
+from companion.config.settings import camera_model
+from companion.observer import ProcessedFrame
 from companion.recorder.mcap_file import About
 from companion.recorder.reading import open_recording
-from companion.settings import camera_model
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Imu, Sample
 from estimator.contracts.time import MonoNs, Stamp
-from tests.companion.recorder_flight import sim_settings
+from sitl.testing.recorded_flight import sim_settings
 
 CAMERA = camera_model(sim_settings())
 ABOUT = About({"flight": {"kind": "test"}})
@@ -25,10 +25,10 @@ def imu(at_s: float) -> Imu:
     return Imu(Stamp(at, at, 0.001, "sim"), np.array([0.0, 0.0, at_s]), np.array([0.0, 0.0, -9.81]))
 
 
-def frame(at_s: float, seq: int) -> FrameSeen:
+def frame(at_s: float, seq: int) -> ProcessedFrame:
     at = MonoNs(round(at_s * 1e9))
     px = np.full((CAMERA.height, CAMERA.width, 3), seq % 256, np.uint8)
-    return FrameSeen(Frame(Stamp(at, at, 0.001, "sim"), seq, px), None, None, Verdict.NO_ATTITUDE, at, at)
+    return ProcessedFrame(Frame(Stamp(at, at, 0.001, "sim"), seq, px), None, None, Verdict.NO_ATTITUDE, at, at)
 
 
 def samples_of(path: Path) -> list[Sample]:

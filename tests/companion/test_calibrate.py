@@ -1,4 +1,4 @@
-"""Calibration on pictures rendered by a known camera: what is recovered, what is refused and in which words."""
+"""Calibration on images rendered by a known camera: what is recovered, what is refused and in which words."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.calibrate import judge
+from companion.calibrate import assess
 from companion.calibrate.board import Board
 from companion.calibrate.gather import look_at, watch
 from companion.calibrate.solve import solve
 from companion.calibrate.views import Collection, View
 from companion.cli.main import main
-from drivers.video_source_options import StreamOptions, V4l2Options
+from drivers.camera.video_source_options import StreamOptions, V4l2Options
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.vision.camera import Camera
-from tests.companion.calibration_pictures import Studio, good_round, lens
+from tests.companion.calibration_images import Studio, good_round, lens
 
 CHARUCO = Board()
 CHESSBOARD = Board("chessboard", 8, 5, 0.025)
@@ -30,7 +30,7 @@ STRAIGHT = lens(480, 320, 390.0, (0.0, 0.0, 0.0, 0.0, 0.0))
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Pictures of a good round, by board."""
+    """Images of a good round, by board."""
     out = {}
     for board, camera, distance_m, inset, middle in (
         (CHARUCO, BENT, 0.30, (0.14, 0.2), 0.65),
@@ -43,7 +43,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def worst_px(found: Camera, true: Camera) -> float:
-    """Largest distance between where both see the same directions, all over the picture."""
+    """Largest distance between where both see the same directions, all over the image."""
     u, v = np.meshgrid(np.linspace(0, true.width - 1, 25), np.linspace(0, true.height - 1, 17))
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
     rays = np.concatenate([true.rays(uv), np.ones((len(uv), 1))], axis=1)
@@ -100,7 +100,7 @@ def test_views_without_tilt_are_refused_for_it() -> None:
     for i, (x, y) in enumerate([(0.5, 0.5), (0.2, 0.3), (0.8, 0.3), (0.2, 0.7), (0.8, 0.7)]):
         collection.add(f"{i}", studio.aim((x * 480, y * 320), 0.35 + 0.01 * i, (0.0, 2.0, 9.0 * i)))
     assert collection.size == (480, 320)
-    found = judge.assess(solve(collection.views, CHARUCO, collection.size), collection.size)
+    found = assess.assess(solve(collection.views, CHARUCO, collection.size), collection.size)
     assert sum("tilted by 15 degrees" in lack for lack in found.uncovered) == 2
     assert found.grade == "poor"
     assert "principal point known to" in found.imprecise[0]
@@ -115,8 +115,8 @@ def test_a_set_that_only_lacks_a_corner_is_fair_and_written_when_that_is_accepte
     for file in sorted(folders["charuco"].iterdir()):
         collection = Collection(CHARUCO, moving=False)
         collection.add(file.name, cv2.imread(str(file)))
-        if not any("bottom right" in lack for lack in judge.missing_before(collection.views, size)):
-            continue  # the only pictures that reach into that corner
+        if not any("bottom right" in lack for lack in assess.missing_before(collection.views, size)):
+            continue  # the only images that reach into that corner
         kept.append(str(file))
     assert len(kept) >= 10
     arguments = ["calibrate", "camera", *kept, "--out", str(out), "--json"]
@@ -188,7 +188,7 @@ async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, P
         (["--board", "chessboard", "--squares", "7x9"], "has no up"),
         (["--rpy-deg", "0,0"], "--rpy-deg"),
         (["--out", "none/such/camera.toml"], "--out"),
-        (["--device", "cam"], "either pictures and videos, or --device"),
+        (["--device", "cam"], "either images and videos, or --device"),
     ],
 )
 def test_wrong_use_is_one_line(
@@ -200,7 +200,7 @@ def test_wrong_use_is_one_line(
     assert said.count("\n") == 1
 
 
-def test_pictures_of_two_sizes_and_pictures_that_are_none_are_named(tmp_path: Path) -> None:
+def test_images_of_two_sizes_and_images_that_are_none_are_named(tmp_path: Path) -> None:
     collection = Collection(CHARUCO, moving=False)
     collection.add("a", np.zeros((64, 64), np.uint8))
     with pytest.raises(BadInput, match="b: 64x32 px"):

@@ -9,9 +9,9 @@ import pytest
 
 from companion.cli.main import main
 from companion.recorder.reading import RecordedFrame, open_recording
-from tests.images import claiming
+from sitl.testing.image_files import claiming
 
-GOLDEN = Path(__file__).parents[1] / "golden/pictures.mcap"
+GOLDEN = Path(__file__).parents[1] / "golden/frames.mcap"
 
 
 @pytest.fixture(autouse=True)
@@ -46,6 +46,6 @@ def test_detect_and_calibrate_name_the_image_and_its_claim(
 
 
 def test_a_recorded_image_of_another_size_than_the_camera_s_is_not_decoded() -> None:
-    recorded = next(e for e in open_recording([GOLDEN]).events() if isinstance(e, RecordedFrame) and e.picture is not None)
+    recorded = next(e for e in open_recording([GOLDEN]).events() if isinstance(e, RecordedFrame) and e.image is not None)
     bomb = RecordedFrame(recorded.record, claiming(".png", 30000, 30000))
     assert bomb.frame((640, 360)) is None

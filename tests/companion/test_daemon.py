@@ -7,13 +7,13 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 import numpy as np
 import pytest
 
-from companion.daemon import Daemon, Link
+from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.pid import Gains
 from companion.guidance.plan import Plan
-from companion.observer import Decision, FrameSeen, Silent
+from companion.observer import Decision, NullObserver, ProcessedFrame
 from companion.pilot import Outcome, Pilot
-from companion.settings import camera_model, load, pad_model
-from companion.supervise import Restart
+from companion.runtime.daemon import Daemon, Link
+from companion.runtime.supervise import Restart
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
 from estimator import pipeline
@@ -23,11 +23,11 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import Stamp, after
-from estimator.vision.eyes import Eyes
-from estimator.vision.segmentation import COLOUR_SETS
+from estimator.vision.thesis.segmentation import COLOUR_SETS
+from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")
-EYES = Eyes(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
+EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
 CLOCK = SystemClock()
 SEA = np.full((360, 640, 3), (90, 60, 20), np.uint8)
 
@@ -71,20 +71,20 @@ class FakeVehicle:
         self.frames.offer(Frame(Stamp(after(now, -late_s), now, 0.001, "sim"), seq, px))
 
 
-class Diary(Silent):
+class Diary(NullObserver):
     def __init__(self) -> None:
-        self.frames: list[FrameSeen] = []
+        self.frames: list[ProcessedFrame] = []
         self.decisions: list[Decision] = []
 
-    def on_frame(self, seen: FrameSeen) -> None:
-        self.frames.append(seen)
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self.frames.append(processed)
 
     def on_decision(self, decision: Decision) -> None:
         self.decisions.append(decision)
 
 
 def daemon_of(
-    open_link: Callable[[], AbstractAsyncContextManager[Link]], *, once: bool = False, diary: Silent | None = None
+    open_link: Callable[[], AbstractAsyncContextManager[Link]], *, once: bool = False, diary: NullObserver | None = None
 ) -> Daemon:
     pilot = Pilot(EYES, pipeline.Options(), Plan.over_the_pad(), Gains())
     return Daemon(
@@ -173,7 +173,7 @@ async def test_a_bug_of_ours_is_loud_and_leaves_the_vehicle_in_its_hover(monkeyp
     def broken(*_: object) -> None:
         raise ZeroDivisionError("ours")
 
-    monkeypatch.setattr(Pilot, "look", broken)
+    monkeypatch.setattr(Pilot, "detect", broken)
 
     async def feed() -> None:
         await until(lambda: vehicle.opened == 1)

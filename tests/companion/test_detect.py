@@ -1,4 +1,4 @@
-"""`decklander detect` on pictures, folders and videos; what it prints and what it refuses."""
+"""`decklander detect` on images, folders and videos; what it prints and what it refuses."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import pytest
 
 from companion.cli import main as cli
 from estimator.vision.pad import Pad
+from sitl.testing.pad_images import Scene, image
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad
-from tests.estimator.vision.picture import Scene, picture
 
 KEYS = ["source", "index", "found", "confidence", "d_body_pad_level_m", "yaw_deg", "yaw_ambiguous", "cov", "method", "methods"]
 SCENE = Scene((0.35, -0.15, 1.4), math.radians(40.0), math.radians(3.0), math.radians(-2.0))
@@ -22,13 +22,13 @@ SCENE = Scene((0.35, -0.15, 1.4), math.radians(40.0), math.radians(3.0), math.ra
 
 @pytest.fixture(scope="module")
 def album(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two pictures of the pad, one of nothing, and a note that is no picture."""
+    """A folder with two images of the pad, one of nothing, and a note that is no image."""
     folder = tmp_path_factory.mktemp("album")
     camera, pad = shipped_camera("sim"), shipped_pad("thesis")
-    cv2.imwrite(str(folder / "a.png"), picture(SCENE, camera, pad, blur_px=0.6, noise=1.5).px)
-    cv2.imwrite(str(folder / "b.png"), picture(Scene((0.15, 0.0, 0.5)), camera, pad, blur_px=0.6).px)
+    cv2.imwrite(str(folder / "a.png"), image(SCENE, camera, pad, blur_px=0.6, noise=1.5).px)
+    cv2.imwrite(str(folder / "b.png"), image(Scene((0.15, 0.0, 0.5)), camera, pad, blur_px=0.6).px)
     cv2.imwrite(str(folder / "c.png"), np.full((360, 640, 3), 80, np.uint8))
-    (folder / "notes.txt").write_text("no picture\n")
+    (folder / "notes.txt").write_text("no image\n")
     return folder
 
 
@@ -87,7 +87,7 @@ def test_a_video_is_read_frame_by_frame(tmp_path: Path, capsys: pytest.CaptureFi
         stream.width, stream.height, stream.pix_fmt = 640, 360, "yuv420p"
         stream.options = {"crf": "16", "preset": "ultrafast"}
         for z in heights:
-            px = picture(Scene((0.15, 0.0, z), 0.4), camera, pad, blur_px=0.6).px
+            px = image(Scene((0.15, 0.0, z), 0.4), camera, pad, blur_px=0.6).px
             out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="bgr24")))
         out.mux(stream.encode())
     assert detect(path, "--camera", "sim", "--json", "--colours", "simulator") == 0
@@ -97,7 +97,7 @@ def test_a_video_is_read_frame_by_frame(tmp_path: Path, capsys: pytest.CaptureFi
     assert down == pytest.approx(heights, rel=0.02)
 
 
-def test_lines_for_people_and_pictures_of_what_was_seen(album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_for_people_and_images_of_what_was_seen(album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     drawn = tmp_path / "drawn" / "here"
     assert detect(album, "--camera", "sim", "--annotate", drawn) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -119,9 +119,7 @@ def test_nothing_found_is_exit_code_one(album: Path, capsys: pytest.CaptureFixtu
     assert "found in 0 of 1 frames" in capsys.readouterr().out
 
 
-def test_a_broken_picture_is_named_and_the_others_are_done(
-    album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_broken_image_is_named_and_the_others_are_done(album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     broken = tmp_path / "torn.jpg"
     broken.write_bytes(b"\xff\xd8\xff\xe0 torn")
     assert detect(broken, album / "a.png", "--camera", "sim", "--json") == 2
@@ -139,7 +137,7 @@ def test_a_broken_picture_is_named_and_the_others_are_done(
         (["{album}/a.png", "--camera", "ardrone2_bottom", "--pad", "gone"], "gone"),
         (["{album}/a.png", "--camera", "{bad}"], "'cx'"),
         (["{album}/a.png", "--camera", "{small}"], "640x360 px"),
-        (["{empty}", "--camera", "sim"], "no picture or video"),
+        (["{empty}", "--camera", "sim"], "no image or video"),
         (["{album}/notes.txt", "--camera", "sim"], "notes.txt"),
         (["{album}/a.png", "--camera", "sim", "--attitude", "gone.csv"], "gone.csv"),
         (["{album}/a.png", "--camera", "sim", "--attitude", "{headless}"], "source,roll_deg,pitch_deg"),
@@ -175,7 +173,7 @@ def test_the_printed_pad_ships(tmp_path: Path, capsys: pytest.CaptureFixture[str
     pad: Pad = shipped_pad("printed")
     camera = shipped_camera("photos")
     path = tmp_path / "printed.png"
-    cv2.imwrite(str(path), picture(Scene((0.1, 0.0, 1.5)), camera, pad, blur_px=0.7, noise=1.0).px)
+    cv2.imwrite(str(path), image(Scene((0.1, 0.0, 1.5)), camera, pad, blur_px=0.7, noise=1.0).px)
     assert detect(path, "--camera", "photos", "--pad", "printed", "--json") == 0
     (record,) = records(capsys)
     assert np.allclose(record["d_body_pad_level_m"], (0.1, 0.0, 1.5), atol=0.01)  # type: ignore[arg-type]

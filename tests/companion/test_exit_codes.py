@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 
-from companion import service
 from companion.cli import main as cli
 from companion.cli import run as run_command
+from companion.config.proven import Proven
+from companion.config.settings import load
 from companion.mqtt.spool import Spool
-from companion.proven import Proven
-from companion.settings import load
+from companion.runtime import service
 from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible, unusable
 
 WORLD = [errno.EIO, errno.EROFS, errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.ENODEV, errno.ESTALE, errno.EADDRINUSE]
@@ -84,7 +84,7 @@ def test_a_settings_file_that_cannot_be_read(
 @pytest.mark.parametrize(
     ("error", "code"),
     [
-        (BadInput("camera /dev/video0: no picture of 640x360 px"), 2),
+        (BadInput("camera /dev/video0: no frame of 640x360 px"), 2),
         (ExceptionGroup("parts", [BadInput("camera.controls: no control 'exposure'")]), 2),
         (Recoverable("the disk is gone"), 1),
         (SetupImpossible("camera /dev/video0: not a video device"), 1),

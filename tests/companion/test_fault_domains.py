@@ -13,18 +13,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from companion import event_loop, service
-from companion.daemon import Daemon
-from companion.health import Health
-from companion.mavlink.face_part import FacePart
+from companion.config.model import Settings
+from companion.config.settings import load
+from companion.mavlink.bridge_part import BridgePart
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.mqtt.part import MqttPart
-from companion.notify import Pulse
-from companion.observer import Decision, FrameSeen, Observer, Silent
+from companion.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.recorder.recorder import Recorder
-from companion.settings import load
-from companion.settings_model import Settings
-from companion.supervise import Restart
+from companion.runtime import event_loop, service
+from companion.runtime.daemon import Daemon
+from companion.runtime.health import Health
+from companion.runtime.notify import Pulse
+from companion.runtime.supervise import Restart
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import Sample
 from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly
@@ -96,7 +96,7 @@ class Failing:
     def on_sample(self, sample: Sample) -> None:
         self._called("on_sample")
 
-    def on_frame(self, seen: FrameSeen) -> None:
+    def on_frame(self, processed: ProcessedFrame) -> None:
         self._called("on_frame")
 
     def on_decision(self, decision: Decision) -> None:
@@ -132,7 +132,7 @@ async def flown(
     failing = Failing(role or "none", ERRORS[error], at, for_, clock)
     health.counters("failing", failing.counted)
 
-    class Curious(Silent):
+    class Curious(NullObserver):
         """Looks at health as heartbeats do."""
 
         def on_decision(self, decision: Decision) -> None:
@@ -209,7 +209,7 @@ def test_a_part_that_fails_again_and_again_is_given_up_unless_it_is_the_outside_
 
 
 def test_an_observer_that_was_set_aside_is_tried_again_and_comes_back() -> None:
-    from companion.containment import Guard
+    from companion.runtime.containment import Guard
 
     clock = VirtualClock()
     health = Health(clock)
@@ -245,7 +245,7 @@ def settings_with_everything(folder: Path) -> Settings:
         recorder=msgspec.structs.replace(sim.recorder, enabled=True, folder=str(folder / "recordings"), frames="none"),
         mqtt=msgspec.structs.replace(sim.mqtt, transport="tcp", host="127.0.0.1", port=1, spool=str(folder / "spool")),
         metrics=msgspec.structs.replace(sim.metrics, endpoint="http", port=0),
-        face=msgspec.structs.replace(sim.face, links="udpin://127.0.0.1:0"),
+        bridge=msgspec.structs.replace(sim.bridge, links="udpin://127.0.0.1:0"),
     )
 
 
@@ -254,7 +254,7 @@ PARTS: dict[str, tuple[type, str]] = {
     **{f"mqtt {m}": (MqttPart, m) for m in (*METHODS, "run", "__init__", "counts", "tell")},
     **{f"metrics {m}": (MetricsEndpoint, m) for m in ("run",)},
     **{f"pulse {m}": (Pulse, m) for m in ("on_decision", "run")},
-    **{f"face {m}": (FacePart, m) for m in ("on_sample", "run")},
+    **{f"face {m}": (BridgePart, m) for m in ("on_sample", "run")},
 }
 
 

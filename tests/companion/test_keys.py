@@ -28,7 +28,7 @@ class Lockable(asyncio.DatagramProtocol):
     def __init__(self, *, armed: bool = False, deaf: bool = False, key: bytes | None = None) -> None:
         self.armed, self.deaf = armed, deaf
         self.peer: Any = None
-        self.taken: list[bytes] = []
+        self.measured_at: list[bytes] = []
         self._transport: Any = None
         self.lock(key)
 
@@ -43,7 +43,7 @@ class Lockable(asyncio.DatagramProtocol):
         for message in self.codec.feed(data):
             if message.get_type() == "SETUP_SIGNING" and not self.deaf and not self.armed:
                 secret = bytes(message.secret_key)
-                self.taken.append(secret)
+                self.measured_at.append(secret)
                 self.lock(secret if any(secret) else None)
 
     async def beat(self) -> None:
@@ -109,7 +109,7 @@ async def test_a_key_is_installed_seen_to_be_in_force_and_removed(tmp_path: Path
     path, second = made(tmp_path), made(tmp_path, "second.key")
     async with lockable() as (autopilot, url):
         assert await keys("install", "--link", url, "--yes", str(path)) == 0
-        assert autopilot.taken[-1] == path.read_bytes()
+        assert autopilot.measured_at[-1] == path.read_bytes()
         said = capsys.readouterr().out
         assert "ArduPilot, system 1" in said
         assert load_key(str(path)).fingerprint in said
@@ -119,7 +119,7 @@ async def test_a_key_is_installed_seen_to_be_in_force_and_removed(tmp_path: Path
         assert "--current" in capsys.readouterr().out
         assert await keys("install", "--link", url, "--current", str(path), "--yes", str(second)) == 0
         assert await keys("remove", "--link", url, "--current", str(second), "--yes") == 0
-        assert autopilot.taken[-1] == bytes(32)
+        assert autopilot.measured_at[-1] == bytes(32)
         assert "it signs no more" in capsys.readouterr().out
 
 
@@ -128,7 +128,7 @@ async def test_nothing_is_sent_without_a_yes(tmp_path: Path, capsys: pytest.Capt
     async with lockable() as (autopilot, url):
         assert await keys("install", "--link", url, str(path)) == 2
         assert "--yes" in capsys.readouterr().err
-        assert autopilot.taken == []
+        assert autopilot.measured_at == []
 
 
 async def test_what_did_not_come_about_is_not_called_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -139,7 +139,7 @@ async def test_what_did_not_come_about_is_not_called_done(tmp_path: Path, capsys
     async with lockable(armed=True) as (autopilot, url):
         assert await keys("install", "--link", url, "--yes", str(path)) == 2
         assert "armed" in capsys.readouterr().err
-        assert autopilot.taken == []
+        assert autopilot.measured_at == []
     assert await keys("install", "--link", f"udpin://{HOST}:0", "--seconds", "0.5", "--yes", str(path)) == 1
     assert "no autopilot is heard" in capsys.readouterr().err
 

@@ -13,10 +13,10 @@ import pytest
 from companion.cli import demo
 from companion.cli.machine_load import GUIDANCE_LATE_MAX_S, Load
 from companion.cli.verdict import Ending
-from companion.daemon import Daemon
-from companion.health import Health
 from companion.pilot import Outcome
-from companion.supervise import Restart
+from companion.runtime.daemon import Daemon
+from companion.runtime.health import Health
+from companion.runtime.supervise import Restart
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
 from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from companion.config.settings import load
 from companion.pilot import Outcome
-from companion.service import make_pilot
-from companion.settings import load
+from companion.runtime.service import make_pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
@@ -20,21 +20,21 @@ def status(at_s: float, flying: bool, emergency: bool = False) -> VehicleStatus:
 @pytest.mark.parametrize("outcome", [Outcome.ABORTED, Outcome.EMERGENCY, Outcome.LANDED_BY_OTHERS])
 def test_the_next_flight_begins_when_it_flies_after_having_stood(outcome: Outcome) -> None:
     pilot = make_pilot(load("sim"))
-    pilot.hear(status(0.0, True))
+    pilot.on_sample(status(0.0, True))
     pilot.decide(MonoNs(0))
     if outcome is Outcome.ABORTED:
         pilot.abort()
     else:
-        pilot.hear(status(0.1, outcome is Outcome.EMERGENCY, emergency=outcome is Outcome.EMERGENCY))
+        pilot.on_sample(status(0.1, outcome is Outcome.EMERGENCY, emergency=outcome is Outcome.EMERGENCY))
         pilot.decide(MonoNs(100_000_000))
     assert pilot.outcome is outcome
     if outcome is not Outcome.LANDED_BY_OTHERS:
-        pilot.hear(status(1.0, True))
+        pilot.on_sample(status(1.0, True))
         assert pilot.outcome is outcome, "still the same flight: nothing begins anew in the air"
         if outcome is Outcome.ABORTED:
             assert pilot.decide(MonoNs(1_000_000_000)).command == Hover()
-    pilot.hear(status(2.0, False))
+    pilot.on_sample(status(2.0, False))
     assert pilot.outcome is outcome
-    pilot.hear(status(3.0, True))
+    pilot.on_sample(status(3.0, True))
     assert pilot.outcome is None
     assert pilot.decide(MonoNs(3_000_000_000)).phase != outcome.value

@@ -11,17 +11,17 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from companion.daemon import Daemon
 from companion.guidance.pid import Gains
 from companion.guidance.plan import Plan
-from companion.health import Health
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.settings import MetricsSettings
-from companion.notify import Manager, Pulse, watchdog_interval_s
-from companion.observer import Observer, Silent
+from companion.observer import NullObserver, Observer
 from companion.pilot import Pilot
-from companion.supervise import Restart
-from companion.vital import Patience, stuck
+from companion.runtime.daemon import Daemon
+from companion.runtime.health import Health
+from companion.runtime.liveness import LivenessLimits, stuck
+from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
+from companion.runtime.supervise import Restart
 from estimator import pipeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
@@ -36,7 +36,7 @@ class Systemd:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind("\0" + path[1:] if path.startswith("@") else path)
         self.socket.setblocking(False)
-        self.heard: list[dict[str, str]] = []
+        self.messages: list[dict[str, str]] = []
 
     def read(self) -> list[dict[str, str]]:
         """Everything heard so far."""
@@ -44,8 +44,8 @@ class Systemd:
             try:
                 text = self.socket.recv(4096).decode()
             except BlockingIOError:
-                return self.heard
-            self.heard.append(dict(line.split("=", 1) for line in text.splitlines()))
+                return self.messages
+            self.messages.append(dict(line.split("=", 1) for line in text.splitlines()))
 
     def pings(self) -> int:
         return sum("WATCHDOG" in said for said in self.read())
@@ -102,11 +102,11 @@ async def test_without_a_watchdog_there_is_readiness_and_status_alone(systemd: S
     assert systemd.pings() == 0
 
 
-async def test_a_picture_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.vital.Patience", lambda: Patience(frame_s=0.2))
+async def test_a_image_that_vision_never_gives_back_ends_the_pings(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("companion.runtime.liveness.LivenessLimits", lambda: LivenessLimits(frame_s=0.2))
     vehicle, pilot, held = FakeVehicle(), pilot_of(), threading.Event()
-    look = pilot.look
-    monkeypatch.setattr(pilot, "look", lambda frame, attitude: (held.wait(100.0), look(frame, attitude))[1])
+    look = pilot.detect
+    monkeypatch.setattr(pilot, "detect", lambda frame, attitude: (held.wait(100.0), look(frame, attitude))[1])
     daemon = watched(vehicle, pilot, systemd.socket.getsockname(), 0.1)
     try:
         async with asyncio.TaskGroup() as group:
@@ -131,7 +131,7 @@ async def test_rounds_of_guidance_that_do_not_come_end_the_pings(systemd: System
     gate = threading.Event()
     gate.set()
 
-    class Blocking(Silent):
+    class Blocking(NullObserver):
         rounds = 0
 
         def on_decision(self, decision: object) -> None:

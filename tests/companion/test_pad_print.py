@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from companion.calibrate.board import Board
 from companion.cli.main import main
+from companion.config.settings import SHIPPED, read_toml
 from companion.print_pad.drawing import Disc, board_drawing, pad_drawing
 from companion.print_pad.sheets import RULER_MM, sheets
-from companion.settings import SHIPPED, read_toml
 from estimator.vision.pad import Pad
 
 PAD = Pad.from_mapping(read_toml(SHIPPED / "pads" / "thesis.toml"))

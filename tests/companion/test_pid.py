@@ -81,7 +81,9 @@ def test_the_integral_is_bounded():
         state, _ = pid_step(state, Gains(), ns(i * 0.02), estimate(i * 0.02, [0.1, 0.1, 2.2]), above(2.0))
     ki = np.array([Gains().horizontal.ki] * 2 + [Gains().vertical.ki])
     np.testing.assert_allclose((state.integral[:3] * ki)[:2], Gains().integral_max_m_s)
-    assert (state.integral[:3] * ki)[2] <= Gains().sink_max_m_s - 0.2 + 0.01  # with the proportional part it fills the limit
+    assert (state.integral[:3] * ki)[
+        2
+    ] <= Gains().descent_rate_max_m_s - 0.2 + 0.01  # with the proportional part it fills the limit
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-10, 10))

@@ -73,7 +73,9 @@ def test_gains_may_be_zero_and_not_less(gains: tuple[float, float, float]) -> No
 
 def test_by_default_it_commands_what_the_vehicles_were_tuned_with() -> None:
     """For each metre or radian of error, for each metre second of its integral, for each metre per second of drift."""
-    gains = replace(Gains(), speed_max_m_s=9.0, climb_max_m_s=9.0, sink_max_m_s=9.0, turn_max_rad_s=9.0, integral_max_m_s=9.0)
+    gains = replace(
+        Gains(), speed_max_m_s=9.0, climb_max_m_s=9.0, descent_rate_max_m_s=9.0, turn_max_rad_s=9.0, integral_max_m_s=9.0
+    )
     assert cycle(gains, belief((1.0, 0.0, 2.0)), above(1.0, 1.0))[1] == pytest.approx([0.9, 0.0, 1.0, 0.8])
     assert cycle(gains, belief((0.0, 1.0, 1.0)), above(1.0))[1] == pytest.approx([0.0, 0.9, 0.0, 0.0])
     _, command = cycle(gains, belief((0.0, 0.0, 1.0)), above(1.0), Pid(np.array([1.0, -2.0, 1.0, 1.0]), at(NOW)))
@@ -152,7 +154,7 @@ def test_it_turns_where_both_headings_are_known(seen: float | None, wanted: floa
 
 
 def test_an_axis_at_its_limit_integrates_only_what_leads_out_of_it() -> None:
-    gains = replace(FREE, vertical=AxisGains(1.0, 1.0, 0.0), sink_max_m_s=0.5, climb_max_m_s=0.5)
+    gains = replace(FREE, vertical=AxisGains(1.0, 1.0, 0.0), descent_rate_max_m_s=0.5, climb_max_m_s=0.5)
     for height_m, integral, after in (
         (2.0, 0.0, 0.0),
         (1.25, 0.0, 0.025),

@@ -8,22 +8,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.pid import Gains
 from companion.guidance.plan import Plan
 from companion.pilot import Outcome, Pilot
-from companion.settings import camera_model, load, pad_model
 from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
-from estimator.vision.eyes import Eyes
-from estimator.vision.look import Look
-from estimator.vision.segmentation import COLOUR_SETS
+from estimator.vision.thesis.detection import Detection
+from estimator.vision.thesis.segmentation import COLOUR_SETS
+from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")
-EYES = Eyes(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
+EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
 TICK_S = 0.02
 STALE_S = 0.5
 
@@ -57,16 +57,16 @@ class Cockpit:
     def tick(self, sighted: bool) -> Command | None:
         self.now = after(self.now, TICK_S)
         stamp = Stamp(self.now, self.now, 0.001, "sim")
-        self.pilot.hear(Attitude(stamp, Rotation.from_rotvec(self.noise(1e-4)), 1e-5 * np.eye(3)))
-        self.pilot.hear(Imu(stamp, self.noise(1e-3), np.array([0.0, 0.0, -9.80665]) + self.noise(0.01)))
-        self.pilot.hear(BodyVelocity(stamp, self.noise(1e-4), np.diag([0.01, 0.01, UNKNOWN_VAR])))
-        self.pilot.hear(VehicleStatus(stamp, self.flying, "hovering", 0.9, self.emergency, True))
+        self.pilot.on_sample(Attitude(stamp, Rotation.from_rotvec(self.noise(1e-4)), 1e-5 * np.eye(3)))
+        self.pilot.on_sample(Imu(stamp, self.noise(1e-3), np.array([0.0, 0.0, -9.80665]) + self.noise(0.01)))
+        self.pilot.on_sample(BodyVelocity(stamp, self.noise(1e-4), np.diag([0.01, 0.01, UNKNOWN_VAR])))
+        self.pilot.on_sample(VehicleStatus(stamp, self.flying, "hovering", 0.9, self.emergency, True))
         if sighted:
-            taken = Stamp(after(self.now, -0.05), self.now, 0.001, "sim")
+            measured_at = Stamp(after(self.now, -0.05), self.now, 0.001, "sim")
             cov = np.diag([1e-4, 1e-4, 1e-4, 1e-3])
-            sighting = Sighting(taken, 1, "selected", self.d, 0.1, False, cov, 0.9)
-            if self.pilot.saw(Look(sighting, "arrow", {})) is Verdict.FUSED:
-                self.seen = taken.taken
+            sighting = Sighting(measured_at, 1, "selected", self.d, 0.1, False, cov, 0.9)
+            if self.pilot.on_detection(Detection(sighting, "arrow", {})) is Verdict.FUSED:
+                self.seen = measured_at.measured_at
         return self.pilot.decide(self.now).command
 
 

@@ -13,7 +13,7 @@ from companion.observer import Decision
 from companion.recorder.reading import RecordedFrame, open_recording
 from companion.recorder.records import TruthRecord
 from estimator.contracts.samples import Attitude, Imu
-from tests.companion.recorder_flight import record_to
+from sitl.testing.recorded_flight import record_to
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 
@@ -30,7 +30,7 @@ def test_info_counts_what_there_is(flown: Path, capsys: pytest.CaptureFixture[st
     info = json.loads(capsys.readouterr().out)
     assert info["seconds"] == pytest.approx(1.2, abs=0.02)
     assert info["messages"]["/sample/imu"] == 240
-    assert info["pictures"] == sum(info["verdicts"].values()) > 25
+    assert info["frames"] == sum(info["verdicts"].values()) > 25
     assert info["flight"]["scenario"] == "demo"
     assert cli.main(["record", "info", str(flown)]) == 0
     assert "     240  /sample/imu" in capsys.readouterr().out
@@ -56,14 +56,14 @@ def test_a_cut_file_is_mended_and_replays_like_its_whole_part(
 
 def test_a_part_can_be_thinned_to_its_inputs(flown: Path, tmp_path: Path) -> None:
     part = tmp_path / "part.mcap"
-    words = ["--from", "0.4", "--to", "0.9", "--inputs", "--samples-each", "4", "--frames-each", "3", "--no-pictures"]
+    words = ["--from", "0.4", "--to", "0.9", "--inputs", "--samples-each", "4", "--frames-each", "3", "--no-frames"]
     assert cli.main(["record", "cut", str(flown), "--output", str(part), *words]) == 0
     events = list(open_recording([part]).events())
     frames = [e for e in events if isinstance(e, RecordedFrame)]
     assert not any(isinstance(e, Decision) for e in events)
     assert sum(isinstance(e, Imu) for e in events) == pytest.approx(25, abs=2)
     assert len(frames) == pytest.approx(5, abs=1)
-    assert all(f.picture is None for f in frames)
+    assert all(f.image is None for f in frames)
     assert any(isinstance(e, TruthRecord) for e in events)
     assert part.stat().st_size < flown.stat().st_size / 10
 
@@ -88,7 +88,7 @@ def test_a_video_and_an_attitude_table_become_a_recording_that_replays(
     assert cli.main(["record", "import", *sources, "--config", "sim", "--output", str(out)]) == 0
     events = list(open_recording([out]).events())
     assert sum(isinstance(e, RecordedFrame) for e in events) == len(frames)
-    assert min(e.stamp.taken for e in events if isinstance(e, Attitude)) == 500_000_000
+    assert min(e.stamp.measured_at for e in events if isinstance(e, Attitude)) == 500_000_000
     capsys.readouterr()
     assert cli.main(["replay", str(out), "--json", "--path", "median_mean", "--record", str(tmp_path / "seen.mcap")]) == 0
     done = json.loads(capsys.readouterr().out)["passes"][0]
@@ -110,7 +110,7 @@ def test_a_capture_and_a_log_go_into_one_recording(tmp_path: Path) -> None:
     events = list(open_recording([out]).events())
     frames = [e for e in events if isinstance(e, RecordedFrame)]
     assert len(frames) == 17
-    assert frames[0].stamp.taken == 3_500_000_000
+    assert frames[0].stamp.measured_at == 3_500_000_000
     assert sum(isinstance(e, Imu) for e in events) == 11916
 
 

@@ -20,11 +20,11 @@ from companion.recorder.channels import TOPICS
 from companion.recorder.reading import RecordedFrame, open_recording
 from companion.recorder.recorder import Options, Recorder, State
 from companion.recorder.records import TruthRecord
-from companion.recorder.shelf import Folder, SingleFile
+from companion.recorder.storage_policy import Folder, SingleFile
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
-from tests.companion.recorder_flight import Told, record_to, sim_settings
+from sitl.testing.recorded_flight import Told, record_to, sim_settings
 from tests.companion.recorder_parts import ABOUT, CAMERA, imu, samples_of, wait_for
 
 ROOT = Path(__file__).parents[2]
@@ -54,13 +54,13 @@ def test_everything_told_reads_back_the_same_to_the_bit(flown: tuple[Path, Told]
         assert back is not None
         assert same(back, seen.frame)
         look = read.look()
-        assert (look is None) == (seen.look is None)
-        if look is not None and seen.look is not None:
-            assert look.chosen == seen.look.chosen
-            assert dict(look.methods).keys() == dict(seen.look.methods).keys()
-            for method, sighting in seen.look.methods.items():
+        assert (look is None) == (seen.detection is None)
+        if look is not None and seen.detection is not None:
+            assert look.chosen == seen.detection.chosen
+            assert dict(look.methods).keys() == dict(seen.detection.methods).keys()
+            for method, sighting in seen.detection.methods.items():
                 assert same(look.methods[method], sighting)
-            assert same(look.selected, seen.look.selected)
+            assert same(look.selected, seen.detection.selected)
     decisions = [e for e in events if isinstance(e, Decision)]
     assert len(decisions) == len(told.decisions) > 50
     assert all(same(a, b) for a, b in zip(decisions, told.decisions, strict=True))
@@ -185,7 +185,7 @@ def test_what_a_killed_process_leaves_reads_up_to_its_last_flush(tmp_path: Path)
         from pathlib import Path
         from tests.companion.test_recorder import ABOUT, CAMERA, imu
         from companion.recorder.recorder import Options, Recorder
-        from companion.recorder.shelf import SingleFile
+        from companion.recorder.storage_policy import SingleFile
         recorder = Recorder(SingleFile(Path({str(path)!r})), CAMERA, ABOUT, Options(flush_s=0.1))
         with recorder:
             for i in range(100_000):
@@ -227,7 +227,7 @@ def test_files_follow_one_another_and_the_oldest_go(tmp_path: Path) -> None:
     assert left[-1] == f"decklander-20261120T050000Z-{recorder.files:04d}.mcap"
     assert sum((tmp_path / name).stat().st_size for name in left) < 900_000
     recording = open_recording([tmp_path / name for name in left])
-    seen = [e.stamp.taken for e in recording.events() if isinstance(e, Imu)]
+    seen = [e.stamp.measured_at for e in recording.events() if isinstance(e, Imu)]
     assert recording.cut == {}
     assert np.all(np.diff(seen) == 5_000_000)
     assert seen[-1] == 11_999 * 5_000_000

@@ -16,10 +16,10 @@ import pytest
 from companion.recorder import mcap_file
 from companion.recorder.reading import RecordedFrame, open_recording
 from companion.recorder.recorder import Options, Recorder, State
-from companion.recorder.shelf import Folder, SingleFile
+from companion.recorder.storage_policy import Folder, SingleFile
 from estimator.contracts.samples import Imu
+from sitl.testing.descriptors import no_descriptors
 from tests.companion.recorder_parts import ABOUT, CAMERA, frame, imu, samples_of, wait_for
-from tests.descriptors import no_descriptors
 
 
 class Disk:
@@ -91,19 +91,21 @@ def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_p
                 recorder.on_frame(frame(1.0 + 0.001 * i, i))
         spent_s = time.perf_counter() - began
         assert spent_s < 60.0, "one call that waited for this disk would not have come back"
-        assert recorder.dropped["imu"] + recorder.dropped["look"] == 1100 - 50
-        assert recorder.dropped["picture"] + 3 >= 5 - 1
+        assert recorder.dropped["imu"] + recorder.dropped["detection"] == 1100 - 50
+        assert recorder.dropped["frame"] + 3 >= 5 - 1
         disk.moving.set()
         wait_for(lambda: recorder._queue.empty())
         recorder.on_frame(frame(3.0, 7))
     kept = [e for e in open_recording([tmp_path / "a.mcap"]).events() if isinstance(e, RecordedFrame)]
     assert kept[-1].record.seq == 7
-    assert kept[-1].picture is not None
+    assert kept[-1].image is not None
 
 
 def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = {"bytes": 900_000_000}
-    monkeypatch.setattr("companion.recorder.shelf.shutil.disk_usage", lambda _: type("Usage", (), {"free": free["bytes"]}))
+    monkeypatch.setattr(
+        "companion.recorder.storage_policy.shutil.disk_usage", lambda _: type("Usage", (), {"free": free["bytes"]})
+    )
     folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=500.0)
     with Recorder(folder, CAMERA, ABOUT, Options(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(300):
@@ -130,7 +132,7 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
 def test_a_full_disk_with_a_little_room_is_left_alone(
     tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("companion.recorder.shelf.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000}))
+    monkeypatch.setattr("companion.recorder.storage_policy.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000}))
     folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=0.0)
     with Recorder(folder, CAMERA, ABOUT, Options(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(500):

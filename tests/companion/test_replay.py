@@ -16,21 +16,21 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
+from companion.config.settings import camera_model
 from companion.recorder.reading import open_recording
 from companion.recorder.recorder import Options, Recorder
 from companion.recorder.setup import about
-from companion.recorder.shelf import SingleFile
+from companion.recorder.storage_policy import SingleFile
 from companion.replay.engine import Replay
-from companion.replay.keeping import Keeper, differences, recorded_beliefs
+from companion.replay.log_observer import LogObserver, differences, recorded_beliefs
 from companion.replay.pilots import pilot_of
 from companion.report.flight_log import FlightLog
-from companion.service import make_pilot
-from companion.settings import camera_model
+from companion.runtime.service import make_pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs
 from sitl.flight import Flight
 from sitl.scenario import load as load_scenario
-from tests.companion.recorder_flight import SCENARIO, Told, record_to, sim_settings
+from sitl.testing.recorded_flight import SCENARIO, Told, record_to, sim_settings
 
 
 @pytest.fixture(scope="module")
@@ -50,11 +50,11 @@ def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(fl
     settings = sim_settings()
     told = Told()
     pilot = pilot_of(recording, settings, None, own_camera=True)
-    keeper = Keeper(FlightLog("replay", MonoNs(0), pilot.pad, pilot.camera))
-    replay = Replay(recording, pilot, sightings=True, observers=[keeper, told])
+    log_observer = LogObserver(FlightLog("replay", MonoNs(0), pilot.pad, pilot.camera))
+    replay = Replay(recording, pilot, sightings=True, observers=[log_observer, told])
     replay.run()
     assert replay.counts.as_recorded == replay.counts.frames == len(flown[1].frames) > 20
-    found = {d.path: d for d in differences(keeper.beliefs, recorded_beliefs(recording))}
+    found = {d.path: d for d in differences(log_observer.beliefs, recorded_beliefs(recording))}
     assert {"dead_reckoning", "median_mean"} <= set(found)
     for difference in found.values():
         assert difference.both == difference.identical > 40
@@ -82,7 +82,7 @@ def test_the_same_replay_has_the_same_hash_and_a_change_another(
     assert against["median_mean"]["identical"] > against["dead_reckoning"]["identical"] == 0
 
 
-def test_pictures_seen_again_agree_with_what_was_seen_then_and_with_truth(
+def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(
     flown: tuple[Path, Told], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = replayed(flown[0], "--path", "median_mean", "--report", str(tmp_path / "report"), capsys=capsys)
@@ -185,14 +185,14 @@ async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flow
     peer.setblocking(False)
     speaker = mav.MAVLink(None, srcSystem=1, srcComponent=1)
     beat = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_QUADROTOR, mav.MAV_AUTOPILOT_ARDUPILOTMEGA, 209, 9, mav.MAV_STATE_ACTIVE, 3)
-    loop, heard = asyncio.get_running_loop(), list[Any]()
+    loop, received_at = asyncio.get_running_loop(), list[Any]()
 
     async def autopilot() -> None:
         listener = mav.MAVLink(None)
         listener.robust_parsing = True
         while True:
             data, where = await loop.sock_recvfrom(peer, 4096)
-            heard.extend(listener.parse_buffer(data) or [])
+            received_at.extend(listener.parse_buffer(data) or [])
             await loop.sock_sendto(peer, beat.pack(speaker), where)
 
     words = ["replay", str(flown[0]), "--sightings", "--json", "--realtime", "--path", "median_mean"]
@@ -204,7 +204,7 @@ async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flow
         task.cancel()
     peer.close()
     assert time.monotonic() - began >= 1.4
-    targets = [m for m in heard if m.get_type() == "LANDING_TARGET"]
+    targets = [m for m in received_at if m.get_type() == "LANDING_TARGET"]
     assert len(targets) >= 3
     true = [d.shadows[0] for d in flown[1].decisions if d.shadows][-1]
     assert targets[-1].distance == pytest.approx(float(np.linalg.norm(true.d_body_pad_level)), rel=0.2)

@@ -40,7 +40,7 @@ def truth_at(t):
     return np.array([0.6 * math.cos(t), 0.5 - 0.1 * t, 3.0 - 0.6 * t]), math.remainder(3.0 + 0.2 * t, math.tau)
 
 
-def flight(pictures=True) -> FlightLog:
+def flight(images=True) -> FlightLog:
     rng = np.random.default_rng(4)
     log = FlightLog("A test <flight> & more", ns(100), PAD, CAMERA, outcome="landed", facts=[("scenario", "calm & <b>")])
     for i in range(401):
@@ -65,12 +65,12 @@ def flight(pictures=True) -> FlightLog:
         command = Velocity(np.array([0.1, 0.0, 0.3]), 0.1) if i % 30 else Hover()
         log.commands.append(CommandRecord(at, Land() if i > 95 else command))
         jpeg = None
-        if pictures:
+        if images:
             jpeg = cv2.imencode(".jpg", np.full((180, 320, 3), (90, 60, 30), np.uint8))[1].tobytes()
         log.frames.append(FrameRecord(at, i, Verdict.FUSED, Rotation.identity(), jpeg))
     log.verdicts = Counter({Verdict.FUSED: 100, Verdict.NO_PAD: 20, Verdict.REPLACED: 5})
     log.phases = [PhaseChange(ns(100), "approach"), PhaseChange(ns(102), "descend"), PhaseChange(ns(103.8), "land")]
-    log.stage_s = {"decode": [0.001] * 100, "look": [0.004 + 0.00001 * i for i in range(100)]}
+    log.stage_s = {"decode": [0.001] * 100, "detect": [0.004 + 0.00001 * i for i in range(100)]}
     log.delay_s = [0.1, 0.2, 0.3]
     log.touchdown = Touchdown(ns(104), 0.0312, 0.27, 0.05, on_pad=True)
     return log
@@ -104,7 +104,7 @@ def test_error_statistics_are_those_put_in():
 
 def test_timings_keep_their_order_and_quantiles():
     rows = timing_rows(flight())
-    assert [r.name for r in rows] == ["decode", "look", "exposure to command"]
+    assert [r.name for r in rows] == ["decode", "detect", "exposure to command"]
     assert rows[1].median_s == pytest.approx(0.004495)
     assert rows[1].max_s == pytest.approx(0.00499)
     assert rows[2].median_s == pytest.approx(0.2)
@@ -152,7 +152,7 @@ def test_the_page_stands_alone_and_says_what_happened(tmp_path):
 
 
 def test_many_dots_are_all_drawn():
-    log = flight(pictures=False)
+    log = flight(images=False)
     log.sightings = [s for s in log.sightings if s.method == "corners"] * 5
     svg = render(log, None)
     path = re.search(r'class="series series-corners">\s*<path d="([^"]*)"', svg)
@@ -163,13 +163,13 @@ def test_many_dots_are_all_drawn():
 def test_an_empty_flight_still_has_a_page(tmp_path):
     page = write_report(FlightLog("nothing", ns(0), PAD, CAMERA), tmp_path)
     text = page.read_text("utf-8")
-    for said in ("No touchdown", "No pictures", "Neither truth", "Nothing was estimated", "No frames", "No commands", "No times"):
+    for said in ("No touchdown", "No frames", "Neither truth", "Nothing was estimated", "No frames", "No commands", "No times"):
         assert said in text
     assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
 
 
 def test_a_flight_without_truth_shows_estimates_and_no_errors():
-    log = flight(pictures=False)
+    log = flight(images=False)
     log.truth = []
     text = render(log, None)
     assert "No truth was recorded" in text
@@ -213,34 +213,34 @@ def test_the_video_shows_the_pad_of_the_path_that_steered(tmp_path):
     ]
     log.sightings = []
 
-    def picture(estimates, steering):
+    def image(estimates, steering):
         log.estimates, log.steering = estimates, steering
         video_from_log(log, tmp_path / "v.mp4")
         with av.open(str(tmp_path / "v.mp4")) as container:
             return next(container.decode(video=0)).to_ndarray(format="bgr24").astype(int)
 
-    steered, none = log.estimates, picture([], None)
+    steered, none = log.estimates, image([], None)
     mixed = [e for pair in zip(steered, shadow, strict=True) for e in pair]
-    drawn = picture(steered, None)
+    drawn = image(steered, None)
     assert np.abs(drawn[:180] - none[:180]).max() > 60
-    np.testing.assert_array_equal(picture(mixed, None), drawn)
-    np.testing.assert_array_equal(picture(list(reversed(mixed)), "dead_reckoning"), drawn)
+    np.testing.assert_array_equal(image(mixed, None), drawn)
+    np.testing.assert_array_equal(image(list(reversed(mixed)), "dead_reckoning"), drawn)
 
 
-def test_pictures_keep_their_times_and_a_late_one_is_left_out(tmp_path):
+def test_images_keep_their_times_and_a_late_one_is_left_out(tmp_path):
     path = tmp_path / "v.mp4"
     with FlightVideo(path, (64, 48), 30) as video:
-        picture = np.zeros((48, 64, 3), np.uint8)
-        taken = [video.add(picture, ns(t)) for t in (5.0, 5.1, 5.05, 6.0)]
+        image = np.zeros((48, 64, 3), np.uint8)
+        added = [video.add(image, ns(t)) for t in (5.0, 5.1, 5.05, 6.0)]
         with pytest.raises(ValueError, match="48, 64, 3"):
             video.add(np.zeros((64, 48, 3), np.uint8), ns(7))
     video.close()
-    assert taken == [True, True, False, True]
+    assert added == [True, True, False, True]
     with av.open(str(path)) as container:
         assert [f.time for f in container.decode(video=0)] == pytest.approx([0.0, 0.1, 1.0], abs=1e-3)
 
 
-def test_no_picture_no_file(tmp_path):
+def test_no_image_no_file(tmp_path):
     with FlightVideo(tmp_path / "v.mp4", (64, 48), 30):
         pass
     assert not list(tmp_path.iterdir())
@@ -254,10 +254,10 @@ def test_sizes_and_rates_that_cannot_be(tmp_path, size, fps):
         FlightVideo(tmp_path / "no" / "such" / "folder.mp4", (64, 48), 30)
 
 
-def test_broken_pictures_are_passed_over(tmp_path):
+def test_broken_images_are_passed_over(tmp_path):
     log = flight()
     log.frames = [
-        FrameRecord(ns(100), 0, Verdict.FAILED, None, b"no picture"),
+        FrameRecord(ns(100), 0, Verdict.FAILED, None, b"no frame"),
         FrameRecord(ns(100.1), 1, Verdict.FAILED, None, Path(tmp_path / "gone.jpg")),
     ]
     assert video_from_log(log, tmp_path / "v.mp4") == 0
@@ -275,8 +275,8 @@ def test_the_pad_is_drawn_where_the_estimate_has_it(rpy):
     yaw, d = 0.7, np.array([0.2, -0.1, 2.0])
     R_level_body = Rotation.from_rpy(*rpy, 0.0)
     estimate = RelativeState(ns(1), "ekf", d, np.zeros(3), yaw, np.eye(7), ns(1), True)
-    picture = np.full((180, 320, 3), 60, np.uint8)
-    canvas = annotate(picture, Overlay(1.0, Verdict.FUSED, "descend", (), estimate, R_level_body), CAMERA, PAD)
+    image = np.full((180, 320, 3), 60, np.uint8)
+    canvas = annotate(image, Overlay(1.0, Verdict.FUSED, "descend", (), estimate, R_level_body), CAMERA, PAD)
     corners = np.array([[0.3, 0, 0], [0.14, 0.1, 0], [-0.14, -0.1, 0], [0.39, 0, 0], [0, -0.39, 0]])
     p_body = (Rotation.from_rpy(0, 0, -yaw) @ corners + d) @ R_level_body.matrix
     p_cam = (p_body - CAMERA.T_body_cam.t) @ CAMERA.T_body_cam.R.matrix

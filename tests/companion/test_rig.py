@@ -12,27 +12,27 @@ import numpy as np
 import pytest
 from msgspec import inspect
 
-from companion import rig, rig_mavlink
 from companion.cli.main import main
+from companion.config import build, build_mavlink
+from companion.config.build_camera import camera_options
+from companion.config.refusal import walk
+from companion.config.settings import Settings, from_mapping
+from companion.config.vehicle import ArDroneSettings, AutopilotSettings, BridgeSettings
 from companion.guidance.pid import Gains
 from companion.guidance.plan import Plan
 from companion.mavlink.component import ComponentOptions
 from companion.mavlink.outputs import OutputOptions
-from companion.rig_camera import camera_options
-from companion.settings import Settings, from_mapping
-from companion.settings_refusal import walk
-from companion.settings_vehicle import ArDroneSettings, AutopilotSettings, FaceSettings
-from companion.supervise import Restart
+from companion.runtime.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
+from drivers.camera.video_source_options import CameraOptions
 from drivers.mavlink.autopilot import AutopilotOptions
-from drivers.video_source_options import CameraOptions
 from estimator import pipeline
 from estimator.contracts.errors import BadInput
 
 READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
-    "service.log_level", "service.health_period_s", "face.links", "face.system_id", "face.operators",
-    *(f"{table}.signing_{what}_file" for table in ("vehicle", "face") for what in ("key", "time")),
+    "service.log_level", "service.health_period_s", "bridge.links", "bridge.system_id", "bridge.operators",
+    *(f"{table}.signing_{what}_file" for table in ("vehicle", "bridge") for what in ("key", "time")),
 }  # fmt: skip
 TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.")
 """Sections that a part takes as they are."""
@@ -48,8 +48,8 @@ def parts(settings: Settings) -> list[object]:
     return [
         plain(part)
         for part in (
-            *vehicle(settings), rig.eyes(settings), rig.estimator_options(settings), rig.gains(settings),
-            rig.plan(settings), rig.restart(settings), settings.camera.source, *cameras(settings),
+            *vehicle(settings), build.tracker(settings), build.estimator_options(settings), build.gains(settings),
+            build.plan(settings), build.restart(settings), settings.camera.source, *cameras(settings),
         )
     ]  # fmt: skip
 
@@ -57,10 +57,10 @@ def parts(settings: Settings) -> list[object]:
 def vehicle(settings: Settings) -> list[object]:
     v = settings.vehicle
     if isinstance(v, ArDroneSettings):
-        return [rig.ardrone_options(settings)]
+        return [build.ardrone_options(settings)]
     return [
-        rig_mavlink.autopilot_options(v, settings.service.sample_queue_items, ()),
-        rig_mavlink.component_options(v, 0.39, 0.5),
+        build_mavlink.autopilot_options(v, settings.service.sample_queue_items, ()),
+        build_mavlink.component_options(v, 0.39, 0.5),
     ]
 
 
@@ -129,13 +129,13 @@ def test_every_key_reaches_a_part(kind: str, path: str, field: inspect.Field) ->
 
 def test_defaults_are_those_of_the_parts() -> None:
     settings = from_mapping(MINIMAL, "default")
-    gains = dataclasses.replace(rig.gains(settings), stale_after_s=Gains().stale_after_s)
+    gains = dataclasses.replace(build.gains(settings), stale_after_s=Gains().stale_after_s)
     assert math.isclose(gains.turn_max_rad_s, Gains().turn_max_rad_s, rel_tol=0.01)
     assert dataclasses.replace(gains, turn_max_rad_s=Gains().turn_max_rad_s) == Gains()
-    assert plain(rig.plan(settings)) == plain(Plan.over_the_pad())
-    assert plain(rig.estimator_options(settings)) == plain(pipeline.Options())
-    assert rig.restart(settings) == Restart()
-    link = rig.ardrone_options(settings)
+    assert plain(build.plan(settings)) == plain(Plan.over_the_pad())
+    assert plain(build.estimator_options(settings)) == plain(pipeline.Options())
+    assert build.restart(settings) == Restart()
+    link = build.ardrone_options(settings)
     same = {"loop", "samples"}
     assert dataclasses.replace(link, **{name: getattr(ArDroneOptions(), name) for name in same}) == ArDroneOptions()
 
@@ -145,30 +145,30 @@ def test_degrees_in_the_file_are_radians_inside() -> None:
     data["vehicle"].update(euler_angle_max_deg=18.0, yaw_rate_max_deg_s=90.0)
     data["guidance"]["pid"]["turn_max_deg_s"] = 45.0
     settings = from_mapping(data, "degrees")
-    assert math.isclose(rig.ardrone_options(settings).loop.euler_angle_max_rad, math.pi / 10)
-    assert math.isclose(rig.ardrone_options(settings).loop.yaw_rate_max_rad_s, math.pi / 2)
-    assert math.isclose(rig.gains(settings).turn_max_rad_s, math.pi / 4)
+    assert math.isclose(build.ardrone_options(settings).loop.euler_angle_max_rad, math.pi / 10)
+    assert math.isclose(build.ardrone_options(settings).loop.yaw_rate_max_rad_s, math.pi / 2)
+    assert math.isclose(build.gains(settings).turn_max_rad_s, math.pi / 4)
 
 
 def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
     v = from_mapping(MINIMALS["mavlink"], "default").vehicle
     assert isinstance(v, AutopilotSettings)
-    estimator = rig.estimator_options(from_mapping(MINIMALS["mavlink"], "default"))
+    estimator = build.estimator_options(from_mapping(MINIMALS["mavlink"], "default"))
     assert estimator.ekf.velocity_is_over == "ground"
-    options = rig_mavlink.autopilot_options(v, 4096, ())
+    options = build_mavlink.autopilot_options(v, 4096, ())
     assert options == AutopilotOptions(options.links)
-    assert rig_mavlink.component_options(v, 0.39, 0.5) == ComponentOptions(OutputOptions(0.39))
+    assert build_mavlink.component_options(v, 0.39, 0.5) == ComponentOptions(OutputOptions(0.39))
 
 
-@pytest.mark.parametrize("kind", [AutopilotSettings, FaceSettings])
+@pytest.mark.parametrize("kind", [AutopilotSettings, BridgeSettings])
 def test_links_are_signed_with_one_key_and_ids_of_their_own(
-    tmp_path: Path, kind: type[AutopilotSettings] | type[FaceSettings]
+    tmp_path: Path, kind: type[AutopilotSettings] | type[BridgeSettings]
 ) -> None:
     key, time = tmp_path / "link.key", tmp_path / "time"
     key.write_bytes(bytes(range(32)))
     key.chmod(0o600)
     urls = "tcp://127.0.0.1:1, tcp://127.0.0.1:2"
-    first, second = rig_mavlink.links(kind(urls, signing_key_file=str(key), signing_time_file=str(time)))
+    first, second = build_mavlink.links(kind(urls, signing_key_file=str(key), signing_time_file=str(time)))
     assert first.signing is not None
     assert second.signing is not None
     assert first.signing.key.secret == bytes(range(32))
@@ -179,14 +179,14 @@ def test_links_are_signed_with_one_key_and_ids_of_their_own(
     assert time.exists()
     credential = kind(urls, signing_key_file="credential:link.key")
     environment = {"CREDENTIALS_DIRECTORY": str(tmp_path), "STATE_DIRECTORY": str(tmp_path / "state")}
-    signing = rig_mavlink.links(credential, environment)[0].signing
+    signing = build_mavlink.links(credential, environment)[0].signing
     assert signing is not None
     signing.times.next()
     signing.times.close()
     assert (tmp_path / "state/mavlink-signing-time").exists()
     with pytest.raises(BadInput, match="signing key"):
-        rig_mavlink.links(kind(urls, signing_key_file=str(tmp_path / "none")))
-    assert rig_mavlink.links(FaceSettings()) == ()
+        build_mavlink.links(kind(urls, signing_key_file=str(tmp_path / "none")))
+    assert build_mavlink.links(BridgeSettings()) == ()
 
 
 CAMERA = '[camera]\nfile = "sim"\nsource = "stream"\ndevice = "rtsp://127.0.0.1/cam"\n'
@@ -200,9 +200,9 @@ def test_links_that_are_not_signed_are_told_of_with_the_cure(
     links: str, level: str, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     caplog.set_level("INFO")
-    rig_mavlink.links(AutopilotSettings(links))
+    build_mavlink.links(AutopilotSettings(links))
     assert [r.levelname for r in caplog.records if "decklander keys make" in r.getMessage()] == [level]
-    file = tmp_path / "rig.toml"
+    file = tmp_path / "build.toml"
     file.write_text(f'[vehicle]\nkind = "mavlink"\nlinks = "{links}"\n{CAMERA}[pad]\nfile = "thesis"\n')
     assert main(["run", "--config", str(file), "--check"]) == 0
     said = capsys.readouterr().out

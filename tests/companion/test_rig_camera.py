@@ -11,11 +11,11 @@ import av
 import numpy as np
 import pytest
 
-from companion.rig_camera import camera_options, controls, with_camera
-from companion.settings import from_mapping, load
+from companion.config.build_camera import camera_options, controls, with_camera
+from companion.config.settings import from_mapping, load
+from drivers.camera.video_source_options import StreamOptions, V4l2Options
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
-from drivers.video_source_options import StreamOptions, V4l2Options
 from estimator.contracts.commands import Command, Hover
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame, Range, Sample

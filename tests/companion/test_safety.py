@@ -13,23 +13,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.pid import Gains, fit_to_steer
 from companion.guidance.plan import Plan
 from companion.observer import Decision
 from companion.pilot import Pilot
-from companion.settings import camera_model, load, pad_model
 from estimator import pipeline
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import Doubt, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
-from estimator.vision.eyes import Eyes
-from estimator.vision.look import Look
-from estimator.vision.segmentation import COLOUR_SETS
+from estimator.vision.thesis.detection import Detection
+from estimator.vision.thesis.segmentation import COLOUR_SETS
+from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")
-EYES = Eyes(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
+EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
 PLAN = Plan.over_the_pad()
 TICK_S = 0.05
 FAULTS = (
@@ -70,7 +70,7 @@ class Loop:
         if fault != "silent":
             self.sense(fault)
             if fault != "no frames":
-                self.see(fault)
+                self.track(fault)
         decision = self.pilot.decide(self.now)
         wanted = np.array([0.0, 0.0, 0.4]) if isinstance(decision.command, Land) else np.zeros(3)
         if isinstance(decision.command, Velocity):
@@ -88,17 +88,19 @@ class Loop:
             w, f = self.still_imu
         if fault == "imu spikes" and self.ticks % 5 == 0:
             f = np.array([0.0, 1e4, 0.0])
-        self.pilot.hear(Imu(stamp, w, f))
+        self.pilot.on_sample(Imu(stamp, w, f))
         R = Rotation.identity() if fault == "attitude frozen" else Rotation.from_rpy(*self.noise(0.002))
         now = Stamp(self.now, self.now, 0.001, "sim")
-        self.pilot.hear(Attitude(now, R, 1e-5 * np.eye(3)))
+        self.pilot.on_sample(Attitude(now, R, 1e-5 * np.eye(3)))
         v = np.zeros(3) if fault == "velocity frozen" else self.v + self.noise(0.01)
-        self.pilot.hear(BodyVelocity(now, v, np.diag([0.01, 0.01, UNKNOWN_VAR])))
+        self.pilot.on_sample(BodyVelocity(now, v, np.diag([0.01, 0.01, UNKNOWN_VAR])))
         if self.d[2] > 0.2:
-            self.pilot.hear(Range(now, self.d[2] * (1.6 if fault == "range wrong" else 1.0) + abs(self.noise(0.005)[0]), 0.02))
-        self.pilot.hear(VehicleStatus(now, True, "flying", 0.9, False, True))
+            self.pilot.on_sample(
+                Range(now, self.d[2] * (1.6 if fault == "range wrong" else 1.0) + abs(self.noise(0.005)[0]), 0.02)
+            )
+        self.pilot.on_sample(VehicleStatus(now, True, "flying", 0.9, False, True))
 
-    def see(self, fault: str) -> None:
+    def track(self, fault: str) -> None:
         late_s = 0.36 if fault == "stamps old" else 0.06
         stamp = Stamp(after(self.now, -late_s), self.now, 0.002, "sim")
         px = self.still_image if fault == "camera frozen" else self.image()
@@ -114,7 +116,7 @@ class Loop:
         cov = np.diag([4e-5, 4e-5, 4e-5, 1e-3])
         cov[:3, :3] += 1e-5 * tilt @ tilt.T
         seen = Sighting(stamp, self.ticks, "registration", d, 0.1, False, cov, 0.9)
-        self.verdicts.append(self.pilot.saw(Look(seen, "registration", {})))
+        self.verdicts.append(self.pilot.on_detection(Detection(seen, "registration", {})))
 
     def until(self, done, fault: str = "none", seconds: float = 60.0) -> Decision:
         for _ in range(round(seconds / TICK_S)):

@@ -15,10 +15,10 @@ from hypothesis import settings as runs
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from companion import settings_pages
-from companion.settings import Settings, camera_model, from_mapping, load, pad_model, shipped
-from companion.settings_refusal import walk
-from companion.settings_vehicle import AutopilotSettings
+from companion.config import reference
+from companion.config.refusal import walk
+from companion.config.settings import Settings, camera_model, from_mapping, load, pad_model, shipped
+from companion.config.vehicle import AutopilotSettings
 from estimator.contracts.errors import BadInput
 
 ROOT = Path(__file__).parents[2]
@@ -201,7 +201,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
 @given(good_settings())
 @runs(deadline=None, max_examples=60)
 def test_what_show_prints_reads_back_as_the_same_settings(drawn: Settings) -> None:
-    assert from_mapping(tomllib.loads(settings_pages.toml(drawn)), "shown") == drawn
+    assert from_mapping(tomllib.loads(reference.toml(drawn)), "shown") == drawn
 
 
 junk = st.recursive(
@@ -233,9 +233,9 @@ def test_the_kind_of_vehicle_decides_which_keys_there_are(tmp_path: Path) -> Non
     [
         (
             ('source = "v4l2"\ndevice = "Test camera"', ""),
-            'camera.source must be "v4l2" or "stream": an autopilot has no pictures',
+            'camera.source must be "v4l2" or "stream": an autopilot has no frames',
         ),
-        (("[camera]", '[face]\nlinks = "udpin://0.0.0.0:14550"\n[camera]'), "face.links must be empty"),
+        (("[camera]", '[face]\nlinks = "udpin://0.0.0.0:14550"\n[camera]'), "bridge.links must be empty"),
     ],
 )
 def test_what_an_autopilot_does_not_go_with(tmp_path: Path, change: tuple[str, str], said: str) -> None:
@@ -322,7 +322,7 @@ def test_broken_toml_is_refused_with_its_place(tmp_path: Path) -> None:
 
 
 def test_the_schema_lists_every_key_with_its_unit() -> None:
-    schema = json.loads(settings_pages.schema())
+    schema = json.loads(reference.schema())
     planner = schema["$defs"]["PlannerSettings"]
     assert planner["properties"]["speed_m_s"]["x-unit"] == "m/s"
     assert planner["additionalProperties"] is False
@@ -331,7 +331,7 @@ def test_the_schema_lists_every_key_with_its_unit() -> None:
 
 def test_the_reference_page_is_what_the_model_says() -> None:
     page = (ROOT / "docs/configuration.md").read_text()
-    assert page == settings_pages.reference(), "run: decklander config reference > docs/configuration.md"
+    assert page == reference.reference(), "run: decklander config reference > docs/configuration.md"
 
 
 def test_settings_cannot_be_changed_after_loading() -> None:

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import burners, decklander, python, started
+from sitl.testing.processes import burners, decklander, python, started
 
 BOUND_S = 10.0
 HEAD = """
 import asyncio, contextlib, hashlib, os, signal, sys, threading, time
-from companion import signals
-from companion.event_loop import heeded, run
+from companion.runtime import signals
+from companion.runtime.event_loop import heeded, run
 
 def say(*words): print(*words, flush=True)
 def program(work):
@@ -107,7 +107,7 @@ async def main():
 program(lambda: run(main()))
 """,
     "vision's thread": """
-from companion.worker import Worker
+from companion.runtime.worker import Worker
 async def main():
     call = asyncio.create_task(Worker("eyes").run(hashlib.pbkdf2_hmac, "sha256", b"", b"", 10**9))
     await asyncio.sleep(0.1)
@@ -361,7 +361,7 @@ transport = "tcp"
 host = "127.0.0.1"
 port = {port}
 spool = "{folder}/spool"
-[face]
+[bridge]
 links = "udpin://127.0.0.1:0"
 """)
     return str(file)

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from companion.cli import main as cli
-from companion.soak import Reading, findings, read
-from tests.processes import started
+from companion.cli.soak_judge import Reading, findings, read
+from sitl.testing.processes import started
 from tests.sitl.near import NEAR
 
 BRIEF = NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 1.5").replace("height_m = 2.0", "height_m = 3.0")

@@ -12,9 +12,9 @@ import pytest
 from companion.cli import main as cli
 from companion.cli.machine_load import Load
 from companion.cli.soak_flights import Class, Flown, Outcomes, by_fault, real
+from companion.cli.soak_judge import Reading
 from companion.cli.soak_plot import plot
 from companion.pilot import Outcome
-from companion.soak import Reading
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from tests.sitl.near import NEAR
@@ -120,7 +120,7 @@ def test_a_virtual_soak_names_the_flight_that_failed(
     def broken(self: Pilot, *_: Any) -> None:
         raise KeyError(int(np.array(7)))
 
-    monkeypatch.setattr(Pilot, "look", broken)
+    monkeypatch.setattr(Pilot, "detect", broken)
     words = ["--virtual", "--flights", "2", "--scenario", str(near), "--no-cpu", "--no-faults", "--plot", str(tmp_path / "p.png")]
     assert cli.main(["soak", *words]) == 1
     said = capsys.readouterr().out

@@ -73,7 +73,7 @@ def test_bytes_of_any_kind(records: list[Any], tmp_path: Path, capsys: pytest.Ca
 def test_an_integer_out_of_range_costs_its_message(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, value: int
 ) -> None:
-    records = small(GOLDEN / "pictures.mcap", 60)
+    records = small(GOLDEN / "frames.mcap", 60)
     path = tmp_path / "x.mcap"
     path.write_bytes(written(changed(records, key, value, which=-1)))
     assert ran(capsys, "replay", path, "--sightings", "--json")[0] == 0
@@ -87,7 +87,7 @@ def test_an_instant_of_another_day_is_left_out_and_does_not_fly_for_a_year(
 ) -> None:
     """Without rounds of guidance of its own a recording is flown at 50 Hz: a jump would take for ever."""
     inputs = [r for r in records if not (isinstance(r, Message) and "phase" in json.loads(r.data))]
-    stamp = {"taken_ns": 2**61, "heard_ns": 2**61, "sigma_s": 0.0, "source": "sim"}
+    stamp = {"measured_at_ns": 2**61, "received_at_ns": 2**61, "sigma_s": 0.0, "source": "sim"}
     path = tmp_path / "x.mcap"
     path.write_bytes(written(changed(inputs, "stamp", stamp, which=4)))
     assert ran(capsys, "replay", path, "--sightings", "--json")[0] == 0

@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-from companion import event_loop
-from companion.health import Delays, Health
-from companion.supervise import Restart, contain, keep_alive, run
+from companion.runtime import event_loop
+from companion.runtime.health import Delays, Health
+from companion.runtime.supervise import Restart, contain, keep_alive, run
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs
 

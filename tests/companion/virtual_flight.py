@@ -10,10 +10,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from companion.daemon import Daemon, Link
 from companion.guidance.pid import Gains
 from companion.guidance.planner import Plan
 from companion.pilot import Pilot
+from companion.runtime.daemon import Daemon, Link
 from drivers.mailbox import Latest, Line
 from estimator import pipeline
 from estimator.contracts.commands import Command, Velocity
@@ -21,12 +21,12 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
-from estimator.vision.look import Look
+from estimator.vision.thesis.detection import Detection
 from tests.companion.test_daemon import EYES
 
 TICK_S = 0.01
 NOISE = np.random.default_rng(0).integers(0, 9, (EYES.camera.height, EYES.camera.width, 3), np.uint8)
-"""No picture, as a living camera has it: never the same twice."""
+"""No frame, as a living camera has it: never the same twice."""
 
 
 class VirtualClock:
@@ -71,10 +71,10 @@ class SeeingPilot(Pilot):
         super().__init__(EYES, options, Plan.over_the_pad(), Gains())
         self._truth = vehicle
 
-    def look(self, frame: Frame, attitude: Attitude) -> Look:
+    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
         d = -self._truth.p_level
         sighting = Sighting(frame.stamp, frame.seq, "selected", d, 0.0, False, np.diag([1e-4, 1e-4, 1e-4, 1e-3]), 0.9)
-        return Look(sighting, "arrow", MappingProxyType({}))
+        return Detection(sighting, "arrow", MappingProxyType({}))
 
 
 class FakeFlight:

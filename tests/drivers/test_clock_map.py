@@ -15,15 +15,15 @@ FLOOR_S = 0.002
 
 
 @dataclass
-class Heard:
+class Received:
     """Simulated messages: when messages were stamped on our clock, the remote counter in them, when they were heard."""
 
     true_ns: np.ndarray
     remote_ns: np.ndarray
-    heard_ns: np.ndarray
+    received_at_ns: np.ndarray
 
 
-def simulate(seed: int, *, rate_hz: float, drift_ppm: float, jitter_s: float, wrap_ns: int | None, stalls: int = 4) -> Heard:
+def simulate(seed: int, *, rate_hz: float, drift_ppm: float, jitter_s: float, wrap_ns: int | None, stalls: int = 4) -> Received:
     rng = np.random.default_rng(seed)
     n = int(40 * rate_hz)
     true_s = np.arange(n) / rate_hz
@@ -31,14 +31,14 @@ def simulate(seed: int, *, rate_hz: float, drift_ppm: float, jitter_s: float, wr
     for start in rng.integers(int(rate_hz), n, stalls):  # the radio falls silent, then all comes at once
         late = slice(start, min(n, start + int(0.5 * rate_hz)))
         delay_s[late] += np.linspace(0.5, 0.0, int(0.5 * rate_hz))[: late.stop - late.start]
-    heard_s = np.maximum.accumulate(true_s + delay_s)
+    received_at_s = np.maximum.accumulate(true_s + delay_s)
     remote_ns = np.round((2030.0 + true_s * (1 + drift_ppm * 1e-6)) * S).astype(np.int64)
     to_ns = lambda s: np.round((s + 100.0) * S).astype(np.int64)  # noqa: E731
-    return Heard(to_ns(true_s), remote_ns % wrap_ns if wrap_ns else remote_ns, to_ns(heard_s))
+    return Received(to_ns(true_s), remote_ns % wrap_ns if wrap_ns else remote_ns, to_ns(received_at_s))
 
 
-def follow(clock: ClockMap, heard: Heard) -> list[Stamp]:
-    return [clock.stamp(int(r), MonoNs(int(h))) for r, h in zip(heard.remote_ns, heard.heard_ns, strict=True)]
+def follow(clock: ClockMap, received: Received) -> list[Stamp]:
+    return [clock.stamp(int(r), MonoNs(int(h))) for r, h in zip(received.remote_ns, received.received_at_ns, strict=True)]
 
 
 @settings(deadline=None, max_examples=25)
@@ -54,26 +54,26 @@ def test_simulated_jitter_drift_and_stalls(
 ) -> None:
     """Through a wrap at 18 s: in order, never after hearing, within the sigma claimed, and that sigma within milliseconds."""
     clock = ClockMap(ClockMapOptions(wrap_ns=wrap_ns, floor_s=FLOOR_S, floor_sigma_s=0.0005))
-    heard = simulate(seed, rate_hz=rate_hz, drift_ppm=drift_ppm, jitter_s=jitter_s, wrap_ns=wrap_ns)
-    stamps = follow(clock, heard)
-    taken = np.array([s.taken for s in stamps])
+    received = simulate(seed, rate_hz=rate_hz, drift_ppm=drift_ppm, jitter_s=jitter_s, wrap_ns=wrap_ns)
+    stamps = follow(clock, received)
+    measured_at = np.array([s.measured_at for s in stamps])
     sigma_s = np.array([s.sigma_s for s in stamps])
-    error_s = (taken - heard.true_ns) / S
-    assert np.all(np.diff(taken) >= 0)
-    assert np.all(taken <= heard.heard_ns)
+    error_s = (measured_at - received.true_ns) / S
+    assert np.all(np.diff(measured_at) >= 0)
+    assert np.all(measured_at <= received.received_at_ns)
     assert clock.restarts == 0
     assert np.mean(np.abs(error_s) < 2 * sigma_s) > 0.95
     assert np.all(np.abs(error_s) < 5 * sigma_s)
-    settled = slice(len(taken) // 4, None)
+    settled = slice(len(measured_at) // 4, None)
     assert np.abs(error_s[settled]).max() < 0.4 * jitter_s + 1.2e-3
     assert np.median(sigma_s[settled]) < 2e-3
 
 
 def test_steps_between_stamps_follow_the_remote_clock_not_the_arrival() -> None:
-    heard = simulate(5, rate_hz=200.0, drift_ppm=0.0, jitter_s=0.003, wrap_ns=None)
-    stamps = follow(ClockMap(ClockMapOptions(floor_s=FLOOR_S)), heard)
-    steps_s = np.diff([s.taken for s in stamps])[2000:] / S
-    arrivals_s = np.diff(heard.heard_ns)[2000:] / S
+    received = simulate(5, rate_hz=200.0, drift_ppm=0.0, jitter_s=0.003, wrap_ns=None)
+    stamps = follow(ClockMap(ClockMapOptions(floor_s=FLOOR_S)), received)
+    steps_s = np.diff([s.measured_at for s in stamps])[2000:] / S
+    arrivals_s = np.diff(received.received_at_ns)[2000:] / S
     assert steps_s.std() < 0.02 * arrivals_s.std()
 
 
@@ -88,9 +88,9 @@ def test_a_clock_set_anew_is_noticed_at_once(before_s: float, after_s: float, aw
     last = steady(clock, before_s, 50.0, 5.0)[-1]
     stamps = steady(clock, after_s, 55.0 + away_s, 2.0)
     assert clock.restarts == 1
-    assert stamps[0].taken >= last.taken
-    assert abs(stamps[0].taken - (55.0 + away_s) * S) < 5 * stamps[0].sigma_s * S
-    assert abs(stamps[-1].taken - (55.0 + away_s + 1.995) * S) < 1e-3 * S
+    assert stamps[0].measured_at >= last.measured_at
+    assert abs(stamps[0].measured_at - (55.0 + away_s) * S) < 5 * stamps[0].sigma_s * S
+    assert abs(stamps[-1].measured_at - (55.0 + away_s + 1.995) * S) < 1e-3 * S
 
 
 def test_a_wrap_after_a_long_silence_is_not_a_restart() -> None:
@@ -105,10 +105,10 @@ def test_a_longer_way_is_believed_after_the_window() -> None:
     clock = ClockMap(ClockMapOptions(window_s=2.0, floor_s=0.002))
     steady(clock, 0.0, 10.0, 3.0, delay_s=0.002)
     stamps = steady(clock, 3.0, 13.0, 5.0, delay_s=0.012)
-    late_s = [(s.taken - round((13.0 + 0.005 * k) * S)) / S for k, s in enumerate(stamps)]
+    late_s = [(s.measured_at - round((13.0 + 0.005 * k) * S)) / S for k, s in enumerate(stamps)]
     assert late_s[10] == pytest.approx(0.0, abs=5e-4)
     assert late_s[-1] == pytest.approx(0.010, abs=5e-4)
-    assert sorted(s.taken for s in stamps) == [s.taken for s in stamps]
+    assert sorted(s.measured_at for s in stamps) == [s.measured_at for s in stamps]
 
 
 def test_a_beginning_in_a_jam_is_not_claimed_to_be_exact() -> None:
@@ -117,36 +117,36 @@ def test_a_beginning_in_a_jam_is_not_claimed_to_be_exact() -> None:
     true_s = np.arange(0.0, 3.0, 0.01)
     delay_s = 0.002 + np.maximum(0.0, 0.4 - 0.8 * true_s)
     stamps = [clock.stamp(round(t * S), MonoNs(round((50.0 + t + d) * S))) for t, d in zip(true_s, delay_s, strict=True)]
-    error_s = np.array([s.taken / S - 50.0 for s in stamps]) - true_s
+    error_s = np.array([s.measured_at / S - 50.0 for s in stamps]) - true_s
     sigma_s = np.array([s.sigma_s for s in stamps])
     assert np.all(np.abs(error_s[10:]) < 5 * sigma_s[10:])
     assert abs(error_s[-1]) < 5e-4
-    assert np.all(np.diff([s.taken for s in stamps]) >= 0)
+    assert np.all(np.diff([s.measured_at for s in stamps]) >= 0)
 
 
 def test_one_late_and_old_message_does_not_turn_time_back_for_others() -> None:
     clock = ClockMap(ClockMapOptions())
     stamps = steady(clock, 0.0, 10.0, 1.0)
-    old = clock.stamp(round(0.9 * S), MonoNs(stamps[-1].heard + 1000))
-    assert old.taken <= stamps[-1].taken
+    old = clock.stamp(round(0.9 * S), MonoNs(stamps[-1].received_at + 1000))
+    assert old.measured_at <= stamps[-1].measured_at
     assert clock.restarts == 0
-    assert clock.stamp(round(1.0 * S), MonoNs(stamps[-1].heard + 5_000_000)).taken >= stamps[-1].taken
+    assert clock.stamp(round(1.0 * S), MonoNs(stamps[-1].received_at + 5_000_000)).measured_at >= stamps[-1].measured_at
 
 
 def test_reset_keeps_the_order() -> None:
     clock = ClockMap(ClockMapOptions())
     last = steady(clock, 0.0, 10.0, 1.0)[-1]
     clock.reset()
-    assert clock.stamp(77 * S, MonoNs(last.heard + 1)).taken >= last.taken
+    assert clock.stamp(77 * S, MonoNs(last.received_at + 1)).measured_at >= last.measured_at
 
 
 @settings(deadline=None, max_examples=100)
 @given(st.lists(st.tuples(st.integers(-(2**70), 2**70), st.integers(0, 2**50)), max_size=40), st.sampled_from([None, 2048 * S]))
 def test_any_counter_gives_a_stamp_in_order_of_hearing(messages: list[tuple[int, int]], wrap_ns: int | None) -> None:
     clock = ClockMap(ClockMapOptions(wrap_ns=wrap_ns))
-    for remote, heard in messages:
-        stamp = clock.stamp(remote, MonoNs(heard))
-        assert stamp.taken <= stamp.heard
+    for remote, received_at in messages:
+        stamp = clock.stamp(remote, MonoNs(received_at))
+        assert stamp.measured_at <= stamp.received_at
         assert 0 <= stamp.sigma_s < 1
 
 

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers import images
-from drivers.images import MOST_PIXELS, ImageRefused, claimed_size, decode
+from drivers.camera import images
+from drivers.camera.images import MOST_PIXELS, ImageRefused, claimed_size, decode
+from drivers.camera.v4l2_formats import H264Decoder, Layout, to_bgr
+from drivers.camera.videos import open_video
 from drivers.imports import video
-from drivers.v4l2_formats import H264Decoder, Layout, to_bgr
-from drivers.videos import open_video
 from estimator.contracts.errors import BadInput
-from tests.images import claiming, encoded
+from sitl.testing.image_files import claiming, encoded
 
 FORMATS = [".jpg", ".png", ".bmp", ".tif", ".webp", ".ppm"]
 

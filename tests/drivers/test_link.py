@@ -19,7 +19,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
-from tests.drivers.fake_ardrone import HOST, FakeArDrone, until
+from sitl.testing.fake_ardrone import HOST, FakeArDrone, until
 from tests.drivers.test_video import clip
 
 FORWARD = Velocity(np.array([0.4, 0.0, 0.0]), 0.0)
@@ -87,8 +87,8 @@ async def test_samples_flow_with_stamps_on_our_clock() -> None:
             await drone.samples.get()
         imus = [s for s in [await drone.samples.get() for _ in range(40)] if isinstance(s, Imu)]
         assert all(s.stamp.source == "synced" for s in imus)
-        assert abs(imus[-1].stamp.taken - before) < 1e9
-        steps_ms = np.diff([s.stamp.taken for s in imus]) * 1e-6
+        assert abs(imus[-1].stamp.measured_at - before) < 1e9
+        steps_ms = np.diff([s.stamp.measured_at for s in imus]) * 1e-6
         assert np.all(steps_ms >= 0)
 
 
@@ -127,7 +127,7 @@ async def test_a_frame_is_heard_with_its_first_byte() -> None:
         await until(lambda: drone.ready)
         await drone.frames.get()
         frame = await drone.frames.get()
-        assert (SystemClock().now() - frame.stamp.heard) * 1e-9 > 0.05
+        assert (SystemClock().now() - frame.stamp.received_at) * 1e-9 > 0.05
 
 
 async def test_take_off_velocity_hover_land() -> None:
@@ -211,7 +211,7 @@ async def test_a_mistake_of_ours_ends_the_link_loudly(monkeypatch: pytest.Monkey
     async def fly() -> None:
         async with linked(fake) as drone:
             await until(lambda: drone.ready)
-            monkeypatch.setattr("drivers.ardrone.helm.Helm.word", mistaken)
+            monkeypatch.setattr("drivers.ardrone.command_streamer.CommandStreamer.word", mistaken)
             await asyncio.sleep(5)
 
     with pytest.raises(ExceptionGroup) as caught:
@@ -274,8 +274,8 @@ async def test_silent_navdata_is_asked_for_again_and_commands_go_on() -> None:
         assert drone.counters.navdata_silences >= 2
         assert len(fake.commands) > sent + 20, "the keep-alive does not wait for navdata"
         fake.silent = False
-        heard = drone.counters.samples
-        await until(lambda: drone.counters.samples > heard)
+        received_at = drone.counters.samples
+        await until(lambda: drone.counters.samples > received_at)
 
 
 async def test_order_loss_and_damage_of_navdata_are_counted() -> None:

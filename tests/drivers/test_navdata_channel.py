@@ -23,7 +23,7 @@ class Ear:
         self.counters = Counters()
         self.channel = NavdataChannel(ArDroneOptions(), SystemClock(), self.counters, self._received, self._restarted)
 
-    def _received(self, navdata: nd.Navdata, samples: list[Sample], heard: MonoNs) -> None:
+    def _received(self, navdata: nd.Navdata, samples: list[Sample], received_at: MonoNs) -> None:
         self.sequences.append(navdata.sequence)
         self.samples += samples
 
@@ -54,18 +54,18 @@ def test_a_sequence_that_begins_anew_is_a_restart(ear: Ear, last: int, anew: int
     assert ear.sequences == [last, anew]
     assert (ear.counters.navdata_restarts, ear.restarts) == (1, 1)
     stamp = ear.samples[-1].stamp
-    assert stamp.heard - stamp.taken < 5_000_000, "the new clock is not read by the old map"
+    assert stamp.received_at - stamp.measured_at < 5_000_000, "the new clock is not read by the old map"
 
 
 def test_without_a_clock_the_stamp_says_so(ear: Ear) -> None:
     ear.hears(1, None, 1000)
     stamp = ear.samples[0].stamp
     assert (stamp.source, stamp.sigma_s) == ("arrival", ArDroneOptions().arrival_sigma_s)
-    assert stamp.taken < stamp.heard
+    assert stamp.measured_at < stamp.received_at
 
 
 def test_bootstrap_has_no_samples_but_is_heard(ear: Ear) -> None:
     ear.channel.take(nd.encode(nd.Navdata.of(nd.State.NAVDATA_BOOTSTRAP, 1)), MonoNs(5))
     assert ear.sequences == [1]
     assert ear.samples == []
-    assert ear.channel.heard == 5
+    assert ear.channel.received_at == 5

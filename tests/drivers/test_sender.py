@@ -28,7 +28,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import TakeOff
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs, after
-from tests.drivers.fake_ardrone import HOST, FakeArDrone, until
+from sitl.testing.fake_ardrone import HOST, FakeArDrone, until
 from tests.drivers.test_link import steer
 
 CLOCK = SystemClock()
@@ -228,9 +228,9 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> Non
             drone.settimeout(60.0)
             flies()
             gate = at.SequenceGate()
-            while (heard := at.decode(drone.recv(2048)))[-1][1] != AHEAD:
-                assert all(gate.accepts(number) for number, _ in heard)
-            assert all(gate.accepts(number) for number, _ in heard)
+            while (received_at := at.decode(drone.recv(2048)))[-1][1] != AHEAD:
+                assert all(gate.accepts(number) for number, _ in received_at)
+            assert all(gate.accepts(number) for number, _ in received_at)
         finally:
             client.end(Word(CLOCK.now(), HOVER))
 

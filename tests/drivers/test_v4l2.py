@@ -22,22 +22,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from drivers.camera.v4l2 import V4l2Channel, stamp_of
+from drivers.camera.v4l2_device import Buffer
+from drivers.camera.v4l2_formats import H264Decoder, Layout, stands_alone, to_bgr
+from drivers.camera.v4l2_names import Found, cameras, find
+from drivers.camera.video_source import Camera, CameraLost
+from drivers.camera.video_source_options import CameraCounters, SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
-from drivers.v4l2 import V4l2Channel, stamp_of
-from drivers.v4l2_device import Buffer
-from drivers.v4l2_formats import H264Decoder, Layout, stands_alone, to_bgr
-from drivers.v4l2_names import Found, cameras, find
-from drivers.video_source import Camera, CameraLost
-from drivers.video_source_options import CameraCounters, Patience, V4l2Options
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
-from tests.images import claiming, encoded
+from sitl.testing.image_files import claiming, encoded
 
 W, H = 64, 48
 CLOCK = SystemClock()
 
 
-def picture(shift: int = 0) -> NDArray[np.uint8]:
+def image(shift: int = 0) -> NDArray[np.uint8]:
     """Four flat patches of different colours, so that a swapped plane or channel shows."""
     px = np.empty((H, W, 3), np.uint8)
     for i, colour in enumerate([(200, 60, 40), (40, 190, 60), (60, 40, 210), (128, 128, 128)]):
@@ -52,14 +52,14 @@ def h264(n: int) -> list[bytes]:
     codec.options = {"preset": "ultrafast", "tune": "zerolatency", "g": "1000", "x264-params": "repeat-headers=1"}
     units = []
     for i in range(n):
-        frame = av.VideoFrame.from_ndarray(picture(4 * i), format="bgr24")
+        frame = av.VideoFrame.from_ndarray(image(4 * i), format="bgr24")
         frame.pts = i
         units += [bytes(p) for p in codec.encode(frame)]
     return units
 
 
 def options(**more: Any) -> V4l2Options:
-    return V4l2Options(**({"device": os.devnull, "width": W, "height": H, "patience": Patience(1.0, 0.01, 0.02)} | more))
+    return V4l2Options(**({"device": os.devnull, "width": W, "height": H, "timeouts": SourceTimeouts(1.0, 0.01, 0.02)} | more))
 
 
 class FakeDevice:
@@ -101,7 +101,7 @@ class FakeDevice:
 
 
 def yuyv(shift: int = 0) -> bytes:
-    yuv = cv2.cvtColor(picture(shift), cv2.COLOR_BGR2YUV_YUY2)
+    yuv = cv2.cvtColor(image(shift), cv2.COLOR_BGR2YUV_YUY2)
     return yuv.tobytes()
 
 
@@ -190,7 +190,7 @@ async def test_silence_ends_the_run() -> None:
     async def story() -> None:
         return
 
-    assert await run(Camera(), FakeDevice(), story, patience=Patience(0.05, 0.01, 0.01)) == "silent"
+    assert await run(Camera(), FakeDevice(), story, timeouts=SourceTimeouts(0.05, 0.01, 0.01)) == "silent"
 
 
 async def test_cancelled_at_any_time_it_closes_the_device() -> None:
@@ -214,7 +214,7 @@ async def test_cancelled_at_any_time_it_closes_the_device() -> None:
 
 
 @pytest.mark.parametrize("damage", ["gap", "error", "garbage"])
-async def test_h264_waits_for_a_picture_that_stands_alone_after_any_damage(damage: str) -> None:
+async def test_h264_waits_for_a_image_that_stands_alone_after_any_damage(damage: str) -> None:
     units = h264(6)
     camera, device = Camera(), FakeDevice("H264", 0)
     assert [stands_alone(u) for u in units] == [True] + [False] * 5
@@ -242,9 +242,9 @@ async def test_h264_waits_for_a_picture_that_stands_alone_after_any_damage(damag
 
 
 @pytest.mark.parametrize("form", ["YUYV", "NV12", "GREY", "MJPG", "H264"])
-def test_formats_come_out_as_the_picture_that_went_in(form: str) -> None:
-    px = picture()
-    pad = 8  # bytes at the end of each line that are not of the picture
+def test_formats_come_out_as_the_image_that_went_in(form: str) -> None:
+    px = image()
+    pad = 8  # bytes at the end of each line that are not of the frame
     if form == "YUYV":
         lines = cv2.cvtColor(px, cv2.COLOR_BGR2YUV_YUY2).reshape(H, 2 * W)
     elif form == "NV12":
@@ -267,7 +267,7 @@ def test_formats_come_out_as_the_picture_that_went_in(form: str) -> None:
 
 def test_a_webcams_jpeg_without_huffman_tables_is_read() -> None:
     """UVC cameras leave the standard tables out (RFC 2435 section 3.1.1 does the same)."""
-    data = cv2.imencode(".jpg", picture())[1].tobytes()
+    data = cv2.imencode(".jpg", image())[1].tobytes()
     out, at = b"\xff\xd8", 2
     while data[at + 1] != 0xDA:
         size = 2 + int.from_bytes(data[at + 2 : at + 4], "big")
@@ -277,14 +277,14 @@ def test_a_webcams_jpeg_without_huffman_tables_is_read() -> None:
     assert b"\xff\xc4" not in bare
     px = to_bgr(bare, Layout("MJPG", W, H, 0))
     assert px is not None
-    assert np.median(np.abs(px.astype(int) - picture())) <= 6
+    assert np.median(np.abs(px.astype(int) - image())) <= 6
 
 
 @given(form=st.sampled_from(["YUYV", "NV12", "GREY", "MJPG"]), data=st.binary(max_size=3 * W * H), cut=st.integers(0, 3000))
 @settings(deadline=None, max_examples=60)
 def test_torn_bytes_are_refused_and_never_raise(form: str, data: bytes, cut: int) -> None:
     layout = Layout(form, W, H, 2 * W if form == "YUYV" else W)
-    jpeg = cv2.imencode(".jpg", picture())[1].tobytes()
+    jpeg = cv2.imencode(".jpg", image())[1].tobytes()
     for bad in (data, jpeg[: min(cut, len(jpeg) - 3)]):
         out = to_bgr(bad, layout)
         assert out is None or out.shape == (H, W, 3)
@@ -296,13 +296,13 @@ def test_torn_bytes_are_refused_and_never_raise(form: str, data: bytes, cut: int
 
 def test_the_stamp_is_the_middle_of_the_exposure() -> None:
     o = options(latency_s=0.004, latency_sigma_s=0.002, rate_hz=50.0)
-    heard, stamped = MonoNs(10_000_000_000), 9_980_000_000
-    at_end, refused = stamp_of(Buffer(b"", 0, stamped, True, False, False), heard, o, 0.006)
-    assert (at_end.taken, at_end.source, refused) == (9_980_000_000 - 3_000_000 - 4_000_000, "kernel", False)
+    received_at, stamped = MonoNs(10_000_000_000), 9_980_000_000
+    at_end, refused = stamp_of(Buffer(b"", 0, stamped, True, False, False), received_at, o, 0.006)
+    assert (at_end.measured_at, at_end.source, refused) == (9_980_000_000 - 3_000_000 - 4_000_000, "kernel", False)
     assert at_end.sigma_s == pytest.approx(0.002)
-    at_start, _ = stamp_of(Buffer(b"", 0, stamped, True, True, False), heard, o, 0.006)
-    assert at_start.taken == 9_980_000_000 + 3_000_000 - 4_000_000
-    unknown, _ = stamp_of(Buffer(b"", 0, stamped, True, False, False), heard, o, 0.0)
+    at_start, _ = stamp_of(Buffer(b"", 0, stamped, True, True, False), received_at, o, 0.006)
+    assert at_start.measured_at == 9_980_000_000 + 3_000_000 - 4_000_000
+    unknown, _ = stamp_of(Buffer(b"", 0, stamped, True, False, False), received_at, o, 0.0)
     assert unknown.sigma_s > 0.005
 
 
@@ -311,10 +311,10 @@ def test_the_stamp_is_the_middle_of_the_exposure() -> None:
 def test_no_kernel_stamp_whatever_makes_an_impossible_one(
     stamp_ns: int, monotonic: bool, at_start: bool, latency_s: float
 ) -> None:
-    heard = MonoNs(5_000_000_000)
+    received_at = MonoNs(5_000_000_000)
     o = options(latency_s=latency_s)
-    stamp, refused = stamp_of(Buffer(b"", 0, stamp_ns, monotonic, at_start, False), heard, o, 0.004)
-    assert stamp.heard == heard
+    stamp, refused = stamp_of(Buffer(b"", 0, stamp_ns, monotonic, at_start, False), received_at, o, 0.004)
+    assert stamp.received_at == received_at
     assert (stamp.source == "kernel") == (monotonic and not refused)
     if not 3_000_000_000 <= stamp_ns <= 5_005_000_000:
         assert stamp.source == "arrival"
@@ -362,5 +362,5 @@ def test_options_refuse_what_cannot_be() -> None:
         {"buffers": 1},
         {"device": ""},
     ):
-        with pytest.raises(ValueError, match=next(iter(wrong)) if "width" not in wrong else "picture"):
+        with pytest.raises(ValueError, match=next(iter(wrong)) if "width" not in wrong else "frame"):
             options(**wrong)

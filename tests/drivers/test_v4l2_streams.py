@@ -14,9 +14,9 @@ import av
 import numpy as np
 import pytest
 
+from drivers.camera.video_source import CameraLost, open_camera
+from drivers.camera.video_source_options import SourceTimeouts, StreamOptions, V4l2Options
 from drivers.clock import SystemClock
-from drivers.video_source import CameraLost, open_camera
-from drivers.video_source_options import Patience, StreamOptions, V4l2Options
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
 
@@ -25,7 +25,7 @@ CLOCK = SystemClock()
 
 
 def write(path: str, n: int, form: str | None = None, stop: threading.Event | None = None) -> None:
-    """`n` pictures, each one grey level brighter than the last; at their own speed while `stop` is given."""
+    """`n` frames, each one grey level brighter than the last; at their own speed while `stop` is given."""
     with av.open(path, "w", format=form) as out:
         stream = out.add_stream("libx264", rate=RATE, options={"preset": "ultrafast", "tune": "zerolatency", "g": "10"})
         stream.width, stream.height, stream.pix_fmt, stream.time_base = W, H, "yuv420p", Fraction(1, RATE)
@@ -56,8 +56,10 @@ async def test_a_file_is_played_at_its_own_speed_to_its_end(tmp_path: Path) -> N
     assert [f.seq for f in frames] == sorted({f.seq for f in frames})
     assert frames[-1].seq == 19
     last, first = frames[-1], frames[0]
-    assert (last.stamp.taken - first.stamp.taken) * 1e-9 == pytest.approx((last.seq - first.seq) / RATE, abs=1e-4)
-    assert last.stamp.heard - first.stamp.heard > last.stamp.taken - first.stamp.taken - 0.1e9, "a busy machine is only later"
+    assert (last.stamp.measured_at - first.stamp.measured_at) * 1e-9 == pytest.approx((last.seq - first.seq) / RATE, abs=1e-4)
+    assert last.stamp.received_at - first.stamp.received_at > last.stamp.measured_at - first.stamp.measured_at - 0.1e9, (
+        "a busy machine is only later"
+    )
     assert abs(int(last.px.mean()) - (30 + 3 * 19)) <= 3
     assert camera.counters.restarts == {}
 
@@ -83,7 +85,7 @@ async def test_a_live_stream_is_stamped_by_its_own_clock_and_comes_back() -> Non
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     url = f"udp://127.0.0.1:{port}"
-    options = StreamOptions(url, latency_s=0.01, patience=Patience(1.0, 0.05, 0.1))
+    options = StreamOptions(url, latency_s=0.01, timeouts=SourceTimeouts(1.0, 0.05, 0.1))
 
     def send(stop: threading.Event) -> threading.Thread:
         thread = threading.Thread(target=write, args=(f"{url}?pkt_size=1316", 1000, "mpegts", stop))
@@ -100,15 +102,15 @@ async def test_a_live_stream_is_stamped_by_its_own_clock_and_comes_back() -> Non
                 stop.set()
                 await asyncio.to_thread(thread.join)
             assert frames[-1].stamp.source == "synced"
-            assert all(f.stamp.taken < f.stamp.heard for f in frames)
-            steps = np.diff([f.stamp.taken for f in frames[5:]]) * 1e-9 / np.diff([f.seq for f in frames[5:]])
+            assert all(f.stamp.measured_at < f.stamp.received_at for f in frames)
+            steps = np.diff([f.stamp.measured_at for f in frames[5:]]) * 1e-9 / np.diff([f.seq for f in frames[5:]])
             assert np.median(steps) == pytest.approx(1 / RATE, rel=0.1)
             await until(lambda: camera.down is not None)
         assert sum(camera.counters.restarts.values()) >= 1
 
 
 async def test_a_camera_that_is_not_there_is_waited_for() -> None:
-    options = V4l2Options("/dev/v4l/by-id/no-such-camera", W, H, patience=Patience(1.0, 0.01, 0.02))
+    options = V4l2Options("/dev/v4l/by-id/no-such-camera", W, H, timeouts=SourceTimeouts(1.0, 0.01, 0.02))
     async with asyncio.timeout(60), open_camera(options, CLOCK) as camera:
         await until(lambda: camera.counters.restarts["absent"] >= 3)
         assert camera.down is not None

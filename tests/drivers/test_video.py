@@ -19,13 +19,13 @@ GOP = 5
 
 @cache
 def clip(n: int = 16) -> tuple[tuple[PaveFrame, ...], NDArray[np.uint8]]:
-    """Units of a moving pattern with an IDR every `GOP` frames, and the pictures that went in."""
+    """Units of a moving pattern with an IDR every `GOP` frames, and the frames that went in."""
     codec = av.CodecContext.create("libx264", "w")
     codec.width, codec.height, codec.pix_fmt, codec.framerate = 640, 360, "yuv420p", 30
     codec.gop_size, codec.max_b_frames, codec.thread_count = GOP, 0, 1
     codec.options = {"preset": "ultrafast", "tune": "zerolatency", "profile": "baseline", "sc_threshold": "0", "qp": "12"}
     y, x = np.mgrid[0:360, 0:640]
-    units, pictures = [], []
+    units, images = [], []
     for k in range(n):
         px = np.stack([128 + 80 * np.sin((x + 9 * k) / 25), 128 + 80 * np.cos((y - 5 * k) / 30), 0.3 * x], axis=2).astype(
             np.uint8
@@ -33,13 +33,13 @@ def clip(n: int = 16) -> tuple[tuple[PaveFrame, ...], NDArray[np.uint8]]:
         (packet,) = codec.encode(av.VideoFrame.from_ndarray(px, format="bgr24"))
         kind = FrameType.IDR if packet.is_keyframe else FrameType.P
         units.append(PaveFrame(PaveHeader(packet.size, k, 33 * k, kind), bytes(packet), False))
-        pictures.append(px)
+        images.append(px)
     assert [u.header.frame_type == FrameType.IDR for u in units] == [k % GOP == 0 for k in range(n)]
-    return tuple(units), np.array(pictures)
+    return tuple(units), np.array(images)
 
 
 def one_by_one(decoder: VideoDecoder, units: list[PaveFrame]) -> list[int]:
-    """Indices of the units that gave a picture."""
+    """Indices of the units that gave a frame."""
     return [k for k, u in enumerate(units) if decoder.newest([u]) is not None]
 
 
@@ -50,15 +50,15 @@ def one_by_one(decoder: VideoDecoder, units: list[PaveFrame]) -> list[int]:
 def test_every_decodable_frame_of_the_captures(name: str, decodable: range) -> None:
     units = frames_of(name)
     decoder = VideoDecoder()
-    pictures = [decoder.newest([u]) for u in units]
-    assert [k for k, p in enumerate(pictures) if p is not None] == list(decodable)
-    assert {p.px.shape for p in pictures if p is not None} == {(360, 640, 3)}
-    assert all(p.px.std() > 10 for p in pictures if p is not None), "a flat picture is no picture of a room"
-    assert (decoder.pictures, decoder.waiting, decoder.damaged) == (len(decodable), len(units) - len(decodable), 0)
+    images = [decoder.newest([u]) for u in units]
+    assert [k for k, p in enumerate(images) if p is not None] == list(decodable)
+    assert {p.px.shape for p in images if p is not None} == {(360, 640, 3)}
+    assert all(p.px.std() > 10 for p in images if p is not None), "a flat frame is no frame of a room"
+    assert (decoder.images, decoder.waiting, decoder.damaged) == (len(decodable), len(units) - len(decodable), 0)
 
 
 @needs_captures
-def test_a_batch_gives_the_same_newest_picture_as_one_by_one() -> None:
+def test_a_batch_gives_the_same_newest_image_as_one_by_one() -> None:
     units = frames_of("video_56_frames.pave")
     decoder = VideoDecoder()
     for u in units[:-1]:
@@ -70,16 +70,16 @@ def test_a_batch_gives_the_same_newest_picture_as_one_by_one() -> None:
     assert jump is not None
     assert jump.index == 55
     np.testing.assert_array_equal(jump.px, last.px)
-    assert (batch.pictures, batch.overtaken) == (1, 55)
+    assert (batch.images, batch.overtaken) == (1, 55)
 
 
-def test_pictures_are_those_that_went_in_colours_and_all() -> None:
-    units, pictures = clip()
+def test_images_are_those_that_went_in_colours_and_all() -> None:
+    units, images = clip()
     decoder = VideoDecoder()
-    for u, px in zip(units, pictures, strict=True):
-        picture = decoder.newest([u])
-        assert picture is not None
-        difference = picture.px.astype(int) - px
+    for u, px in zip(units, images, strict=True):
+        image = decoder.newest([u])
+        assert image is not None
+        difference = image.px.astype(int) - px
         assert np.abs(difference).mean() < 4
         assert np.abs(difference.mean(axis=(0, 1))).max() < 4, "blue, green and red in their places"
 
@@ -117,12 +117,12 @@ def test_after_damage_everything_is_dropped_to_the_next_idr() -> None:
 def test_damage_before_an_idr_in_one_batch_does_no_harm() -> None:
     units = list(clip()[0])
     units[3] = replace(units[3], payload=b"\0\0\0\1garbage")
-    picture = VideoDecoder().newest(units)
-    assert picture is not None
-    assert picture.index == 15
+    image = VideoDecoder().newest(units)
+    assert image is not None
+    assert image.index == 15
 
 
-def test_a_picture_that_is_not_as_its_header_says_is_refused() -> None:
+def test_a_image_that_is_not_as_its_header_says_is_refused() -> None:
     unit = clip()[0][0]
     decoder = VideoDecoder()
     assert decoder.newest([replace(unit, header=replace(unit.header, display_width=1280, display_height=720))]) is None
@@ -168,7 +168,7 @@ def test_anything_in_any_order_never_raises_and_is_counted_once(story: list[tupl
     decoder = VideoDecoder()
     given_out = sum(decoder.newest(units[k : k + batch]) is not None for k in range(0, len(units), batch))
     assert decoder.units == len(units)
-    assert decoder.pictures == given_out
-    picture = decoder.newest([clip()[0][0]])
-    assert picture is not None, "a whole IDR always decodes"
-    np.testing.assert_allclose(picture.px.astype(int), clip()[1][0], atol=60)
+    assert decoder.images == given_out
+    image = decoder.newest([clip()[0][0]])
+    assert image is not None, "a whole IDR always decodes"
+    np.testing.assert_allclose(image.px.astype(int), clip()[1][0], atol=60)

@@ -23,8 +23,8 @@ def ns(seconds: float) -> MonoNs:
     return MonoNs(round(seconds * 1e9))
 
 
-def stamp(taken_s: float, heard_s: float | None = None) -> Stamp:
-    return Stamp(ns(taken_s), ns(taken_s if heard_s is None else heard_s), 1e-3, "sim")
+def stamp(measured_at_s: float, received_at_s: float | None = None) -> Stamp:
+    return Stamp(ns(measured_at_s), ns(measured_at_s if received_at_s is None else received_at_s), 1e-3, "sim")
 
 
 def attitude(t, yaw=0.0, roll=0.0, pitch=0.0):
@@ -44,10 +44,10 @@ def pushed(*a_body):
     return G + np.array(a_body)
 
 
-def sighting(t, d, yaw=0.0, heard=None, ambiguous=False, sigma=0.01):
+def sighting(t, d, yaw=0.0, received_at=None, ambiguous=False, sigma=0.01):
     yaw_var = UNKNOWN_YAW_VAR if yaw is None else 1e-3
     cov = np.diag([sigma**2] * 3 + [yaw_var])
-    return Sighting(stamp(t, heard), 0, "selected", np.array(d, float), yaw, ambiguous, cov, 0.9)
+    return Sighting(stamp(t, received_at), 0, "selected", np.array(d, float), yaw, ambiguous, cov, 0.9)
 
 
 def feed(events, options=None, state=None):
@@ -121,11 +121,11 @@ def test_heading_passes_the_limit_of_its_range():
     st.floats(0.02, 0.9),
 )
 def test_a_late_sighting_ends_where_a_prompt_one_does(v, yaw_rate, delay):
-    seen = sighting(0.5, [0.7, -0.4, 2.2], yaw=0.3, heard=0.5 + delay)
+    seen = sighting(0.5, [0.7, -0.4, 2.2], yaw=0.3, received_at=0.5 + delay)
     events = path(1.5, 50, v, yaw_rate)
-    prompt = [e for e in events if e.stamp.taken <= seen.stamp.taken]
-    after = [e for e in events if e.stamp.taken > seen.stamp.taken]
-    before_heard = [e for e in after if e.stamp.taken <= seen.stamp.heard]
+    prompt = [e for e in events if e.stamp.measured_at <= seen.stamp.measured_at]
+    after = [e for e in events if e.stamp.measured_at > seen.stamp.measured_at]
+    before_heard = [e for e in after if e.stamp.measured_at <= seen.stamp.received_at]
     rest = after[len(before_heard) :]
     a = dr.at(feed([*prompt, seen, *after])[0], ns(1.5))
     b = dr.at(feed([*prompt, *before_heard, seen, *rest])[0], ns(1.5))
@@ -219,10 +219,10 @@ def test_a_velocity_that_stops_coming_is_not_flown_on_for_ever():
 
 def test_a_sighting_older_than_the_history_or_the_last_is_refused():
     state, _ = feed(path(4.0, 50, [0, 0, 0]))
-    old, verdicts = feed([sighting(1.0, [0, 0, 2], heard=4.0)], state=state)
+    old, verdicts = feed([sighting(1.0, [0, 0, 2], received_at=4.0)], state=state)
     assert verdicts == [Verdict.TOO_OLD]
     assert dr.at(old, ns(4.0)) is None
-    _, verdicts = feed([sighting(3.9, [0, 0, 2]), sighting(3.8, [1, 1, 2], heard=4.0)], state=state)
+    _, verdicts = feed([sighting(3.9, [0, 0, 2]), sighting(3.8, [1, 1, 2], received_at=4.0)], state=state)
     assert verdicts == [Verdict.FUSED, Verdict.TOO_OLD]
 
 
@@ -235,7 +235,7 @@ def test_vertical_velocity_comes_from_sightings_despite_an_accelerometer_bias():
         events += [attitude(t), imu(t, pushed(0, 0, 0.7)), velocity(t, [0, 0, 0], V_COV_NO_VERTICAL)]
         if i % 7 == 0 and i > 20:
             z = 4.0 - 0.3 * (t - 0.1)
-            events.append(sighting(t - 0.1, [0, 0, z + rng.normal(0, 0.005)], heard=t, sigma=0.005))
+            events.append(sighting(t - 0.1, [0, 0, z + rng.normal(0, 0.005)], received_at=t, sigma=0.005))
     state, _ = feed(events)
     r = dr.at(state, ns(8.0))
     assert r.height_m == pytest.approx(4.0 - 0.3 * 8.0, abs=0.03)
@@ -275,7 +275,7 @@ def test_whatever_comes_the_covariance_stays_one_and_grows_without_sightings(scr
             "a": lambda t=t, x=x: attitude(t, x[0], 0.1 * x[1], 0.1 * x[2]),
             "i": lambda t=t, x=x: imu(t, G + np.array(x)),
             "v": lambda t=t, x=x: velocity(t, x, V_COV_NO_VERTICAL),
-            "s": lambda t=t, x=x, late=late: sighting(t - late, [x[0], x[1], 3.1 + x[2]], yaw=x[0], heard=t),
+            "s": lambda t=t, x=x, late=late: sighting(t - late, [x[0], x[1], 3.1 + x[2]], yaw=x[0], received_at=t),
         }[kind]()
         state, verdict = dr.step(state, event)
         assert (verdict is not None) == (kind == "s")
@@ -314,7 +314,7 @@ def test_a_real_flight_is_carried_over_five_seconds_without_sightings():
     for t in np.arange(13.0, 46.0, 0.1):
         if (t - 13.0) // 5 % 2 == 0:
             d, yaw = truth(t)
-            events.append((t + 0.1, sighting(t, d + rng.normal(0, 0.01, 3), yaw, heard=t + 0.1)))
+            events.append((t + 0.1, sighting(t, d + rng.normal(0, 0.01, 3), yaw, received_at=t + 0.1)))
     events.sort(key=lambda e: e[0])
     state, fresh, old = dr.DeadReckoning.start(), [], []
     for i, (t, event) in enumerate(events):

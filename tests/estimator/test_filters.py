@@ -40,9 +40,9 @@ def test_a_single_outlier_leaves_no_trace():
 def test_a_ramp_comes_out_two_samples_late_and_says_so():
     out = run([0.1 * i for i in range(10)])
     for i, f in enumerate(out):
-        lag = (f.taken - f.holds_at) / TICK
+        lag = (f.measured_at - f.holds_at) / TICK
         assert f.d_body_pad_level[0] == pytest.approx(0.1 * (i - lag), abs=1e-9)
-    assert (out[-1].taken - out[-1].holds_at) / TICK == pytest.approx(GROUP_DELAY_SAMPLES)
+    assert (out[-1].measured_at - out[-1].holds_at) / TICK == pytest.approx(GROUP_DELAY_SAMPLES)
     assert out[0].v_pad_level is None
     assert out[-1].v_pad_level[0] == pytest.approx(0.1 / (TICK * 1e-9))
 
@@ -117,8 +117,8 @@ def test_smooth_gives_a_sighting_of_the_instant_it_holds_for():
         stamp = Stamp(t, MonoNs(t + 50_000_000), 1e-3, "sim")
         raw = Sighting(stamp, i, "selected", np.array([0.1 * i, 0.0, 2.0]), 0.1, False, np.diag([4e-4, 4e-4, 9e-4, 1e-2]), 0.9)
         state, out = smooth(state, raw)
-    assert out.stamp.taken == 3 * TICK
-    assert out.stamp.heard == 5 * TICK + 50_000_000
+    assert out.stamp.measured_at == 3 * TICK
+    assert out.stamp.received_at == 5 * TICK + 50_000_000
     assert out.d_body_pad_level[0] == pytest.approx(0.3)
     assert out.cov[0, 0] == pytest.approx(4e-4 * VARIANCE_RATIO[-1])
 

@@ -12,19 +12,19 @@ import sys
 import tomllib
 from pathlib import Path
 
+from companion.config.settings import load
 from companion.recorder.reading import open_recording
 from companion.recorder.records import TruthRecord
 from companion.replay.engine import Replay
-from companion.replay.keeping import Keeper
+from companion.replay.log_observer import LogObserver
 from companion.replay.pilots import pilot_of
 from companion.report.figures import all_series, error_rows
 from companion.report.flight_log import FlightLog
-from companion.settings import load
 from estimator.contracts.time import MonoNs
 
 HERE = Path(__file__).parent
 FIGURES, REASONS = HERE / "figures.toml", HERE / "REASONS.md"
-RECORDINGS = ("approach", "pictures")
+RECORDINGS = ("approach", "frames")
 Figures = dict[str, dict[str, float]]
 """By path or method: count, lateral_median_m, lateral_p95_m, down_bias_m, down_p95_m, yaw_median_rad, yaw_p95_rad."""
 FIELDS = ("count", "lateral_median_m", "lateral_p95_m", "down_bias_m", "down_p95_m", "yaw_median_rad", "yaw_p95_rad")
@@ -34,14 +34,14 @@ def measured(name: str) -> Figures:
     """Of one golden recording through the shipped settings `sim`, with the recording's own camera and pad."""
     recording = open_recording([HERE / f"{name}.mcap"])
     pilot = pilot_of(recording, load("sim"), None, own_camera=True)
-    keeper = Keeper(FlightLog(name, MonoNs(0), pilot.pad, pilot.camera))
-    for _, event in Replay(recording, pilot, observers=[keeper]).steps():
+    log_observer = LogObserver(FlightLog(name, MonoNs(0), pilot.pad, pilot.camera))
+    for _, event in Replay(recording, pilot, observers=[log_observer]).steps():
         if isinstance(event, TruthRecord):
-            keeper.on_truth(event)
+            log_observer.on_truth(event)
     assert recording.cut == {}
     assert recording.skipped == {}, f"{name}.mcap is no longer understood: {dict(recording.skipped)}"
-    # A handful of pictures says what vision sees in each; what a path makes of five of them says nothing.
-    rows = [row for row in error_rows(keeper.log, all_series(keeper.log)) if not (name == "pictures" and row.is_path)]
+    # A handful of frames says what vision sees in each; what a path makes of five of them says nothing.
+    rows = [row for row in error_rows(log_observer.log, all_series(log_observer.log)) if not (name == "frames" and row.is_path)]
     return {row.name: {field: round(float(getattr(row, field)), 5) for field in FIELDS} for row in rows}
 
 

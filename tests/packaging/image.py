@@ -98,9 +98,9 @@ class Builder:
             made[stage.name] = image
         return image
 
-    def _timed(self, what: str, deed: object) -> None:
+    def _timed(self, what: str, handler: object) -> None:
         began = time.monotonic()
-        deed()  # type: ignore[operator]
+        handler()  # type: ignore[operator]
         self.times.append((what, time.monotonic() - began))
         print(f"{self.times[-1][1]:7.1f} s  {what[:110]}", flush=True)
 

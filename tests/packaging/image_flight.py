@@ -104,12 +104,15 @@ def main(work: Path, config: Path) -> None:
         _until("the health check says yes", lambda: ask(service, service.health, []).returncode == 0, 60, children)
         print(f"image runs as: {ask(service, ['id'], []).stdout.strip()}", flush=True)
         assert ask(service, ["touch", "/usr/x"], []).returncode != 0, "the root can be written to"
-        hear = ["sh", "-c", " ".join([*sub, *ground, "-t", "decklander/v1/sea/state", "-C", "1", "-W", "20"])]
-        heard = ask(broker, hear, [keys])
-        assert "belief" in json.loads(heard.stdout), heard.stderr
+        on_message = ["sh", "-c", " ".join([*sub, *ground, "-t", "decklander/v1/sea/state", "-C", "1", "-W", "20"])]
+        received_at = ask(broker, on_message, [keys])
+        assert "belief" in json.loads(received_at.stdout), received_at.stderr
         _until("it stands on the pad", lambda: '"on_pad":true' in (work / "sim.log").read_text(), LANDED_S, children)
         _until(
-            "the next flight has begun", lambda: json.loads(ask(broker, hear, [keys]).stdout)["vehicle"]["flying"], 60, children
+            "the next flight has begun",
+            lambda: json.loads(ask(broker, on_message, [keys]).stdout)["vehicle"]["flying"],
+            60,
+            children,
         )
         token = (folders["scrape"] / "metrics.token").read_text().strip()
         scraping = urllib.request.Request("http://127.0.0.1:9464/metrics", headers={"Authorization": f"Bearer {token}"})

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from companion.health import Health
+from companion.config.settings import load
+from companion.config.vehicle import ArDroneSettings, endpoints
 from companion.metrics.exposition import families
 from companion.metrics.settings import MetricsSettings
-from companion.settings import load
-from companion.settings_vehicle import ArDroneSettings, endpoints
+from companion.runtime.health import Health
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
 from tests.packaging.image import stages
@@ -79,8 +79,8 @@ def test_the_rig_of_compose_fits_its_services() -> None:
     text = (ROOT / "compose.yaml").read_text()
     services = set(re.findall(r"^  (\w+):$", text, re.MULTILINE))
     assert isinstance(rig.vehicle, ArDroneSettings)
-    (face,) = endpoints(rig.face.links)
-    assert f":{face.port}/udp" in text
+    (bridge,) = endpoints(rig.bridge.links)
+    assert f":{bridge.port}/udp" in text
     assert {rig.vehicle.host, rig.mqtt.host} <= services
     assert rig.metrics.port == MetricsSettings().port
     assert f"daemon:{rig.metrics.port}" in (COMPOSE / "prometheus.yml").read_text()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.settings_keys import CREDENTIAL
+from companion.config.keys import CREDENTIAL
 
 ROOT = Path(__file__).parents[2]
 UNIT = ROOT / "configs/systemd/decklander.service"
@@ -54,7 +54,7 @@ def test_it_has_what_the_service_relies_on() -> None:
     assert lines("DynamicUser") == ["yes"]
     assert lines("StateDirectory") == lines("RuntimeDirectory") == ["decklander"]
     assert {"char-video4linux rw", "char-ttyAMA rw"} <= set(lines("DeviceAllow"))
-    assert float(lines("WatchdogSec")[0]) >= 2.0, "a slow picture must not look like a stuck pipeline"
+    assert float(lines("WatchdogSec")[0]) >= 2.0, "a slow frame must not look like a stuck pipeline"
 
 
 def test_no_key_is_given_twice_where_only_the_last_counts() -> None:

@@ -18,7 +18,7 @@ from estimator.vision.pad import Pad
 from sitl.camera import Renderer, Shot
 from sitl.light import FLAT, IDEAL, linear_from_srgb
 from sitl.surroundings import Surroundings
-from tests.sitl.pictures import BENT, BLACK, PLAIN, WHITE, pad, project, shot
+from tests.sitl.images import BENT, BLACK, PLAIN, WHITE, pad, project, shot
 
 FULL = replace(FLAT, exposure_ev=math.log2(1.25))
 """White paint just reaches full scale."""
@@ -41,12 +41,12 @@ NEAR = [
 
 
 def light_of(camera: Camera, s: Shot, p: Pad | None, finished: bool = True) -> F64:
-    """(H, W) linear light of the green channel, white paint = 1: of the 8-bit picture, or before it was cut to eight bits."""
+    """(H, W) linear light of the green channel, white paint = 1: of the 8-bit frame, or before it was cut to eight bits."""
     renderer = Renderer(camera, p, Surroundings(), FULL, IDEAL)
     if not finished:
         return renderer.radiance(s)[..., 1].astype(float)
-    picture = renderer.render(s, np.random.default_rng(0))
-    return linear_from_srgb(picture[..., 1])
+    image = renderer.render(s, np.random.default_rng(0))
+    return linear_from_srgb(image[..., 1])
 
 
 def brute_force(camera: Camera, s: Shot, p: Pad, n: int) -> dict[str, F64]:
@@ -79,7 +79,7 @@ def brute_force(camera: Camera, s: Shot, p: Pad, n: int) -> dict[str, F64]:
 
 
 def share(camera: Camera, s: Shot, part: str, finished: bool = True) -> F64:
-    """(H, W) share of a pixel that one paint of the pad covers, from pictures alone: 8-bit ones, or the light before that."""
+    """(H, W) share of a pixel that one paint of the pad covers, from frames alone: 8-bit ones, or the light before that."""
     without = light_of(camera, s, None if part == "disc" else pad("thesis", disc=BLACK), finished)
     lit = light_of(
         camera, s, pad("thesis", **({part: WHITE} if part != "disc" else {"disc": WHITE, "ring": WHITE, "h": WHITE})), finished
@@ -116,9 +116,9 @@ def crossings(shares: F64, at_px: F64, along_px: F64) -> F64:
 
 
 def edge(camera: Camera, s: Shot, points: F64, inward: F64, margin_px: float = 6.0) -> tuple[F64, F64]:
-    """Points of an edge (N, 3) in `pad` and its inward normals, as pixels and unit vectors in the picture, if well inside it."""
+    """Points of an edge (N, 3) in `pad` and its inward normals, as pixels and unit vectors in the frame, if well inside it."""
     uv = project(camera, s, points)
-    # An edge's normal does not project onto its picture's normal: turn the picture's tangent instead.
+    # An edge's normal does not project onto its frame's normal: turn the frame's tangent instead.
     tangent = np.cross(inward, [0.0, 0.0, 1.0])
     along = project(camera, s, points + 1e-4 * tangent) - project(camera, s, points - 1e-4 * tangent)
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
@@ -213,7 +213,7 @@ def test_shares_are_those_of_brute_force_also_where_shapes_are_thinner_than_a_pi
     ],
     ids=["flight", "turn", "heaving deck"],
 )
-def test_motion_blur_is_the_mean_of_the_sharp_pictures_during_the_exposure(
+def test_motion_blur_is_the_mean_of_the_sharp_images_during_the_exposure(
     v_body_ned: tuple[float, ...], w_body: tuple[float, ...], v_pad_ned: tuple[float, ...], w_pad: tuple[float, ...]
 ) -> None:
     exposure_s = 0.02

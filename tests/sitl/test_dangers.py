@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from benches import dangers
-from companion.settings_model import Settings
-from companion.signals import Stopped
+from companion.config.model import Settings
+from companion.runtime.signals import Stopped
 
 
 def contact(surface: str, lateral_m: float, down_m_s: float = 0.4) -> dict[str, Any]:

@@ -11,8 +11,8 @@ import pytest
 
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
+from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
-from drivers.ardrone.helm import Helm
 from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import Sampler
@@ -51,7 +51,7 @@ class Bench:
 
     def service(self) -> None:
         """A new process of the service knows nothing."""
-        self.helm, self.sampler = Helm(OPTIONS, Counters()), Sampler(OPTIONS.samples)
+        self.streamer, self.sampler = CommandStreamer(OPTIONS, Counters()), Sampler(OPTIONS.samples)
 
     @property
     def now(self) -> MonoNs:
@@ -79,20 +79,20 @@ class Bench:
             self.drone.tick(now)
             self.ticks += 1
             navdata = self.drone.navdata()
-            heard = after(now, 0.004)
+            received_at = after(now, 0.004)
             if service:
-                self.helm.hear(navdata, heard)
-                for sample in self.sampler.samples(navdata, Stamp(now, heard, 0.002, "sim")):
-                    self.helm.hear_sample(sample)
+                self.streamer.on_navdata(navdata, received_at)
+                for sample in self.sampler.samples(navdata, Stamp(now, received_at, 0.002, "sim")):
+                    self.streamer.on_sample(sample)
                 if guidance is not None and self.ticks % CYCLE_TICKS == 0:
-                    self.helm.take(guidance(), heard)
+                    self.streamer.take(guidance(), received_at)
             elif sender and self.arbiter.silent_s(now) > 0.0:
-                self.arbiter.on_report(DroneReport.of(navdata), heard)
+                self.arbiter.on_report(DroneReport.of(navdata), received_at)
             if self.ticks % PERIOD_TICKS == 0:
                 if service:
-                    self.arbiter.take(self.helm.word(heard))
+                    self.arbiter.take(self.streamer.word(received_at))
                 if sender:
-                    self.tell(self.arbiter.commands(heard))
+                    self.tell(self.arbiter.commands(received_at))
 
     def hover_after_s(self, instant: MonoNs) -> float:
         return max((t - instant * 1e-9 for t, moves in self.moves if moves and t > instant * 1e-9), default=0.0)

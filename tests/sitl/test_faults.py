@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.observer import Decision, FrameSeen, Silent
+from companion.config.settings import load as load_settings
+from companion.observer import Decision, NullObserver, ProcessedFrame
 from companion.pilot import Outcome
-from companion.service import make_pilot
-from companion.settings import load as load_settings
+from companion.runtime.service import make_pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Imu, Sample
@@ -136,7 +136,7 @@ def test_frozen_frames_repeat_one_image_with_stamps_of_their_own() -> None:
     assert later.true_view
     assert all(np.array_equal(f.px, before.px) and not f.true_view for f in frozen)
     assert not np.array_equal(later.px, before.px)
-    assert [seconds_between(w.started, f.taken) for f in frozen] == pytest.approx([0.55, 0.9], abs=0.004)
+    assert [seconds_between(w.started, f.exposed_at) for f in frozen] == pytest.approx([0.55, 0.9], abs=0.004)
 
 
 def centre(px: np.ndarray) -> tuple[float, float]:  # type: ignore[type-arg]
@@ -173,26 +173,26 @@ def test_a_share_of_the_frames_is_shifted_or_lost_and_the_seed_says_which() -> N
     assert 25 <= sum(lost) <= 75
 
 
-class Seen(Silent):
+class Seen(NullObserver):
     def __init__(self) -> None:
-        self.frames: list[FrameSeen] = []
+        self.frames: list[ProcessedFrame] = []
         self.samples: list[Sample] = []
 
-    def on_frame(self, seen: FrameSeen) -> None:
-        self.frames.append(seen)
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self.frames.append(processed)
 
     def on_sample(self, sample: Sample) -> None:
         self.samples.append(sample)
 
 
 def flown(fault: Fault, seconds: float = 1.2, renew: bool = False) -> tuple[Flight, Seen]:
-    seen = Seen()
+    processed = Seen()
     scenario = msgspec.structs.replace(CALM, faults=(fault,))
     again = (lambda: make_pilot(SIM)) if renew else None
-    flight = Flight(scenario, 1, SIM, make_pilot(SIM), observers=[seen], renew=again)
+    flight = Flight(scenario, 1, SIM, make_pilot(SIM), observers=[processed], renew=again)
     for _ in range(round(seconds / 0.005)):
         flight.step()
-    return flight, seen
+    return flight, processed
 
 
 def test_delayed_frames_come_late_with_true_stamps_and_misstamped_ones_in_time_with_wrong_stamps() -> None:
@@ -204,34 +204,34 @@ def test_delayed_frames_come_late_with_true_stamps_and_misstamped_ones_in_time_w
     assert wrong.frames[-1].frame.stamp.delay_s == pytest.approx(0.39, abs=0.005)
     assert len(wrong.frames) > len(late.frames) + 5
     _, ahead = flown(FramesMisstamped(at_s=0.5, by_s=2.0))
-    assert max(f.frame.stamp.taken for f in ahead.frames) > 2_900_000_000
+    assert max(f.frame.stamp.measured_at for f in ahead.frames) > 2_900_000_000
 
 
 @pytest.mark.parametrize("by_s", [-2.0, 2.0, 3600.0])
 def test_misstamped_samples_reach_the_service_with_the_wrong_stamp(by_s: float) -> None:
-    _, seen = flown(NavdataMisstamped(at_s=0.5, by_s=by_s), 0.6)
-    stamps = [s.stamp.taken for s in seen.samples if isinstance(s, Imu)]
+    _, processed = flown(NavdataMisstamped(at_s=0.5, by_s=by_s), 0.6)
+    stamps = [s.stamp.measured_at for s in processed.samples if isinstance(s, Imu)]
     steps = np.diff(np.array(stamps)) / 1e9
     assert steps[np.abs(steps) > 0.1] == pytest.approx([by_s], abs=0.02)
 
 
 def test_a_lost_link_carries_nothing_either_way() -> None:
-    flight, seen = flown(LinkLost(at_s=0.3), 3.0)
-    assert max(s.stamp.heard for s in seen.samples) < 320_000_000
-    assert max(f.frame.stamp.taken for f in seen.frames) < 320_000_000
+    flight, processed = flown(LinkLost(at_s=0.3), 3.0)
+    assert max(s.stamp.received_at for s in processed.samples) < 320_000_000
+    assert max(f.frame.stamp.measured_at for f in processed.frames) < 320_000_000
     assert flight._drone.state.silent, "the drone misses its client"
 
 
 def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None:
-    flight, seen = flown(ServiceKilled(at_s=0.5), 3.0)
-    assert max(s.stamp.heard for s in seen.samples) < 510_000_000
+    flight, processed = flown(ServiceKilled(at_s=0.5), 3.0)
+    assert max(s.stamp.received_at for s in processed.samples) < 510_000_000
     assert not flight._drone.state.silent, "its sender is another process and holds the drone"
     assert flight.world.phase is Phase.HOVERING
     first = flight._pilot
-    again, seen = flown(ServiceKilled(at_s=0.5, for_s=0.5), 1.2, renew=True)
+    again, processed = flown(ServiceKilled(at_s=0.5, for_s=0.5), 1.2, renew=True)
     assert again._pilot is not first
-    heard = np.array([s.stamp.heard for s in seen.samples]) / 1e9
-    assert np.diff(heard).max() == pytest.approx(0.5, abs=0.02)
+    received_at = np.array([s.stamp.received_at for s in processed.samples]) / 1e9
+    assert np.diff(received_at).max() == pytest.approx(0.5, abs=0.02)
     with pytest.raises(BadInput, match="service_killed comes back after for_s"):
         flown(ServiceKilled(at_s=0.5, for_s=0.5))
 

@@ -7,15 +7,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.observer import Decision, FrameSeen, Silent
+from companion.config.settings import load
+from companion.observer import Decision, NullObserver, ProcessedFrame
 from companion.pilot import Outcome
-from companion.service import make_pilot
-from companion.settings import load
+from companion.runtime.service import make_pilot
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.estimates import Verdict
-from sitl.darkroom import darkroom
 from sitl.faults import KINDS, LensCovered
 from sitl.flight import Flight, FlightResult
+from sitl.render_worker import render_worker
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 
@@ -27,7 +27,7 @@ LOW = msgspec.structs.replace(
 """A short flight: most of it is the descent."""
 
 
-class Diary(Silent):
+class Diary(NullObserver):
     """All decisions, their digest, and whether sight was fresh at each."""
 
     def __init__(self) -> None:
@@ -35,9 +35,9 @@ class Diary(Silent):
         self.verdicts: list[Verdict] = []
         self._digest = hashlib.sha256()
 
-    def on_frame(self, seen: FrameSeen) -> None:
-        self.verdicts.append(seen.verdict)
-        self._digest.update(seen.frame.px.tobytes())
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self.verdicts.append(processed.verdict)
+        self._digest.update(processed.frame.px.tobytes())
 
     def on_decision(self, decision: Decision) -> None:
         self.decisions.append(decision)
@@ -86,13 +86,13 @@ def test_a_seed_is_a_flight_to_the_bit_and_another_seed_another() -> None:
     assert one != other
 
 
-def test_pictures_made_by_a_process_beside_are_the_same_to_the_bit() -> None:
+def test_images_made_by_a_process_beside_are_the_same_to_the_bit() -> None:
     covered = LensCovered(at_s=0.8, for_s=0.3)
     short = msgspec.structs.replace(LOW, duration_limit_s=1.8, faults=(*LOW.faults, covered))
     in_place = fly(short, 3)[1]
     diary = Diary()
     flight = Flight(short, 3, SIM, make_pilot(SIM, shadows=("median_mean",)), observers=[diary])
-    with darkroom(flight.world.renderer) as flight.room:
+    with render_worker(flight.world.renderer) as flight.room:
         flight.run()
     assert len(diary.verdicts) > 40
     assert diary.digest == in_place.digest

@@ -1,4 +1,4 @@
-"""Light, sensor and noise: what the settings promise is what the picture shows."""
+"""Light, sensor and noise: what the settings promise is what the frame shows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from sitl.camera import Renderer
 from sitl.light import FLAT, IDEAL, Development, Light, Sensor, linear_from_srgb, planck_rgb
-from tests.sitl.pictures import PLAIN, WHITE, pad, project, shot
+from tests.sitl.images import PLAIN, WHITE, pad, project, shot
 
 OVER = shot(1.0)
 CENTRE = tuple(np.round(project(PLAIN, OVER, np.zeros((1, 3)))[0]).astype(int))
@@ -20,8 +20,8 @@ CENTRE = tuple(np.round(project(PLAIN, OVER, np.zeros((1, 3)))[0]).astype(int))
 
 def white_light(light: Light, sensor: Sensor = IDEAL) -> F64:
     """(3,) red, green, blue light on the middle of a pad painted white all over."""
-    picture = Renderer(PLAIN, pad("thesis", disc=WHITE, ring=WHITE, h=WHITE), None, light, sensor).radiance(OVER)
-    return picture[CENTRE[1], CENTRE[0], ::-1].astype(float)
+    image = Renderer(PLAIN, pad("thesis", disc=WHITE, ring=WHITE, h=WHITE), None, light, sensor).radiance(OVER)
+    return image[CENTRE[1], CENTRE[0], ::-1].astype(float)
 
 
 def test_white_paint_is_at_four_fifths_of_full_scale_and_a_stop_doubles_it() -> None:
@@ -85,7 +85,7 @@ def test_the_drone_s_shadow_falls_away_from_the_sun_by_its_height() -> None:
     where = low.R_ned_pad.matrix.T @ (low.p_body_ned - s * sun - low.p_pad_ned)
     at = project(PLAIN, low, where[None])[0]
     yy, xx = np.nonzero(dark > 0.25)
-    assert 60 < at[0] < 580, "the whole shadow is in the picture"
+    assert 60 < at[0] < 580, "the whole shadow is in the frame"
     assert np.hypot(xx.mean() - at[0], yy.mean() - at[1]) < 4.0
 
 
@@ -100,9 +100,9 @@ def test_wet_paint_is_darker_and_has_puddles_that_mirror_the_sky() -> None:
 
 def test_wear_has_its_deviation_and_keeps_the_mean() -> None:
     p = pad("thesis", disc=WHITE, ring=WHITE, h=WHITE)
-    picture = Renderer(PLAIN, p, None, replace(FLAT, wear=0.1), IDEAL).radiance(shot(0.3))[..., 1] / 0.8
-    assert picture.mean() == pytest.approx(1.0, abs=0.08)
-    assert 0.04 < picture.std() < 0.12
+    image = Renderer(PLAIN, p, None, replace(FLAT, wear=0.1), IDEAL).radiance(shot(0.3))[..., 1] / 0.8
+    assert image.mean() == pytest.approx(1.0, abs=0.08)
+    assert 0.04 < image.std() < 0.12
 
 
 def test_noise_has_shot_and_read_parts_and_no_bias() -> None:
@@ -110,8 +110,8 @@ def test_noise_has_shot_and_read_parts_and_no_bias() -> None:
     development = Development(FLAT, sensor)
     rng = np.random.default_rng(3)
     for level in (0.05, 0.2, 0.6):
-        pictures = [development.develop(np.full((360, 640, 3), level, np.float32), rng) for _ in range(6)]
-        values = linear_from_srgb(np.stack(pictures))
+        images = [development.sensor_image(np.full((360, 640, 3), level, np.float32), rng) for _ in range(6)]
+        values = linear_from_srgb(np.stack(images))
         expected = math.sqrt(level / 5000.0 + (10.0 / 5000.0) ** 2)
         assert values.std() == pytest.approx(expected, rel=0.06)
         assert values.mean() == pytest.approx(level, rel=0.01)
@@ -126,8 +126,8 @@ def test_srgb_blending_moves_the_half_way_crossing_and_linear_does_not() -> None
     values = {}
     for blend in ("linear", "srgb"):
         light = replace(FLAT, exposure_ev=math.log2(1.25))
-        picture = Renderer(PLAIN, p, None, light, replace(IDEAL, blend=blend)).render(shot(10.0), np.random.default_rng(0))
-        values[blend] = picture[CENTRE[1] - 20 : CENTRE[1] + 21, CENTRE[0] - 20 : CENTRE[0] + 21, 1].astype(float)
+        image = Renderer(PLAIN, p, None, light, replace(IDEAL, blend=blend)).render(shot(10.0), np.random.default_rng(0))
+        values[blend] = image[CENTRE[1] - 20 : CENTRE[1] + 21, CENTRE[0] - 20 : CENTRE[0] + 21, 1].astype(float)
     part = (values["srgb"] > 20) & (values["srgb"] < 235) & (np.hypot(*np.mgrid[-20:21, -20:21]) < 7)
     assert part.sum() > 5
     assert np.all(values["linear"][part] > values["srgb"][part] + 5)

@@ -1,4 +1,4 @@
-"""Everything around the pad: whole pictures from anywhere, the same bits for the same seed, and no pad where none is."""
+"""Everything around the pad: whole frames from anywhere, the same bits for the same seed, and no pad where none is."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sitl.sea import SEA_STATES, SHELTERED_SLIGHT, Waves
 from sitl.seakeeping import FERRY, SUPPLY_SHIP
 from sitl.surroundings import Decal, DecalKind, Deck, Surroundings
 from sitl.vessel import Mooring, Vessel
-from tests.sitl.pictures import BENT, PLAIN, pad, project, shot
+from tests.sitl.images import BENT, PLAIN, pad, project, shot
 
 AFLOAT = tuple(Decal(kind, (2.0 * i, -3.0 * i), 1.5, 0.4 * i) for i, kind in enumerate(get_args(DecalKind)))
 FULL_SCENE = Surroundings(Deck.of(FERRY, 0.3), Waves.draw(SEA_STATES[4], 2), AFLOAT, wake_speed_m_s=3.0)
@@ -45,7 +45,7 @@ def test_the_same_shot_and_seed_give_the_same_bits_from_a_new_renderer_too() -> 
     v=st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(-20, 20)),
 )
 @settings(deadline=None, max_examples=60)
-def test_a_picture_comes_from_anywhere_in_any_attitude(
+def test_a_image_comes_from_anywhere_in_any_attitude(
     which: Renderer,
     p: tuple[float, ...],
     rpy: tuple[float, float, float],
@@ -55,19 +55,19 @@ def test_a_picture_comes_from_anywhere_in_any_attitude(
     s = Shot(
         3.0, Rotation.from_rpy(*rpy), np.array(p), Rotation.from_rpy(*pad_rpy), np.array([0.0, 0.0, -0.6]), v_body_ned=np.array(v)
     )
-    picture = which.render(s, np.random.default_rng(0))
-    assert picture.shape == (360, 640, 3)
-    assert picture.dtype == np.uint8
+    image = which.render(s, np.random.default_rng(0))
+    assert image.shape == (360, 640, 3)
+    assert image.dtype == np.uint8
     assert np.all(np.isfinite(which.radiance(s)))
 
 
 @pytest.mark.parametrize("height_m", [0.2, 0.06, 0.02, 0.0, -0.02])
-def test_standing_on_the_pad_and_a_little_under_it_still_gives_a_picture(height_m: float) -> None:
+def test_standing_on_the_pad_and_a_little_under_it_still_gives_a_image(height_m: float) -> None:
     for renderer in RENDERERS:
         assert np.all(np.isfinite(renderer.radiance(shot(height_m))))
 
 
-def test_the_pad_is_hidden_from_below_and_the_picture_without_one_has_no_paint_of_it() -> None:
+def test_the_pad_is_hidden_from_below_and_the_image_without_one_has_no_paint_of_it() -> None:
     below = shot(2.0)
     flipped = replace(
         below, p_body_ned=below.p_body_ned + np.array([0.0, 0.0, 4.0]), R_ned_body=Rotation.from_rpy(math.pi, 0.0, 0.0)
@@ -105,12 +105,12 @@ def test_every_decal_shows_on_deck_and_afloat() -> None:
     for kind in get_args(DecalKind):
         on_deck = Renderer(PLAIN, None, Surroundings(decals=(Decal(kind, (0.0, 0.0), 0.8, on="deck"),)), FLAT, IDEAL)
         assert (np.abs(on_deck.radiance(from_above) - bare).max(axis=2) > 0.02).sum() > 200, kind
-        afloat = Renderer(PLAIN, None, Surroundings(None, decals=(Decal(kind, (3.0, -2.0), 0.8),)), FLAT, IDEAL)
-        assert (np.abs(afloat.radiance(from_above) - open_sea).max(axis=2) > 0.02).sum() > 200, kind
+        buoyancy = Renderer(PLAIN, None, Surroundings(None, decals=(Decal(kind, (3.0, -2.0), 0.8),)), FLAT, IDEAL)
+        assert (np.abs(buoyancy.radiance(from_above) - open_sea).max(axis=2) > 0.02).sum() > 200, kind
 
 
-def test_the_vessel_s_pad_is_where_its_picture_shows_it() -> None:
-    # Vessel, shot and picture together: the pad stays in the middle of a camera that follows it.
+def test_the_vessel_s_pad_is_where_its_image_shows_it() -> None:
+    # Vessel, shot and frame together: the pad stays in the middle of a camera that follows it.
     waves = Waves.draw(SHELTERED_SLIGHT, 4)
     vessel = Vessel(SUPPLY_SHIP, waves, heading_rad=1.0, speed_m_s=2.0, mooring=Mooring(), seeds=4)
     renderer = Renderer(
@@ -129,8 +129,8 @@ def test_the_vessel_s_pad_is_where_its_picture_shows_it() -> None:
             np.zeros(3),
             at.v_ned,
         )
-        picture = renderer.render(s, np.random.default_rng(0)).astype(int)
-        green = (picture[..., 1] > 60) & (picture[..., 2] < 40) & (picture[..., 0] < 40)
+        image = renderer.render(s, np.random.default_rng(0)).astype(int)
+        green = (image[..., 1] > 60) & (image[..., 2] < 40) & (image[..., 0] < 40)
         yy, xx = np.nonzero(green)
         assert np.hypot(xx.mean() - 319.5, yy.mean() - 179.5) < 2.0
 

@@ -127,10 +127,10 @@ def test_ultrasound_measures_along_the_tilted_body_only_beyond_its_cone() -> Non
 
 def test_ultrasound_has_a_rate_a_delay_and_limits() -> None:
     v, s = setup(msgspec.structs.replace(PERFECT, ultrasound_sigma_m=0.005, ultrasound_delay_s=0.06))
-    heard = [x.ultrasound_m for x in fly(v, s, 500)]
-    first = next(n for n, h in enumerate(heard) if h is not None)
+    received_at = [x.ultrasound_m for x in fly(v, s, 500)]
+    first = next(n for n, h in enumerate(received_at) if h is not None)
     assert (first + 1) * DT == pytest.approx(0.04 + 0.06, abs=DT)
-    values = np.array(heard[first:], dtype=float)
+    values = np.array(received_at[first:], dtype=float)
     changes = np.flatnonzero(np.diff(values))
     assert np.unique(np.diff(changes)).tolist() == [10]
     assert values[::10].std() == pytest.approx(0.005, rel=0.35)

@@ -1,4 +1,4 @@
-"""The simulated flight as its users meet it: time, commands, readings, pictures, truth, faults, touchdown."""
+"""The simulated flight as its users meet it: time, commands, readings, frames, truth, faults, touchdown."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sitl.faults import KINDS, Gust, WeakRotor
 from sitl.safety import outside_commit
 from sitl.scenario import Scenario, Sea, SensorSettings, Start, VesselSettings, WindSettings, load
 from sitl.vehicle import Phase
-from sitl.world import Picture, Readings, Stick, Truth, World
+from sitl.world import Readings, RenderedFrame, Stick, Truth, World
 
 CALM = Scenario(
     title="bench",
@@ -128,12 +128,12 @@ def test_time_runs_in_whole_steps_and_never_back() -> None:
     world.advance(MonoNs(1_000_000_007 + 4_000_000 * 3 + 1))
     assert world.at == 1_000_000_007 + 12_000_000
     assert world.now == 1_000_000_007 + 12_000_001
-    assert world.truth().at == world.readings().at == world.render().taken == world.at
+    assert world.truth().at == world.readings().at == world.render().exposed_at == world.at
     world.advance(MonoNs(0))
     assert world.now == 1_000_000_007 + 12_000_001
 
 
-def same(a: Readings | Truth | Picture, b: Readings | Truth | Picture) -> bool:
+def same(a: Readings | Truth | RenderedFrame, b: Readings | Truth | RenderedFrame) -> bool:
     def bits(x: Any) -> Any:
         if isinstance(x, np.ndarray):
             return x.tobytes()
@@ -165,14 +165,14 @@ def test_same_seed_same_flight_to_the_bit() -> None:
     assert not same(one.truth(), other.truth())
 
 
-def test_the_picture_shows_the_pad_where_the_truth_has_it() -> None:
+def test_the_image_shows_the_pad_where_the_truth_has_it() -> None:
     """Centroid of the green paint against the projected centre of the disc."""
     world = World(with_(load("demo"), start=Start(height_m=4.0, pad_forward_m=0.6, pad_right_m=-0.8)), 1)
     world.stick(Stick(0.2, 0.2, 0.0, 0.0, True))
     run(world, 0.6)
-    t, picture = world.truth(), world.render()
-    assert picture.px.shape == (360, 640, 3)
-    b, g, r = (picture.px[..., i].astype(int) for i in range(3))
+    t, image = world.truth(), world.render()
+    assert image.px.shape == (360, 640, 3)
+    b, g, r = (image.px[..., i].astype(int) for i in range(3))
     disc = (g > 50) & (g > 2 * b) & (g > 2 * r)
     v, u = np.nonzero(disc)
     points = world.pad.circle(0.36) @ t.R_ned_pad.matrix.T + t.p_pad_ned

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from tests.v4l2_vm import machine
-from tests.v4l2_vm.look import Seen
+from tests.v4l2_vm.capture import Seen
 
 LACKING = machine.missing()
 NEEDS_A_MACHINE = [

@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from tests.v4l2_vm import scenes_vivid, scenes_webcam
-from tests.v4l2_vm.look import Seen
+from tests.v4l2_vm.capture import Seen
 from tests.v4l2_vm.machine import MARK
 
 

@@ -97,7 +97,7 @@ def _modules(image: Path) -> Path:
 def _initramfs(image: Path) -> bytes:
     modules = _with_dependencies(_modules(image), MODULES)
     names = {path: f"{i:02d}-{path.name.removesuffix('.xz')}" for i, path in enumerate(modules)}
-    # One camera, pictures only, in one plane; a second would only cost time.
+    # One camera, frames only, in one plane; a second would only cost time.
     options = "$(case $m in *vivid*) echo n_devs=1 node_types=0x1 multiplanar=1;; esac)"
     init = INIT.format(modules=" ".join(names.values()), options=options, root=ROOT, python=_python())
     busybox = shutil.which("busybox")

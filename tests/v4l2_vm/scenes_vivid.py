@@ -10,13 +10,13 @@ from typing import Any
 
 from linuxpy.video import device as kernel
 
+from drivers.camera.v4l2_device import KernelDevice
+from drivers.camera.v4l2_names import cameras
+from drivers.camera.video_source import open_camera
+from drivers.camera.video_source_options import SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
-from drivers.v4l2_device import KernelDevice
-from drivers.v4l2_names import cameras
-from drivers.video_source import open_camera
-from drivers.video_source_options import Patience, V4l2Options
 from estimator.contracts.errors import DecklanderError
-from tests.v4l2_vm.look import Seen, describe, settled, take, until
+from tests.v4l2_vm.capture import Seen, describe, settled, take, until
 
 BY_ID = Path("/dev/v4l/by-id/usb-Decklander_test_camera_0001-video-index0")
 DRIVER = Path("/sys/bus/platform/drivers/vivid")
@@ -27,7 +27,7 @@ def options(**more: Any) -> V4l2Options:
     settings: dict[str, Any] = {"device": str(BY_ID), "width": SIZE[0], "height": SIZE[1], "format": "YUYV"}
     # The test camera stamps its end of frame 0.9 periods ahead of its handing over, as no real one does; its start is true.
     fixed = {"timestamp_source": "Start of Exposure"} | more.pop("controls", {})
-    return V4l2Options(**(settings | {"patience": Patience(2.0, 0.1, 0.4), "controls": fixed} | more))
+    return V4l2Options(**(settings | {"timeouts": SourceTimeouts(2.0, 0.1, 0.4), "controls": fixed} | more))
 
 
 def link() -> None:
@@ -118,7 +118,7 @@ async def slow_reader() -> Seen:
         await take(camera, 1)
         await asyncio.sleep(1.0)
         newest = await camera.frames.get()
-        return {"age_s": (time.monotonic_ns() - newest.stamp.taken) * 1e-9, **await settled(camera)}
+        return {"age_s": (time.monotonic_ns() - newest.stamp.measured_at) * 1e-9, **await settled(camera)}
 
 
 async def controls() -> Seen:
@@ -132,7 +132,7 @@ async def controls() -> Seen:
         "label": {"controls": {"timestamp_source": "noon"}},
         "size": {"width": 650, "height": 400},
         "format": {"format": "MJPG"},
-        "ambiguous_or_none": {"device": "no such camera", "patience": Patience(0.3, 0.1, 0.1)},
+        "ambiguous_or_none": {"device": "no such camera", "timeouts": SourceTimeouts(0.3, 0.1, 0.1)},
     }.items():
         try:
             async with open_camera(options(**more), SystemClock()) as camera:

@@ -14,28 +14,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera.v4l2_names import cameras
+from drivers.camera.video_source import Camera, open_camera
+from drivers.camera.video_source_options import SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
-from drivers.v4l2_names import cameras
-from drivers.video_source import Camera, open_camera
-from drivers.video_source_options import Patience, V4l2Options
 from estimator.contracts.errors import DecklanderError
-from tests.v4l2_vm.look import Seen, describe, settled, take, until
+from tests.v4l2_vm.capture import Seen, describe, settled, take, until
 from tests.v4l2_vm.webcam import CARD, Format, Webcam
 
 SMALL = (320, 240)
 FORMATS = (Format("YUYV", (SMALL,)), Format("MJPG", (SMALL, (640, 480))), Format("H264", (SMALL,)))
 BARS = np.array([(b, g, r) for g in (190, 0) for r in (190, 0) for b in (190, 0)], np.uint8)
 GROUP = 10
-"""Pictures from one IDR to the next."""
+"""Frames from one IDR to the next."""
 
 
 class Faults:
-    """What befalls the next pictures, one each."""
+    """What befalls the next frames, one each."""
 
     def __init__(self) -> None:
         self.next: list[str] = []
 
-    def picture(self, fourcc: str, size: tuple[int, int], n: int) -> tuple[bytes, bool] | None:
+    def image(self, fourcc: str, size: tuple[int, int], n: int) -> tuple[bytes, bool] | None:
         whole = _encoded(fourcc, *size)
         data = whole[n % len(whole)]
         fault = self.next.pop(0) if self.next else ""
@@ -63,7 +63,7 @@ def _encoded(fourcc: str, width: int, height: int) -> tuple[bytes, ...]:
 
 
 def farthest_from_bars(px: NDArray[np.uint8]) -> int:
-    """Grey values, over the middle of each bar but the lowest lines, where the coded picture moves."""
+    """Grey values, over the middle of each bar but the lowest lines, where the coded frame moves."""
     middle = np.s_[: -px.shape[0] // 8, px.shape[1] // 16 :: px.shape[1] // 8]
     return int(np.abs(px[middle].astype(int) - BARS).max())
 
@@ -71,7 +71,7 @@ def farthest_from_bars(px: NDArray[np.uint8]) -> int:
 @asynccontextmanager
 async def plugged() -> AsyncIterator[tuple[Webcam, Faults]]:
     faults = Faults()
-    webcam = Webcam(FORMATS, faults.picture)
+    webcam = Webcam(FORMATS, faults.image)
     webcam.plug()
     try:
         async with asyncio.timeout(20):
@@ -85,7 +85,7 @@ async def plugged() -> AsyncIterator[tuple[Webcam, Faults]]:
 
 def options(**more: Any) -> V4l2Options:
     settings: dict[str, Any] = {"device": "Webcam", "width": SMALL[0], "height": SMALL[1], "format": "auto"}
-    return V4l2Options(**(settings | {"patience": Patience(2.0, 0.1, 0.4)} | more))
+    return V4l2Options(**(settings | {"timeouts": SourceTimeouts(2.0, 0.1, 0.4)} | more))
 
 
 async def look(camera: Camera, n: int) -> Seen:

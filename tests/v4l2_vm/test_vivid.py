@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.v4l2_vm.capture import Seen, accounted
 from tests.v4l2_vm.conftest import NEEDS_A_MACHINE
-from tests.v4l2_vm.look import Seen, accounted
 
 pytestmark = NEEDS_A_MACHINE
 BARS = [(190, 190, 190), (0, 190, 190), (190, 190, 0), (0, 190, 0), (190, 0, 190), (0, 0, 190), (190, 0, 0), (0, 0, 0)]
@@ -75,7 +75,7 @@ def test_controls_hold_and_what_cannot_be_is_refused_by_name(seen: dict[str, See
         "unknown": ("no control 'brightnes'", "brightness"),
         "range": ("'brightness' must lie in 0..255, got 9999",),
         "label": ("'Start of Exposure'", "got 'noon'"),
-        "size": ("no picture of 650x400", "640x360"),
+        "size": ("no frame of 650x400", "640x360"),
         "format": ("no MJPG", "YUYV"),
     }.items():
         kind, text = shot[name]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.v4l2_vm.capture import Seen, accounted
 from tests.v4l2_vm.conftest import NEEDS_A_MACHINE
-from tests.v4l2_vm.look import Seen, accounted
 from tests.v4l2_vm.scenes_webcam import BARS
 from tests.v4l2_vm.webcam import CARD
 
@@ -19,7 +19,7 @@ def shows_bars(shot: Seen, within: float = 4.0) -> bool:
 
 def test_each_format_arrives_whole_and_stamped(seen: dict[str, Seen]) -> None:
     shots = seen["webcam_formats"]
-    assert len(shots["nodes"]) == 2  # pictures and metadata; a part of the name means the one with pictures
+    assert len(shots["nodes"]) == 2  # frames and metadata; a part of the name means the one with frames
     assert all(CARD in card for card in shots["nodes"])
     for name in ("YUYV", "MJPG", "H264", "auto"):
         shot = shots[name]
@@ -31,7 +31,7 @@ def test_each_format_arrives_whole_and_stamped(seen: dict[str, Seen]) -> None:
         assert shot["source"].count("kernel") >= len(shot["source"]) // 2
         assert shot["stamps_refused"] == shot["source"].count("arrival")
         assert shot["before"] < min(shot["taken"]) < max(shot["taken"]) < shot["after"]
-        by_kernel = [taken for taken, source in zip(shot["taken"], shot["source"], strict=True) if source == "kernel"]
+        by_kernel = [measured_at for measured_at, source in zip(shot["taken"], shot["source"], strict=True) if source == "kernel"]
         assert by_kernel == sorted(set(by_kernel))
 
 
@@ -53,15 +53,15 @@ def test_an_exposure_the_camera_governs_itself_is_refused_by_name(seen: dict[str
 
 @pytest.mark.parametrize("fault", ["torn", "marked"])
 @pytest.mark.parametrize("name", ["YUYV", "MJPG", "H264"])
-def test_a_damaged_picture_is_counted_and_never_given_out(seen: dict[str, Seen], name: str, fault: str) -> None:
+def test_a_damaged_image_is_counted_and_never_given_out(seen: dict[str, Seen], name: str, fault: str) -> None:
     shot = seen["webcam_damage"][name][fault]
-    # The kernel keeps back what it knows to be damaged, and its count of pictures shows the gap; one overtaken is not looked at.
+    # The kernel keeps back what it knows to be damaged, and its count of frames shows the gap; one overtaken is not looked at.
     assert shot["frames_damaged"] + shot["frames_lost"] + shot["frames_overtaken"] >= 1
     assert accounted(shot)
     assert shot["worst"] <= 6
     assert (shot["frames_waiting"] > 0) == (
         name == "H264"
-    )  # what follows a lost picture cannot be read until one that stands alone
+    )  # what follows a lost frame cannot be read until one that stands alone
 
 
 def test_a_camera_pulled_out_comes_back_with_its_exposure(seen: dict[str, Seen]) -> None:

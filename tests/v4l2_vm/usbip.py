@@ -37,7 +37,7 @@ class Plug:
         self._ours, theirs = socket.socketpair()
         self._lock = threading.Lock()
         self._asked: deque[tuple[int, int]] = deque()
-        """(sequence number, bytes wanted) of bulk reads that wait for a picture."""
+        """(sequence number, bytes wanted) of bulk reads that wait for a frame."""
         self._more = threading.Condition(self._lock)
         self.gone = False
         (CONTROLLER / "attach").write_text(f"{port} {theirs.fileno()} 1 {_HIGH_SPEED}")
@@ -103,8 +103,8 @@ class Plug:
                 self._asked.append((seq, length))
                 self._more.notify_all()
 
-    def _answer(self, seq: int, status: int, data: bytes, taken: int = 0) -> None:
-        tail = struct.pack(">5i8x", status, len(data) or taken, 0, 0, 0)
+    def _answer(self, seq: int, status: int, data: bytes, measured_at: int = 0) -> None:
+        tail = struct.pack(">5i8x", status, len(data) or measured_at, 0, 0, 0)
         self._ours.sendall(_HEADER.pack(_RET_SUBMIT, seq, 0, 0, 0, tail) + data)
 
     def _read(self, size: int) -> bytes:

@@ -1,7 +1,7 @@
 """A USB camera as most people have it, in software: YUYV, MJPG and H.264 with exposure, brightness and gain, for `uvcvideo`.
 
 Source: USB Device Class Definition for Video Devices 1.1 (descriptors: section 3, requests: 4, payload headers: 2.4.3.3) and its
-payload documents for uncompressed, MJPEG and frame-based video. Pictures go by a bulk endpoint, two bytes of header a transfer.
+payload documents for uncompressed, MJPEG and frame-based video. Frames go by a bulk endpoint, two bytes of header a transfer.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tests.v4l2_vm.usbip import Plug
 
 CARD = "Decklander Webcam"
 INTERVAL = 333_333
-"""Between pictures, in 100 ns."""
+"""Between frames, in 100 ns."""
 TRANSFER = 16384
 """Bytes of one bulk transfer: what uvcvideo asks at once from an endpoint of 512 (UVC_MAX_PACKETS)."""
 _GUID_TAIL = bytes.fromhex("000010008000 00aa00389b71".replace(" ", ""))
@@ -28,7 +28,7 @@ MANUAL, APERTURE_PRIORITY = 1, 8
 _CAMERA, _PROCESSING, _OUTPUT = 1, 2, 3
 
 
-Picture = Callable[[str, tuple[int, int], int], tuple[bytes, bool] | None]
+Image = Callable[[str, tuple[int, int], int], tuple[bytes, bool] | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +55,12 @@ class Control:
 class Webcam:
     """On the bus from `plug` to `unplug`.
 
-    `picture(fourcc, size, n)` makes the n-th picture's bytes and whether the camera marks it as damaged; None leaves it out.
+    `frame(fourcc, size, n)` makes the n-th frame's bytes and whether the camera marks it as damaged; None leaves it out.
     """
 
-    def __init__(self, formats: tuple[Format, ...], picture: Picture) -> None:
+    def __init__(self, formats: tuple[Format, ...], image: Image) -> None:
         self.formats = formats
-        self._picture = picture
+        self._image = image
         self.mode = Control(1, MANUAL, APERTURE_PRIORITY, APERTURE_PRIORITY)
         self.exposure = Control(4, 1, 5000, 156)
         self._controls = {
@@ -143,7 +143,7 @@ class Webcam:
         return (0, number, size, INTERVAL, 0, 0, 0, 0, 0, 2 * width * height, TRANSFER, 48_000_000, 3, 1, 1, 1)
 
     def _feed(self, plug: Plug) -> None:
-        """Pictures at the chosen rate, each by as many transfers as it takes; the first bit of the header turns with each."""
+        """Frames at the chosen rate, each by as many transfers as it takes; the first bit of the header turns with each."""
         n = 0
         while not plug.gone:
             chosen = self._chosen
@@ -151,7 +151,7 @@ class Webcam:
                 time.sleep(0.01)
                 continue
             due = time.monotonic() + 1e-7 * INTERVAL
-            made = self._picture(*chosen, n)
+            made = self._image(*chosen, n)
             if made is not None:
                 self._send(plug, *made, n, chosen)
             n += 1
@@ -162,7 +162,7 @@ class Webcam:
         for at in range(0, len(data), TRANSFER - 2):
             last = at + TRANSFER - 2 >= len(data)
             payload = bytes((2, flags | 2 * last)) + data[at : at + TRANSFER - 2]
-            # A stream that is begun anew begins with a whole picture, not with the rest of this one.
+            # A stream that is begun anew begins with a whole frame, not with the rest of this one.
             if not plug.send(payload, lambda: self._chosen is chosen):
                 return
 

@@ -12,17 +12,17 @@ import av
 import numpy as np
 import pytest
 
-import companion.settings as settings_of
+import companion.config.settings as settings_of
 from companion.cli import doctor
 from companion.cli.main import Parser
+from companion.config.settings import Settings
 from companion.doctor.diagnose import PARAMETERS, diagnose
 from companion.doctor.gather import examine
 from companion.doctor.gather_service import examine_service
-from companion.doctor.picture import Picture, encode
-from companion.health import Health
+from companion.doctor.snapshot import Snapshot, encode
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.settings import MetricsSettings
-from companion.settings import Settings
+from companion.runtime.health import Health
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions
 from drivers.mavlink.dialect import Event, mav
@@ -30,14 +30,14 @@ from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
+from sitl.testing.fake_ardrone import until
+from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD
-from tests.drivers.fake_ardrone import until
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
 
 HOST = "127.0.0.1"
 
 
-async def examined(fake: FakeAutopilot, seconds: float = 1.0) -> Picture:
+async def examined(fake: FakeAutopilot, seconds: float = 1.0) -> Snapshot:
     async with fake.talking_to(f"udpin://{HOST}:0"):
         await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
         assert fake.links is not None
@@ -54,15 +54,15 @@ async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
     await until(lambda: fake.commands[512] > 0)
     fake.send(mav.MAVLink_autopilot_version_message(0, 0x040507FF, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0))
     fake.text(6, "Plnd: Frame not supported")
-    picture = await talking
-    assert {f.rule for f in diagnose(picture)} == {"plnd-type", "ekf-external", "gyro-calibration", "frame-not-supported"}
-    a = picture.autopilot
+    snapshot = await talking
+    assert {f.rule for f in diagnose(snapshot)} == {"plnd-type", "ekf-external", "gyro-calibration", "frame-not-supported"}
+    a = snapshot.autopilot
     assert a is not None
     assert a.firmware == (4, 5, 7)
     assert len(a.parameters) == len(PARAMETERS["ArduPilot"])
     assert 30 < a.rates_hz["ATTITUDE_QUATERNION"] < 130
-    assert picture.sync is not None
-    assert picture.sync.locked
+    assert snapshot.sync is not None
+    assert snapshot.sync.locked
 
 
 async def test_a_px4_without_the_module_and_with_an_event() -> None:
@@ -71,26 +71,26 @@ async def test_a_px4_without_the_module_and_with_an_event() -> None:
     talking = asyncio.create_task(examined(fake))
     await until(lambda: fake.commands[512] > 0)
     fake.send(Event(0, 0, 0x1000000 | 0x123456, 5, 1, 0, [0] * 40))
-    picture = await talking
-    assert picture.autopilot is not None
-    assert picture.autopilot.events == (0x1123456,)
-    assert {f.rule for f in diagnose(picture)} == {"px4-precland-missing"}
+    snapshot = await talking
+    assert snapshot.autopilot is not None
+    assert snapshot.autopilot.events == (0x1123456,)
+    assert {f.rule for f in diagnose(snapshot)} == {"px4-precland-missing"}
 
 
 async def test_nobody_there() -> None:
     link = LinkOptions(parse_endpoint("serial:///dev/no-such-port:57600"))
-    picture = await examine(AutopilotOptions((link,)), SystemClock(), 0.3)
-    assert [f.rule for f in diagnose(picture)] == ["link-down"]
+    snapshot = await examine(AutopilotOptions((link,)), SystemClock(), 0.3)
+    assert [f.rule for f in diagnose(snapshot)] == ["link-down"]
 
 
 async def test_the_service_s_own_files_broker_and_drone() -> None:
     with socket.socket() as sock:
         sock.bind((HOST, 0))
         closed = sock.getsockname()[1]
-    picture = await examine_service(settings_of.load("sim"), f"{HOST}:{closed}", SystemClock(), timeout_s=0.5)
-    assert picture.camera_fault is None
-    assert picture.broker_fault
-    assert picture.drone is not None
+    snapshot = await examine_service(settings_of.load("sim"), f"{HOST}:{closed}", SystemClock(), timeout_s=0.5)
+    assert snapshot.camera_fault is None
+    assert snapshot.broker_fault
+    assert snapshot.drone is not None
     server = await asyncio.start_server(lambda r, w: w.close(), HOST, 0)
     async with server:
         port = server.sockets[0].getsockname()[1]
@@ -114,7 +114,7 @@ async def test_a_camera_of_another_size_that_is_slow(tmp_path: Path) -> None:
     service = await examine_service(rig(video), None, SystemClock(), seconds=1.0)
     assert service.frame_size == (320, 180)
     assert service.frame_rate_hz == pytest.approx(8.0, abs=2.0)
-    assert {f.rule for f in diagnose(Picture(0.0, service=service))} >= {"camera-size", "camera-slow"}
+    assert {f.rule for f in diagnose(Snapshot(0.0, service=service))} >= {"camera-size", "camera-slow"}
     gone = await examine_service(rig(tmp_path / "none.mp4"), None, SystemClock(), seconds=0.1)
     assert "none.mp4" in str(gone.device_fault)
 
@@ -144,23 +144,23 @@ def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str]:
     return code, capsys.readouterr().out
 
 
-def test_the_command_on_a_saved_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "picture.json"
+def test_the_command_on_a_saved_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "frame.json"
     path.write_bytes(encode(BROKEN["set but not rebooted"][1]))
-    code, out = run(capsys, "--picture", str(path))
+    code, out = run(capsys, "--snapshot", str(path))
     assert code == 1
     assert "error: PLND_ENABLED and PLND_TYPE are set" in out
     assert "cure: reboot the autopilot" in out
     assert "ArduPilot 4.5.7, system 1" in out
-    code, out = run(capsys, "--picture", str(path), "--json")
+    code, out = run(capsys, "--snapshot", str(path), "--json")
     assert json.loads(out)["rule"] == "plnd-not-rebooted"
     path.write_bytes(encode(GOOD))
-    code, out = run(capsys, "--picture", str(path), "--save", str(tmp_path / "again.json"))
+    code, out = run(capsys, "--snapshot", str(path), "--save", str(tmp_path / "again.json"))
     assert code == 0
     assert "none of" in out
     assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
     path.write_bytes(encode(BROKEN["gyros calibrated at sea"][1]))
-    assert run(capsys, "--picture", str(path), "--still-pad")[0] == 0
+    assert run(capsys, "--snapshot", str(path), "--still-pad")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_the_command_on_a_saved_picture(tmp_path: Path, capsys: pytest.CaptureFi
         (("--link", "udpin://127.0.0.1:0", "--system", "900"), "--system"),
         (("--link", "udpin://127.0.0.1:0", "--seconds", "0"), "--seconds"),
         (("--link", "udpin://127.0.0.1:0", "--signing-key", "/no/key"), "signing key"),
-        (("--picture", "/no/picture"), "--picture /no/picture"),
+        (("--snapshot", "/no/frame"), "--snapshot /no/frame"),
         (("--broker", "host:port"), "HOST:PORT"),
     ],
 )

@@ -8,15 +8,15 @@ import pytest
 from msgspec.structs import replace
 
 from companion.doctor.diagnose import RULES, diagnose
-from companion.doctor.finding import Gravity
-from companion.doctor.picture import AutopilotPicture, LinkPicture, Picture, ServicePicture, SyncPicture, decode, encode
+from companion.doctor.finding import Severity
 from companion.doctor.rules_px4 import event_id
+from companion.doctor.snapshot import AutopilotSnapshot, LinkSnapshot, ServiceSnapshot, Snapshot, TimeSyncSnapshot, decode, encode
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 
-LINK = LinkPicture("serial:///dev/ttyAMA0:921600", bytes_in=90_000, messages=3000)
-SERVICE = ServicePicture(
+LINK = LinkSnapshot("serial:///dev/ttyAMA0:921600", bytes_in=90_000, messages=3000)
+SERVICE = ServiceSnapshot(
     frame_rate_hz=30.0,
     frame_size=(640, 360),
     camera_size=(640, 360),
@@ -26,7 +26,7 @@ SERVICE = ServicePicture(
     broker="localhost:1883",
     drone="192.168.1.1:5559",
 )
-ARDUPILOT = AutopilotPicture(
+ARDUPILOT = AutopilotSnapshot(
     stack="ArduPilot",
     system=1,
     firmware=(4, 5, 7),
@@ -46,7 +46,7 @@ ARDUPILOT = AutopilotPicture(
     precland_enabled=True,
     precland_healthy=True,
 )  # fmt: skip
-PX4 = AutopilotPicture(
+PX4 = AutopilotSnapshot(
     stack="PX4",
     system=1,
     firmware=(1, 16, 2),
@@ -57,36 +57,36 @@ PX4 = AutopilotPicture(
     rates_hz={"ATTITUDE_QUATERNION": 99.0, "LOCAL_POSITION_NED": 49.0, "EXTENDED_SYS_STATE": 5.0},
     wanted_hz=dict(RATES_HZ[Stack.PX4]),
 )
-SYNC = SyncPicture(True, 0.004)
-GOOD = Picture(8.0, (LINK,), ARDUPILOT, SYNC, SERVICE)
+SYNC = TimeSyncSnapshot(True, 0.004)
+GOOD = Snapshot(8.0, (LINK,), ARDUPILOT, SYNC, SERVICE)
 GOOD_PX4 = replace(GOOD, autopilot=PX4)
 
 
-def link(**changes: Any) -> Picture:
+def link(**changes: Any) -> Snapshot:
     return replace(GOOD, links=(replace(LINK, **changes),))
 
 
-def ardupilot(**changes: Any) -> Picture:
+def ardupilot(**changes: Any) -> Snapshot:
     return replace(GOOD, autopilot=replace(ARDUPILOT, **changes))
 
 
-def px4(**changes: Any) -> Picture:
+def px4(**changes: Any) -> Snapshot:
     return replace(GOOD_PX4, autopilot=replace(PX4, **changes))
 
 
-def parameter(name: str, value: float) -> Picture:
+def parameter(name: str, value: float) -> Snapshot:
     return ardupilot(parameters=ARDUPILOT.parameters | {name: value})
 
 
-def px4_parameter(name: str, value: float) -> Picture:
+def px4_parameter(name: str, value: float) -> Snapshot:
     return px4(parameters=PX4.parameters | {name: value})
 
 
-def service(**changes: Any) -> Picture:
+def service(**changes: Any) -> Snapshot:
     return replace(GOOD, service=replace(SERVICE, **changes))
 
 
-def rates(**changes: float) -> Picture:
+def rates(**changes: float) -> Snapshot:
     return ardupilot(rates_hz=ARDUPILOT.rates_hz | changes)
 
 
@@ -100,8 +100,8 @@ def test_a_cable_and_loopback_need_no_signature() -> None:
     assert diagnose(link(url="udpin://0.0.0.0:14550", signed=True)) == ()
 
 
-BROKEN: dict[str, tuple[str, Picture, str]] = {
-    # what is broken: the rule that names it, the picture, a word of the cure
+BROKEN: dict[str, tuple[str, Snapshot, str]] = {
+    # what is broken: the rule that names it, the frame, a word of the cure
     "serial port without permission": ("link-down", link(down="[Errno 13] Permission denied: '/dev/ttyAMA0'"), "usermod"),
     "serial port in use": ("link-down", link(down="Could not exclusively lock port /dev/ttyAMA0"), "another program"),
     "no such device": ("link-down", link(down="[Errno 2] No such file or directory: '/dev/ttyACM0'"), "cable"),
@@ -118,10 +118,10 @@ BROKEN: dict[str, tuple[str, Picture, str]] = {
     "firmware without a stream": ("stream-refused", ardupilot(refused={"LOCAL_POSITION_NED": 2}), "update the firmware"),
     "stream silent": ("stream-silent", rates(LOCAL_POSITION_NED=0.0), "SRn_"),
     "attitude at 4 Hz": ("attitude-slow", rates(ATTITUDE_QUATERNION=4.0), "921600"),
-    "clock not locked": ("clock-not-locked", replace(GOOD, sync=SyncPicture(False)), "TIMESYNC"),
-    "telemetry radio": ("clock-far", replace(GOOD, sync=SyncPicture(True, 0.180)), "wire"),
-    "PX4 over Wi-Fi": ("clock-far", replace(GOOD_PX4, sync=SyncPicture(True, 0.022)), "wire"),
-    "clock set while listening": ("clock-jumps", replace(GOOD, sync=SyncPicture(True, 0.004, jumps=2)), "power"),
+    "clock not locked": ("clock-not-locked", replace(GOOD, sync=TimeSyncSnapshot(False)), "TIMESYNC"),
+    "telemetry radio": ("clock-far", replace(GOOD, sync=TimeSyncSnapshot(True, 0.180)), "wire"),
+    "PX4 over Wi-Fi": ("clock-far", replace(GOOD_PX4, sync=TimeSyncSnapshot(True, 0.022)), "wire"),
+    "clock set while listening": ("clock-jumps", replace(GOOD, sync=TimeSyncSnapshot(True, 0.004, jumps=2)), "power"),
     "camera not plugged in": ("camera-device", service(device_fault="usb: no such camera; there is none at all"), "cable"),
     "camera file with a fault": ("camera-file", service(camera_fault="cam.toml: fx: expected a number"), "config check"),
     "camera at another size": ("camera-size", service(frame_size=(1280, 720)), "calibrate"),
@@ -170,26 +170,26 @@ BROKEN: dict[str, tuple[str, Picture, str]] = {
     "PX4 lands in the sea when we die": ("px4-offboard-action", px4_parameter("COM_OBL_RC_ACT", 4.0), "COM_OBL_RC_ACT"),
     "PX4 height from the deck": ("ekf-height-by-range", px4_parameter("EKF2_HGT_REF", 2.0), "EKF2_HGT_REF"),
     "PX4 waits for vision": ("px4-external-vision", px4_parameter("EKF2_EV_CTRL", 15.0), "EKF2_EV_CTRL 0"),
-    "pad out of the picture": ("targets-withheld", service(targets_sent=0, withheld={"not seen": 90, "standing": 3}), "detect"),
+    "pad out of the frame": ("targets-withheld", service(targets_sent=0, withheld={"not seen": 90, "standing": 3}), "detect"),
 }
 
 
-@pytest.mark.parametrize("picture", [GOOD, GOOD_PX4, Picture(0.0)], ids=["ArduPilot", "PX4", "nothing known"])
-def test_nothing_is_said_of_a_good_set_up_or_of_what_is_not_known(picture: Picture) -> None:
-    assert diagnose(picture) == ()
+@pytest.mark.parametrize("snapshot", [GOOD, GOOD_PX4, Snapshot(0.0)], ids=["ArduPilot", "PX4", "nothing known"])
+def test_nothing_is_said_of_a_good_set_up_or_of_what_is_not_known(snapshot: Snapshot) -> None:
+    assert diagnose(snapshot) == ()
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_the_trap_is_named_with_its_cure_and_no_other(name: str) -> None:
-    rule, picture, word = BROKEN[name]
-    found = diagnose(picture)
+    rule, snapshot, word = BROKEN[name]
+    found = diagnose(snapshot)
     assert [f.rule for f in found] == [rule]
-    assert word in found[0].cure
-    assert "\n" not in found[0].what + found[0].cure
+    assert word in found[0].fix
+    assert "\n" not in found[0].what + found[0].fix
 
 
 def test_every_rule_has_a_broken_set_up() -> None:
-    fired = {rule for rule in RULES for _, picture, _ in BROKEN.values() if rule(picture) is not None}
+    fired = {rule for rule in RULES for _, snapshot, _ in BROKEN.values() if rule(snapshot) is not None}
     assert fired == set(RULES)
     assert len(BROKEN) >= 20
 
@@ -205,25 +205,25 @@ def test_on_a_pad_that_does_not_move_the_ships_traps_are_none() -> None:
 
 
 def test_the_gravest_comes_first() -> None:
-    picture = ardupilot(
+    snapshot = ardupilot(
         parameters=ARDUPILOT.parameters | {"PLND_STRICT": 0.0, "PLND_TYPE": 0.0, "INS_GYRO_CAL": 1.0},
     )
-    picture = replace(picture, service=replace(SERVICE, exposure_to_belief_s=0.2))
-    found = diagnose(picture)
-    assert [f.gravity for f in found] == sorted(f.gravity for f in found)
-    assert found[0].gravity is Gravity.ERROR
-    assert found[-1].gravity is Gravity.ADVICE
+    snapshot = replace(snapshot, service=replace(SERVICE, exposure_to_belief_s=0.2))
+    found = diagnose(snapshot)
+    assert [f.severity for f in found] == sorted(f.severity for f in found)
+    assert found[0].severity is Severity.ERROR
+    assert found[-1].severity is Severity.ADVICE
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_picture_can_be_saved_and_examined_elsewhere(name: str) -> None:
-    picture = BROKEN[name][1]
-    assert decode(encode(picture), "there") == picture
+def test_a_image_can_be_saved_and_examined_elsewhere(name: str) -> None:
+    snapshot = BROKEN[name][1]
+    assert decode(encode(snapshot), "there") == snapshot
 
 
-def test_a_file_that_is_no_picture_is_bad_input() -> None:
+def test_a_file_that_is_no_image_is_bad_input() -> None:
     for data in (b"", b"[1]", b'{"seconds": "x"}', b"\xff"):
-        with pytest.raises(BadInput, match=r"pic\.json: no picture"):
+        with pytest.raises(BadInput, match=r"pic\.json: no frame"):
             decode(data, "pic.json")
 
 

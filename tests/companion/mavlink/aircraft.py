@@ -1,6 +1,6 @@
 """The simulated body over the simulated deck behind a MAVLink face, flown by velocity setpoints alone, in virtual time.
 
-Messages cross real sockets; the clock stands still until they have arrived and the pictures of the instant were looked at, so a
+Messages cross real sockets; the clock stands still until they have arrived and the frames of the instant were looked at, so a
 flight is the same on a machine however busy.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from drivers.mavlink.dialect import Message
-from drivers.mavlink.links import Heard, Links
+from drivers.mavlink.links import Links, ReceivedMessage
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
@@ -21,8 +21,8 @@ from estimator.contracts.time import Stamp, after
 from sitl.airframe import Airframe
 from sitl.autopilots.body import Body
 from sitl.scenario import load
+from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.companion.mavlink.receivers import Px4Receiver
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
 from tests.sitl.autopilots.pilot import Cascade
 
 STEP_S = 0.005
@@ -36,7 +36,7 @@ async def settled(one: Links, other: Links, also: Callable[[], bool], over: Call
         while calm < 3 and not over():
             await asyncio.sleep(0)
             there = all(
-                a.all[0].counters.bytes_out == b.all[0].counters.bytes_in and len(b.heard) == 0
+                a.all[0].counters.bytes_out == b.all[0].counters.bytes_in and len(b.received) == 0
                 for a, b in ((one, other), (other, one))
             )
             calm = calm + 1 if there and also() else 0
@@ -57,18 +57,18 @@ class Aircraft(FakeAutopilot):
         self._wanted = self.body.state().v_ned
         self._since = clock.now()
         self.rpy = lambda t: self.body.state().R_ned_body.rpy_rad
-        self.pictures = 0
+        self.images = 0
         self.told_off_m: list[float] = []
         """Horizontal distance from the pad of each place we were told of, when we were told."""
 
-    def _on_landing_target(self, m: Message, heard: Heard) -> None:
-        told = Px4Receiver().hear(m)
+    def _on_landing_target(self, m: Message, received: ReceivedMessage) -> None:
+        told = Px4Receiver().on_message(m)
         if told is not None and told[0] == "absolute":
             off = np.array(told[1])[:2] - self.body.p_pad_ned[:2]
             self.told_off_m.append(float(np.hypot(off[0], off[1])))
 
-    def _on_set_position_target_local_ned(self, m: Message, heard: Heard) -> None:
-        super()._on_set_position_target_local_ned(m, heard)
+    def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
+        super()._on_set_position_target_local_ned(m, received)
         if self.mode == "offboard":
             self._wanted = np.array([m.vx, m.vy, m.vz])
 
@@ -87,7 +87,7 @@ class Aircraft(FakeAutopilot):
 
     def frame(self) -> Frame:
         """What the camera sees now."""
-        taken = after(self._since, self.body.t_s)
-        picture = self.body.expose()()
-        self.pictures += 1
-        return Frame(Stamp(taken, self.clock.now(), 0.001, "sim"), self.pictures, picture.px, picture.exposure_s)
+        measured_at = after(self._since, self.body.t_s)
+        image = self.body.expose()()
+        self.images += 1
+        return Frame(Stamp(measured_at, self.clock.now(), 0.001, "sim"), self.images, image.px, image.exposure_s)

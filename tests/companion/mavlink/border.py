@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-import companion.settings as settings_of
+import companion.config.settings as settings_of
+from companion.mavlink.bridge import VehicleBridge
 from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.mavlink.face import Face
 from companion.mavlink.outputs import OutputOptions
 from companion.mavlink.tunables import Tunables
 from drivers.clock import SystemClock
@@ -27,8 +27,8 @@ from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
+from sitl.testing.fake_ardrone import until
 from tests.companion.mavlink.test_component_parts import Tower
-from tests.drivers.fake_ardrone import until
 
 HOST = "127.0.0.1"
 AUTOPILOT, US, STATION = (7, 1), (7, 191), (255, 190)
@@ -87,7 +87,7 @@ class Border:
         wire: the autopilot's socket.
     """
 
-    def __init__(self, autopilot: Autopilot, component: Component, bridge: Face, tower: Tower) -> None:
+    def __init__(self, autopilot: Autopilot, component: Component, bridge: VehicleBridge, tower: Tower) -> None:
         self.autopilot, self.component, self.bridge, self.tower = autopilot, component, bridge, tower
         self.links = autopilot.links
         self.wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -101,7 +101,7 @@ class Border:
         for one in data:
             expected = counters.bytes_in + len(one)
             (wire or self.wire).sendto(one, address)
-            while counters.bytes_in < expected or len(self.links.heard):  # noqa: ASYNC110 - no event tells of bytes
+            while counters.bytes_in < expected or len(self.links.received):  # noqa: ASYNC110 - no event tells of bytes
                 await asyncio.sleep(0)
         await asyncio.sleep(0)
 
@@ -173,8 +173,8 @@ async def bordered(*more_links: str, **options: Any) -> AsyncIterator[Border]:
     given = AutopilotOptions(links, vessel_system=17, parameters=("PLND_LAG",), **options)
     async with open_autopilot(given, clock) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
-        bridge = Face(autopilot.links.send, lambda command: None)
-        autopilot.listen(lambda heard: bridge.hear(heard, AUTOPILOT[0], clock.now()))
+        bridge = VehicleBridge(autopilot.links.send, lambda command: None)
+        autopilot.add_listener(lambda received: bridge.on_message(received, AUTOPILOT[0], clock.now()))
         border = Border(autopilot, component, bridge, tower)
 
         async def pump() -> None:

@@ -54,7 +54,7 @@ class ArduPilotReceiver:
     def loop(self, rpy: Euler) -> None:
         self._ring.append(rpy)
 
-    def hear(self, m: Any) -> Vector | None:
+    def on_message(self, m: Any) -> Vector | None:
         """The target from the vehicle in north, east, down, as the filter is given it; None when the message is dropped."""
         distance = max(0.0, m.distance)
         if self.angles_only or m.position_valid != 1:
@@ -89,7 +89,7 @@ class Px4Receiver:
     dist_bottom_m: float = 0.0
     events: list[str] = field(default_factory=list)
 
-    def hear(self, m: Any) -> tuple[str, Vector] | None:
+    def on_message(self, m: Any) -> tuple[str, Vector] | None:
         """("absolute", place in the local frame), or ("relative", from the vehicle) by way of an IR-LOCK report."""
         if m.position_valid:
             if m.frame != 1:

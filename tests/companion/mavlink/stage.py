@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-import companion.settings as settings_of
+import companion.config.settings as settings_of
+from companion.config.model import Settings
 from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.outputs import OutputOptions
 from companion.mavlink.tunables import Tunables
 from companion.observer import Decision
-from companion.settings_model import Settings
 from drivers.clock import SystemClock
 from drivers.mavlink.access import Named
 from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
@@ -25,9 +25,9 @@ from estimator.contracts.estimates import Doubt, RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Range
 from estimator.contracts.time import MonoNs
+from sitl.testing.fake_ardrone import until
+from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.companion.mavlink.test_component_parts import Tower
-from tests.drivers.fake_ardrone import until
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
 
 HOST = "127.0.0.1"
 PAD_NED = np.array([1.5, -0.8, 0.0])

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.links import Heard
+from drivers.mavlink.links import ReceivedMessage
 from tests.companion.mavlink.border import AUTOPILOT, US, Border, bordered, frame, messages
 
 
@@ -73,7 +73,7 @@ def test_and_the_service_goes_on_answering(border: tuple[asyncio.AbstractEventLo
 
 
 async def test_a_bug_in_a_handler_is_counted_and_logged_once_and_ends_nothing(caplog: pytest.LogCaptureFixture) -> None:
-    def broken(heard: Heard) -> None:
+    def broken(received: ReceivedMessage) -> None:
         raise ZeroDivisionError("a bug of ours")
 
     async with bordered() as border:

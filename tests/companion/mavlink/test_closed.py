@@ -12,8 +12,8 @@ import pytest
 from drivers.mavlink.access import Named
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
+from sitl.testing.fake_ardrone import until
 from tests.companion.mavlink.border import AUTOPILOT, HOST, STATION, US, Border, bordered
-from tests.drivers.fake_ardrone import until
 
 DENIED, ACCEPTED = int(mav.MAV_RESULT_DENIED), int(mav.MAV_RESULT_ACCEPTED)
 LANDED = mav.MAVLink_extended_sys_state_message(0, mav.MAV_LANDED_STATE_ON_GROUND)
@@ -47,7 +47,7 @@ async def test_a_stranger_s_commands_and_parameters_are_not_obeyed(stranger: soc
         for source in ((66, 1), STATION, AUTOPILOT, US):
             await border.send(*EVERY_COMMAND, wire=stranger, source=source)
         await asyncio.sleep(0.05)
-        assert border.tower.deeds == []
+        assert border.tower.handlers == []
         assert setting(border) == before
         assert border.answers(stranger) == [], "not even an answer: its address may be another's"
         await border.alive()
@@ -77,8 +77,8 @@ async def test_a_flood_of_strangers_pushes_nothing_out_that_was_asked_for() -> N
         link._received(text, clock.now(), (HOST, border.wire.getsockname()[1]))
         for n in range(5000):  # before the reader has had a turn
             link._received(beat, clock.now(), (HOST, 20_000 + n))
-        assert border.links.heard.dropped == 0
-        await until(lambda: len(border.links.heard) == 0)
+        assert border.links.received.dropped == 0
+        await until(lambda: len(border.links.received) == 0)
         assert [text for _, _, text in border.autopilot.texts] == ["of the autopilot"]
         await border.alive()
 
@@ -127,7 +127,7 @@ async def test_the_ship_s_reports_come_from_one_port(stranger: socket.socket) ->
 async def test_what_a_router_forwards_from_the_autopilot_s_own_port_is_obeyed() -> None:
     async with bordered() as border:
         await border.send(command(193, 0), source=STATION)
-        assert border.tower.deeds == ["pause"]
+        assert border.tower.handlers == ["pause"]
 
 
 async def test_a_named_operator_is_obeyed_and_told_from_its_first_port_alone(stranger: socket.socket) -> None:
@@ -135,9 +135,9 @@ async def test_a_named_operator_is_obeyed_and_told_from_its_first_port_alone(str
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
             station.setblocking(False)
             await border.send(command(193, 0), wire=station, source=STATION)
-            assert border.tower.deeds == ["pause"]
+            assert border.tower.handlers == ["pause"]
             await border.send(command(191), wire=stranger, source=STATION)
-            assert border.tower.deeds == ["pause"]
+            assert border.tower.handlers == ["pause"]
             assert (193, ACCEPTED) in {(m.command, m.result) for m in border.answers(station) if m.get_type() == "COMMAND_ACK"}
             await border.told_of_the_pad()
             assert "LANDING_TARGET" in {m.get_type() for m in border.answers(station)}
@@ -157,7 +157,7 @@ async def test_a_peer_that_may_not_command_is_answered_and_told_of_once(caplog: 
             answers = [m for m in border.answers(station) if m.get_type() == "COMMAND_ACK"]
             assert {m.command for m in answers} == {21, 193, 191, 31010, 2510, 2511, 511, 512}
             assert {m.result for m in answers} == {DENIED}
-            assert border.tower.deeds == []
+            assert border.tower.handlers == []
             assert setting(border) == before
             assert border.component.refusals.counts == {"COMMAND_LONG": 24, "PARAM_SET": 3}
             told = [r.getMessage() for r in caplog.records if "is no operator" in r.getMessage()]

@@ -13,10 +13,10 @@ import pytest
 from drivers.mavlink.dialect import ComponentInformationBasic, mav
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.estimates import Doubt, Verdict
+from sitl.testing.fake_ardrone import until
+from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
 from tests.companion.mavlink.stage import PAD_NED, staged
-from tests.drivers.fake_ardrone import until
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
 
 
 async def test_an_ardupilot_is_told_where_the_pad_is() -> None:
@@ -29,7 +29,7 @@ async def test_an_ardupilot_is_told_where_the_pad_is() -> None:
         receiver.loop(tilt)
         for m in fake.of("LANDING_TARGET")[-5:]:
             assert (m.frame, m.position_valid, m.type) == (12, 1, 3)
-            assert receiver.hear(m) == pytest.approx(PAD_NED - fake.p_ned, abs=0.01)
+            assert receiver.on_message(m) == pytest.approx(PAD_NED - fake.p_ned, abs=0.01)
         assert stage.component.outputs.sends_ranges is not None
 
 
@@ -40,7 +40,7 @@ async def test_a_px4_is_told_in_its_own_local_frame() -> None:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 10)
         receiver = Px4Receiver()
         for m in fake.of("LANDING_TARGET")[-5:]:
-            told = receiver.hear(m)
+            told = receiver.on_message(m)
             assert told is not None
             assert told[0] == "absolute"
             # It flies at 0.9 m/s: the place on the ground stands still only if both parts are of one instant
@@ -112,8 +112,8 @@ async def test_our_own_distances_come_back_as_no_measurement() -> None:
     fake = FakeAutopilot(parameters={"RNGFND1_TYPE": 10.0, "PLND_LAG": 0.02}, distance_cm=480)
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("DISTANCE_SENSOR")) > 5)
-        before, heard = stage.ranges, stage.autopilot.counts["DISTANCE_SENSOR"]
-        await until(lambda: stage.autopilot.counts["DISTANCE_SENSOR"] > heard + 5)
+        before, received_at = stage.ranges, stage.autopilot.counts["DISTANCE_SENSOR"]
+        await until(lambda: stage.autopilot.counts["DISTANCE_SENSOR"] > received_at + 5)
         assert stage.ranges == before
         fake.parameters["RNGFND1_TYPE"] = 20.0
         assert stage.autopilot.parameters is not None
@@ -173,7 +173,7 @@ async def test_commands_from_the_wire() -> None:
         fake.send(mav.MAVLink_command_long_message(7, 191, 193, 0, 0, 0, 0, 0, 0, 0, 0))
         fake.send(mav.MAVLink_command_long_message(7, 191, 512, 0, ComponentInformationBasic.id, 0, 0, 0, 0, 0, 0))
         await until(lambda: bool(fake.of("COMPONENT_INFORMATION_BASIC")))
-        assert stage.tower.deeds == ["pause"]
+        assert stage.tower.handlers == ["pause"]
         assert {(m.command, m.result) for m in fake.of("COMMAND_ACK")} == {(193, 0), (512, 0)}
         assert fake.of("COMPONENT_INFORMATION_BASIC")[0].vendor_name == "Decklander"
         stage.tower.refusal = "no recorder is set up"

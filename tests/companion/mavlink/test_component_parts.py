@@ -10,20 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import companion.settings as settings_of
+import companion.config.settings as settings_of
+from companion.config.model import Settings
 from companion.mavlink.commands import ACCEPTED, CANCELLED, DENIED, FAILED, IN_PROGRESS, UNSUPPORTED, CommandServer, Offered
 from companion.mavlink.computer import Computer, ComputerReader, computer_status
 from companion.mavlink.operator import Progress
 from companion.mavlink.parameters import ParameterServer
 from companion.mavlink.status_texts import Severity, StatusTexts
 from companion.mavlink.tunables import NAMES, Tunables
-from companion.settings_model import Settings
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
-from tests.descriptors import no_descriptors
+from sitl.testing.descriptors import no_descriptors
 
 S = 1_000_000_000
 US, STATION = (7, 191), (255, 190)
@@ -37,29 +37,29 @@ class Tower:
     """An operator that remembers what it was asked."""
 
     def __init__(self) -> None:
-        self.deeds: list[str] = []
+        self.handlers: list[str] = []
         self.refusal: str | None = None
         self.state = Progress(None)
 
-    def _deed(self, name: str) -> str | None:
+    def _handler(self, name: str) -> str | None:
         if self.refusal is None:
-            self.deeds.append(name)
+            self.handlers.append(name)
         return self.refusal
 
     def begin(self) -> str | None:
-        return self._deed("begin")
+        return self._handler("begin")
 
     def pause(self) -> str | None:
-        return self._deed("pause")
+        return self._handler("pause")
 
     def abort(self) -> str | None:
-        return self._deed("abort")
+        return self._handler("abort")
 
     def choose_path(self, path: PathName) -> str | None:
-        return self._deed(f"path {path}")
+        return self._handler(f"path {path}")
 
     def record(self, on: bool) -> str | None:
-        return self._deed(f"record {on}")
+        return self._handler(f"record {on}")
 
     def progress(self) -> Progress:
         return self.state
@@ -83,7 +83,7 @@ def acks(messages: list[Message]) -> list[tuple[int, int, int]]:
 
 
 @pytest.mark.parametrize(
-    ("command", "params", "deed"),
+    ("command", "params", "handler"),
     [
         (193, (0,), "pause"),
         (193, (1,), "begin"),
@@ -95,15 +95,17 @@ def acks(messages: list[Message]) -> list[tuple[int, int, int]]:
     ],
 )
 @pytest.mark.parametrize("kind", ["long", "int"])
-def test_commands_are_done_and_answered_to_who_gave_them(command: int, params: tuple[float, ...], deed: str, kind: str) -> None:
+def test_commands_are_done_and_answered_to_who_gave_them(
+    command: int, params: tuple[float, ...], handler: str, kind: str
+) -> None:
     tower = Tower()
     message = long(command, *params)
     if kind == "int":
         first = [*params, 0.0, 0.0, 0.0, 0.0][:4]
         message = mav.MAVLink_command_int_message(*US, 0, command, 0, 0, *first, 0, 0, 0.0)
-    (ack,) = server(tower).hear(message, STATION, US, at(0))
+    (ack,) = server(tower).on_message(message, STATION, US, at(0))
     assert (ack.command, ack.result, ack.target_system, ack.target_component) == (command, ACCEPTED, *STATION)
-    assert tower.deeds == [deed]
+    assert tower.handlers == [handler]
 
 
 @pytest.mark.parametrize(
@@ -124,63 +126,65 @@ def test_commands_are_done_and_answered_to_who_gave_them(command: int, params: t
 )
 def test_what_cannot_be_done_is_answered_too(command: int, params: tuple[float, ...], result: int) -> None:
     tower = Tower()
-    (ack,) = server(tower).hear(long(command, *params), STATION, US, at(0))
+    (ack,) = server(tower).on_message(long(command, *params), STATION, US, at(0))
     assert ack.result == result
-    assert tower.deeds == []
+    assert tower.handlers == []
 
 
 @settings(deadline=None, max_examples=100)
 @given(st.integers(0, 65535), st.lists(st.floats(width=32), min_size=7, max_size=7))
 def test_every_command_is_answered_exactly_once(command: int, params: list[float]) -> None:
-    assert len(acks(server(Tower()).hear(long(command, *params), STATION, US, at(0)))) == 1
+    assert len(acks(server(Tower()).on_message(long(command, *params), STATION, US, at(0)))) == 1
 
 
 def test_commands_to_others_are_not_ours() -> None:
     tower = Tower()
     for target in ((7, 1), (7, 0), (1, 191), (0, 0)):
-        assert server(tower).hear(long(193, 0, target=target), STATION, US, at(0)) == []
-    assert tower.deeds == []
+        assert server(tower).on_message(long(193, 0, target=target), STATION, US, at(0)) == []
+    assert tower.handlers == []
 
 
 def test_a_repeat_is_answered_and_not_done_again() -> None:
     tower = Tower()
     commands = server(tower)
-    commands.hear(long(193, 0), STATION, US, at(0))
-    assert acks(commands.hear(long(193, 0, confirmation=1), STATION, US, at(0.5))) == [(193, ACCEPTED, 0)]
-    assert tower.deeds == ["pause"]
-    commands.hear(long(193, 1, confirmation=1), STATION, US, at(1.0))
-    commands.hear(long(193, 0), STATION, US, at(1.5))
-    assert tower.deeds == ["pause", "begin", "pause"], "another parameter, or given anew, is another command"
+    commands.on_message(long(193, 0), STATION, US, at(0))
+    assert acks(commands.on_message(long(193, 0, confirmation=1), STATION, US, at(0.5))) == [(193, ACCEPTED, 0)]
+    assert tower.handlers == ["pause"]
+    commands.on_message(long(193, 1, confirmation=1), STATION, US, at(1.0))
+    commands.on_message(long(193, 0), STATION, US, at(1.5))
+    assert tower.handlers == ["pause", "begin", "pause"], "another parameter, or given anew, is another command"
 
 
 def test_a_sender_that_repeats_without_counting_is_understood() -> None:
     tower = Tower()
     commands = server(tower)
     for n in range(3):
-        assert acks(commands.hear(long(2510), STATION, US, at(0.3 * n))) == [(2510, ACCEPTED, 0)]
-    assert tower.deeds == ["record True"]
-    commands.hear(long(2510), STATION, US, at(3.0))
-    commands.hear(long(2510), (254, 190), US, at(3.1))
-    assert tower.deeds == ["record True"] * 3, "later, or from another, it is a command of its own"
+        assert acks(commands.on_message(long(2510), STATION, US, at(0.3 * n))) == [(2510, ACCEPTED, 0)]
+    assert tower.handlers == ["record True"]
+    commands.on_message(long(2510), STATION, US, at(3.0))
+    commands.on_message(long(2510), (254, 190), US, at(3.1))
+    assert tower.handlers == ["record True"] * 3, "later, or from another, it is a command of its own"
     for n in range(3):
-        assert len(commands.hear(long(512, 2), STATION, US, at(4 + 0.1 * n))) == 2, "a message is sent as often as asked for"
+        assert len(commands.on_message(long(512, 2), STATION, US, at(4 + 0.1 * n))) == 2, (
+            "a message is sent as often as asked for"
+        )
 
 
 def test_a_landing_reports_until_it_ends() -> None:
     tower = Tower()
     commands = server(tower)
     tower.state = Progress(0)
-    assert acks(commands.hear(long(21), STATION, US, at(0))) == [(21, IN_PROGRESS, 0)]
+    assert acks(commands.on_message(long(21), STATION, US, at(0))) == [(21, IN_PROGRESS, 0)]
     assert commands.due(at(0.5)) == []
     tower.state = Progress(40)
     assert acks(commands.due(at(1.1))) == [(21, IN_PROGRESS, 40)]
-    assert acks(commands.hear(long(21, confirmation=1), STATION, US, at(1.2))) == [(21, IN_PROGRESS, 40)]
+    assert acks(commands.on_message(long(21, confirmation=1), STATION, US, at(1.2))) == [(21, IN_PROGRESS, 40)]
     tower.state = Progress(None)
     assert acks(commands.due(at(2.2))) == [(21, IN_PROGRESS, 255)]
     tower.state = Progress(100, landed=True)
     assert acks(commands.due(at(2.3))) == [(21, ACCEPTED, 0)]
     assert commands.due(at(9)) == []
-    assert tower.deeds == ["begin"]
+    assert tower.handlers == ["begin"]
 
 
 @pytest.mark.parametrize(
@@ -189,7 +193,7 @@ def test_a_landing_reports_until_it_ends() -> None:
 def test_a_landing_that_did_not_come_about(end: Progress, result: int) -> None:
     tower = Tower()
     commands = server(tower)
-    commands.hear(long(21), STATION, US, at(0))
+    commands.on_message(long(21), STATION, US, at(0))
     tower.state = end
     assert acks(commands.due(at(1))) == [(21, result, 0)]
 
@@ -198,7 +202,7 @@ def test_a_refusal_says_why() -> None:
     tower = Tower()
     tower.refusal = "no recorder"
     commands = server(tower)
-    (ack,) = commands.hear(long(2510), STATION, US, at(0))
+    (ack,) = commands.on_message(long(2510), STATION, US, at(0))
     assert ack.result == mav.MAV_RESULT_TEMPORARILY_REJECTED
     assert commands.refusal == "no recorder"
 
@@ -206,17 +210,17 @@ def test_a_refusal_says_why() -> None:
 def test_messages_on_request_and_at_intervals() -> None:
     commands = server(Tower())
     offered = commands._offered
-    ack, beat = commands.hear(long(512, 2), STATION, US, at(0))
+    ack, beat = commands.on_message(long(512, 2), STATION, US, at(0))
     assert (ack.result, beat.get_type()) == (ACCEPTED, "HEARTBEAT")
     assert sum(len(offered.due(at(0.1 * n))) for n in range(50)) == 5
-    commands.hear(long(511, 2, 200_000), STATION, US, at(5))
-    _, interval = commands.hear(long(510, 2), STATION, US, at(5))
+    commands.on_message(long(511, 2, 200_000), STATION, US, at(5))
+    _, interval = commands.on_message(long(510, 2), STATION, US, at(5))
     assert (interval.message_id, interval.interval_us) == (2, 200_000)
     assert sum(len(offered.due(at(5 + 0.1 * n))) for n in range(50)) == 25
-    commands.hear(long(511, 2, -1), STATION, US, at(10))
+    commands.on_message(long(511, 2, -1), STATION, US, at(10))
     assert offered.due(at(11)) == []
     assert offered.interval_us(2) == -1
-    commands.hear(long(511, 2, 0), STATION, US, at(12))
+    commands.on_message(long(511, 2, 0), STATION, US, at(12))
     assert offered.interval_us(2) == 1_000_000
     assert offered.interval_us(77) == 0
 
@@ -265,7 +269,7 @@ def wired(message: Message) -> Message:
 
 def test_a_list_comes_in_portions_with_a_stable_count(tunables: tuple[Tunables, list[Settings]]) -> None:
     params = ParameterServer(tunables[0])
-    assert params.hear(wired(mav.MAVLink_param_request_list_message(*US)), US) == []
+    assert params.on_message(wired(mav.MAVLink_param_request_list_message(*US)), US) == []
     got: list[Message] = []
     while portion := params.due():
         assert len(portion) <= 4
@@ -278,12 +282,12 @@ def test_a_list_comes_in_portions_with_a_stable_count(tunables: tuple[Tunables, 
 def test_reading_by_name_and_by_number(tunables: tuple[Tunables, list[Settings]]) -> None:
     tuned, _ = tunables
     params = ParameterServer(tuned)
-    (one,) = params.hear(wired(mav.MAVLink_param_request_read_message(*US, b"PLAN_SPEED", -1)), US)
+    (one,) = params.on_message(wired(mav.MAVLink_param_request_read_message(*US, b"PLAN_SPEED", -1)), US)
     assert one.param_value == pytest.approx(tuned.get("PLAN_SPEED"))
-    (same,) = params.hear(wired(mav.MAVLink_param_request_read_message(*US, b"", one.param_index)), US)
+    (same,) = params.on_message(wired(mav.MAVLink_param_request_read_message(*US, b"", one.param_index)), US)
     assert same.param_id == one.param_id
     for name, index in ((b"NO_SUCH", -1), (b"", 999)):
-        assert params.hear(wired(mav.MAVLink_param_request_read_message(*US, name, index)), US) == []
+        assert params.on_message(wired(mav.MAVLink_param_request_read_message(*US, name, index)), US) == []
 
 
 def test_setting_tells_everyone_the_value_in_force(tunables: tuple[Tunables, list[Settings]]) -> None:
@@ -291,7 +295,7 @@ def test_setting_tells_everyone_the_value_in_force(tunables: tuple[Tunables, lis
     params = ParameterServer(tuned)
 
     def put(name: bytes, value: float, kind: int = 9, target: tuple[int, int] = US) -> list[Message]:
-        return params.hear(wired(mav.MAVLink_param_set_message(*target, name, value, kind)), US)
+        return params.on_message(wired(mav.MAVLink_param_set_message(*target, name, value, kind)), US)
 
     (told,) = put(b"PID_H_KP", 0.3)
     assert told.param_value == pytest.approx(0.3)

@@ -21,8 +21,8 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
-from tests.drivers.fake_ardrone import until
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+from sitl.testing.fake_ardrone import until
+from sitl.testing.fake_autopilot import FakeAutopilot
 
 HOST = "127.0.0.1"
 YAW = math.radians(130.0)

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from companion.health import Health
 from companion.mavlink.component import Component, ComponentOptions
 from companion.mavlink.outputs import OutputOptions
 from companion.observer import Decision
+from companion.runtime.health import Health
 from drivers.mavlink.containment import Containment
 from drivers.mavlink.dialect import Message
 from estimator.contracts.errors import Recoverable
@@ -54,7 +54,7 @@ def flown(health: Health, clock: Clock, broken: str | None = None, error: BaseEx
     options = ComponentOptions(OutputOptions(pad_radius_m=0.39))
     component = Component(options, Tower(), None, healthy=health.flight_fault, clock=clock, health=health)
     said = Said(clock)
-    autopilot: Any = SimpleNamespace(links=said, listen=lambda listener: None, connected=False)
+    autopilot: Any = SimpleNamespace(links=said, add_listener=lambda listener: None, connected=False)
     component.attach(autopilot)
 
     def fail(*_: object) -> None:
@@ -81,7 +81,7 @@ def health() -> Health:
     return health
 
 
-@pytest.mark.parametrize("part", ["broker", "recorder", "mqtt", "metrics", "face"])
+@pytest.mark.parametrize("part", ["broker", "recorder", "mqtt", "metrics", "bridge"])
 def test_a_part_beside_the_flight_that_is_down_costs_no_heartbeat_and_is_told_once(health: Health, part: str) -> None:
     health.down(part, Recoverable("gone"))
     said = flown(health, Clock())

@@ -9,23 +9,23 @@ from contextlib import asynccontextmanager
 
 import numpy as np
 
-import companion.settings as settings_of
-from companion import rig
-from companion.daemon import Daemon, Link
-from companion.health import Health
+import companion.config.settings as settings_of
+from companion.config import build
+from companion.config.vehicle import AutopilotSettings
 from companion.mavlink.make import AutopilotPart
 from companion.pilot import Outcome
-from companion.service import make_pilot
-from companion.settings_vehicle import AutopilotSettings
+from companion.runtime.daemon import Daemon, Link
+from companion.runtime.health import Health
+from companion.runtime.service import make_pilot
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from sitl.autopilots.lock_step import LockStepClock
+from sitl.testing.fake_ardrone import until
 from tests.companion.mavlink.aircraft import TICK_S, Aircraft, settled
-from tests.drivers.fake_ardrone import until
 
 HOST = "127.0.0.1"
 FRAME_EVERY = 8
-"""Ticks: 12.5 pictures a second."""
+"""Ticks: 12.5 frames a second."""
 SETTINGS = {
     "vehicle": {"kind": "mavlink", "links": f"udpin://{HOST}:0", "command_period_s": 0.02},
     "camera": {"file": "sim"},
@@ -61,7 +61,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
         open_link,
         pilot,
         clock,
-        restart=rig.restart(loaded),
+        restart=build.restart(loaded),
         guidance_rate_hz=50.0,
         observers=(part.component,),
         once=True,
@@ -90,7 +90,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
                 await settled(
                     craft.links,
                     autopilot.links,
-                    also=lambda: sum(daemon.health.frames.values()) == craft.pictures,
+                    also=lambda: sum(daemon.health.frames.values()) == craft.images,
                     over=lambda: bool(outcomes),
                 )
                 if outcomes:

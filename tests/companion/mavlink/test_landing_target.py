@@ -67,7 +67,7 @@ def test_ardupilot_takes_the_target_where_it_is(case: Case, form: str) -> None:
         m.distance = 0.0
         receiver.rangefinder_m = ned_to_body(case.rpy, D_NED)[2]
     receiver.loop(case.rpy)
-    assert receiver.hear(m) == pytest.approx(D_NED, abs=1e-5)
+    assert receiver.on_message(m) == pytest.approx(D_NED, abs=1e-5)
     if form != "angles and a rangefinder":
         assert m.distance == pytest.approx(math.sqrt(m.x**2 + m.y**2 + m.z**2), rel=1e-6)
     assert (m.frame, m.position_valid, m.type) == (12, 1, 3)
@@ -77,7 +77,7 @@ def test_ardupilot_takes_the_target_where_it_is(case: Case, form: str) -> None:
 def test_px4_takes_the_target_where_it_is(case: Case) -> None:
     m = over_the_wire(send(case, ARROW))
     receiver = Px4Receiver()
-    kind, place = receiver.hear(m) or ("", (0.0, 0.0, 0.0))
+    kind, place = receiver.on_message(m) or ("", (0.0, 0.0, 0.0))
     assert kind == "absolute"
     assert place == pytest.approx([p + d for p, d in zip(P_NED, D_NED, strict=True)], abs=1e-5)
     assert (m.frame, m.position_valid, m.type, m.time_usec) == (1, 1, 3, TIME_US)
@@ -97,7 +97,7 @@ def test_no_two_fields_can_be_swapped_unseen(case: Case) -> None:
         setattr(swapped, b, left)
         receiver = ArduPilotReceiver()
         receiver.loop(case.rpy)
-        found = receiver.hear(swapped)
+        found = receiver.on_message(swapped)
         assert found is None or found != pytest.approx(D_NED, abs=0.005)
 
 
@@ -118,7 +118,7 @@ def test_angles_position_and_distance_agree_wherever_the_pad_is(
     for angles_only in (False, True):
         receiver = ArduPilotReceiver(angles_only=angles_only)
         receiver.loop((roll, pitch, yaw))
-        assert receiver.hear(m) == pytest.approx(d, abs=2e-5 * m.distance / max(m.z, 0.02))
+        assert receiver.on_message(m) == pytest.approx(d, abs=2e-5 * m.distance / max(m.z, 0.02))
 
 
 def test_a_pad_that_is_not_below_is_no_target() -> None:
@@ -134,12 +134,12 @@ def test_the_receivers_drop_what_the_real_ones_drop() -> None:
     receiver.loop((0.0, 0.0, 0.0))
     for frame in (1, 8):
         good.frame = frame
-        assert receiver.hear(good) is None
+        assert receiver.on_message(good) is None
     assert receiver.texts == ["Plnd: Frame not supported"]
     good.frame, good.distance = 12, 0.0
-    assert receiver.hear(good) is None
+    assert receiver.on_message(good) is None
     px4 = Px4Receiver()
-    assert px4.hear(good) is None
+    assert px4.on_message(good) is None
     assert px4.events == ["landing target: unsupported coordinate frame 12"]
 
 

@@ -14,8 +14,8 @@ import pytest
 from companion.mavlink.operator import Progress
 from companion.mavlink.tunables import NAMES
 from drivers.mavlink.access import Named
+from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
 
 mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
 
@@ -80,7 +80,7 @@ async def test_mavsdk_discovers_hears_and_commands_us() -> None:
         assert (await command(direct, 31010, param1=1))["result"] == 0
         assert (await command(direct, 31010, param1=7))["result"] == 2
         assert (await command(direct, 400, param1=1))["result"] == 3
-        assert stage.tower.deeds == ["pause", "path dead_reckoning"]
+        assert stage.tower.handlers == ["pause", "path dead_reckoning"]
 
 
 async def test_a_landing_commanded_by_mavsdk_is_answered_when_it_is_over() -> None:
@@ -92,7 +92,7 @@ async def test_a_landing_commanded_by_mavsdk_is_answered_when_it_is_over() -> No
         try:
             await asyncio.sleep(1.5)
             assert not landing.done()
-            assert stage.tower.deeds == ["begin"]
+            assert stage.tower.handlers == ["begin"]
             stage.tower.state = Progress(100, landed=True)
             async with asyncio.timeout(60):
                 assert (await landing)["result"] == 0

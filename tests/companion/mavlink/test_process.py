@@ -16,8 +16,8 @@ import pytest
 from companion.recorder.reading import open_recording
 from companion.recorder.records import LinkRecord
 from drivers.mavlink.dialect import mav
-from tests.drivers.fake_ardrone import until
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+from sitl.testing.fake_ardrone import until
+from sitl.testing.fake_autopilot import FakeAutopilot
 
 US = 191
 RIG = """
@@ -82,7 +82,7 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
             assert await told(craft, mav.MAV_CMD_LOGGING_START) == mav.MAV_RESULT_ACCEPTED
             # The pad is not in sight: it is asked to begin, hovers in its own mode and does not sink
             assert await told(craft, mav.MAV_CMD_DO_PAUSE_CONTINUE, 1.0) == mav.MAV_RESULT_ACCEPTED
-            await until(lambda: any(m.get_type() == "NAMED_VALUE_FLOAT" for m in craft.heard))
+            await until(lambda: any(m.get_type() == "NAMED_VALUE_FLOAT" for m in craft.messages))
             await asyncio.sleep(1.5)
             assert all(m.vz <= 0.0 for _, m in craft.setpoints)
             assert await told(craft, mav.MAV_CMD_LOGGING_STOP) == mav.MAV_RESULT_ACCEPTED

@@ -70,7 +70,7 @@ def errors_m(lag_s: float, sends: list[tuple[float, Callable[[], object | None]]
         receiver.loop(rpy(t))
         while queue and queue[0][0] <= t:
             message = queue.popleft()[1]()
-            found = receiver.hear(message) if message is not None else None
+            found = receiver.on_message(message) if message is not None else None
             if found is not None and t > 1.0:
                 truth = d_ned(t - effective_lag_s(lag_s))
                 out.append(math.hypot(found[0] - truth[0], found[1] - truth[1]))
@@ -85,10 +85,10 @@ def test_jitter_costs_nothing_when_locked_and_half_a_metre_when_not(lag_s: float
     locked: list[tuple[float, Callable[[], object | None]]] = []
     track = TargetTrack()
     for n in range(round(seconds * 30)):
-        taken = n / 30
-        sent = taken + rng.uniform(0.02, 0.25)
+        measured_at = n / 30
+        sent = measured_at + rng.uniform(0.02, 0.25)
 
-        def as_seen(t: float = taken) -> object | None:
+        def as_seen(t: float = measured_at) -> object | None:
             return ardupilot_landing_target(0, d_ned(t), Rotation.from_rpy(*rpy(t)), pad_radius_m=0.39)
 
         naive.append((sent + TRANSIT_S, as_seen))
@@ -99,7 +99,7 @@ def test_jitter_costs_nothing_when_locked_and_half_a_metre_when_not(lag_s: float
     for n in range(round(seconds * 25)):
         now = n / 25 + 0.003
         while next_attitude is not None and next_attitude + 0.006 <= now:
-            track.hear(attitude(next_attitude))
+            track.on_attitude(attitude(next_attitude))
             next_attitude = next(attitudes, None)
         while next_belief is not None and next_belief <= now - 0.002:
             # What the estimator knows is good to a centimetre
@@ -128,7 +128,7 @@ def test_the_ring_is_one_loop_shorter_than_its_name() -> None:
 def filled(rate_hz: float = 50.0, seconds: float = 1.0) -> TargetTrack:
     track = TargetTrack()
     for k in range(round(seconds * 100) + 5):
-        track.hear(attitude(k / 100))
+        track.on_attitude(attitude(k / 100))
     for k in range(round(seconds * rate_hz) + 1):
         track.believe(belief(k / rate_hz))
     return track

@@ -13,18 +13,18 @@ import aiohttp
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from companion.health import Health
+from companion.config.settings import from_mapping
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.exposition import text
 from companion.metrics.limits import Limits
 from companion.metrics.settings import MetricsSettings
-from companion.settings import from_mapping
-from companion.supervise import Restart, run
+from companion.runtime.health import Health
+from companion.runtime.supervise import Restart, run
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
-from tests.descriptors import no_descriptors
+from sitl.testing.descriptors import no_descriptors
 
 
 class Clock:

@@ -17,17 +17,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.mqtt.commands import Desk
+from companion.config.settings import from_mapping
+from companion.mqtt.commands import CommandHandler
 from companion.mqtt.connection import Connection, Endpoint, connect
 from companion.mqtt.messages import OperatorNotice, Reply, decode
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.signature import Forged, Unsigned, signed, verified
 from companion.mqtt.topics import Topics
-from companion.settings import from_mapping
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
-from tests.companion.mqtt.broker import Broker
-from tests.companion.mqtt.rig import RUN, SESSION, FakeOperator, Rig, running, until
+from sitl.testing.mosquitto import Broker
+from sitl.testing.mqtt_service import RUN, SESSION, FakeOperator, Rig, running, until
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"
@@ -39,9 +39,9 @@ def body(**changes: object) -> bytes:
     return json.dumps({"command": "start", "id": "a", "run": RUN, "expires_ns": NOW + 10**9, **changes}).encode()
 
 
-def desk() -> tuple[Desk, FakeOperator]:
+def command_handler() -> tuple[CommandHandler, FakeOperator]:
     operator = FakeOperator()
-    return Desk(Topics("deck"), SESSION, operator, RUN, KEY), operator
+    return CommandHandler(Topics("deck"), SESSION, operator, RUN, KEY), operator
 
 
 def test_only_the_right_key_topic_and_bytes_are_obeyed() -> None:
@@ -58,25 +58,25 @@ def test_only_the_right_key_topic_and_bytes_are_obeyed() -> None:
         (signed(KEY, TREE + "command", body(expires_ns=NOW - 1)), "expired"),
         (signed(KEY, TREE + "command", body(id="b", expires_ns=NOW + 10**12)), "expiry_too_far"),
     ):
-        taker, operator = desk()
-        judged = taker.take(payload, NOW)
-        assert (judged.reply.accepted, judged.reply.reason) == (False, reason), payload
+        taker, operator = command_handler()
+        handled = taker.take(payload, NOW)
+        assert (handled.reply.accepted, handled.reply.reason) == (False, reason), payload
         assert operator.done == []
-        assert RUN not in judged.reply.text
-    taker, operator = desk()
+        assert RUN not in handled.reply.text
+    taker, operator = command_handler()
     assert taker.take(good, NOW).reply.accepted
     assert operator.done == ["start"]
 
 
 def test_a_copy_is_answered_and_carried_out_no_second_time_whatever_comes_between() -> None:
-    taker, operator = desk()
+    taker, operator = command_handler()
     good = signed(KEY, TREE + "command", body())
     assert taker.take(good, NOW).reply.accepted
     for k in range(5000):
         taker.take(json.dumps({"command": "start", "id": f"junk {k}", "run": RUN, "expires_ns": NOW + 1}).encode(), NOW)
     assert taker.take(good, NOW).repeated
     assert operator.done == ["start"]
-    later = Desk(Topics("deck"), SESSION, operator, "f" * 32, KEY)
+    later = CommandHandler(Topics("deck"), SESSION, operator, "f" * 32, KEY)
     assert later.take(good, NOW).reply.reason == "other_run", "after a restart"
     assert operator.done == ["start"]
 
@@ -88,8 +88,8 @@ def test_any_bytes_are_no_signature(payload: bytes) -> None:
 
 
 def test_the_key_never_shows() -> None:
-    assert KEY.hex() not in repr(desk()[0])
-    assert repr(KEY) not in repr(desk()[0])
+    assert KEY.hex() not in repr(command_handler()[0])
+    assert repr(KEY) not in repr(command_handler()[0])
 
 
 @pytest.mark.parametrize(
@@ -129,25 +129,25 @@ async def listening(broker: Broker, tmp_path: Path, **changes: object) -> AsyncI
 async def test_by_default_nobody_commands(broker: Broker, tmp_path: Path) -> None:
     async with listening(broker, tmp_path, commands="off") as (rig, ground):
         for k in range(3):
-            await ground.say(TREE + "command", body(id=f"c{k}", expires_ns=rig.clock.now() + 10**9), qos=1)
+            await ground.publish_message(TREE + "command", body(id=f"c{k}", expires_ns=rig.clock.now() + 10**9), qos=1)
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.3):
-                await anext(ground.heard())
+                await anext(ground.publications())
         assert rig.operator.done == []
 
 
 async def test_signed_commands_over_a_real_broker(broker: Broker, tmp_path: Path, key_file: Path) -> None:
     changes = {"commands": "signed", "command_key_file": str(key_file)}
     async with listening(broker, tmp_path, **changes) as (rig, ground), asyncio.timeout(8):
-        heard = ground.heard()
-        notice = decode("operator", (await anext(heard)).payload)
+        received_at = ground.publications()
+        notice = decode("operator", (await anext(received_at)).payload)
         assert isinstance(notice, OperatorNotice)
         assert (notice.run, notice.commands) == (RUN, "signed")
         good = signed(KEY, TREE + "command", body(expires_ns=rig.clock.now() + 5 * 10**9))
         answers = []
         for payload in (good[65:], good, good):
-            await ground.say(TREE + "command", payload, qos=1)
-            reply = decode("reply", (await anext(heard)).payload)
+            await ground.publish_message(TREE + "command", payload, qos=1)
+            reply = decode("reply", (await anext(received_at)).payload)
             assert isinstance(reply, Reply)
             answers.append(reply.reason)
         assert answers == ["unsigned", None, None]
@@ -170,14 +170,14 @@ async def test_what_a_display_may_read_tells_no_run_and_lets_it_command_nothing(
     ):
         await display.subscribe([("decklander/#", 1), ("decklander/v1/deck/operator", 1)])
         command = body(expires_ns=rig.clock.now() + 10**10)
-        await display.say(TREE + "command", command, qos=1)
-        await ground.say(TREE + "command", command.replace(b"start", b"pause"), qos=1)
+        await display.publish_message(TREE + "command", command, qos=1)
+        await ground.publish_message(TREE + "command", command.replace(b"start", b"pause"), qos=1)
         await until(lambda: rig.count("commands_accepted") == 1)
         assert rig.operator.done == ["pause"]
         leaves: set[str] = set()
-        async for heard in display.heard():
-            assert RUN.encode() not in heard.payload
-            leaves.add(heard.topic.removeprefix(TREE))
+        async for publication in display.publications():
+            assert RUN.encode() not in publication.payload
+            leaves.add(publication.topic.removeprefix(TREE))
             if {"status", "health", "event"} <= leaves and rig.count("health_sent") > 3:
                 break
         assert leaves <= {"status", "state", "sighting", "health", "event"}

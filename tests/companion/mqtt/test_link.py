@@ -15,8 +15,8 @@ import pytest
 
 from companion.mqtt.connection import Connection, Endpoint
 from companion.mqtt.messages import HealthReport, Reply, State, Status, decode
-from tests.companion.mqtt.broker import Broker, hear
-from tests.companion.mqtt.rig import RUN, decision, running, status, until
+from sitl.testing.mosquitto import Broker, on_message
+from sitl.testing.mqtt_service import RUN, decision, running, status, until
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"
@@ -24,21 +24,21 @@ TREE = "decklander/v1/deck/"
 
 async def test_what_is_said_arrives_and_the_status_is_there_for_late_comers(broker: Broker, tmp_path: Path) -> None:
     settings = broker.settings(state_hz=20.0, health_hz=10.0)
-    heard: dict[str, Any] = {}
+    received_at: dict[str, Any] = {}
     async with running(settings, tmp_path / "spool") as rig:
         await until(lambda: rig.count("connections") == 1)
         async with broker.ground() as ground, asyncio.timeout(60):
-            async for message in hear(ground, TREE + "#"):
+            async for message in on_message(ground, TREE + "#"):
                 rig.part.on_sample(status(rig.clock.now()))
                 rig.part.on_decision(decision(rig.clock.now()))
                 leaf = message.topic.removeprefix(TREE)
-                heard[leaf] = decode(leaf, message.payload)
-                assert heard[leaf] is not None, message
-                if {"status", "state", "health", "event"} <= heard.keys():
+                received_at[leaf] = decode(leaf, message.payload)
+                assert received_at[leaf] is not None, message
+                if {"status", "state", "health", "event"} <= received_at.keys():
                     break
-    assert isinstance(heard["status"], Status)
-    assert (heard["status"].online, heard["status"].reason, heard["status"].version) == (True, "up", "1.2.3")
-    state = heard["state"]
+    assert isinstance(received_at["status"], Status)
+    assert (received_at["status"].online, received_at["status"].reason, received_at["status"].version) == (True, "up", "1.2.3")
+    state = received_at["state"]
     assert isinstance(state, State)
     assert state.belief is not None
     assert state.belief.d_body_pad_level_m == (0.3, -0.2, 2.0)
@@ -47,14 +47,14 @@ async def test_what_is_said_arrives_and_the_status_is_there_for_late_comers(brok
     assert (state.order.kind, state.order.v_level_m_s, state.order.yaw_rate_rad_s) == ("velocity", (0.4, 0.5, 0.6), 0.7)
     assert state.vehicle is not None
     assert state.vehicle.mode == "flying"
-    assert isinstance(heard["health"], HealthReport)
-    assert heard["health"].parts["broker"].up
+    assert isinstance(received_at["health"], HealthReport)
+    assert received_at["health"].parts["broker"].up
 
 
 async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path: Path) -> None:
     async def retained() -> Status:
         async with broker.ground() as ground:
-            async for message in hear(ground, TREE + "status"):
+            async for message in on_message(ground, TREE + "status"):
                 found = decode("status", message.payload)
                 assert isinstance(found, Status)
                 return found
@@ -81,7 +81,7 @@ async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path
 _DYING = """
 import asyncio, json, sys, tempfile, pathlib
 from companion.mqtt.settings import MqttSettings
-from tests.companion.mqtt.rig import running, until
+from sitl.testing.mqtt_service import running, until
 async def main():
     async with running(MqttSettings(**json.loads(sys.argv[1])), pathlib.Path(tempfile.mkdtemp())) as rig:
         await until(lambda: rig.count("connections") == 1)
@@ -99,10 +99,10 @@ async def test_a_command_is_carried_out_once_and_answered_where_it_asks(broker: 
 
         async def ask(**fields: object) -> Reply:
             command = {"id": "a1", "run": RUN, "expires_ns": expires, **fields}
-            await ground.say(TREE + "command", json.dumps(command).encode(), qos=1)
-            heard = await anext(ground.heard())
-            assert heard.topic == fields.get("reply_to", TREE + "reply")
-            reply = decode("reply", heard.payload)
+            await ground.publish_message(TREE + "command", json.dumps(command).encode(), qos=1)
+            received_at = await anext(ground.publications())
+            assert received_at.topic == fields.get("reply_to", TREE + "reply")
+            reply = decode("reply", received_at.payload)
             assert isinstance(reply, Reply)
             return reply
 
@@ -132,7 +132,7 @@ async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_user
     async with running(broker.settings(drone="drone"), tmp_path / "own") as rig, broker.ground() as ground:
         await until(lambda: rig.count("events_delivered") >= 1)
         command = {"command": "pause", "id": "x", "run": RUN, "expires_ns": rig.clock.now() + 10**9}
-        await ground.say("decklander/v1/drone/command", json.dumps(command).encode(), qos=1)
+        await ground.publish_message("decklander/v1/drone/command", json.dumps(command).encode(), qos=1)
         await until(lambda: rig.operator.done == ["pause"])
     async with running(broker.settings(drone="other"), tmp_path / "others") as rig:
         await until(lambda: rig.count("connection_failures") + rig.count("events_refused") >= 1)
@@ -142,7 +142,7 @@ async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_user
 async def test_a_retained_command_never_reaches_us(broker: Broker, tmp_path: Path) -> None:
     async with broker.ground() as ground:
         command = {"command": "abort", "id": "x", "run": RUN, "expires_ns": time.monotonic_ns() + 5 * 10**9}
-        await ground.say(TREE + "command", json.dumps(command).encode(), qos=1, retain=True)
+        await ground.publish_message(TREE + "command", json.dumps(command).encode(), qos=1, retain=True)
         async with running(broker.settings(), tmp_path / "spool") as rig:
             await until(lambda: rig.count("connections") == 1)
             await asyncio.sleep(0.2)
@@ -154,7 +154,7 @@ async def test_a_cancellation_that_comes_with_the_answer_is_not_swallowed(monkey
     sent = SimpleNamespace(rc=0, mid=1, is_published=lambda: False)
     monkeypatch.setattr(connection._client, "publish", lambda *_: sent)
     async with asyncio.TaskGroup() as group:
-        saying = group.create_task(connection.say("a", b"b", qos=1))
+        saying = group.create_task(connection.publish_message("a", b"b", qos=1))
         await asyncio.sleep(0.01)
         connection._pending_publishes[1].set()
         saying.cancel()

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import pytest
 
+from companion.config.settings import load
 from companion.mqtt.operator import PilotOperator
 from companion.pilot import Outcome, Pilot
-from companion.service import make_pilot
-from companion.settings import load
+from companion.runtime.service import make_pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs
-from tests.companion.mqtt.rig import status
+from sitl.testing.mqtt_service import status
 
 
 def flying(shadows: tuple[str, ...] = ()) -> Pilot:
     pilot = make_pilot(load("sim"), shadows=shadows)  # type: ignore[arg-type]
-    pilot.hear(status(MonoNs(1)))
+    pilot.on_sample(status(MonoNs(1)))
     return pilot
 
 

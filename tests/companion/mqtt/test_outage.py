@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.companion.mqtt.broker import Broker
-from tests.companion.mqtt.consumer import Consumer
-from tests.companion.mqtt.rig import happening, running, until
+from sitl.testing.mosquitto import Broker
+from sitl.testing.mqtt_consumer import Consumer
+from sitl.testing.mqtt_service import event, running, until
 
 # A TLS handshake that is ended leaves its socket to the garbage collector inside paho.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
@@ -31,7 +31,7 @@ async def test_events_survive_a_broker_that_stops_and_one_that_is_killed(broker:
                     await stopped
                     await until(lambda: rig.count("connections") == 2)
                     group.create_task(asyncio.to_thread(broker.away, signal.SIGKILL, 0.2))
-                rig.part.tell(happening(rig.clock.now(), f"number {n}"))
+                rig.part.tell(event(rig.clock.now(), f"number {n}"))
                 await asyncio.sleep(0.003)
             async with asyncio.timeout(60):
                 await consumer.done.wait()
@@ -47,7 +47,7 @@ async def test_events_of_a_service_without_a_broker_come_with_the_next_one(broke
     broker.stop()
     async with running(broker.settings(), tmp_path / "spool", session="one") as rig:
         for n in range(40):
-            rig.part.tell(happening(rig.clock.now(), f"number {n}"))
+            rig.part.tell(event(rig.clock.now(), f"number {n}"))
         await until(lambda: rig.count("connection_failures") >= 2)
     broker.start()
     consumer = Consumer(broker, 41)
@@ -55,7 +55,7 @@ async def test_events_of_a_service_without_a_broker_come_with_the_next_one(broke
         consuming = group.create_task(consumer.run())
         await consumer.listening.wait()
         async with running(broker.settings(), tmp_path / "spool", session="two") as rig:
-            rig.part.tell(happening(rig.clock.now(), "number 40"))
+            rig.part.tell(event(rig.clock.now(), "number 40"))
             async with asyncio.timeout(60):
                 await consumer.done.wait()
         consuming.cancel()
@@ -74,7 +74,7 @@ async def test_stopping_at_any_moment_loses_no_event(broker: Broker, tmp_path: P
         for k in range(14):
             async with running(broker.settings(), tmp_path / "spool", session=f"s{k}") as rig:
                 for _ in range(5):
-                    rig.part.tell(happening(rig.clock.now(), f"number {told}"))
+                    rig.part.tell(event(rig.clock.now(), f"number {told}"))
                     told += 1
                 await asyncio.sleep(0.0025 * k)
         async with running(broker.settings(), tmp_path / "spool", session="last"):

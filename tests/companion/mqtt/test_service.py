@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from companion.mqtt.messages import Event, HealthReport, Message, OperatorNotice, Reply, Status, decode
 from companion.mqtt.signature import signed
-from tests.companion.mqtt.broker import Broker
+from sitl.testing.mosquitto import Broker
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"
@@ -58,12 +58,12 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
             cwd=ROOT,
             stderr=asyncio.subprocess.PIPE,
         )
-        heard = ground.heard()
+        received_at = ground.publications()
         events: list[str] = []
         runs: list[str] = []
 
         async def wait(kind: type[M]) -> M:
-            async for message in heard:
+            async for message in received_at:
                 said = decode(message.topic.removeprefix(TREE), message.payload)
                 if isinstance(said, Event):
                     events.append(said.text)
@@ -76,7 +76,7 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
         async def ask(**fields: object) -> Reply:
             health = await wait(HealthReport)
             command = {"id": f"c{health.at_ns}", "run": runs[-1], "expires_ns": health.at_ns + 5 * 10**9, **fields}
-            await ground.say(TREE + "command", signed(key, TREE + "command", json.dumps(command).encode()), qos=1)
+            await ground.publish_message(TREE + "command", signed(key, TREE + "command", json.dumps(command).encode()), qos=1)
             return await wait(Reply)
 
         try:

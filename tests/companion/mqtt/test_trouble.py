@@ -16,9 +16,9 @@ import msgspec
 import pytest
 
 from companion.mqtt.settings import MqttSettings
-from tests.companion.mqtt.broker import Broker, free_port
-from tests.companion.mqtt.consumer import Consumer
-from tests.companion.mqtt.rig import RUN, SESSION, Rig, decision, happening, running, until
+from sitl.testing.mosquitto import Broker, free_port
+from sitl.testing.mqtt_consumer import Consumer
+from sitl.testing.mqtt_service import RUN, SESSION, Rig, decision, event, running, until
 
 # A TLS handshake that fails leaves its socket to the garbage collector inside paho.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
@@ -158,7 +158,7 @@ async def test_a_broker_that_hangs_and_wakes_up(broker: Broker, tmp_path: Path) 
             flying = group.create_task(flight.fly())
             broker.hold()
             for n in range(20):
-                rig.part.tell(happening(rig.clock.now(), f"number {n}"))
+                rig.part.tell(event(rig.clock.now(), f"number {n}"))
             await until(lambda: rig.count("connection_failures") >= 2)
             assert not rig.health.parts["broker"].up
             broker.go_on()
@@ -178,7 +178,7 @@ async def test_a_flood_of_commands_is_cut_off(broker: Broker, tmp_path: Path) ->
             flying = group.create_task(flight.fly())
             for k in range(3000):
                 command = {"command": "pause", "id": f"f{k}", "run": RUN, "expires_ns": rig.clock.now() + 10**10}
-                await ground.say("decklander/v1/deck/command", json.dumps(command).encode())
+                await ground.publish_message("decklander/v1/deck/command", json.dumps(command).encode())
             await until(lambda: rig.count("floods") >= 1)
             await until(lambda: rig.count("connections") >= 2)
             flying.cancel()
@@ -196,7 +196,7 @@ async def test_events_that_the_broker_forbids_are_kept(broker: Broker, tmp_path:
         consuming = group.create_task(consumer.run())
         await consumer.listening.wait()
         async with running(broker.settings(), tmp_path / "spool", session="allowed") as rig:
-            rig.part.tell(happening(rig.clock.now(), "number 0"))
+            rig.part.tell(event(rig.clock.now(), "number 0"))
             await consumer.done.wait()
         consuming.cancel()
     assert [e.session for e in consumer.others[:1]] == [SESSION]
@@ -220,9 +220,9 @@ async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> 
         await until(lambda: rig.count("connections") == 1)
         await ground.subscribe("decklander/v1/deck/reply", qos=1)
         command = {"command": "start", "id": "a", "run": RUN, "expires_ns": rig.clock.now() + 10**9}
-        await ground.say("decklander/v1/deck/command", json.dumps(command).encode(), qos=1)
+        await ground.publish_message("decklander/v1/deck/command", json.dumps(command).encode(), qos=1)
         async with asyncio.timeout(60):
-            assert b'"accepted":true' in (await anext(ground.heard())).payload
+            assert b'"accepted":true' in (await anext(ground.publications())).payload
         assert rig.operator.done == ["start"]
 
 

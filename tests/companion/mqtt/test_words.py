@@ -15,30 +15,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion import secret_files
-from companion.health import Health
+from companion.config import secret_files
 from companion.mqtt import access, encode, messages
-from companion.mqtt.commands import FARTHEST_S, LONGEST_BYTES, Desk
-from companion.mqtt.happenings import Changes
+from companion.mqtt.commands import FARTHEST_S, LONGEST_BYTES, CommandHandler
+from companion.mqtt.events import Changes
 from companion.mqtt.messages import PUBLISHED, decode
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.topics import Topics, split
-from companion.observer import FrameSeen
+from companion.observer import ProcessedFrame
+from companion.runtime.health import Health
 from estimator.contracts.commands import Hover, Land, TakeOff
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.look import Look
-from tests.companion.mqtt.rig import RUN, SESSION, FakeOperator, decision, status
+from estimator.vision.thesis.detection import Detection
+from sitl.testing.mqtt_service import RUN, SESSION, FakeOperator, decision, status
 
 ROOT = Path(__file__).parents[3]
 NOW = MonoNs(5_000_000_000)
 GOOD: dict[str, Any] = {"command": "start", "id": "a", "run": RUN, "expires_ns": NOW + 1}
 
 
-def desk() -> Desk:
-    return Desk(Topics("deck"), SESSION, FakeOperator(), RUN)
+def command_handler() -> CommandHandler:
+    return CommandHandler(Topics("deck"), SESSION, FakeOperator(), RUN)
 
 
 def command(**changes: object) -> bytes:
@@ -73,22 +73,22 @@ def command(**changes: object) -> bytes:
     ],
 )
 def test_a_refusal_has_a_reason_in_a_word_and_in_words(payload: bytes, retained: bool, reason: str, text: str) -> None:
-    at = desk()
-    judged = at.take(payload, NOW, retained=retained)
-    assert (judged.reply.accepted, judged.reply.reason) == (False, reason)
-    assert text in judged.reply.text
-    assert judged.topic == "decklander/v1/deck/reply"
+    at = command_handler()
+    handled = at.take(payload, NOW, retained=retained)
+    assert (handled.reply.accepted, handled.reply.reason) == (False, reason)
+    assert text in handled.reply.text
+    assert handled.topic == "decklander/v1/deck/reply"
     assert at.operated.done == []  # type: ignore[attr-defined]
     assert at.counts == {reason: 1}
 
 
 def test_a_malformed_command_is_answered_by_its_id_where_that_can_be_read() -> None:
-    assert desk().take(command(command="fly", id="b7"), NOW).reply.id == "b7"
-    assert desk().take(b'{"id": 7}', NOW).reply.id is None
+    assert command_handler().take(command(command="fly", id="b7"), NOW).reply.id == "b7"
+    assert command_handler().take(b'{"id": 7}', NOW).reply.id is None
 
 
 def test_a_repeated_command_gets_the_first_answer_even_after_it_expired() -> None:
-    at = desk()
+    at = command_handler()
     first = at.take(command(command="abort"), NOW)
     again = at.take(command(command="abort"), MonoNs(NOW + 10**10))
     assert first.reply.accepted
@@ -99,8 +99,8 @@ def test_a_repeated_command_gets_the_first_answer_even_after_it_expired() -> Non
 
 def test_the_response_topic_of_mqtt_5_serves_where_the_command_names_none() -> None:
     there = "decklander/v1/deck/reply/tablet"
-    assert desk().take(command(), NOW, reply_to=there).topic == there
-    assert desk().take(command(), NOW, reply_to="home/lights").reply.reason == "reply_elsewhere"
+    assert command_handler().take(command(), NOW, reply_to=there).topic == there
+    assert command_handler().take(command(), NOW, reply_to="home/lights").reply.reason == "reply_elsewhere"
 
 
 @given(
@@ -113,27 +113,27 @@ def test_the_response_topic_of_mqtt_5_serves_where_the_command_names_none() -> N
 )
 @settings(deadline=None, max_examples=300)
 def test_any_bytes_are_a_command_or_a_refusal(payload: bytes) -> None:
-    at = desk()
-    judged = at.take(payload, NOW)
-    assert judged.reply.accepted == (judged.reply.reason is None) == bool(at.operated.done)  # type: ignore[attr-defined]
-    assert isinstance(decode("reply", messages.encode(judged.reply)), messages.Reply)
+    at = command_handler()
+    handled = at.take(payload, NOW)
+    assert handled.reply.accepted == (handled.reply.reason is None) == bool(at.operated.done)  # type: ignore[attr-defined]
+    assert isinstance(decode("reply", messages.encode(handled.reply)), messages.Reply)
     for leaf in PUBLISHED:
         decode(leaf, payload)
 
 
-def seen(at: MonoNs, found: bool) -> FrameSeen:
+def seen(at: MonoNs, found: bool) -> ProcessedFrame:
     stamp = Stamp(MonoNs(at - 30_000_000), at, 0.001, "sim")
     frame = Frame(stamp, 7, np.zeros((4, 6, 3), np.uint8))
     cov = np.diag([0.1, 0.2, 0.3, 0.4])
     one = Sighting(stamp, 7, "selected", np.array([1.0, 2.0, 3.0]), 0.5, True, cov, 0.9) if found else None
-    look = Look(one, "ellipse" if found else None, MappingProxyType({"ellipse": one, "arrow": None}))
-    return FrameSeen(frame, None, look, Verdict.FUSED if found else Verdict.NO_PAD, at, MonoNs(at + 5_000_000))
+    look = Detection(one, "ellipse" if found else None, MappingProxyType({"ellipse": one, "arrow": None}))
+    return ProcessedFrame(frame, None, look, Verdict.FUSED if found else Verdict.NO_PAD, at, MonoNs(at + 5_000_000))
 
 
 def test_a_frame_reads_back_as_what_was_seen() -> None:
     said = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, True))))
     assert isinstance(said, messages.Sighting)
-    assert (said.at_ns, said.taken_ns, said.sequence, said.verdict, said.chosen) == (
+    assert (said.at_ns, said.measured_at_ns, said.sequence, said.verdict, said.chosen) == (
         NOW + 5_000_000, NOW - 30_000_000, 7, "fused", "ellipse",
     )  # fmt: skip
     assert said.selected is not None

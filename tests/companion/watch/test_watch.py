@@ -15,20 +15,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.cli import main as cli
-from companion.health import Health
 from companion.mqtt import encode, messages
 from companion.mqtt.messages import Event, Status
 from companion.mqtt.topics import Topics
 from companion.mqtt.watch_model import DRONES, WatchModel
 from companion.mqtt.watch_view import line, screen
 from companion.observer import Decision
+from companion.runtime.health import Health
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
-from tests.companion.mqtt.broker import Broker
+from sitl.testing.mosquitto import Broker
+from sitl.testing.mqtt_service import SESSION, decision, running, status, until
 from tests.companion.mqtt.conftest import broker, certificates
-from tests.companion.mqtt.rig import SESSION, decision, happening, running, status, until
 
 __all__ = ["broker", "certificates"]
 
@@ -48,8 +48,8 @@ def online(reason: Literal["up", "stopped", "lost"] = "up") -> Status:
     )  # fmt: skip
 
 
-def hear(model: WatchModel, drone: str, leaf: str, message: messages.Message, at_s: float = 0.0) -> None:
-    assert model.hear(Topics(drone).of(leaf), messages.encode(message), at_s) is not None
+def on_message(model: WatchModel, drone: str, leaf: str, message: messages.Message, at_s: float = 0.0) -> None:
+    assert model.on_message(Topics(drone).of(leaf), messages.encode(message), at_s) is not None
 
 
 def full() -> WatchModel:
@@ -63,10 +63,10 @@ def full() -> WatchModel:
     for k in range(100):
         health.delay("exposure_to_belief", 0.02 + 0.0001 * k)
     health.counters("mqtt", lambda: {"events_waiting": 3})
-    hear(model, "deck", "status", online())
-    hear(model, "deck", "state", encode.state(SESSION, decision(NOW), status(NOW, battery=0.15)))
-    hear(model, "deck", "health", encode.health(SESSION, health.snapshot()))
-    hear(model, "deck", "event", event(1, "pad in sight"))
+    on_message(model, "deck", "status", online())
+    on_message(model, "deck", "state", encode.state(SESSION, decision(NOW), status(NOW, battery=0.15)))
+    on_message(model, "deck", "health", encode.health(SESSION, health.snapshot()))
+    on_message(model, "deck", "event", event(1, "pad in sight"))
     return model
 
 
@@ -87,16 +87,16 @@ def test_what_does_not_fit_beside_goes_below() -> None:
     health = Health(SystemClock())
     for k in range(12):
         health.beat(f"Kind{k}")
-    hear(model, "deck", "health", encode.health(SESSION, health.snapshot()))
+    on_message(model, "deck", "health", encode.health(SESSION, health.snapshot()))
     text = "\n".join(screen(model, 0.0, 60, 45, colour=False))
     assert all(f"Kind{k} --" in text for k in range(12))
 
 
 def test_commands_of_others_are_not_the_drones_words() -> None:
     model = full()
-    model.hear(Topics("deck").command, b"{}", 0.0)
+    model.on_message(Topics("deck").command, b"{}", 0.0)
     assert model.drones["deck"].malformed == 0
-    model.hear(Topics("deck").state, b"{}", 0.0)
+    model.on_message(Topics("deck").state, b"{}", 0.0)
     assert model.drones["deck"].malformed == 1
 
 
@@ -105,26 +105,26 @@ def test_a_drone_that_falls_silent_does_not_look_alive() -> None:
     text = "\n".join(screen(model, 20.0, 150, 45, colour=False))
     assert "deck  silent" in text
     assert "20 s old" in text
-    hear(model, "deck", "status", online("lost"), 20.0)
+    on_message(model, "deck", "status", online("lost"), 20.0)
     assert "deck  lost" in "\n".join(screen(model, 20.0, 150, 45, colour=False))
 
 
 def test_a_fleet_is_a_table_above_the_first_by_name() -> None:
     model = full()
-    hear(model, "aft", "status", online("stopped"))
+    on_message(model, "aft", "status", online("stopped"))
     lines = screen(model, 0.0, 150, 45, colour=False)
     assert [row.split()[:2] for row in lines[3:5]] == [["aft", "stopped"], ["deck", "online"]]
     assert lines[6].startswith("aft  stopped")
     only = WatchModel("deck")
-    assert only.hear(Topics("aft").status, messages.encode(online()), 0.0) is None
+    assert only.on_message(Topics("aft").status, messages.encode(online()), 0.0) is None
     assert only.ignored == 1
 
 
 def test_copies_are_thrown_away_and_gaps_are_counted() -> None:
     model = WatchModel()
     for number in (1, 2, 2, 1, 3, 7):
-        hear(model, "deck", "event", event(number))
-    hear(model, "deck", "event", msgspec.structs.replace(event(1, spool="new"), id="other-1"))
+        on_message(model, "deck", "event", event(number))
+    on_message(model, "deck", "event", msgspec.structs.replace(event(1, spool="new"), id="other-1"))
     drone = model.drones["deck"]
     assert [e.sequence for e in drone.events] == [1, 2, 3, 7, 1]
     assert (drone.copies, drone.missing) == (2, 3)
@@ -138,10 +138,10 @@ def test_nothing_on_the_broker_can_break_the_screen_or_steer_the_terminal(
 ) -> None:
     model = full()
     for leaf in (*messages.PUBLISHED, "reply/x", "nonsense"):
-        model.hear(Topics("deck").of(leaf), payload, 0.0)
-    hear(model, "deck", "event", event(2, "\x1b[2J\x07" + text))
+        model.on_message(Topics("deck").of(leaf), payload, 0.0)
+    on_message(model, "deck", "event", event(2, "\x1b[2J\x07" + text))
     state = encode.state(SESSION, Decision(NOW, "\x1b]0;owned\x07" + text, None, None), None)
-    hear(model, "deck", "state", state)
+    on_message(model, "deck", "state", state)
     lines = screen(model, 0.0, width, height, colour=False)
     assert len(lines) <= height
     assert all(len(row) <= width and row.isprintable() for row in lines)
@@ -155,7 +155,7 @@ def test_nothing_on_the_broker_can_break_the_screen_or_steer_the_terminal(
 def test_a_crowd_of_names_is_bounded() -> None:
     model = WatchModel()
     for k in range(DRONES + 10):
-        model.hear(Topics(f"d{k}").status, messages.encode(online()), 0.0)
+        model.on_message(Topics(f"d{k}").status, messages.encode(online()), 0.0)
     assert (len(model.drones), model.ignored) == (DRONES, 10)
 
 
@@ -194,7 +194,7 @@ async def test_where_there_is_no_terminal_it_prints_lines(broker: Broker, tmp_pa
             for k in count():
                 rig.part.on_sample(status(rig.clock.now()))
                 rig.part.on_decision(decision(rig.clock.now()))
-                rig.part.tell(happening(rig.clock.now(), f"number {k}"))
+                rig.part.tell(event(rig.clock.now(), f"number {k}"))
                 await asyncio.sleep(0.1)
 
         async with asyncio.TaskGroup() as group:

@@ -34,9 +34,9 @@ def turn_rates(attitudes: Sequence[Sample]) -> tuple[np.ndarray, np.ndarray]:
     for a, b in itertools.pairwise(attitudes):
         assert isinstance(a, Attitude)
         assert isinstance(b, Attitude)
-        dt = (b.stamp.taken - a.stamp.taken) * 1e-9
+        dt = (b.stamp.measured_at - a.stamp.measured_at) * 1e-9
         if 0 < dt < 0.25:
-            at.append((a.stamp.taken * 1e-9, b.stamp.taken * 1e-9))
+            at.append((a.stamp.measured_at * 1e-9, b.stamp.measured_at * 1e-9))
             rates.append((a.R_ned_body.inv @ b.R_ned_body).rotvec_rad / dt)
     return np.array(at), np.array(rates)
 
@@ -46,20 +46,20 @@ def turn_rates(attitudes: Sequence[Sample]) -> tuple[np.ndarray, np.ndarray]:
 def test_gyro_and_attitude_of_one_log_turn_the_same_way(read: object, path: Path, least: float) -> None:
     assert callable(read)
     samples = read(path)
-    heard = [s.stamp.heard for s in samples]
-    assert heard == sorted(heard)
-    assert heard[0] >= 0
+    received_at = [s.stamp.received_at for s in samples]
+    assert received_at == sorted(received_at)
+    assert received_at[0] >= 0
     imu = of(Imu, samples)
     at, rates = turn_rates(of(Attitude, samples))
-    t = np.array([s.stamp.taken * 1e-9 for s in imu])
+    t = np.array([s.stamp.measured_at * 1e-9 for s in imu])
     w = np.array([s.w_body for s in imu if isinstance(s, Imu)])
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(t)[:, None], axis=0)])
     for axis in range(3):
         begin, end = (np.interp(at[:, k], t, angle[:, axis]) for k in (0, 1))
         gyro = (end - begin) / (at[:, 1] - at[:, 0])
         assert np.corrcoef(gyro, rates[:, axis])[0, 1] > least, f"axis {axis}"
-    gravity = np.median([s.f_body[2] for s in imu if isinstance(s, Imu)])
-    assert -10.5 < gravity < -8.5
+    severity = np.median([s.f_body[2] for s in imu if isinstance(s, Imu)])
+    assert -10.5 < severity < -8.5
 
 
 @needs_data
@@ -68,7 +68,7 @@ def test_the_dataflash_log_holds_what_its_own_tools_count() -> None:
     counts = Counter(type(s).__name__ for s in samples)
     assert counts["Imu"] == 11916
     assert counts["Attitude"] == counts["Baro"] == counts["BodyVelocity"] == 2383
-    assert samples[-1].stamp.taken * 1e-9 == pytest.approx(242.6, abs=0.1)
+    assert samples[-1].stamp.measured_at * 1e-9 == pytest.approx(242.6, abs=0.1)
     speed = max(float(np.linalg.norm(s.v_level)) for s in samples if isinstance(s, BodyVelocity))
     assert 0.5 < speed < 30.0
 
@@ -86,16 +86,14 @@ def test_a_velocity_in_the_log_is_turned_into_level_by_the_heading() -> None:
 
 
 @needs_data
-@pytest.mark.parametrize(
-    ("name", "pictures", "seconds"), [("video_56_frames", 56, 1.793), ("video_starts_on_p_frames", 17, 0.511)]
-)
-def test_pave_captures_give_the_pictures_that_decode_at_the_drones_times(name: str, pictures: int, seconds: float) -> None:
+@pytest.mark.parametrize(("name", "images", "seconds"), [("video_56_frames", 56, 1.793), ("video_starts_on_p_frames", 17, 0.511)])
+def test_pave_captures_give_the_images_that_decode_at_the_drones_times(name: str, images: int, seconds: float) -> None:
     frames = list(ardrone_capture.frames(DATA / f"ardrone/{name}.pave"))
-    assert len(frames) == pictures
+    assert len(frames) == images
     assert frames[0].px.shape == (360, 640, 3)
-    assert frames[0].stamp.taken == 0
-    assert frames[-1].stamp.taken * 1e-9 == pytest.approx(seconds, abs=0.002)
-    steps = np.diff([f.stamp.taken for f in frames]) * 1e-6
+    assert frames[0].stamp.measured_at == 0
+    assert frames[-1].stamp.measured_at * 1e-9 == pytest.approx(seconds, abs=0.002)
+    steps = np.diff([f.stamp.measured_at for f in frames]) * 1e-6
     assert np.median(steps) == pytest.approx(33.0, abs=1.0)
     assert all(f.stamp.delay_s == 0.05 for f in frames)
 
@@ -117,7 +115,7 @@ def test_navdata_captures_are_parted_and_timed_by_the_drones_clock(tmp_path: Pat
     path = tmp_path / "navdata.bin"
     path.write_bytes(one + b"\x00\x01" + later(5) + later(10)[:700] + later(15) + later(2000))
     samples = ardrone_capture.samples(path)
-    instants = sorted({s.stamp.taken for s in samples})
+    instants = sorted({s.stamp.measured_at for s in samples})
     assert instants == [0, 5_000_000, 15_000_000, 2_000_000_000]
     assert {Imu, Attitude, BodyVelocity, Range, Baro, VehicleStatus} == {type(s) for s in samples}
 
@@ -128,7 +126,7 @@ def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) ->
     first, second = attitude_csv.read(path)
     assert isinstance(first, Attitude)
     assert isinstance(second, Attitude)
-    assert (first.stamp.taken, second.stamp.taken) == (0, 500_000_000)
+    assert (first.stamp.measured_at, second.stamp.measured_at) == (0, 500_000_000)
     assert np.degrees(second.R_ned_body.rpy_rad) == pytest.approx([3.0, -4.0, 90.0])
 
 
@@ -138,11 +136,11 @@ def test_videos_keep_their_own_times(tmp_path: Path) -> None:
         stream = out.add_stream("libx264", rate=20)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         for i in range(10):
-            picture = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")
-            out.mux(stream.encode(picture))
+            image = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 * i, np.uint8), format="bgr24")
+            out.mux(stream.encode(image))
         out.mux(stream.encode(None))
     frames = list(video.frames(path))
-    assert [round(f.stamp.taken * 1e-6) for f in frames] == [50 * i for i in range(10)]
+    assert [round(f.stamp.measured_at * 1e-6) for f in frames] == [50 * i for i in range(10)]
     assert [int(f.px.mean()) for f in frames] == pytest.approx([20 * i for i in range(10)], abs=6)
 
 
@@ -154,7 +152,7 @@ def test_videos_keep_their_own_times(tmp_path: Path) -> None:
         (dataflash.read, b"1, FMT", "not a dataflash log"),
         (dataflash.read, b"\xa3\x95" + bytes(200), "neither IMU|not a readable"),
         (ardrone_capture.samples, b"\x88\x77\x66\x55" + bytes(100), "no whole navdata"),
-        (lambda p: list(ardrone_capture.frames(p)), b"PaVE" + bytes(300), "no picture"),
+        (lambda p: list(ardrone_capture.frames(p)), b"PaVE" + bytes(300), "no frame"),
         (lambda p: list(video.frames(p)), b"RIFF1234AVI nonsense", "readable video|holds no video"),
         (attitude_csv.read, b"time_s,roll_deg\n1,2\n", "column 'pitch_deg' is missing"),
         (attitude_csv.read, b"time_s,roll_deg,pitch_deg\n1,2,x\n", "line 2: not a number"),

@@ -15,14 +15,14 @@ from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
 from drivers.mavlink.dialect import TimeSyncV2, mav
 from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.helm import HelmOptions
 from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.setpoint_streamer import StreamerOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
-from tests.drivers.fake_ardrone import until
-from tests.drivers.mavlink.fake_autopilot import EPOCH_NS, FakeAutopilot
+from sitl.testing.fake_ardrone import until
+from sitl.testing.fake_autopilot import EPOCH_NS, FakeAutopilot
 
 HOST = "127.0.0.1"
 
@@ -67,7 +67,7 @@ async def test_a_fresh_link_is_asked_for_streams_and_gives_samples(stack: Stack)
         offset = autopilot.sync.offset_ns(SystemClock().now()) if autopilot.sync else None
         assert offset is not None
         assert abs(offset[0] - EPOCH_NS) < 3e6
-        assert all(s.stamp.taken <= s.stamp.heard for s in samples)
+        assert all(s.stamp.measured_at <= s.stamp.received_at for s in samples)
         assert autopilot.condition.battery_fraction == 0.83
 
 
@@ -96,8 +96,8 @@ async def test_timesync_is_answered_with_our_clock() -> None:
         for _ in range(3):
             fake.send(fake_request(fake))
         await until(lambda: len(fake.sync_answers) == 3)
-        for ours, _, heard in fake.sync_answers:
-            assert 0 <= heard - EPOCH_NS - ours < 50_000_000
+        for ours, _, received_at in fake.sync_answers:
+            assert 0 <= received_at - EPOCH_NS - ours < 50_000_000
 
 
 def fake_request(fake: FakeAutopilot) -> Any:
@@ -159,7 +159,7 @@ async def test_others_are_not_mistaken_for_the_autopilot() -> None:
 async def test_flown_by_velocity_and_landed_through_mavlink_alone() -> None:
     fake = FakeAutopilot(Stack.PX4, mode="auto.loiter")
     fake.rpy = lambda t: (0.0, 0.0, math.radians(90.0))
-    async with flown(fake, helm=HelmOptions(prestream_s=1.6)) as autopilot:
+    async with flown(fake, streamer=StreamerOptions(prestream_s=1.6)) as autopilot:
         async with asyncio.timeout(60):
             while fake.mode != "offboard" or fake.v_ned[1] < 0.9:
                 autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))

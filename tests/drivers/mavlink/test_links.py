@@ -19,7 +19,7 @@ from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.signing import Signing, SigningKey
 from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput, Recoverable
-from tests.drivers.fake_ardrone import until
+from sitl.testing.fake_ardrone import until
 
 HOST = "127.0.0.1"
 ANYBODY = AccessOptions(everybody=True)
@@ -72,12 +72,12 @@ async def test_a_listening_link_answers_every_peer_with_its_own_sequence() -> No
             open_links([quick(url)], SystemClock(), (255, 190)) as station,
         ):
             await until(lambda: autopilot.send(heartbeat(2)) and station.send(heartbeat(6)))
-            heard = [await ours.heard.get() for _ in range(2)]
-            assert {(h.system, h.component, h.message.type) for h in heard} == {(1, 1, 2), (255, 190, 6)}
+            messages = [await ours.received.get() for _ in range(2)]
+            assert {(h.system, h.component, h.message.type) for h in messages} == {(1, 1, 2), (255, 190, 6)}
             for _ in range(3):
                 ours.send(heartbeat())
             for peer in (autopilot, station):
-                got = [(await peer.heard.get()).message for _ in range(3)]
+                got = [(await peer.received.get()).message for _ in range(3)]
                 assert [m.get_seq() for m in got] == [0, 1, 2]
                 assert (got[0].get_srcSystem(), got[0].get_srcComponent()) == (1, 191)
             assert ours.all[0].peers == 2
@@ -102,19 +102,19 @@ async def test_rubbish_makes_nobody_a_peer_and_is_counted() -> None:
 
 
 async def test_tcp_comes_back_when_the_server_does() -> None:
-    heard: list[Message] = []
+    messages: list[Message] = []
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         codec = Codec(1, 1)
         writer.write(codec.pack(heartbeat(2)))
-        heard.extend(codec.feed(await reader.read(100)))
+        messages.extend(codec.feed(await reader.read(100)))
         writer.close()
 
     server = await asyncio.start_server(serve, HOST, 0)
     port = server.sockets[0].getsockname()[1]
     async with open_links([quick(f"tcp://{HOST}:{port}")], SystemClock(), (1, 191)) as ours:
         for _ in range(2):
-            assert (await ours.heard.get()).message.type == 2
+            assert (await ours.received.get()).message.type == 2
             assert ours.send(heartbeat())
         server.close()
         await server.wait_closed()
@@ -123,7 +123,7 @@ async def test_tcp_comes_back_when_the_server_does() -> None:
         assert ours.all[0].counters.restarts >= 2
         assert not ours.send(heartbeat())
         assert ours.all[0].counters.dropped == 1
-    assert [m.get_seq() for m in heard] == [0, 1], "the sequence goes on over a reconnection"
+    assert [m.get_seq() for m in messages] == [0, 1], "the sequence goes on over a reconnection"
 
 
 async def test_a_serial_port_carries_both_ways_and_its_loss_is_seen() -> None:
@@ -133,7 +133,7 @@ async def test_a_serial_port_carries_both_ways_and_its_loss_is_seen() -> None:
     async with open_links([quick(f"serial://{os.ttyname(slave)}:921600")], SystemClock(), (1, 191)) as ours:
         await until(lambda: ours.all[0].down is None)
         os.write(master, b"\r\n\x00" + codec.pack(heartbeat(2)))
-        assert (await ours.heard.get()).message.type == 2
+        assert (await ours.received.get()).message.type == 2
         assert ours.send(heartbeat())
         await asyncio.sleep(0.01)
         assert codec.feed(os.read(master, 100))[0].type == 18
@@ -153,13 +153,13 @@ async def test_several_links_at_once_and_one_of_them_missing() -> None:
             open_links([quick(f"udpout://{HOST}:{port_of(ours, 2)}")], SystemClock(), (3, 1)) as b,
         ):
             await until(lambda: a.send(heartbeat()) and b.send(heartbeat()))
-            heard = [await ours.heard.get() for _ in range(2)]
-            assert {(h.link, h.system) for h in heard} == {(0, 2), (2, 3)}
+            messages = [await ours.received.get() for _ in range(2)]
+            assert {(h.link, h.system) for h in messages} == {(0, 2), (2, 3)}
             ours.send(heartbeat(1), to=2)
-            assert (await b.heard.get()).message.type == 1
-            assert len(a.heard) == 0
+            assert (await b.received.get()).message.type == 1
+            assert len(a.received) == 0
     with pytest.raises(Recoverable, match="closed"):
-        await ours.heard.get()
+        await ours.received.get()
 
 
 async def test_signed_links_hear_each_other_only() -> None:
@@ -177,10 +177,10 @@ async def test_signed_links_hear_each_other_only() -> None:
             await until(lambda: ours.all[0].counters.total("refused_signature"))
             assert ours.all[0].peers == 0
             await until(lambda: signed.send(heartbeat()))
-            assert (await ours.heard.get()).system == 1
+            assert (await ours.received.get()).system == 1
             ours.send(heartbeat())
-            assert (await signed.heard.get()).message.get_signed()
-            assert len(unsigned.heard) == 0
+            assert (await signed.received.get()).message.get_signed()
+            assert len(unsigned.received) == 0
 
 
 async def test_an_error_of_the_caller_comes_out_as_itself() -> None:

@@ -28,10 +28,10 @@ def test_one_stream_at_a_time_since_the_answer_does_not_say_which() -> None:
     (first,) = streams.due(at(0), TARGET)
     assert (first.param1, first.param2, first.command) == (31, 10_000, 511)
     assert streams.due(at(0.1), TARGET) == []
-    streams.hear(ack(), at(0.2))
+    streams.on_message(ack(), at(0.2))
     (second,) = streams.due(at(0.2), TARGET)
     assert (second.param1, second.param2) == (32, 20_000)
-    streams.hear(ack(2), at(0.3))
+    streams.on_message(ack(2), at(0.3))
     assert streams.due(at(1), TARGET) == []
     assert streams.settled
     assert streams.refused == {"LOCAL_POSITION_NED": 2}
@@ -40,12 +40,12 @@ def test_one_stream_at_a_time_since_the_answer_does_not_say_which() -> None:
 def test_where_the_quaternion_is_refused_the_angles_are_asked_for() -> None:
     streams = Streams({"ATTITUDE_QUATERNION": 100.0, "RAW_IMU": 50.0})
     streams.due(at(0), TARGET)
-    streams.hear(ack(4), at(0.1))
+    streams.on_message(ack(4), at(0.1))
     asked = []
     for n in (1, 2):
         (request,) = streams.due(at(0.2 * n), TARGET)
         asked.append((request.param1, request.param2))
-        streams.hear(ack(), at(0.2 * n + 0.1))
+        streams.on_message(ack(), at(0.2 * n + 0.1))
     assert asked == [(27, 20_000), (30, 10_000)]
     assert streams.settled
     assert streams.refused == {"ATTITUDE_QUATERNION": 4}
@@ -65,9 +65,9 @@ def test_an_unanswered_request_is_repeated_and_then_given_up() -> None:
 def test_a_stream_that_falls_silent_is_asked_for_again() -> None:
     streams = Streams({"RAW_IMU": 100.0})
     streams.due(at(0), TARGET)
-    streams.hear(ack(), at(0.1))
+    streams.on_message(ack(), at(0.1))
     for n in range(50):
-        streams.hear(mav.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0), at(0.1 + 0.1 * n))
+        streams.on_message(mav.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0), at(0.1 + 0.1 * n))
         assert streams.due(at(0.1 + 0.1 * n), TARGET) == []
     assert len(streams.due(at(9), TARGET)) == 1
 
@@ -86,12 +86,12 @@ def test_parameters_are_read_a_few_at_a_time() -> None:
     names = [f"PLND_{n}" for n in range(6)]
     reader = Parameters(Stack.ARDUPILOT, names, at_once=2, tries=2)
     assert [m.param_id for m in reader.due(at(0), TARGET)] == names[:2]
-    reader.hear(value("PLND_0", 0.5))
+    reader.on_message(value("PLND_0", 0.5))
     assert [m.param_id for m in reader.due(at(0.1), TARGET)] == [names[2]]
     for n in range(1, 120):
         for m in reader.due(at(0.1 * n), TARGET):
             if m.param_id != "PLND_3":
-                reader.hear(value(m.param_id, 2.0))
+                reader.on_message(value(m.param_id, 2.0))
     assert reader.settled
     assert reader.absent == {"PLND_3"}
     assert reader.values["PLND_0"] == 0.5
@@ -102,7 +102,7 @@ def test_parameters_are_read_a_few_at_a_time() -> None:
 def test_a_refused_parameter_is_absent_at_once() -> None:
     reader = Parameters(Stack.PX4, ["NO_SUCH"])
     reader.due(at(0), TARGET)
-    reader.hear(mav.MAVLink_param_error_message(255, 190, b"NO_SUCH", -1, 1))
+    reader.on_message(mav.MAVLink_param_error_message(255, 190, b"NO_SUCH", -1, 1))
     assert reader.settled
     assert reader.absent == {"NO_SUCH"}
 
@@ -111,8 +111,8 @@ def test_a_refused_parameter_is_absent_at_once() -> None:
 def test_px4_sends_integers_as_bytes_and_ardupilot_as_values(number: int, kind: int, layout: str) -> None:
     as_bytes = struct.unpack("<f", struct.pack(layout, number))[0]
     px4, ardupilot = Parameters(Stack.PX4), Parameters(Stack.ARDUPILOT)
-    px4.hear(value("A", as_bytes, kind))
-    ardupilot.hear(value("A", float(number), kind))
+    px4.on_message(value("A", as_bytes, kind))
+    ardupilot.on_message(value("A", float(number), kind))
     assert px4.values["A"] == ardupilot.values["A"] == number
-    px4.hear(value("B", 0.25))
+    px4.on_message(value("B", 0.25))
     assert px4.values["B"] == 0.25

@@ -73,9 +73,9 @@ def test_time_follows_the_wall_and_never_repeats() -> None:
     assert time.next() == 11 * TICKS_PER_S
     wall[0] -= 100
     assert time.next() == 11 * TICKS_PER_S + 1, "a wall clock set back"
-    time.heard(10**9)
+    time.note_received(10**9)
     assert time.next() == 10**9 + 1
-    time.heard(2**48 - 1)
+    time.note_received(2**48 - 1)
     assert time.next() == 10**9 + 2, "who says the last time there is does not silence us"
 
 

@@ -20,9 +20,9 @@ def exchange(sync: TimeSync, count: int, *, offset_ns: int, at: int = 100 * S, p
         (request,) = sync.due(MonoNs(at), TARGET)
         out, back = (300_000 + rng.exponential(3 * MS) for _ in range(2))
         remote = round((at + out) * (1 + ppm * 1e-6)) + offset_ns
-        heard = MonoNs(round(at + out + back))
-        sync.hear(TimeSyncV2(remote, request.ts1, 1, 191), heard)
-        at = heard + 1_100 * MS
+        received_at = MonoNs(round(at + out + back))
+        sync.on_message(TimeSyncV2(remote, request.ts1, 1, 191), received_at)
+        at = received_at + 1_100 * MS
     return at
 
 
@@ -58,11 +58,11 @@ def test_slow_stray_and_impossible_answers_are_refused() -> None:
     sync = TimeSync()
     now = exchange(sync, 8, offset_ns=5 * MS)
     before = sync.offset_ns(MonoNs(now))
-    sync.hear(TimeSyncV2(now + 900 * MS, 12345), MonoNs(now))
+    sync.on_message(TimeSyncV2(now + 900 * MS, 12345), MonoNs(now))
     (request,) = sync.due(MonoNs(now), TARGET)
-    sync.hear(TimeSyncV2(now, request.ts1), MonoNs(now + S))
+    sync.on_message(TimeSyncV2(now, request.ts1), MonoNs(now + S))
     (request,) = sync.due(MonoNs(now + 2 * S), TARGET)
-    sync.hear(TimeSyncV2(now + 90 * S, request.ts1), MonoNs(now + 2 * S + MS))
+    sync.on_message(TimeSyncV2(now + 90 * S, request.ts1), MonoNs(now + 2 * S + MS))
     assert sync.refused == 3
     assert sync.offset_ns(MonoNs(now)) == before
 
@@ -94,19 +94,19 @@ def test_stamps_meet_the_truth_once_locked_and_never_lie_after_they_were_heard()
     rng = np.random.default_rng(3)
     errors = []
     for n in range(200):
-        taken = now + n * 10 * MS
-        heard = MonoNs(round(taken + 0.2 * MS + rng.exponential(8 * MS)))
-        stamp = clock.stamp(boot_ms((taken + offset) // MS), heard)
-        assert stamp.taken <= stamp.heard
+        measured_at = now + n * 10 * MS
+        received_at = MonoNs(round(measured_at + 0.2 * MS + rng.exponential(8 * MS)))
+        stamp = clock.stamp(boot_ms((measured_at + offset) // MS), received_at)
+        assert stamp.measured_at <= stamp.received_at
         assert stamp.sigma_s < 0.003
-        errors.append((stamp.taken - taken) * 1e-9)
+        errors.append((stamp.measured_at - measured_at) * 1e-9)
     assert np.abs(errors).max() < 0.002, "the delay of each message is not in its stamp"
 
 
 def test_before_the_lock_the_least_delay_serves() -> None:
     clock = BootClock(TimeSync())
     stamp = clock.stamp(boot_us(3_000_000), MonoNs(9 * S))
-    assert stamp.taken <= 9 * S
+    assert stamp.measured_at <= 9 * S
     assert stamp.sigma_s > 0.005
 
 
@@ -128,7 +128,7 @@ def test_milliseconds_that_wrap_after_seven_weeks() -> None:
     now = exchange(sync, 8, offset_ns=offset, at=now)
     clock = BootClock(sync)
     for n in range(30):
-        taken = now + n * S
-        stamp = clock.stamp(boot_ms((taken + offset) // MS % 2**32), MonoNs(taken + MS))
-        assert abs(stamp.taken - taken) < 2 * MS
+        measured_at = now + n * S
+        stamp = clock.stamp(boot_ms((measured_at + offset) // MS % 2**32), MonoNs(measured_at + MS))
+        assert abs(stamp.measured_at - measured_at) < 2 * MS
     assert clock.restarts == 0

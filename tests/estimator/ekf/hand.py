@@ -10,13 +10,13 @@ from estimator.contracts.estimates import Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import EkfOptions, motion, sea, so3
+from estimator.ekf import EkfOptions, deck_motion_bank, motion, so3
 from estimator.ekf.algebra import Algebra
-from estimator.ekf.state import DELAY, HEAD, MOUNT, Belief, D, N, V, initial
-from estimator.ekf.stride import Tools
+from estimator.ekf.propagate import FilterParams
+from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, PAD_YAW, POS_REL, VEL, Belief, N, initial
 
 OPTIONS = EkfOptions()
-TOOLS = Tools(OPTIONS, motion.Walk(OPTIONS), Algebra(N))
+TOOLS = FilterParams(OPTIONS, motion.ProcessNoise(OPTIONS), Algebra(N))
 MS = 1_000_000
 S = 1_000_000_000
 T = 500 * S
@@ -24,9 +24,9 @@ LEVEL = np.eye(3)
 TILTED = so3.from_rpy(0.1, -0.15, 0.8)
 
 
-def tools(**changed: object) -> Tools:
+def params(**changed: object) -> FilterParams:
     o = replace(OPTIONS, **changed)  # type: ignore[arg-type]
-    return Tools(o, motion.Walk(o), TOOLS.algebra)
+    return FilterParams(o, motion.ProcessNoise(o), TOOLS.algebra)
 
 
 def stamp(t: int) -> Stamp:
@@ -54,24 +54,30 @@ def state(seed: int = 2) -> F64:
 def under(x: float = 0.0, y: float = 0.0, z: float = 2.0) -> F64:
     """(N,) a pad there, nothing else known to be anything but zero."""
     state = np.zeros(N)
-    state[D], state[15] = (x, y, z), 1.0
+    state[POS_REL], state[15] = (x, y, z), 1.0
     return state
 
 
 def diagonal(**var: float) -> F64:
     """(N, N) variances: small everywhere but where said."""
     P = np.eye(N) * 1e-8
-    places = {"d": D, "v": V, "head": slice(HEAD, HEAD + 1), "mount": MOUNT, "delay": slice(DELAY, DELAY + 1)}
+    places = {
+        "d": POS_REL,
+        "v": VEL,
+        "head": slice(PAD_YAW, PAD_YAW + 1),
+        "mount": CAMERA_MOUNT,
+        "delay": slice(CAMERA_DELAY, CAMERA_DELAY + 1),
+    }
     for name, value in var.items():
         P[places[name], places[name]] = np.eye(len(P[places[name]])) * value
     return P
 
 
-def learned(*, t: int = T, heave_m_s: float = 0.0) -> sea.Sea:
+def learned(*, t: int = T, heave_m_s: float = 0.0) -> deck_motion_bank.Sea:
     """A sea that was looked at just now, with so much heave rate; the other directions move otherwise."""
     sigma, w = np.array([0.3, 0.4, 0.0, 0.02, 0.03]), np.array([0.7, 0.9, 0.8, 1.1, 1.2])
     sigma[2] = heave_m_s / w[2]
-    return sea.unknown()._replace(t=t, sigma=sigma, w_rad_s=w)
+    return deck_motion_bank.unknown()._replace(t=t, sigma=sigma, w_rad_s=w)
 
 
 def belief(R: F64 = LEVEL, *, t: int = T, x: F64 | None = None, P: F64 | None = None, **fields: object) -> Belief:

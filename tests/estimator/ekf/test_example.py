@@ -10,10 +10,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from benches.estimator_truth import EPOCH_NS, Flight, Setting, events, ns
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import Imu
 from estimator.ekf import at
+from sitl.testing.estimator_truth import EPOCH_NS, Flight, Setting, events, ns
 
 PAGE = Path(__file__).parents[3] / "docs" / "estimator.md"
 
@@ -29,9 +29,9 @@ def test_thirty_lines_on_a_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str
     path = tmp_path / "flight.csv"
     with path.open("w", newline="") as file:
         out = csv.writer(file)
-        out.writerow(["kind", "taken_s", "heard_s", *"abcdef"])
+        out.writerow(["kind", "measured_at_s", "received_at_s", *"abcdef"])
         for e in events(flight):
-            times = [f"{(x - EPOCH_NS) * 1e-9 + 5.0:.9f}" for x in (e.stamp.taken, e.stamp.heard)]
+            times = [f"{(x - EPOCH_NS) * 1e-9 + 5.0:.9f}" for x in (e.stamp.measured_at, e.stamp.received_at)]
             if isinstance(e, Imu):
                 out.writerow(["imu", *times, *e.w_body, *e.f_body])
             elif isinstance(e, Sighting):

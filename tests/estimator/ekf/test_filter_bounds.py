@@ -12,13 +12,29 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Verdic
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Baro
 from estimator.contracts.time import MonoNs
-from estimator.ekf import Ekf, EkfOptions, at, forecast, moving, sea, so3, start, step
+from estimator.ekf import Ekf, EkfOptions, at, deck_motion_bank, forecast, moving, so3, start, step
 from estimator.ekf.forecast import probability_of_motion
 from estimator.ekf.history import History
-from estimator.ekf.state import BA, BARO, BG, DELAY, HEAD, MOUNT, SCALE, SHORT, TURN_RATE, VELOCITY, Belief, D, N, U, V
-from estimator.ekf.stride import settled
+from estimator.ekf.propagate import propagated_with_covariance
+from estimator.ekf.state import (
+    ACCEL_BIAS,
+    BARO_OFFSET,
+    CAMERA_DELAY,
+    CAMERA_MOUNT,
+    GYRO_BIAS,
+    PAD_YAW,
+    POS_REL,
+    RANGE_OFFSET,
+    TURN_RATE,
+    VEL,
+    VEL_SCALE,
+    VELOCITY,
+    VESSEL_VEL,
+    Belief,
+    N,
+)
 from estimator.integrity import IntegrityOptions
-from tests.estimator.ekf.hand import MS, OPTIONS, TILTED, TOOLS, S, T, belief, correlated, imu, stamp, state, tools
+from tests.estimator.ekf.hand import MS, OPTIONS, TILTED, TOOLS, S, T, belief, correlated, imu, params, stamp, state
 
 NOW = MonoNs(T)
 
@@ -43,17 +59,17 @@ def test_place_and_velocity_are_of_the_pad_as_it_is_now_in_axes_that_turn_with_t
     into_level = so3.about_down(-0.8)
     v_waves = b.x[[19, 23, 27]]
     sway = np.array([*(b.x[52:54] * v_waves[2]), 0.0])
-    d = b.x[D] - b.x[DELAY] * (v_waves + sway)
+    d = b.x[POS_REL] - b.x[CAMERA_DELAY] * (v_waves + sway)
     np.testing.assert_allclose(found.d_body_pad_level, into_level @ d, atol=1e-12)
-    vessel = np.array([*b.x[U], 0.0])
-    np.testing.assert_allclose(found.v_pad_level, into_level @ (v_waves + sway + vessel - b.x[V]), atol=1e-12)
-    assert found.yaw_rad == pytest.approx(0.8 - b.x[HEAD])
+    vessel = np.array([*b.x[VESSEL_VEL], 0.0])
+    np.testing.assert_allclose(found.v_pad_level, into_level @ (v_waves + sway + vessel - b.x[VEL]), atol=1e-12)
+    assert found.yaw_rad == pytest.approx(0.8 - b.x[PAD_YAW])
     assert (found.at, found.sighted, found.path) == (T, b.sighted, "ekf")
 
 
 def test_a_relative_heading_lies_within_half_a_turn() -> None:
     x = state()
-    x[HEAD] = -3.0
+    x[PAD_YAW] = -3.0
     assert told(belief(TILTED, x=x)).yaw_rad == pytest.approx(0.8 + 3.0 - math.tau)
 
 
@@ -80,7 +96,7 @@ def test_the_covariance_is_what_each_error_does_to_what_is_told() -> None:
 def test_a_little_later_it_is_the_belief_carried_on_with_all_its_growing_doubt() -> None:
     b = belief(TILTED, x=state(), t_imu=T, w=np.array([0.1, 0.2, 0.3]), f=np.array([0.3, -0.2, -9.7]))
     now = T + 50 * MS
-    found, other = told(b, now), told(settled(b, now, TOOLS), now)
+    found, other = told(b, now), told(propagated_with_covariance(b, now, TOOLS), now)
     for name in ("d_body_pad_level", "v_pad_level", "cov"):
         np.testing.assert_allclose(getattr(found, name), getattr(other, name), atol=1e-9, err_msg=name)
     assert found.yaw_rad == pytest.approx(other.yaw_rad)
@@ -144,7 +160,7 @@ def test_it_is_consistent_while_the_place_is_known_to_a_metre_along_each_axis(ax
         assert told(belief(P=P)).consistent is wanted
     for sigma_m, wanted in ((0.499, True), (0.501, False)):
         P[3 + axis, 3 + axis] = sigma_m**2
-        chosen = tools(consistent_sigma_m=0.5)
+        chosen = params(consistent_sigma_m=0.5)
         found = at(Ekf(chosen.options, chosen, History(base=belief(P=P))), NOW)
         assert found is not None
         assert found.consistent is wanted
@@ -157,27 +173,27 @@ def test_it_is_consistent_while_the_place_is_known_to_a_metre_along_each_axis(ax
 
 def test_every_figure_for_the_records_is_the_one_it_is_called_by() -> None:
     x, P = state(), correlated()
-    P[SCALE, SCALE] = -1e-9
+    P[VEL_SCALE, VEL_SCALE] = -1e-9
     b = belief(TILTED, x=x, P=P, nis_mean=1.3)
     b = b._replace(sea=b.sea._replace(zeta=np.array([0.1, 0.2, 0.3, 0.4, 0.5]), sigma=np.array([0.3, 0.4, 0.5, 0.02, 0.03])))
     expected = {
         "nis_mean": 1.3,
         "probability_moving": probability_of_motion(b),
-        "velocity_scale": x[SCALE],
-        "camera_delay_s": x[DELAY],
-        "baro_offset_m": x[BARO],
-        "range_offset_m": x[SHORT],
+        "velocity_scale": x[VEL_SCALE],
+        "camera_delay_s": x[CAMERA_DELAY],
+        "baro_offset_m": x[BARO_OFFSET],
+        "range_offset_m": x[RANGE_OFFSET],
         "v_vessel_north_m_s": x[16],
         "v_vessel_east_m_s": x[17],
         "turn_rate_rad_s": x[TURN_RATE],
         "sigma_velocity_scale": 0.0,
-        "sigma_camera_delay_s": math.sqrt(P[DELAY, DELAY]),
+        "sigma_camera_delay_s": math.sqrt(P[CAMERA_DELAY, CAMERA_DELAY]),
     }
     for k, axis in enumerate("xyz"):
         expected[f"sigma_mount_{axis}_rad"] = math.sqrt(P[43 + k, 43 + k])
-        expected[f"mount_{axis}_rad"] = x[MOUNT][k]
-        expected[f"gyro_bias_{axis}_rad_s"] = x[BG][k]
-        expected[f"accel_bias_{axis}_m_s2"] = x[BA][k]
+        expected[f"mount_{axis}_rad"] = x[CAMERA_MOUNT][k]
+        expected[f"gyro_bias_{axis}_rad_s"] = x[GYRO_BIAS][k]
+        expected[f"accel_bias_{axis}_m_s2"] = x[ACCEL_BIAS][k]
     for k, channel in enumerate(("north", "east", "down", "roll", "pitch")):
         expected[f"period_{channel}_s"] = 2.0 * math.pi / b.sea.w_rad_s[k]
         expected[f"damping_{channel}"] = b.sea.zeta[k]
@@ -218,8 +234,8 @@ def test_horizons_are_numbers_of_zero_or_more() -> None:
 def test_a_vessel_under_way_moves_and_one_that_lies_still_may_not() -> None:
     P = np.eye(N) * 1e-6
     under_way, still = np.zeros(N), np.zeros(N)
-    under_way[U] = 3.0, 1.0
-    b = belief(x=under_way, P=P, sea=sea.unknown())
+    under_way[VESSEL_VEL] = 3.0, 1.0
+    b = belief(x=under_way, P=P, sea=deck_motion_bank.unknown())
     moves = moving(holding(b))
     assert moves == probability_of_motion(b)
     assert moves > 0.99
@@ -234,7 +250,7 @@ def test_a_vessel_under_way_moves_and_one_that_lies_still_may_not() -> None:
 def test_a_new_filter_has_the_options_given_or_the_usual_ones_and_knows_nothing() -> None:
     chosen = EkfOptions(forget_s=7.0)
     for ekf, options in ((start(chosen), chosen), (start(), EkfOptions())):
-        assert ekf.options == ekf.tools.options == ekf.tools.walk.options == options
+        assert ekf.options == ekf.params.options == ekf.params.process_noise.options == options
         assert ekf.history == History()
         assert ekf.belief is None
         assert ekf.limits == IntegrityOptions()
@@ -247,7 +263,7 @@ def test_a_step_makes_a_new_memory_and_leaves_the_old_one() -> None:
     assert [outcome.verdict for outcome in outcomes] == [Verdict.FUSED]
     assert len(new.history.nodes) == 1
     assert old.history == History(base=old.belief)
-    assert (new.options, new.tools) == (old.options, old.tools)
+    assert (new.options, new.params) == (old.options, old.params)
     for f in fields(Ekf):
         assert f.name in ("history", "imu") or getattr(new, f.name) is getattr(old, f.name)
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from benches.estimator import OPTIONS, setting
-from benches.estimator_truth import EPOCH_NS, Flight, Setting, events, ns, stamp
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import Imu, Range
 from estimator.ekf import Ekf, EkfOptions, at, gate, start, step
 from estimator.ekf.algebra import Algebra
-from estimator.ekf.state import SCALE, Doubt, N
+from estimator.ekf.state import VEL_SCALE, N, RejectionStreak
+from sitl.testing.estimator_truth import EPOCH_NS, Flight, Setting, events, ns, stamp
 
 CALM = Setting(seed=1, sea=2, duration_s=9.0, imu_hz=100.0, sighting_hz=20.0, attitude_hz=20.0, velocity_hz=20.0)
 
@@ -41,7 +41,7 @@ def test_five_percent_wrong_sightings_never_capture_it() -> None:
     for event in events(flight):
         ekf, outcomes = step(ekf, event)
         gated += isinstance(event, Sighting) and outcomes[0].verdict is Verdict.GATED
-        while event.stamp.heard > ns(next_s):
+        while event.stamp.received_at > ns(next_s):
             worst = max(worst, error_m(ekf, flight, next_s))
             next_s += 0.1
     assert 3 <= gated <= 25
@@ -52,10 +52,12 @@ def test_a_false_pad_beside_the_true_one_is_refused_as_long_as_the_true_one_show
     flight = Flight(CALM)
     ekf, refused = start(), []
     for event in events(flight):
-        wrong = isinstance(event, Sighting) and event.stamp.taken > ns(3.0) and event.seq % 2 == 0
+        wrong = isinstance(event, Sighting) and event.stamp.measured_at > ns(3.0) and event.seq % 2 == 0
         ekf, outcomes = step(
             ekf,
-            shifted(event, level(flight, (event.stamp.taken - EPOCH_NS) * 1e-9, np.array([0.6, 0.3, 0.0]))) if wrong else event,
+            shifted(event, level(flight, (event.stamp.measured_at - EPOCH_NS) * 1e-9, np.array([0.6, 0.3, 0.0])))
+            if wrong
+            else event,
         )
         if wrong:
             refused.append(outcomes[0].verdict is Verdict.GATED)
@@ -67,20 +69,20 @@ def test_a_pad_that_has_moved_for_good_is_believed_after_a_while() -> None:
     """The way back: what was refused again and again, always alike, becomes the belief, and says so by `consistent`."""
     flight = Flight(CALM)
     jump = np.array([0.8, -0.5, 0.2])
-    ekf, verdicts, doubted = start(), [], False
+    ekf, verdicts, extended = start(), [], False
     for event in events(flight):
-        moved = isinstance(event, Sighting) and event.stamp.taken > ns(4.0)
-        t = (event.stamp.taken - EPOCH_NS) * 1e-9
+        moved = isinstance(event, Sighting) and event.stamp.measured_at > ns(4.0)
+        t = (event.stamp.measured_at - EPOCH_NS) * 1e-9
         ekf, outcomes = step(ekf, shifted(event, level(flight, t, jump)) if moved else event)
         if moved:
-            verdicts.append((event.stamp.taken, outcomes[0].verdict))
-            state = at(ekf, event.stamp.heard)
+            verdicts.append((event.stamp.measured_at, outcomes[0].verdict))
+            state = at(ekf, event.stamp.received_at)
             assert state is not None
-            doubted = doubted or not state.consistent
+            extended = extended or not state.consistent
     fused_at = min(t for t, v in verdicts if v is Verdict.FUSED)
     assert 0.5 < (fused_at - ns(4.0)) * 1e-9 < 1.5
     assert [v for _, v in verdicts][-20:].count(Verdict.FUSED) >= 18
-    assert doubted
+    assert extended
     state = at(ekf, ns(8.9))
     assert state is not None
     assert state.consistent
@@ -90,22 +92,22 @@ def test_a_pad_that_has_moved_for_good_is_believed_after_a_while() -> None:
 
 def test_a_belief_that_drifts_away_from_what_is_seen_finds_back() -> None:
     """Waves not learned yet, the deck rises 1.5 m/s more than believed: refused sightings agree, though each is farther."""
-    doubt = Doubt()
+    streak = RejectionStreak()
     for k in range(8):
         offset = np.array([0.0, 0.0, 0.3 + 1.5 * 0.1 * k])
-        doubt = gate.doubted(doubt, k * 100_000_000, offset, 0.01**2)
-    assert doubt.n == 8
-    assert gate.convinced(doubt, 50, EkfOptions())
-    far = gate.doubted(doubt, 8 * 100_000_000, np.array([1.5, 0.0, 1.4]), 0.01**2)
+        streak = gate.extended(streak, k * 100_000_000, offset, 0.01**2)
+    assert streak.n == 8
+    assert gate.should_reset(streak, 50, EkfOptions())
+    far = gate.extended(streak, 8 * 100_000_000, np.array([1.5, 0.0, 1.4]), 0.01**2)
     assert far.n == 1, "two false pads do not agree"
 
     flight, ekf, last, longest = Flight(setting(86)), start(OPTIONS), ns(2.0), 0.0
     for event in events(flight):
         ekf, outcomes = step(ekf, event)
-        if isinstance(event, Sighting) and outcomes[0].verdict is Verdict.FUSED and event.stamp.taken > last:
-            longest = max(longest, (event.stamp.taken - last) * 1e-9)
-            last = event.stamp.taken
-        if event.stamp.heard > ns(10.0):
+        if isinstance(event, Sighting) and outcomes[0].verdict is Verdict.FUSED and event.stamp.measured_at > last:
+            longest = max(longest, (event.stamp.measured_at - last) * 1e-9)
+            last = event.stamp.measured_at
+        if event.stamp.received_at > ns(10.0):
             break
     assert longest < 1.5
 
@@ -115,11 +117,11 @@ def test_a_slow_vessel_s_ground_is_not_taken_for_its_deck() -> None:
     ekf = start(OPTIONS)
     for event in events(Flight(setting(37))):
         ekf, _ = step(ekf, event)
-        if event.stamp.heard > ns(10.0):
+        if event.stamp.received_at > ns(10.0):
             break
     assert ekf.belief is not None
     assert ekf.belief.over_pad < -1.0
-    assert abs(ekf.belief.x[SCALE] / setting(37).velocity_scale - 1.0) < 0.05
+    assert abs(ekf.belief.x[VEL_SCALE] / setting(37).velocity_scale - 1.0) < 0.05
 
 
 def test_a_wrong_first_sighting_is_soon_overthrown() -> None:
@@ -129,7 +131,7 @@ def test_a_wrong_first_sighting_is_soon_overthrown() -> None:
         if isinstance(event, Sighting) and first:
             event, first = shifted(event, np.array([2.0, 2.0, 1.0])), False
         ekf, _ = step(ekf, event)
-        if event.stamp.heard > ns(2.0):
+        if event.stamp.received_at > ns(2.0):
             break
     assert error_m(ekf, flight, 2.0) < 0.25
 
@@ -138,7 +140,7 @@ def test_the_deck_edge_is_gated_and_not_believed() -> None:
     flight = Flight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
     ekf, beyond = start(), []
     for event in events(flight):
-        if isinstance(event, Range) and event.stamp.taken > ns(5.0):
+        if isinstance(event, Range) and event.stamp.measured_at > ns(5.0):
             event = Range(event.stamp, event.range_m + 0.6, event.sigma_m)
             ekf, outcomes = step(ekf, event)
             beyond.append(outcomes[0].verdict)
@@ -155,7 +157,7 @@ def test_range_is_of_use_over_the_deck_and_refused_far_from_it() -> None:
         ekf, verdicts = start(), []
         for event in events(Flight(chosen)):
             ekf, outcomes = step(ekf, event)
-            if isinstance(event, Range) and event.stamp.taken > ns(4.0):
+            if isinstance(event, Range) and event.stamp.measured_at > ns(4.0):
                 verdicts.append(outcomes[0].verdict)
         assert verdicts.count(wanted) > 0.95 * len(verdicts)
 
@@ -164,7 +166,7 @@ def test_range_is_of_use_over_the_deck_and_refused_far_from_it() -> None:
 def test_a_sighting_that_does_not_trust_itself_is_refused(confidence: float) -> None:
     ekf = start()
     for event in events(Flight(CALM)):
-        if event.stamp.heard > ns(1.0):
+        if event.stamp.received_at > ns(1.0):
             break
         ekf, _ = step(ekf, event)
     cov = np.diag([0.01, 0.01, 0.01, 0.01])

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from estimator.ekf import EkfOptions, gate
-from estimator.ekf.state import Doubt
+from estimator.ekf.state import RejectionStreak
 
 S = 1_000_000_000
 OPTIONS = EkfOptions()
@@ -45,21 +45,21 @@ def test_the_sigma_of_a_covariance_is_the_root_of_its_mean_variance_and_never_im
     assert gate.sigma_of(np.diag([-1.0, 0.0, 0.0])) == 0.0
 
 
-def refused(doubt: Doubt, t: int, x: float = 0.0, sigma_m: float = 0.01, z: float = 0.0) -> Doubt:
-    return gate.doubted(doubt, t, np.array([x, 0.0, z]), sigma_m**2)
+def refused(doubt: RejectionStreak, t: int, x: float = 0.0, sigma_m: float = 0.01, z: float = 0.0) -> RejectionStreak:
+    return gate.extended(doubt, t, np.array([x, 0.0, z]), sigma_m**2)
 
 
 def test_a_row_begins_goes_on_and_keeps_its_beginning() -> None:
-    first = refused(Doubt(), 5 * S, 0.5, z=0.25)
-    assert first == Doubt(1, 5 * S, 5 * S, (0.5, 0.0, 0.25), 1e-4)
+    first = refused(RejectionStreak(), 5 * S, 0.5, z=0.25)
+    assert first == RejectionStreak(1, 5 * S, 5 * S, (0.5, 0.0, 0.25), 1e-4)
     second = refused(first, 6 * S, 0.5, sigma_m=0.02, z=0.25)
-    assert second == Doubt(2, 5 * S, 6 * S, (0.5, 0.0, 0.25), pytest.approx(4e-4))
+    assert second == RejectionStreak(2, 5 * S, 6 * S, (0.5, 0.0, 0.25), pytest.approx(4e-4))
     assert refused(second, 6 * S, 0.5, z=0.25).n == 3, "two of one instant"
     assert refused(second, 6 * S - 1, 0.5, z=0.25).n == 1, "an older one begins anew"
 
 
 def test_a_row_is_broken_by_more_than_two_seconds() -> None:
-    first = refused(Doubt(), 0)
+    first = refused(RejectionStreak(), 0)
     assert refused(first, 2 * S).n == 2
     assert refused(first, 2 * S + 1_000_000).n == 1
 
@@ -71,7 +71,7 @@ def test_a_row_is_broken_by_more_than_two_seconds() -> None:
 @pytest.mark.parametrize("sigmas_m", [(0.01, 0.01), (0.3, 0.4)])
 def test_how_far_two_refusals_may_differ(dt_s: float, growth_m: float, sigmas_m: tuple[float, float]) -> None:
     """Four sigmas of their difference, what the belief may have drifted between them, and a fiftieth of the offset."""
-    first = refused(Doubt(), 0, 0.0, sigma_m=sigmas_m[0], z=1.0)
+    first = refused(RejectionStreak(), 0, 0.0, sigma_m=sigmas_m[0], z=1.0)
     for factor, n in ((0.999, 2), (1.001, 1)):
         # The limit holds at the offset of the second look: step = base + 0.02 |offset|, offset = (step, 0, 1).
         base = 4.0 * math.hypot(*sigmas_m) + growth_m
@@ -84,15 +84,17 @@ def test_how_far_two_refusals_may_differ(dt_s: float, growth_m: float, sigmas_m:
 
 def test_a_belief_of_few_sightings_is_overthrown_by_one_more_than_they_were() -> None:
     for agreed in range(3):
-        assert not gate.convinced(Doubt(n=agreed), agreed, OPTIONS)
-        assert gate.convinced(Doubt(n=agreed + 1), agreed, OPTIONS)
+        assert not gate.should_reset(RejectionStreak(n=agreed), agreed, OPTIONS)
+        assert gate.should_reset(RejectionStreak(n=agreed + 1), agreed, OPTIONS)
 
 
 def test_a_belief_of_three_or_more_is_overthrown_by_count_and_time_alone() -> None:
     options = replace(OPTIONS, reopen_count=5, reopen_s=0.6)
-    row = Doubt(n=5, since=0, last=600_000_000)
-    assert gate.convinced(row, 3, options)
-    assert gate.convinced(row, 1000, options)
-    assert not gate.convinced(row._replace(n=4), 3, options)
-    assert not gate.convinced(row._replace(last=590_000_000), 3, options)
-    assert not gate.convinced(Doubt(n=4, since=0, last=0), 3, options), "four refusals do for three sightings no longer"
+    row = RejectionStreak(n=5, since=0, last=600_000_000)
+    assert gate.should_reset(row, 3, options)
+    assert gate.should_reset(row, 1000, options)
+    assert not gate.should_reset(row._replace(n=4), 3, options)
+    assert not gate.should_reset(row._replace(last=590_000_000), 3, options)
+    assert not gate.should_reset(RejectionStreak(n=4, since=0, last=0), 3, options), (
+        "four refusals do for three sightings no longer"
+    )

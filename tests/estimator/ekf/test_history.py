@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benches.estimator_truth import EPOCH_NS, Flight, Setting, events, ns
 from estimator.contracts.estimates import RelativeState, Sighting, Verdict
 from estimator.contracts.samples import Baro, Imu, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import Ekf, EkfOptions, at, start, step
+from sitl.testing.estimator_truth import EPOCH_NS, Flight, Setting, events, ns
 
 SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro_hz=10.0, imu_hz=100.0, outliers=0.05)
 
@@ -42,14 +42,14 @@ def same(one: RelativeState | None, two: RelativeState | None) -> float:
 
 
 def test_late_and_shuffled_equals_in_order() -> None:
-    heard = events(Flight(SETTING))
-    in_order = sorted(heard, key=lambda e: (e.stamp.taken, isinstance(e, Sighting)))
-    assert sum(a is not b for a, b in zip(heard, in_order, strict=True)) > 100
+    received_at = events(Flight(SETTING))
+    in_order = sorted(received_at, key=lambda e: (e.stamp.measured_at, isinstance(e, Sighting)))
+    assert sum(a is not b for a, b in zip(received_at, in_order, strict=True)) > 100
     rng = np.random.default_rng(0)
-    jumbled = sorted(heard, key=lambda e: e.stamp.heard + rng.uniform(0.0, 0.25e9))
+    jumbled = sorted(received_at, key=lambda e: e.stamp.received_at + rng.uniform(0.0, 0.25e9))
     options = EkfOptions(max_ahead_s=0.5)
     reference, _ = run(in_order, options)
-    for order in (heard, jumbled):
+    for order in (received_at, jumbled):
         late, verdicts = run(order, options)
         assert Verdict.TOO_OLD not in verdicts
         for t in (4.6, 4.9, 5.1):
@@ -57,33 +57,33 @@ def test_late_and_shuffled_equals_in_order() -> None:
 
 
 def test_an_older_memory_is_not_touched() -> None:
-    heard = events(Flight(SETTING))
-    half, _ = run(heard[:600])
+    received_at = events(Flight(SETTING))
+    half, _ = run(received_at[:600])
     before = at(half, ns(3.0))
-    for event in heard[600:900]:
+    for event in received_at[600:900]:
         step(half, event)
     assert same(before, at(half, ns(3.0))) == 0.0
 
 
 def test_reading_on_another_thread_changes_nothing() -> None:
     """The eyes ask where the pad is expected while the loop goes on stepping."""
-    heard = events(Flight(replace(SETTING, duration_s=2.0)))
-    alone, _ = run(heard)
-    half, _ = run(heard[: len(heard) // 2])
+    received_at = events(Flight(replace(SETTING, duration_s=2.0)))
+    alone, _ = run(received_at)
+    half, _ = run(received_at[: len(received_at) // 2])
     done, read = threading.Event(), [0]
 
-    def eyes() -> None:
+    def tracker() -> None:
         while not done.is_set():
             assert at(half, ns(1.1)) is not None
             read[0] += 1
 
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
-    thread = threading.Thread(target=eyes)
+    thread = threading.Thread(target=tracker)
     thread.start()
     try:
         watched = half
-        for event in heard[len(heard) // 2 :]:
+        for event in received_at[len(received_at) // 2 :]:
             watched, _ = step(watched, event)
     finally:
         done.set()
@@ -106,9 +106,9 @@ def test_too_old_and_too_new() -> None:
 
 
 def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
-    heard = events(Flight(SETTING))
-    ekf, _ = run(heard)
-    later = [e for e in events(Flight(Setting(seed=4, sea=4, duration_s=15.0, imu_hz=100.0))) if e.stamp.taken > ns(13.0)]
+    received_at = events(Flight(SETTING))
+    ekf, _ = run(received_at)
+    later = [e for e in events(Flight(Setting(seed=4, sea=4, duration_s=15.0, imu_hz=100.0))) if e.stamp.measured_at > ns(13.0)]
     verdicts = []
     for event in later:
         ekf, outcomes = step(ekf, event)

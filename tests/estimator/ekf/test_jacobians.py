@@ -16,31 +16,44 @@ from hypothesis import strategies as st
 from estimator.contracts.estimates import Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import measure, motion, sea, so3
+from estimator.ekf import deck_motion_bank, measure, motion, so3
 from estimator.ekf.algebra import Algebra
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.state import DELAY, G_NED, HEAD, MOUNT, SCALE, TH, Belief, D, N, U, V, initial
+from estimator.ekf.state import (
+    ATT_ERR,
+    CAMERA_DELAY,
+    CAMERA_MOUNT,
+    G_NED,
+    PAD_YAW,
+    POS_REL,
+    VEL,
+    VEL_SCALE,
+    VESSEL_VEL,
+    Belief,
+    N,
+    initial,
+)
 
 OPTIONS = EkfOptions()
 ALGEBRA = Algebra(N)
-WALK = motion.Walk(OPTIONS)
+WALK = motion.ProcessNoise(OPTIONS)
 
 
 def random_belief(seed: int) -> Belief:
     rng = np.random.default_rng(seed)
     R = Rotation.from_rpy(*rng.uniform(-0.4, 0.4, 2), rng.uniform(-3, 3)).matrix
-    b = initial(OPTIONS, 0, R, 0.05, 0.1, sea.unknown())
+    b = initial(OPTIONS, 0, R, 0.05, 0.1, deck_motion_bank.unknown())
     x = b.x.copy()
-    x[D] = rng.uniform(-2, 2, 3) + np.array([0, 0, 4])
-    x[V] = rng.normal(size=3)
+    x[POS_REL] = rng.uniform(-2, 2, 3) + np.array([0, 0, 4])
+    x[VEL] = rng.normal(size=3)
     x[9:15] = 0.1 * rng.normal(size=6)
-    x[SCALE] = rng.uniform(0.6, 1.2)
-    x[U] = rng.normal(size=2)
+    x[VEL_SCALE] = rng.uniform(0.6, 1.2)
+    x[VESSEL_VEL] = rng.normal(size=2)
     x[18:38] = 0.2 * rng.normal(size=20)
-    x[HEAD] = rng.uniform(-3, 3)
+    x[PAD_YAW] = rng.uniform(-3, 3)
     x[39:42] = 0.05 * rng.normal(size=3)
-    x[DELAY] = 0.02 * rng.normal()
-    x[MOUNT] = 0.05 * rng.normal(size=3)
+    x[CAMERA_DELAY] = 0.02 * rng.normal()
+    x[CAMERA_MOUNT] = 0.05 * rng.normal(size=3)
     x[46:52] = 0.05 * rng.normal(size=6)
     x[52:54] = 0.2 * rng.normal(size=2)
     return b._replace(x=x)
@@ -49,8 +62,8 @@ def random_belief(seed: int) -> Belief:
 def moved(b: Belief, dx: F64) -> Belief:
     """The belief with an error put in as a correction would be."""
     x = b.x + dx
-    x[TH] = 0.0
-    R = b.R @ so3.exp(dx[TH])
+    x[ATT_ERR] = 0.0
+    R = b.R @ so3.exp(dx[ATT_ERR])
     return b._replace(x=x, R=R, R_cov=R)
 
 
@@ -78,13 +91,19 @@ def check_sighting(b: Belief, seed: int, pose6: bool, rows: slice) -> None:
     seen, levelled_by = sighting(seed, pose6=pose6)
     w = np.random.default_rng(seed).normal(size=3)
 
-    def row(c: Belief) -> measure.Row:
+    def row(c: Belief) -> measure.LinearizedMeasurement:
         return measure.sighting(c.x, c.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1)
 
     if pose6:
         # Matching the measurement to the prediction keeps the rotation residual near zero, where its logarithm is linear.
         A = measure.levelling(b.R, levelled_by)
-        M = so3.exp(row(b).H[3:, DELAY] * b.x[DELAY]) @ A @ so3.exp(-b.x[MOUNT]) @ b.R.T @ measure.deck(b.x).R
+        M = (
+            so3.exp(row(b).H[3:, CAMERA_DELAY] * b.x[CAMERA_DELAY])
+            @ A
+            @ so3.exp(-b.x[CAMERA_MOUNT])
+            @ b.R.T
+            @ measure.deck(b.x).R
+        )
         assert seen.pose6 is not None
         pose = Pose6(seen.pose6.d_body_pad_level, Rotation(M), seen.pose6.cov)
         seen = Sighting(seen.stamp, 1, "selected", seen.d_body_pad_level, seen.yaw_rad, False, seen.cov, 1.0, pose)
@@ -111,7 +130,7 @@ def test_sighting_orientation(seed: int, pose6: bool) -> None:
     """At no delay: what the orientation's columns leave out is a delay times a rate."""
     b = random_belief(seed)
     x = b.x.copy()
-    x[DELAY] = 0.0
+    x[CAMERA_DELAY] = 0.0
     check_sighting(b._replace(x=x), seed, pose6, slice(3, None))
 
 
@@ -121,15 +140,15 @@ def test_delay_column_is_the_rate_of_what_the_camera_sees(seed: int) -> None:
     b = random_belief(seed)
     seen, levelled_by = sighting(seed, pose6=True)
     w = np.random.default_rng(seed).normal(size=3)
-    H = measure.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1).H[:, DELAY]
+    H = measure.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1).H[:, CAMERA_DELAY]
     h = 1e-6
-    A, E = measure.levelling(b.R, levelled_by), so3.exp(-b.x[MOUNT])
+    A, E = measure.levelling(b.R, levelled_by), so3.exp(-b.x[CAMERA_MOUNT])
 
     def at(dt: float) -> tuple[F64, F64]:
         x = b.x.copy()
-        x[D] += dt * (np.r_[b.x[U], 0.0] - b.x[V])
+        x[POS_REL] += dt * (np.r_[b.x[VESSEL_VEL], 0.0] - b.x[VEL])
         R = b.R @ so3.exp(dt * (w - b.x[9:12]))
-        return E @ R.T @ x[D], A @ E @ R.T @ measure.deck(x).R
+        return E @ R.T @ x[POS_REL], A @ E @ R.T @ measure.deck(x).R
 
     (d1, M1), (d0, M0) = at(h), at(-h)
     np.testing.assert_allclose(H[:3], (d1 - d0) / (2 * h), atol=1e-6)
@@ -142,7 +161,7 @@ def test_velocity(seed: int, share_pad: float) -> None:
     b = random_belief(seed)
     cov = np.diag([0.01, 0.01, 0.01])
 
-    def row(c: Belief) -> measure.Row:
+    def row(c: Belief) -> measure.LinearizedMeasurement:
         r = measure.velocity(c.x, c.R, np.zeros(3), cov, share_pad)
         assert r is not None
         return r
@@ -155,7 +174,7 @@ def test_velocity(seed: int, share_pad: float) -> None:
 def test_range(seed: int) -> None:
     b = random_belief(seed)
 
-    def row(c: Belief) -> measure.Row:
+    def row(c: Belief) -> measure.LinearizedMeasurement:
         r = measure.distance(c.x, c.R, 0.0, 0.1)
         assert r is not None
         return r
@@ -195,8 +214,8 @@ def test_transition(seed: int) -> None:
     def run(c: Belief) -> Belief:
         c = c._replace(t_imu=0)
         for k in range(6):
-            c = motion.carry(c, (k + 1) * 4_000_000, ws[k], fs[k], 10**9)
-        return motion.settle(c, WALK, probe)  # type: ignore[arg-type]
+            c = motion.propagate_state(c, (k + 1) * 4_000_000, ws[k], fs[k], 10**9)
+        return motion.propagate_covariance(c, WALK, probe)  # type: ignore[arg-type]
 
     end = run(b)
     F = probe.F
@@ -204,7 +223,7 @@ def test_transition(seed: int) -> None:
     def error(c: Belief) -> F64:
         after = run(c)
         dx = after.x - end.x
-        dx[TH] = so3.log(end.R.T @ after.R)
+        dx[ATT_ERR] = so3.log(end.R.T @ after.R)
         return dx
 
     # First order in bias times turn over 24 ms: what is left out is a few percent of those between gyro bias and velocity.

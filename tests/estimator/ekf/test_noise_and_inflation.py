@@ -9,8 +9,22 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import Ekf, EkfOptions, aiding, at, measure, seeing, so3, start, step
-from estimator.ekf.state import ATTITUDE, BARO, DELAY, HEAD, HEIGHT, SCALE, TH, TILT, VELOCITY, Belief, D, U, V
+from estimator.ekf import Ekf, EkfOptions, aiding, at, measure, so3, start, step, vision_update
+from estimator.ekf.state import (
+    ATT_BIAS,
+    ATT_ERR,
+    ATTITUDE,
+    BARO_OFFSET,
+    CAMERA_DELAY,
+    HEIGHT,
+    PAD_YAW,
+    POS_REL,
+    VEL,
+    VEL_SCALE,
+    VELOCITY,
+    VESSEL_VEL,
+    Belief,
+)
 
 EPOCH = 1_000_000_000_000
 REST = np.array([0.0, 0.0, -9.80665])
@@ -50,46 +64,46 @@ def belief(ekf: Ekf) -> Belief:
 # The time of a sighting
 
 
-def test_a_stamp_that_is_not_sure_adds_what_the_picture_moves_in_that_time() -> None:
+def test_a_stamp_that_is_not_sure_adds_what_the_image_moves_in_that_time() -> None:
     b = belief(fed(imu(0.0), attitude(0.0), *(imu(0.01 * k) for k in range(1, 4)), sighting(0.03)))
     x = b.x.copy()
-    x[V] = 2.0, -1.0, 0.5
+    x[VEL] = 2.0, -1.0, 0.5
     rows = [
         measure.sighting(x, b.R, np.array([0.0, 0.0, 0.3]), sighting(0.04, sigma_s=sigma_s), b.levelled_by, np.zeros((3, 3)), 0.1)
         for sigma_s in (0.0, 0.02)
     ]
-    rate = rows[0].H[:, DELAY]
+    rate = rows[0].H[:, CAMERA_DELAY]
     assert np.linalg.norm(rate[:3]) > 1.5, "it moves"
     np.testing.assert_allclose(rows[1].R - rows[0].R, np.outer(rate, rate) * 0.02**2, atol=1e-12)
     np.testing.assert_allclose(rows[0].innov, rows[1].innov)
 
 
-# While the picture's rate is poorly known
+# While the frame's rate is poorly known
 
 
-def compared(b: Belief, ekf: Ekf) -> measure.Row:
-    row, fix = seeing._compared(b, sighting(1.3), ekf.tools)
+def compared(b: Belief, ekf: Ekf) -> measure.LinearizedMeasurement:
+    row, fix = vision_update._compared(b, sighting(1.3), ekf.params)
     assert fix is not None
     return row
 
 
-def test_what_a_delay_may_cost_is_noise_while_the_picture_s_rate_is_poorly_known() -> None:
+def test_what_a_delay_may_cost_is_noise_while_the_image_s_rate_is_poorly_known() -> None:
     events: list[object] = [imu(0.0), attitude(0.0)]
     for k in range(1, 65):
         events += [imu(0.02 * k), attitude(0.02 * k), sighting(0.02 * k)]
     ekf = fed(*events)
     known = belief(ekf)
     x = known.x.copy()
-    x[V] = x[V] + np.array([1.0, 0.0, 0.0])
+    x[VEL] = x[VEL] + np.array([1.0, 0.0, 0.0])
     certain = 1e-6 * known.P
-    certain[DELAY, DELAY] = known.P[DELAY, DELAY]
+    certain[CAMERA_DELAY, CAMERA_DELAY] = known.P[CAMERA_DELAY, CAMERA_DELAY]
     P = certain.copy()
     P[6:9, 6:9] += np.eye(3) * 25.0
     known, vague = known._replace(x=x, P=certain), known._replace(x=x, P=P)
     sure, unsure = compared(known, ekf), compared(vague, ekf)
-    assert np.any(sure.H[:, DELAY] != 0.0), "well known: the delay is learned"
-    assert np.all(unsure.H[:, DELAY] == 0.0), "poorly known: nothing is learned of it"
-    rate, var = sure.H[:, DELAY], float(vague.P[DELAY, DELAY])
+    assert np.any(sure.H[:, CAMERA_DELAY] != 0.0), "well known: the delay is learned"
+    assert np.all(unsure.H[:, CAMERA_DELAY] == 0.0), "poorly known: nothing is learned of it"
+    rate, var = sure.H[:, CAMERA_DELAY], float(vague.P[CAMERA_DELAY, CAMERA_DELAY])
     cov_rate = unsure.G.dot(vague.P).dot(unsure.G.T)
     expected = sure.R + var * np.outer(rate, rate)
     expected[:3, :3] += var * cov_rate
@@ -107,8 +121,8 @@ def test_an_attitude_taken_as_given_errs_by_its_own_constant_error_with_the_oppo
     b = belief(fed(attitude(0.0, yaw=1.0), options=options))
     var = options.sigma_attitude_bias_rad**2
     for i in range(2):
-        assert b.P[TILT[i], TILT[i]] == pytest.approx(var)
-        assert b.P[i, TILT[i]] == b.P[TILT[i], i] == pytest.approx(-var)
+        assert b.P[ATT_BIAS[i], ATT_BIAS[i]] == pytest.approx(var)
+        assert b.P[i, ATT_BIAS[i]] == b.P[ATT_BIAS[i], i] == pytest.approx(-var)
         assert b.P[i, i] == pytest.approx(options.sigma_initial_tilt_rad**2 + var, rel=0.01)
     read = measure.BY_ATTITUDE.dot(b.P).dot(measure.BY_ATTITUDE.T)
     np.testing.assert_allclose(np.diag(read)[:2], options.sigma_initial_tilt_rad**2, rtol=0.01)
@@ -132,8 +146,8 @@ def test_north_known_at_last_turns_the_world_and_not_the_pad_under_the_body() ->
     turned, b = belief(after), belief(before)
     assert so3.heading(turned.R) == pytest.approx(1.2, abs=1e-6)
     angle = 1.2 - so3.heading(b.R)
-    assert measure.wrap(float(turned.x[HEAD] - b.x[HEAD])) == pytest.approx(measure.wrap(angle), abs=0.01)
-    np.testing.assert_allclose(turned.x[D], so3.about_down(angle) @ b.x[D], atol=0.02)
+    assert measure.wrap(float(turned.x[PAD_YAW] - b.x[PAD_YAW])) == pytest.approx(measure.wrap(angle), abs=0.01)
+    np.testing.assert_allclose(turned.x[POS_REL], so3.about_down(angle) @ b.x[POS_REL], atol=0.02)
 
 
 # A sensor that contradicts for long
@@ -149,40 +163,40 @@ def flown() -> Belief:
 def test_an_attitude_with_another_north_makes_all_directions_unsure_together_and_no_place() -> None:
     b = flown()
     innov = b.R.T[:, 2] * 0.5
-    added = aiding._loosened(b, ATTITUDE, innov).P - b.P
-    assert added[HEAD, HEAD] == pytest.approx(0.25)
+    added = aiding._inflated(b, ATTITUDE, innov).P - b.P
+    assert added[PAD_YAW, PAD_YAW] == pytest.approx(0.25)
     down = b.R.T[:, 2]
-    across = added[TH, TH] - 0.25 * np.outer(down, down)
+    across = added[ATT_ERR, ATT_ERR] - 0.25 * np.outer(down, down)
     np.testing.assert_allclose(across, np.eye(3) * 0.01, atol=1e-9)
-    np.testing.assert_allclose(added[HEAD, TH], 0.25 * down, atol=1e-9)
-    x, y, _ = b.x[D]
-    np.testing.assert_allclose(added[HEAD, D], 0.25 * np.array([-y, x, 0.0]), atol=1e-9)
-    np.testing.assert_allclose(added[TILT, TILT], 0.1)
+    np.testing.assert_allclose(added[PAD_YAW, ATT_ERR], 0.25 * down, atol=1e-9)
+    x, y, _ = b.x[POS_REL]
+    np.testing.assert_allclose(added[PAD_YAW, POS_REL], 0.25 * np.array([-y, x, 0.0]), atol=1e-9)
+    np.testing.assert_allclose(added[ATT_BIAS, ATT_BIAS], 0.1)
     # The pad under the body: what its place in `level` and the relative heading gain is nothing.
     yaw = so3.heading_row(b.R).dot(b.R)
     J = np.zeros(len(b.x))
-    J[TH], J[HEAD] = yaw, -1.0
+    J[ATT_ERR], J[PAD_YAW] = yaw, -1.0
     turn_only = added.copy()
-    turn_only[TH, TH] -= np.eye(3) * 0.01
+    turn_only[ATT_ERR, ATT_ERR] -= np.eye(3) * 0.01
     assert J.dot(turn_only).dot(J) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_velocity_that_contradicts_for_long_makes_body_and_vessel_unsure_together() -> None:
     b = flown()
-    added = aiding._loosened(b, VELOCITY, np.array([0.6, -0.8, 3.0])).P - b.P
+    added = aiding._inflated(b, VELOCITY, np.array([0.6, -0.8, 3.0])).P - b.P
     for axis in range(2):
-        v, u = V.start + axis, U.start + axis
+        v, u = VEL.start + axis, VESSEL_VEL.start + axis
         np.testing.assert_allclose([added[v, v], added[u, u], added[v, u], added[u, v]], 1.0)
-    assert added[V.start, V.start + 1] == pytest.approx(0.0)
-    assert added[SCALE, SCALE] == pytest.approx(0.01)
+    assert added[VEL.start, VEL.start + 1] == pytest.approx(0.0)
+    assert added[VEL_SCALE, VEL_SCALE] == pytest.approx(0.01)
     relative = np.zeros(len(b.x))
-    relative[V.start], relative[U.start] = -1.0, 1.0
+    relative[VEL.start], relative[VESSEL_VEL.start] = -1.0, 1.0
     assert relative.dot(added).dot(relative) == pytest.approx(0.0, abs=1e-12), "the relative velocity is not its business"
 
 
 def test_a_height_that_contradicts_for_long_makes_its_offset_unsure() -> None:
     b = flown()
-    added = aiding._loosened(b, HEIGHT, np.array([-1.5])).P - b.P
-    assert added[BARO, BARO] == pytest.approx(2.25)
-    added[BARO, BARO] = 0.0
+    added = aiding._inflated(b, HEIGHT, np.array([-1.5])).P - b.P
+    assert added[BARO_OFFSET, BARO_OFFSET] == pytest.approx(2.25)
+    added[BARO_OFFSET, BARO_OFFSET] = 0.0
     assert not added.any()

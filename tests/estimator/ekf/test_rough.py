@@ -1,4 +1,4 @@
-"""The filter where the world is not as its model, on a truth that shares nothing with the simulator: `truth.py`."""
+"""The filter where the world is not as its model, on a truth that shares nothing with the simulator: `voyage_truth.py`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import BodyVelocity, Imu
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Ekf, at, moving, start, step
-from estimator.ekf.state import TURN_RATE, V
-from tests.estimator.ekf import truth
-from tests.estimator.ekf.truth import OPTIONS, Event, Scene, Voyage, ns
+from estimator.ekf.state import TURN_RATE, VEL
+from sitl.testing import voyage_truth
+from sitl.testing.voyage_truth import OPTIONS, Event, Scene, Voyage, ns
 
 QUICK = Scene(duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, range_hz=5.0, gaps=1)
 
@@ -91,13 +91,13 @@ def test_a_pad_that_stands_is_not_said_to_move_because_the_attitude_errs() -> No
 
 
 def followed(scene: Scene, until_s: float) -> tuple[Ekf, list[Event]]:
-    heard, _ = truth.events(Voyage(scene))
+    received_at, _ = voyage_truth.events(Voyage(scene))
     ekf = start(OPTIONS)
-    for event in heard:
-        if event.stamp.heard > ns(until_s):
+    for event in received_at:
+        if event.stamp.received_at > ns(until_s):
             break
         ekf, _ = step(ekf, event)
-    return ekf, heard
+    return ekf, received_at
 
 
 def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
@@ -114,9 +114,9 @@ def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
 
 def test_without_sightings_a_velocity_confirms_and_inertial_data_alone_do_not() -> None:
     for left_out, expected in ((Sighting, True), ((Sighting, BodyVelocity), False)):
-        ekf, heard = followed(replace(QUICK, duration_s=11.0), 8.0)
-        for event in heard:
-            if event.stamp.heard > ns(8.0) and not isinstance(event, left_out):
+        ekf, received_at = followed(replace(QUICK, duration_s=11.0), 8.0)
+        for event in received_at:
+            if event.stamp.received_at > ns(8.0) and not isinstance(event, left_out):
                 ekf, _ = step(ekf, event)
         state = at(ekf, ns(10.0))
         assert state is not None
@@ -124,20 +124,24 @@ def test_without_sightings_a_velocity_confirms_and_inertial_data_alone_do_not() 
 
 
 def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> None:
-    ekf, heard = followed(replace(QUICK, duration_s=9.0), 8.0)
-    rest = [e for e in heard if e.stamp.heard > ns(8.0)]
+    ekf, received_at = followed(replace(QUICK, duration_s=9.0), 8.0)
+    rest = [e for e in received_at if e.stamp.received_at > ns(8.0)]
     for by in (estimator_faults.HOUR_NS, -10_000_000_000):
-        stamp = replace(rest[0].stamp, taken=MonoNs(rest[0].stamp.taken + by), heard=MonoNs(rest[0].stamp.heard + by))
+        stamp = replace(
+            rest[0].stamp, measured_at=MonoNs(rest[0].stamp.measured_at + by), received_at=MonoNs(rest[0].stamp.received_at + by)
+        )
         after, outcomes = step(ekf, replace(rest[0], stamp=stamp))
         assert outcomes[0].verdict is (Verdict.TOO_NEW if by > 0 else Verdict.TOO_OLD)
         assert after.belief is ekf.belief
-        assert after.history.heard == ekf.history.heard
+        assert after.history.received_at == ekf.history.received_at
         _, outcomes = step(after, rest[1])
         assert outcomes[0].verdict in (Verdict.FUSED, Verdict.GATED)
         # Every one of them so far away: it is time itself.
         verdicts, leapt = [], ekf
         for event in rest:
-            stamp = replace(event.stamp, taken=MonoNs(event.stamp.taken + by), heard=MonoNs(event.stamp.heard + by))
+            stamp = replace(
+                event.stamp, measured_at=MonoNs(event.stamp.measured_at + by), received_at=MonoNs(event.stamp.received_at + by)
+            )
             leapt, outcomes = step(leapt, replace(event, stamp=stamp))
             verdicts.append(outcomes[0].verdict)
         refused = [v for v in verdicts if v in (Verdict.TOO_NEW, Verdict.TOO_OLD)]
@@ -146,8 +150,8 @@ def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> Non
 
 
 def test_imu_samples_beyond_the_limits_are_refused_and_steps_within_them_are_taken_in_part() -> None:
-    ekf, heard = followed(replace(QUICK, duration_s=10.0), 5.0)
-    imu = next(e for e in heard if isinstance(e, Imu) and e.stamp.heard > ns(5.0))
+    ekf, received_at = followed(replace(QUICK, duration_s=10.0), 5.0)
+    imu = next(e for e in received_at if isinstance(e, Imu) and e.stamp.received_at > ns(5.0))
     for w, f in ((0.0, 80.1), (35.0, 0.0)):
         spike = replace(imu, w_body=np.array([0.0, w, 0.0]), f_body=np.array([0.0, 0.0, -f]))
         after, outcomes = step(ekf, spike)
@@ -163,14 +167,14 @@ def test_imu_samples_beyond_the_limits_are_refused_and_steps_within_them_are_tak
     assert ekf.belief is not None
     usual, _ = step(ekf, imu)
     assert usual.belief is not None
-    grown = after.belief.P[V, V] - usual.belief.P[V, V] + after.belief.jolt_var_m2_s2 * np.eye(3)
+    grown = after.belief.P[VEL, VEL] - usual.belief.P[VEL, VEL] + after.belief.jolt_var_m2_s2 * np.eye(3)
     assert float(np.diag(grown).min()) > (30.0 * 0.02) ** 2 / 2.0
     assert after.belief.f[0] < ekf.belief.f[0] + OPTIONS.accel_step_m_s2 + 1e-9
 
 
 def test_an_imu_that_repeats_itself_is_refused_after_its_time() -> None:
-    ekf, heard = followed(replace(QUICK, duration_s=10.0), 5.0)
-    samples = [e for e in heard if isinstance(e, Imu) and e.stamp.heard > ns(5.0)]
+    ekf, received_at = followed(replace(QUICK, duration_s=10.0), 5.0)
+    samples = [e for e in received_at if isinstance(e, Imu) and e.stamp.received_at > ns(5.0)]
     first, verdicts = samples[0], []
     for imu in samples[:20]:
         ekf, outcomes = step(ekf, replace(imu, w_body=first.w_body, f_body=first.f_body))
@@ -178,7 +182,7 @@ def test_an_imu_that_repeats_itself_is_refused_after_its_time() -> None:
     held = 1 + int(0.15 * QUICK.imu_hz)
     assert verdicts == [Verdict.FUSED] * held + [Verdict.FROZEN] * (20 - held)
     assert ekf.belief is not None
-    assert ekf.belief.t == samples[held - 1].stamp.taken, "time goes on by the other sensors"
+    assert ekf.belief.t == samples[held - 1].stamp.measured_at, "time goes on by the other sensors"
     ekf, outcomes = step(ekf, samples[20])
     assert outcomes[0].verdict is Verdict.FUSED
 
@@ -186,15 +190,15 @@ def test_an_imu_that_repeats_itself_is_refused_after_its_time() -> None:
 def test_a_heading_that_stays_turned_round_is_believed_in_the_end() -> None:
     scene = replace(QUICK, duration_s=14.0, gaps=0, outliers=0.0)
     voyage = Voyage(scene)
-    heard, _ = truth.events(voyage)
+    received_at, _ = voyage_truth.events(voyage)
     ekf, believed_at = start(OPTIONS), math.inf
-    for event in heard:
-        if isinstance(event, Sighting) and event.stamp.taken > ns(4.0):
+    for event in received_at:
+        if isinstance(event, Sighting) and event.stamp.measured_at > ns(4.0):
             event = estimator_faults.FAULTS["heading turned round"]().spoil(event)[0]
         ekf, _ = step(ekf, event)
-        state = at(ekf, event.stamp.heard) if isinstance(event, Sighting) else None
-        if state is not None and state.yaw_rad is not None and event.stamp.taken > ns(4.0):
-            t = (event.stamp.heard - truth.EPOCH_NS) * 1e-9
+        state = at(ekf, event.stamp.received_at) if isinstance(event, Sighting) else None
+        if state is not None and state.yaw_rad is not None and event.stamp.measured_at > ns(4.0):
+            t = (event.stamp.received_at - voyage_truth.EPOCH_NS) * 1e-9
             wrong = abs(math.remainder(state.yaw_rad - voyage.relative(t)[2], math.tau))
             if wrong > 2.5:
                 believed_at = min(believed_at, t)

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from benches.estimator_truth import Flight, Setting, events, ns, stamp
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import VesselReport
-from estimator.ekf import Ekf, at, forecast, moving, sea, start, step
+from estimator.ekf import Ekf, at, deck_motion_bank, forecast, moving, start, step
 from estimator.ekf.oscillator import stationary, transition
+from sitl.testing.estimator_truth import Flight, Setting, events, ns, stamp
 
 QUICK = Setting(seed=3, sea=4, duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, attitude_hz=10.0, velocity_hz=10.0, pose6=True)
 
@@ -44,7 +44,7 @@ def test_stationary_covariance_is_stationary(w: float, zeta: float) -> None:
     assert P[0, 0] == 1.0
 
 
-CARRIED = sea.carrying(0.03, 0.003, 2e-3)
+CARRIED = deck_motion_bank.carrying(0.03, 0.003, 2e-3)
 
 
 def test_the_bank_learns_an_oscillation_and_its_size() -> None:
@@ -53,12 +53,12 @@ def test_the_bank_learns_an_oscillation_and_its_size() -> None:
     a = transition(np.array(w), np.array(zeta), dt)
     x = np.zeros(4)
     L = np.linalg.cholesky(sigma**2 * a.q + 1e-15 * np.eye(4))
-    bank = sea.unknown()
+    bank = deck_motion_bank.unknown()
     var = np.array([1e6, 1e6, 0.01**2, 1e6, 1e6])
     for k in range(400):
         x = a.A @ x + L @ rng.standard_normal(4)
         drift = 3.0 + 0.5 * k * dt
-        bank = sea.look(
+        bank = deck_motion_bank.observe(
             bank,
             round(k * dt * 1e9),
             np.array([0.0, 0.0, x[0] + drift + 0.01 * rng.standard_normal(), 0.0, 0.0]),
@@ -69,15 +69,15 @@ def test_the_bank_learns_an_oscillation_and_its_size() -> None:
     assert 0.65 < bank.w_rad_s[2] < 1.25
     assert 0.2 < bank.sigma[2] < 0.8
     assert bank.weight[:, 0].max() < 1e-3, "a vessel that heaves is not at rest sideways"
-    np.testing.assert_allclose(bank.weight[0, 1:], 1.0 / (len(sea.W) - 1), rtol=1e-3)
+    np.testing.assert_allclose(bank.weight[0, 1:], 1.0 / (len(deck_motion_bank.W) - 1), rtol=1e-3)
 
 
 def test_a_deck_at_rest_is_found_to_be_at_rest() -> None:
     rng = np.random.default_rng(1)
-    bank = sea.unknown()
+    bank = deck_motion_bank.unknown()
     var = np.array([1.0, 1.0, 1.0, 1.0, 1.0]) * 0.01**2
     for k in range(150):
-        bank = sea.look(bank, k * 200_000_000, 0.01 * rng.standard_normal(5), var, CARRIED, 2.0)
+        bank = deck_motion_bank.observe(bank, k * 200_000_000, 0.01 * rng.standard_normal(5), var, CARRIED, 2.0)
     assert bank.weight[:, 0].min() > 0.6
     assert bank.sigma[:3].max() < 0.05
 
@@ -86,7 +86,7 @@ def run(s: Setting) -> tuple[Flight, Ekf, list[float]]:
     """The flight, the final memory, and the NEES of the RelativeState twice a second after 6 s."""
     flight, ekf, nees, next_s = Flight(s), start(), [], 6.0
     for event in events(flight):
-        while event.stamp.heard > ns(next_s):
+        while event.stamp.received_at > ns(next_s):
             state = at(ekf, ns(next_s))
             assert state is not None
             assert state.yaw_rad is not None
@@ -107,7 +107,7 @@ def test_consistent_and_the_forecast_holds_its_bands() -> None:
     ekf, next_s = start(), 10.0
     flight = Flight(QUICK)
     for event in events(flight):
-        if event.stamp.heard > ns(next_s) and next_s < 17.0:
+        if event.stamp.received_at > ns(next_s) and next_s < 17.0:
             told = forecast(ekf, ns(next_s), (1.0, 2.0, 3.0))
             assert told is not None
             p, v, _ = flight.pad(next_s + np.array([1.0, 2.0, 3.0]))
@@ -156,8 +156,8 @@ def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_
     flight, ekf = Flight(s), start()
     sigma, before = [], None
     for event in events(flight):
-        now = event.stamp.heard
-        first = isinstance(event, Sighting) and event.stamp.taken > ns(14.0) and before is None
+        now = event.stamp.received_at
+        first = isinstance(event, Sighting) and event.stamp.measured_at > ns(14.0) and before is None
         if first:
             before = at(ekf, now)
         ekf, _ = step(ekf, event)
@@ -186,7 +186,7 @@ def test_a_report_of_the_ship_tells_its_velocity_and_heading() -> None:
     flight, ekf, next_s = Flight(s), start(), 1.0
     for event in events(flight):
         ekf, _ = step(ekf, event)
-        if event.stamp.heard > ns(next_s):
+        if event.stamp.received_at > ns(next_s):
             heading = math.atan2(flight.u[1], flight.u[0])
             report = VesselReport(stamp(next_s), flight.u, np.eye(3) * 0.05**2, heading, 0.02)
             ekf, outcomes = step(ekf, report)
@@ -201,7 +201,7 @@ def test_half_a_heading_is_used_only_when_the_other_half_is_known() -> None:
     flight = Flight(replace(QUICK, duration_s=5.0, pose6=False))
     ekf, ambiguous = start(), 0
     for event in events(flight):
-        if isinstance(event, Sighting) and event.stamp.taken > ns(1.0):
+        if isinstance(event, Sighting) and event.stamp.measured_at > ns(1.0):
             assert event.yaw_rad is not None
             opposite = math.remainder(event.yaw_rad + math.pi, math.tau)
             event = replace(event, yaw_rad=opposite, yaw_ambiguous=True)

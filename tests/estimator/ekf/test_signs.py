@@ -13,11 +13,11 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu
 from estimator.ekf import Ekf, EkfOptions, at, gate, measure, motion, start, step
 from estimator.ekf.algebra import Algebra
-from estimator.ekf.seeing import _compared
-from estimator.ekf.state import BARO, DELAY, HEAD, SCALE, TH, TILT, D, N, U, V
-from estimator.ekf.stride import Tools
+from estimator.ekf.propagate import FilterParams
+from estimator.ekf.state import ATT_BIAS, ATT_ERR, BARO_OFFSET, CAMERA_DELAY, PAD_YAW, POS_REL, VEL, VEL_SCALE, VESSEL_VEL, N
+from estimator.ekf.vision_update import _compared
+from sitl.testing.voyage_truth import OPTIONS, Scene, Voyage, events, ns, stamp
 from tests.estimator.ekf.test_jacobians import random_belief, sighting
-from tests.estimator.ekf.truth import OPTIONS, Scene, Voyage, events, ns, stamp
 
 SCENE = Scene(seed=3, sea="jonswap", duration_s=9.5, imu_hz=50.0, sighting_hz=10.0, range_hz=2.0, gaps=0, outliers=0.0)
 
@@ -46,11 +46,11 @@ def test_consistent_is_a_mean_below_two() -> None:
 
 
 def test_sightings_three_times_as_bad_as_they_say_are_not_consistent() -> None:
-    heard, _ = events(Voyage(SCENE))
+    received_at, _ = events(Voyage(SCENE))
     rng = np.random.default_rng(0)
     for factor, expected in ((0.0, True), (3.0, False)):
         ekf = start(OPTIONS)
-        for event in heard:
+        for event in received_at:
             if isinstance(event, Sighting):
                 sigma = np.sqrt(np.diag(event.cov)[:3])
                 event = replace(event, d_body_pad_level=event.d_body_pad_level + factor * sigma * rng.standard_normal(3))
@@ -61,14 +61,14 @@ def test_sightings_three_times_as_bad_as_they_say_are_not_consistent() -> None:
 
 
 @pytest.mark.parametrize("pose6", [False, True])
-def test_a_stamp_s_sigma_is_noise_along_what_the_picture_does_meanwhile(pose6: bool) -> None:
+def test_a_stamp_s_sigma_is_noise_along_what_the_image_does_meanwhile(pose6: bool) -> None:
     b = random_belief(5)
     w = np.array([0.3, -0.2, 0.4])
     rows = []
     for sigma_s in (0.0, 0.02):
         seen, levelled_by = sighting(5, pose6=pose6, sigma_s=sigma_s)
         rows.append(measure.sighting(b.x, b.R, w, seen, levelled_by, np.zeros((3, 3)), 0.1))
-    rate = rows[0].H[:, DELAY]
+    rate = rows[0].H[:, CAMERA_DELAY]
     assert float(np.linalg.norm(rate)) > 0.1
     np.testing.assert_allclose(rows[1].R - rows[0].R, np.outer(rate, rate) * 0.02**2, atol=1e-12)
 
@@ -78,9 +78,9 @@ def test_the_attitude_first_believed_errs_by_what_the_one_told_errs() -> None:
     ekf, _ = step(start(), Attitude(stamp(0.0), Rotation.from_rpy(0.1, -0.05, 1.0), np.eye(3) * 1e-4))
     assert ekf.belief is not None
     o, P = EkfOptions(), ekf.belief.P
-    told = P[TH, TH][:2, :2] + P[TH, TILT][:2] + P[TILT, TH][:, :2] + P[np.ix_(TILT, TILT)]
+    told = P[ATT_ERR, ATT_ERR][:2, :2] + P[ATT_ERR, ATT_BIAS][:2] + P[ATT_BIAS, ATT_ERR][:, :2] + P[np.ix_(ATT_BIAS, ATT_BIAS)]
     np.testing.assert_allclose(np.diag(told), o.sigma_initial_tilt_rad**2, rtol=0.2)
-    np.testing.assert_allclose(P[TILT, TILT], o.sigma_attitude_bias_rad**2)
+    np.testing.assert_allclose(P[ATT_BIAS, ATT_BIAS], o.sigma_attitude_bias_rad**2)
 
 
 @pytest.mark.parametrize("yaw", [0.5, -2.0])
@@ -93,23 +93,23 @@ def test_the_first_sighting_s_heading_is_the_belief_s(yaw: float) -> None:
     assert state.yaw_rad is not None
     assert math.isclose(state.yaw_rad, yaw, abs_tol=1e-3)
     assert ekf.belief is not None
-    assert math.isclose(math.remainder(float(ekf.belief.x[HEAD]) - (1.0 - yaw), math.tau), 0.0, abs_tol=1e-3)
+    assert math.isclose(math.remainder(float(ekf.belief.x[PAD_YAW]) - (1.0 - yaw), math.tau), 0.0, abs_tol=1e-3)
 
 
 def test_while_the_velocity_is_poorly_known_the_delay_is_noise_and_nothing_is_learned_of_it() -> None:
-    tools = Tools(OPTIONS, motion.Walk(OPTIONS), Algebra(N))
+    params = FilterParams(OPTIONS, motion.ProcessNoise(OPTIONS), Algebra(N))
     b = random_belief(2)._replace(heading_known=True)
     seen, _ = sighting(2, pose6=False)
     P = b.P.copy()
-    P[D, D], P[V, V], P[U, U] = np.eye(3) * 1e-4, np.eye(3) * 1e-4, np.eye(2) * 1e-4
-    P[TH, TH], P[HEAD, HEAD] = np.eye(3) * 1e-6, 1e-4
-    known, _ = _compared(b._replace(P=P), seen, tools)
-    assert known.H[:3, DELAY].any()
+    P[POS_REL, POS_REL], P[VEL, VEL], P[VESSEL_VEL, VESSEL_VEL] = np.eye(3) * 1e-4, np.eye(3) * 1e-4, np.eye(2) * 1e-4
+    P[ATT_ERR, ATT_ERR], P[PAD_YAW, PAD_YAW] = np.eye(3) * 1e-6, 1e-4
+    known, _ = _compared(b._replace(P=P), seen, params)
+    assert known.H[:3, CAMERA_DELAY].any()
     P = P.copy()
-    P[V, V] = np.eye(3)
-    unknown, _ = _compared(b._replace(P=P), seen, tools)
-    assert not unknown.H[:, DELAY].any()
-    rate, var = known.H[:, DELAY], float(P[DELAY, DELAY])
+    P[VEL, VEL] = np.eye(3)
+    unknown, _ = _compared(b._replace(P=P), seen, params)
+    assert not unknown.H[:, CAMERA_DELAY].any()
+    rate, var = known.H[:, CAMERA_DELAY], float(P[CAMERA_DELAY, CAMERA_DELAY])
     # The delay times a rate that is known, and times the doubt about it, which is that of the velocity here.
     expected = known.R + var * np.outer(rate, rate)
     grown = np.diag(unknown.R - expected)[:3]
@@ -137,8 +137,8 @@ def test_a_velocity_that_jumps_for_good_comes_back_in_as_body_and_vessel_togethe
     assert ekf.belief is not None
     state = at(ekf, ns(7.99))
     assert state is not None
-    assert abs(ekf.belief.x[V][0] * ekf.belief.x[SCALE] - 1.5) < 0.4
-    assert abs(ekf.belief.x[U][0] - ekf.belief.x[V][0]) < 0.2
+    assert abs(ekf.belief.x[VEL][0] * ekf.belief.x[VEL_SCALE] - 1.5) < 0.4
+    assert abs(ekf.belief.x[VESSEL_VEL][0] - ekf.belief.x[VEL][0]) < 0.2
     assert np.linalg.norm(state.v_pad_level) < 0.2
     np.testing.assert_allclose(state.d_body_pad_level, [0.2, -0.1, 2.0], atol=0.05)
 
@@ -154,8 +154,8 @@ def test_a_barometer_that_jumps_for_good_comes_back_in_by_its_offset() -> None:
     assert Verdict.GATED in verdicts[50:60]
     assert verdicts[-20:] == [Verdict.FUSED] * 20
     assert ekf.belief is not None
-    assert abs(ekf.belief.x[BARO] - 50.0) < 0.5
-    assert abs(ekf.belief.x[D][2] - 2.0) < 0.05
+    assert abs(ekf.belief.x[BARO_OFFSET] - 50.0) < 0.5
+    assert abs(ekf.belief.x[POS_REL][2] - 2.0) < 0.05
 
 
 def test_an_attitude_taken_as_exact_leaves_a_covariance_whole() -> None:

@@ -7,8 +7,8 @@ from estimator.integrity.clock import ClockWatch, watch_arrival, watch_delay
 HOUR_S = 3600.0
 
 
-def stamp(heard_s: float, delay_s: float = 0.01) -> Stamp:
-    return Stamp(MonoNs(round((heard_s - delay_s) * 1e9)), MonoNs(round(heard_s * 1e9)), 0.001, "sim")
+def stamp(received_at_s: float, delay_s: float = 0.01) -> Stamp:
+    return Stamp(MonoNs(round((received_at_s - delay_s) * 1e9)), MonoNs(round(received_at_s * 1e9)), 0.001, "sim")
 
 
 def run(kinds_and_times: list[tuple[str, float]]) -> list[Verdict | None]:

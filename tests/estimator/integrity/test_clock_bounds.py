@@ -71,8 +71,8 @@ def test_the_known_time_ends_another_one() -> None:
     assert arrive(state, "Attitude", 200 * S)[1] is Verdict.TOO_NEW
 
 
-def delay(state: ClockWatch, delay_ms: float, heard: int = 100 * S, kind: str = "Imu") -> tuple[ClockWatch, Verdict | None]:
-    stamp = Stamp(MonoNs(heard - round(delay_ms * MS)), MonoNs(heard), 0.001, "sim")
+def delay(state: ClockWatch, delay_ms: float, received_at: int = 100 * S, kind: str = "Imu") -> tuple[ClockWatch, Verdict | None]:
+    stamp = Stamp(MonoNs(received_at - round(delay_ms * MS)), MonoNs(received_at), 0.001, "sim")
     return watch_delay(state, kind, stamp, 0.125, 1.0)
 
 

@@ -23,13 +23,13 @@ def stamp(t: int) -> Stamp:
     return Stamp(MonoNs(t), MonoNs(t), 0.001, "sim")
 
 
-def heard(state: HeightWatch, range_m: float, t: int = T, sigma_m: float = 1e-9) -> HeightWatch:
+def received_at(state: HeightWatch, range_m: float, t: int = T, sigma_m: float = 1e-9) -> HeightWatch:
     return ranged(state, Range(stamp(t), range_m, sigma_m), LIMITS)
 
 
 def speaks(state: HeightWatch, range_m: float, t: int = T, sigma_m: float = 1e-9) -> bool | None:
     """Whether a range agrees; None where it counts for nothing."""
-    after = heard(state, range_m, t, sigma_m)
+    after = received_at(state, range_m, t, sigma_m)
     assert after.range_at == t
     return True if after.agreed_at == t else False if after.against_s > 0.0 else None
 
@@ -117,23 +117,23 @@ def test_a_sighting_is_compared_for_three_tenths_of_a_second(after: int, counts:
 @pytest.mark.parametrize(("since_s", "counted_s"), [(0.25, 0.25), (0.3, 0.3), (5.0, 0.3), (0.0, 0.0), (-1.0, 0.0)])
 def test_time_against_is_counted_between_ranges_up_to_a_pause(since_s: float, counted_s: float) -> None:
     state = OVER._replace(range_at=T - round(since_s * S), against_s=0.5)
-    assert heard(state, 3.0).against_s == pytest.approx(0.5 + counted_s)
-    assert heard(state, 2.0).against_s == pytest.approx(0.5 - counted_s)
+    assert received_at(state, 3.0).against_s == pytest.approx(0.5 + counted_s)
+    assert received_at(state, 2.0).against_s == pytest.approx(0.5 - counted_s)
 
 
 def test_a_second_against_contradicts_and_agreement_ends_it_only_when_it_has_weighed_it_up() -> None:
-    assert heard(OVER._replace(against_s=0.75), 3.0).contradicted
-    assert not heard(OVER._replace(against_s=0.74), 3.0).contradicted
-    assert heard(OVER._replace(against_s=1.4), 3.0).against_s == 1.5, "no grudge for ever"
-    assert heard(OVER._replace(against_s=0.5, contradicted=True), 2.0).contradicted
-    over = heard(OVER._replace(against_s=0.25, contradicted=True), 2.0)
+    assert received_at(OVER._replace(against_s=0.75), 3.0).contradicted
+    assert not received_at(OVER._replace(against_s=0.74), 3.0).contradicted
+    assert received_at(OVER._replace(against_s=1.4), 3.0).against_s == 1.5, "no grudge for ever"
+    assert received_at(OVER._replace(against_s=0.5, contradicted=True), 2.0).contradicted
+    over = received_at(OVER._replace(against_s=0.25, contradicted=True), 2.0)
     assert (over.against_s, over.contradicted) == (0.0, False)
-    assert heard(OVER._replace(against_s=0.1), 2.0).against_s == 0.0
-    assert not heard(OVER._replace(against_s=0.5), 2.0).contradicted
+    assert received_at(OVER._replace(against_s=0.1), 2.0).against_s == 0.0
+    assert not received_at(OVER._replace(against_s=0.5), 2.0).contradicted
 
 
 def test_an_agreement_confirms_for_two_seconds_and_a_disagreement_does_not_take_it_back() -> None:
-    state = heard(heard(OVER, 2.0), 3.0, T + S // 10)
+    state = received_at(received_at(OVER, 2.0), 3.0, T + S // 10)
     assert [state.confirmed(now) for now in (T - 1, T, T + 2 * S, T + 2 * S + 1)] == [False, True, True, False]
     assert OVER._replace(agreed_at=0).confirmed(0)
 

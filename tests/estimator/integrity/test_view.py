@@ -1,4 +1,4 @@
-"""A frozen picture under fresh noise: the pad keeps its place in the image while the body turns."""
+"""A frozen frame under fresh noise: the pad keeps its place in the image while the body turns."""
 
 import math
 

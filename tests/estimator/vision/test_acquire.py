@@ -1,4 +1,4 @@
-"""Acquisition from whole pictures: any height, light and heading, partly hidden; and not a pad where there is none."""
+"""Acquisition from whole frames: any height, light and heading, partly hidden; and not a pad where there is none."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.acquire import Candidate, acquire
 from estimator.vision.camera import Camera
-from estimator.vision.judge import keeps_claim
+from estimator.vision.detect.acquire import Candidate, acquire
+from estimator.vision.detect.verification import keeps_claim
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
 from sitl.surroundings import Decal
+from sitl.testing.deck_images import covered, disc_of, shown
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad
-from tests.estimator.vision.deck_pictures import covered, disc_of, shown
 
 DATA = Path(__file__).parents[3] / "../shared/data"
 
@@ -111,7 +111,7 @@ def test_found_from_afar_with_half_of_it_hidden(camera: Camera, pad: Pad, height
     assert keeps_claim(best.pose, seen.truth, camera, pad, True), "the arrowhead is hidden in some of them"
 
 
-def test_cut_off_by_the_picture_s_edge(camera: Camera, pad: Pad) -> None:
+def test_cut_off_by_the_image_s_edge(camera: Camera, pad: Pad) -> None:
     for aside in ((0.85, 0.0), (0.0, 0.48), (-0.8, -0.4)):
         seen = shown(camera, pad, 1.5, aside=aside)
         best = best_of(acquire(seen.px, camera, pad, seen.R_level_body))
@@ -143,16 +143,16 @@ def test_nothing_else_is_taken_for_it(camera: Camera, pad: Pad, kind: str, heigh
 def test_bare_deck_black_white_and_noise_hold_no_pad(camera: Camera, pad: Pad) -> None:
     rng = np.random.default_rng(3)
     shape = (camera.height, camera.width, 3)
-    pictures = [
+    images = [
         shown(camera, None, 1.0).px, np.zeros(shape, np.uint8), np.full(shape, 255, np.uint8),
         np.full(shape, (30, 120, 20), np.uint8), rng.integers(0, 256, shape, dtype=np.uint8),
         cv2.GaussianBlur(rng.integers(0, 256, shape, dtype=np.uint8), (0, 0), 9.0),
     ]  # fmt: skip
-    for px in pictures:
+    for px in images:
         assert all(c.score < 0.5 for c in acquire(np.asarray(px, np.uint8), camera, pad))
 
 
-def test_same_picture_same_answer_and_the_picture_stays_as_it_was(camera: Camera, pad: Pad) -> None:
+def test_same_image_same_answer_and_the_image_stays_as_it_was(camera: Camera, pad: Pad) -> None:
     seen = shown(camera, pad, 2.0)
     kept = seen.px.copy()
     a, b = (acquire(seen.px, camera, pad, seen.R_level_body) for _ in range(2))
@@ -183,8 +183,8 @@ def test_photographs_of_the_printed_pad() -> None:
     assert found >= 0.98 * half_in_view
 
 
-@pytest.mark.skipif(not (DATA / "sea").exists(), reason="no pictures without a pad here")
-def test_no_pad_on_pictures_of_the_sea_and_of_other_things() -> None:
+@pytest.mark.skipif(not (DATA / "sea").exists(), reason="no frames without a pad here")
+def test_no_pad_on_images_of_the_sea_and_of_other_things() -> None:
     pad = shipped_pad("thesis")
     paths = sorted([*(DATA / "sea").glob("*.jpg"), *(DATA / "not_pads").glob("*.jpg")])
     assert len(paths) > 35

@@ -1,4 +1,4 @@
-"""Which half of a picture of the disc is believed first."""
+"""Which half of a frame of the disc is believed first."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from estimator.vision.acquire_cover import uncovered
-from estimator.vision.acquire_drawing import paints_at
+from estimator.vision.detect.coverage import uncovered
+from estimator.vision.detect.template import paints_at
 from estimator.vision.pad import Pad
 
 PAINTS = np.array([[0.9, 0.9, 0.9], [0.1, 0.4, 0.9], [0.05, 0.4, 0.05], [0.4, 0.4, 0.4]], np.float32)
@@ -15,8 +15,8 @@ PAINTS = np.array([[0.9, 0.9, 0.9], [0.1, 0.4, 0.9], [0.05, 0.4, 0.05], [0.4, 0.
 
 def test_the_half_that_is_covered_counts_little(pad: Pad) -> None:
     xy = np.random.default_rng(3).uniform(-0.43, 0.43, (2000, 2)).astype(np.float32)
-    letter, ring, arrow, disc = paints_at(xy, pad)
-    share = np.stack([letter, ring | arrow, disc, ~(letter | ring | arrow | disc)], axis=1).astype(np.float32)
+    h_marking, ring, arrow, disc = paints_at(xy, pad)
+    share = np.stack([h_marking, ring | arrow, disc, ~(h_marking | ring | arrow | disc)], axis=1).astype(np.float32)
     light = share @ PAINTS + np.random.default_rng(4).normal(0.0, 0.01, (2000, 3)).astype(np.float32)
     assert np.all(uncovered(light, share, xy) == 1.0)
     for k in range(8):

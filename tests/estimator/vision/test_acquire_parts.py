@@ -1,4 +1,4 @@
-"""What acquisition is made of: specks and patches, circles, headings, strokes, and laying the drawing on the picture."""
+"""What acquisition is made of: specks and patches, circles, headings, strokes, and laying the drawing on the frame."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.contracts.geometry import F64, Rotation
-from estimator.vision.acquire import circle_normals
-from estimator.vision.acquire_align import SIGMA_TILT_RAD, Pyramid, align
-from estimator.vision.acquire_circles import Plane, circles
-from estimator.vision.acquire_drawing import DISC, ORANGE, H, maps, paints_at, polar_drawing
-from estimator.vision.acquire_heading import heading
-from estimator.vision.acquire_scan import coarse, limits, specks, spots
-from estimator.vision.acquire_strokes import letters
 from estimator.vision.camera import Camera
+from estimator.vision.detect.acquire import circle_normals
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align
+from estimator.vision.detect.circles import Plane, circles
+from estimator.vision.detect.heading import heading
+from estimator.vision.detect.scan import blobs, coarse, disc_regions, limits
+from estimator.vision.detect.strokes import h_markings
+from estimator.vision.detect.template import DISC, ORANGE, H, maps, paints_at, polar_drawing
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from sitl.light import Light
-from tests.estimator.vision.deck_pictures import shown
-from tests.estimator.vision.picture import sim_camera
+from sitl.testing.deck_images import shown
+from sitl.testing.pad_images import sim_camera
 
 
-def test_a_part_of_a_small_picture_is_that_part_of_the_small_picture() -> None:
+def test_a_part_of_a_small_image_is_that_part_of_the_small_image() -> None:
     px = np.random.default_rng(0).integers(0, 256, (361, 643, 3), np.uint8)
     for level, box in (
         (0, (3, 5, 40, 50)),
@@ -98,8 +98,8 @@ def test_shares_of_the_drawing_add_up_and_match_its_areas(pad: Pad) -> None:
         assert np.allclose(drawing.share.sum(axis=2), 1.0, atol=1e-4)
     cell = 1.0 / maps(pad)[0].per_m ** 2
     area = maps(pad)[0].share.sum(axis=(0, 1)) * cell
-    letter = 2 * pad.h_length_m * pad.leg_width_m + pad.bar_length_m * pad.bar_width_m
-    assert area[H] == pytest.approx(letter, rel=0.02)
+    h_marking = 2 * pad.h_length_m * pad.leg_width_m + pad.bar_length_m * pad.bar_width_m
+    assert area[H] == pytest.approx(h_marking, rel=0.02)
     ring = math.pi * (pad.ring_outer_m**2 - pad.ring_inner_m**2)
     assert ring < area[ORANGE] < ring + pad.arrow_depth_m * pad.arrow_half_base_m
     assert area[DISC] == pytest.approx(math.pi * pad.disc_radius_m**2 - area[H] - area[ORANGE], rel=0.01)
@@ -129,7 +129,7 @@ def test_heading_at_all_angles(camera: Camera, pad: Pad, yaw_deg: int) -> None:
 @pytest.mark.parametrize("kelvin", [3000.0, 9000.0])
 def test_the_letter_alone_gives_a_pose_up_to_half_a_turn(camera: Camera, pad: Pad, height_m: float, kelvin: float) -> None:
     seen = shown(camera, pad, height_m, aside=(0.1, -0.05), yaw_rad=0.9, tilt_rad=(0.1, 0.05), light=Light(kelvin))
-    found = letters(Pyramid(seen.px)[2], 4, camera, pad, Plane.of(camera, seen.R_level_body))
+    found = h_markings(Pyramid(seen.px)[2], 4, camera, pad, Plane.of(camera, seen.R_level_body))
     assert found
     d = found[0].pose.t_cam_pad - seen.truth.t_cam_pad
     assert np.linalg.norm(d) < 0.08 * height_m + 0.01
@@ -146,13 +146,13 @@ def test_laying_the_drawing_brings_a_rough_pose_home(camera: Camera, pad: Pad, s
     off[2] = 0.05 * height * rng.choice([-1, 1])
     turn = Rotation.from_rotvec([0.04, -0.03, 0.1])
     rough = PadPose(seen.truth.R_cam_pad @ turn, seen.truth.t_cam_pad + off)
-    laid = align(Pyramid(seen.px), camera, pad, rough, SIGMA_TILT_RAD, 8, local=True)
-    assert laid is not None
-    left = laid.pose.t_cam_pad - seen.truth.t_cam_pad
+    aligned = align(Pyramid(seen.px), camera, pad, rough, SIGMA_TILT_RAD, 8, local=True)
+    assert aligned is not None
+    left = aligned.pose.t_cam_pad - seen.truth.t_cam_pad
     assert np.linalg.norm(left[:2]) < 0.015 + 0.0005 * height
     assert abs(left[2]) < 0.02 * height
-    assert seen.truth.R_cam_pad.angle_to(laid.pose.R_cam_pad) < 0.05
-    white, disc = laid.paints[H], laid.paints[DISC]
+    assert seen.truth.R_cam_pad.angle_to(aligned.pose.R_cam_pad) < 0.05
+    white, disc = aligned.paints[H], aligned.paints[DISC]
     assert np.all(white > disc + 0.2)
 
 
@@ -166,15 +166,15 @@ def test_patches_and_specks_lie_on_the_pad_whatever_the_cast(camera: Camera, pad
     for light in (Light(), Light(3000.0), Light(9000.0, white_balance=(1.2, 0.8, 1.2))):
         seen = shown(camera, pad, 2.0, aside=(0.2, 0.1), light=light)
         uv = camera.project(seen.truth.t_cam_pad[None])[0]
-        picture = coarse(Pyramid(seen.px)[1], 2, pad)
-        first = spots(picture, limits(picture)[0])[0]
+        image = coarse(Pyramid(seen.px)[1], 2, pad)
+        first = disc_regions(image, limits(image)[0])[0]
         low, high = first.outline_px.min(axis=0), first.outline_px.max(axis=0)
         radius = camera.fx * pad.disc_radius_m / 2.0
         assert np.abs((low + high) / 2 - uv).max() < 0.05 * radius
         assert (high - low).max() / 2 == pytest.approx(radius, rel=0.08)
         far = shown(camera, pad, 25.0, light=light)
         uv = camera.project(far.truth.t_cam_pad[None])[0]
-        assert min(np.hypot(*(s.centre_px - uv)) for s in specks(coarse(far.px, 1, pad))) < 1.5
+        assert min(np.hypot(*(s.centre_px - uv)) for s in blobs(coarse(far.px, 1, pad))) < 1.5
 
 
 def test_a_lens_with_distortion_changes_nothing_for_the_plane() -> None:

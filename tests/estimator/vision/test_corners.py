@@ -10,18 +10,18 @@ import pytest
 
 from estimator.contracts.estimates import Sighting
 from estimator.vision.camera import Camera
-from estimator.vision.corners import Side, find_corners, side_of
-from estimator.vision.look import look
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation, View
-from estimator.vision.right_angles import RightAngle, candidates, refine
-from estimator.vision.segmentation import SIMULATOR, segment
-from tests.estimator.vision.picture import Scene, errors, picture, project
+from estimator.vision.thesis.corners import Side, find_corners, side_of
+from estimator.vision.thesis.detection import detect
+from estimator.vision.thesis.right_angles import RightAngle, candidates, refine
+from estimator.vision.thesis.segmentation import SIMULATOR, segment
+from sitl.testing.pad_images import Scene, errors, image, project
 
 
 def corners_of(scene: Scene, camera: Camera, pad: Pad, seed: int = 0) -> Sighting | None:
-    frame = picture(scene, camera, pad, blur_px=0.6, noise=1.5, seed=seed)
-    return look(frame, scene.attitude(), camera, pad, SIMULATOR).methods["corners"]
+    frame = image(scene, camera, pad, blur_px=0.6, noise=1.5, seed=seed)
+    return detect(frame, scene.attitude(), camera, pad, SIMULATOR).methods["corners"]
 
 
 def wedge(u: float, v: float, heading: float, inner: bool) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
@@ -89,7 +89,7 @@ def test_two_inner_corners_do_on_the_long_side_and_on_the_short_one(
 ) -> None:
     """The thesis' listing had the two sides exchanged, which makes three times the range, or a third."""
     scene = Scene((*place, 0.22), 0.03)
-    frame = picture(scene, camera, pad, blur_px=0.6, noise=1.5)
+    frame = image(scene, camera, pad, blur_px=0.6, noise=1.5)
     seg = segment(frame.px, SIMULATOR)
     assert seg is not None
     found = find_corners(seg, View(camera, Orientation.of(scene.attitude())), pad)
@@ -133,12 +133,12 @@ def test_corners_keep_their_fractions_of_a_pixel(camera: Camera, pad: Pad) -> No
 
 
 def test_figures_drawn_beside_the_h_do_not_move_its_corners(camera: Camera, pad: Pad) -> None:
-    """The thesis' code wrote numbers into the very picture it measured. Ours leaves the frame as it was."""
+    """The thesis' code wrote numbers into the very frame it measured. Ours leaves the frame as it was."""
     scene = Scene((0.15, 0.0, 1.0), 0.3)
-    frame = picture(scene, camera, pad)
+    frame = image(scene, camera, pad)
     before = frame.px.copy()
-    first = look(frame, scene.attitude(), camera, pad, SIMULATOR)
-    again = look(frame, scene.attitude(), camera, pad, SIMULATOR)
+    first = detect(frame, scene.attitude(), camera, pad, SIMULATOR)
+    again = detect(frame, scene.attitude(), camera, pad, SIMULATOR)
     assert np.array_equal(frame.px, before)
     assert first.selected is not None
     assert again.selected is not None
@@ -148,9 +148,9 @@ def test_figures_drawn_beside_the_h_do_not_move_its_corners(camera: Camera, pad:
 
 def test_a_bare_white_square_is_no_h(camera: Camera, pad: Pad) -> None:
     scene = Scene((0.15, 0.0, 0.9), 0.2)
-    px = picture(scene, camera, pad).px.copy()
+    px = image(scene, camera, pad).px.copy()
     outline = project(pad.h_corners()[[0, 5, 6, 11]], scene, camera)
     cv2.fillPoly(px, [np.rint(outline).astype(np.int32)], (231, 231, 231))
-    frame = picture(scene, camera, pad)
-    seen = look(type(frame)(frame.stamp, 0, px), scene.attitude(), camera, pad, SIMULATOR)
+    frame = image(scene, camera, pad)
+    seen = detect(type(frame)(frame.stamp, 0, px), scene.attitude(), camera, pad, SIMULATOR)
     assert seen.methods["corners"] is None

@@ -15,9 +15,9 @@ from estimator.contracts.geometry import Rotation
 from estimator.vision.drawing import Blurred, EdgeKind, Share, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.registration_state import State
+from estimator.vision.register.state import State
+from sitl.testing.pad_images import _paint
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad
-from tests.estimator.vision.picture import _paint
 
 PADS = [shipped_pad("thesis"), shipped_pad("printed")]
 

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR
 from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
-from estimator.vision.ellipse import Ellipse, fit_ellipse
-from estimator.vision.look import look
 from estimator.vision.pad import Pad
-from estimator.vision.segmentation import SIMULATOR
+from estimator.vision.thesis.detection import detect
+from estimator.vision.thesis.ellipse import Ellipse, fit_ellipse
+from estimator.vision.thesis.segmentation import SIMULATOR
+from sitl.testing.pad_images import Scene, errors, image, project
 from tests.estimator.vision.conftest import shipped_pad
-from tests.estimator.vision.picture import Scene, errors, picture, project
 
 
 @settings(deadline=None, max_examples=60)
@@ -59,7 +59,7 @@ def test_the_disc_is_measured_without_bias(height_m: float, camera: Camera, pad:
     off = []
     for i in range(6):
         scene = Scene((0.15 + rng.uniform(-0.05, 0.05), rng.uniform(-0.05, 0.05), height_m), rng.uniform(-3, 3))
-        s = look(picture(scene, camera, pad, blur_px=0.6, noise=1.5, seed=i), scene.attitude(), camera, pad, SIMULATOR).methods[
+        s = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5, seed=i), scene.attitude(), camera, pad, SIMULATOR).methods[
             "ellipse"
         ]
         assert s is not None
@@ -70,10 +70,10 @@ def test_the_disc_is_measured_without_bias(height_m: float, camera: Camera, pad:
     assert abs(mean[2]) < 0.002 * height_m
 
 
-def test_under_tilt_the_centre_of_the_ellipse_is_not_taken_for_the_picture_of_the_centre(camera: Camera, pad: Pad) -> None:
+def test_under_tilt_the_centre_of_the_ellipse_is_not_taken_for_the_image_of_the_centre(camera: Camera, pad: Pad) -> None:
     """At 1.3 m and 15 degrees the two lie 3 px apart, that is 1 cm on deck."""
     scene = Scene((0.0, -0.35, 1.3), 0.4, math.radians(15.0), math.radians(-6.0))
-    s = look(picture(scene, camera, pad, samples=5), scene.attitude(), camera, pad, SIMULATOR).methods["ellipse"]
+    s = detect(image(scene, camera, pad, samples=5), scene.attitude(), camera, pad, SIMULATOR).methods["ellipse"]
     assert s is not None
     outline = fit_ellipse(project(pad.circle(pad.disc_radius_m), scene, camera))
     assert outline is not None
@@ -84,16 +84,16 @@ def test_under_tilt_the_centre_of_the_ellipse_is_not_taken_for_the_picture_of_th
 
 def test_the_ellipse_says_that_it_knows_no_heading(camera: Camera, pad: Pad) -> None:
     scene = Scene((0.15, 0.0, 3.0), 1.0)
-    s = look(picture(scene, camera, pad), scene.attitude(), camera, pad, SIMULATOR).methods["ellipse"]
+    s = detect(image(scene, camera, pad), scene.attitude(), camera, pad, SIMULATOR).methods["ellipse"]
     assert s is not None
     assert s.yaw_rad is None
     assert not s.yaw_ambiguous
     assert s.cov[3, 3] == UNKNOWN_YAW_VAR
 
 
-def test_a_disc_that_leaves_the_picture_has_no_ellipse(camera: Camera, pad: Pad) -> None:
+def test_a_disc_that_leaves_the_image_has_no_ellipse(camera: Camera, pad: Pad) -> None:
     scene = Scene((0.15, 0.75, 1.0))
-    seen = look(picture(scene, camera, pad), scene.attitude(), camera, pad, SIMULATOR)
+    seen = detect(image(scene, camera, pad), scene.attitude(), camera, pad, SIMULATOR)
     assert seen.methods["ellipse"] is None
     assert seen.methods["arrow"] is not None
 
@@ -105,6 +105,6 @@ def test_a_red_rim_is_no_part_of_the_disc(camera: Camera, pad: Pad) -> None:
     rimmed = replace(pad, disc_radius_m=pad.disc_radius_m + 0.013, rim_width_m=0.013, colours=colours)
     for height_m in (1.0, 2.5):
         scene = Scene((0.15, 0.0, height_m), 0.2)
-        s = look(picture(scene, camera, rimmed, blur_px=0.6), scene.attitude(), camera, rimmed, SIMULATOR).methods["ellipse"]
+        s = detect(image(scene, camera, rimmed, blur_px=0.6), scene.attitude(), camera, rimmed, SIMULATOR).methods["ellipse"]
         assert s is not None
         assert abs(errors(s, scene)[0][2]) < 0.006 * height_m

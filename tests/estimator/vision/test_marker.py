@@ -1,4 +1,4 @@
-"""Markers: the same sighting as from the painted pad, from pictures made here with known poses."""
+"""Markers: the same sighting as from the painted pad, from frames made here with known poses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.marker import Marker, MarkerBoard, find_markers
-from tests.estimator.vision.picture import STAMP, Scene, sim_camera
+from sitl.testing.pad_images import STAMP, Scene, sim_camera
 
 SEA = Path(__file__).parents[3] / "../shared/data/sea"
 NESTED = MarkerBoard.from_mapping(
@@ -117,7 +117,7 @@ def test_an_unknown_attitude_costs_what_it_makes_of_the_pose() -> None:
     assert moved == pytest.approx(np.sqrt(untold.cov[0, 0]) / math.radians(5.0), rel=0.25)
 
 
-@pytest.mark.skipif(not SEA.exists(), reason="no pictures of the sea here")
+@pytest.mark.skipif(not SEA.exists(), reason="no frames of the sea here")
 def test_nothing_is_found_at_sea_nor_with_other_numbers() -> None:
     camera = sim_camera()
     for path in sorted(SEA.glob("*.jpg")):

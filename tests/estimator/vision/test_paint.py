@@ -7,32 +7,32 @@ import itertools
 import numpy as np
 import pytest
 
-from estimator.vision.acquire import acquire
-from estimator.vision.acquire_align import SIGMA_TILT_RAD, Laid, Pyramid, align
-from estimator.vision.acquire_drawing import AROUND, DISC
 from estimator.vision.camera import Camera
-from estimator.vision.judge import keeps_claim
+from estimator.vision.detect.acquire import acquire
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, AlignedTemplate, Pyramid, align
+from estimator.vision.detect.paint import FRESH, LEARNED_AT, PaintMemory, learn, missed
+from estimator.vision.detect.template import AROUND, DISC
+from estimator.vision.detect.verification import keeps_claim
 from estimator.vision.pad import Pad
-from estimator.vision.paint import FRESH, LEARNED_AT, PaintMemory, learn, missed
 from sitl.light import Light
-from tests.estimator.vision.deck_pictures import shown
+from sitl.testing.deck_images import shown
 
 
-def laid(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> Laid:
+def aligned(camera: Camera, pad: Pad, light: Light, seed: int = 0) -> AlignedTemplate:
     seen = shown(camera, pad, 1.5, light=light, seed=seed)
     out = align(Pyramid(seen.px), camera, pad, seen.truth, SIGMA_TILT_RAD, 0)
     assert out is not None
     return out
 
 
-def taught(frames: int, one: Laid, start: PaintMemory = FRESH) -> PaintMemory:
+def taught(frames: int, one: AlignedTemplate, start: PaintMemory = FRESH) -> PaintMemory:
     for _ in range(frames):
         start = learn(start, one, 0.97)
     return start
 
 
 def test_three_confident_frames_make_it_trusted_and_doubtful_ones_teach_nothing(camera: Camera, pad: Pad) -> None:
-    one = laid(camera, pad, Light())
+    one = aligned(camera, pad, Light())
     assert learn(FRESH, one, LEARNED_AT - 0.01) is FRESH
     assert taught(2, one).dominance(pad) is None
     learned = taught(3, one).dominance(pad)
@@ -43,7 +43,7 @@ def test_three_confident_frames_make_it_trusted_and_doubtful_ones_teach_nothing(
 
 
 def test_it_follows_the_light_slowly(camera: Camera, pad: Pad) -> None:
-    bright, dim = laid(camera, pad, Light()), laid(camera, pad, Light(exposure_ev=-1.5), 1)
+    bright, dim = aligned(camera, pad, Light()), aligned(camera, pad, Light(exposure_ev=-1.5), 1)
     old = taught(60, bright)
     after_one, after_many = learn(old, dim, 0.97), taught(150, dim, old)
     target = taught(1, dim).mean[DISC]
@@ -54,7 +54,7 @@ def test_it_follows_the_light_slowly(camera: Camera, pad: Pad) -> None:
 
 
 def test_without_the_pad_it_fades_back_to_knowing_nothing(camera: Camera, pad: Pad) -> None:
-    memory = taught(200, laid(camera, pad, Light()))
+    memory = taught(200, aligned(camera, pad, Light()))
     trusts = []
     for _ in range(60):
         memory = missed(memory)
@@ -68,7 +68,7 @@ def test_without_the_pad_it_fades_back_to_knowing_nothing(camera: Camera, pad: P
 
 @pytest.mark.parametrize("height_m", [0.4, 1.5, 6.0])
 def test_a_memory_of_the_wrong_colours_hinders_nothing(camera: Camera, pad: Pad, height_m: float) -> None:
-    good = taught(50, laid(camera, pad, Light()))
+    good = taught(50, aligned(camera, pad, Light()))
     swapped = PaintMemory(good.mean[[3, 1, 0, 2]], good.var, good.trust)
     upside_down = PaintMemory(good.mean[:, [2, 0, 1]] + 2.0, good.var, good.trust)
     seen = shown(camera, pad, height_m, aside=(0.1, -0.1))
@@ -79,7 +79,7 @@ def test_a_memory_of_the_wrong_colours_hinders_nothing(camera: Camera, pad: Pad,
 
 
 def test_memory_is_a_value(camera: Camera, pad: Pad) -> None:
-    one = laid(camera, pad, Light())
+    one = aligned(camera, pad, Light())
     before = taught(5, one)
     kept = before.mean.copy(), before.var.copy(), before.trust
     learn(before, one, 1.0)

@@ -14,7 +14,7 @@ from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pose import SIGMA_LEVEL_ASSUMED_RAD, Marks, Orientation, View, point_modes, solve
-from tests.estimator.vision.picture import STAMP, Scene, project, sim_camera
+from sitl.testing.pad_images import STAMP, Scene, project, sim_camera
 
 angle = st.floats(-math.pi + 1e-6, math.pi, allow_nan=False)
 tilt = st.floats(-0.35, 0.35)
@@ -37,7 +37,7 @@ def test_exact_marks_give_the_exact_pose(
     points = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]])
     T = scene.T_cam_pad(camera)
     p_cam = points @ T.R.matrix.T + T.t
-    # Farther out this lens folds its picture over, and nothing can undo that.
+    # Farther out this lens folds its frame over, and nothing can undo that.
     assume(bool(np.all(p_cam[:, 2] > 0.1)) and float(np.abs(p_cam[:, :2] / p_cam[:, 2:]).max()) < 0.95)
     fix = solve(marks_of(points, scene, camera), View(camera, Orientation.of(scene.attitude())))
     assert fix is not None
@@ -46,7 +46,7 @@ def test_exact_marks_give_the_exact_pose(
 
 
 def test_the_sign_of_each_axis_and_of_the_heading(camera: Camera) -> None:
-    """Ahead is up in the picture, starboard is right; a body turned clockwise from the arrow has a positive heading."""
+    """Ahead is up in the frame, starboard is right; a body turned clockwise from the arrow has a positive heading."""
     two = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]])
     view = View(camera, Orientation.of(Scene((0, 0, 1)).attitude()))
     up_and_right = np.array([[319.5 + 50, 179.5 - 40], [319.5 + 50, 179.5 - 140]])
@@ -81,7 +81,7 @@ def test_half_a_pixel_of_principal_point_is_seen(camera: Camera) -> None:
 
 
 def test_the_covariance_is_what_a_monte_carlo_finds(pad: Pad) -> None:
-    """Pixels, roll and pitch, and the deck's tilt all drawn at random, for marks away from the middle of the picture."""
+    """Pixels, roll and pitch, and the deck's tilt all drawn at random, for marks away from the middle of the frame."""
     camera = sim_camera()
     sigma_px, sigma_tilt, sigma_deck = 0.3, math.radians(0.6), math.radians(0.8)
     scene = Scene((0.6, -0.5, 1.5), 0.6, 0.08, -0.05)

@@ -1,4 +1,4 @@
-"""Registration on rendered pictures: accuracy, honest covariance, blur, occlusion, partial view, heading."""
+"""Registration on rendered frames: accuracy, honest covariance, blur, occlusion, partial view, heading."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.registration import Options, register
+from estimator.vision.register.registration import Options, register
 from sitl.light import Light, Sensor
 from sitl.surroundings import Surroundings
-from tests.estimator.vision.picture import sim_camera
-from tests.estimator.vision.shots import Stage, View, error, pad_error
+from sitl.testing.pad_images import sim_camera
+from sitl.testing.pad_views import Stage, View, error, pad_error
 
 TRACK = Options(coarse=False)
 
@@ -113,7 +113,7 @@ def test_motion_blur_is_seen_in_its_direction(camera: Camera, pad: Pad) -> None:
     found = register(view.px, camera, pad, stage.start(view, 0.5), view.orientation(), TRACK)
     assert found is not None
     travel_px = 1.0 * 0.02 * camera.fx / 2.0
-    # The nose is at the top of the picture, so flying to the right smears along u; a box of that length has this variance.
+    # The nose is at the top of the frame, so flying to the right smears along u; a box of that length has this variance.
     assert found.blur_px2[0] - found.blur_px2[2] == pytest.approx(travel_px**2 / 12.0, rel=0.3)
     assert np.abs(pad_error(found.pose, view.pose)[0]).max() < 1e-3
 
@@ -228,7 +228,7 @@ def test_what_the_edges_do_not_fix_is_uncertain(camera: Camera, pad: Pad) -> Non
 
 
 def test_one_end_of_an_h_leg(camera: Camera, pad: Pad) -> None:
-    """At 12 cm only a piece of the H is in the picture: what it fixes is right, and what not is said."""
+    """At 12 cm only a piece of the H is in the frame: what it fixes is right, and what not is said."""
     stage = Stage(camera, pad)
     nees = []
     for _ in range(12):

@@ -14,9 +14,9 @@ from estimator.contracts.geometry import wrap_pi
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
-from estimator.vision.registration import Options, register
-from estimator.vision.registration_sighting import registered_sighting
-from tests.estimator.vision.shots import Stage, View
+from estimator.vision.register.registration import Options, register
+from estimator.vision.register.sighting import registered_sighting
+from sitl.testing.pad_views import Stage, View
 
 TRACK = Options(coarse=False)
 
@@ -72,8 +72,8 @@ def test_errors_of_attitude_and_deck_are_in_the_covariance(
     assert float(np.mean(six)) < chi2.ppf(0.9995, 6 * len(six)) / len(six)
 
 
-def test_a_level_deck_in_the_picture_corrects_the_attitude(camera: Camera, pad: Pad) -> None:
-    """Where the deck is known to be level, the picture's tilt is the attitude's error, and the place gains from it."""
+def test_a_level_deck_in_the_image_corrects_the_attitude(camera: Camera, pad: Pad) -> None:
+    """Where the deck is known to be level, the frame's tilt is the attitude's error, and the place gains from it."""
     stage = Stage(camera, pad)
     plain, better = [], []
     for _ in range(10):

@@ -34,12 +34,12 @@ class Peer:
     def ask(self, request: bytes = ASK) -> None:
         self.navdata.sendto(request, (self.host, self.ports.navdata))
 
-    async def hear(self) -> Navdata:
+    async def on_message(self) -> Navdata:
         loop = asyncio.get_running_loop()
         async with asyncio.timeout(60):
-            heard = navdata.decode(await loop.sock_recv(self.navdata, 4096))
-        assert isinstance(heard, Navdata), heard
-        return heard
+            received_at = navdata.decode(await loop.sock_recv(self.navdata, 4096))
+        assert isinstance(received_at, Navdata), received_at
+        return received_at
 
     def waiting(self) -> bool:
         """Whether a datagram lies in the socket unread."""
@@ -49,9 +49,9 @@ class Peer:
         """The first datagram that satisfies `done`."""
         async with asyncio.timeout(timeout_s):
             while True:
-                heard = await self.hear()
-                if done(heard):
-                    return heard
+                received_at = await self.on_message()
+                if done(received_at):
+                    return received_at
 
     async def configure(self, key: str, value: str) -> None:
         """With the whole handshake; the peer has asked for navdata."""

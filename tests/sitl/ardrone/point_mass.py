@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.airframe import Limits
-from sitl.world import Phase, Picture, Readings, Stick, Truth
+from sitl.world import Phase, Readings, RenderedFrame, Stick, Truth
 
 G = 9.80665
 HOVER_HEIGHT_M = 0.8
@@ -35,7 +35,7 @@ class PointMass:
         self._stick = Stick(0.0, 0.0, 0.0, 0.0, False)
         self._rng = np.random.default_rng(3)
         self._texture = (self._rng.random((360, 640, 3)) * 60 + 90).astype(np.uint8)
-        self._pictures = 0
+        self._images = 0
 
     def active(self, kind: str) -> bool:
         return kind in self.faults
@@ -107,14 +107,14 @@ class PointMass:
             motors_pwm=(170, 171, 172, 173) if self.phase is not Phase.LANDED else (0, 0, 0, 0),
         )
 
-    def render(self) -> Picture:
+    def render(self) -> RenderedFrame:
         return self.expose()()
 
-    def expose(self) -> Callable[[], Picture]:
-        self._pictures += 1
-        px: NDArray[np.uint8] = np.roll(self._texture, 3 * self._pictures, axis=1)
-        picture = Picture(px=px, taken=self.now, exposure_s=0.002, stamp_error_s=self.stamp_error_s)
-        return lambda: picture
+    def expose(self) -> Callable[[], RenderedFrame]:
+        self._images += 1
+        px: NDArray[np.uint8] = np.roll(self._texture, 3 * self._images, axis=1)
+        image = RenderedFrame(px=px, exposed_at=self.now, exposure_s=0.002, stamp_error_s=self.stamp_error_s)
+        return lambda: image
 
     def truth(self) -> Truth:
         return Truth(

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from sitl.ardrone import serve, truth_log
-from tests.processes import started
+from sitl.testing.processes import started
 
 ANY = ("--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0")
 

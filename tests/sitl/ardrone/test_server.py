@@ -61,13 +61,13 @@ def peer(server: ArDroneServer, stack: ExitStack) -> Peer:
 async def test_bootstrap_says_nothing_but_its_state_until_it_is_configured(peer: Peer) -> None:
     for request in (b"\x01", b"\x01\x00\x00\x00"):
         peer.ask(request)
-    first = await peer.hear()
+    first = await peer.on_message()
     assert first.sequence == 1
     assert first.options == {}
     assert first.state & State.NAVDATA_BOOTSTRAP
     assert first.state & State.COM_WATCHDOG
     await peer.configure("general:navdata_demo", "TRUE")
-    demo = await peer.hear()
+    demo = await peer.on_message()
     assert list(demo.options) == [0, 16], "65537: demo and vision_detect"
     assert demo.control_state is ControlState.LANDED
     peer.say(at.ComWdg())
@@ -79,10 +79,10 @@ async def test_rates(server: ArDroneServer, peer: Peer, world: PointMass, demo: 
     """In the drone's own time, which a busy machine does not stretch."""
     peer.ask()
     await peer.configure("general:navdata_demo", demo)
-    first = (await peer.hear()).sequence
+    first = (await peer.on_message()).sequence
     began, sent = world.now, server.counters["navdata_sent"]
     while world.now - began < 600_000_000:
-        last = await peer.hear()
+        last = await peer.on_message()
     hz = (server.counters["navdata_sent"] - sent) / ((world.now - began) * 1e-9)
     assert low_hz < hz < high_hz
     assert last.sequence - first == pytest.approx(server.counters["navdata_sent"] - sent, abs=60), "they are heard too"
@@ -94,9 +94,9 @@ async def test_full_navdata_holds_all_options_and_what_the_sensors_read(peer: Pe
     async with peer.talking(FLY, at.Pcmd(1, 0.25, -0.5, 0.2, 0.3)):
         await peer.until(lambda n: n.control_state is ControlState.FLYING)
         await asyncio.sleep(0.4)
-        full = await peer.hear()
+        full = await peer.on_message()
         while peer.waiting():
-            full = await peer.hear()
+            full = await peer.on_message()
     assert list(full.options) == list(range(28))
     demo, time_, phys = full.get(navdata.Demo), full.get(navdata.Time), full.get(navdata.PhysMeasures)
     altitude, magneto, pwm = full.get(navdata.Altitude), full.get(navdata.Magneto), full.get(navdata.Pwm)
@@ -169,13 +169,13 @@ async def test_altitude_max_is_a_ceiling(stack: ExitStack) -> None:
         async with peer.talking(FLY, at.Pcmd(1, 0.0, 0.0, 1.0, 0.0)):
             async with asyncio.timeout(60):
                 while -world.p[2] < 3.0:
-                    await peer.hear()
+                    await peer.on_message()
             await asyncio.sleep(0.2)
             assert -world.p[2] < 3.05
             peer.say(at.Config("control:altitude_max", "10000"))
             async with asyncio.timeout(60):
                 while -world.p[2] < 3.2:
-                    await peer.hear()
+                    await peer.on_message()
 
 
 async def test_silence_makes_it_hover_and_land(peer: Peer, world: PointMass) -> None:
@@ -186,7 +186,7 @@ async def test_silence_makes_it_hover_and_land(peer: Peer, world: PointMass) -> 
         flying = await peer.until(lambda n: n.control_state is ControlState.FLYING)
         assert not flying.state & State.COM_WATCHDOG
     while peer.waiting():
-        flying = await peer.hear()
+        flying = await peer.on_message()
     hovering = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
     assert hovering.state & State.COM_WATCHDOG
     landing = await peer.until(lambda n: n.control_state is ControlState.LANDING)
@@ -208,7 +208,7 @@ async def test_two_clients_hear_the_same_navdata(server: ArDroneServer, peer: Pe
     seen: dict[Peer, set[int]] = {peer: set(), other: set()}
     for _ in range(40):
         for client, numbers in seen.items():
-            numbers.add((await client.hear()).sequence)
+            numbers.add((await client.on_message()).sequence)
     assert len(seen[peer] & seen[other]) > 20
 
 
@@ -220,7 +220,7 @@ async def test_a_client_vanishes_and_comes_back(server: ArDroneServer, stack: Ex
     first.say(FLY)
     await first.until(lambda n: n.control_state is ControlState.HOVERING)
     await watcher.frame()
-    last = (await first.hear()).sequence
+    last = (await first.on_message()).sequence
     watcher.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     watcher.close()
     first.close()
@@ -247,7 +247,7 @@ async def test_navdata_clients_are_forgotten_in_the_end(
     peer.ask()
     async with peer.talking(at.ComWdg()):
         await asyncio.sleep(1.3)
-        await peer.hear()
+        await peer.on_message()
         assert server.counters["navdata_client_expired"] == 0, "commands from its host keep it"
     async with asyncio.timeout(60):
         while server.counters["navdata_client_expired"] == 0:  # noqa: ASYNC110 (it is forgotten without a word)
@@ -275,10 +275,10 @@ async def test_video_is_pave_with_h264_of_what_the_camera_sees(server: ArDroneSe
     gaps_ms = np.diff([h.timestamp_ms for h in headers])
     assert 25 <= np.median(gaps_ms) <= 42
     assert watcher.parser.skipped_bytes == 0
-    pictures = [decoder.decode(av.Packet(f.payload))[0].to_ndarray(format="bgr24") for f in frames]
-    assert pictures[-1].shape == (360, 640, 3)
-    assert 60 < pictures[-1].mean() < 180
-    assert np.abs(pictures[-1].astype(int) - pictures[0]).mean() > 5, "the texture moves"
+    images = [decoder.decode(av.Packet(f.payload))[0].to_ndarray(format="bgr24") for f in frames]
+    assert images[-1].shape == (360, 640, 3)
+    assert 60 < images[-1].mean() < 180
+    assert np.abs(images[-1].astype(int) - images[0]).mean() > 5, "the texture moves"
 
 
 @pytest.mark.parametrize("size", [64, 68, 76])
@@ -341,7 +341,7 @@ async def test_configuration_on_request(server: ArDroneServer, peer: Peer) -> No
     read = control.parse(text)
     assert read["general:ardrone_name"] == "Albatross"
     assert read["network:video_port"] == str(server.ports.video)
-    assert (await peer.hear()).state & State.COMMAND_ACK
+    assert (await peer.on_message()).state & State.COMMAND_ACK
     peer.say(at.Ctrl(at.CTRL_ACK), at.Ctrl(at.CTRL_CUSTOM_IDS))
     async with asyncio.timeout(60):
         assert (await reader.readuntil(b"\0")).startswith(b"[applis]\r00000000,")
@@ -434,9 +434,9 @@ async def test_truth_log_tells_where_it_was(tmp_path: Path, stack: ExitStack) ->
 
 
 async def test_a_taken_port_is_a_plain_error(server: ArDroneServer, world: PointMass) -> None:
-    taken = Ports(navdata=0, video=0, at=server.ports.at, control=0)
+    ports_in_use = Ports(navdata=0, video=0, at=server.ports.at, control=0)
     with pytest.raises(Recoverable, match="Address already in use"):
-        async with ArDroneServer(cast(World, world), HOST, taken):
+        async with ArDroneServer(cast(World, world), HOST, ports_in_use):
             pass
 
 

@@ -62,10 +62,10 @@ async def meets_every_fault(server: ArDroneServer, world: PointMass, peer: Peer,
     assert numbers == sorted(numbers), "what follows a late frame waits behind it"
     world.faults.add("link_lost")
     await asyncio.sleep(0.1)
-    taken, sent = server.drone.state.counters["at_taken"], server.counters["navdata_sent"]
+    measured_at, sent = server.drone.state.counters["at_taken"], server.counters["navdata_sent"]
     peer.say(FLY)
     await asyncio.sleep(0.2)
-    assert (server.drone.state.counters["at_taken"], server.counters["navdata_sent"]) == (taken, sent)
+    assert (server.drone.state.counters["at_taken"], server.counters["navdata_sent"]) == (measured_at, sent)
     world.faults.clear()
     peer.say(FLY)
     await peer.until(lambda n: n.control_state is ControlState.HOVERING)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from drivers.ardrone import at
 from drivers.ardrone.navdata import ControlState, State
 from estimator.contracts.time import MonoNs
-from sitl.ardrone.state import HOVER, LOST_COM, Deed, DroneState
+from sitl.ardrone.state import HOVER, LOST_COM, DroneState, RefAction
 from sitl.world import Phase, Stick
 
 FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
@@ -28,7 +28,7 @@ class Pilot:
         self.drone = DroneState()
         self.sequence = 0
 
-    def say(self, *commands: at.AtCommand, phase: Phase = Phase.LANDED, now_s: float = 0.0) -> list[Deed | Stick]:
+    def say(self, *commands: at.AtCommand, phase: Phase = Phase.LANDED, now_s: float = 0.0) -> list[RefAction | Stick]:
         datagram = b""
         for command in commands:
             self.sequence += 1
@@ -45,14 +45,14 @@ def pilot() -> Pilot:
 
 
 def test_take_off_is_held_and_landing_is_its_absence(pilot: Pilot) -> None:
-    assert pilot.say(FLY) == [Deed.TAKE_OFF]
+    assert pilot.say(FLY) == [RefAction.TAKE_OFF]
     assert pilot.say(FLY, phase=Phase.TAKING_OFF) == []
     assert pilot.say(FLY, AHEAD, phase=Phase.HOVERING) == [Stick(0.0, -0.5, 0.0, 0.0, True)]
     assert pilot.say(AHEAD, phase=Phase.LANDED) == []
-    assert pilot.say(LAND, phase=Phase.FLYING) == [Deed.LAND]
+    assert pilot.say(LAND, phase=Phase.FLYING) == [RefAction.LAND]
     assert pilot.say(LAND, phase=Phase.LANDING) == []
-    assert pilot.say(FLY, phase=Phase.LANDING) == [Deed.STAY_UP]
-    assert pilot.say(at.Ref(1 << 9)) == [Deed.TAKE_OFF], "some clients leave the base bits out"
+    assert pilot.say(FLY, phase=Phase.LANDING) == [RefAction.STAY_UP]
+    assert pilot.say(at.Ref(1 << 9)) == [RefAction.TAKE_OFF], "some clients leave the base bits out"
 
 
 def test_stick_beyond_its_range_is_held_to_it(pilot: Pilot) -> None:
@@ -67,12 +67,12 @@ def test_stick_beyond_its_range_is_held_to_it(pilot: Pilot) -> None:
 def test_smaller_sequence_numbers_are_ignored_and_one_starts_anew(pilot: Pilot) -> None:
     drone = pilot.drone
     pilot.sequence = 99
-    assert pilot.say(FLY) == [Deed.TAKE_OFF]
+    assert pilot.say(FLY) == [RefAction.TAKE_OFF]
     for late in (50, 100):
         assert list(drone.take(at.encode(late, FLY), at_s(0.1), Phase.LANDED)) == []
     assert drone.counters["at_out_of_order"] == 2
-    assert list(drone.take(at.encode(1, FLY), at_s(0.2), Phase.LANDED)) == [Deed.TAKE_OFF]
-    assert list(drone.take(at.encode(2, FLY), at_s(0.3), Phase.LANDED)) == [Deed.TAKE_OFF]
+    assert list(drone.take(at.encode(1, FLY), at_s(0.2), Phase.LANDED)) == [RefAction.TAKE_OFF]
+    assert list(drone.take(at.encode(2, FLY), at_s(0.3), Phase.LANDED)) == [RefAction.TAKE_OFF]
 
 
 def test_silence_makes_a_flying_drone_hover_then_land(pilot: Pilot) -> None:
@@ -87,7 +87,7 @@ def test_silence_makes_a_flying_drone_hover_then_land(pilot: Pilot) -> None:
     assert State.COMMUNICATION_LOST in word
     assert drone.control_state(Phase.HOVERING) == ControlState.HOVERING.word | LOST_COM
     assert list(drone.tick(at_s(4.9), Phase.HOVERING)) == []
-    assert list(drone.tick(at_s(5.0), Phase.HOVERING)) == [Deed.LAND]
+    assert list(drone.tick(at_s(5.0), Phase.HOVERING)) == [RefAction.LAND]
     assert list(drone.tick(at_s(5.1), Phase.LANDING)) == []
     assert (drone.counters["com_watchdog"], drone.counters["landed_for_silence"]) == (1, 1)
 
@@ -139,9 +139,9 @@ def test_bootstrap_and_handshake(pilot: Pilot) -> None:
 
 
 def test_asking_for_the_configuration_is_acknowledged_too(pilot: Pilot) -> None:
-    assert pilot.say(at.Ctrl(4)) == [Deed.SEND_CONFIGURATION]
+    assert pilot.say(at.Ctrl(4)) == [RefAction.SEND_CONFIGURATION]
     assert State.COMMAND_ACK in pilot.word()
-    assert pilot.say(at.Ctrl(5), at.Ctrl(6, None)) == [Deed.SEND_CUSTOM_IDS]
+    assert pilot.say(at.Ctrl(5), at.Ctrl(6, None)) == [RefAction.SEND_CUSTOM_IDS]
 
 
 def test_ids_hold_for_the_next_command_only(pilot: Pilot) -> None:
@@ -155,25 +155,25 @@ def test_ids_hold_for_the_next_command_only(pilot: Pilot) -> None:
 
 
 def test_limits_are_passed_on_when_they_may_have_changed(pilot: Pilot) -> None:
-    assert pilot.say(at.Config("control:euler_angle_max", "0.3")) == [Deed.APPLY_LIMITS]
-    assert pilot.say(at.Config("control:outdoor", "TRUE")) == [Deed.APPLY_LIMITS]
+    assert pilot.say(at.Config("control:euler_angle_max", "0.3")) == [RefAction.APPLY_LIMITS]
+    assert pilot.say(at.Config("control:outdoor", "TRUE")) == [RefAction.APPLY_LIMITS]
     assert pilot.say(at.Config("control:euler_angle_max", "30")) == []
 
 
 def test_emergency_is_an_edge_that_toggles(pilot: Pilot) -> None:
     cut = at.Ref(at.REF_BASE | at.REF_EMERGENCY)
-    assert pilot.say(cut, phase=Phase.FLYING) == [Deed.CUT_MOTORS]
+    assert pilot.say(cut, phase=Phase.FLYING) == [RefAction.CUT_MOTORS]
     assert pilot.say(cut, phase=Phase.EMERGENCY) == []
     word = pilot.word(Phase.EMERGENCY)
     assert State.EMERGENCY in word
     assert State.USER_EMERGENCY in word
     assert pilot.say(FLY, phase=Phase.EMERGENCY) == []
-    assert pilot.say(cut, phase=Phase.EMERGENCY) == [Deed.LEAVE_EMERGENCY]
+    assert pilot.say(cut, phase=Phase.EMERGENCY) == [RefAction.LEAVE_EMERGENCY]
     assert State.USER_EMERGENCY not in pilot.word()
 
 
 def test_the_rest_is_accepted(pilot: Pilot) -> None:
-    assert pilot.say(at.Ftrim()) == [Deed.FLAT_TRIM]
+    assert pilot.say(at.Ftrim()) == [RefAction.FLAT_TRIM]
     assert pilot.say(at.Ftrim(), at.Calib(0), at.Anim(16, 15), at.Pmode(2), at.Misc(), phase=Phase.FLYING) == []
     pilot.say(at.Led(5, 2.5, 7))
     assert (pilot.drone.leds.animation, pilot.drone.leds.frequency_hz, pilot.drone.leds.duration_s) == (5, 2.5, 7.0)
@@ -199,5 +199,5 @@ def test_garbage_never_raises_and_the_next_good_command_counts(fragments: list[b
     drone = DroneState()
     list(drone.take(b"".join(fragments), at_s(0.0), phase))
     list(drone.tick(at_s(9.0), phase))
-    assert list(drone.take(at.encode(1, FLY), at_s(9.1), Phase.LANDED)) == [Deed.TAKE_OFF]
+    assert list(drone.take(at.encode(1, FLY), at_s(9.1), Phase.LANDED)) == [RefAction.TAKE_OFF]
     assert 0 <= drone.word(phase, True, True) < 2**32

@@ -1,4 +1,4 @@
-"""The encoder: what comes out is what an AR.Drone sends, and decodes picture by picture."""
+"""The encoder: what comes out is what an AR.Drone sends, and decodes frame by frame."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from sitl.ardrone.video import IDR_EVERY, Encoder, split_annex_b
 SPS, PPS, IDR, SLICE = 7, 8, 5, 1
 
 
-def moving_picture(n: int) -> NDArray[np.uint8]:
+def moving_image(n: int) -> NDArray[np.uint8]:
     rng = np.random.default_rng(7)
     coarse = (rng.random((45, 90, 3)) * 200).astype(np.uint8)
     return np.ascontiguousarray(cv2.resize(coarse, (720, 400), interpolation=cv2.INTER_CUBIC)[10:370, n : n + 640])
 
 
-def test_every_access_unit_decodes_at_once_to_its_own_picture() -> None:
+def test_every_access_unit_decodes_at_once_to_its_own_image() -> None:
     encoder = Encoder(640, 360, 30.0, 8000.0)
     decoder = av.CodecContext.create("h264", "r")
     assert encoder.coded_size == (640, 368)
     for n in range(2 * IDR_EVERY + 2):
-        px = moving_picture(2 * n)
+        px = moving_image(2 * n)
         unit = encoder.encode(px)
         kinds = [kind for kind, _ in split_annex_b(unit.data)]
         if n % IDR_EVERY == 0:

@@ -74,25 +74,25 @@ async def test_it_configures_flies_and_lands_the_drone() -> None:
 async def test_its_stamps_of_frames_agree_with_when_they_were_exposed() -> None:
     clock = SystemClock()
     world = PointMass(clock.now(), height_m=1.5)
-    taken: list[MonoNs] = []
+    exposed: list[MonoNs] = []
     lags_ms: list[float] = []
     expose = world.expose
 
     def recorded() -> object:
-        taken.append(world.now)
+        exposed.append(world.now)
         lags_ms.append((clock.now() - world.now) * 1e-6)
         return expose()
 
     world.expose = recorded  # type: ignore[assignment, method-assign]
     async with ArDroneServer(cast(World, world), HOST, Ports(0, 0, 0, 0), clock) as server:
-        taken.clear()  # the picture made before flight is no frame
+        exposed.clear()  # the frame made before flight is no frame
         async with open_ardrone(options_for(server), clock) as drone:
             await ready(drone)
             off_ms = []
             for _ in range(28):
                 frame = await drone.frames.get()
                 assert frame.px.shape == (360, 640, 3)
-                off_ms.append((frame.stamp.taken - taken[frame.seq - 1]) * 1e-6)
+                off_ms.append((frame.stamp.measured_at - exposed[frame.seq - 1]) * 1e-6)
             # The drone of a busy machine lags behind its own clock, which no stamp can know. Late is one side: the quarter that
             # was least so is what the stamps are judged by.
             low, middle = np.percentile(off_ms[10:], [25, 50])

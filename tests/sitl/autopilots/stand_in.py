@@ -19,13 +19,13 @@ import numpy as np
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import Heard, LinkOptions, open_links
+from drivers.mavlink.links import LinkOptions, ReceivedMessage, open_links
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import Rotation
 from sitl.airframe import Airframe
 from sitl.autopilots.ardupilot_json import CURVE
 from sitl.autopilots.lock_step import LockStepClock
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.sitl.autopilots.pilot import Cascade
 
 HOST = "127.0.0.1"
@@ -55,24 +55,24 @@ class StandIn(FakeAutopilot):
     def _rotation(self) -> Rotation:
         return Rotation.from_quat(self.said["quaternion"])
 
-    def _on_command_long(self, m: Message, heard: Heard) -> None:
+    def _on_command_long(self, m: Message, received: ReceivedMessage) -> None:
         early = self.now_s - self._began_s < NOT_READY_S
         if m.command == mav.MAV_CMD_COMPONENT_ARM_DISARM and (early or self.mode != "guided"):
             self.text(2, "Arm: Need Position Estimate")
-            self.send(mav.MAVLink_command_ack_message(m.command, 4, 0, 0, heard.system, heard.component))
+            self.send(mav.MAVLink_command_ack_message(m.command, 4, 0, 0, received.system, received.component))
             return
         if m.command == mav.MAV_CMD_NAV_TAKEOFF:
             if self.armed and self.landed_state == 1:
                 self.landed_state, self._take_off_to = 2, float(m.param7)
-            self.send(mav.MAVLink_command_ack_message(m.command, 0, 0, 0, heard.system, heard.component))
+            self.send(mav.MAVLink_command_ack_message(m.command, 0, 0, 0, received.system, received.component))
             return
-        super()._on_command_long(m, heard)
+        super()._on_command_long(m, received)
 
-    def _on_set_position_target_local_ned(self, m: Message, heard: Heard) -> None:
+    def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
         if self.mode == "guided" and m.coordinate_frame == 1 and m.type_mask == 0x05C7:
             self._take_off_to, self._wanted = None, np.array([m.vx, m.vy, m.vz])
 
-    def _on_landing_target(self, m: Message, heard: Heard) -> None:
+    def _on_landing_target(self, m: Message, received: ReceivedMessage) -> None:
         if m.frame == 12 and m.position_valid == 1 and m.distance > 0:
             self._target = self._rotation @ np.array([m.x, m.y, m.z])
 
@@ -87,15 +87,15 @@ class StandIn(FakeAutopilot):
             out.append(mav.MAVLink_raw_imu_message(self.boot_ns // 1000, *milli, 0, 0, 0))
         return out
 
-    def _hear(self, heard: Heard) -> None:
+    def _on_message(self, received: ReceivedMessage) -> None:
         """What is meant for another component, or for all, goes on to the other link, as the program routes it."""
         assert self.links is not None
-        m = heard.message
+        m = received.message
         if getattr(m, "target_component", 0) != 1 and m.get_type() != "TIMESYNC":
-            wire = self.links.all[1 - heard.link]._wire
+            wire = self.links.all[1 - received.link]._wire
             if wire is not None:
                 wire.send(bytes(m.get_msgbuf()), None)
-        super()._hear(heard)
+        super()._on_message(received)
 
     def fly(self, said: dict[str, Any]) -> tuple[float, float, float, float]:
         """The motors for this state."""

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from tests.processes import gone, started
+from sitl.testing.processes import gone, started
 from tests.sitl.near import NEAR
 
 ROOT = Path(__file__).parents[3]

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.config.settings import load as load_settings
 from companion.pilot import Outcome
-from companion.settings import load as load_settings
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import Heard, LinkOptions, Links, open_links
+from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 from sitl.airframe import Airframe
@@ -27,7 +27,7 @@ from sitl.autopilots import px4
 from sitl.autopilots.body import Body
 from sitl.autopilots.flight import Autopilot, AutopilotFlight
 from sitl.scenario import load
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.sitl.autopilots.pilot import Cascade
 
 HOST = "127.0.0.1"
@@ -50,18 +50,18 @@ class Px4(FakeAutopilot):
         assert self._flight.body is not None
         return self._flight.body
 
-    def _hear(self, heard: Heard) -> None:
+    def _on_message(self, received: ReceivedMessage) -> None:
         """What is meant for another component goes on to the other link, as PX4 forwards it."""
         assert self.links is not None
-        m = heard.message
+        m = received.message
         if getattr(m, "target_component", 0) != 1 and m.get_type() != "TIMESYNC":
-            wire = self.links.all[1 - heard.link]._wire
+            wire = self.links.all[1 - received.link]._wire
             if wire is not None:
                 wire.send(bytes(m.get_msgbuf()), None)
-        super()._hear(heard)
+        super()._on_message(received)
 
-    def _on_set_position_target_local_ned(self, m: Message, heard: Heard) -> None:
-        super()._on_set_position_target_local_ned(m, heard)
+    def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
+        super()._on_set_position_target_local_ned(m, received)
         if self.mode == "offboard":
             self._wanted = np.array([m.vx, m.vy, m.vz])
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from companion.config.settings import load as load_settings
 from companion.pilot import Outcome
-from companion.settings import load as load_settings
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Stack
@@ -21,7 +21,7 @@ from sitl.autopilots.follow import DeckUnder, follow
 from sitl.autopilots.pose import Pose, PoseSource
 from sitl.autopilots.program import free_udp_port
 from sitl.scenario import load
-from tests.drivers.mavlink.fake_autopilot import FakeAutopilot
+from sitl.testing.fake_autopilot import FakeAutopilot
 
 HOST = "127.0.0.1"
 
@@ -68,7 +68,7 @@ def test_the_autopilots_place_is_shifted_onto_the_truth_smoothly(kind: str) -> N
         t = 0.02 * n
         p = v * t
         there = (position(t, p + off, v),)
-        source.hear(truth(kind, p), at(t), there)
+        source.on_message(truth(kind, p), at(t), there)
         pose = source.newest(at(t), there, attitude(t))
         assert pose is not None
         assert pose.is_truth
@@ -98,7 +98,7 @@ def test_rubbish_is_no_truth() -> None:
     there = (position(1.0, np.zeros(3), np.zeros(3)),)
     message = truth("SIM_STATE", np.zeros(3))
     message.alt = math.nan
-    source.hear(message, at(1.0), there)
+    source.on_message(message, at(1.0), there)
     assert not source.truthful(at(1.0))
 
 
@@ -158,7 +158,7 @@ async def test_followed_seen_and_landed_in_real_time() -> None:
     planner = replace(settings.guidance.planner, approach_height_m=1.2, speed_m_s=0.6)
     settings = replace(
         settings,
-        # Real time on a busy machine: a few pictures a second must do.
+        # Real time on a busy machine: a few frames a second must do.
         guidance=replace(settings.guidance, planner=planner, stale_after_s=2.0),
         estimator=replace(settings.estimator, path="dead_reckoning"),
     )

@@ -1,4 +1,4 @@
-"""Time that the physics makes, pictures that wait for nobody and for whom the world waits, and programs that are always ended."""
+"""Time that the physics makes, frames that wait for nobody and for whom the world waits, and programs that are always ended."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sitl.autopilots.camera import CameraTiming, LockStepCamera
 from sitl.autopilots.lock_step import LockStepClock
 from sitl.autopilots.program import executable, running
 from sitl.scenario import load
-from tests.drivers.fake_ardrone import until
-from tests.processes import alive
+from sitl.testing.fake_ardrone import until
+from sitl.testing.processes import alive
 
 STEP_S = 0.005
 
@@ -76,11 +76,11 @@ async def filmed(timing: CameraTiming, eyes_s: float | None, seconds: float) -> 
     return camera, frames, clock
 
 
-async def test_pictures_arrive_late_by_their_delay_and_at_their_rate_however_slow_the_eyes() -> None:
+async def test_images_arrive_late_by_their_delay_and_at_their_rate_however_slow_the_eyes() -> None:
     _, frames, clock = await filmed(CameraTiming(period_s=0.05, delay_s=0.04, vision_s=0.02), 0.03, 0.4)
     assert [f.stamp.delay_s for f in frames] == pytest.approx([0.04] * len(frames))
-    taken = [seconds_between(clock.started, f.stamp.taken) for f in frames]
-    assert taken == pytest.approx([0.005 + 0.05 * n for n in range(8)])
+    exposed = [seconds_between(clock.started, f.stamp.measured_at) for f in frames]
+    assert exposed == pytest.approx([0.005 + 0.05 * n for n in range(8)])
     assert [f.seq for f in frames] == list(range(1, 9))
     assert frames[0].px.shape == (360, 640, 3)
 

@@ -119,17 +119,17 @@ def test_the_answer_is_one_line_with_what_the_interface_asks_for() -> None:
 
 def test_a_lost_answer_is_repeated_and_a_restart_begins_anew() -> None:
     backend = JsonBackend(lambda step_s: Body(on_the_pad(), 1, step_s, CURVE))
-    first = backend.hear(servo_packet(1, REST))
-    assert backend.hear(servo_packet(1, REST)) == first
+    first = backend.on_packet(servo_packet(1, REST))
+    assert backend.on_packet(servo_packet(1, REST)) == first
     for n in range(2, 50):
-        later = backend.hear(servo_packet(n, REST))
+        later = backend.on_packet(servo_packet(n, REST))
     assert later is not None
     assert json.loads(later)["timestamp"] == pytest.approx(49 / 400)
-    again = backend.hear(servo_packet(0, REST))
+    again = backend.on_packet(servo_packet(0, REST))
     assert again is not None
     assert json.loads(again)["timestamp"] == pytest.approx(1 / 400)
     assert backend.restarts == 1
-    assert backend.hear(b"rubbish") is None
+    assert backend.on_packet(b"rubbish") is None
     assert backend.refused == 1
 
 
@@ -207,17 +207,17 @@ async def test_px4_is_nudged_until_it_runs_and_then_goes_in_lock_step() -> None:
     async with serve_hil(backend, HOST, 0) as port:
         reader, writer = await asyncio.open_connection(HOST, port)
         codec = Codec(1, 1)
-        heard: list[Any] = []
+        received_at: list[Any] = []
 
         async def until_sensor() -> Any:
             async with asyncio.timeout(60):
                 while True:
-                    while heard:
-                        m = heard.pop(0)
+                    while received_at:
+                        m = received_at.pop(0)
                         kinds.add(m.get_type())
                         if m.get_type() == "HIL_SENSOR":
                             return m
-                    heard.extend(codec.feed(await reader.read(4096)))
+                    received_at.extend(codec.feed(await reader.read(4096)))
 
         kinds: set[str] = set()
         first = await until_sensor()
@@ -234,8 +234,8 @@ async def test_px4_is_nudged_until_it_runs_and_then_goes_in_lock_step() -> None:
             motors = cascade.motors(s.p_ned, s.v_ned, s.R_ned_body, s.w_body, target, np.zeros(3))
             stepped = body.t_s
             writer.write(codec.pack(actuators(motors)))
-            while body.t_s == stepped and not heard:
-                heard.extend(codec.feed(await reader.read(4096)))
+            while body.t_s == stepped and not received_at:
+                received_at.extend(codec.feed(await reader.read(4096)))
             assert body.t_s - stepped < 0.03, "one step an answer"
             if body.t_s > 5.0:
                 heights.append(body.p_pad_ned[2] - s.p_ned[2])

@@ -31,7 +31,7 @@ def ack(command: int, result: int, component: int = 1) -> Message:
     return spoken(mav.MAVLink_command_ack_message(command, result), component)
 
 
-class Desk:
+class CommandHandler:
     """The station and its clock."""
 
     def __init__(self, stack: Stack = Stack.ARDUPILOT, **options: bool) -> None:
@@ -50,8 +50,8 @@ class Desk:
     def now(self) -> MonoNs:
         return MonoNs(round(self.t_s * NS_PER_S))
 
-    def hear(self, message: Message) -> None:
-        self.station.hear(message, self.now)
+    def on_message(self, message: Message) -> None:
+        self.station.on_message(message, self.now)
 
 
 def commands(messages: list[Message]) -> list[tuple[int, int]]:
@@ -59,19 +59,19 @@ def commands(messages: list[Message]) -> list[tuple[int, int]]:
 
 
 def test_from_the_first_heartbeat_to_the_order() -> None:
-    desk = Desk()
-    assert {m.get_type() for m in desk.wait(2.0)} == {"HEARTBEAT"}
-    desk.hear(beat("stabilize", False))
-    assert set(commands(desk.wait(2.0))) == {(mav.MAV_CMD_DO_SET_MODE, 1)}
-    desk.hear(beat("guided", False))
-    assert set(commands(desk.wait(2.0))) == {(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}
-    desk.hear(beat("guided", True))
-    climbing = [m for m in desk.wait(1.0) if m.get_type() == "COMMAND_LONG"]
+    command_handler = CommandHandler()
+    assert {m.get_type() for m in command_handler.wait(2.0)} == {"HEARTBEAT"}
+    command_handler.on_message(beat("stabilize", False))
+    assert set(commands(command_handler.wait(2.0))) == {(mav.MAV_CMD_DO_SET_MODE, 1)}
+    command_handler.on_message(beat("guided", False))
+    assert set(commands(command_handler.wait(2.0))) == {(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}
+    command_handler.on_message(beat("guided", True))
+    climbing = [m for m in command_handler.wait(1.0) if m.get_type() == "COMMAND_LONG"]
     assert [(m.command, m.param7) for m in climbing] == [(mav.MAV_CMD_NAV_TAKEOFF, 4.0)]
-    desk.view = replace(FAR, height_m=2.0)
-    assert commands(desk.wait(2.0)) == [], "it climbs: nothing to repeat"
-    desk.view = replace(FAR, height_m=3.9)
-    flying = [m for m in desk.wait(1.0) if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+    command_handler.view = replace(FAR, height_m=2.0)
+    assert commands(command_handler.wait(2.0)) == [], "it climbs: nothing to repeat"
+    command_handler.view = replace(FAR, height_m=3.9)
+    flying = [m for m in command_handler.wait(1.0) if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
     # 5 m away: 1.5 m/s towards it on top of the ship's 1.5 m/s ahead, in ned by a heading of 0.3 rad
     c, s = math.cos(0.3), math.sin(0.3)
     ahead, right = 1.5 + 1.5 * 0.6, 1.5 * 0.8
@@ -79,29 +79,29 @@ def test_from_the_first_heartbeat_to_the_order() -> None:
     assert flying[-1].yaw_rate == pytest.approx(0.4)
     # A pad that heaves takes the start up and down with it
     there = replace(FAR, height_m=4.0, to_start_level=np.array([0.3, 0.2, 1.2]), v_rel_level=np.array([0.1, 0.1, -0.9]))
-    desk.view = there
-    assert commands(desk.wait(3.0)) == [], "not on the heading yet"
-    desk.view = replace(there, turn_rad=0.05)
-    assert (mav.MAV_CMD_NAV_LAND, 191) in commands(desk.wait(1.6))
-    desk.hear(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_IN_PROGRESS, 191))
-    assert desk.station.task is Task.WATCH
-    assert desk.station.began == desk.now
-    assert {m.get_type() for m in desk.wait(2.0)} == {"HEARTBEAT"}, "the companion has it"
+    command_handler.view = there
+    assert commands(command_handler.wait(3.0)) == [], "not on the heading yet"
+    command_handler.view = replace(there, turn_rad=0.05)
+    assert (mav.MAV_CMD_NAV_LAND, 191) in commands(command_handler.wait(1.6))
+    command_handler.on_message(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_IN_PROGRESS, 191))
+    assert command_handler.station.task is Task.WATCH
+    assert command_handler.station.began == command_handler.now
+    assert {m.get_type() for m in command_handler.wait(2.0)} == {"HEARTBEAT"}, "the companion has it"
 
 
 def test_px4_begins_where_its_take_off_ends() -> None:
-    desk = Desk(Stack.PX4, flies_there=False)
+    command_handler = CommandHandler(Stack.PX4, flies_there=False)
     message = mav.MAVLink_heartbeat_message(2, 12, ARMED, custom_mode(Stack.PX4, "auto.loiter"), 4, 3)
-    desk.hear(spoken(message))
-    assert set(commands(desk.wait(1.0))) == {(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}
-    desk.hear(spoken(message))
-    assert set(commands(desk.wait(1.0))) == {(mav.MAV_CMD_DO_SET_MODE, 1)}
-    desk.view = replace(FAR, height_m=3.9)
-    assert commands(desk.wait(0.5)) == [(mav.MAV_CMD_NAV_LAND, 191)]
+    command_handler.on_message(spoken(message))
+    assert set(commands(command_handler.wait(1.0))) == {(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)}
+    command_handler.on_message(spoken(message))
+    assert set(commands(command_handler.wait(1.0))) == {(mav.MAV_CMD_DO_SET_MODE, 1)}
+    command_handler.view = replace(FAR, height_m=3.9)
+    assert commands(command_handler.wait(0.5)) == [(mav.MAV_CMD_NAV_LAND, 191)]
 
 
 @pytest.mark.parametrize(
-    ("heard", "waited_s", "said"),
+    ("received_at", "waited_s", "said"),
     [
         ([], 61.0, "no heartbeat"),
         ([beat("guided", False), spoken(mav.MAVLink_statustext_message(2, b"PreArm: Compass"))], 91.0, "arm: PreArm: Compass"),
@@ -109,38 +109,40 @@ def test_px4_begins_where_its_take_off_ends() -> None:
         ([beat("guided", False), beat("guided", True)], 31.0, "did not take off"),
     ],
 )
-def test_what_does_not_come_about_is_given_up_with_the_autopilots_words(heard: list[Message], waited_s: float, said: str) -> None:
-    desk = Desk()
-    for message in heard:
-        desk.hear(message)
-    desk.wait(waited_s)
-    assert desk.station.task is Task.FAILED
-    assert said in desk.station.failure
+def test_what_does_not_come_about_is_given_up_with_the_autopilots_words(
+    received_at: list[Message], waited_s: float, said: str
+) -> None:
+    command_handler = CommandHandler()
+    for message in received_at:
+        command_handler.on_message(message)
+    command_handler.wait(waited_s)
+    assert command_handler.station.task is Task.FAILED
+    assert said in command_handler.station.failure
 
 
-def ready_to_order() -> Desk:
-    desk = Desk(flies_there=False)
-    desk.hear(beat("guided", False))
-    desk.hear(beat("guided", True))
-    desk.view = replace(FAR, height_m=3.9)
-    desk.wait(0.3)
-    assert desk.station.task is Task.ORDER
-    return desk
+def ready_to_order() -> CommandHandler:
+    command_handler = CommandHandler(flies_there=False)
+    command_handler.on_message(beat("guided", False))
+    command_handler.on_message(beat("guided", True))
+    command_handler.view = replace(FAR, height_m=3.9)
+    command_handler.wait(0.3)
+    assert command_handler.station.task is Task.ORDER
+    return command_handler
 
 
 def test_a_companion_that_refuses_or_is_silent_ends_it() -> None:
-    desk = ready_to_order()
-    desk.hear(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_DENIED, 1))
-    assert desk.station.task is Task.ORDER, "that was the autopilot's answer"
-    desk.hear(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_DENIED, 191))
-    assert "refused" in desk.station.failure
-    desk = ready_to_order()
-    desk.wait(11.0)
-    assert "did not answer" in desk.station.failure
+    command_handler = ready_to_order()
+    command_handler.on_message(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_DENIED, 1))
+    assert command_handler.station.task is Task.ORDER, "that was the autopilot's answer"
+    command_handler.on_message(ack(mav.MAV_CMD_NAV_LAND, mav.MAV_RESULT_DENIED, 191))
+    assert "refused" in command_handler.station.failure
+    command_handler = ready_to_order()
+    command_handler.wait(11.0)
+    assert "did not answer" in command_handler.station.failure
 
 
 def test_another_system_is_not_listened_to() -> None:
-    desk = Desk()
+    command_handler = CommandHandler()
     ship = mav.MAVLink_heartbeat_message(2, 3, ARMED, 0, 4, 3)
-    desk.hear(spoken(ship, system=17))
-    assert desk.station.task is Task.MEET
+    command_handler.on_message(spoken(ship, system=17))
+    assert command_handler.station.task is Task.MEET

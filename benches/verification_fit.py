@@ -1,0 +1,182 @@
+"""Fit the judge's coefficients on rendered frames: `python -m benches.verification_fit [--frames N] [--workers K] [--keep FILE]`.
+
+Half of the frames show a pad (of two kinds, 0.2 to 30 m, all conditions of `pad_scenes`), half show none. Every candidate of
+every stage is an example; it is right when its pose keeps the judge's claim. The fit is logistic regression with a small ridge,
+false candidates that score high counted several times, since a false pad costs more than a missed one. Prints the coefficients
+as they stand in estimator/vision/detect/verification.py, and how the fit does on frames it did not see. With `--registered` the
+examples are what registration makes of the best candidates, on other frames, and the coefficients stand in
+estimator/vision/register/fit_verification.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import multiprocessing
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from estimator.contracts.samples import Attitude  # noqa: E402
+from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
+from estimator.vision.detect.acquire import acquire  # noqa: E402
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align  # noqa: E402
+from estimator.vision.detect.verification import FEATURES, keeps_claim  # noqa: E402
+from estimator.vision.pad import Pad  # noqa: E402
+from estimator.vision.pose import Orientation  # noqa: E402
+from estimator.vision.register.fit_verification import EVIDENCE, features  # noqa: E402
+from estimator.vision.register.registration import Options, register  # noqa: E402
+from sitl.testing.pad_scenes import CONDITIONS, Scene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
+
+F64 = NDArray[np.float64]
+_CHUNK = 50
+_REGISTERED_FROM = 10_000
+"""Chunk that the frames of the second model begin with: the first has not seen them."""
+_RIDGE = 1e-3
+_FALSE_FROM, _FALSE_WEIGHT = 0.25, 8.0
+_FALSE_FROM_REGISTERED, _FALSE_WEIGHT_REGISTERED = 0.02, 50.0
+"""From which probability on a pad where there is none counts how many times. For registrations fifty times costs one right one
+in seventy its 0.5, and a green disc with a ring and no letter is not called a pad."""
+_ONE_WAY = (
+    "white",
+    "disc_place",
+    "drawn",
+    "inliers",
+    "disc_off",
+    "ring_off",
+    "letter_off",
+    "ring_unseen",
+    "letter_unseen",
+    "rms",
+    "whole_disc",
+    "whole_orange",
+)
+"""Evidence that a fit must not turn round."""
+
+
+def scenes(seed: int) -> Iterator[tuple[int, bool, Pad, Scene]]:
+    """Frame, whether it has a pad, which, and the scene; of one chunk of frames."""
+    rng = np.random.default_rng([seed, 0x51DE])
+    camera, pads = load_camera("sim"), [load_pad("thesis"), load_pad("printed")]
+    for i in range(_CHUNK):
+        height = float(np.exp(rng.uniform(math.log(0.2), math.log(30.0))))
+        with_pad, pad = i % 2 == 0, pads[i // 2 % 2]
+        scene = pad_scene(rng, camera, pad, height, str(rng.choice(CONDITIONS))) if with_pad else empty_scene(rng, camera, height)
+        yield seed * _CHUNK + i, with_pad, pad, scene
+
+
+def examples(seed: int) -> F64:
+    """(n, 3 + len(FEATURES)): frame, 1 for a right candidate, 1 for a frame with a pad, features; of one chunk of frames."""
+    cv2.setNumThreads(1)
+    camera, rows = load_camera("sim"), []
+    for frame, with_pad, pad, scene in scenes(seed):
+        for c in acquire(scene.px, camera, pad, scene.R_level_body, sure=2.0)[:4]:
+            right = scene.truth is not None and keeps_claim(c.pose, scene.truth, camera, pad, c.yaw_ambiguous)
+            rows.append([frame, float(right), float(with_pad), *c.features])
+    return np.array(rows).reshape(-1, 3 + len(FEATURES))
+
+
+def registered_examples(seed: int) -> F64:
+    """(n, 3 + len(EVIDENCE)), as `examples`."""
+    cv2.setNumThreads(1)
+    camera, rows = load_camera("sim"), []
+    for frame, with_pad, pad, scene in scenes(seed):
+        attitude = None
+        if scene.R_level_body is not None:
+            stamp = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
+            attitude = Attitude(stamp, scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
+        orientation = Orientation.of(attitude, math.radians(2.0))
+        for c in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
+            found = register(scene.px, camera, pad, c.pose, orientation, Options(coarse=False))
+            aligned = None if found is None else align(Pyramid(scene.px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
+            if found is None or aligned is None:
+                continue
+            right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
+            rows.append([frame, float(right), float(with_pad), *features(aligned, found, pad)[: len(EVIDENCE)]])
+    return np.array(rows).reshape(-1, 3 + len(EVIDENCE))
+
+
+def fit(x: F64, y: F64, weight: F64) -> F64:
+    """Newton's method on the penalised likelihood."""
+    b = np.zeros(x.shape[1])
+    for _ in range(50):
+        p = 1.0 / (1.0 + np.exp(-np.clip(x @ b, -30, 30)))
+        g = x.T @ (weight * (y - p)) - _RIDGE * len(x) * b * (np.arange(len(b)) > 0)
+        Hm = (x * (weight * p * (1 - p))[:, None]).T @ x + np.diag(_RIDGE * len(x) * (np.arange(len(b)) > 0) + 1e-9)
+        step = np.linalg.solve(Hm, g)
+        b += step
+        if np.abs(step).max() < 1e-8:
+            break
+    return b
+
+
+def fit_one_way(x: F64, y: F64, weight: F64, one_way: NDArray[np.bool_]) -> F64:
+    """The same where some of the evidence must not speak against its own kind, of which there are few examples.
+
+    A letter that is not whiter than the disc is rare among pads and rare among strangers, and a letter unseen most often is one
+    under glare.
+    """
+    on = np.ones(x.shape[1], np.bool_)
+    while True:
+        b = np.zeros(x.shape[1])
+        b[on] = fit(x[:, on], y, weight)
+        wrong = on & one_way & (b < 0.0)
+        if not wrong.any():
+            return b
+        on &= ~wrong
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=6000)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--registered", action="store_true")
+    parser.add_argument("--keep", type=Path, help="write the examples here, or read them if the file is there")
+    args = parser.parse_args()
+    names, work, first = (EVIDENCE, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
+    if args.keep is not None and args.keep.exists():
+        data = np.load(args.keep)
+    else:
+        with multiprocessing.Pool(args.workers) as pool:
+            parts = []
+            for i, part in enumerate(pool.imap(work, range(first, first + args.frames // _CHUNK))):
+                parts.append(part)
+                print(f"\r{(i + 1) * _CHUNK} frames", end="", file=sys.stderr, flush=True)
+        print(file=sys.stderr)
+        data = np.concatenate(parts)
+        if args.keep is not None:
+            np.save(args.keep, data)
+    frame, y, with_pad, x = data[:, 0].astype(int), data[:, 1], data[:, 2], data[:, 3:]
+    train = (frame // _CHUNK) % 4 != 0
+    weight = np.ones(len(x))
+    one_way = np.array([name in _ONE_WAY for name in names])
+    low, times = (_FALSE_FROM_REGISTERED, _FALSE_WEIGHT_REGISTERED) if args.registered else (_FALSE_FROM, _FALSE_WEIGHT)
+    b = fit_one_way(x[train], y[train], weight[train], one_way)
+    for _ in range(4 if args.registered else 3):
+        p = 1.0 / (1.0 + np.exp(-x @ b))
+        weight = np.where((y == 0) & (with_pad == 0) & (p > low), times, 1.0)
+        b = fit_one_way(x[train], y[train], weight[train], one_way)
+    print("_COEFFICIENTS = np.array([" + ", ".join(f"{v:.3f}" for v in b) + "])")
+    for name, v, s in zip(names, b, x.std(axis=0), strict=True):
+        print(f"  {name:16s} {v:8.3f}   times its spread {v * s:7.2f}")
+    p = 1.0 / (1.0 + np.exp(-x @ b))
+    test = ~train
+    print(f"examples {len(x)}, right {int(y.sum())}; held out: {int(test.sum())}")
+    print("called      n   right")
+    for low, high in ((0.0, 0.1), (0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.95), (0.95, 1.001)):
+        k = test & (p >= low) & (p < high)
+        if k.any():
+            print(f"{low:.2f}-{min(high, 1):.2f} {int(k.sum()):6d}  {y[k].mean():.3f}   (mean called {p[k].mean():.3f})")
+    worst = np.argsort(-p * (with_pad == 0))[:8]
+    print("highest scores without a pad:", ", ".join(f"{p[i]:.2f} (frame {frame[i]})" for i in worst))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""How well a set of views pins the camera down, and what it lacks, in words that say what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.calibrate.solve import Solution
+from companion.calibrate.views import View
+
+VIEWS = 10
+CELLS = (6, 4)
+"""Columns and rows that the image is divided into to see where corners were."""
+COVERED = 0.8
+"""Share of the cells that must hold a corner."""
+REACH = 0.7
+"""How far towards each corner of the image, from its centre, the board's corners must have come."""
+TILT_DEG = 15.0
+TILTED = 2
+"""Views tilted at least `TILT_DEG` about each of the image's axes."""
+RMS_PX = 1.0
+SIGMA_F = 0.004
+"""One standard deviation of fx and fy as a share of them: a range error of this share."""
+SIGMA_C = 0.004
+"""One standard deviation of the principal point as a share of the image's width."""
+NAMES = (("top left", "top right"), ("bottom left", "bottom right"))
+
+Grade = Literal["good", "fair", "poor"]
+GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
+"""The grades, from the best to the worst."""
+
+
+@dataclass(frozen=True, slots=True)
+class Assessment:
+    """What stands against a solution.
+
+    `poor`: its numbers themselves are not known well enough, or contradict the views. `fair`: the numbers hold where the board
+    was, and are extrapolated where it was not, at the edges of the image or in tilt. `good`: neither.
+    """
+
+    imprecise: tuple[str, ...]
+    """Why the numbers are not to be trusted."""
+    uncovered: tuple[str, ...]
+    """Uncovered regions, where the distortion is extrapolated."""
+
+    @property
+    def grade(self) -> Grade:
+        """The worst that holds."""
+        if self.imprecise:
+            return "poor"
+        return "fair" if self.uncovered else "good"
+
+    @property
+    def missing(self) -> list[str]:
+        """Everything that would make the set better, the gravest first."""
+        return [*self.imprecise, *self.uncovered]
+
+
+def coverage(views: Sequence[View], size: tuple[int, int]) -> NDArray[np.int64]:
+    """(rows, columns) of `CELLS`: how many corners lay in each cell of the image."""
+    w, h = size
+    counts = np.zeros((CELLS[1], CELLS[0]), dtype=np.int64)
+    for view in views:
+        u = np.clip(((view.uv_px[:, 0] + 0.5) / w * CELLS[0]).astype(int), 0, CELLS[0] - 1)
+        v = np.clip(((view.uv_px[:, 1] + 0.5) / h * CELLS[1]).astype(int), 0, CELLS[1] - 1)
+        np.add.at(counts, (v, u), 1)
+    return counts
+
+
+def missing_before(views: Sequence[View], size: tuple[int, int]) -> list[str]:
+    """What can be said without solving: number of views and where in the image they are."""
+    lacks = []
+    if len(views) < VIEWS:
+        lacks.append(f"{VIEWS - len(views)} more views ({len(views)} of {VIEWS})")
+    counts = coverage(views, size)
+    if np.mean(counts > 0) < COVERED:
+        lacks.append(f"the board in more of the image ({np.mean(counts > 0):.0%} of it, {COVERED:.0%} needed)")
+    uv = np.concatenate([v.uv_px for v in views]) if views else np.zeros((0, 2))
+    centre = np.array([(size[0] - 1) / 2, (size[1] - 1) / 2])
+    toward = (uv - centre) / centre
+    for down, row in ((-1, NAMES[0]), (1, NAMES[1])):
+        for right, name in ((-1, row[0]), (1, row[1])):
+            reach = np.minimum(toward[:, 0] * right, toward[:, 1] * down)
+            if not len(reach) or reach.max() < REACH:
+                lacks.append(f"the board closer into the {name} corner")
+    return lacks
+
+
+def assess(solution: Solution, size: tuple[int, int]) -> Assessment:
+    """Grade a solution by its covariance, its residuals and where the board was."""
+    uncovered = missing_before([f.view for f in solution.fits], size)
+    tilts = np.array([f.tilt_deg for f in solution.fits])
+    for axis, way in ((0, "top edge towards or away from the camera"), (1, "left edge towards or away from the camera")):
+        n = int(np.sum(np.abs(tilts[:, axis]) >= TILT_DEG))
+        if n < TILTED:
+            uncovered.append(f"{TILTED - n} more views tilted by {TILT_DEG:g} degrees or more, {way}")
+    imprecise = []
+    if solution.rms_px > RMS_PX:
+        imprecise.append(f"sharper images or a flatter board (error {solution.rms_px:.2f} px, at most {RMS_PX:g})")
+    camera, sigma = solution.camera, solution.sigma
+    focal = float(max(sigma[0] / camera.fx, sigma[1] / camera.fy))
+    if focal > SIGMA_F:
+        imprecise.append(f"more tilt and nearer views (focal length known to {focal:.2%}, {SIGMA_F:.1%} needed)")
+    centre = float(max(sigma[2], sigma[3]) / size[0])
+    if centre > SIGMA_C:
+        imprecise.append(f"tilt in more directions (principal point known to {centre:.2%} of the width, {SIGMA_C:.1%} needed)")
+    if len(solution.left_out) > len(solution.fits) / 2:
+        imprecise.append(
+            f"views that agree: {len(solution.left_out)} of {len(solution.left_out) + len(solution.fits)} contradict the rest"
+        )
+    return Assessment(tuple(imprecise), tuple(uncovered))

@@ -1,0 +1,177 @@
+"""From settings to the options of each part. The only place that knows both."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+from companion.config.model import (
+    HeadingGainsSettings,
+    HorizontalGainsSettings,
+    Settings,
+    VerticalGainsSettings,
+)
+from companion.config.settings import camera_model, pad_model
+from companion.config.vehicle import ArDroneSettings, AutopilotSettings
+from companion.guidance.pid import AxisGains, Gains
+from companion.guidance.plan import Plan
+from companion.runtime.supervise import Restart
+from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.samples import SampleOptions
+from drivers.ardrone.velocity_loop import LoopOptions
+from estimator import dead_reckoning, pipeline
+from estimator.contracts.errors import BadInput
+from estimator.ekf.options import EkfOptions
+from estimator.integrity import IntegrityOptions
+from estimator.rest_calibration import RestOptions
+from estimator.vision.thesis.segmentation import COLOUR_SETS
+from estimator.vision.tracker import TrackerConfig
+
+
+def ardrone_options(settings: Settings) -> ArDroneOptions:
+    """How the drone is reached and what it is told to be.
+
+    Raises:
+        BadInput: the vehicle is another one.
+    """
+    v = settings.vehicle
+    if not isinstance(v, ArDroneSettings):
+        raise BadInput('vehicle.kind must be "ardrone" here')
+    return ArDroneOptions(
+        host=v.host,
+        navdata_port=v.navdata_port,
+        video_port=v.video_port,
+        at_port=v.at_port,
+        control_port=v.control_port,
+        loop=LoopOptions(
+            euler_angle_max_rad=math.radians(v.euler_angle_max_deg),
+            vz_max_m_s=v.vz_max_m_s,
+            yaw_rate_max_rad_s=math.radians(v.yaw_rate_max_deg_s),
+            gain_1_s=v.velocity_gain_1_s,
+            integral_1_s2=v.velocity_integral_1_s2,
+            lead=v.velocity_lead,
+        ),
+        samples=SampleOptions(velocity_scale=v.velocity_scale),
+        altitude_max_m=v.altitude_max_m,
+        com_watchdog_s=v.com_watchdog_s,
+        hold_s=v.hold_s,
+        hold_com_watchdog_s=v.hold_com_watchdog_s,
+        command_period_s=v.command_period_s,
+        command_timeout_s=v.command_timeout_s,
+        navdata_silence_s=v.navdata_silence_s,
+        video_silence_s=v.video_silence_s,
+        video_delay_s=v.video_delay_s,
+        exposure_s=v.exposure_s,
+        sample_line=settings.service.sample_queue_items,
+    )
+
+
+def tracker(settings: Settings) -> TrackerConfig:
+    """What vision needs to know.
+
+    Raises:
+        BadInput: the camera or pad file is missing or has a fault.
+    """
+    v = settings.vision
+    deck = math.radians(v.deck_tilt_sigma_deg)
+    return TrackerConfig(camera_model(settings), pad_model(settings), COLOUR_SETS[v.colours], v.method, deck)
+
+
+def estimator_options(settings: Settings) -> pipeline.Options:
+    """How sightings become a belief. A frame that `max_delay_s` lets in, dead reckoning can still place."""
+    e, d = settings.estimator, settings.estimator.dead_reckoning
+    defaults = dead_reckoning.Options()
+    # An AR.Drone's optical flow is against what it sees, deck or water; an autopilot's velocity is over the ground.
+    over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotSettings) else "either"
+    i = e.integrity
+    return pipeline.Options(
+        steering=e.path,
+        max_delay_s=e.max_delay_s,
+        min_confidence=e.min_confidence,
+        history_s=e.history_s,
+        max_gap_s=e.max_gap_s,
+        ekf=EkfOptions(velocity_is_over=over),
+        integrity=IntegrityOptions(
+            specific_force_max_m_s2=i.specific_force_max_m_s2,
+            turn_rate_max_rad_s=math.radians(i.turn_rate_max_deg_s),
+            speed_max_m_s=i.speed_max_m_s,
+            imu_frozen_s=i.imu_frozen_s,
+            velocity_frozen_s=i.velocity_frozen_s,
+            sighting_delay_step_max_s=i.delay_step_max_s,
+            adopt_s=i.adopt_s,
+            range_tolerance_m=i.range_tolerance_m,
+            range_tolerance_share=i.range_tolerance_share,
+            range_doubt_s=i.range_doubt_s,
+        ),
+        dead_reckoning=replace(
+            defaults,
+            dead_band_v_m_s=d.velocity_dead_band_m_s,
+            dead_band_a_m_s2=d.acceleration_dead_band_m_s2,
+            sigma_pad_v_m_s=d.sigma_pad_v_m_s,
+            history_s=max(defaults.history_s, e.max_delay_s),
+            calibration=RestOptions(duration_s=d.calibration_s) if d.calibration_s > 0 else None,
+        ),
+    )
+
+
+def gains(settings: Settings) -> Gains:
+    """The position controller."""
+    pid = settings.guidance.pid
+    return Gains(
+        horizontal=_axis(pid.horizontal),
+        vertical=_axis(pid.vertical),
+        heading=_axis(pid.heading),
+        speed_max_m_s=pid.speed_max_m_s,
+        climb_max_m_s=pid.climb_max_m_s,
+        descent_rate_max_m_s=pid.descent_rate_max_m_s,
+        turn_max_rad_s=math.radians(pid.turn_max_deg_s),
+        integral_max_m_s=pid.integral_max_m_s,
+        soft_above_m=pid.soft_above_m,
+        soft_least=pid.soft_least,
+        stale_after_s=settings.guidance.stale_after_s,
+        forget_after_s=pid.forget_after_s,
+    )
+
+
+def plan(settings: Settings) -> Plan:
+    """The way down."""
+    p = settings.guidance.planner
+    over = Plan.over_the_pad(p.approach_height_m, p.final_height_m)
+    approach, final = over.way_points
+    return replace(
+        over,
+        way_points=(replace(approach, reached_m=p.approach_reached_m), replace(final, reached_m=p.final_reached_m)),
+        speed_m_s=p.speed_m_s,
+        slow_within_m=p.slow_radius_m,
+        slow_least=p.slow_floor,
+        lead_m=p.lead_m,
+        heading=p.heading,
+        stale_after_s=settings.guidance.stale_after_s,
+        blind_s=p.blind_s,
+        touchdown_s=p.touchdown_s,
+        climb_after_s=p.climb_after_s,
+        climb_m_s=p.climb_m_s,
+        safe_height_m=p.safe_height_m,
+        give_up_after_s=p.give_up_after_s,
+        sigma_land_m=p.sigma_land_m,
+        try_s=p.try_s,
+        descend_s=p.descend_s,
+        losses_max=p.losses_max,
+        blind_descent_max_m=p.blind_descent_max_m,
+        go_arounds_max=p.go_arounds_max,
+        land_timeout_s=settings.guidance.land_timeout_s,
+        another_pad=p.another_pad,
+        another_pad_s=p.another_pad_s,
+        word_wait_s=p.word_wait_s,
+    )
+
+
+def restart(settings: Settings) -> Restart:
+    """How a failed part comes back."""
+    s = settings.service
+    return Restart(s.restart_first_s, s.restart_factor, s.restart_cap_s, s.restart_healthy_after_s)
+
+
+def _axis(of: HorizontalGainsSettings | VerticalGainsSettings | HeadingGainsSettings) -> AxisGains:
+    return AxisGains(of.kp, of.ki, of.kd)

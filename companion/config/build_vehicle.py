@@ -1,0 +1,89 @@
+"""The vehicle as settings describe it: what opens it, what listens beside it, and what runs along."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from companion.config import build
+from companion.config.build_camera import camera_options, with_camera
+from companion.config.model import Settings
+from companion.config.vehicle import AutopilotSettings
+from companion.observer import Observer
+from companion.pilot import Pilot
+from companion.runtime.daemon import Link, OpenLink
+from companion.runtime.health import Health
+from companion.runtime.supervise import Body
+from drivers.ardrone.link import open_ardrone
+from estimator.contracts.ports import Clock
+
+if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a face does without
+    from drivers.mavlink.links import Tap
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleParts:
+    """What the daemon needs of the vehicle."""
+
+    open_link: OpenLink
+    observers: tuple[Observer, ...] = ()
+    extras: dict[str, Body] = field(default_factory=dict)
+    """Bodies to be supervised, by name."""
+
+
+def vehicle_parts(
+    settings: Settings,
+    pilot: Pilot,
+    health: Health,
+    clock: Clock,
+    recording: Callable[[bool], str | None] | None = None,
+    tap: Tap | None = None,
+) -> VehicleParts:
+    """The vehicle that is set, with the camera beside it where there is one.
+
+    Args:
+        recording: switches the recorder; None where there is none.
+        tap: told of every MAVLink message; None for nobody.
+
+    Raises:
+        BadInput: a signing key or a camera's controls that cannot be read.
+    """
+    vehicle = settings.vehicle
+    if isinstance(vehicle, AutopilotSettings):
+        from companion.mavlink.make import AutopilotPart
+
+        autopilot = AutopilotPart(settings, vehicle, pilot, health, clock, recording, tap)
+        parts = VehicleParts(autopilot.open, (autopilot.component,))
+    else:
+        parts = _ardrone(settings, pilot, health, clock, tap)
+    beside = camera_options(settings)
+    if beside is None:
+        return parts
+    return VehicleParts(with_camera(parts.open_link, beside, clock), parts.observers, parts.extras)
+
+
+def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None) -> VehicleParts:
+    options = build.ardrone_options(settings)
+    if not settings.bridge.links:
+        return VehicleParts(lambda: open_ardrone(options, clock))
+    from companion.config.build_mavlink import links
+    from companion.mavlink.bridge_part import BridgePart
+    from drivers.mavlink.access import parse_operators
+
+    bridge = BridgePart(
+        links(settings.bridge),
+        settings.bridge.system_id,
+        clock,
+        operators=parse_operators(settings.bridge.operators),
+        hold=pilot.pause,
+        go_on=pilot.begin,
+        tap=tap,
+    )
+    health.counters("bridge", bridge.counted)
+
+    def open_link() -> AbstractAsyncContextManager[Link]:
+        return bridge.beside(open_ardrone(options, clock))
+
+    return VehicleParts(open_link, (bridge,), {"bridge": bridge.run})

@@ -1,0 +1,74 @@
+"""Settings that have worked since this computer was switched on are not wrong, whatever fails later.
+
+systemd does not start a service again that ends with exit code 2, for wrong settings stay wrong. But what looks like a wrong
+setting may be a camera that comes back half awake, or a file on a failing disk, after a crash in flight. So the first frame that
+came with certain settings is noted in $RUNTIME_DIRECTORY, which outlives restarts and not a reboot; from then on the same
+complaint is the outside world's: exit code 1, and started again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from companion.config import reference
+from companion.config.model import Settings
+from companion.observer import NullObserver, ProcessedFrame
+from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
+
+log = logging.getLogger(__name__)
+
+
+class Proven(NullObserver):
+    """An observer that notes the first frame.
+
+    Args:
+        settings: of this run.
+    """
+
+    name = "proven"
+
+    def __init__(self, settings: Settings, environment: Mapping[str, str] = os.environ) -> None:
+        folder = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
+        self._path = Path(folder) / "proven" if folder else None
+        self._digest = hashlib.sha256(reference.toml(settings).encode()).hexdigest()
+        self._noted = False
+
+    @property
+    def known(self) -> bool:
+        """Whether a frame came with these settings, in this life or an earlier one."""
+        if self._noted or self._path is None:
+            return self._noted
+        try:
+            return self._path.read_text().strip() == self._digest
+        except (OSError, ValueError):
+            return False
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        if not self._noted:
+            self._noted = True
+            if self._path is not None:
+                self._path.write_text(self._digest + "\n")
+
+    @contextmanager
+    def excusing(self) -> Iterator[None]:
+        """A complaint about settings that are `known` becomes one about the outside world.
+
+        Raises:
+            Recoverable: in place of that `BadInput`.
+        """
+        try:
+            yield
+        except BadInput as why:
+            if not self.known:
+                raise
+            raise Recoverable(f"{why} (with these settings it has worked before)") from why
+        except BaseExceptionGroup as group:
+            wrong, other = group.split(BadInput)
+            if wrong is None or (other is not None and other.split(DecklanderError)[1] is not None) or not self.known:
+                raise
+            raise Recoverable(f"{in_words(wrong)} (with these settings it has worked before)") from group

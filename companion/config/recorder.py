@@ -1,0 +1,42 @@
+"""What can be set of the recorder: the table [recorder] of the settings file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from companion.config.keys import choice, number, text
+
+
+class RecorderSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """Recordings of everything the service hears, decides and says, as MCAP files (docs/recordings.md)."""
+
+    enabled: Annotated[bool, choice("whether the service records from its start on")] = False
+    folder: Annotated[str, text("where recordings go, from the working directory; made when it is missing", 4096)] = "recordings"
+    frames: Annotated[
+        Literal["jpeg", "png", "none"],
+        choice("how frames are kept: small, exact (ten times as large), or not at all; what was seen in them is kept always"),
+    ] = "jpeg"
+    frames_each: Annotated[int, number("keep the frame of each n-th frame only", "frames", 1, 1000)] = 1
+    jpeg_quality: Annotated[int, number("quality of JPEG frames, at full resolution of colour", "1", 50, 100)] = 90
+    max_file_mb: Annotated[float, number("a file that is larger ends, and a new one begins", "MB", 1.0, 100_000.0)] = 500.0
+    max_file_s: Annotated[float, number("a file that is longer ends, and a new one begins", "s", 1.0, 86_400.0)] = 600.0
+    max_total_mb: Annotated[
+        float, number("while all recordings in the folder are larger than this, the oldest is deleted", "MB", 1.0, 10_000_000.0)
+    ] = 8000.0
+    min_free_mb: Annotated[
+        float, number("nothing is recorded while less than this is free on the disk", "MB", 0.0, 1_000_000.0)
+    ] = 500.0
+    flush_s: Annotated[float, number("how often a chunk is written: what a killed process loses", "s", 0.1, 60.0)] = 1.0
+    sync_s: Annotated[float, number("how often the disk is waited for: what a power cut loses", "s", 0.1, 600.0)] = 5.0
+    queue_records: Annotated[
+        int, number("records that may wait for the disk; further ones are dropped and counted", "records", 16, 1_000_000)
+    ] = 4096
+    queue_frames: Annotated[int, number("frames among them, about 0.7 MB each", "frames", 1, 1000)] = 15
+
+    def __post_init__(self) -> None:
+        if self.max_total_mb < self.max_file_mb:
+            raise ValueError(
+                f"max_total_mb ({self.max_total_mb:g} MB) must not be less than max_file_mb ({self.max_file_mb:g} MB)"
+            )

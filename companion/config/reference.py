@@ -1,0 +1,99 @@
+"""The settings for reading: a file with every key, a JSON Schema, and the reference page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import msgspec
+from msgspec import inspect
+
+from companion.config.model import Settings
+from companion.config.refusal import fields, unit_of, variants
+
+
+def toml(settings: Settings) -> str:
+    """A settings file with every key in it, defaults included; reading it gives the same settings."""
+    return "\n".join(_tables(msgspec.to_builtins(settings), ())).lstrip("\n") + "\n"
+
+
+def schema() -> str:
+    """JSON Schema of the settings file; units and sources of defaults are under `x-unit` and `x-source`."""
+    return json.dumps(msgspec.json.schema(Settings), indent=2, ensure_ascii=False) + "\n"
+
+
+def reference() -> str:
+    """The reference page in Markdown, one table a section."""
+    lines = [
+        "# Configuration",
+        "",
+        "One TOML file a rig. `decklander config check FILE` says whether a file is good, `config show FILE` prints it with each",
+        "default filled in, `config schema` gives a JSON Schema for editors. This page is the output of `config reference`.",
+        "",
+        "A key that is unknown, of the wrong type or out of range is refused, never guessed. Whole numbers are welcome where a",
+        "number is asked for; text and truth values are not. Where a default is missing the key must be given.",
+    ]
+    for path, struct in _structs(inspect.type_info(Settings), ()):
+        here = [f for f in fields(struct) if not variants(f.type)]
+        kind = f" with {struct.tag_field} = {_value(struct.tag)}" if struct.tag_field else ""
+        lines += ["", f"## [{'.'.join(path)}]{kind}", "", " ".join((struct.cls.__doc__ or "").split()), ""]
+        if here:
+            lines += ["| key | default | range | unit | meaning | source of the default |", "|---|---|---|---|---|---|"]
+            lines += [_row(f.encode_name, f) for f in here]
+        else:
+            lines.pop()
+    return "\n".join(lines) + "\n"
+
+
+def _row(name: str, field: inspect.Field) -> str:
+    assert isinstance(field.type, inspect.Metadata)
+    notes = field.type.extra_json_schema or {}
+    default = "**required**" if field.required else f"`{_value(field.default)}`"
+    unit = unit_of(field.type)
+    unit = "" if unit in ("1", "id") else unit
+    cells = [
+        f"`{name}`",
+        default,
+        _range(field.type.type),
+        unit,
+        notes["description"],
+        notes.get("x-source", ""),
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _range(spot: inspect.Type) -> str:
+    if isinstance(spot, inspect.LiteralType):
+        return ", ".join(f"`{_value(v)}`" for v in spot.values)
+    if isinstance(spot, inspect.FloatType | inspect.IntType):
+        return f"{spot.ge:g} to {spot.le:g}"
+    if isinstance(spot, inspect.BoolType):
+        return "`true`, `false`"
+    return "text"
+
+
+def _structs(spot: inspect.Type, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], inspect.StructType]]:
+    for struct in variants(spot):
+        if path:
+            yield path, struct
+        for field in struct.fields:
+            yield from _structs(field.type, (*path, field.encode_name))
+
+
+def _tables(data: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
+    plain = {k: v for k, v in data.items() if not isinstance(v, Mapping)}
+    if plain:
+        yield f"\n[{'.'.join(path)}]"
+        yield from (f"{k} = {_value(v)}" for k, v in plain.items())
+    for k, v in data.items():
+        if isinstance(v, Mapping):
+            yield from _tables(v, (*path, k))
+
+
+def _value(value: object) -> str:
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value)

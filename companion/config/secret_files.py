@@ -1,0 +1,100 @@
+"""Secrets from files: a path, or `credential:NAME` for a file that systemd put into `$CREDENTIALS_DIRECTORY`.
+
+No error text shows what a file holds.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+
+from companion.config.keys import CREDENTIAL
+from estimator.contracts.errors import BadInput, unusable
+
+log = logging.getLogger(__name__)
+
+KEY_BYTES = 32
+_LONGEST = 4096
+
+
+def find(reference: str, part: str, environment: Mapping[str, str] = os.environ) -> Path | None:
+    """Return the file that a setting names, None for an empty setting.
+
+    Args:
+        part: the section of the settings, for errors.
+
+    Raises:
+        BadInput: a credential where systemd has given no directory, or a name with a slash.
+    """
+    if not reference:
+        return None
+    if not reference.startswith(CREDENTIAL):
+        return Path(reference)
+    wanted, folder = reference.removeprefix(CREDENTIAL), environment.get("CREDENTIALS_DIRECTORY")
+    if not wanted or "/" in wanted or wanted in (".", ".."):
+        raise BadInput(f"{part}: {reference!r} does not name a credential")
+    if not folder:
+        raise BadInput(
+            f"{part}: {reference!r} is asked for, but there is no $CREDENTIALS_DIRECTORY (LoadCredential= in the unit)"
+        )
+    return Path(folder) / wanted
+
+
+def text(reference: str, part: str, key: str, environment: Mapping[str, str] = os.environ) -> str | None:
+    """Return a secret text without the newline that editors leave, None for an empty setting.
+
+    Raises:
+        BadInput: the file cannot be read, is empty, or is not text.
+    """
+    path = find(reference, part, environment)
+    if path is None:
+        return None
+    where = f"{part}.{key}: {path}"
+    try:
+        if stat.S_IMODE(path.stat().st_mode) & stat.S_IROTH:
+            log.warning("%s can be read by everyone on this machine (chmod o-r)", where)
+        secret = _content(path).decode().rstrip("\r\n")
+    except OSError as why:
+        raise unusable(where, why) from why
+    except UnicodeDecodeError as why:
+        raise BadInput(f"{where}: not text") from why
+    if not secret:
+        raise BadInput(f"{where}: is empty")
+    return secret
+
+
+def key(reference: str, part: str, name: str, environment: Mapping[str, str] = os.environ) -> bytes | None:
+    """Return a key of `KEY_BYTES` bytes, kept as they are or as hexadecimal digits; None for an empty setting.
+
+    Raises:
+        BadInput: the file cannot be read, others may read it, or it holds no key.
+    """
+    path = find(reference, part, environment)
+    if path is None:
+        return None
+    where = f"{part}.{name}: {path}"
+    try:
+        mode, content = path.stat().st_mode, _content(path)
+    except OSError as why:
+        raise unusable(where, why) from why
+    # systemd guards credentials by an access list, which shows as a group that may read.
+    if not reference.startswith(CREDENTIAL) and stat.S_IMODE(mode) & 0o077:
+        raise BadInput(f"{where}: others may read it; chmod 600 {path}")
+    if len(content) == KEY_BYTES:
+        return content
+    try:
+        found = bytes.fromhex(content.decode("ascii").strip())
+    except ValueError:
+        found = b""
+    if len(found) != KEY_BYTES:
+        raise BadInput(f"{where}: holds neither {KEY_BYTES} bytes nor {2 * KEY_BYTES} hexadecimal digits")
+    return found
+
+
+def _content(path: Path) -> bytes:
+    """Read no more than a secret can have: a setting may name any file, also one without an end."""
+    with path.open("rb") as file:
+        return file.read(_LONGEST)

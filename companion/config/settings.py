@@ -1,0 +1,146 @@
+"""Settings of the service, read from one TOML file.
+
+    settings = load("rig.toml")        # or the name of a shipped rig: load("sim")
+    camera, pad = camera_model(settings), pad_model(settings)
+
+What can be set: `companion.config.model`; the page for people: docs/configuration.md.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import configs
+from companion.config.keys import anchored
+from companion.config.model import PadSettings, Settings
+from companion.config.refusal import explain
+from companion.config.vehicle import ArDroneSettings
+from estimator.contracts.errors import BadInput, unusable
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+
+__all__ = ["Settings", "camera_model", "find_file", "from_mapping", "load", "pad_model", "read_toml", "shipped"]
+
+SHIPPED = Path(configs.__file__).parent
+
+
+def load(name_or_path: str | Path) -> Settings:
+    """The settings in a file, or of a shipped rig (`configs/*.toml`) when given its bare name.
+
+    The camera and pad files are read too, so that what comes back can be flown; `camera.file` and `pad.file` of the result
+    name a shipped file or are paths that hold from the working directory; so are those of keys and certificates.
+
+    Raises:
+        BadInput: a file that cannot be read or is not TOML; a key unknown, missing, of the wrong type or out of range; a
+            camera or pad file with such a fault. One line that names the file and the key.
+    """
+    path = find_file(str(name_or_path), "", Path(), "settings")
+    settings = from_mapping(read_toml(path), str(path))
+    if fault := settings.fault():
+        raise BadInput(f"{path}: {fault}")
+    camera = _reference(settings.camera.file, "cameras", path, "camera.file")
+    pad = _reference(settings.pad.file, "pads", path, "pad.file")
+    found = msgspec.structs.replace(settings.camera, file=camera)
+    settings = msgspec.structs.replace(settings, camera=found, pad=PadSettings(pad))
+    signing = [] if isinstance(settings.vehicle, ArDroneSettings) else ["signing_key_file", "signing_time_file"]
+    settings = msgspec.structs.replace(
+        settings,
+        vehicle=anchored(settings.vehicle, path.parent, signing),
+        bridge=anchored(settings.bridge, path.parent, ["signing_key_file", "signing_time_file"]),
+        metrics=anchored(settings.metrics, path.parent, ["token_file"]),
+        mqtt=anchored(
+            settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"]
+        ),
+    )
+    camera_model(settings)
+    pad_model(settings)
+    return settings
+
+
+def from_mapping(data: dict[str, Any], where: str) -> Settings:
+    """Settings from what a TOML file holds; `where` names the file in errors.
+
+    Raises:
+        BadInput: as `load`, but for the camera and pad files, which are not looked at.
+    """
+    try:
+        return msgspec.convert(data, Settings, strict=True)
+    except msgspec.ValidationError as why:
+        raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
+
+
+def camera_model(settings: Settings) -> Camera:
+    """The camera that `settings.camera.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    path = find_file(settings.camera.file, "cameras", Path(), "camera.file")
+    return Camera.from_mapping(read_toml(path), str(path))
+
+
+def pad_model(settings: Settings) -> Pad:
+    """The pad that `settings.pad.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    path = find_file(settings.pad.file, "pads", Path(), "pad.file")
+    return Pad.from_mapping(read_toml(path), str(path))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """What a TOML file holds.
+
+    Raises:
+        BadInput: it cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as why:
+        raise unusable(str(path), why) from why
+    except UnicodeDecodeError as why:
+        raise BadInput(f"{path}: not UTF-8 text (byte {why.start})") from why
+    except (ValueError, RecursionError) as why:  # a number of thousands of digits is a plain ValueError
+        raise BadInput(f"{path}: not valid TOML: {why}") from why
+
+
+def shipped(folder: str = "") -> list[str]:
+    """Names of the shipped files of one kind: "" rigs, "cameras", "pads"."""
+    return sorted(p.stem for p in (SHIPPED / folder).glob("*.toml"))
+
+
+def _is_name(text: str) -> bool:
+    return text.replace("_", "").replace("-", "").isalnum()
+
+
+def find_file(text: str, folder: str, base: Path, what: str) -> Path:
+    """The file that `text` means: the bare name of a shipped one (see `shipped`), or a path from `base`.
+
+    Raises:
+        BadInput: there is none; the text begins with `what` and names the nearest shipped one.
+    """
+    if _is_name(text) and text in shipped(folder):
+        return SHIPPED / folder / f"{text}.toml"
+    try:
+        path = base / text
+        exists = path.exists()
+    except OSError as why:
+        raise unusable(f"{what}: not a usable file name {text[:60]!r}", why) from why
+    except ValueError as why:
+        raise BadInput(f"{what}: not a usable file name {text[:60]!r}: {why}") from why
+    if exists:
+        return path
+    near = difflib.get_close_matches(text, shipped(folder), n=1)
+    hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(shipped(folder))}"
+    raise BadInput(f"{what}: there is no file {str(path)!r} and no shipped one of that name ({hint})")
+
+
+def _reference(text: str, folder: str, settings_file: Path, keypath: str) -> str:
+    found = find_file(text, folder, settings_file.parent, f"{settings_file}: {keypath}")
+    return text if found.parent == SHIPPED / folder and _is_name(text) else str(found)

@@ -1,0 +1,113 @@
+"""The MAVLink face as a part of the service: its links, an observer of the drone, and a supervised body."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from functools import partial
+from typing import Protocol, TypeVar
+
+from companion.mavlink.bridge import VehicleBridge
+from companion.mavlink.refusals import link_counters
+from companion.observer import NullObserver
+from drivers.mavlink.access import AccessOptions, Named
+from drivers.mavlink.dialect import mav
+from drivers.mavlink.links import LinkOptions, Links, Tap, open_links
+from estimator.contracts.commands import Command, Hover
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Sample
+
+_TICK_S = 0.02
+
+
+class _Drone(Protocol):
+    def command(self, command: Command) -> None: ...
+
+
+Taker = TypeVar("Taker", bound=_Drone)
+
+
+class BridgePart(NullObserver):
+    """See the module.
+
+    Args:
+        links: where ground stations are.
+        system: MAVLink system id of the drone.
+        operators: systems that may command it though they do not sign.
+        hold, go_on: what a station's hold does to guidance, and what ends it.
+        tap: told of every message; None for nobody.
+    """
+
+    def __init__(
+        self,
+        links: Sequence[LinkOptions],
+        system: int,
+        clock: Clock,
+        *,
+        operators: tuple[Named, ...] = (),
+        hold: Callable[[], None] = lambda: None,
+        go_on: Callable[[], None] = lambda: None,
+        tap: Tap | None = None,
+    ) -> None:
+        self._options = tuple(links)
+        self._system = system
+        self._access = AccessOptions(operators)
+        self._clock = clock
+        self._hold, self._go_on = hold, go_on
+        self._tap = tap
+        self._bridge: VehicleBridge | None = None
+        self._links: Links | None = None
+        self._taker: Callable[[Command], None] | None = None
+
+    @asynccontextmanager
+    async def beside(self, opening: AbstractAsyncContextManager[Taker]) -> AsyncIterator[Taker]:
+        """The drone's link, with the stations' commands going to it while it is open."""
+        async with opening as drone:
+            self._taker = drone.command
+            try:
+                yield drone
+            finally:
+                self._taker = None
+
+    def command(self, command: Command) -> None:
+        """To the drone.
+
+        Raises:
+            Recoverable: its link is not open.
+        """
+        if self._taker is None:
+            raise Recoverable("the drone is not there")
+        if isinstance(command, Hover):
+            self._hold()  # or guidance would fly on at once
+        self._taker(command)
+
+    def on_sample(self, sample: Sample) -> None:
+        if self._bridge is not None:
+            self._bridge.on_sample(sample)
+
+    def counted(self) -> dict[str, float]:
+        """Return the counters of the links since they were opened last."""
+        if self._links is None or self._bridge is None:
+            return {}
+        return link_counters(self._links, self._bridge.refusals)
+
+    async def run(self) -> None:
+        """For ever; the links come back by themselves."""
+        identity = (self._system, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
+        async with open_links(self._options, self._clock, identity, access=self._access) as links, asyncio.TaskGroup() as group:
+            self._links, links.tap = links, self._tap
+            self._bridge = bridge = VehicleBridge(links.send, self.command, self._go_on)
+            try:
+                listening = group.create_task(self._listen(bridge, links))
+                while not listening.done():
+                    links.contained.run("the bridge's tick", "us", lambda: bridge.tick(self._clock.now()))
+                    await self._clock.sleep(_TICK_S)
+            finally:
+                self._bridge = None
+
+    async def _listen(self, bridge: VehicleBridge, links: Links) -> None:
+        async for received in links.received:
+            on_message = partial(bridge.on_message, received, self._system, self._clock.now())
+            links.contained.run(received.place, received.source_text, on_message)

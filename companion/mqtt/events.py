@@ -1,0 +1,95 @@
+"""What is worth an event: changes, found by comparing what comes by with what was before. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from companion.observer import Decision, ProcessedFrame
+from companion.runtime.health import HealthSnapshot
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
+
+Kind = Literal["service", "phase", "vehicle", "pad", "part", "command"]
+
+LOST_AFTER_S = 1.0
+"""Without a sighting for this long the pad counts as lost."""
+BATTERY_LOW = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class PendingEvent:
+    """One event before it has a number."""
+
+    at: MonoNs
+    kind: Kind
+    text: str
+    data: Mapping[str, str | float | bool | None] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Changes:
+    """Remembers just enough of the past to notice a change."""
+
+    _phase: str | None = None
+    _mode: str | None = None
+    _emergency: bool = False
+    _battery_low: bool = False
+    _sighted: MonoNs | None = None
+    _in_sight: bool = False
+    _parts: dict[str, tuple[bool, int]] = field(default_factory=dict)
+
+    def decision(self, decision: Decision) -> list[PendingEvent]:
+        """A new phase of guidance."""
+        before, self._phase = self._phase, decision.phase
+        if before == decision.phase:
+            return []
+        data: dict[str, str | float | bool | None] = {"from": before, "to": decision.phase}
+        if decision.belief is not None:
+            data |= {"height_m": decision.belief.height_m, "lateral_m": decision.belief.lateral_m}
+        return [PendingEvent(decision.at, "phase", decision.phase, data)]
+
+    def vehicle(self, status: VehicleStatus) -> list[PendingEvent]:
+        """A new mode of the vehicle, an emergency, a battery that runs low."""
+        at, found = status.stamp.received_at, []
+        if status.mode != self._mode:
+            found.append(PendingEvent(at, "vehicle", f"vehicle is {status.mode}", {"from": self._mode, "to": status.mode}))
+            self._mode = status.mode
+        if status.emergency != self._emergency:
+            words = "emergency: motors cut" if status.emergency else "emergency is over"
+            found.append(PendingEvent(at, "vehicle", words, {"emergency": status.emergency}))
+            self._emergency = status.emergency
+        battery = status.battery_fraction
+        if battery is not None and battery < BATTERY_LOW and not self._battery_low:
+            self._battery_low = True
+            found.append(PendingEvent(at, "vehicle", f"battery at {100 * battery:.0f} %", {"battery_fraction": battery}))
+        return found
+
+    def frame(self, processed: ProcessedFrame) -> list[PendingEvent]:
+        """The pad comes in sight, or has been out of sight for a while."""
+        if processed.detection is not None and processed.detection.selected is not None:
+            self._sighted = processed.done
+            if not self._in_sight:
+                self._in_sight = True
+                return [
+                    PendingEvent(processed.done, "pad", "pad in sight", {"in_sight": True, "method": processed.detection.chosen})
+                ]
+        elif self._in_sight and self._sighted is not None and seconds_between(self._sighted, processed.done) > LOST_AFTER_S:
+            self._in_sight = False
+            return [PendingEvent(processed.done, "pad", "pad out of sight", {"in_sight": False})]
+        return []
+
+    def health(self, health: HealthSnapshot) -> list[PendingEvent]:
+        """A part that went down or came back; a failure between two looks shows by its restarts."""
+        found = []
+        for name, part in health.parts.items():
+            up, restarts = self._parts.get(name, (True, 0))
+            self._parts[name] = (part.up, part.restarts)
+            data: dict[str, str | float | bool | None] = {"part": name, "up": part.up, "restarts": part.restarts}
+            if part.restarts > restarts:
+                data["error"] = part.last_error
+                found.append(PendingEvent(health.at, "part", f"{name} failed: {part.last_error}", data))
+            elif part.up and not up:
+                found.append(PendingEvent(health.at, "part", f"{name} is up again", data))
+        return found

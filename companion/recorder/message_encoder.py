@@ -1,0 +1,143 @@
+"""From one thing the service said to the messages that go into the file: ours for replay, Foxglove's for looking at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import cv2
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from companion.observer import Decision, ProcessedFrame
+from companion.recorder import channels, encode
+from companion.recorder import foxglove as fox
+from companion.recorder import records as rec
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport
+from estimator.contracts.time import MonoNs, seconds_between
+from estimator.vision.camera import Camera
+from estimator.vision.thesis.detection import Detection
+
+FrameForm = Literal["jpeg", "png", "none"]
+Message = tuple[str, int, Struct]
+_TF_PERIOD_S = 0.02
+_SAMPLES = (Imu, Attitude, BodyVelocity, Range, Baro, VesselReport, VehicleStatus)
+
+
+class MessageEncoder:
+    """Remembers only what spares messages: the phase last logged, when transforms were last written.
+
+    Args:
+        offset_ns: from an instant of the monotonic clock to the viewer's time axis.
+    """
+
+    def __init__(self, camera: Camera, offset_ns: int, frames: FrameForm, jpeg_quality: int) -> None:
+        self._camera = camera
+        self._offset_ns = offset_ns
+        self._frames = frames
+        self._quality = jpeg_quality
+        self.begin()
+
+    def begin(self) -> None:
+        """A new file."""
+        self._phase: str | None = None
+        self._turned: MonoNs | None = None
+
+    def preamble(self, at: MonoNs) -> Iterator[Message]:
+        """What does not change, at the head of a file."""
+        t = self._time(at)
+        yield channels.CALIBRATION, t, fox.calibration(t, self._camera)
+        yield channels.TRANSFORMS, t, fox.fixed_transforms(t, self._camera)
+
+    def messages(self, at: MonoNs, what: object) -> Iterator[Message]:
+        """Of a sample, a decision, a record, or a frame as (its look record, the frame where its frame is kept, its look)."""
+        t = self._time(at)
+        match what:
+            case Imu() | Attitude() | BodyVelocity() | Range() | Baro() | VesselReport() | VehicleStatus():
+                record = encode.sample(what)
+                yield channels.SAMPLES[type(record)], t, record
+                if isinstance(what, Attitude) and self._due(at):
+                    yield channels.TRANSFORMS, t, fox.attitude_transform(self._time(what.stamp.measured_at), what.R_ned_body)
+            case (rec.DetectionRecord() as record, ProcessedFrame() | None as processed, Detection() | None as look):
+                yield from self._frame(t, record, processed, look)
+            case Decision():
+                yield from self._decision(t, what)
+            case rec.TruthRecord():
+                yield channels.TRUTH, t, what
+                pose = fox.pose_in_pad(t, np.array(what.d_body_pad_level), what.yaw_rad)
+                if pose is not None:
+                    yield channels.TRUE_POSE, t, pose
+            case rec.LinkRecord():
+                yield channels.LINK, t, what
+            case rec.HealthRecord():
+                yield channels.HEALTH, t, what
+            case fox.Log():
+                yield channels.LOG, t, what
+            case _:
+                raise TypeError(f"nothing is known of recording a {type(what).__name__}")
+
+    def _time(self, at: MonoNs) -> int:
+        return max(0, int(at) + self._offset_ns)
+
+    def _due(self, at: MonoNs) -> bool:
+        due = self._turned is None or not 0.0 <= seconds_between(self._turned, at) < _TF_PERIOD_S
+        if due:
+            self._turned = at
+        return due
+
+    def _frame(
+        self, t: int, record: rec.DetectionRecord, processed: ProcessedFrame | None, look: Detection | None
+    ) -> Iterator[Message]:
+        exposed_at = self._time(MonoNs(record.stamp.measured_at_ns))
+        if processed is not None and self._frames != "none":
+            data = packed(processed.frame.px, self._frames, self._quality)
+            yield channels.IMAGE, t, fox.compressed_image(exposed_at, data, self._frames)
+        yield channels.DETECTION, t, record
+        if look is not None:
+            features = [(name, f) for name, s in look.methods.items() if s is not None for f in s.features]
+            where = "no pad"
+            if look.selected is not None:
+                forward, right, down = look.selected.d_body_pad_level
+                where = f"{look.chosen}: {forward:.2f} forward, {right:.2f} right, {down:.2f} m down"
+            yield channels.ANNOTATIONS, t, fox.image_annotations(exposed_at, features, f"{record.verdict}  {where}")
+
+    def _decision(self, t: int, decision: Decision) -> Iterator[Message]:
+        beliefs = [b for b in (decision.belief, *decision.shadows) if b is not None]
+        for belief in beliefs:
+            yield channels.belief(belief.path), t, encode.belief(belief)
+        yield channels.DECISION, t, encode.decision(decision)
+        for belief in beliefs:
+            pose = fox.pose_in_pad(t, belief.d_body_pad_level, belief.yaw_rad)
+            if pose is not None:
+                yield channels.pose(belief.path), t, pose
+        if decision.belief is not None:
+            yield from self._transform(t, decision.belief)
+        if decision.phase != self._phase:
+            self._phase = decision.phase
+            yield channels.LOG, t, fox.log_line(t, fox.INFO, "guidance", decision.phase)
+
+    @staticmethod
+    def _transform(t: int, belief: RelativeState) -> Iterator[Message]:
+        transforms = fox.belief_transform(t, belief)
+        if transforms is not None:
+            yield channels.TRANSFORMS, t, transforms
+
+
+def packed(px: NDArray[np.uint8], form: FrameForm, jpeg_quality: int) -> bytes:
+    """A frame as the bytes of a file; JPEG keeps the full resolution of colour, which the pad is found by.
+
+    Raises:
+        ValueError: OpenCV cannot pack it.
+    """
+    if form == "jpeg":
+        flags = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+        ok, data = cv2.imencode(".jpg", px, flags)
+    elif form == "png":
+        ok, data = cv2.imencode(".png", px, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    else:
+        raise ValueError("no form to keep frames in")
+    if not ok:
+        raise ValueError("OpenCV could not pack the frame")
+    return data.tobytes()

@@ -1,0 +1,130 @@
+"""What a replay leaves behind: its log for figures and report, and how it differs from other beliefs of the same flight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.observer import Decision, ProcessedFrame
+from companion.recorder.reading import Recording
+from companion.recorder.records import TruthRecord
+from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange, Touchdown, TruthSample
+from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.geometry import wrap_pi
+from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs, seconds_between
+
+Beliefs = dict[tuple[PathName, MonoNs], RelativeState]
+
+
+@dataclass(slots=True)
+class LogObserver:
+    """An observer that fills a log and keeps every belief by path and instant."""
+
+    log: FlightLog
+    beliefs: Beliefs = field(default_factory=dict)
+
+    def on_sample(self, sample: Sample) -> None:
+        return None
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        log = self.log
+        R_level_body = None if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
+        log.frames.append(FrameRecord(processed.frame.stamp.measured_at, processed.frame.seq, processed.verdict, R_level_body))
+        log.verdicts[processed.verdict] += 1
+        if processed.detection is not None:
+            log.sightings.extend(
+                s for s in (*processed.detection.methods.values(), processed.detection.selected) if s is not None
+            )
+            log.stage_s.setdefault("vision, as recorded", []).append(seconds_between(processed.began, processed.done))
+        log.stage_s.setdefault("camera and link", []).append(processed.frame.stamp.delay_s)
+        log.delay_s.append(seconds_between(processed.frame.stamp.measured_at, processed.done))
+
+    def on_decision(self, decision: Decision) -> None:
+        log = self.log
+        if not log.phases or log.phases[-1].phase != decision.phase:
+            log.phases.append(PhaseChange(decision.at, decision.phase))
+        for belief in (decision.belief, *decision.shadows):
+            if belief is not None:
+                log.estimates.append(belief)
+                self.beliefs[belief.path, belief.at] = belief
+        if decision.command is not None:
+            log.commands.append(CommandRecord(decision.at, decision.command))
+
+    def on_truth(self, truth: TruthRecord) -> None:
+        """What the simulator or motion capture knew."""
+        d, v = np.array(truth.d_body_pad_level), np.array(truth.v_pad_level)
+        self.log.truth.append(TruthSample(MonoNs(truth.at_ns), d, v, truth.yaw_rad))
+        t = truth.touchdown
+        if t is not None and self.log.touchdown is None:
+            lateral_m, sinking, sliding = (
+                math.nan if x is None else x for x in (t.lateral_m, t.vertical_speed_m_s, t.lateral_speed_m_s)
+            )
+            self.log.touchdown = Touchdown(MonoNs(t.at_ns), lateral_m, sinking, sliding, t.on_pad)
+
+    def attach_image(self, image: bytes | None) -> None:
+        """The newest frame's frame as it was recorded."""
+        if image is not None and self.log.frames:
+            last = self.log.frames[-1]
+            self.log.frames[-1] = FrameRecord(last.exposed_at, last.seq, last.verdict, last.R_level_body, image)
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Two sets of beliefs of one path, at the instants that both have."""
+
+    path: PathName
+    both: int
+    only_one: int
+    """Instants at which one of the two has no belief."""
+    identical: int
+    """To the bit: place, velocity, heading and covariance."""
+    d_median_m: float
+    d_p95_m: float
+    d_max_m: float
+    yaw_max_rad: float
+
+
+def recorded_beliefs(recording: Recording) -> Beliefs:
+    """Those that were recorded."""
+    out: Beliefs = {}
+    for event in recording.events():
+        if isinstance(event, Decision):
+            for belief in (event.belief, *event.shadows):
+                if belief is not None:
+                    out[belief.path, belief.at] = belief
+    return out
+
+
+def differences(ours: Beliefs, theirs: Beliefs) -> list[Difference]:
+    """Path by path, for paths that both have; nan where nothing coincides."""
+    out = []
+    for path in sorted({p for p, _ in ours} & {p for p, _ in theirs}):
+        a = {at: b for (p, at), b in ours.items() if p == path}
+        b = {at: c for (p, at), c in theirs.items() if p == path}
+        common = sorted(a.keys() & b.keys())
+        d = np.array([float(np.linalg.norm(a[t].d_body_pad_level - b[t].d_body_pad_level)) for t in common])
+        yaw = _yaw_differences(a, b, common)
+        same = sum(_same(a[t], b[t]) for t in common)
+        q50, q95, largest = (float(np.quantile(d, q)) if len(d) else math.nan for q in (0.5, 0.95, 1.0))
+        out.append(Difference(path, len(common), len(a.keys() ^ b.keys()), same, q50, q95, largest, max(yaw, default=math.nan)))
+    return out
+
+
+def _yaw_differences(
+    a: Mapping[MonoNs, RelativeState], b: Mapping[MonoNs, RelativeState], common: Iterable[MonoNs]
+) -> list[float]:
+    pairs = ((a[t].yaw_rad, b[t].yaw_rad) for t in common)
+    return [abs(wrap_pi(x - y)) for x, y in pairs if x is not None and y is not None]
+
+
+def _same(a: RelativeState, b: RelativeState) -> bool:
+    return (
+        np.array_equal(a.d_body_pad_level, b.d_body_pad_level)
+        and np.array_equal(a.v_pad_level, b.v_pad_level)
+        and np.array_equal(a.cov, b.cov)
+        and a.yaw_rad == b.yaw_rad
+    )

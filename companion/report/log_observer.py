@@ -1,0 +1,52 @@
+"""An observer that keeps a flight's log for its report."""
+
+from __future__ import annotations
+
+import cv2
+
+from companion.observer import Decision, NullObserver, ProcessedFrame
+from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
+from estimator.contracts.time import seconds_between
+
+
+class LogObserver(NullObserver):
+    """Fills `log` as the flight goes on. Frames are kept as JPEG, about 40 kB each.
+
+    Args:
+        decisions_each: keep each n-th round of guidance; a change of phase is always kept.
+    """
+
+    def __init__(self, log: FlightLog, *, decisions_each: int = 2, keep_images: bool = True) -> None:
+        self.log = log
+        self._decisions_each = decisions_each
+        self._keep_images = keep_images
+        self._rounds = 0
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        log, frame = self.log, processed.frame
+        image: bytes | None = None
+        if self._keep_images:
+            ok, packed = cv2.imencode(".jpg", frame.px, [cv2.IMWRITE_JPEG_QUALITY, 88])
+            image = packed.tobytes() if ok else None
+        R_level_body = None if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
+        log.frames.append(FrameRecord(frame.stamp.measured_at, frame.seq, processed.verdict, R_level_body, image))
+        if processed.detection is not None:
+            log.sightings.extend(
+                s for s in (*processed.detection.methods.values(), processed.detection.selected) if s is not None
+            )
+            log.stage_s.setdefault("vision", []).append(seconds_between(processed.began, processed.done))
+        log.stage_s.setdefault("camera and link", []).append(frame.stamp.delay_s)
+        log.delay_s.append(seconds_between(frame.stamp.measured_at, processed.done))
+
+    def on_decision(self, decision: Decision) -> None:
+        log = self.log
+        if not log.phases or log.phases[-1].phase != decision.phase:
+            log.phases.append(PhaseChange(decision.at, decision.phase))
+        self._rounds += 1
+        if self._rounds % self._decisions_each:
+            return
+        if decision.belief is not None:
+            log.estimates.append(decision.belief)
+        log.estimates.extend(decision.shadows)
+        if decision.command is not None:
+            log.commands.append(CommandRecord(decision.at, decision.command))

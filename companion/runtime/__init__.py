@@ -1,0 +1,1 @@
+"""The asyncio daemon: parts, supervision, signals, health."""

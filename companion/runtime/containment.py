@@ -1,0 +1,115 @@
+"""Calls into code that the flight does not need: whatever it raises is logged once, counted in health, and goes no further.
+
+Two fault domains share one process. The vehicle, the eyes, the filter and guidance may end it; links to people, recorder,
+metrics, the pulse for systemd and every observer may not. `supervise.run` draws the same line between whole parts.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import ParamSpec, TypeVar
+
+from companion.observer import Decision, Observer, ProcessedFrame
+from companion.runtime.health import Health
+from estimator.contracts.errors import in_words
+from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs, after
+
+log = logging.getLogger(__name__)
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+FAILURES_IN_A_ROW = 20
+"""Failures in a row after which a callee is set aside: each call costs the flight time, and the next would likely fail too."""
+REST_FIRST_S, REST_MOST_S = 10.0, 300.0
+"""First and longest wait before the callee is tried again. Each wait is twice the last: memory or descriptors may come back."""
+
+
+class Guard:
+    """The way to one callee.
+
+    Args:
+        name: the callee's name in health and in the log.
+        limit: failures in a row after which it is set aside.
+    """
+
+    def __init__(self, name: str, health: Health, limit: int = FAILURES_IN_A_ROW) -> None:
+        self._name = name
+        self._health = health
+        self._limit = limit
+        self._in_a_row = 0
+        self._rest_s = REST_FIRST_S
+        self._aside_until: MonoNs | None = None
+
+    def call(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
+        """The function's result; None where it raised, or is set aside.
+
+        Raises:
+            KeyboardInterrupt: the only error that is not the callee's.
+        """
+        if self._aside_until is not None and self._health.now() < self._aside_until:
+            return None
+        try:
+            result = function(*args, **kwargs)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as why:  # what asyncio or sys.exit would raise is as much the callee's fault as any other
+            self._failed(why)
+            return None
+        self._in_a_row = 0
+        if self._aside_until is not None:
+            self._aside_until, self._rest_s = None, REST_FIRST_S
+            self._health.up(self._name)
+            log.warning("%s works again", self._name)
+        return result
+
+    def _failed(self, why: BaseException) -> None:
+        self._in_a_row += 1
+        if self._health.contain(self._name) == 1:
+            report("%s failed; the flight goes on, further failures are only counted", self._name, why=why)
+        if self._in_a_row >= self._limit:
+            words = f"off after {self._in_a_row} failures in a row: {in_words(why)}"
+            if self._aside_until is None:
+                log.error("%s is %s", self._name, words)
+            self._health.down(self._name, RuntimeError(words))
+            self._aside_until = after(self._health.now(), self._rest_s)
+            self._rest_s = min(2.0 * self._rest_s, REST_MOST_S)
+
+
+class Audience:
+    """All observers behind one, each method of each behind a guard of its own."""
+
+    def __init__(self, observers: Sequence[Observer], health: Health) -> None:
+        def guard(observer: Observer, method: str) -> Guard:
+            return Guard(f"{name_of(observer)}.{method}", health)
+
+        self._samples = [(guard(o, "on_sample"), o.on_sample) for o in observers]
+        self._frames = [(guard(o, "on_frame"), o.on_frame) for o in observers]
+        self._decisions = [(guard(o, "on_decision"), o.on_decision) for o in observers]
+
+    def on_sample(self, sample: Sample) -> None:
+        for guard, method in self._samples:
+            guard.call(method, sample)
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        for guard, method in self._frames:
+            guard.call(method, processed)
+
+    def on_decision(self, decision: Decision) -> None:
+        for guard, method in self._decisions:
+            guard.call(method, decision)
+
+
+def name_of(observer: object) -> str:
+    """Return the observer's `name`, or the name of its class if it has none."""
+    name = getattr(observer, "name", None)
+    return name if isinstance(name, str) else type(observer).__name__.lower()
+
+
+def report(text: str, *args: object, why: BaseException) -> None:
+    """An error with its traceback into the log. A log that fails is no reason to fail."""
+    with suppress(Exception):
+        log.error(text, *args, exc_info=why)

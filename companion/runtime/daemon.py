@@ -1,0 +1,242 @@
+"""The service: one vehicle, one pair of eyes, one pilot, supervised, until the flight has ended or it is told to stop.
+
+Every frame that the driver offers ends in exactly one counted verdict. Vision runs on a thread of its own; everything else
+on the event loop. When the service ends, for whatever reason, the driver leaves the vehicle in its own hover.
+
+Vehicle and guidance are vital; observers and every further part run beside the flight and cannot touch it (`supervise`,
+`containment`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
+from typing import Protocol
+
+import cv2
+
+from companion.observer import Decision, Observer, ProcessedFrame
+from companion.pilot import Outcome, Pilot
+from companion.runtime.containment import Audience
+from companion.runtime.health import Health
+from companion.runtime.supervise import Body, Restart, run, uncancelled
+from companion.runtime.worker import Worker
+from drivers.mailbox import Latest, Line
+from estimator.contracts.commands import Command
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.time import seconds_between
+from estimator.vision.thesis.detection import Detection
+
+log = logging.getLogger(__name__)
+
+_ATTITUDE_TRIES, _ATTITUDE_PAUSE_S = 10, 0.005
+
+
+class Link(Protocol):
+    """A vehicle with a camera, as a driver offers it while its context is open."""
+
+    @property
+    def frames(self) -> Latest[Frame]: ...
+
+    @property
+    def samples(self) -> Line[Sample]: ...
+
+    def command(self, command: Command) -> None: ...
+
+    def release(self) -> None:
+        """Leave the vehicle to a person on closing, instead of holding it for a successor."""
+        ...
+
+
+OpenLink = Callable[[], AbstractAsyncContextManager[Link]]
+
+
+class Daemon:
+    """Brings vehicle and pilot together.
+
+    Args:
+        open_link: opens the vehicle; called again after each `Recoverable`.
+        pilot: eyes, estimator and guidance.
+        guidance_rate_hz: rounds of guidance a second.
+        health_period_s: how often a line of health is logged; 0 for never.
+        threads: that OpenCV may use for one frame.
+        once: end with the first flight; else go on and wait for the next one.
+        health: where to write health, for parts that were made before the daemon; else one is made.
+        extras: parts by name that run beside the flight: whatever happens to them, it goes on.
+    """
+
+    def __init__(
+        self,
+        open_link: OpenLink,
+        pilot: Pilot,
+        clock: Clock,
+        *,
+        restart: Restart,
+        guidance_rate_hz: float,
+        health_period_s: float = 0.0,
+        threads: int = 1,
+        observers: Sequence[Observer] = (),
+        once: bool = False,
+        health: Health | None = None,
+        extras: Mapping[str, Body] | None = None,
+    ) -> None:
+        self._open_link = open_link
+        self._pilot = pilot
+        self._clock = clock
+        self._restart = restart
+        self._period_s = 1.0 / guidance_rate_hz
+        self._health_period_s = health_period_s
+        self._threads = threads
+        self._once = once
+        self._link: Link | None = None
+        self._ended = asyncio.Event()
+        self._tracker: Worker | None = None
+        self._wrong_size_said = False
+        self._told = ("", "")
+        self._extras = dict(extras or {})
+        self.health = health or Health(clock)
+        self._audience = Audience(observers, self.health)
+
+    async def run(self) -> Outcome | None:
+        """Until the flight has ended (with `once`) or `stop` is called; the flight's outcome, None when it had none yet.
+
+        Raises:
+            ExceptionGroup: a bug of ours; the vehicle was left in its hover.
+        """
+        cv2.setNumThreads(self._threads)
+        vital: dict[str, Body] = {"vehicle": self._fly, "guidance": self._guide}
+        beside = dict(self._extras)
+        if self._health_period_s > 0:
+            beside["health"] = self._log_health
+        self._tracker = Worker("vision")
+        try:
+            await run(vital, self._restart, self.health, self._clock, until=self._ended, beside=beside)
+        finally:
+            self._tracker.close()
+        return self._pilot.outcome
+
+    def stop(self) -> None:
+        """End `run` soon, cleanly; the vehicle is then somebody else's."""
+        if self._link is not None:
+            self._link.release()
+        self._ended.set()
+
+    async def _fly(self) -> None:
+        async with self._open_link() as link:
+            self._link = link
+            try:
+                async with asyncio.TaskGroup() as group:
+                    group.create_task(uncancelled("hearing the vehicle", lambda: self._read_samples(link)), name="samples")
+                    group.create_task(uncancelled("watching its frames", lambda: self._read_frames(link)), name="frames")
+            finally:
+                self._link = None
+
+    async def _read_samples(self, link: Link) -> None:
+        async for sample in link.samples:
+            self.health.beat(type(sample).__name__)
+            for outcome in self._pilot.on_sample(sample):
+                self.health.input(outcome.kind, outcome.verdict)
+            self._audience.on_sample(sample)
+
+    async def _read_frames(self, link: Link) -> None:
+        overtaken = 0
+        async for frame in link.frames:
+            for _ in range(link.frames.replaced - overtaken):
+                self.health.frame(Verdict.REPLACED)
+            overtaken = link.frames.replaced
+            self.health.beat("Frame")
+            try:
+                processed = await self._process(frame)
+            except asyncio.CancelledError:
+                self.health.frame(Verdict.FAILED)
+                raise
+            self.health.frame(processed.verdict)
+            self.health.delay("vision", seconds_between(processed.began, processed.done))
+            self.health.delay("exposure_to_belief", seconds_between(frame.stamp.measured_at, processed.done))
+            self._audience.on_frame(processed)
+
+    async def _process(self, frame: Frame) -> ProcessedFrame:
+        began = self._clock.now()
+        attitude = await self._attitude_of(frame)
+        look: Detection | None = None
+        if not self._fits(frame):
+            verdict = Verdict.FAILED
+        elif (refused := self._pilot.admit(frame)) is not None:
+            verdict = refused
+        elif attitude is None:
+            verdict = Verdict.NO_ATTITUDE
+        else:
+            assert self._tracker is not None
+            look = await self._tracker.run(self._pilot.detect, frame, attitude)
+            verdict = self._pilot.on_detection(look)
+        return ProcessedFrame(frame, attitude, look, verdict, began, self._clock.now())
+
+    async def _attitude_of(self, frame: Frame) -> Attitude | None:
+        """At the exposure; where samples still wait to be heard, they are given a little time to tell it."""
+        for _ in range(_ATTITUDE_TRIES):
+            attitude = self._pilot.attitude_at(frame.stamp)
+            if attitude is not None or self._link is None or not len(self._link.samples):
+                return attitude
+            await self._clock.sleep(_ATTITUDE_PAUSE_S)
+        return None
+
+    def _fits(self, frame: Frame) -> bool:
+        height, width = frame.px.shape[:2]
+        camera = self._pilot.camera
+        if (width, height) == (camera.width, camera.height):
+            return True
+        if not self._wrong_size_said:
+            self._wrong_size_said = True
+            log.error(
+                "the vehicle sends frames of %dx%d px but the camera file describes %dx%d px: none of them can be used",
+                width, height, camera.width, camera.height,
+            )  # fmt: skip
+        return False
+
+    async def _guide(self) -> None:
+        while True:
+            began = self._clock.now()
+            self.health.beat("Decision")
+            decision = self._pilot.decide(began)
+            if decision.command is not None and self._link is not None:
+                try:
+                    self._link.command(decision.command)
+                except Recoverable as why:
+                    log.debug("command not sent: %s", why)
+            self._tell(decision)
+            self._audience.on_decision(decision)
+            if self._pilot.outcome is not None and self._once:
+                self._ended.set()
+                return
+            spent_s = seconds_between(began, self._clock.now())
+            await self._clock.sleep(max(0.001, self._period_s - spent_s))
+            late_s = seconds_between(began, self._clock.now()) - self._period_s
+            self.health.delay("guidance_late", max(0.0, late_s))
+
+    def _tell(self, decision: Decision) -> None:
+        """Log what guidance is about, where that changes."""
+        told = (decision.phase, decision.reason)
+        if told == self._told:
+            return
+        self._told = told
+        log.log(logging.WARNING if decision.reason else logging.INFO, "%s", ": ".join(filter(None, told)))
+
+    async def _log_health(self) -> None:
+        while True:
+            await self._clock.sleep(self._health_period_s)
+            frames = ", ".join(
+                f"{verdict.value} {n}" for verdict, n in sorted(self.health.frames.items(), key=lambda i: i[0].value)
+            )
+            delay = self.health.delays.get("exposure_to_belief")
+            p50 = delay.quantile(0.5) if delay is not None else None
+            log.info(
+                "%s; frames: %s; exposure to belief %s",
+                self._pilot.phase,
+                frames or "none",
+                "unknown" if p50 is None else f"{1e3 * p50:.0f} ms",
+            )

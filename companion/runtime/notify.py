@@ -1,0 +1,134 @@
+"""What the service tells systemd: that it is ready, that its pipeline lives, that it ends (sd_notify, without libsystemd).
+
+The watchdog is fed out of the rounds of guidance, never by a timer of its own: a round that does not come, a frame that vision
+never gives back, or a flying vehicle that is no longer heard ends the pings, and systemd starts the service anew.
+
+Source: sd_notify(3), sd_watchdog_enabled(3).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import socket
+from collections.abc import Callable, Mapping
+
+from companion.observer import Decision, NullObserver
+from companion.runtime.health import Health
+from companion.runtime.liveness import stuck
+from estimator.contracts.errors import BadInput
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import MonoNs, seconds_between
+
+log = logging.getLogger(__name__)
+
+_EVERY = 4
+"""Pings within one interval of the watchdog: systemd asks for two, and a round may be late."""
+_STATUS_S = 1.0
+"""Between two lines of status where there is no watchdog."""
+
+
+class Manager:
+    """The service manager's socket. Datagrams that it does not take are lost: a service must not wait for its manager.
+
+    Raises:
+        BadInput: `address` is no unix socket's.
+    """
+
+    def __init__(self, address: str) -> None:
+        if not address.startswith(("/", "@")):
+            raise BadInput(f"$NOTIFY_SOCKET: {address[:60]!r} is not the address of a unix socket")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        self._socket.setblocking(False)
+        self.lost = 0
+
+    @staticmethod
+    def of(environment: Mapping[str, str] = os.environ) -> Manager | None:
+        """The one that started us; None where none waits to hear."""
+        address = environment.get("NOTIFY_SOCKET")
+        return Manager(address) if address else None
+
+    def say(self, **fields: str) -> None:
+        """One datagram of NAME=value lines."""
+        text = "\n".join(f"{name}={' '.join(value.split())}" for name, value in fields.items())
+        try:
+            self._socket.sendto(text.encode(), self._address)
+        except OSError as why:
+            self.lost += 1
+            log.debug("the service manager did not take %s: %s", next(iter(fields), ""), why)
+
+    def close(self) -> None:
+        """Nothing more is said."""
+        self._socket.close()
+
+
+class Pulse(NullObserver):
+    """An observer that turns rounds of guidance into READY=1, WATCHDOG=1 and a line of status.
+
+    Args:
+        flying: whether the vehicle flew when it was last heard of.
+        interval_s: of the watchdog; None where there is none.
+    """
+
+    def __init__(
+        self, manager: Manager, health: Health, clock: Clock, flying: Callable[[], bool], interval_s: float | None
+    ) -> None:
+        self._manager = manager
+        self._health = health
+        self._clock = clock
+        self._flying = flying
+        self._watched = interval_s is not None
+        self._period_s = _STATUS_S if interval_s is None else interval_s / _EVERY
+        self._last: MonoNs | None = None
+        self._said_why = ""
+        self.pings = 0
+        """Times that the pipeline was found alive."""
+
+    def on_decision(self, decision: Decision) -> None:
+        now = self._clock.now()
+        if self._last is not None and seconds_between(self._last, now) < self._period_s:
+            return
+        health = self._health.snapshot()
+        why = stuck(health, self._flying())
+        if why is not None:
+            if why.partition(" for ")[0] != self._said_why:
+                self._said_why = why.partition(" for ")[0]
+                log.error("%s: the watchdog is not fed", why)
+            self._manager.say(STATUS=why)
+            self._last = now
+            return
+        self._said_why = ""
+        rates = (health.flows.get(kind) for kind in ("Frame", "Imu"))
+        frames, samples = (0.0 if flow is None or flow.rate_hz is None else flow.rate_hz for flow in rates)
+        fields = {"STATUS": f"{decision.phase}; {frames:.0f} frames and {samples:.0f} inertial samples a second"}
+        if self.pings == 0:
+            fields["READY"] = "1"
+        if self._watched:
+            fields["WATCHDOG"] = "1"
+        self._manager.say(**fields)
+        self._last = now
+        self.pings += 1
+
+    async def run(self) -> None:
+        """A part of the service: until cancelled, then say that the service ends."""
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self._manager.say(STOPPING="1", STATUS="ending")
+            self._manager.close()
+
+
+def watchdog_interval_s(environment: Mapping[str, str] = os.environ, pid: int | None = None) -> float | None:
+    """How often systemd wants to hear from this process, seconds; None where it does not.
+
+    Raises:
+        BadInput: $WATCHDOG_USEC is not a positive whole number.
+    """
+    text = environment.get("WATCHDOG_USEC")
+    if not text or environment.get("WATCHDOG_PID", str(pid or os.getpid())) != str(pid or os.getpid()):
+        return None
+    if not text.isascii() or not text.isdigit() or int(text) == 0:
+        raise BadInput(f"$WATCHDOG_USEC: {text[:40]!r} is not a positive number of microseconds")
+    return int(text) * 1e-6

@@ -1,0 +1,131 @@
+"""The daemon as settings describe it, and its life as a process: signals in, logs out."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from companion.config import build
+from companion.config.build_vehicle import vehicle_parts
+from companion.config.model import Settings
+from companion.config.vehicle import AutopilotSettings
+from companion.observer import Observer
+from companion.pilot import Outcome, Pilot
+from companion.runtime.beside import Beside
+from companion.runtime.daemon import Daemon
+from companion.runtime.event_loop import heeded
+from companion.runtime.health import Health
+from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
+from companion.runtime.supervise import Body
+from drivers.clock import SystemClock
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName
+from estimator.contracts.ports import Clock
+
+log = logging.getLogger(__name__)
+
+if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a face does without
+    from drivers.mavlink.links import Tap
+
+
+def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
+    """Eyes, estimator and guidance as set; `shadows` are paths that run along to be compared.
+
+    Raises:
+        BadInput: the camera or pad file is missing or has a fault.
+    """
+    return Pilot(
+        build.tracker(settings),
+        replace(build.estimator_options(settings), shadows=tuple(shadows)),
+        build.plan(settings),
+        build.gains(settings),
+        automatic=settings.guidance.start == "automatic",
+    )
+
+
+def make_daemon(
+    settings: Settings, pilot: Pilot, *, clock: Clock | None = None, observers: Sequence[Observer] = (), once: bool = False
+) -> Daemon:
+    """The daemon around a pilot, with the vehicle and the links that are set.
+
+    Raises:
+        BadInput: a secret, certificate or folder that a link needs cannot be read or used.
+    """
+    ticking = clock or SystemClock()
+    health = Health(ticking)
+    watching, extras = list(observers), dict[str, Body]()
+    recording: Callable[[bool], str | None] | None = None
+    tap: Tap | None = None
+    if settings.recorder.enabled or settings.mqtt.transport != "off" or isinstance(settings.vehicle, AutopilotSettings):
+        from companion.recorder.beside import RecorderBeside
+        from companion.recorder.setup import recorder_of
+
+        recorder = RecorderBeside(lambda: recorder_of(settings, ticking, health), health)
+        watching.append(recorder)
+        extras["recorder"] = recorder.run
+        recording, tap = recorder.switch, recorder.on_link
+    vehicle = vehicle_parts(settings, pilot, health, ticking, recording, tap)
+    watching += vehicle.observers
+    extras |= vehicle.extras
+    if settings.mqtt.transport != "off":
+        from companion.mqtt.make import make_mqtt
+
+        mqtt = Beside("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording))
+        watching.append(mqtt)
+        extras["mqtt"] = mqtt.run
+    if settings.metrics.endpoint != "off":
+        from companion.metrics.endpoint import MetricsEndpoint
+
+        extras["metrics"] = MetricsEndpoint(settings.metrics, health).run
+    if (pulse := _pulse(pilot, health, ticking)) is not None:
+        watching.append(pulse)
+        extras["manager"] = pulse.run
+
+    return Daemon(
+        vehicle.open_link,
+        pilot,
+        ticking,
+        restart=build.restart(settings),
+        guidance_rate_hz=settings.guidance.rate_hz,
+        health_period_s=settings.service.health_period_s,
+        threads=settings.vision.threads,
+        observers=watching,
+        once=once,
+        health=health,
+        extras=extras,
+    )
+
+
+def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:
+    """None where no manager waits to hear, or cannot be understood: that is no setting, and no reason to stay down."""
+    try:
+        interval_s, manager = watchdog_interval_s(), Manager.of()
+    except BadInput as why:
+        log.error("%s; the service manager hears nothing", why)
+        return None
+    if manager is None:
+        return None
+    return Pulse(manager, health, clock, lambda: pilot.vehicle is not None and bool(pilot.vehicle.flying), interval_s)
+
+
+def log_to_stderr(settings: Settings) -> None:
+    """One line a message, without wall time where journald adds it."""
+    under_journald = not sys.stderr.isatty()
+    form = "%(levelname)s %(name)s: %(message)s" if under_journald else "%(asctime)s %(levelname)s %(name)s: %(message)s"
+    logging.basicConfig(level=settings.service.log_level.upper(), format=form, stream=sys.stderr, force=True)
+
+
+async def live(daemon: Daemon, pilot: Pilot) -> Outcome | None:
+    """Run the daemon as a process does: SIGINT, SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
+    handlers = {
+        signal.SIGINT: daemon.stop,
+        signal.SIGTERM: daemon.stop,
+        signal.SIGUSR1: pilot.begin,
+        signal.SIGUSR2: pilot.pause,
+    }
+    with heeded(handlers):
+        return await daemon.run()

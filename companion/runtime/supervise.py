@@ -1,0 +1,172 @@
+"""Lifetimes, in two fault domains.
+
+A vital part (the vehicle with the eyes and the filter, guidance) is started again when the outside world failed it; an error of
+ours ends it and with it the group, loudly, and whoever started the process starts it anew. A part beside the flight (recorder,
+links to people, metrics, the pulse for systemd) may fail in any way: it is started again, later and later, and given up when
+that does not help. Nothing of that reaches the vital parts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+
+from companion.runtime.containment import report
+from companion.runtime.health import Health
+from estimator.contracts.errors import Recoverable, in_words
+from estimator.contracts.ports import Clock
+from estimator.contracts.time import seconds_between
+
+log = logging.getLogger(__name__)
+
+Body = Callable[[], Awaitable[None]]
+
+CLOSE_S = 1.0
+"""Time that the parts beside the flight have to end, once the vital ones have ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """How long a failed part rests: `first_s`, then `factor` times longer each time up to `cap_s`.
+
+    A part that stayed up for `healthy_after_s` starts over with `first_s`.
+    """
+
+    first_s: float = 0.2
+    factor: float = 2.0
+    cap_s: float = 5.0
+    healthy_after_s: float = 5.0
+    give_up_after: int = 10
+    """Failures in a row of a part beside the flight; those of the outside world do not count, it may come back at any time."""
+
+
+async def keep_alive(name: str, body: Body, policy: Restart, health: Health, clock: Clock) -> None:
+    """Run a vital `body` again after each `Recoverable`; anything else propagates. A body that returns is done for good."""
+    delay_s = policy.first_s
+    while True:
+        began = clock.now()
+        try:
+            health.up(name)
+            await uncancelled(name, body)
+            return
+        except* Recoverable as group:
+            health.down(name, group)
+            log.warning("%s failed and will be restarted: %s", name, in_words(group))
+        if seconds_between(began, clock.now()) >= policy.healthy_after_s:
+            delay_s = policy.first_s
+        await clock.sleep(delay_s)
+        delay_s = min(delay_s * policy.factor, policy.cap_s)
+
+
+async def contain(name: str, body: Body, policy: Restart, health: Health, clock: Clock) -> None:
+    """Run a `body` beside the flight again after whatever it raises. Raises nothing but its own cancellation.
+
+    An error that is not the outside world's (`Recoverable`, `OSError`) is logged with its traceback the first time, and
+    `policy.give_up_after` of them in a row end the part for good. A body that returns is done.
+    """
+    delay_s, in_a_row = policy.first_s, 0
+    while True:
+        began = clock.now()
+        try:
+            health.up(name)
+            await uncancelled(name, body)
+            return
+        except asyncio.CancelledError:
+            raise
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            why = error
+        if _cancelled():  # it failed on its way out
+            report("%s failed while it ended", name, why=why)
+            raise asyncio.CancelledError from why
+        if seconds_between(began, clock.now()) >= policy.healthy_after_s:
+            delay_s, in_a_row = policy.first_s, 0
+        if _of_the_world(why):
+            log.warning("%s failed and will be restarted: %s", name, in_words(why))
+        else:
+            in_a_row += 1
+            if health.contain(name) == 1:
+                report("%s failed and will be restarted; the flight goes on", name, why=why)
+        if in_a_row >= policy.give_up_after:
+            words = f"off after {in_a_row} failures: {in_words(why)}"
+            health.down(name, RuntimeError(words))
+            log.error("%s is %s", name, words)
+            return
+        health.down(name, why)
+        await clock.sleep(delay_s)
+        delay_s = min(delay_s * policy.factor, policy.cap_s)
+
+
+async def run(
+    parts: Mapping[str, Body],
+    policy: Restart,
+    health: Health,
+    clock: Clock,
+    until: asyncio.Event | None = None,
+    beside: Mapping[str, Body] | None = None,
+) -> None:
+    """All parts until each vital one has returned, `until` is set, a vital one has failed for good, or we are cancelled.
+
+    The vital parts end first, so that the vehicle has its parting word whatever the others do; those have `CLOSE_S` then.
+
+    Args:
+        parts: the vital ones.
+        beside: those that the flight does not need.
+
+    Raises:
+        ExceptionGroup: whatever escaped a vital part other than `Recoverable`.
+    """
+    for name in parts:
+        health.vital(name)
+    others = [asyncio.create_task(contain(name, body, policy, health, clock), name=name) for name, body in (beside or {}).items()]
+    try:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(keep_alive(name, body, policy, health, clock), name=name) for name, body in parts.items()]
+            if until is not None:
+                await until.wait()
+                for task in tasks:
+                    task.cancel()
+    finally:
+        await _close(others)
+
+
+async def uncancelled(name: str, body: Body) -> None:
+    """Run `body`, where a cancellation that nobody asked for is a fault: a TaskGroup would take it for an orderly end.
+
+    So is `sys.exit`, in the body or in a task of its own: it would end the process in silence, and with 0 as if all were well.
+    That a task's `SystemExit` arrives here at all takes the loop of `companion.runtime.event_loop`; asyncio's own breaks.
+
+    Raises:
+        RuntimeError: that fault.
+    """
+    try:
+        await body()
+    except SystemExit as why:
+        raise RuntimeError(f"{name} called sys.exit({why.code!r})") from why
+    except asyncio.CancelledError as why:
+        if _cancelled():
+            raise
+        raise RuntimeError(f"{name} was cancelled by none of us") from why
+
+
+async def _close(tasks: list[asyncio.Task[None]]) -> None:
+    for task in tasks:
+        task.cancel()
+    if tasks:
+        _, left = await asyncio.wait(tasks, timeout=CLOSE_S)
+        for task in left:
+            log.error("%s did not end within %.1f s and is abandoned", task.get_name(), CLOSE_S)
+
+
+def _cancelled() -> bool:
+    task = asyncio.current_task()
+    return task is not None and task.cancelling() > 0
+
+
+def _of_the_world(error: BaseException) -> bool:
+    if isinstance(error, BaseExceptionGroup):
+        return all(_of_the_world(one) for one in error.exceptions)
+    return isinstance(error, (Recoverable, OSError))

@@ -1,0 +1,183 @@
+"""What to send to the drone in each period: REF, PCMD and the watchdog reset, from the newest command and navdata. No I/O.
+
+The bit `REF_TAKE_OFF` is the wish to be in the air: a flying drone that gets a REF without it lands. So it stays set in flight
+and is cleared only for a commanded landing or on the ground; while the drone's state is not known no REF is sent at all.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from drivers.ardrone.arbiter import HOVER, STAY_UP, Word
+from drivers.ardrone.at import PCMD_PROGRESSIVE, REF_BASE, REF_EMERGENCY, Pcmd
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.landing_watch import ORDERED_ABOVE_M, SILENT_ABOVE_M, DroneReport, LandingWatch
+from drivers.ardrone.navdata import ControlState, Navdata, State
+from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.velocity_loop import RESET, acceleration_of, step
+from estimator.contracts.commands import Command, Land, TakeOff, Velocity
+from estimator.contracts.samples import Attitude, BodyVelocity, Sample
+from estimator.contracts.time import MonoNs, after, seconds_between
+
+_EMERGENCY_PERIODS = 3
+"""The drone acts on the rising edge; three periods survive a lost datagram."""
+_ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
+_NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
+
+
+class _Motion(NamedTuple):
+    """A velocity that guidance asks for."""
+
+    velocity: Velocity
+    asked_at: MonoNs
+
+
+class _Landing(NamedTuple):
+    """A commanded landing that is not finished yet."""
+
+    renewed_at: MonoNs
+    standing: bool
+    """A person ordered it, and nobody has to renew it."""
+
+
+class CommandStreamer:
+    """Holds the newest command and the newest word of the drone.
+
+    A take-off holds until the drone flies; it is given up after `take_off_timeout_s` or an emergency. A landing is renewed in
+    each guidance cycle; any other command, or `landing_timeout_s` without one, calls it off, except near the ground, where the
+    drone finishes it. A landing that a person ordered holds until the drone stands or is told to take off. A landing that the
+    firmware began because nobody spoke to it is called off. Velocity and hover act on the sticks alone.
+    """
+
+    def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
+        self._o = options
+        self._counters = counters
+        self._motion: _Motion | None = None
+        """None to hover."""
+        self._take_off_at: MonoNs | None = None
+        self._landing: _Landing | None = None
+        self._taken_back = False
+        """Guidance gave another command after its landing."""
+        self._watch = LandingWatch()
+        self._emergency_periods = 0
+        self._state: int | None = None
+        self._heard_at: MonoNs | None = None
+        self._control: ControlState | None = None
+        self._velocity: BodyVelocity | None = None
+        self._attitude: Attitude | None = None
+        self._loop = RESET
+        self._stepped: MonoNs | None = None
+
+    @property
+    def flying(self) -> bool | None:
+        """As navdata says; None before any."""
+        return None if self._state is None else bool(self._state & State.FLYING)
+
+    @property
+    def landing(self) -> bool:
+        """Whether a commanded landing is not finished yet."""
+        return self._landing is not None
+
+    def take(self, command: Command, now: MonoNs) -> None:
+        """The newest command."""
+        if isinstance(command, TakeOff):
+            self._take_off_at, self._landing, self._motion = now, None, None
+        elif isinstance(command, Land):
+            standing = command.standing or (self._landing is not None and self._landing.standing)
+            self._landing = _Landing(now, standing)
+            self._take_off_at, self._motion, self._taken_back = None, None, False
+        else:
+            self._motion = _Motion(command, now) if isinstance(command, Velocity) else None
+            if self._landing is not None and not self._landing.standing:
+                self._landing, self._taken_back = None, True
+
+    def toggle_emergency(self) -> None:
+        """Cut the motors, or leave the emergency state, with the next period. Never done but on request."""
+        self._emergency_periods = _EMERGENCY_PERIODS
+        self._take_off_at = None
+
+    def on_navdata(self, navdata: Navdata, now: MonoNs) -> None:
+        """The newest datagram in order."""
+        self._state, self._heard_at = navdata.state, now
+        if (control := navdata.control_state) is not None:
+            self._control = control
+        self._watch.on_report(DroneReport.of(navdata), now, ordered=self._landing is not None)
+        if self._state & State.FLYING or self._state & State.EMERGENCY:
+            self._take_off_at = None
+        elif self._control in _ON_GROUND:
+            self._landing, self._taken_back = None, False
+
+    def on_sample(self, sample: Sample) -> None:
+        """What the drone measured; velocity and attitude are what steering needs."""
+        if isinstance(sample, BodyVelocity):
+            self._velocity = sample
+        elif isinstance(sample, Attitude):
+            self._attitude = sample
+
+    def word(self, now: MonoNs) -> Word:
+        """The word of this period, with the instant until which it may be flown."""
+        watchdog = self._state is not None and bool(self._state & State.COM_WATCHDOG)
+        self._counters.watchdog_resets += watchdog
+        ref = self._ref_bits(now)
+        sticks = self._sticks(now)
+        # A velocity ends with the guidance cycle that it came from, not with the period that repeats it.
+        since = now if self._motion is None or sticks is HOVER else self._motion.asked_at
+        landing = self._landing is not None and not self._landing.standing
+        return Word(after(since, self._o.command_timeout_s), sticks, ref, landing, watchdog)
+
+    def leave(self, now: MonoNs) -> Word:
+        """The last word: hover where it is, or go on with a landing that was commanded."""
+        self._take_off_at = None
+        return Word(after(now, self._o.command_timeout_s), HOVER, self._ref_bits(now))
+
+    def _unknown(self, now: MonoNs) -> bool:
+        return self._heard_at is None or seconds_between(self._heard_at, now) > self._o.navdata_silence_s
+
+    def _ref_bits(self, now: MonoNs) -> int | None:
+        if self._take_off_at is not None and seconds_between(self._take_off_at, now) > self._o.take_off_timeout_s:
+            self._take_off_at = None
+            self._counters.take_offs_given_up += 1
+        if self._emergency_periods:
+            self._emergency_periods -= 1
+            return REF_BASE | REF_EMERGENCY
+        if self._landing is not None and not self._landing.standing:
+            silent = seconds_between(self._landing.renewed_at, now) > self._o.landing_timeout_s
+            if silent and self._watch.calls_off(now):
+                self._landing, self._taken_back = None, True
+                self._counters.landings_given_up += 1
+        if self._landing is not None:
+            return REF_BASE
+        if self._take_off_at is not None:
+            return STAY_UP
+        if self._unknown(now):
+            return None
+        if self.flying and self._control is ControlState.LANDING:
+            if self._watch.calls_off(now, ORDERED_ABOVE_M if self._taken_back else SILENT_ABOVE_M):
+                self._counters.landings_called_off += 1
+                return STAY_UP
+            return None
+        return STAY_UP if self.flying else REF_BASE
+
+    def _sticks(self, now: MonoNs) -> Pcmd:
+        motion = self._motion
+        steerable = bool(self.flying) and self._landing is None and self._control not in _NOT_STEERABLE
+        if motion is None or not steerable:
+            return self._hover()
+        if seconds_between(motion.asked_at, now) > self._o.command_timeout_s:
+            self._counters.hover_for_age += 1
+            return self._hover()
+        measured = self._velocity
+        if measured is None or seconds_between(measured.stamp.measured_at, now) > self._o.velocity_timeout_s:
+            self._counters.hover_for_blindness += 1
+            return self._hover()
+        dt_s = 0.0 if self._stepped is None else seconds_between(self._stepped, now)
+        attitude = self._attitude
+        recent = attitude is not None and seconds_between(attitude.stamp.measured_at, now) <= self._o.velocity_timeout_s
+        a_level = acceleration_of(attitude.R_ned_body) if attitude is not None and recent else None
+        self._loop, sticks = step(self._loop, motion.velocity, measured.v_level, a_level, dt_s, self._o.loop)
+        self._stepped = now
+        return Pcmd(PCMD_PROGRESSIVE, sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw)
+
+    def _hover(self) -> Pcmd:
+        self._loop, self._stepped = RESET, None
+        return HOVER

@@ -1,0 +1,203 @@
+"""Frames from a V4L2 camera, stamped by the kernel, decoded on one worker thread, the newest only.
+
+Source of what buffers mean: Linux media documentation, struct v4l2_buffer (flags, timestamp, sequence).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.camera.images import claimed_size
+from drivers.camera.v4l2_device import Buffer, Device, KernelDevice
+from drivers.camera.v4l2_formats import H264Decoder, Layout, to_bgr
+from drivers.camera.v4l2_names import cameras, find
+from drivers.camera.video_source import Camera, CameraLost
+from drivers.camera.video_source_options import V4l2Options
+from estimator.contracts.ports import Clock
+from estimator.contracts.samples import Frame
+from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+
+log = logging.getLogger(__name__)
+
+_OLDEST_S = 2.0
+"""A buffer stamped longer ago than this was not stamped by our clock."""
+_AHEAD_S = 0.005
+"""A driver that stamps by the kernel's tick may be ahead by one; further ahead nothing can have happened yet."""
+_WRAP = 1 << 32
+
+OpenDevice = Callable[[str, V4l2Options], Device]
+
+
+class V4l2Channel:
+    """One run from opening to unplugging; run it again after that."""
+
+    def __init__(self, options: V4l2Options, clock: Clock, camera: Camera, open_device: OpenDevice = KernelDevice) -> None:
+        self._o = options
+        self._clock = clock
+        self._camera = camera
+        self._open = open_device
+        self._h264 = H264Decoder()
+
+    async def run(self) -> None:
+        """Until the camera is gone or silent.
+
+        Raises:
+            CameraLost: absent, unplugged or silent.
+            BadInput, SetupImpossible: as `KernelDevice`.
+        """
+        loop = asyncio.get_running_loop()
+        self._h264.broken()
+        with ThreadPoolExecutor(1, "v4l2") as pool:
+            opening = loop.run_in_executor(pool, self._opened)
+            try:
+                device = await asyncio.shield(opening)
+            except asyncio.CancelledError:
+                if not isinstance(opened := (await asyncio.gather(opening, return_exceptions=True))[0], BaseException):
+                    opened.close()
+                raise
+            try:
+                self._camera.down = None
+                await self._watch(device, pool)
+            finally:
+                # A buffer still being decoded was copied out, so the device may go at once; its closing may block for long.
+                await asyncio.shield(loop.run_in_executor(pool, device.close))
+
+    def _opened(self) -> Device:
+        name = self._o.device
+        path = find(name, cameras())
+        if path is None:
+            there = ", ".join(str(c.path) for c in cameras())
+            raise CameraLost("absent", f"{name}: no such camera; there is {there or 'none at all'}")
+        try:
+            return self._open(str(path), self._o)
+        except OSError as why:
+            gone = why.errno in (errno.ENODEV, errno.ENOENT, errno.ENXIO)
+            raise CameraLost("absent" if gone else "failed", f"{name}: {why.strerror or why}") from why
+
+    async def _watch(self, device: Device, pool: ThreadPoolExecutor) -> None:
+        loop = asyncio.get_running_loop()
+        counters = self._camera.counters
+        last: int | None = None
+        while True:
+            received_at = await self._readable(device)
+            batch = self._drain(device)
+            counters.buffers += len(batch)
+            gap = 0
+            for buffer in batch:
+                if last is not None:
+                    missed = (buffer.sequence - last - 1) % _WRAP
+                    gap += missed if missed < _WRAP // 2 else 0
+                last = buffer.sequence
+            counters.frames_lost += gap
+            if not batch:
+                continue
+            seen = await loop.run_in_executor(pool, self._newest, device, batch, gap > 0)
+            if seen is None:
+                continue
+            buffer, px = seen
+            exposure_s = self._o.exposure_s if device.exposure_s is None else device.exposure_s
+            stamp, refused = stamp_of(buffer, received_at, self._o, exposure_s)
+            counters.stamps_refused += refused
+            counters.frames += 1
+            frame = Frame(stamp, buffer.sequence, px, exposure_s)
+            counters.frames_replaced += self._camera.frames.offer(frame) is not None
+
+    async def _readable(self, device: Device) -> MonoNs:
+        """When the device had something to say."""
+        loop = asyncio.get_running_loop()
+        ready: asyncio.Future[MonoNs] = loop.create_future()
+        fd = device.fileno()
+        # Level-triggered: left in place it would spin for as long as a frame is being decoded.
+        loop.add_reader(fd, lambda: None if ready.done() else ready.set_result(self._clock.now()))
+        try:
+            async with asyncio.timeout(self._o.timeouts.silence_s):
+                return await ready
+        except TimeoutError as why:
+            raise CameraLost("silent", f"{self._o.device}: no frame for {self._o.timeouts.silence_s:g} s") from why
+        finally:
+            loop.remove_reader(fd)
+
+    def _drain(self, device: Device) -> list[Buffer]:
+        batch: list[Buffer] = []
+        try:
+            while len(batch) < self._o.buffers and (buffer := device.dequeue()) is not None:
+                batch.append(buffer)
+        except OSError as why:
+            raise CameraLost("unplugged", f"{self._o.device}: {why.strerror or why}") from why
+        return batch
+
+    def _newest(self, device: Device, batch: Sequence[Buffer], gap: bool) -> tuple[Buffer, NDArray[np.uint8]] | None:
+        if device.layout.format == "H264":
+            return self._newest_h264(device, batch, gap)
+        counters = self._camera.counters
+        good = [buffer for buffer in batch if buffer.data and not buffer.error]
+        counters.frames_damaged += len(batch) - len(good)
+        while good:
+            buffer = good.pop()
+            px = to_bgr(buffer.data, device.layout)
+            if px is not None:
+                counters.frames_overtaken += len(good)
+                return buffer, px
+            counters.frames_damaged += 1
+            self._note_size(buffer.data, device.layout)
+        return None
+
+    def _note_size(self, data: bytes, layout: Layout) -> None:
+        """Count a JPEG of another size than was agreed; the first is named in the log."""
+        claimed = claimed_size(data) if layout.format == "MJPG" else None
+        if claimed is None or claimed == (layout.width, layout.height):
+            return
+        self._camera.counters.frames_wrong_size += 1
+        if self._camera.counters.frames_wrong_size == 1:
+            log.warning(
+                "%s: an image claims %dx%d px in place of %dx%d: such ones are not decoded, and counted",
+                self._o.device, *claimed, layout.width, layout.height,
+            )  # fmt: skip
+
+    def _newest_h264(self, device: Device, batch: Sequence[Buffer], gap: bool) -> tuple[Buffer, NDArray[np.uint8]] | None:
+        counters, decoder = self._camera.counters, self._h264
+        if gap:
+            decoder.broken()
+        seen: tuple[Buffer, NDArray[np.uint8]] | None = None
+        for buffer in batch:
+            if buffer.error:
+                decoder.broken()
+            waited = decoder.waiting
+            px = None if buffer.error else decoder.decode(buffer.data, device.layout)
+            if px is not None:
+                counters.frames_overtaken += seen is not None
+                seen = buffer, px
+            elif waited and decoder.waiting and not buffer.error:
+                counters.frames_waiting += 1
+            else:
+                counters.frames_damaged += 1
+        return seen
+
+
+def stamp_of(buffer: Buffer, received_at: MonoNs, options: V4l2Options, exposure_s: float) -> tuple[Stamp, bool]:
+    """The middle of the exposure, and whether the kernel's stamp had to be refused (future, or older than 2 s).
+
+    A stamp of the start of the exposure lies half an exposure before its middle, one of the end of the transfer half an exposure
+    behind it; `latency_s` comes on top. Where the exposure is not known, half a frame's time is added to the variance.
+    """
+    unknown_s = 0.5 / options.rate_hz / math.sqrt(3.0) if exposure_s == 0.0 else 0.0
+    sigma_s = math.hypot(options.latency_sigma_s, unknown_s)
+    half_s = 0.5 * exposure_s if buffer.at_start else -0.5 * exposure_s
+    stamped = MonoNs(buffer.stamp_ns)
+    measured_at = after(stamped, half_s - options.latency_s)
+    possible = (
+        -_AHEAD_S <= seconds_between(stamped, received_at) <= _OLDEST_S
+        and seconds_between(received_at, measured_at) <= 5.0 * sigma_s
+    )
+    if buffer.monotonic and possible:
+        return Stamp(measured_at, received_at, sigma_s, "kernel"), False
+    measured_at = after(received_at, -0.5 * exposure_s - max(0.0, options.latency_s))
+    return Stamp(measured_at, received_at, math.hypot(sigma_s, options.arrival_sigma_s), "arrival"), buffer.monotonic

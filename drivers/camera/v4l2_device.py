@@ -1,0 +1,242 @@
+"""One V4L2 capture device through linuxpy: the only module that knows the kernel's calls.
+
+A device speaks `OSError`; what it cannot do is `BadInput`, and a file that is no camera is `SetupImpossible`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import errno
+import mmap
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from linuxpy.video import device as kernel
+from linuxpy.video import raw
+
+from drivers.camera.v4l2_formats import Layout
+from drivers.camera.video_source_options import FORMATS, V4l2Options
+from estimator.contracts.errors import BadInput, SetupImpossible
+
+_CAPTURE = kernel.BufferType.VIDEO_CAPTURE
+_MMAP = kernel.Memory.MMAP
+_EXPOSURE_ABSOLUTE = 0x009A0902
+_EXPOSURE_AUTO = 0x009A0901
+_MANUAL = (1, 2)
+"""Of V4L2_CID_EXPOSURE_AUTO: manual, and shutter priority, which fixes the time too."""
+_NUMBERS = {kernel.ControlType.INTEGER, kernel.ControlType.INTEGER64}
+_CHOICES = {kernel.ControlType.BOOLEAN, kernel.ControlType.MENU, kernel.ControlType.INTEGER_MENU}
+
+
+@dataclass(frozen=True, slots=True)
+class Buffer:
+    """One buffer as the kernel handed it over, copied out."""
+
+    data: bytes
+    sequence: int
+    """The device's own count of frames."""
+    stamp_ns: int
+    monotonic: bool
+    """`stamp_ns` is CLOCK_MONOTONIC; otherwise its clock is not known."""
+    at_start: bool
+    """`stamp_ns` is of the start of the exposure; otherwise of the end of the transfer."""
+    error: bool
+    """The kernel says the content is damaged."""
+
+
+class Device(Protocol):
+    """What the driver asks of a device."""
+
+    layout: Layout
+    rate_hz: float
+    exposure_s: float | None
+
+    def fileno(self) -> int: ...
+
+    def dequeue(self) -> Buffer | None:
+        """The oldest waiting buffer, None when none waits.
+
+        Raises:
+            OSError: the device is gone.
+        """
+        ...
+
+    def close(self) -> None: ...
+
+
+class KernelDevice:
+    """An open device, set as asked and streaming.
+
+    Raises:
+        OSError: it cannot be opened, is busy or went away.
+        BadInput: it cannot do what the options ask; the text says what it can.
+        SetupImpossible: no permission, or not a camera.
+    """
+
+    def __init__(self, path: str, options: V4l2Options) -> None:
+        self._path = path
+        self._maps: list[mmap.mmap] = []
+        self._device = kernel.Device(path)
+        try:
+            self._device.open()
+        except PermissionError as why:
+            raise SetupImpossible(f"camera {path}: no permission; the user must be in the group that owns it (video)") from why
+        try:
+            self._check()
+            self.layout, self.rate_hz = self._set_format(options)
+            self._set_controls(options.controls)
+            self.exposure_s = self._exposure()
+            self._stream(options.buffers)
+        except BaseException:
+            self.close()
+            raise
+
+    def fileno(self) -> int:
+        return int(self._device.fileno())
+
+    def dequeue(self) -> Buffer | None:
+        try:
+            buff = kernel.dequeue_buffer(self._device, _CAPTURE, _MMAP)
+        except BlockingIOError:
+            return None
+        try:
+            data = self._maps[buff.index][: buff.bytesused]
+        finally:
+            kernel.enqueue_buffer(self._device, _CAPTURE, _MMAP, 0, buff.index)
+        flags, stamp, at = int(buff.flags), buff.timestamp, raw.BufferFlag
+        return Buffer(
+            data,
+            int(buff.sequence),
+            stamp.secs * 1_000_000_000 + stamp.usecs * 1_000,
+            flags & at.TIMESTAMP_MASK == at.TIMESTAMP_MONOTONIC,
+            flags & at.TSTAMP_SRC_MASK == at.TSTAMP_SRC_SOE,
+            bool(flags & at.ERROR),
+        )
+
+    def close(self) -> None:
+        if self._device.closed:
+            return
+        with contextlib.suppress(OSError):  # unplugged, or never begun
+            kernel.stream_off(self._device, _CAPTURE)
+        for m in self._maps:
+            m.close()
+        self._maps = []
+        self._device.close()
+
+    def _check(self) -> None:
+        try:
+            caps = kernel.Capability(kernel.read_capabilities(self._device).device_caps)
+        except OSError as why:
+            if why.errno in (errno.ENOTTY, errno.EINVAL):
+                raise SetupImpossible(f"camera {self._path}: not a video device") from why
+            raise
+        if kernel.Capability.VIDEO_CAPTURE not in caps or kernel.Capability.STREAMING not in caps:
+            what = "only multi-planar" if kernel.Capability.VIDEO_CAPTURE_MPLANE in caps else "no"
+            raise SetupImpossible(f"camera {self._path}: it offers {what} video capture (another node of it may)")
+
+    def _set_format(self, o: V4l2Options) -> tuple[Layout, float]:
+        offered = {f.pixel_format.human_str(): None for f in kernel.iter_read_formats(self._device, _CAPTURE)}
+        wanted = [f for f in FORMATS if f in offered] if o.format == "auto" else [o.format] if o.format in offered else []
+        if not wanted:
+            asked = f"none of {', '.join(FORMATS)}" if o.format == "auto" else f"no {o.format}"
+            raise BadInput(f"camera {self._path}: it offers {asked}; it has {', '.join(offered) or 'nothing'}")
+        best: tuple[float, str] | None = None
+        sizes = []
+        for name in wanted:
+            layout, rate_hz = self._try(name, o)
+            if (layout.format, layout.width, layout.height) != (name, o.width, o.height):
+                sizes.append(f"{layout.width}x{layout.height} ({name})")
+                continue
+            if rate_hz >= 0.9 * o.rate_hz:
+                return layout, rate_hz
+            if best is None or rate_hz > best[0]:
+                best = rate_hz, name
+        if best is None:
+            raise BadInput(f"camera {self._path}: no frame of {o.width}x{o.height} px; the nearest is {', '.join(sizes)}")
+        return self._try(best[1], o)
+
+    def _try(self, name: str, o: V4l2Options) -> tuple[Layout, float]:
+        kernel.set_format(self._device, _CAPTURE, o.width, o.height, name)
+        rate_hz = 0.0
+        try:
+            kernel.set_fps(self._device, _CAPTURE, o.rate_hz)
+            rate_hz = float(kernel.get_fps(self._device, _CAPTURE))
+        except OSError as why:
+            if why.errno not in (errno.ENOTTY, errno.EINVAL):
+                raise
+            rate_hz = o.rate_hz  # it has no say over its rate
+        except ZeroDivisionError:
+            rate_hz = o.rate_hz
+        got = kernel.get_raw_format(self._device, _CAPTURE).fmt.pix
+        fourcc = kernel.human_pixel_format(int(got.pixelformat))
+        return Layout(fourcc, int(got.width), int(got.height), int(got.bytesperline)), rate_hz
+
+    def _controls(self) -> dict[str, Any]:
+        return {_control_name(c.name.decode()): c for c in kernel.iter_read_controls(self._device)}
+
+    def _set_controls(self, wanted: Mapping[str, int | bool | str]) -> None:
+        there = self._controls() if wanted else {}
+        for name in wanted:
+            if name not in there:
+                near = difflib.get_close_matches(name, there, n=3) or sorted(there)
+                raise BadInput(f"camera {self._path}: no control {name!r}; it has {', '.join(near)}")
+        # Switches first: while a camera governs its exposure itself, it refuses or forgets a time that is set.
+        for name in sorted(wanted, key=lambda n: there[n].type not in _CHOICES):
+            self._set_control(name, there[name], wanted[name])
+
+    def _set_control(self, name: str, control: Any, value: int | bool | str) -> None:
+        if control.type == kernel.ControlType.BUTTON:
+            raise BadInput(f"camera {self._path}: control {name!r} is a button and holds no value")
+        if control.type not in _NUMBERS | _CHOICES:
+            raise BadInput(f"camera {self._path}: control {name!r} is of a kind that cannot be set here")
+        number = self._menu(name, control, value) if isinstance(value, str) else int(value)
+        low, high = int(control.minimum), int(control.maximum)
+        if not low <= number <= high:
+            raise BadInput(f"camera {self._path}: control {name!r} must lie in {low}..{high}, got {value!r}")
+        try:
+            kernel.set_control(self._device, control.id, number)
+            held = int(kernel.get_control(self._device, control.id))
+        except OSError as why:
+            if why.errno == errno.ENODEV:
+                raise
+            raise BadInput(f"camera {self._path}: control {name!r} cannot be set to {value!r} now ({why.strerror})") from why
+        if abs(held - number) >= max(1, int(control.step)):
+            raise BadInput(f"camera {self._path}: control {name!r} was set to {number} but holds {held}")
+
+    def _menu(self, name: str, control: Any, label: str) -> int:
+        entries: dict[str, int] = {}
+        if control.type == kernel.ControlType.MENU:
+            query = raw.v4l2_querymenu()
+            query.id = control.id
+            span = kernel.iter_read(
+                self._device, kernel.IOC.QUERYMENU, query, int(control.minimum), int(control.maximum) + 1, 1, ignore_einval=True
+            )
+            entries = {item.name.decode(): int(item.index) for item in span}
+        for entry, number in entries.items():
+            if entry.lower() == label.lower():
+                return number
+        known = f"one of {', '.join(map(repr, entries))}" if entries else "a number"
+        raise BadInput(f"camera {self._path}: control {name!r} must be {known}, got {label!r}")
+
+    def _exposure(self) -> float | None:
+        """Seconds, when the camera holds its exposure fixed and says how long it is."""
+        try:
+            if kernel.get_control(self._device, _EXPOSURE_AUTO) not in _MANUAL:
+                return None
+            return int(kernel.get_control(self._device, _EXPOSURE_ABSOLUTE)) * 100e-6
+        except OSError:
+            return None
+
+    def _stream(self, count: int) -> None:
+        granted = kernel.request_buffers(self._device, _CAPTURE, _MMAP, count).count
+        for index in range(granted):
+            self._maps.append(kernel.mmap_from_buffer(self._device, kernel.query_buffer(self._device, _CAPTURE, _MMAP, index)))
+        kernel.enqueue_buffers(self._device, _CAPTURE, _MMAP, granted)
+        kernel.stream_on(self._device, _CAPTURE)
+
+
+def _control_name(text: str) -> str:
+    """As v4l2-ctl writes it: lower case, each run of other characters one underscore."""
+    return "_".join("".join(c if c.isalnum() else " " for c in text.lower()).split())

@@ -1,0 +1,113 @@
+"""Bytes of a V4L2 buffer to a BGR frame. Wire input never raises: what cannot be read is None."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import av
+import cv2
+import numpy as np
+from av.error import FFmpegError
+from av.video.codeccontext import VideoCodecContext
+from numpy.typing import NDArray
+
+from drivers.camera.images import ImageRefused, decode
+from drivers.camera.videos import most_pixels
+
+U8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What the device said it will send."""
+
+    format: str
+    width: int
+    height: int
+    bytes_per_line: int
+    """0 for compressed formats."""
+
+
+def to_bgr(data: bytes, layout: Layout) -> U8 | None:
+    """One buffer of a format whose frames stand alone, as (H, W, 3) BGR; None when it is torn, damaged or of another size.
+
+    YUYV and NV12 are taken as BT.601 with studio swing, what webcams send and V4L2 assumes for standard definition.
+    """
+    if layout.format == "MJPG":
+        return _jpeg(data, layout)
+    w, h, stride = layout.width, layout.height, layout.bytes_per_line
+    rows = h * 3 // 2 if layout.format == "NV12" else h
+    if len(data) < rows * stride:
+        return None
+    lines = np.frombuffer(data, np.uint8, rows * stride).reshape(rows, stride)
+    if layout.format == "YUYV":
+        return _u8(cv2.cvtColor(lines[:, : 2 * w].reshape(h, w, 2), cv2.COLOR_YUV2BGR_YUYV))
+    if layout.format == "NV12":
+        return _u8(cv2.cvtColor(np.ascontiguousarray(lines[:, :w]), cv2.COLOR_YUV2BGR_NV12))
+    return _u8(cv2.cvtColor(np.ascontiguousarray(lines[:, :w]), cv2.COLOR_GRAY2BGR))
+
+
+def _jpeg(data: bytes, layout: Layout) -> U8 | None:
+    # The decoder fills what a torn frame lacks with grey and says nothing, hence the end mark; drivers pad with zeros.
+    whole = data.rstrip(b"\0")
+    if not (whole.startswith(b"\xff\xd8") and whole.endswith(b"\xff\xd9")):
+        return None
+    try:
+        return decode(whole, (layout.width, layout.height))
+    except ImageRefused:
+        return None
+
+
+def _u8(px: NDArray[np.generic]) -> U8:
+    return np.asarray(px, dtype=np.uint8)
+
+
+class H264Decoder:
+    """Access units in Annex B, in order. After damage everything is dropped up to the next frame that stands alone."""
+
+    def __init__(self) -> None:
+        self._codec: VideoCodecContext | None = None
+
+    def broken(self) -> None:
+        """Units were lost: what follows cannot be read until the next IDR."""
+        self._codec = None
+
+    @property
+    def waiting(self) -> bool:
+        """For an IDR."""
+        return self._codec is None
+
+    def decode(self, unit: bytes, layout: Layout) -> U8 | None:
+        """One access unit as (H, W, 3) BGR; None while waiting, or when it is damaged (then it waits)."""
+        if self._codec is None:
+            if not stands_alone(unit):
+                return None
+            self._codec = VideoCodecContext.create("h264", "r")
+            self._codec.thread_type = "NONE"
+            self._codec.options = {
+                "err_detect": "explode",
+                "max_pixels": str(most_pixels((layout.width, layout.height))),
+                "flags": "low_delay",
+            }
+        try:
+            frame_images = self._codec.decode(av.Packet(unit))
+        except FFmpegError:
+            frame_images = []
+        if (
+            len(frame_images) != 1
+            or frame_images[0].is_corrupt
+            or (frame_images[0].width, frame_images[0].height) != (layout.width, layout.height)
+        ):
+            self._codec = None
+            return None
+        return _u8(frame_images[0].to_ndarray(format="bgr24"))
+
+
+def stands_alone(unit: bytes) -> bool:
+    """Whether an access unit holds an IDR slice (NAL type 5) and can be read without those before it."""
+    at = unit.find(b"\0\0\1")
+    while at != -1 and at + 3 < len(unit):
+        if unit[at + 3] & 0x1F == 5:
+            return True
+        at = unit.find(b"\0\0\1", at + 3)
+    return False

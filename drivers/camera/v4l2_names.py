@@ -1,0 +1,70 @@
+"""Which cameras are there, and which of them a name means. Device numbers move with each boot and each plug; names do not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from estimator.contracts.errors import BadInput
+
+BY_NAME = (Path("/dev/v4l/by-id"), Path("/dev/v4l/by-path"))
+SYSFS = Path("/sys/class/video4linux")
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A capture device of this machine."""
+
+    path: Path
+    """The most stable path there is: by-id, by-path, else /dev/videoN."""
+    node: Path
+    """/dev/videoN as of now."""
+    card: str
+    """What the driver calls it."""
+    body: Path
+    """The piece of hardware in sysfs; several nodes may be of one."""
+    index: int = 0
+    """Among the nodes of one body: the first gives frames, a second often metadata."""
+
+
+def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path = Path("/dev")) -> list[Found]:
+    """Every video device with its most stable path, in order of that path."""
+    stable: dict[Path, Path] = {}
+    for folder in reversed(by_name):
+        for link in sorted(folder.iterdir()) if folder.is_dir() else ():
+            stable[link.resolve()] = link
+    found = []
+    for entry in sysfs.iterdir() if sysfs.is_dir() else ():
+        if not entry.name.startswith("video"):
+            continue
+        node, device = dev / entry.name, entry / "device"
+        body = device.resolve() if device.exists() else entry
+        found.append(Found(stable.get(node, node), node, _text(entry / "name"), body, int(_text(entry / "index") or 0)))
+    return sorted(found, key=lambda f: str(f.path))
+
+
+def find(text: str, there: list[Found]) -> Path | None:
+    """The path that `text` means: itself when it is a path, else the one camera whose stable name or card holds it.
+
+    Of several nodes of one camera (many have one for frames and one for metadata) the first is meant.
+    None when there is no such camera at the moment.
+
+    Raises:
+        BadInput: more than one camera answers to it.
+    """
+    if "/" in text:
+        path = Path(text)
+        return path if path.exists() else None
+    matches = [f for f in there if text.lower() in f.path.name.lower() or text.lower() in f.card.lower() or text == f.node.name]
+    exact = [f for f in matches if text in (f.path.name, f.node.name)]
+    matches = sorted(exact or matches, key=lambda f: f.index)
+    if len({f.body for f in matches}) > 1:
+        raise BadInput(f"camera {text!r} may be any of {', '.join(str(f.path) for f in matches)}; give more of its name")
+    return matches[0].path if matches else None
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text().strip()
+    except OSError:
+        return ""

@@ -1,0 +1,52 @@
+"""Video files and streams opened with a bound on the size of their frames, which the decoder obeys before it takes memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import av
+from av.container import InputContainer
+
+from drivers.camera.images import MOST_PIXELS, ImageRefused
+
+MOST_PACKET_BYTES = 32 << 20
+"""Largest size of an encoded frame: that of an uncompressed one of 10 million pixels."""
+_MARGIN = 4
+"""Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
+
+
+def most_pixels(size: tuple[int, int] | None) -> int:
+    """Return the pixels of the largest frame that is decoded where (width, height) are expected, None where anything is."""
+    return MOST_PIXELS if size is None else min(MOST_PIXELS, _MARGIN * size[0] * size[1])
+
+
+def open_video(
+    source: str,
+    size: tuple[int, int] | None = None,
+    *,
+    options: Mapping[str, str] | None = None,
+    codec_options: Mapping[str, str] | None = None,
+    timeout: tuple[float, float] | None = None,
+) -> InputContainer:
+    """Open a file or an address; a frame above the bound then fails to decode.
+
+    Args:
+        size: width and height that are expected; None where they are not known.
+        options: of the container.
+        codec_options: of the decoders.
+        timeout: for opening and for each read, s.
+
+    Raises:
+        FFmpegError, OSError: as `av.open`.
+        ImageRefused: the frames are larger than the bound; the text says so.
+    """
+    bound = {"max_pixels": str(most_pixels(size))}
+    container = av.open(source, options={**(options or {}), **bound}, timeout=timeout)
+    for stream in container.streams.video:
+        codec = stream.codec_context
+        codec.options = {**(codec_options or {}), **bound}
+        if codec.width * codec.height > most_pixels(size):
+            container.close()
+            expected = f"at most {MOST_PIXELS / 1e6:.0f} million pixels" if size is None else f"{size[0]}x{size[1]} px"
+            raise ImageRefused(f"frames of {codec.width}x{codec.height} px, expected {expected}")
+    return container

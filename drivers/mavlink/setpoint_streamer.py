@@ -1,0 +1,349 @@
+"""What to send to an autopilot in each period, from the newest command and what it says of itself. No I/O.
+
+It steers only after it was asked to fly: the first velocity takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4
+OFFBOARD, whose setpoints must stream for a while first). From then on every period carries a setpoint. A person who chooses
+another mode has the vehicle, and is not argued with: nothing is sent until the mode is chosen again, the
+operator starts anew, or the vehicle has landed.
+Nothing that guidance asked for is flown for long without its being asked for again. A velocity or a landing that is not
+renewed becomes a hold at the deck's own velocity, then one over the ground, then the autopilot's hold mode, and our stream ends.
+A landing by velocity is bounded by time and by height as well, renewed or not. A person's needs no renewing and may begin at any
+height; when its time is used up our stream ends all the same, and the autopilot's own landing mode goes on with it.
+When the process itself falls silent the autopilot's own failsafe acts: ArduPilot flies on for 3 s and brakes, PX4 brakes after
+1 s. A landing by the autopilot's own mode (ArduPilot LAND) goes on then, by its own rules for a lost target (PLND_STRICT).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal
+
+import numpy as np
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.setpoint import velocity_setpoint
+from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, TAKE_OFF_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
+from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, seconds_between
+
+STILL = Velocity(np.zeros(3), 0.0)
+_CARRY_S = 1.0
+"""Over which the velocity that a landing is carried on with is averaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamerOptions:
+    """How commands are flown.
+
+    Raises:
+        ValueError: a number out of range.
+    """
+
+    command_timeout_s: float = 0.25
+    """A velocity older than this is flown as standing still."""
+    attitude_timeout_s: float = 0.5
+    """Without a heading younger than this no setpoint is sent."""
+    prestream_s: float = 2.0
+    """Setpoints stream this long before PX4 is asked for OFFBOARD; it refuses before about 1.5 s."""
+    repeat_s: float = 1.0
+    """A mode, arming or take-off that did not come about is asked for again."""
+    tries: int = 5
+    """And then given up."""
+    take_off_height_m: float = 3.0
+    take_off_timeout_s: float = 15.0
+    landing: Literal["by stack", "mode", "velocity"] = "by stack"
+    """Land by the autopilot's own mode (with LANDING_TARGET on ArduPilot), or sink with the mean of the last horizontal
+    velocities, which is the deck's: PX4's own modes hold still over the ground and lose a moving one."""
+    descent_rate_m_s: float = 0.4
+    """Of a landing by velocity."""
+    landing_timeout_s: float = 0.5
+    """A landing that guidance has not asked for again for this long is called off."""
+    landing_most_s: float = 15.0
+    """A landing by velocity that has not ended after this is over, asked for or not; a person's is the autopilot's own then."""
+    landing_depth_m: float = 3.0
+    """A landing by velocity that has come down this far since it began is over too: there is no deck. Not so a person's, which
+    may begin at any height."""
+    carry_s: float = 3.0
+    """Time after the last velocity in which a hold moves with the deck; later it holds over the ground."""
+    hold_mode_after_s: float = 6.0
+    """Time without commands from guidance after which the autopilot is put into its own hold mode and our stream ends."""
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not isinstance(value, str) and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive, got {value!r}")
+
+
+class Hand(Enum):
+    """Who has the vehicle."""
+
+    IDLE = "idle"
+    """We have not been asked to fly it."""
+    TAKING = "taking"
+    """We asked for the velocity mode."""
+    OURS = "ours"
+    LANDING = "landing"
+    HOLDING = "holding"
+    """Guidance is silent: the autopilot is in its own hold mode, or was asked to be."""
+    RELEASED = "released"
+    """A person chose another mode, or the mode was refused."""
+
+
+class SetpointStreamer:
+    """Holds the newest command and decides what to send."""
+
+    def __init__(self, identity: Identity, options: StreamerOptions | None = None) -> None:
+        self._id = identity
+        self._o = options or StreamerOptions()
+        self._motion: Velocity = STILL
+        self._motion_at: MonoNs | None = None
+        self._carried = np.zeros(3)
+        """(3,) m/s, mean of the velocities asked for lately: what follows the deck, without the corrections."""
+        self._way = np.zeros(3)
+        """(3,) m/s in level: what lies below, as it was under the last velocity asked for."""
+        self._steered_at: MonoNs | None = None
+        self._streaming_since: MonoNs | None = None
+        self._take_off_at: MonoNs | None = None
+        self._asked: MonoNs | None = None
+        self._asks = 0
+        self._landed_from = ""
+        self._descending = False
+        self._land = Land()
+        self._land_at = self._land_began = MonoNs(0)
+        self._down_m: float | None = None
+        self._land_from_m: float | None = None
+        self._paused = False
+        """It is not asked for just now; asked for again, it goes on."""
+        self._spent = False
+        """The landing under way has used up its time or its height."""
+        self._condition = Condition()
+        self._attitude: Attitude | None = None
+        self.hand = Hand.IDLE
+        self.blind_periods = 0
+        """Periods without a setpoint for want of a fresh heading."""
+        self.stale_periods = 0
+        """Periods in which a velocity was too old to be flown."""
+        self.landings_called_off = 0
+        """Landings that ended without the ground: not asked for again, or their time or height used up."""
+
+    @property
+    def _mode(self) -> str | None:
+        return VELOCITY_MODE.get(self._id.stack)
+
+    @property
+    def _lands_by_velocity(self) -> bool:
+        chosen = self._o.landing
+        return chosen == "velocity" or (chosen == "by stack" and self._id.stack is Stack.PX4)
+
+    def take(self, command: Command, now: MonoNs, way_level: F64 | None = None) -> None:
+        """The newest command.
+
+        Args:
+            way_level: (3,) m/s, the velocity of what lies below, which a velocity command already holds; None for still ground.
+        """
+        if isinstance(command, TakeOff):
+            self._take_off_at, self._asked, self._asks = now, None, 0
+        elif isinstance(command, Land):
+            self._take_off_at = None
+            self._motion_at = now
+            if self.hand is Hand.LANDING and command.standing and not self._land.standing:
+                self._land, self._land_at, self._land_began, self._spent = command, now, now, False
+            elif self.hand is Hand.LANDING and not self._spent:
+                self._land_at = now
+            elif self.hand not in (Hand.LANDING, Hand.RELEASED) and not self._spent:
+                self._land, self._land_at, self._land_began, self._land_from_m = command, now, now, self._down_m
+                self._landed_from = self._condition.mode
+                self._descending = self._lands_by_velocity and self._landed_from == self._mode
+                self._ask_anew(Hand.LANDING)
+        elif isinstance(command, Hover):
+            self._motion, self._motion_at, self._spent = STILL, now, False
+            if self.hand is Hand.LANDING:
+                self._call_off()
+        else:
+            since_s = math.inf if self._steered_at is None else seconds_between(self._steered_at, now)
+            share = min(1.0, since_s / _CARRY_S)
+            self._carried = self._carried + share * (command.v_level - self._carried)
+            self._way = np.zeros(3) if way_level is None else way_level
+            self._motion, self._motion_at, self._steered_at, self._spent = command, now, now, False
+            willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING)
+            if self.hand in willing and self._mode is not None and self._condition.flying is not False:
+                self._ask_anew(Hand.TAKING)
+
+    def _call_off(self) -> None:
+        """The velocity mode holds it where it is."""
+        self.landings_called_off += 1
+        self._ask_anew(Hand.TAKING)
+
+    def engage(self) -> None:
+        """The operator starts again: what a person took from us may be taken back."""
+        if self.hand is Hand.RELEASED:
+            self._ask_anew(Hand.IDLE)
+
+    def on_condition(self, condition: Condition) -> None:
+        """What the autopilot says it does."""
+        self._condition = condition
+        in_mode = condition.mode == self._mode
+        held_modes = (self._mode, HOLD_MODE.get(self._id.stack))
+        landing_modes = (self._landed_from, LAND_MODE.get(self._id.stack))
+        taken_away = (
+            (self.hand is Hand.OURS and not in_mode)
+            or (self.hand is Hand.LANDING and condition.mode not in landing_modes)
+            or (self.hand is Hand.HOLDING and condition.mode not in held_modes)
+        )
+        if condition.flying and self._take_off_at is not None:
+            self._take_off_at = None
+        if condition.flying is False and self._take_off_at is None and self.hand is not Hand.IDLE:
+            self._ask_anew(Hand.IDLE)
+        elif self.hand in (Hand.TAKING, Hand.RELEASED) and in_mode:
+            self.hand = Hand.OURS
+        elif taken_away:
+            self.hand = Hand.RELEASED
+
+    def on_position(self, down_m: float) -> None:
+        """Take how far below its origin the autopilot holds itself to be, metres."""
+        self._down_m = down_m
+
+    def on_attitude(self, attitude: Attitude) -> None:
+        self._attitude = attitude
+
+    def period(self, now: MonoNs) -> list[Message]:
+        """The messages of this period; at 10 Hz and more."""
+        out: list[Message] = []
+        if self._take_off_at is not None:
+            out += self._take_off(now)
+        if self.hand in (Hand.TAKING, Hand.OURS):
+            out += self._steer(now)
+        elif self.hand is Hand.LANDING:
+            out += self._descend(now)
+        elif self.hand is Hand.HOLDING:
+            out += self._hold(now)
+        else:
+            self._streaming_since = None
+        return out
+
+    def leave(self, now: MonoNs) -> list[Message]:
+        """The last word: hold where it is. A landing that nobody renews any more is called off; a person's goes on."""
+        if self.hand is Hand.LANDING and self._land.standing:
+            sinking = self._descending
+            return [set_mode(self._id.stack, self._id.address, LAND_MODE[self._id.stack])] if sinking else []
+        if self.hand not in (Hand.TAKING, Hand.OURS, Hand.LANDING, Hand.HOLDING):
+            return []
+        by_mode = self._id.stack is Stack.PX4 or (self.hand is Hand.LANDING and not self._descending)
+        name = HOLD_MODE.get(self._id.stack)
+        hold = [set_mode(self._id.stack, self._id.address, name)] if by_mode and name is not None else []
+        return self._setpoint(now, STILL) + hold
+
+    def _ask_anew(self, hand: Hand) -> None:
+        self.hand, self._asked, self._asks = hand, None, 0
+
+    def _may_ask(self, now: MonoNs) -> bool:
+        """Whether to (re)ask; counts."""
+        if self._asks >= self._o.tries or (self._asked is not None and seconds_between(self._asked, now) < self._o.repeat_s):
+            return False
+        self._asked, self._asks = now, self._asks + 1
+        return True
+
+    def _steer(self, now: MonoNs) -> list[Message]:
+        silent_s = math.inf if self._motion_at is None else seconds_between(self._motion_at, now)
+        fresh = silent_s <= self._o.command_timeout_s
+        self.stale_periods += not fresh
+        if self.hand is Hand.OURS and silent_s > self._o.hold_mode_after_s:
+            self._ask_anew(Hand.HOLDING)
+            return self._hold(now)
+        out = self._setpoint(now, self._motion if fresh and self._motion is not STILL else self._held(now))
+        if not out:
+            return []
+        if self._streaming_since is None:
+            self._streaming_since = now
+        if self.hand is Hand.TAKING and self._mode is not None:
+            streamed_s = seconds_between(self._streaming_since, now)
+            if (self._id.stack is not Stack.PX4 or streamed_s >= self._o.prestream_s) and self._may_ask(now):
+                out.append(set_mode(self._id.stack, self._id.address, self._mode))
+            elif self._asks >= self._o.tries and seconds_between(self._asked or now, now) >= self._o.repeat_s:
+                self.hand = Hand.RELEASED
+        return out
+
+    def _held(self, now: MonoNs) -> Velocity:
+        """Stand still over what lies below, as long as it is known; then over the ground."""
+        if self._steered_at is None or seconds_between(self._steered_at, now) > self._o.carry_s:
+            return STILL
+        return Velocity(self._way * (1.0, 1.0, 0.0), 0.0)
+
+    def _descend(self, now: MonoNs) -> list[Message]:
+        """A landing under way: go on with it while it is asked for and within its bounds, else hold."""
+        if not self._wanted(now):
+            if not self._descending:
+                self._call_off()
+                return self._steer(now)
+            if not self._paused:
+                self._paused = True
+                self.landings_called_off += 1
+            silent_s = seconds_between(self._land_at, now)
+            if silent_s > self._o.hold_mode_after_s:
+                self._ask_anew(Hand.HOLDING)
+                return self._hold(now)
+            carried = self._carried * (1.0, 1.0, 0.0) if silent_s <= self._o.carry_s else np.zeros(3)
+            return self._setpoint(now, Velocity(carried, 0.0))
+        self._paused = False
+        if self._descending and self._land.standing and seconds_between(self._land_began, now) > self._o.landing_most_s:
+            self._descending = False
+            self._ask_anew(Hand.LANDING)
+        if self._descending:
+            v = np.array([self._carried[0], self._carried[1], self._o.descent_rate_m_s])
+            return self._setpoint(now, Velocity(v, 0.0))
+        mode = LAND_MODE.get(self._id.stack)
+        if mode is None or self._condition.mode == mode or not self._may_ask(now):
+            return []
+        return [set_mode(self._id.stack, self._id.address, mode)]
+
+    def _wanted(self, now: MonoNs) -> bool:
+        """Return whether the landing is to go on, by velocity or by mode."""
+        if self._land.standing:
+            return True
+        if self._spent or seconds_between(self._land_at, now) > self._o.landing_timeout_s:
+            return False
+        if not self._descending:
+            return True
+        fell_m = 0.0 if self._down_m is None or self._land_from_m is None else self._down_m - self._land_from_m
+        self._spent = seconds_between(self._land_began, now) > self._o.landing_most_s or fell_m > self._o.landing_depth_m
+        return not self._spent
+
+    def _hold(self, now: MonoNs) -> list[Message]:
+        """Ask for the autopilot's own hold mode, standing still until it has come about, and then say nothing."""
+        name = HOLD_MODE.get(self._id.stack)
+        if name is None or self._condition.mode == name or self._asks >= self._o.tries:
+            return []
+        ask = [set_mode(self._id.stack, self._id.address, name)] if self._may_ask(now) else []
+        return self._setpoint(now, STILL) + ask
+
+    def _take_off(self, now: MonoNs) -> list[Message]:
+        assert self._take_off_at is not None
+        mode = TAKE_OFF_MODE.get(self._id.stack)
+        if mode is None or seconds_between(self._take_off_at, now) > self._o.take_off_timeout_s:
+            self._take_off_at = None
+            return []
+        if not self._may_ask(now):
+            return []
+        if self._condition.mode != mode:
+            return [set_mode(self._id.stack, self._id.address, mode)]
+        self._asks = 0
+        if not self._condition.armed:
+            return [self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)]
+        if self._id.stack is Stack.ARDUPILOT:
+            return [self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._o.take_off_height_m)]
+        return []
+
+    def _command(self, number: int, param1: float = 0.0, *, height_m: float = 0.0) -> Message:
+        return mav.MAVLink_command_long_message(*self._id.address, number, 0, param1, 0, 0, 0, 0, 0, height_m)
+
+    def _setpoint(self, now: MonoNs, velocity: Velocity) -> list[Message]:
+        attitude = self._attitude
+        if attitude is None or seconds_between(attitude.stamp.measured_at, now) > self._o.attitude_timeout_s:
+            self.blind_periods += 1
+            return []
+        yaw_rad = attitude.R_ned_body.rpy_rad[2]
+        return [velocity_setpoint(now // 1_000_000, self._id.address, velocity, yaw_rad)]

@@ -1,0 +1,168 @@
+"""One event into the belief. Events come here in the order of their instants; history.py sees to that."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.ekf import deck_motion_bank, measure, motion, so3
+from estimator.ekf.aiding import fuse_baro, fuse_range, fuse_velocity, fuse_vessel, gather
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.propagate import Event, FilterParams, Outcome, forgotten, propagated, propagated_with_covariance
+from estimator.ekf.state import (
+    ATT_BIAS,
+    ATT_ERR,
+    ATTITUDE,
+    PAD_YAW,
+    POS_REL,
+    SWAY_PER_HEAVE,
+    VEL,
+    VESSEL_VEL,
+    WAVES,
+    Belief,
+    N,
+    initial,
+)  # fmt: skip
+from estimator.ekf.vision_update import fuse_sighting
+
+_FORCE_AT_REST = 9.80665
+_DIVERGED_VAR = 0.35**2
+"""rad^2, of an attitude that small angles no longer describe."""
+_FELT_TILT_RAD = math.radians(12.0)
+"""Standard deviation of down as the accelerometer shows it: a rotorcraft in flight feels its thrust, which leans with it."""
+_SMOOTH_S = 0.03
+
+
+def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:
+    """Take one event, not older than the belief. An event that nothing can be made of leaves the belief as it was."""
+    if b is None:
+        return _first(event, params)
+    match event:
+        case Imu():
+            return _imu(b, event, params)
+        case Attitude():
+            return _attitude(b, event, params)
+        case Sighting():
+            return fuse_sighting(b, event, params)
+        case BodyVelocity():
+            return fuse_velocity(b, event, params)
+        case Range():
+            return fuse_range(b, event, params)
+        case Baro():
+            return fuse_baro(b, event, params)
+        case VesselReport():
+            return fuse_vessel(b, event, params)
+
+
+def _first(event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:
+    """The belief begins with an attitude, or with which way an accelerometer says is down."""
+    o = params.options
+    t = event.stamp.measured_at
+    if isinstance(event, Attitude):
+        b = initial(
+            o, t, event.R_ned_body.matrix, o.sigma_initial_tilt_rad, o.sigma_initial_heading_rad, deck_motion_bank.unknown()
+        )
+        return _levelled(_correlated(b, o), event), Outcome(event, Verdict.FUSED)
+    if isinstance(event, Imu):
+        f = event.f_body
+        size = float(np.linalg.norm(f))
+        if abs(size - _FORCE_AT_REST) < 0.5 * _FORCE_AT_REST:
+            x, y, z = f.tolist()
+            R = so3.from_rpy(math.atan2(-y, -z), math.atan2(x, math.hypot(y, z)), 0.0)
+            b = initial(o, t, R, _FELT_TILT_RAD, math.radians(2.0), deck_motion_bank.unknown())
+            return b._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=f), Outcome(event, Verdict.FUSED)
+    return None, Outcome(event, Verdict.NO_ATTITUDE)
+
+
+def _correlated(b: Belief, o: EkfOptions) -> Belief:
+    """The attitude now believed is the one told, so it errs by what that one errs."""
+    P = b.P.copy()
+    var = o.sigma_attitude_bias_rad**2
+    P[ATT_BIAS, :] = P[:, ATT_BIAS] = 0.0
+    for i in range(2):
+        P[ATT_BIAS[i], ATT_BIAS[i]] = var
+        P[i, i] += var
+        P[i, ATT_BIAS[i]] = P[ATT_BIAS[i], i] = -var
+    return b._replace(P=P)
+
+
+def _levelled(b: Belief, event: Attitude) -> Belief:
+    return b._replace(levelled_by=event.R_ned_body.matrix, cov_levelled_by=event.cov_body, heading_is_given=True)
+
+
+def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, Outcome]:
+    o, t = params.options, event.stamp.measured_at
+    hold_ns = round(o.hold_s * 1e9)
+    w_body, f_body = event.w_body, event.f_body
+    # In plain numbers: for three of them numpy's calls cost more than the whole step may.
+    (fx, fy, fz), (wx, wy, wz) = f_body.tolist(), w_body.tolist()
+    alive = b.t_imu >= 0 and t - b.t_imu <= hold_ns
+    if alive:
+        (gx, gy, gz), (vx, vy, vz) = b.f.tolist(), b.w.tolist()
+        step_f, step_w = max(abs(fx - gx), abs(fy - gy), abs(fz - gz)), max(abs(wx - vx), abs(wy - vy), abs(wz - vz))
+        if step_f > o.accel_step_m_s2 or step_w > o.gyro_step_rad_s:
+            b, w_body, f_body = _limited(b, event, step_f, step_w, o)
+        share = -math.expm1(-(t - b.t_imu) * 1e-9 / _SMOOTH_S)
+        smooth = b.w_smooth + share * (w_body - b.w_smooth)
+        w, f = 0.5 * (b.w + w_body), 0.5 * (b.f + f_body)
+        b = motion.propagate_state(b, t, w, f, hold_ns, t_imu=t, w=w_body, w_smooth=smooth, f=f_body)
+    else:
+        b = propagated(b, t, params)._replace(t_imu=t, w=w_body, w_smooth=w_body, f=f_body)
+    if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
+        b = motion.propagate_covariance(b, params.process_noise, params.algebra)
+    return forgotten(b, o), Outcome(event, Verdict.FUSED)
+
+
+def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions) -> tuple[Belief, F64, F64]:
+    """A sample that leaves the one before it by more than the vehicle can do follows part of the way; the rest is doubt."""
+    dt = (event.stamp.measured_at - b.t) * 1e-9
+    share_f, share_w = o.accel_step_m_s2 / max(step_f, o.accel_step_m_s2), o.gyro_step_rad_s / max(step_w, o.gyro_step_rad_s)
+    b = b._replace(
+        jolt_var_m2_s2=b.jolt_var_m2_s2 + (step_f * dt) ** 2 * (share_f < 1.0),
+        jolt_var_rad2=b.jolt_var_rad2 + (step_w * dt) ** 2 * (share_w < 1.0),
+    )
+    return b, b.w + share_w * (event.w_body - b.w), b.f + share_f * (event.f_body - b.f)
+
+
+def _attitude(b: Belief, event: Attitude, params: FilterParams) -> tuple[Belief, Outcome]:
+    o, t = params.options, event.stamp.measured_at
+    if not b.heading_is_given:
+        b = _correlated(_turned_to(propagated_with_covariance(b, t, params), event.R_ned_body.matrix, o), o)
+        return _levelled(b, event), Outcome(event, Verdict.FUSED)
+    b = propagated(b, t, params)
+    if max(b.P[0, 0], b.P[1, 1], b.P[2, 2]) > _DIVERGED_VAR:
+        b = _correlated(_set_attitude(propagated_with_covariance(b, t, params), event.R_ned_body.matrix, o), o)
+        return _levelled(b, event), Outcome(event, Verdict.FUSED)
+    innov = measure.attitude_innov(b.x, b.R, event.R_ned_body.matrix)
+    b, outcome = gather(b, ATTITUDE, event, innov, event.cov_body, params)
+    return _levelled(b, event), outcome
+
+
+def _turned_to(b: Belief, R: F64, o: EkfOptions) -> Belief:
+    """North is known at last: the whole world turns about the vertical; the attitude given replaces the one guessed."""
+    angle = so3.heading(R) - so3.heading(b.R)
+    Z = so3.about_down(angle)
+    T = np.eye(N)
+    T[POS_REL, POS_REL] = T[VEL, VEL] = Z
+    for part in WAVES[:3].T:
+        T[np.ix_(part, part)] = Z
+    T[VESSEL_VEL, VESSEL_VEL] = T[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = Z[:2, :2]
+    x = T.dot(b.x)
+    x[PAD_YAW] = measure.wrap(float(x[PAD_YAW]) + angle)
+    P = T.dot(b.P).dot(T.T)
+    b = b._replace(x=x, P=0.5 * (P + P.T), ins_p=Z.dot(b.ins_p), ins_v=Z.dot(b.ins_v))
+    return _set_attitude(b, R, o)
+
+
+def _set_attitude(b: Belief, R: F64, o: EkfOptions) -> Belief:
+    """The attitude told is taken outright: the one believed is too far off for small angles."""
+    P = b.P.copy()
+    P[ATT_ERR, :] = P[:, ATT_ERR] = 0.0
+    down = R.T[:, 2]
+    along = np.outer(down, down)
+    P[ATT_ERR, ATT_ERR] = o.sigma_initial_tilt_rad**2 * (np.eye(3) - along) + o.sigma_initial_heading_rad**2 * along
+    return b._replace(R=R, R_cov=R, P=P)

@@ -1,0 +1,93 @@
+"""What every step of the filter shares: the event's outcome, carrying the belief to an instant, putting a correction in."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.ekf import measure, motion, so3
+from estimator.ekf.algebra import Algebra, Correction
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.state import ATT_ERR, PAD_YAW, VEL_SCALE, Belief, RejectionStreak
+
+Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
+
+
+class FilterParams(NamedTuple):
+    """What every step needs and none changes."""
+
+    options: EkfOptions
+    process_noise: motion.ProcessNoise
+    algebra: Algebra
+
+
+class Outcome(NamedTuple):
+    """What became of one event. Arrays are None where nothing was compared."""
+
+    event: Event
+    verdict: Verdict
+    innov: F64 | None = None
+    """(m,) measured minus predicted."""
+    S: F64 | None = None
+    """(m, m) what the innovation's covariance ought to be."""
+    nis: float = math.nan
+    """innov' inv(S) innov."""
+
+
+def propagated(b: Belief, t: int, params: FilterParams) -> Belief:
+    """To instant `t` (ns) by the IMU sample that holds, coasting where none does; settled as often as the options ask."""
+    o = params.options
+    hold_ns = round(o.hold_s * 1e9)
+    if b.t_imu >= 0 and b.t < b.t_imu + hold_ns < t:
+        b = motion.propagate_state(b, b.t_imu + hold_ns, b.w, b.f, hold_ns)
+    b = motion.propagate_state(b, t, b.w, b.f, hold_ns)
+    if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
+        b = motion.propagate_covariance(b, params.process_noise, params.algebra)
+    return b
+
+
+def propagated_with_covariance(b: Belief, t: int, params: FilterParams) -> Belief:
+    """As `carried`, with the covariance at `t` too."""
+    return motion.propagate_covariance(propagated(b, t, params), params.process_noise, params.algebra)
+
+
+def forgotten(b: Belief, o: EkfOptions) -> Belief:
+    if b.sighted >= 0 and (b.t - b.sighted) * 1e-9 > o.forget_s:
+        return b._replace(sighted=-1, agreed=0, rejections=RejectionStreak())
+    return b
+
+
+def partial(before: F64, fix: Correction, kept: F64) -> Correction:
+    """The share 1 - `kept` of a correction, by state, with the covariance that belongs to it.
+
+    A deck's sway and heave belong to one wave, and the model takes them as independent: from how they agree over a few waves it
+    would learn a tilt of the camera, or a delay, that is none.
+    Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017.
+
+    Args:
+        before: (N, N) covariance before the correction.
+        kept: (N,) share of each state's correction that is not made.
+    """
+    P = fix.P + kept[:, None] * (before - fix.P) * kept
+    return fix._replace(dx=fix.dx * (1.0 - kept), P=P)
+
+
+def corrected(b: Belief, dx: F64, P: F64) -> Belief:
+    """Put a correction in: the attitude's part turns `R`, and turning it changes the covariance's axes by next to nothing."""
+    x = b.x + dx
+    x[ATT_ERR] = 0.0
+    x[PAD_YAW] = measure.wrap(float(x[PAD_YAW]))
+    x[VEL_SCALE] = min(max(float(x[VEL_SCALE]), 0.2), 3.0)
+    turn = so3.exp(dx[ATT_ERR])
+    R = b.R.dot(turn)
+    # The error is now small about the new attitude: its axes turn by half the step (Sola 2017, eq. 287).
+    G = np.eye(3) - 0.5 * so3.cross_matrix(dx[ATT_ERR])
+    P = P.copy()
+    P[ATT_ERR, :] = G.dot(P[ATT_ERR, :])
+    P[:, ATT_ERR] = P[:, ATT_ERR].dot(G.T)
+    return b._replace(x=x, P=P, R=R, R_cov=R)

@@ -1,0 +1,187 @@
+"""A sighting into the belief: compared, gated with a way back, fused, and shown to the sea's oscillators."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.geometry import F64
+from estimator.ekf import deck_motion_bank, gate, measure, so3
+from estimator.ekf.aiding import aided
+from estimator.ekf.algebra import Correction
+from estimator.ekf.options import EkfOptions
+from estimator.ekf.propagate import FilterParams, Outcome, corrected, forgotten, partial, propagated_with_covariance
+from estimator.ekf.state import (
+    CAMERA_DELAY,
+    CAMERA_MOUNT,
+    PAD_YAW,
+    POS_REL,
+    SWAY_PER_HEAVE,
+    TURN_RATE,
+    VESSEL_VEL,
+    WAVE_YAW,
+    WAVES,
+    YAW_RATE,
+    Belief,
+    N,
+    RejectionStreak,
+    waves_unknown,
+)  # fmt: skip
+
+_KEPT = 0.95
+_ROUGH_M_S = 0.1
+"""Heave rate of the deck at which this changes: far above it a sighting corrects the camera's mounting and delay by the share
+1 - `_KEPT` alone, far below it in full."""
+_RATE_KNOWN_VAR = 0.35**2
+"""Variance of the rate of what a sighting measures, (m/s)^2, above which the camera's delay is not corrected."""
+
+
+def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Belief, Outcome]:
+    o, t = params.options, event.stamp.measured_at
+    if event.confidence < o.min_confidence:
+        return b, Outcome(event, Verdict.GATED)
+    b = forgotten(aided(propagated_with_covariance(b, t, params), params), o)
+    fresh = b.sighted < 0
+    if fresh:
+        b = _initialized(b, event, o, reset=False)
+    row, fix = _compared(b, event, params)
+    if fix is None:
+        return b, Outcome(event, Verdict.SINGULAR, row.innov)
+    dof = row.innov.size
+    nis = fix.nis
+    turned_round = False
+    if dof > 3 and b.heading_known and nis > gate.nis_max(o.gate_probability, dof):
+        place, by_place = _compared(b, event, params, place_only=True)
+        if by_place is not None and by_place.nis <= gate.nis_max(o.gate_probability, 3):
+            turned_round = True
+            row, fix, nis, dof = place, by_place, by_place.nis, 3
+    if turned_round or (dof > 3 and nis <= gate.nis_max(o.gate_probability, dof)):
+        b = _heading_weighed(b, event, o, agrees=not turned_round)
+        if turned_round and b.heading_held_s <= 0.0:
+            b = _headed_anew(b, event)
+            row, fix = _compared(b, event, params)
+            if fix is None:
+                return b, Outcome(event, Verdict.SINGULAR, row.innov)
+            nis, dof = fix.nis, row.innov.size
+    if not fresh:
+        b = b._replace(nis_mean=gate.mean_of(b.nis_mean, nis, dof))
+    if nis > gate.nis_max(o.gate_probability, dof):
+        offset = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]).dot(row.innov[:3]))
+        streak = gate.extended(b.rejections, t, offset, float(np.trace(row.R[:3, :3])) / 3.0)
+        b = b._replace(rejections=streak)
+        if not gate.should_reset(streak, b.agreed, o):
+            return b, Outcome(event, Verdict.GATED, row.innov, fix.S, nis)
+        b = _initialized(b, event, o, reset=True)._replace(nis_mean=1.0)
+        row, fix = _compared(b, event, params)
+        if fix is None:
+            return b, Outcome(event, Verdict.SINGULAR, row.innov)
+        nis = fix.nis
+    lost = gate.sigma_of(b.P[POS_REL, POS_REL]) > 0.3
+    fix = partial(b.P, fix, _kept(b))
+    b = corrected(b, fix.dx, fix.P)
+    known = b.heading_known or (dof >= 4 and not event.yaw_ambiguous)
+    b = b._replace(
+        sighted=max(t, b.sighted), agreed=1 if fresh or lost else b.agreed + 1, rejections=RejectionStreak(), heading_known=known
+    )
+    return _learned(b, event, row, params), Outcome(event, Verdict.FUSED, row.innov, fix.S, nis)
+
+
+def _kept(b: Belief) -> F64:
+    """(N,) share of a correction that is not made."""
+    heave = float(b.sea.sigma[2] * b.sea.w_rad_s[2]) ** 2
+    kept = np.zeros(N)
+    kept[CAMERA_MOUNT] = kept[CAMERA_DELAY] = _KEPT * heave / (heave + _ROUGH_M_S**2)
+    return kept
+
+
+def _heading_weighed(b: Belief, event: Sighting, o: EkfOptions, *, agrees: bool) -> Belief:
+    """A sighting whose place is believed agrees with the heading or contradicts it: what the longer of the two said is held."""
+    t = event.stamp.measured_at
+    since = 0.0 if b.heading_seen < 0 else min((t - b.heading_seen) * 1e-9, 0.5)
+    held = b.heading_held_s + since if agrees else b.heading_held_s - since
+    return b._replace(heading_held_s=min(held, o.heading_memory_s), heading_seen=t)
+
+
+def _headed_anew(b: Belief, event: Sighting) -> Belief:
+    """The heading is the one that this sighting tells."""
+    yaw = event.yaw_rad
+    if event.pose6 is not None:
+        yaw = -so3.heading(event.pose6.R_level_pad.matrix)
+    if yaw is None:
+        return b
+    P, x = b.P.copy(), b.x.copy()
+    x[PAD_YAW] = measure.wrap(so3.heading(b.R) - yaw)
+    x[[YAW_RATE, WAVE_YAW]] = 0.0
+    P[PAD_YAW, :] = P[:, PAD_YAW] = 0.0
+    P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
+    return b._replace(x=x, P=P, heading_held_s=0.0)
+
+
+def _compared(
+    b: Belief, event: Sighting, params: FilterParams, *, place_only: bool = False
+) -> tuple[measure.LinearizedMeasurement, Correction | None]:
+    yaw_sigma = math.sqrt(float(b.P[PAD_YAW, PAD_YAW])) if b.heading_known else math.inf
+    cov = b.cov_levelled_by if params.options.sighting_has_attitude_error else np.zeros((3, 3))
+    row = measure.sighting(b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma, place_only=place_only)
+    # How fast the frame moves decides how much of an innovation is delay: while that rate is poorly known, nothing is learned
+    # of the delay, and what the delay may cost is noise.
+    cov_rate = row.G.dot(b.P).dot(row.G.T)
+    if float(np.trace(cov_rate)) > _RATE_KNOWN_VAR:
+        rate, var = row.H[:, CAMERA_DELAY], float(b.P[CAMERA_DELAY, CAMERA_DELAY])
+        R, H = row.R + var * np.outer(rate, rate), row.H.copy()
+        R[:3, :3] += var * cov_rate
+        H[:, CAMERA_DELAY] = 0.0
+        row = row._replace(H=H, R=R)
+    return row, params.algebra.correct(b.P, row.innov, row.H, row.R)
+
+
+def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> Belief:
+    """The pad's place is whatever this sighting says. `anew`: all that was believed of the pad was wrong and is dropped.
+
+    What the body knows of itself stays.
+    """
+    P, x = b.P.copy(), b.x.copy()
+    seen = measure.seen_from_body(event, measure.levelling(b.R, b.levelled_by))
+    x[POS_REL] = b.R.dot(so3.exp(x[CAMERA_MOUNT]).dot(seen))
+    P[POS_REL, :] = P[:, POS_REL] = 0.0
+    P[[3, 4, 5], [3, 4, 5]] = 1e2 + float(seen.dot(seen))
+    if reset:
+        gone = np.r_[VESSEL_VEL, SWAY_PER_HEAVE, TURN_RATE, WAVES[:3].ravel()]
+        P[gone, :] = P[:, gone] = 0.0
+        P[VESSEL_VEL, VESSEL_VEL] = np.eye(2) * 4.0
+        P[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = np.eye(2) * o.sigma_sway_per_heave**2
+        P[TURN_RATE, TURN_RATE] = o.sigma_turn_rate_rad_s**2
+        x[SWAY_PER_HEAVE] = x[TURN_RATE] = 0.0
+        P[WAVES[:3, :, None], WAVES[:3, None, :]] = waves_unknown(b.sea)[:3]
+        x[WAVES[:3]] = 0.0
+    if (reset or not b.heading_known) and event.yaw_rad is not None and not event.yaw_ambiguous:
+        x[PAD_YAW] = measure.wrap(so3.heading(b.R) - event.yaw_rad)
+        P[PAD_YAW, :] = P[:, PAD_YAW] = 0.0
+        P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
+    return b._replace(x=x, P=P, rejections=RejectionStreak(), heading_held_s=0.0)
+
+
+def _learned(b: Belief, event: Sighting, row: measure.LinearizedMeasurement, params: FilterParams) -> Belief:
+    """Show the bank of oscillators where the pad was seen, and how it stood."""
+    if b.sea.t >= 0 and (b.t - b.sea.t) * 1e-9 < 0.9 * deck_motion_bank.PERIOD_S:
+        return b
+    A = measure.levelling(b.R, b.levelled_by)
+    back = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]))
+    seen = measure.seen_from_body(event, A) - row.H[:3, CAMERA_DELAY] * b.x[CAMERA_DELAY]
+    y, var = np.zeros(5), np.full(5, 1e6)
+    y[:3] = back.dot(seen) + b.ins_p
+    var[:3] = np.diag(back.dot(row.R[:3, :3]).dot(back.T))
+    if row.innov.size == 6 and event.pose6 is not None:
+        R_ned_pad = back.dot(A.T.dot(event.pose6.R_level_pad.matrix))
+        y[3] = math.atan2(float(R_ned_pad[2, 1]), float(R_ned_pad[2, 2]))
+        y[4] = math.asin(max(-1.0, min(1.0, -float(R_ned_pad[2, 0]))))
+        into_pad = R_ned_pad.T.dot(back.dot(A.T))
+        var[3:] = np.diag(into_pad.dot(row.R[3:, 3:]).dot(into_pad.T))[:2]
+    by = params.process_noise.carrying
+    if b.ins_var_m2_s2 > 0.0 and b.sea.t >= 0:
+        psd = b.ins_var_m2_s2 / ((b.t - b.sea.t) * 1e-9)
+        by = by._replace(asd_accel=np.sqrt(by.asd_accel**2 + psd * deck_motion_bank.CARRIED))
+    learned = deck_motion_bank.observe(b.sea, b.t, y, var, by, float(np.linalg.norm(seen)))
+    return b._replace(sea=learned, ins_var_m2_s2=0.0)

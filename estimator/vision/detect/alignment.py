@@ -1,0 +1,430 @@
+"""Lay the whole drawing on the frame: pose and paints together, by Gauss-Newton on the pixels themselves.
+
+The frame near the pad is modelled as a mixture of four paints (H, orange, disc, surroundings) in shares that the drawing gives
+for every pixel; light adds up linearly, so for a given pose the paints follow by linear least squares, whatever the light. The
+pose then moves along the model's slope (Lucas and Kanade 1981, as compositional alignment with the drawing as template and
+Cauchy weights for what hides or outshines it). This brings a rough hypothesis within reach of edge-based registration and leaves
+behind what the judge needs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64, Rotation
+from estimator.vision.camera import Camera
+from estimator.vision.detect.arrow_support import ArrowPlace, arrow_places
+from estimator.vision.detect.coverage import on_side, uncovered
+from estimator.vision.detect.template import BLURS_M, LOCAL_M, REACH, Maps, maps, sampled
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
+
+_SAMPLES, _APPROACH_SAMPLES, _STANDING_SAMPLES = 700, 1000, 2600
+"""At most, in the disc's box: while the pose moves in a search, on the way to a registration, and to judge it by."""
+_LOG_BLURS = np.log(np.array(BLURS_M))
+_LEAST_SAMPLES = 40
+_FEW = 350
+"""Samples below which a step costs so little that twice as many are made: far away a start may be a fifth off."""
+_LEVELS = 5
+_ARROW_SAMPLES = 5
+"""Pixels of the chosen level along the arrowhead, where the frame has as many."""
+_AT_REST = 0.12
+"""Samples that a step moves the drawing by when it is good enough to start a registration from."""
+_NOISE = 0.02
+"""Of full scale: what the model leaves unexplained even where it is right (wear, noise, ripples)."""
+SIGMA_TILT_RAD = math.radians(3.0)
+"""Of a deck under a vehicle of measured attitude."""
+SIGMA_TILT_FREE_RAD = math.radians(15.0)
+"""Where nothing is known of either."""
+_LENS_BLUR_PX = 0.7
+_LEAST_AT_START, _LEAST_HALFWAY, _LEAST_AT_END = 0.10, 0.15, 0.40
+"""Of the variation about the pad that the drawing must explain where a search lays it, after half of the steps, and where it
+comes to rest: of 290 pads that were found 2 % had less than 0.12 at first and 0.55 at last, of 2200 strangers 40 % and 65 %."""
+_FAR_PX, _LEAST_FAR_AT_START, _LEAST_FAR_HALFWAY, _LEAST_FAR_AT_END = 16.0, 0.05, 0.12, 0.25
+"""The same of a disc of up to so many pixels' radius, of which something in front of it can leave as little."""
+_SOUND, _SPREAD, _SPREAD_SHARP = 0.25, 2.0, 1.6
+"""Share of the samples that are surely neither hidden nor outshone, and what makes their largest residual a usual one: while the
+pose moves, and once it stands, when what does not fit any more is something else."""
+
+
+def _linear_light() -> F32:
+    v = np.arange(256) / 255.0
+    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+_LINEAR = _linear_light()
+_ROOT = np.sqrt(_LINEAR)
+
+
+class Pyramid:
+    """One frame at full, half, quarter ... size, made as they are asked for."""
+
+    def __init__(self, px: U8) -> None:
+        self._levels = [px]
+
+    def __getitem__(self, level: int) -> U8:
+        while len(self._levels) <= level:
+            self._levels.append(_halved(self._levels[-1]))
+        return self._levels[level]
+
+    def size(self, level: int) -> tuple[int, int]:
+        """Columns and rows."""
+        h, w = self._levels[0].shape[:2]
+        return max(1, w >> level), max(1, h >> level)
+
+    def cut(self, level: int, left: int, top: int, right: int, below: int) -> U8:
+        """Part of a level, of which no more is made than that where it is a small one."""
+        made = len(self._levels) - 1
+        w, h = self.size(level)
+        if level <= made or 2 * (right - left) * (below - top) > w * h:
+            return self[level][top:below, left:right]
+        up = level - made
+        part = self._levels[made][top << up : below << up, left << up : right << up]
+        for _ in range(up):
+            part = _halved(part)
+        return part
+
+
+def _halved(px: U8) -> U8:
+    w, h = max(1, px.shape[1] // 2), max(1, px.shape[0] // 2)
+    # An odd row or column left over would stretch the rest.
+    return np.asarray(cv2.resize(px[: 2 * h, : 2 * w], (w, h), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlignedTemplate:
+    """The drawing as laid on one frame."""
+
+    pose: PadPose
+    paints: F64
+    """(4, 3) linear light, 0..1, blue, green, red of H, orange, disc, surroundings."""
+    light: F32
+    """(n, 3) of the samples."""
+    share: F32
+    """(n, 4) of each paint in each sample."""
+    xy_m: F32
+    """(n, 2) places of the samples on the pad."""
+    weight: F32
+    """(n,) 0..1: small where something hides or outshines the drawing."""
+    sample_m: float
+    """Side of a sample on the pad."""
+    in_view: float
+    """Share of the disc's area inside the frame."""
+    tilt_sigmas: float
+    """How far the pose tilted away from its start, in standard deviations of what was known."""
+    local: Local
+    arrow: tuple[ArrowPlace, ArrowPlace]
+    """Where the arrowhead should be, and where it would be with the drawing turned by half."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Local:
+    """The square root of light less its mean in the neighbourhood of every sample, which takes glare and shadows out."""
+
+    paints: F64
+    """(4, 3), known up to a value common to all four."""
+    light: F32
+    """(n, 3)."""
+    share: F32
+    """(n, 4)."""
+    weight: F32
+    """(n,)."""
+
+
+class _Samples(NamedTuple):
+    rays: F32
+    """(3, n)."""
+    light: F32
+    """(3, n)."""
+    local: F32
+    """(3, n) square root of light, less its mean in the neighbourhood."""
+    side_m: float
+
+
+def align(
+    pyramid: Pyramid,
+    camera: Camera,
+    pad: Pad,
+    pose: PadPose,
+    sigma_tilt_rad: float,
+    steps: int = 4,
+    *,
+    local: bool = False,
+    side: F64 | None = None,
+) -> AlignedTemplate | None:
+    """Lay the drawing on the frame from a rough pose.
+
+    Args:
+        sigma_tilt_rad: how well the start pose's normal is known.
+        steps: of Gauss-Newton; the first half on a drawing blurred twice as much. With 0 the pose stays as it is.
+        local: move by the light less its mean in the neighbourhood, for glare and shadows; a bit less reach.
+        side: (2,) of unit length, x and y on the pad: move by the half of the disc that lies there, the other being covered.
+
+    Returns:
+        None where too little of the pad is in view, or where the pose runs away.
+    """
+    tilt_sigmas = 0.0
+    if steps > 0:
+        moved = _move(pyramid, camera, pad, pose, sigma_tilt_rad, steps, local, _SAMPLES, side)
+        if moved is None:
+            return None
+        pose, tilt_sigmas = moved
+    samples = _gather(pyramid, camera, pad, pose, _STANDING_SAMPLES)
+    if samples is None:
+        return None
+    R, t = pose.R_cam_pad.matrix, pose.t_cam_pad
+    fit = _blur_of(samples, t, camera)
+    model = _model(maps(pad)[fit], samples, samples.light, R, t, pad, slopes=False)
+    if model is None:
+        return None
+    even = np.ones(model.light.shape[1], np.float32)
+    paints, weight, _, _ = _paint(model.light, model.share, even, standing=True)
+    drawing = maps(pad, True)[fit]
+    own_light, own_share = samples.local.take(model.used, axis=1), _sampled(drawing.share, drawing, model.xy)
+    start = uncovered(own_light.T, own_share.T, model.xy.T)
+    own_paints, own_weight, _, _ = _paint(own_light, own_share, start, standing=True)
+    level = min(_LEVELS, math.floor(math.log2(max(1.0, camera.fx * pad.arrow_depth_m / (_ARROW_SAMPLES * t[2])))))
+    arrow = arrow_places(pyramid[level], 1 << level, _ROOT, camera, pad, pose, own_paints.astype(float))
+    r2 = model.xy * model.xy
+    inside = float(np.count_nonzero(r2[0] + r2[1] < pad.disc_radius_m**2)) * samples.side_m**2
+    return AlignedTemplate(
+        pose, paints.astype(float), model.light.T, model.share.T, model.xy.T, weight, samples.side_m,
+        min(1.0, inside / (math.pi * pad.disc_radius_m**2 * abs(float(R[2, 2])))), tilt_sigmas,
+        Local(own_paints.astype(float), own_light.T, own_share.T, own_weight), arrow,
+    )  # fmt: skip
+
+
+def approach(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float, steps: int = 6) -> PadPose | None:
+    """`align` without what the judge needs: a pose that edge-based registration can start from, out of a rough one."""
+    moved = _move(pyramid, camera, pad, pose, sigma_tilt_rad, steps, False, _APPROACH_SAMPLES)
+    return None if moved is None else moved[0]
+
+
+def _move(
+    pyramid: Pyramid,
+    camera: Camera,
+    pad: Pad,
+    pose: PadPose,
+    sigma_tilt_rad: float,
+    steps: int,
+    local: bool,
+    most: int,
+    side: F64 | None = None,
+) -> tuple[PadPose, float] | None:
+    """The pose after some steps, and its tilt away from the start in sigmas."""
+    samples = _gather(pyramid, camera, pad, pose, most)
+    if samples is None:
+        return None
+    if side is not None:
+        there = on_side(samples.rays, pose, side)
+        rays, light, own = (s.take(there, axis=1) for s in (samples.rays, samples.light, samples.local))
+        samples = _Samples(rays, light, own, samples.side_m)
+    R, t = pose.R_cam_pad.matrix.copy(), pose.t_cam_pad.copy()
+    depth = float(t[2])
+    fit = _blur_of(samples, t, camera)
+    softer = min(fit + 1, len(BLURS_M) - 1)
+    tilt = np.zeros(2)
+    n = samples.rays.shape[1]
+    trust = np.ones(n, np.float32)
+    if n < _FEW:
+        steps *= 2
+    far = camera.fx * pad.disc_radius_m < _FAR_PX * depth
+    at_start, halfway, at_end = (
+        (_LEAST_FAR_AT_START, _LEAST_FAR_HALFWAY, _LEAST_FAR_AT_END) if far else (_LEAST_AT_START, _LEAST_HALFWAY, _LEAST_AT_END)
+    )
+    least = {steps // 2: halfway, 0: at_start}
+    for i in range(steps):
+        drawing = maps(pad, local)[softer if i < steps // 2 else fit]
+        model = _model(drawing, samples, samples.local if local else samples.light, R, t, pad)
+        if model is None:
+            return None
+        paints, weight, residual, spread = _paint(model.light, model.share, trust[model.used])
+        if local and i in least and _explained(model.light, residual, weight) < least[i]:
+            return None
+        trust[model.used] = weight
+        N, g = _normal(paints, weight, residual, spread, model)
+        step = _solved(N, g, tilt, sigma_tilt_rad)
+        step[:3] *= min(1.0, 0.12 * depth / max(1e-9, math.sqrt(float(step[:3] @ step[:3]))))
+        step[3:] *= min(1.0, 0.25 / max(1e-9, math.sqrt(float(step[3:] @ step[3:]))))
+        tilt += step[3:5]
+        t = t + R @ step[:3]
+        R = R @ cv2.Rodrigues(step[3:])[0]
+        if not (t[2] > 0.02 and abs(math.log(t[2] / depth)) < 0.7 and R[2, 2] > 0.2):
+            return None
+        moved = (math.hypot(step[0], step[1]) + pad.disc_radius_m * (abs(step[2]) / depth + abs(step[5]))) / samples.side_m
+        if i >= steps // 2 and moved < _AT_REST:
+            break
+    if local and model is not None and _explained(model.light, residual, weight) < at_end:
+        return None
+    return PadPose(Rotation(R @ (1.5 * np.eye(3) - 0.5 * R.T @ R)), t), math.hypot(tilt[0], tilt[1]) / sigma_tilt_rad
+
+
+def _blur_of(samples: _Samples, t: F64, camera: Camera) -> int:
+    """Which of the drawing's blurs is the samples'."""
+    blur = math.hypot(0.29 * samples.side_m, _LENS_BLUR_PX * float(t[2]) / camera.fx)
+    return int(np.abs(_LOG_BLURS - math.log(blur)).argmin())
+
+
+@lru_cache(maxsize=8)
+def _box(pad: Pad) -> F64:
+    """(24, 3) m, a circle that what is sampled lies in."""
+    return pad.circle(1.15 * pad.disc_radius_m, 24)
+
+
+@lru_cache(maxsize=16)
+def _grid(camera: Camera, k: int, width: int, height: int) -> F32:
+    """(3, height, width) x/z, y/z and 1 of the middles of the pixels of a frame `k` times smaller, made once."""
+    u, v = np.meshgrid((np.arange(width) + 0.5) * k - 0.5, (np.arange(height) + 0.5) * k - 0.5)
+    rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).T.reshape(2, height, width)
+    return np.concatenate([rays, np.ones((1, height, width))]).astype(np.float32)
+
+
+def _gather(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, most: int) -> _Samples | None:
+    """The pixels about the disc, from the level of the pyramid that has neither too many nor too few of them there."""
+    if pose.t_cam_pad[2] < 0.02:
+        return None
+    edge = pose.points(_box(pad))
+    x0, y0, x1, y1 = 0.0, 0.0, float(camera.width), float(camera.height)
+    if not float(edge[:, 2].min()) < 0.05:
+        uv = camera.project(edge)
+        (low_u, low_v), (high_u, high_v) = uv.min(axis=0).tolist(), uv.max(axis=0).tolist()
+        x0, y0, x1, y1 = max(x0, low_u), max(y0, low_v), min(x1, high_u + 1.0), min(y1, high_v + 1.0)
+    if x1 - x0 < 3.0 or y1 - y0 < 3.0:
+        return None
+    level = min(_LEVELS, max(0, math.ceil(0.5 * math.log2((x1 - x0) * (y1 - y0) / most))))
+    k = 1 << level
+    width, height = pyramid.size(level)
+    left, top, right, below = (
+        math.floor(x0 / k),
+        math.floor(y0 / k),
+        min(math.ceil(x1 / k), width),
+        min(math.ceil(y1 / k), height),
+    )
+    if right - left < 3 or below - top < 3:
+        return None
+    patch = pyramid.cut(level, left, top, right, below)
+    side = float(k * pose.t_cam_pad[2] / camera.fx)
+    root = cv2.LUT(patch, _ROOT)
+    local = root - cv2.GaussianBlur(root, (0, 0), LOCAL_M / side, borderType=cv2.BORDER_REPLICATE)
+    rays = _grid(camera, k, width, height)[:, top:below, left:right].reshape(3, -1)
+    return _Samples(rays, _channels(cv2.LUT(patch, _LINEAR)), _channels(local), side)
+
+
+def _channels(image: NDArray[Any]) -> F32:
+    """(h, w, c) to (c, h * w): channel by channel, numpy's loops are long."""
+    return np.ascontiguousarray(image.reshape(-1, image.shape[2]).T, dtype=np.float32)
+
+
+class _Model(NamedTuple):
+    """The samples that lie on or near the disc, for one pose."""
+
+    light: F32
+    """(3, n)."""
+    share: F32
+    """(4, n)."""
+    slope_x: F32
+    """(4, n); empty where it is not asked for."""
+    slope_y: F32
+    xy: F32
+    """(2, n)."""
+    ab: F32
+    """(2, n) of the rays in `pad`, over their depth."""
+    used: NDArray[np.intp]
+    """(n,) which of all samples these are."""
+
+
+def _model(drawing: Maps, samples: _Samples, light: F32, R: F64, t: F64, pad: Pad, slopes: bool = True) -> _Model | None:
+    r = R.T.astype(np.float32) @ samples.rays
+    c0, c1, c2 = (t @ R).tolist()
+    ab = r[:2] / np.maximum(r[2], 0.05)
+    xy = ab * c2
+    xy -= np.array([[c0], [c1]], np.float32)
+    limit = min(REACH * pad.disc_radius_m - 2.0 / drawing.per_m, 1.12 * pad.disc_radius_m + samples.side_m)
+    r2 = xy * xy
+    used = ((r[2] > 0.05) & (r2[0] + r2[1] < limit**2)).nonzero()[0]
+    if len(used) < _LEAST_SAMPLES:
+        return None
+    ab, xy = ab.take(used, axis=1), xy.take(used, axis=1)
+    layers = _sampled(drawing.layers if slopes else drawing.share, drawing, xy)
+    return _Model(light.take(used, axis=1), layers[:4], layers[4:8], layers[8:], xy, ab, used)
+
+
+def _sampled(layers: F32, drawing: Maps, xy: F32) -> F32:
+    """(c, n) layers of the maps at (2, n) places on the pad; their rows run with x."""
+    at = np.empty((1, xy.shape[1], 2), np.float32)
+    np.multiply(xy[1], drawing.per_m, out=at[0, :, 0])
+    np.multiply(xy[0], drawing.per_m, out=at[0, :, 1])
+    at += drawing.centre
+    return np.ascontiguousarray(sampled(layers, at)[0].T)
+
+
+def _paint(light: F32, share: F32, weight: F32, standing: bool = False) -> tuple[F32, F32, F32, float]:
+    """Paints (4, 3) by weighted least squares, new weights, residuals (3, n) and their spread; from the weights before.
+
+    While the pose moves the weights are Cauchy's; once it stands, Geman and McClure's, which let go of what does not fit.
+    """
+    n = light.shape[1]
+    both = np.concatenate([share, light])
+    floor = max(1e-4, _NOISE * math.sqrt(float((light * light).sum(axis=0).max())))
+    low = int(_SOUND * n)
+    usual = _SPREAD_SHARP if standing else _SPREAD
+    for _ in range(4 if standing else 2):
+        normal = (share * weight) @ both.T
+        normal.flat[:28:8] += 1e-4 * n
+        ok, paints = cv2.solve(normal[:, :4], normal[:, 4:], flags=cv2.DECOMP_CHOLESKY)
+        if not ok:
+            paints = np.linalg.solve(normal[:, :4], normal[:, 4:])
+        residual = light - paints.T @ share
+        squared = (residual * residual).sum(axis=0)
+        spread = max(floor, usual * math.sqrt(float(np.partition(squared, low)[low])))
+        squared *= 0.25 / spread**2
+        squared += 1.0
+        weight = 1.0 / squared
+        if standing:
+            weight *= weight
+    return np.asarray(paints, np.float32), weight, residual, spread
+
+
+def _explained(light: F32, residual: F32, weight: F32) -> float:
+    """Share of the light's weighted variance that the model explains."""
+    apart = light - (light @ weight / float(weight.sum()))[:, None]
+    total = float((apart * apart @ weight).sum())
+    return 1.0 - float((residual * residual @ weight).sum()) / max(total, 1e-12)
+
+
+def _normal(paints: F32, weight: F32, residual: F32, spread: float, model: _Model) -> tuple[F64, F64]:
+    """Normal matrix and gradient of a small (move, turn) in `pad`."""
+    gx, gy = paints.T @ model.slope_x, paints.T @ model.slope_y
+    x, y = model.xy
+    J = np.empty((6, *gx.shape), np.float32)
+    np.negative(gx, out=J[0])
+    np.negative(gy, out=J[1])
+    along = np.add(gx * model.ab[0], gy * model.ab[1], out=J[2])
+    np.multiply(along, y, out=J[3])
+    np.multiply(along, -x, out=J[4])
+    np.subtract(gx * y, gy * x, out=J[5])
+    Jw = (J * weight).reshape(6, -1)
+    scale = spread**-2
+    return (Jw @ J.reshape(6, -1).T).astype(float) * scale, (Jw @ residual.ravel()).astype(float) * scale
+
+
+def _solved(N: F64, g: F64, tilt: F64, sigma_tilt: float) -> F64:
+    """The step, with what is known of the tilt put in."""
+    M = N.copy()
+    M[3, 3] += sigma_tilt**-2
+    M[4, 4] += sigma_tilt**-2
+    g = g.copy()
+    g[3:5] -= tilt * sigma_tilt**-2
+    M.flat[::7] = M.flat[::7] * 1.001 + 1e-6
+    ok, step = cv2.solve(M, g[:, None], flags=cv2.DECOMP_CHOLESKY)
+    return np.asarray(step[:, 0] if ok else np.linalg.solve(M, g), float)

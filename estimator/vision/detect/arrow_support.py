@@ -1,0 +1,125 @@
+"""The arrowhead looked at closely, where it should be and where it would be with the drawing turned by half.
+
+It is small: what suffices for disc, ring and letter shows it in a sample or two. Here the two places alone are sampled finely.
+The light is projected on the way from disc to ring paint and explained by an even slope, the ring, and an arrowhead of unknown
+strength.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+from estimator.vision.detect.template import BLURS_M, DISC, ORANGE, maps, sampled
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+
+F32 = NDArray[np.float32]
+
+_PITCH_M = 0.008
+_MARGIN_M = 0.02
+_CLEAR_VAR = 0.05
+"""Of the projected light (disc 0, ring 1), from which on something else lies there."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArrowPlace:
+    """What is seen at one of the two places."""
+
+    found: float
+    """0..1: strength of the arrowhead there times how much of the variation it explains."""
+    seen: float
+    """Share of the place inside the frame, and 0 where pixels are too coarse to tell."""
+    clear: float
+    """0..1: nothing but disc, ring and perhaps an arrowhead lies there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Design:
+    xy_m: F32
+    """(n, 2) of the fore place."""
+    arrow: F32
+    """(n,) share of the arrowhead."""
+    others: F64
+    """(n, 4) even, slopes, ring."""
+    own: tuple[F64, F64]
+    """(n, 4) orthogonal columns of `others`, and (n,) what they leave of the arrowhead, where all of the place is in view."""
+
+
+@lru_cache(maxsize=16)
+def _design(pad: Pad, blur: int) -> _Design:
+    x = np.arange(pad.arrow_tip_m - pad.arrow_depth_m - _MARGIN_M, pad.arrow_tip_m + _MARGIN_M, _PITCH_M)
+    y = np.arange(-pad.arrow_half_base_m - _MARGIN_M, pad.arrow_half_base_m + _MARGIN_M + 1e-9, _PITCH_M)
+    xx, yy = np.meshgrid(x, y, indexing="ij")
+    xy = np.stack([xx.ravel(), yy.ravel()], axis=1).astype(np.float32)
+    drawing = maps(pad)[blur]
+    fore, aft = (
+        sampled(drawing.share, (s * xy[None, :, ::-1] * drawing.per_m + drawing.centre).astype(np.float32))[0, :, ORANGE]
+        for s in (1, -1)
+    )
+    others = np.stack([np.ones(len(xy)), xx.ravel() - xx.mean(), yy.ravel(), aft], axis=1)
+    arrow = (fore - aft).astype(np.float32)
+    return _Design(xy, arrow, others, _left(others, arrow.astype(float)))
+
+
+def _left(others: F64, arrow: F64) -> tuple[F64, F64]:
+    Q, _ = np.linalg.qr(others)
+    return Q, arrow - Q @ (Q.T @ arrow)
+
+
+def arrow_places(
+    image: NDArray[np.uint8], step: int, lut: F32, camera: Camera, pad: Pad, pose: PadPose, root_paints: F64
+) -> tuple[ArrowPlace, ArrowPlace]:
+    """Fore and aft.
+
+    Args:
+        frame: `step` times smaller than the camera's.
+        lut: (256,) square root of light of a pixel's value.
+        root_paints: (4, 3) of the laid drawing, square root of light, known up to a value common to all four.
+    """
+    nothing = ArrowPlace(0.0, 0.0, 0.0)
+    way = root_paints[ORANGE] - root_paints[DISC]
+    length = float(way @ way)
+    pixel_m = step * float(pose.t_cam_pad[2]) / camera.fx
+    if length < 1e-4 or pixel_m > 1.2 * pad.arrow_depth_m:
+        return nothing, nothing
+    blur = int(np.argmin(np.abs(np.log(np.array(BLURS_M) / math.hypot(0.29 * pixel_m, 0.7 * pixel_m / step)))))
+    design = _design(pad, blur)
+    h, w = image.shape[:2]
+    R, t = pose.R_cam_pad.matrix[:, :2], pose.t_cam_pad
+    energy = design.arrow.astype(float) ** 2
+    out = []
+    for sign in (1.0, -1.0):
+        uv = (camera.project(sign * design.xy_m @ R.T + t) + 0.5) / step - 0.5
+        with np.errstate(invalid="ignore"):
+            inside = (uv[:, 0] > -0.5) & (uv[:, 0] < w - 0.5) & (uv[:, 1] > -0.5) & (uv[:, 1] < h - 0.5)
+        whole = bool(inside.all())
+        seen = 1.0 if whole else float(energy[inside].sum() / energy.sum())
+        if seen < 0.6:
+            out.append(nothing)
+            continue
+        at = np.fmax(uv, -1e4).astype(np.float32)[None]
+        v = cv2.LUT(sampled(image, at), lut)[0] @ (way / length)
+        # Even light, slope and ring taken out of both, what is left of one is measured by the other (Frisch and Waugh 1933).
+        if whole:
+            Q, T = design.own
+        else:
+            v = v[inside]
+            Q, T = _left(design.others[inside], design.arrow[inside].astype(float))
+        rest = v - Q @ (Q.T @ v)
+        total, square = float(T @ T), float(rest @ rest)
+        strength = float(T @ rest) / total if total > 1e-9 else 0.0
+        explained = strength**2 * total / max(square, 1e-9) if strength > 0.0 else 0.0
+        left = (square - strength**2 * total) / len(v)
+        fine = min(1.0, 2.0 * pad.arrow_depth_m / pixel_m - 1.0) if pixel_m > pad.arrow_depth_m / 2 else 1.0
+        out.append(
+            ArrowPlace(min(1.0, max(0.0, strength)) * min(1.0, explained), seen * max(0.0, fine), math.exp(-left / _CLEAR_VAR))
+        )
+    return out[0], out[1]

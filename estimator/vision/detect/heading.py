@@ -1,0 +1,100 @@
+"""The whole drawing at all headings at once: how much of a candidate's frame the paints' places explain.
+
+The frame is sampled in cells around the candidate's centre. For a heading every cell belongs to one paint; the share of the
+variance that lies between the paints (one-way analysis of variance) is the score. Sums over turned shapes are correlations along
+the angle, done for all headings by FFT.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+from estimator.vision.detect.template import ANGLES, polar_drawing, sampled
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+
+U8 = NDArray[np.uint8]
+
+_LEAST = 1e-3
+"""Area of a paint in view below which nothing is said of it, of the whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """What the drawing says of a candidate at its best heading."""
+
+    turn_rad: float
+    """By which the candidate's pose is to be turned about its own z axis."""
+    score: float
+    """0..1, share of the variance explained, less where a paint is on the wrong side of another."""
+    arrow: float
+    """Advantage over the heading 180 degrees away, as a share of the variance."""
+    in_view: float
+    """Share of the disc's area inside the frame."""
+
+
+def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F64 | None = None) -> Heading | None:
+    """The best heading of the drawing at a place, or None where hardly any of it is in view.
+
+    Args:
+        px: the frame, `step` times smaller than the camera's.
+        side: (2,) of unit length, x and y of `pose`: the half of the disc that is to be looked at, where the other is covered.
+    """
+    drawing = polar_drawing(pad)
+    uv = ((camera.project(drawing.xy_m @ pose.R_cam_pad.matrix[:, :2].T + pose.t_cam_pad) + 0.5) / step - 0.5).astype(np.float32)
+    h, w = px.shape[:2]
+    shape = (len(drawing.area), ANGLES)
+    u, v = uv[:, 0], uv[:, 1]
+    seen = ((u > -0.5) & (u < w - 0.5) & (v > -0.5) & (v < h - 0.5)).reshape(shape)
+    weight = seen * drawing.area_inside
+    if side is not None:
+        weight = weight * (drawing.xy_m @ side > 0.0).reshape(shape)
+    total = float(drawing.area_inside.sum()) * ANGLES
+    in_view = float(weight.sum()) / total
+    if in_view < 0.02:
+        return None
+    # Places behind the lens are nan, which remap would turn into any pixel; they count for nothing.
+    at = np.fmax(uv, np.float32(-1e4)).reshape(*shape, 2)
+    seen_px = sampled(px, np.asarray(at, np.float32)).transpose(2, 0, 1)
+    values = np.empty((4, *shape), np.float32)
+    values[0] = weight
+    np.multiply(seen_px, weight * np.float32(1 / 255.0), out=values[1:])
+    spectra = np.fft.rfft(values, axis=2)
+    # Sums of weight and of weighted blue, green, red under H and arrowhead at every heading.
+    products = np.stack([(spectra * turning).sum(axis=1) for turning in drawing.turning])
+    sums = np.fft.irfft(products, n=ANGLES, axis=2)
+    whole = values.sum(axis=(1, 2))
+    ring = (values * drawing.ring).sum(axis=(1, 2))
+    h_marking, arrow = sums[0], sums[1]
+    orange = ring[:, None] + arrow
+    disc = whole[:, None] - h_marking - orange
+    squares = float(np.einsum("crf,crf->", values[1:], seen_px)) / 255.0
+    spread = squares - float((whole[1:] ** 2).sum()) / float(whole[0])
+    if spread <= 1e-6 * total:
+        return None
+    between = np.full(ANGLES, -float((whole[1:] ** 2).sum()) / float(whole[0]))
+    least = _LEAST * total
+    means = []
+    for part in (h_marking, orange, disc):
+        n = np.maximum(part[0], least)
+        m = part[1:] / n
+        between += np.where(part[0] > least, (part[1:] * m).sum(axis=0), 0.0)
+        means.append(np.where(part[0] > least, m, np.nan))
+    m_letter, m_orange, m_disc = means
+    with np.errstate(invalid="ignore"):
+        dark = np.minimum(
+            np.nanmin(np.nan_to_num(m_letter - m_disc, nan=1.0), axis=0), np.nan_to_num(m_orange[2] - m_disc[2], nan=1.0)
+        )
+    score = np.where(dark > 0.0, between / spread, 0.25 * between / spread)
+    k = int(np.argmax(score))
+    opposite = float(score[(k + ANGLES // 2) % ANGLES])
+    left, right = float(score[k - 1]), float(score[(k + 1) % ANGLES])
+    bend = left - 2 * float(score[k]) + right
+    fine = 0.5 * (left - right) / bend if bend < -1e-9 else 0.0
+    return Heading((k + fine) * math.tau / ANGLES, float(score[k]), float(score[k]) - opposite, in_view)

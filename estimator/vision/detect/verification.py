@@ -1,0 +1,300 @@
+"""Is this the pad? Features of a laid drawing and the confidence that a logistic model makes of them.
+
+Each part of the drawing (letter, ring, disc's edge, arrowhead) is asked by itself how well its shape correlates with the frame
+just there, so that no part lends its evidence to another; the paints are asked whether they stand to one another as the drawing's
+do. Both are free of the light: correlation knows no gain, and the orange's place between disc and white is the same under any
+light that is not burnt out.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+from estimator.vision.detect.alignment import F32, AlignedTemplate
+from estimator.vision.detect.template import AROUND, DISC, ORANGE, H, disc_edge_m
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+
+FEATURES = (
+    "one", "letter", "ring", "edge", "letter_all", "ring_all", "edge_all",
+    "letter_and_ring", "letter_and_edge", "ring_and_edge", "two_of_three", "some_ring", "some_edge", "some_two", "letter_alone",
+    "no_letter", "no_ring", "no_edge", "ring_lags", "flanks",
+    "arrow", "no_arrow", "whole", "inliers", "white", "orange_place", "orange_odd", "disc_place", "size", "in_view", "tilt",
+)  # fmt: skip
+"""Names of the model's inputs, in order. A part counts by its better half of the directions from the centre, so that what
+hides one side of the pad does not count against it, and by all directions (`_all`)."""
+
+CLAIM_ACROSS_M, CLAIM_ACROSS_PX = 0.04, 0.5
+CLAIM_RANGE, CLAIM_RANGE_PX = 0.08, 0.5
+CLAIM_YAW_RAD, CLAIM_YAW_PX_RAD = math.radians(8.0), math.radians(100.0)
+"""What a confident pose claims: its centre within 4 cm and half a pixel across the line of sight, its range within 8 % and what
+half a pixel of the disc's radius makes of it, its heading within 8 degrees and 100 degrees over that radius in pixels."""
+
+_NOISE = 0.012
+"""Of the square root of light, full scale 1: residuals that a right drawing leaves anyway (noise, wear, ripples)."""
+_ENOUGH = 4.0
+"""Gains beyond this say more of the blur than of the pad."""
+_SECTORS = 8
+_TELLING = 5.0
+"""A part of the drawing of which a fifth is in view and does not show is as good as missing."""
+_ONE_EMPTY = 0.4
+"""What one place without an arrowhead says while the other is out of view, of what two say."""
+
+
+def keeps_claim(pose: PadPose, truth: PadPose, camera: Camera, pad: Pad, yaw_ambiguous: bool) -> bool:
+    """Whether a pose is as near to the true one as confidence is about."""
+    away = float(truth.t_cam_pad[2])
+    radius_px = camera.fx * pad.disc_radius_m / away
+    d = pose.t_cam_pad - truth.t_cam_pad
+    sight = truth.t_cam_pad / truth.range_m
+    along = float(d @ sight)
+    across = float(np.linalg.norm(d - along * sight))
+    yaw = abs((truth.R_cam_pad.inv @ pose.R_cam_pad).rpy_rad[2])
+    if yaw_ambiguous:
+        yaw = min(yaw, math.pi - yaw)
+    return (
+        across < CLAIM_ACROSS_M + CLAIM_ACROSS_PX * away / camera.fx
+        and abs(along) < truth.range_m * (CLAIM_RANGE + CLAIM_RANGE_PX / radius_px)
+        and yaw < CLAIM_YAW_RAD + CLAIM_YAW_PX_RAD / radius_px
+    )
+
+
+def features(aligned: AlignedTemplate, pad: Pad) -> F64:
+    """(len(FEATURES),) inputs of the model, each of order one."""
+    local = aligned.local
+    # Channel by channel: numpy's loops are long.
+    xy, light, share = aligned.xy_m.T, local.light.T, local.share.T
+    paints = local.paints.astype(np.float32)
+    residual = light - paints.T @ share
+    squared = (residual * residual).sum(axis=0)
+    r2 = xy * xy
+    r = np.sqrt(r2[0] + r2[1])
+    x, y = np.abs(xy)
+    reach = max(0.02, 1.0 * aligned.sample_m)
+    disc = disc_edge_m(pad)
+    zones = (
+        (x < pad.h_length_m / 2 + reach) & (y < pad.h_width_m / 2 + reach),
+        (r > pad.ring_inner_m - 2 * reach) & (r < pad.ring_outer_m + 2 * reach),
+        r > disc - 2.5 * reach,
+    )
+    around = ((np.arctan2(xy[1], xy[0]) + math.pi) * (_SECTORS / math.tau)).astype(np.intp) % _SECTORS
+    areas = (
+        pad.h_length_m * pad.h_width_m,
+        math.pi * ((pad.ring_outer_m + 2 * reach) ** 2 - (pad.ring_inner_m - 2 * reach) ** 2),
+        math.pi * ((1.12 * pad.disc_radius_m + aligned.sample_m) ** 2 - (disc - 2.5 * reach) ** 2),
+    )
+    gains, shown = [], []
+    for zone, paint, area in zip(zones, (H, ORANGE, AROUND), areas, strict=True):
+        at = zone.nonzero()[0]
+        way = (local.paints[DISC] - local.paints[paint]).astype(np.float32)
+        gains.append(_gains(squared.take(at), way @ residual.take(at, axis=1), share[paint].take(at), way, around.take(at)))
+        shown.append(min(1.0, len(at) * aligned.sample_m**2 / area))
+    (h_marking, letter_all), (ring, ring_all), (edge, edge_all) = gains
+    two = sorted((h_marking, ring, edge))[1]
+    everything = _gain(squared, (light * light).sum(axis=0), local.weight)
+    white, orange, green = (local.paints[k] for k in (H, ORANGE, DISC))
+    off = min(1.0, _TELLING * shown[1]) * _orange_place(white, orange, green, pad)
+    size_px = pad.disc_radius_m / aligned.sample_m
+    return np.array([
+        1.0,
+        h_marking, ring, edge, letter_all, ring_all, edge_all,
+        min(h_marking, ring), min(h_marking, edge), min(ring, edge), two,
+        _some(ring), _some(edge), _some(two), h_marking * (1.0 - min(1.0, 2.0 * max(shown[1:]))),
+        *(-min(1.0, _TELLING * part) * math.exp(-2.0 * max(0.0, gain[0])) for part, gain in zip(shown, gains, strict=True)),
+        -min(1.0, _TELLING * shown[1]) * max(0.0, h_marking - ring - 0.7),
+        -_flanks(aligned, residual, r, pad),
+        abs(arrow_support(aligned)), -_empty(aligned),
+        everything,
+        float(local.weight.mean()),
+        _clip(math.log(max(1e-3, float((white - green).min())) / 0.2), -3.0, 1.5),
+        -off, -max(0.0, off - 0.5),
+        _disc_place(aligned.paints[H], aligned.paints[DISC], pad),
+        _clip(math.log(size_px / 10.0), -1.5, 1.5),
+        min(1.0, aligned.in_view),
+        -min(2.0, 0.2 * aligned.tilt_sigmas**2),
+    ])  # fmt: skip
+
+
+_COEFFICIENTS = np.array(
+    [
+        -0.592,
+        1.004,
+        0.455,
+        -0.079,
+        0.155,
+        -0.082,
+        0.059,
+        1.197,
+        0.625,
+        1.123,
+        -0.661,
+        1.009,
+        0.378,
+        0.164,
+        0.928,
+        0.423,
+        1.020,
+        2.702,
+        0.498,
+        0.993,
+        1.156,
+        1.171,
+        -1.284,
+        0.425,
+        0.000,
+        3.352,
+        0.546,
+        0.000,
+        -1.006,
+        0.280,
+        0.147,
+    ]
+)
+"""In the order of `FEATURES`. Fitted by `python -m benches.verification_fit --frames 3000` (6130 candidates)."""
+
+
+TRACKED_LOG_ODDS = 3.0
+"""For `confidence`, of a drawing laid where the filter expects the pad: right twenty times as often as a guess out of nowhere."""
+
+
+ALONE_LOG_ODDS = -2.5
+"""For `confidence`, times `alone`, of a candidate of acquisition: an H on something green may be of any size."""
+
+
+def alone(values: F64) -> float:
+    """0..1: how much of what is in view is letter, with neither ring nor edge beside it."""
+    h_marking = float(values[FEATURES.index("letter")])
+    return min(1.0, float(values[FEATURES.index("letter_alone")]) / h_marking) if h_marking > 0.1 else 0.0
+
+
+def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
+    """0..1 of the features of a laid drawing.
+
+    Args:
+        prior_log_odds: what speaks for it beside the frame; 0 for a candidate of acquisition.
+    """
+    z = log_odds(values) + prior_log_odds
+    return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, z))))
+
+
+def log_odds(values: F64) -> float:
+    """The logarithm of the odds that `confidence` makes a probability of."""
+    return float(values @ _COEFFICIENTS)
+
+
+def arrow_support(aligned: AlignedTemplate) -> float:
+    """-1..1: an orange arrowhead where it should be (1), or where it would be with the drawing turned by half (-1).
+
+    0 where neither, both or nothing of the kind is in view.
+    """
+    fore, aft = aligned.arrow
+    return fore.found * fore.seen - aft.found * aft.seen
+
+
+def _empty(aligned: AlignedTemplate) -> float:
+    """0..1: how surely the places where an arrowhead could be are in view, clear, and without one."""
+    fore, aft = (place.seen * place.clear for place in aligned.arrow)
+    none = 1.0 - max(place.found for place in aligned.arrow)
+    return none * max(fore * aft, _ONE_EMPTY * max(fore, aft))
+
+
+def _flanks(aligned: AlignedTemplate, residual: F32, r: F32, pad: Pad) -> float:
+    """0..1: how much ring paint there is just inside or outside of the ring, where the model has none: a ring too wide.
+
+    A ring that is merely aside has as much too little on its other flank.
+    """
+    way = (aligned.local.paints[ORANGE] - aligned.local.paints[DISC]).astype(np.float32)
+    length = float(way @ way)
+    width = pad.ring_outer_m - pad.ring_inner_m
+    if length < 1e-4:
+        return 0.0
+    aside = r - pad.ring_radius_m
+    near = (np.abs(aside) < 1.3 * width).nonzero()[0]
+    aside, much = aside.take(near), way @ residual.take(near, axis=1)
+    sides = []
+    for sign in (-1.0, 1.0):
+        beside = np.abs(sign * aside - 0.9 * width) < 0.4 * width
+        n = int(np.count_nonzero(beside))
+        sides.append(float(much @ beside) / n / length if n >= 6 else 0.0)
+    return _clip(max(sides) + min(0.0, *sides), 0.0, 1.0)
+
+
+def _some(gain: float) -> float:
+    """0..1: from afar a part can gain little, and any gain counts."""
+    return max(0.0, gain) / (max(0.0, gain) + 0.4)
+
+
+def _gains(squared: F32, along: F32, share: F32, way: F32, sector: NDArray[np.intp]) -> tuple[float, float]:
+    """`_gain` by direction from the centre: mean of the better half of the directions in view, and of all of them.
+
+    Args:
+        squared: (n,) length of the residuals of the whole drawing, squared.
+        along: (n,) the residuals times `way`.
+        share: (n,) of the part's paint.
+        way: (3,) by which a sample wholly of that paint changes when the part is taken off.
+    """
+    if len(squared) < 6:
+        return 0.0, 0.0
+    n = np.bincount(sector, minlength=_SECTORS)
+    floor = _NOISE**2 * 3.0 * n + 1e-9
+    without = share * share
+    without *= float(way @ way)
+    change = np.bincount(sector, without, _SECTORS)
+    with_it = np.bincount(sector, squared, _SECTORS) + floor
+    without -= 2.0 * share * along
+    without_it = np.maximum(np.bincount(sector, without, _SECTORS) + with_it, floor)
+    gain = np.log(without_it / with_it)[change > 0.2 * float(change.max()) + 1e-9]
+    if not len(gain):
+        return 0.0, 0.0
+    each = sorted(_clip(g, -1.0, _ENOUGH) for g in gain.tolist())
+    best = each[len(each) // 2 :]
+    return sum(best) / len(best) * min(1.0, len(each) / 3.0), sum(each) / len(each)
+
+
+def _gain(squared: F32, nothing: F32, weight: F32) -> float:
+    """What the drawing gains: the logarithm of the residuals' squares without it over those with it.
+
+    Args:
+        squared: (n,) with it.
+        nothing: (n,) without it: of the light itself.
+        weight: (n,).
+    """
+    if len(squared) < 6:
+        return 0.0
+    floor = _NOISE**2 * 3.0 * float(weight.sum())
+    return _clip(math.log((float(weight @ nothing) + floor) / (float(weight @ squared) + floor)), 0.0, _ENOUGH)
+
+
+def _orange_place(white: F64, orange: F64, green: F64, pad: Pad) -> float:
+    """How far the orange lies from its nominal place on the way from disc to white, mean over the channels; 0 as it should be."""
+    span = np.maximum(white - green, 0.04)
+    place = np.clip((orange - green) / span, -0.5, 1.5)
+    return float(np.abs(place - _nominal_place(pad)).mean())
+
+
+@lru_cache(maxsize=8)
+def _nominal_place(pad: Pad) -> F64:
+    white, orange, green = (np.sqrt(_linear(rgb)) for rgb in (pad.colours.h, pad.colours.ring, pad.colours.disc))
+    return np.asarray((orange - green) / (white - green))
+
+
+def _linear(rgb: tuple[int, int, int]) -> F64:
+    v = np.array(rgb[::-1]) / 255.0
+    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
+
+
+def _disc_place(white: F64, green: F64, pad: Pad) -> float:
+    """How much more of its dominant channel the disc returns than of the others, measured against white, as a logarithm."""
+    main = 2 - int(np.argmax(pad.colours.disc))
+    ratio = (np.maximum(green, 0.0) + 0.01) / (np.maximum(white, 0.0) + 0.01)
+    return _clip(math.log(ratio[main] / max(ratio[(main + 1) % 3], ratio[(main + 2) % 3])), -1.0, 2.0)
+
+
+def _clip(x: float, low: float, high: float) -> float:
+    return min(high, max(low, x))

@@ -1,0 +1,1 @@
+"""Direct registration of the drawn pad onto a frame, from a prior: pose with covariance."""

@@ -1,0 +1,321 @@
+"""Registration of a small frame of the pad: every pixel of it against the whole drawing, all paints at once.
+
+For the distant pad, whose edges lie so close that they merge in the blur, and on a reduced frame for the nearer one, to get
+from a rough start to within a pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.vision.camera import Camera
+from estimator.vision.drawing import Blurred
+from estimator.vision.pad import Pad
+from estimator.vision.register.glare import CLIPPED, GlareBlob, find
+from estimator.vision.register.state import N_STATE, U8, Footprint, State, light_table
+
+_DARK = 0.01
+"""Light at which a sensor's noise in the dark, read-out and rounding, equals the noise of the light: variance goes as light plus
+this. Pixel values with even noise come to about the same, by the tone curve's slope. The scale is told by pixels brighter than
+a tenth of the brightest: darker ones are cut off at zero and look quieter than they are."""
+_GLARE_DOUBTED = 5e-4
+"""Variance of light over light that the paints leave at first, from which on a reflection is looked for."""
+TUKEY = 4.7
+"""Cut-off in standard deviations: 95 % efficient under Gaussian noise. Source: Holland & Welsch 1977."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patch:
+    """Pixels to explain."""
+
+    rays: F64
+    """(N, 2)."""
+    light: F64
+    """(3, N) BGR linear light, smoothed."""
+    grid: tuple[int, int]
+    """Rows and columns they were taken from."""
+    reduced: int
+    """Pixels of the frame along a side of one of these."""
+    slope: F64
+    """(2, N) place in the patch, -1..1: light may change evenly across it."""
+    at: NDArray[np.intp]
+    """(N,) where in the grid the pixels are: those far outside the disc are no business of the pad's and left out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DenseFit:
+    """One linearisation."""
+
+    H: F64
+    """(9, 9) information, paints eliminated."""
+    g: F64
+    """(9,)."""
+    paints: F64
+    """(K, 3) BGR light: surroundings, slope in u and v, then contrasts of disc, ring, H (and rim)."""
+    cov_paints: F64
+    """(K, 3) variances; nan before the last linearisation."""
+    model: F64
+    """(3, N) the light that pose and paints explain."""
+    steep2: F64
+    """(3, N) squared change of that light for one pixel's way across the steepest edge."""
+    noise: float
+    """Variance of light over light (and `_DARK`), robust."""
+    weight: F64
+    """(3, N) robust weight 0..1."""
+    scores: F64
+    """(9, N) the gradient's summands."""
+    meat: F64
+    """(9, 9) covariance of the gradient, from residuals."""
+    values: F64
+    """(K, N) what each paint coefficient multiplies."""
+    spot: GlareBlob | None
+    """A reflection of the sun, where the residuals asked for one."""
+    glare: F64
+    """(3, N) light that it adds."""
+
+
+def patch(
+    px: U8, camera: Camera, pad: Pad, state: State, margin_px: float, max_pixels: int, gamma: bool, exact: bool
+) -> tuple[Patch, State] | None:
+    """The part of the frame that holds the pad as the state has it, reduced by a whole factor to about `max_pixels`.
+
+    Args:
+        margin_px: round the disc, in pixels of the reduced frame.
+        exact: light is added up as light; otherwise pixel values are, which is faster.
+    Returns:
+        The pixels, and the state with the blur in their units, or None when too little of the pad is in view.
+    """
+    rim = pad.circle(pad.disc_radius_m, 24) @ state.R.T + state.t
+    front = rim[:, 2] > 0.02
+    h, w = px.shape[:2]
+    if not front.any():
+        return None
+    k = 1
+    for _ in range(2):
+        if front.all():
+            uv = camera.project(rim)
+            low, high = uv.min(axis=0) - margin_px * k, uv.max(axis=0) + margin_px * k
+            x0, y0 = max(0, math.floor(low[0])), max(0, math.floor(low[1]))
+            x1, y1 = min(w, math.ceil(high[0]) + 1), min(h, math.ceil(high[1]) + 1)
+        else:
+            x0, y0, x1, y1 = 0, 0, w, h
+        if x1 - x0 < 4 or y1 - y0 < 4:
+            return None
+        k = max(1, math.ceil(math.sqrt((x1 - x0) * (y1 - y0) / max_pixels)))
+        if k == 1:
+            break
+    cols, rows = (x1 - x0) // k, (y1 - y0) // k
+    if cols < 4 or rows < 4:
+        return None
+    cut = px[y0 : y0 + rows * k, x0 : x0 + cols * k]
+    table = light_table(gamma)
+    if k > 1 and not exact:
+        cut = np.asarray(cv2.resize(cut, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
+    bright = cv2.LUT(cut, table)
+    if k > 1 and exact:
+        bright = cv2.resize(bright, (cols, rows), interpolation=cv2.INTER_AREA)
+    light = smooth(bright).reshape(-1, 3)
+    j, i = np.mgrid[1 : rows - 1, 1 : cols - 1].reshape(2, -1)
+    uv = np.stack([x0 + k * i + 0.5 * (k - 1), y0 + k * j + 0.5 * (k - 1)], axis=1)
+    rays = camera.rays(uv) if camera.distorted else (uv - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    coarse = state.reduced(k, SMOOTHING_PX2)
+    places = coarse.footprint(rays, pad).places
+    reach = pad.disc_radius_m + margin_px * coarse.m_per_px
+    near = np.nonzero(places.x**2 + places.y**2 < reach**2)[0]
+    if len(near) < 24:
+        return None
+    i, j = i[near], j[near]
+    at = j * cols + i
+    slope = np.stack([2.0 * i / (cols - 1) - 1.0, 2.0 * j / (rows - 1) - 1.0])
+    return Patch(rays[near], np.ascontiguousarray(light[at].T), (rows, cols), k, slope, at), coarse
+
+
+def median(a: F64) -> float:
+    """The upper median; a fraction of numpy's overhead on small arrays."""
+    k = len(a) // 2
+    return float(np.partition(a, k)[k])
+
+
+def smooth(image: NDArray[Any]) -> F64:
+    """(H, W, C) through (1, 2, 1) / 4 in both directions: variance half a pixel squared.
+
+    What is left of the frame's finest detail after that looks like a Gaussian blur whatever the lens, the pixel and the colour
+    filter's interpolation made of it; without it their real shape, which nobody knows, pulls at thin strokes.
+    """
+    kernel = np.array([0.25, 0.5, 0.25])
+    return np.asarray(cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=float)
+
+
+SMOOTHING_PX2 = 0.5
+NOISE_LEFT = (0.25**2 + 0.5**2 + 0.25**2) ** 2
+"""Share of independent noise's variance that smoothing leaves."""
+
+
+def basis(fp: Footprint, cut: Patch) -> tuple[F64, F64]:
+    """(K, N) what each paint coefficient multiplies, and (K - 3, 5, N) the change of those that depend on the pose."""
+    b = fp.places
+    pad = b.pad
+    if pad.rim_width_m:
+        (disc, d_disc), (field, d_field), outer, inner = b.circles(
+            pad.disc_radius_m, pad.disc_radius_m - pad.rim_width_m, pad.ring_outer_m, pad.ring_inner_m
+        )
+    else:
+        (field, d_field), outer, inner = b.circles(pad.disc_radius_m, pad.ring_outer_m, pad.ring_inner_m)
+    arrow, d_arrow = b.arrow_small()
+    white, d_white = b.h()
+    values = [1.0, *cut.slope, field, outer[0] - inner[0] + arrow, white]
+    changes = [d_field, outer[1] - inner[1] + d_arrow, d_white]
+    if pad.rim_width_m:
+        values.append(disc - field)
+        changes.append(d_disc - d_field)
+    out = np.empty((len(values), len(field)))
+    for row, value in zip(out, values, strict=True):
+        row[:] = value
+    return out, np.stack(changes)
+
+
+def fit(state: State, cut: Patch, pad: Pad, last: DenseFit | None, edge_sigma_px: float, final: bool = False) -> DenseFit:
+    """One linearisation.
+
+    Args:
+        last: the one before, whose light and steepness say how large residuals may be; None at first, when no pixel is doubted.
+        edge_sigma_px: how well the model predicts where an edge lies in the frame.
+        final: work out `WholeFit.meat` too.
+    """
+    fp = state.footprint(cut.rays, pad)
+    painted, changes = basis(fp, cut)
+    K, n = painted.shape
+    y = cut.light
+    light = y if last is None else last.model
+    judged = light > 0.1 * float(light.max())
+    judged[judged.sum(axis=1) < 3 * K] = True
+    level = np.maximum(light, 0.0) + _DARK
+    unsharp = np.zeros((3, n)) if last is None else edge_sigma_px**2 * last.steep2
+    var = level if last is None else last.noise * level + unsharp
+    w = 1.0 / var
+    weight = np.ones((3, n))
+    values, sound, spot = painted, weight, None if last is None else last.spot
+    if last is None:
+        _, a = _paints(painted, w, y)
+        r = y - a @ painted
+        if float((w * r * r).mean()) > _GLARE_DOUBTED:
+            spot = find(fp.places.x, fp.places.y, r, w, painted, pad)
+    if spot is not None:
+        values = np.concatenate([painted, spot.columns(fp.places.x, fp.places.y)])
+        sound = (y < CLIPPED).astype(float)
+        w = w * sound
+        measured = judged & (y < CLIPPED)
+        judged = np.where(measured.sum(axis=1, keepdims=True) < 3 * K, judged, measured)
+    for round_ in range(2):
+        M, a = _paints(values, w, y)
+        model = a @ values
+        r = y - model
+        r2 = r * r
+        if last is None or round_ == 1:
+            break
+        noise = np.array([max(median(x) / 0.4549, 1e-7) for x in _each((r2 - unsharp) / level, judged)])
+        var = noise[:, None] * level + unsharp
+        u = np.maximum(1.0 - r2 / (TUKEY**2 * var), 0.0)
+        weight = u * u * sound
+        w = weight / var
+    inside = weight > 0.0
+    count = inside.sum(axis=1)
+    spent = count / np.maximum(1, count - len(values) - 3)
+    kept = inside & judged
+    chi2 = np.where(kept, r2 / var, 0.0).sum(axis=1) / np.maximum(kept.sum(axis=1), 1)
+    scale = np.where(kept.any(axis=1), np.maximum(chi2 * spent, 1e-7), 1.0)
+    change = (a[:, 3:K].astype(np.float32) @ changes.reshape(K - 3, 5 * n)).reshape(3, 5, n).transpose(1, 0, 2)
+    steep2 = (change[0] ** 2 + change[1] ** 2).astype(float) * state.m_per_px**2
+    J = fp.jacobian(change).astype(float)
+    w = w / scale[:, None]
+    Jw = J * w
+    M = M / scale[:, None, None]
+    C = Jw.transpose(1, 0, 2) @ values.T
+    out = np.linalg.solve(M, C.transpose(0, 2, 1))
+    H = Jw.reshape(N_STATE, -1) @ J.reshape(N_STATE, -1).T - (C @ out).sum(axis=0)
+    scores = (Jw * r).sum(axis=1)
+    cov, meat = np.full((K, 3), np.nan), np.zeros((N_STATE, N_STATE))
+    if final:
+        cov = np.linalg.inv(M).diagonal(axis1=1, axis2=2).T[:K]
+        for c in range(3):
+            # Weights have a fixed shape, so that no wrong start can talk itself into it; the covariance has the noise as it is.
+            seen = _noise_of_paints(r[c], painted, inside[c], float(spent[c])) / NOISE_LEFT
+            projected = Jw[:, c] - out[c].T @ (values * w[c])
+            # Smoothing shares noise between neighbours; its transpose, which is itself, brings the sums back to pixels.
+            spread = np.zeros((cut.grid[0] * cut.grid[1], N_STATE))
+            spread[cut.at] = projected.T
+            alone = smooth(spread.reshape(*cut.grid, N_STATE)).reshape(-1, N_STATE)[cut.at].T
+            meat += (alone * seen) @ alone.T
+    left = np.mean([median(x) for x in _each(r2 / level, judged)]) / 0.4549
+    return DenseFit(
+        H, scores.sum(axis=1), a.T[:K], cov, model, steep2, max(float(left), 1e-7), weight, scores, meat, painted,
+        None if spot is None else spot.moved(a[:, K:].sum(axis=0), pad), a[:, K:] @ values[K:],
+    )  # fmt: skip
+
+
+def _paints(values: F64, w: F64, y: F64) -> tuple[F64, F64]:
+    """(3, K, K) normal matrices and (3, K) solutions of each channel's weighted least squares."""
+    K, n = values.shape
+    vw = values * w[:, None]
+    M = vw @ values.T + 1e-7 * n * np.eye(K) * w.mean(axis=1)[:, None, None]
+    return M, np.linalg.solve(M, vw @ y[:, :, None])[:, :, 0]
+
+
+def _each(rows: F64, of: NDArray[np.bool_]) -> list[F64]:
+    """The chosen values of each row."""
+    return [row[chosen] for row, chosen in zip(rows, of, strict=True)]
+
+
+def _noise_of_paints(r: F64, values: F64, inside: NDArray[np.bool_], grow: float) -> F64:
+    """(N,) variance of light from residuals: each paint has its own, and a pixel the mean by what it sees.
+
+    Args:
+        grow: for what the fit has taken out of the residuals.
+    """
+    paints = np.clip(values[3:], 0.0, 1.0)
+    disc, orange, white = paints[:3]
+    rim = paints[3] if len(paints) > 3 else np.zeros_like(disc)
+    shares = np.maximum(np.stack([1.0 - disc - rim, disc - orange - white, orange, white, rim]), 0.0)
+    q = np.where(inside, r * r, 0.0) * grow
+    total = shares @ inside
+    var = (shares @ q) / np.maximum(total, 1.0)
+    # A paint hardly in view borrows the mean.
+    var = np.where(total > 4.0, var, float(q.sum()) / max(1.0, float(inside.sum())))
+    return np.asarray(np.maximum(var @ shares, 1e-10))
+
+
+def arrow_amplitudes(state: State, cut: Patch, pad: Pad, fit: DenseFit) -> tuple[float, float, float] | None:
+    """How much of an arrowhead is where it should be, how much opposite, and sigma of either; 1 is a whole one.
+
+    None when the ring's paint does not differ from the disc's, or no arrowhead would be in view.
+    """
+    contrast = fit.paints[4]
+    mix = contrast / (np.maximum(fit.paints[[0, 3]].sum(axis=0), 0.0) + 0.02)
+    size = float(mix @ contrast)
+    if size < 1e-4:
+        return None
+    mix = mix / size
+    y = mix @ (cut.light - fit.glare)
+    b = state.footprint(cut.rays, pad).places
+    here = b.arrow_small()[0]
+    there = Blurred(pad, -b.x, -b.y, b.blur_m2, b.scale2).arrow_small()[0]
+    field, ring = fit.values[3], fit.values[4] - here
+    # Beyond the ring the H is of no concern; the surroundings are.
+    r = np.hypot(b.x, b.y)
+    w = ((r > pad.ring_inner_m) & (field > 0.98)).astype(float)
+    if float(w @ here) < 0.1 and float(w @ there) < 0.1:
+        return None
+    columns = np.stack([np.ones_like(ring), ring, here, there])
+    M = (columns * w) @ columns.T + 1e-6 * np.eye(4)
+    a = np.linalg.solve(M, (columns * w) @ y)
+    residual = (y - a @ columns)[w > 0]
+    var = float(residual @ residual) / max(1, len(residual) - 4)
+    inverse = np.linalg.inv(M)
+    return float(a[2]), float(a[3]), math.sqrt(var * float(max(inverse[2, 2], inverse[3, 3])))

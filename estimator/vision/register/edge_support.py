@@ -1,0 +1,104 @@
+"""What the frame says about each kind of edge where the drawing was registered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from types import MappingProxyType
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.vision.drawing import EdgeKind
+from estimator.vision.pad import Pad
+from estimator.vision.register import dense
+from estimator.vision.register import profiles as profiles_
+from estimator.vision.register.sampling import Profiles
+from estimator.vision.register.state import light_table
+
+_SNR_SEEN = 5.0
+_LIKENESS_SEEN = 0.4
+"""White balance off by 20 % and light of 3000 K leave white against green and orange against green above 0.8."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeSupport:
+    """What the frame says about one kind of edge."""
+
+    contrast_bgr: F64
+    """(3,) linear light inside less outside."""
+    snr: float
+    """Contrast over its standard deviation, best channel mix."""
+    in_view: float
+    """Share of these edges within the frame, 0..1."""
+    inliers: float
+    """Share of those in view that agree with the drawing, 0..1."""
+    likeness: float = 1.0
+    """Cosine between the contrast and that of the pad file's paints; 1 for the disc, whose surroundings nobody knows."""
+
+    @property
+    def seen(self) -> bool:
+        return self.snr > _SNR_SEEN and self.inliers > 0.5 and self.in_view > 0.0 and self.likeness > _LIKENESS_SEEN
+
+    def beside(self, kind: EdgeKind, pad: Pad) -> EdgeSupport:
+        """The same with its likeness to the paints of the pad file."""
+        nominal = _contrasts(pad).get(kind)
+        size = math.sqrt(float(self.contrast_bgr @ self.contrast_bgr))
+        like = 1.0 if nominal is None or size < 1e-6 else float(nominal @ self.contrast_bgr) / size
+        return EdgeSupport(self.contrast_bgr, self.snr, self.in_view, self.inliers, like)
+
+
+def profile_support(
+    fit: profiles_.ProfileFit, measured_at: Profiles, mix: profiles_.Channels, noise: F64
+) -> tuple[dict[EdgeKind, EdgeSupport], float]:
+    """Of every kind, and the share of all pixels that agree."""
+    out: dict[EdgeKind, EdgeSupport] = {}
+    pixels, agree = np.add.reduceat(np.stack([measured_at.usable, fit.weight]), measured_at.starts, axis=1)
+    enough = pixels > 8
+    # Tukey's weights are 0.9 in the mean of Gaussian noise.
+    counted, agreed = (np.stack([pixels * enough, agree * enough]) @ measured_at.of_kind).tolist()
+    for kind, var in zip(EdgeKind, noise.mean(axis=1).tolist(), strict=True):
+        in_view = float(measured_at.in_view[kind])
+        if not counted[kind]:
+            out[kind] = EdgeSupport(np.zeros(3), 0.0, in_view, 0.0)
+            continue
+        contrast = dense.median(fit.contrast[enough & (measured_at.group_kind == kind)])
+        snr = contrast / math.sqrt(var) if var < 0.5 else 0.0
+        out[kind] = EdgeSupport(mix.contrast[kind] * contrast, snr, in_view, min(1.0, agreed[kind] / (0.9 * counted[kind])))
+    return out, min(1.0, float(agree.sum()) / max(1.0, 0.9 * float(pixels.sum())))
+
+
+def dense_support(fit: dense.DenseFit, arrow: tuple[float, float, float] | None) -> tuple[dict[EdgeKind, EdgeSupport], float]:
+    """The same from the whole disc; `arrow` as of `arrow_amplitudes`."""
+    weight = fit.weight.mean(axis=0)
+    out: dict[EdgeKind, EdgeSupport] = {}
+    for kind, row in ((EdgeKind.DISC, 3), (EdgeKind.RING, 4), (EdgeKind.H, 5)):
+        share = fit.values[row]
+        edge = share * (1.0 - share)
+        total = float(edge.sum())
+        snr = math.sqrt(float((fit.paints[row] ** 2 / np.maximum(fit.cov_paints[row], 1e-12)).sum()))
+        inliers = min(1.0, float(edge @ weight) / (0.9 * total)) if total > 1e-6 else 0.0
+        out[kind] = EdgeSupport(fit.paints[row], snr, 1.0, inliers)
+    if arrow is None:
+        out[EdgeKind.ARROW] = EdgeSupport(np.zeros(3), 0.0, 0.0, 0.0)
+    else:
+        out[EdgeKind.ARROW] = arrow_support(arrow[0], arrow[2], fit.paints[4], 1.0)
+    return out, min(1.0, float(weight.mean()) / 0.9)
+
+
+def arrow_support(amplitude: float, sigma: float, contrast: F64, in_view: float) -> EdgeSupport:
+    """Of an arrowhead of this strength, 1 as it should be."""
+    agree = min(1.0, max(0.0, 1.0 - abs(amplitude - 1.0)))
+    return EdgeSupport(contrast * amplitude, max(0.0, amplitude) / max(sigma, 1e-6), in_view, agree)
+
+
+@lru_cache(maxsize=8)
+def _contrasts(pad: Pad) -> Mapping[EdgeKind, F64]:
+    """(3,) BGR way from the disc's paint to those of the pad file, of length 1."""
+    table, paints = light_table(True), pad.colours
+    ways = {kind: table[list(rgb[::-1])] - table[list(paints.disc[::-1])] for kind, rgb in (
+        (EdgeKind.RING, paints.ring), (EdgeKind.ARROW, paints.ring), (EdgeKind.H, paints.h),
+    )}  # fmt: skip
+    return MappingProxyType({kind: way / max(float(np.linalg.norm(way)), 1e-6) for kind, way in ways.items()})

@@ -1,0 +1,103 @@
+"""A registration as the sample that leaves vision: brought from the camera to `level`, with what the attitude does not know."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Pose6, Sighting
+from estimator.contracts.geometry import F64, Rotation, skew, wrap_pi
+from estimator.contracts.samples import Frame
+from estimator.vision.camera import Camera
+from estimator.vision.drawing import EdgeKind
+from estimator.vision.pose import Orientation
+from estimator.vision.register.registration import Registration
+from estimator.vision.register.solver import roll_pitch, tilt_axes
+
+_WORTH = {EdgeKind.DISC: 0.4, EdgeKind.RING: 0.6, EdgeKind.ARROW: 0.4, EdgeKind.H: 0.6}
+"""How far each kind of edge goes towards belief that this is the pad and no other round or white thing."""
+
+
+def registered_sighting(frame: Frame, found: Registration, camera: Camera, orientation: Orientation) -> Sighting:
+    """The sighting of method "registration".
+
+    What the frame says of the deck's tilt against what the attitude says is shared out between errors of either, by their
+    variances; the covariance has the attitude's remaining error in place, heading and tilt alike, correlations included.
+
+    Args:
+        orientation: attitude at the exposure and the deck's expected tilt, the same that was given to `register` as prior.
+    """
+    R_level_body = roll_pitch(orientation)
+    R_level_cam = R_level_body @ camera.T_body_cam.R.matrix
+    R_cam_pad, t = found.pose.R_cam_pad.matrix, found.pose.t_cam_pad
+    axes, C = tilt_axes(orientation), orientation.cov_tilt
+
+    normal = R_level_cam @ R_cam_pad[:, 2]
+    # An error e of the attitude turns the normal by (axes @ e) x z; what remains of it is the deck's own tilt.
+    A = -np.array([[0.0, 1.0], [-1.0, 0.0]]) @ axes[:2]
+    gain = C @ A.T @ np.linalg.inv(A @ C @ A.T + (orientation.sigma_deck_rad**2 + 1e-12) * np.eye(2))
+    turn = cv2.Rodrigues(axes @ (gain @ normal[:2]))[0]
+    R_level_cam = turn @ R_level_cam
+    d = R_level_cam @ t + turn @ (R_level_body @ camera.T_body_cam.t)
+    R_level_pad = Rotation(_nearest(R_level_cam @ R_cam_pad))
+
+    # Errors of (t_cam_pad, rotation, attitude), then of (d_body_pad_level, rotation of the pad in level).
+    back = np.zeros((2, 6))
+    back[:, 3:] = gain @ (-skew(normal) @ R_level_cam)[:2]
+    joint = np.zeros((8, 8))
+    joint[:6, :6] = found.cov
+    joint[6:, :6] = crossed = back @ found.cov
+    joint[:6, 6:] = crossed.T
+    joint[6:, 6:] = crossed @ back.T + C - gain @ A @ C
+    J = np.zeros((6, 8))
+    J[:3, :3] = J[3:, 3:6] = R_level_cam
+    J[:3, 6:] = -skew(d) @ axes
+    J[3:, 6:] = axes
+    cov6 = _symmetric(J @ joint @ J.T)
+
+    x, y, z = R_level_pad.matrix[:, 0].tolist()
+    flat2 = max(x * x + y * y, 1e-9)
+    to4 = np.zeros((4, 6))
+    to4[0, 0] = to4[1, 1] = to4[2, 2] = 1.0
+    # How the arrow's azimuth answers to a small turn in `level`, and the heading against it the other way.
+    to4[3, 3:] = x * z / flat2, y * z / flat2, -(x * x + y * y) / flat2
+    cov = _symmetric(to4 @ cov6 @ to4.T)
+    yaw: float | None = wrap_pi(-math.atan2(y, x))
+    ambiguous = found.yaw_ambiguous
+    if cov[3, 3] > 0.5:
+        yaw, ambiguous = None, False
+        cov[3, :] = cov[:, 3] = 0.0
+        cov[3, 3] = UNKNOWN_YAW_VAR
+    features = tuple(
+        Feature("outline" if kind is not EdgeKind.H else "point", kind.name.lower(), _finite(uv))
+        for kind, uv in zip(EdgeKind, found.outline_px, strict=True)
+    )
+    return Sighting(
+        frame.stamp, frame.seq, "registration", d, yaw, ambiguous, cov, confidence(found),
+        Pose6(d, R_level_pad, cov6), features,
+    )  # fmt: skip
+
+
+def confidence(found: Registration) -> float:
+    """0..1 from the edges that are there with the right places: grows with their kinds, falls with what disagrees."""
+    doubt = 1.0
+    for kind, evidence in found.edges.items():
+        if evidence.seen:
+            doubt *= 1.0 - _WORTH[kind] * evidence.inliers
+    return float(np.clip((1.0 - doubt) * min(1.0, found.inliers / 0.6), 0.0, 1.0))
+
+
+def _finite(uv: F64) -> F64:
+    ok = np.isfinite(uv)
+    return uv if ok.all() else uv[ok.all(axis=1)]
+
+
+def _nearest(m: F64) -> F64:
+    """One Newton step to the nearest rotation, from a product of a few (Higham 1986)."""
+    return np.asarray(0.5 * m @ (3.0 * np.eye(3) - m.T @ m))
+
+
+def _symmetric(m: F64) -> F64:
+    return np.asarray(0.5 * (m + m.T))

@@ -1,0 +1,198 @@
+"""The arrow method: the centre of the white H and the tip of the orange arrowhead. It tells place and heading."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from estimator.contracts.estimates import Feature
+from estimator.contracts.geometry import F64
+from estimator.vision.pad import Pad
+from estimator.vision.pose import Marks, View
+from estimator.vision.thesis.blob import U8
+from estimator.vision.thesis.right_angles import RightAngle, refine
+from estimator.vision.thesis.segmentation import F32, Segmentation
+
+_SIGMA_CENTROID_PX = 0.03
+_SIGMA_CENTROID = 0.0015
+"""Of the H's length: what worn paint and the edge of a shadow do to the centroid, however many pixels it has."""
+_SIGMA_TIP_PX = 0.06
+"""Blur moves a corner along its bisector; the fit of the arms stays clear of it but for this."""
+_TIP_CANDIDATES = 6
+_MIN_REACH_PX = 3.2
+"""Arms shorter than this are nothing but blur: the tip comes out up to 2 % of the arrow's length too far."""
+_SECTORS = 24
+_MIN_PAINT = 0.25
+"""Share of the brightest orange, in deep shadow."""
+_MAX_REACH_PX = 24.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrow:
+    """What the arrow method found."""
+
+    marks: Marks
+    confidence: float
+    features: tuple[Feature, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Centroid:
+    uv_px: F64
+    """(2,) px, the frame of the H's centre."""
+    area_plane: float
+    perimeter_px: float
+
+
+def find_arrow(seg: Segmentation, view: View, pad: Pad, orangeness: F32 | None) -> Arrow | None:
+    """The arrow, or None when the H leaves the frame, there is no tip, or the two do not fit one another.
+
+    Args:
+        orangeness: `Segmentation.orangeness()`.
+    """
+    if seg.h_touches_border or seg.whiteness is None or orangeness is None:
+        return None
+    centre = _centroid(seg, seg.whiteness, view)
+    if centre is None:
+        return None
+    origin = np.array(seg.origin_px, dtype=float)
+    h_area_m2 = 2.0 * pad.h_length_m * pad.leg_width_m + pad.bar_length_m * pad.bar_width_m
+    scale = math.sqrt(centre.area_plane / h_area_m2)
+    centre_plane = view.plane(centre.uv_px[None, :])
+    px_per_m = _local_px(view, centre_plane[0]) * scale
+    # Between the arms of the arrowhead nothing else comes within three quarters of their length.
+    reach_px = 0.75 * math.hypot(pad.arrow_depth_m, pad.arrow_half_base_m) * px_per_m
+    if reach_px < _MIN_REACH_PX:
+        return None
+    starts = _farthest(seg.orange, centre.uv_px - origin, pad, px_per_m)
+    if len(starts) == 0:
+        return None
+    paint = _paint_behind(starts, centre.uv_px - origin - starts, orangeness, pad, px_per_m)
+    starts, paint = starts[paint > _MIN_PAINT], paint[paint > _MIN_PAINT]
+    reach_px = min(reach_px, _MAX_REACH_PX)
+    tips = [t for t in refine(orangeness, starts, reach_px, paint) if not t.inner]
+    best: tuple[float, RightAngle] | None = None
+    for tip in tips:
+        misfit = _score(tip, origin, centre_plane[0], view, pad, scale)
+        if misfit is not None and (best is None or misfit < best[0]):
+            best = (misfit, tip)
+    if best is None:
+        return None
+    misfit, rough = best
+    # Once more from where it is, against its own paint: the ring, thin from afar, is paler, and a shadow may lie on it.
+    inwards = rough.arms.sum(axis=0)[None, :]
+    paint = _paint_behind(rough.uv_px[None, :], inwards, orangeness, pad, px_per_m)
+    again = refine(orangeness, rough.uv_px[None, :], reach_px, paint, settled=True) if paint[0] > _MIN_PAINT else []
+    if len(again) != 1 or again[0].inner:
+        return None
+    exact = again[0]
+    tip_uv = exact.uv_px + origin
+    uv = np.stack([centre.uv_px, tip_uv])
+    n_edge = max(4.0, centre.perimeter_px / 4.0)
+    sigma = np.array(
+        [
+            math.hypot(0.25 / math.sqrt(n_edge), _SIGMA_CENTROID_PX, _SIGMA_CENTROID * pad.h_length_m * px_per_m),
+            math.hypot(exact.sigma_px, _SIGMA_TIP_PX),
+        ]
+    )
+    modes = np.zeros((4, 2, 2))
+    modes[0, 0, 0] = modes[1, 0, 1] = sigma[0]
+    modes[2, 1, 0] = modes[3, 1, 1] = sigma[1]
+    confidence = math.exp(-0.5 * misfit) * (0.5 + 0.5 * seg.plausibility)
+    features = (
+        Feature("line", "arrow", uv),
+        Feature("point", "tip", tip_uv[None, :]),
+        Feature("point", "centre", centre.uv_px[None, :]),
+    )
+    return Arrow(Marks(uv, np.array([[0.0, 0.0], [pad.arrow_tip_m, 0.0]]), modes), confidence, features)
+
+
+def _centroid(seg: Segmentation, whiteness: F32, view: View) -> _Centroid | None:
+    """Centre of the H: the centroid of its paint over the level plane; over the frame the nearer half counts more."""
+    near = cv2.dilate(seg.h, np.ones((3, 3), np.uint8), iterations=2)
+    u0, v0, w, h = cv2.boundingRect(near)
+    box = np.s_[v0 : v0 + h, u0 : u0 + w]
+    # Steeper than the share itself, so that uneven paint inside counts alike and only the edge keeps its fractions.
+    weight = np.where(near[box] > 0, np.clip(2.0 * whiteness[box] - 0.5, 0.0, 1.0), np.float32(0.0))
+    m = cv2.moments(weight)
+    if m["m00"] < 6.0:
+        return None
+    uv = np.array([m["m10"] / m["m00"] + u0 + seg.origin_px[0], m["m01"] / m["m00"] + v0 + seg.origin_px[1]])
+    C = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
+    # Map the moments to the level plane by the map's own second-order expansion about the centroid.
+    step = 0.5 * math.sqrt(max(float(np.trace(C)), 4.0))
+    grid = np.array([(i, j) for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0)])
+    q = view.plane(uv + step * grid).reshape(3, 3, 2)
+    if not np.all(np.isfinite(q)):
+        return None
+    du, dv = (q[2, 1] - q[0, 1]) / (2 * step), (q[1, 2] - q[1, 0]) / (2 * step)
+    duu, dvv = (q[2, 1] - 2 * q[1, 1] + q[0, 1]) / step**2, (q[1, 2] - 2 * q[1, 1] + q[1, 0]) / step**2
+    duv = (q[2, 2] - q[2, 0] - q[0, 2] + q[0, 0]) / (4 * step**2)
+    J = np.stack([du, dv], axis=1)
+    det = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
+    grow_u = (duu[0] * dv[1] + du[0] * duv[1] - duv[0] * du[1] - dv[0] * duu[1]) / det
+    grow_v = (duv[0] * dv[1] + du[0] * dvv[1] - dvv[0] * du[1] - dv[0] * duv[1]) / det
+    bend = 0.5 * (C[0, 0] * duu + 2.0 * C[0, 1] * duv + C[1, 1] * dvv)
+    centre = q[1, 1] + bend + J @ C @ np.array([grow_u, grow_v])
+    uv_centre = view.pixels(centre[None, :])[0]
+    contours, _ = cv2.findContours(seg.h, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    perimeter = sum(cv2.arcLength(c, True) for c in contours)
+    return _Centroid(uv_centre, float(m["m00"] * abs(det)), perimeter)
+
+
+def _farthest(orange: U8, centre: F64, pad: Pad, px_per_m: float) -> F64:
+    """(N, 2) the orange pixels that stick out of the ring farthest, one for each direction: among them is the tip."""
+    if not orange.any():
+        return np.zeros((0, 2))
+    d = cv2.findNonZero(orange)[:, 0, :] - centre
+    r = np.sqrt(d[:, 0] ** 2 + d[:, 1] ** 2)
+    # The area of the H gives the scale to a few percent; the tip stands out of the ring by 15 %.
+    near = (r > 1.03 * pad.ring_outer_m * px_per_m) & (r < 1.25 * pad.arrow_tip_m * px_per_m)
+    d, r = d[near], r[near]
+    if len(r) == 0:
+        return np.zeros((0, 2))
+    order = np.argsort(-r)
+    sector = np.floor(np.arctan2(d[order, 1], d[order, 0]) * (_SECTORS / math.tau)).astype(int)
+    _, first = np.unique(sector, return_index=True)
+    return np.asarray(d[order][np.sort(first)[:_TIP_CANDIDATES]] + centre)
+
+
+def _paint_behind(tips: F64, inwards: F64, orangeness: F32, pad: Pad, px_per_m: float) -> F64:
+    """(N,) share of orange in the middle of the arrowheads that would belong to these tips, (N, 2), and directions."""
+    incentre_m = math.sqrt(2.0) * (pad.arrow_depth_m + pad.arrow_half_base_m) * 0.5 * (math.sqrt(2.0) - 1.0)
+    at = tips + inwards / np.linalg.norm(inwards, axis=1, keepdims=True) * incentre_m * px_per_m
+    spread = 0.25 * incentre_m * px_per_m
+    grid = at[:, None, :] + spread * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    u, v = grid[:, :, 0].astype(np.float32), grid[:, :, 1].astype(np.float32)
+    return np.asarray(np.median(cv2.remap(orangeness, u, v, cv2.INTER_LINEAR), axis=1), float)
+
+
+def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: View, pad: Pad, scale: float) -> float | None:
+    """Misfit of tip and H: length against the H's area, bisector against the centre, angle of the arms against 90 degrees.
+
+    None when any of them is out of the question. The H's long axis is no help: its moments are alike along and across.
+    """
+    uv = tip.uv_px + origin
+    q = view.plane(np.stack([uv, uv + 2.0 * tip.arms[0], uv + 2.0 * tip.arms[1]]))
+    if not np.all(np.isfinite(q)):
+        return None
+    v = q[0] - centre_plane
+    length = float(np.linalg.norm(v))
+    off_length = math.log(length / (pad.arrow_tip_m * scale)) / 0.12
+    arms = (q[1:] - q[0]) / np.linalg.norm(q[1:] - q[0], axis=1, keepdims=True)
+    inward = -(arms[0] + arms[1])
+    off_bisector = math.acos(float(np.clip(inward @ v / (np.linalg.norm(inward) * length), -1.0, 1.0))) / math.radians(10.0)
+    off_right = abs(math.acos(float(np.clip(arms[0] @ arms[1], -1.0, 1.0))) - math.pi / 2) / math.radians(10.0)
+    parts = np.array([off_length, off_bisector, off_right])
+    return float(np.mean(parts**2)) if np.all(np.abs(parts) <= 3.0) else None
+
+
+def _local_px(view: View, plane: F64) -> float:
+    """Pixels for one unit of the level plane at this place."""
+    h = 1e-3
+    uv = view.pixels(plane + h * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]))
+    a, b = (uv[0] - uv[1]) / (2 * h), (uv[2] - uv[3]) / (2 * h)
+    return math.sqrt(abs(float(a[0] * b[1] - a[1] * b[0])))

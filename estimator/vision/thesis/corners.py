@@ -1,0 +1,225 @@
+"""The corners method: the right angles of the H, for the range where neither disc nor arrow fit into the frame.
+
+Two inner corners of the cross-bar start it. Their arms tell which two they are: arms that point at each other lie along the
+bar, so the pair stands on a long side; arms that point away from each other lie along one leg, so it stands on a short side.
+The drawing laid on the pair predicts all twelve corners; those found there join the fit. The H is alike from both ends,
+so the heading is known up to 180 degrees.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from estimator.contracts.estimates import Feature
+from estimator.contracts.geometry import F64
+from estimator.vision.pad import Pad
+from estimator.vision.pose import Marks, View, point_modes
+from estimator.vision.thesis.blob import U8
+from estimator.vision.thesis.right_angles import RightAngle, candidates, refine
+from estimator.vision.thesis.segmentation import F32, Segmentation
+
+_MIN_STROKE_PX = 4.5
+_SIGMA_CORNER_PX = 0.06
+_SIGMA_CORNER = 0.004
+"""Of a stroke's width: a shadow's edge across a corner."""
+_ALONG = math.cos(math.radians(10.0))
+"""Arms along the line between two corners keep to it under any perspective; the diagonal is 18 degrees off the bar."""
+_INNER = (2, 3, 8, 9)
+_IS_INNER = np.isin(np.arange(12), _INNER)
+"""Which of `Pad.h_corners` are inner ones: fore port, fore starboard, aft starboard, aft port."""
+
+Side = Literal["long", "short"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corners:
+    """What the corners method found."""
+
+    marks: Marks
+    confidence: float
+    features: tuple[Feature, ...]
+    side: Side
+    """Which side of the cross-bar the starting pair stood on."""
+
+
+def find_corners(seg: Segmentation, view: View, pad: Pad) -> Corners | None:
+    """The corners of the H, or None when fewer than two inner ones show or they do not fit the drawing."""
+    whiteness = seg.whiteness
+    if whiteness is None:
+        return None
+    stroke_px = _stroke(seg.h)
+    if stroke_px < _MIN_STROKE_PX:
+        return None
+    around = 2 * max(1, round(0.3 * stroke_px)) + 1
+    where = np.asarray(cv2.dilate(seg.h, np.ones((around, around), np.uint8)), np.uint8)
+    found = refine(whiteness, candidates(whiteness, where, stroke_px), min(0.75 * stroke_px, 30.0))
+    inner = [c for c in found if c.inner]
+    if len(inner) < 2:
+        return None
+    origin = np.array(seg.origin_px, dtype=float)
+    uv = np.array([c.uv_px for c in found]) + origin
+    plane = view.plane(uv)
+    drawing = pad.h_corners()[:, :2]
+    best: tuple[int, float, Side, list[tuple[int, int]]] | None = None
+    for a, b in itertools.combinations([i for i, c in enumerate(found) if c.inner], 2):
+        side = side_of(found[a], found[b])
+        if side is None:
+            continue
+        aligned = _lay(a, b, side, found, plane, drawing)
+        if aligned is None:
+            continue
+        pairs, misfit = _match(found, plane, drawing, aligned, pad)
+        if len(pairs) >= 2 and (best is None or (len(pairs), -misfit) > (best[0], -best[1])):
+            best = (len(pairs), misfit, side, pairs)
+            if len(pairs) == len(found) or len(pairs) == len(drawing):
+                break
+    if best is None:
+        return None
+    count, misfit, side, pairs = best
+    at = np.array([i for i, _ in pairs])
+    places = drawing[[k for _, k in pairs]]
+    fit = _similarity(places, plane[at])
+    if fit is None or not _painted(fit, seg, view, pad, whiteness):
+        return None
+    sigma = np.hypot([found[i].sigma_px for i in at], math.hypot(_SIGMA_CORNER_PX, _SIGMA_CORNER * stroke_px))
+    marks = Marks(uv[at], places, point_modes(sigma), yaw_ambiguous=True)
+    confidence = (1.0 - math.exp(-0.5 * count)) * math.exp(-((misfit / 0.15) ** 2)) * (0.5 + 0.5 * seg.plausibility)
+    centre = view.pixels(_apply(fit, np.zeros((1, 2))))
+    features = (
+        Feature("point", "corners", uv[at]),
+        Feature("outline", "H", view.pixels(_apply(fit, drawing))),
+        Feature("point", "centre", centre),
+    )
+    return Corners(marks, confidence, features, side)
+
+
+def side_of(a: RightAngle, b: RightAngle) -> Side | None:
+    """Which side of the cross-bar two inner corners stand on; None when they are no such pair (the diagonal, another H)."""
+    between = b.uv_px - a.uv_px
+    between = between / max(float(np.linalg.norm(between)), 1e-9)
+    towards_b, towards_a = float(np.max(a.arms @ between)), float(np.max(b.arms @ -between))
+    away_b, away_a = float(np.max(a.arms @ -between)), float(np.max(b.arms @ between))
+    if min(towards_b, towards_a) > _ALONG:
+        return "long"
+    if min(away_b, away_a) > _ALONG:
+        return "short"
+    return None
+
+
+Lay = tuple[float, float, float, float]
+"""a, b, x, y of q = [[a, -b], [b, a]] p + [x, y]."""
+
+
+def _lay(a: int, b: int, side: Side, found: list[RightAngle], plane: F64, drawing: F64) -> Lay | None:
+    """The drawing laid on two inner corners; of the two ways round either, the way that keeps the paint on the right side.
+
+    Going clockwise round the drawing, fore port to fore starboard is the fore long side, fore starboard to aft starboard the
+    starboard short side. The arm that is not along the pair points forward from the fore side, inwards from the short one.
+    """
+    between = found[b].uv_px - found[a].uv_px
+    across = [arm for arm in found[a].arms if abs(float(arm @ between)) < 0.7 * float(np.linalg.norm(between))]
+    if len(across) != 1:
+        return None
+    # The camera sees the deck from above: level axes forward, right are turned, never mirrored, against u, v.
+    turn = float(between[0] * across[0][1] - between[1] * across[0][0])
+    if side == "long":
+        # fore port to fore starboard (+y) has its legs' arms along +x: from +y to +x is anticlockwise.
+        first, second = (_INNER[0], _INNER[1]) if turn < 0 else (_INNER[1], _INNER[0])
+    else:
+        # fore starboard to aft starboard (-x) has its bar's arms along -y: from -x to -y is clockwise.
+        first, second = (_INNER[1], _INNER[2]) if turn > 0 else (_INNER[2], _INNER[1])
+    return _similarity(drawing[[first, second]], plane[[a, b]])
+
+
+def _match(found: list[RightAngle], plane: F64, drawing: F64, lay: Lay, pad: Pad) -> tuple[list[tuple[int, int]], float]:
+    """Corners found where the drawing has one of their kind, and the rms of their distance in widths of a leg."""
+    other_kind = np.array([c.inner for c in found])[:, None] != _IS_INNER[None, :]
+    for round_ in range(2):
+        predicted = _apply(lay, drawing)
+        unit = math.hypot(lay[0], lay[1]) * pad.leg_width_m
+        distance = np.linalg.norm(plane[:, None, :] - predicted[None, :, :], axis=2) / unit
+        distance[other_kind] = np.inf
+        nearest = np.argmin(distance, axis=1)
+        d = distance[np.arange(len(found)), nearest]
+        limit = 0.4 if round_ == 0 else 0.2
+        pairs: list[tuple[int, int]] = []
+        measured_at: set[int] = set()
+        for i in np.argsort(d):
+            k = int(nearest[i])
+            if d[i] < limit and k not in measured_at:
+                measured_at.add(k)
+                pairs.append((int(i), k))
+        if len(pairs) < 2:
+            return [], math.inf
+        refit = _similarity(drawing[[k for _, k in pairs]], plane[[i for i, _ in pairs]])
+        if refit is None:
+            return [], math.inf
+        lay = refit
+    inner_count = sum(k in _INNER for _, k in pairs)
+    if inner_count < 2:
+        return [], math.inf
+    at = np.array([i for i, _ in pairs])
+    off = plane[at] - _apply(lay, drawing[[k for _, k in pairs]])
+    unit = math.hypot(lay[0], lay[1]) * pad.leg_width_m
+    return pairs, float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) / unit
+
+
+def _painted(lay: Lay, seg: Segmentation, view: View, pad: Pad, whiteness: F32) -> bool:
+    """Whether the frame is white where the laid drawing is and not where it is not, at the places that lie in the frame."""
+    leg_y = 0.5 * (pad.h_width_m - pad.leg_width_m)
+    ends = 0.4 * pad.h_length_m
+    white = [(0.0, 0.0), (0.0, leg_y), (0.0, -leg_y), (ends, leg_y), (ends, -leg_y), (-ends, leg_y), (-ends, -leg_y)]
+    notch = 0.25 * pad.h_length_m
+    beside = 0.5 * pad.h_width_m + 0.7 * pad.leg_width_m
+    ground = [
+        (notch, 0.0),
+        (-notch, 0.0),
+        (0.0, beside),
+        (0.0, -beside),
+        (2 * notch + pad.leg_width_m, leg_y),
+        (-2 * notch - pad.leg_width_m, -leg_y),
+    ]
+    uv = view.pixels(_apply(lay, np.array(white + ground))) - np.array(seg.origin_px)
+    h, w = whiteness.shape
+    expected = np.array([True] * len(white) + [False] * len(ground))
+    ok = np.all(np.isfinite(uv), axis=1)
+    cell = np.rint(np.where(ok[:, None], uv, -1.0)).astype(int)
+    ok &= (cell[:, 0] >= 0) & (cell[:, 1] >= 0) & (cell[:, 0] < w) & (cell[:, 1] < h)
+    if ok.sum() < 3:
+        return False
+    seen = whiteness[cell[ok, 1], cell[ok, 0]] > 0.5
+    return bool(np.mean(seen == expected[ok]) > 0.85)
+
+
+def _stroke(h: U8) -> float:
+    """Width of the strokes of a white shape: twice its area over its outline, px."""
+    contours, _ = cv2.findContours(h, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    if not contours:
+        return 0.0
+    largest = max(contours, key=cv2.contourArea)
+    length = cv2.arcLength(largest, True)
+    # Contours run through pixel centres, half a pixel inside the paint's edge on either side.
+    return 2.0 * cv2.contourArea(largest) / length + 1.0 if length > 0 else 0.0
+
+
+def _similarity(p: F64, q: F64) -> Lay | None:
+    """Least-squares shift, turn and scale from p to q, (N, 2) each."""
+    pc, qc = p.mean(axis=0), q.mean(axis=0)
+    dp, dq = p - pc, q - qc
+    spread = float(np.sum(dp * dp))
+    if spread <= 0.0 or not np.all(np.isfinite(q)):
+        return None
+    a = float(np.sum(dp * dq)) / spread
+    b = float(np.sum(dp[:, 0] * dq[:, 1] - dp[:, 1] * dq[:, 0])) / spread
+    return a, b, float(qc[0] - a * pc[0] + b * pc[1]), float(qc[1] - b * pc[0] - a * pc[1])
+
+
+def _apply(lay: Lay, p: F64) -> F64:
+    a, b, x, y = lay
+    return np.stack([a * p[:, 0] - b * p[:, 1] + x, b * p[:, 0] + a * p[:, 1] + y], axis=1)

@@ -1,0 +1,75 @@
+"""One look at one frame: every method's sighting and the one that speaks for the frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+from estimator.contracts.estimates import Feature, Method, Sighting
+from estimator.contracts.samples import Attitude, Frame
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from estimator.vision.pose import SIGMA_DECK_RAD, Marks, Orientation, View, sighting, solve
+from estimator.vision.thesis.arrow import find_arrow
+from estimator.vision.thesis.corners import find_corners
+from estimator.vision.thesis.ellipse import find_disc
+from estimator.vision.thesis.segmentation import ColourSet, segment
+from estimator.vision.thesis.select import choose, with_heading_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """What one frame says of the pad."""
+
+    selected: Sighting | None
+    """The chosen method's sighting with `method` "selected", its heading settled by the arrow where both show; None when there is
+    none."""
+    chosen: Method | None
+    methods: Mapping[Method, Sighting | None]
+    """Every method that was tried."""
+
+
+def detect(
+    frame: Frame,
+    attitude: Attitude | None,
+    camera: Camera,
+    pad: Pad,
+    colours: ColourSet,
+    *,
+    sigma_deck_rad: float = SIGMA_DECK_RAD,
+) -> Detection:
+    """All methods on one frame. A pure function: same values in, same values out.
+
+    Args:
+        attitude: at the frame's exposure; None takes the vehicle as level, which the covariance shows.
+        sigma_deck_rad: one standard deviation of the deck's roll and pitch, which is taken as level.
+
+    Raises:
+        ValueError: the frame is not of the camera's size.
+    """
+    if frame.px.shape[:2] != (camera.height, camera.width):
+        h, w = frame.px.shape[:2]
+        raise ValueError(f"the frame is {w}x{h} px, the camera's are {camera.width}x{camera.height}")
+    view = View(camera, Orientation.of(attitude, sigma_deck_rad))
+    seg = segment(frame.px, colours)
+    if seg is None:
+        return Detection(None, None, MappingProxyType({"ellipse": None, "arrow": None, "corners": None}))
+    disc = find_disc(seg, view, pad)
+    arrow = find_arrow(seg, view, pad, seg.orangeness())
+    corners = find_corners(seg, view, pad)
+
+    def sighted(method: Method, marks: Marks, confidence: float, features: tuple[Feature, ...]) -> Sighting | None:
+        fix = solve(marks, view)
+        return None if fix is None else sighting(frame, method, marks, fix, confidence, features)
+
+    methods: dict[Method, Sighting | None] = {
+        "ellipse": None if disc is None else sighted("ellipse", disc.marks, disc.confidence, disc.features),
+        "arrow": None if arrow is None else sighted("arrow", arrow.marks, arrow.confidence, arrow.features),
+        "corners": None if corners is None else sighted("corners", corners.marks, corners.confidence, corners.features),
+    }
+    chosen = choose(methods, seg.touches_border)
+    best = methods[chosen] if chosen is not None else None
+    if best is not None:
+        best = replace(with_heading_of(best, methods["arrow"]), method="selected")
+    return Detection(best, chosen, MappingProxyType(methods))

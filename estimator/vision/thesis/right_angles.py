@@ -1,0 +1,180 @@
+"""Right-angled corners at sub-pixel precision, with the directions of their arms.
+
+A corner is where a small circle about it crosses paint and ground twice, the crossings a right angle apart: with a quarter
+of the circle on paint it is the tip of something, with three quarters an inner corner. Crossings on circles of several
+radii lie on the two arms; the arms, fitted as lines, meet in the corner. Neighbourhood averages, which depend on the range,
+are not needed, and nothing is rounded or drawn into the frame that is measured.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from estimator.vision.thesis.blob import U8
+from estimator.vision.thesis.segmentation import F32
+
+_RADII = 7
+_MIN_RADIUS_PX = 1.6
+"""Closer in, blur rounds the corner."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RightAngle:
+    """One corner in the coordinates of the channel it was found in."""
+
+    uv_px: F64
+    """(2,)."""
+    arms: F64
+    """(2, 2) unit vectors from the corner along its edges; the second follows the first by some 90 degrees, and between them lies
+    the smaller side: paint of a tip, ground of an inner corner."""
+    inner: bool
+    """Three quarters of its surroundings are paint."""
+    sigma_px: float
+    """One standard deviation of `uv_px` in each axis."""
+
+
+def candidates(share: F32, where: U8, stroke_px: float) -> F64:
+    """(N, 2) px where the Harris response peaks, to a few pixels, strongest first; N <= 40.
+
+    Args:
+        share: (h, w) share of paint.
+        where: (h, w) mask of where to look.
+        stroke_px: width of the strokes that make the corners; the search runs at a scale where it is some 8 px.
+    """
+    k = max(1, int(stroke_px / 8.0))
+    h, w = share.shape
+    grey = np.clip(share * 255.0, 0.0, 255.0).astype(np.uint8)
+    if k > 1:
+        grey = np.asarray(cv2.resize(grey, (max(8, w // k), max(8, h // k)), interpolation=cv2.INTER_AREA), np.uint8)
+    fu, fv = w / grey.shape[1], h / grey.shape[0]
+    smooth = cv2.GaussianBlur(grey, (5, 5), 1.0)
+    response = cv2.cornerHarris(smooth, 3, 3, 0.04, borderType=cv2.BORDER_REPLICATE)
+    reach = 2 * max(1, round(0.3 * stroke_px / k)) + 1
+    peak = (response == cv2.dilate(response, np.ones((reach, reach), np.uint8))) & (response > 0.02 * response.max(initial=0.0))
+    small = cv2.resize(where, (grey.shape[1], grey.shape[0]), interpolation=cv2.INTER_NEAREST)
+    peak &= small > 0
+    v, u = np.nonzero(peak)
+    order = np.argsort(-response[v, u])[:40]
+    return np.stack([(u[order] + 0.5) * fu - 0.5, (v[order] + 0.5) * fv - 0.5], axis=1)
+
+
+def refine(share: F32, uv_px: F64, reach_px: float, paint: F64 | None = None, settled: bool = False) -> list[RightAngle]:
+    """The right-angled corners among the candidates, each once.
+
+    Args:
+        share: (h, w) share of paint, 0 ground, 1 paint.
+        uv_px: (N, 2) candidates, off by up to half of `reach_px`.
+        reach_px: radius within which a corner shows nothing but its two arms.
+        settled: the candidates are corners already, off by a fraction of a pixel.
+        paint: (N,) the share that counts as full about each, 1 where not given; an edge is where half of it is reached.
+    """
+    if len(uv_px) == 0 or reach_px < _MIN_RADIUS_PX + 0.8:
+        return []
+    at = np.asarray(uv_px, dtype=float)
+    level = 0.5 * (np.ones(len(at)) if paint is None else paint)
+    radii = np.linspace(max(_MIN_RADIUS_PX, 0.3 * reach_px), reach_px, _RADII)
+    if not settled:
+        # From a start that is off, only the outer circles surely enclose the corner.
+        first = _fit(share, at, np.linspace(0.5 * reach_px, reach_px, 4), level)
+        at, level = first.uv[first.ok], level[first.ok]
+        if len(at) == 0:
+            return []
+    fits = _fit(share, at, radii, level)
+    return _distinct(fits.only(fits.ok), 0.5 * reach_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fits:
+    uv: F64
+    arms: F64
+    inner: F64
+    sigma: F64
+    ok: F64
+
+    def only(self, keep: F64) -> _Fits:
+        return _Fits(self.uv[keep], self.arms[keep], self.inner[keep], self.sigma[keep], self.ok[keep])
+
+
+def _fit(share: F32, at: F64, radii: F64, level: F64) -> _Fits:
+    """Circles about (N, 2) places, the two crossings of each, a line through those of each arm, and where the lines meet."""
+    n, m = len(at), len(radii)
+    # Steps of 0.7 px at most, or an edge fits between two samples and its crossing is off.
+    count_a = int(np.clip(math.ceil(math.tau * radii[-1] / 0.7), 48, 256))
+    angle = np.arange(count_a) * (math.tau / count_a)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    pts = at[:, None, None, :] + radii[None, :, None, None] * ring[None, None, :, :]
+    flat = pts.reshape(n * m, count_a, 2).astype(np.float32)
+    value = cv2.remap(share, flat[:, :, 0], flat[:, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-100.0)
+    v = np.asarray(value, float).reshape(n, m, count_a)
+    inside = v.min(axis=2) > -10.0
+    half = level[:, None]
+    bright = v >= half[:, :, None]
+    after = np.roll(v, -1, axis=2)
+    rising = ~bright & np.roll(bright, -1, axis=2)
+    falling = bright & ~np.roll(bright, -1, axis=2)
+    clean = inside & (rising.sum(axis=2) == 1) & (falling.sum(axis=2) == 1)
+    up, down = np.argmax(rising, axis=2), np.argmax(falling, axis=2)
+
+    def crossing(k: NDArray[np.intp]) -> F64:
+        a, b = np.take_along_axis(v, k[:, :, None], 2)[:, :, 0], np.take_along_axis(after, k[:, :, None], 2)[:, :, 0]
+        part = (half - a) / np.where(np.abs(b - a) > 1e-6, b - a, 1.0)
+        return np.asarray((k + np.clip(part, 0.0, 1.0)) * (math.tau / count_a))
+
+    rise, fall = crossing(up), crossing(down)
+    paint = np.mod(fall - rise, math.tau) / math.tau
+    good = clean & (np.abs(np.abs(paint - 0.5) - 0.25) < 0.16)
+    count = good.sum(axis=1)
+    share_of_paint = np.sum(np.where(good, paint, 0.0), axis=1) / np.maximum(count, 1)
+    inner = share_of_paint > 0.5
+    weight = good.astype(float)
+    p_rise = at[:, None, :] + radii[None, :, None] * np.stack([np.cos(rise), np.sin(rise)], axis=2)
+    p_fall = at[:, None, :] + radii[None, :, None] * np.stack([np.cos(fall), np.sin(fall)], axis=2)
+    c1, d1, e1 = _lines(p_rise, weight, at)
+    c2, d2, e2 = _lines(p_fall, weight, at)
+    cross = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    gap = c2 - c1
+    safe = np.where(np.abs(cross) > 0.3, cross, 1.0)
+    t = (gap[:, 0] * d2[:, 1] - gap[:, 1] * d2[:, 0]) / safe
+    uv = c1 + t[:, None] * d1
+    # In frame axes (v down) angles grow clockwise; the smaller side lies clockwise of a tip's rise, of an inner corner's fall.
+    arms = np.where(inner[:, None, None], np.stack([d2, d1], axis=1), np.stack([d1, d2], axis=1))
+    rms = np.sqrt(0.5 * (e1**2 + e2**2))
+    # Extrapolating a line of m points at radii r to radius 0 multiplies their error by sqrt(1/m + mean^2/sum of squares).
+    lever = math.sqrt(1.0 / m + float(np.mean(radii) ** 2 / np.sum((radii - np.mean(radii)) ** 2)))
+    sigma = np.maximum(rms, 0.03) * lever
+    shifted = np.linalg.norm(uv - at, axis=1)
+    ok = (count >= m - m // 3) & (np.abs(cross) > 0.75) & (rms < 0.06 * radii[-1] + 0.2) & (shifted < 0.8 * radii[-1])
+    return _Fits(uv, arms, inner, sigma, ok)
+
+
+def _lines(pts: F64, weight: F64, origin: F64) -> tuple[F64, F64, F64]:
+    """Weighted total-least-squares lines through (N, M, 2): a point (N, 2), a direction away from `origin` (N, 2), rms (N,)."""
+    total = np.maximum(weight.sum(axis=1), 1e-9)
+    centre = np.einsum("nm,nmi->ni", weight, pts) / total[:, None]
+    d = pts - centre[:, None, :]
+    sxx = np.einsum("nm,nm->n", weight, d[:, :, 0] ** 2) / total
+    syy = np.einsum("nm,nm->n", weight, d[:, :, 1] ** 2) / total
+    sxy = np.einsum("nm,nm->n", weight, d[:, :, 0] * d[:, :, 1]) / total
+    angle = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    away = np.sum(direction * (centre - origin), axis=1)
+    direction *= np.where(away < 0.0, -1.0, 1.0)[:, None]
+    across = 0.5 * (sxx + syy) - np.hypot(0.5 * (sxx - syy), sxy)
+    return centre, direction, np.sqrt(np.maximum(across, 0.0))
+
+
+def _distinct(fits: _Fits, apart_px: float) -> list[RightAngle]:
+    out: list[RightAngle] = []
+    measured_at: list[tuple[float, float]] = []
+    for i in np.argsort(fits.sigma):
+        u, v = fits.uv[i].tolist()
+        if all(math.hypot(u - x, v - y) > apart_px for x, y in measured_at):
+            measured_at.append((u, v))
+            out.append(RightAngle(fits.uv[i], fits.arms[i], bool(fits.inner[i]), float(fits.sigma[i])))
+    return out

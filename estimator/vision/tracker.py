@@ -1,0 +1,244 @@
+"""The eyes of a flight: follow the pad where it is expected, else search the whole frame; then say what all methods say.
+
+Tracking starts `registration` from the filter's belief at the exposure. Where there is none, or the drawing does not fit there,
+acquisition searches the whole frame and registration refines what it finds. Either way the whole drawing is judged where it was
+laid, together with how well its edges agree, and that judgement is the sighting's confidence. Where one of the thesis' methods is
+alone with what it says, the drawing is laid there too: a green disc is no pad, and where it is one, registration starts from it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from estimator.contracts.estimates import Method, RelativeState, Sighting
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.vision.camera import Camera
+from estimator.vision.detect import verification
+from estimator.vision.detect.acquire import Candidate, acquire, align_at
+from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align
+from estimator.vision.detect.heading import heading
+from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
+from estimator.vision.fusion import agree, fuse
+from estimator.vision.pad import Pad
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import SIGMA_DECK_RAD, Orientation
+from estimator.vision.register import fit_verification
+from estimator.vision.register.registration import Options as RegistrationOptions
+from estimator.vision.register.registration import register
+from estimator.vision.register.sighting import registered_sighting
+from estimator.vision.thesis.detection import Detection, detect
+from estimator.vision.thesis.segmentation import ColourSet
+
+SpeaksFor = Literal["fused", "registration", "thesis"]
+"""What steers: all methods fused; registration alone; or the thesis' three with its selection by priority."""
+
+_CLOSE, _ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
+_CLOSE_PX = 1.0
+"""Standard deviation of the believed place in the frame, up to which registration starts right from it."""
+_CANDIDATES = 2
+"""Of acquisition that are registered."""
+_WORTH_A_TRY = 0.05
+_HEADING_PX = 28.0
+"""Radius of the disc, at least, in the frame that a heading is looked for in."""
+_FITS = 0.5
+"""Confidence below which a tracked pose is thrown away for a new search."""
+_EXPECTED_SIGMAS = 3.0
+"""Of the belief's place: what acquisition finds so near to it is where the pad was expected."""
+_REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
+"""Of the disc's radius and of the height: how far off the pad may be, two standard deviations, for tracking to be tried.
+
+Much of a belief's doubt is about the attitude and does not show in the frame; a start too far off costs a search, no more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerConfig:
+    """What vision knows beforehand."""
+
+    camera: Camera
+    pad: Pad
+    colours: ColourSet
+    """For the thesis' methods."""
+    speaks: SpeaksFor = "fused"
+    sigma_deck_rad: float = SIGMA_DECK_RAD
+    """Of the deck's roll and pitch."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerMemory:
+    """What vision learned so far."""
+
+    paint: PaintMemory = FRESH
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Registered:
+    sighting: Sighting
+    memory: PaintMemory
+
+
+def track(
+    tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None = None
+) -> tuple[Detection, TrackerMemory]:
+    """Look at one frame. Pure.
+
+    Args:
+        attitude: at the exposure; None takes the vehicle as level, which the covariance shows.
+        belief: about the pad at the exposure; None, or one without a heading, means a search of the whole frame.
+
+    Raises:
+        ValueError: the frame is not of the camera's size.
+    """
+    if tracker.speaks == "thesis":
+        return detect(
+            frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.sigma_deck_rad
+        ), memory
+    pyramid = Pyramid(frame.px)
+    best = _registered(tracker, memory.paint, frame, pyramid, attitude, belief)
+    if tracker.speaks == "registration":
+        found = None if best is None else best.sighting
+        methods: dict[Method, Sighting | None] = {"registration": found}
+        seen = Detection(found, None if found is None else "registration", MappingProxyType(methods))
+    else:
+        thesis = detect(frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.sigma_deck_rad)
+        thesis, best = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, best)
+        seen = together(thesis, None if best is None else best.sighting)
+    return seen, TrackerMemory(missed(memory.paint) if best is None else best.memory)
+
+
+def together(thesis: Detection, registered: Sighting | None) -> Detection:
+    """The thesis' methods and registration as one look, which says what they say fused."""
+    methods: dict[Method, Sighting | None] = {**thesis.methods, "registration": registered}
+    fused = fuse(s for s in methods.values() if s is not None)
+    if fused is None:
+        return Detection(None, None, MappingProxyType(methods))
+    return Detection(fused.sighting, "fused", MappingProxyType(methods))
+
+
+def expected(belief: RelativeState, attitude: Attitude, camera: Camera) -> PadPose | None:
+    """Where the belief puts the pad in the camera, the deck taken as level; None without a heading."""
+    if belief.yaw_rad is None:
+        return None
+    return _in_camera(belief.d_body_pad_level, belief.yaw_rad, attitude.R_ned_body.without_heading(), camera)
+
+
+def _in_camera(d_body_pad_level: F64, yaw_rad: float, R_level_body: Rotation, camera: Camera) -> PadPose:
+    R_cam_level = camera.T_body_cam.R.inv @ R_level_body.inv
+    t = R_cam_level @ d_body_pad_level - camera.T_body_cam.R.inv @ camera.T_body_cam.t
+    return PadPose(R_cam_level @ Rotation.from_rpy(0.0, 0.0, -yaw_rad), t)
+
+
+def _registered(
+    tracker: TrackerConfig,
+    paint: PaintMemory,
+    frame: Frame,
+    pyramid: Pyramid,
+    attitude: Attitude | None,
+    belief: RelativeState | None,
+) -> _Registered | None:
+    orientation = Orientation.of(attitude, tracker.sigma_deck_rad)
+    best: _Registered | None = None
+    start: PadPose | None = None
+    sigma_m = math.inf if belief is None else _sigma_m(belief)
+    if belief is not None and attitude is not None and _near_enough(belief, sigma_m, tracker.pad):
+        start = expected(belief, attitude, tracker.camera)
+        if start is not None and start.t_cam_pad[2] > 0.05:
+            options = _CLOSE if sigma_m * tracker.camera.fx < _CLOSE_PX * start.t_cam_pad[2] else _ROUGH
+            best = _register_from(tracker, paint, frame, pyramid, start, orientation, options, verification.TRACKED_LOG_ODDS)
+    if best is None or best.sighting.confidence < _FITS:
+        R_level_body = None if attitude is None else attitude.R_ned_body.without_heading()
+        for candidate in acquire(frame.px, tracker.camera, tracker.pad, R_level_body, paint)[:_CANDIDATES]:
+            if candidate.score < _WORTH_A_TRY:
+                break
+            off_m = math.inf if start is None else float(np.linalg.norm(candidate.pose.t_cam_pad - start.t_cam_pad))
+            prior = verification.TRACKED_LOG_ODDS if off_m < _EXPECTED_SIGMAS * sigma_m else 0.0
+            best = _better(best, _register_from(tracker, paint, frame, pyramid, candidate.pose, orientation, _CLOSE, prior))
+            if best is not None and best.sighting.confidence >= _FITS:
+                break
+    return best
+
+
+def _verify_cues(
+    tracker: TrackerConfig,
+    paint: PaintMemory,
+    frame: Frame,
+    pyramid: Pyramid,
+    attitude: Attitude | None,
+    thesis: Detection,
+    best: _Registered | None,
+) -> tuple[Detection, _Registered | None]:
+    """The thesis' methods, no surer than the whole drawing laid where they say, unless a sure registration says the same; and the
+    best registration, theirs included."""
+    orientation = Orientation.of(attitude, tracker.sigma_deck_rad)
+    sure = best.sighting if best is not None and best.sighting.confidence >= _FITS else None
+    methods: dict[Method, Sighting | None] = dict(thesis.methods)
+    for method, cue in thesis.methods.items():
+        if cue is None or (sure is not None and agree(cue, sure)):
+            continue
+        candidate = _verified(tracker, pyramid, cue, orientation)
+        aligned = None
+        if candidate is not None and candidate.score >= _WORTH_A_TRY:
+            aligned = _register_from(tracker, paint, frame, pyramid, candidate.pose, orientation, _CLOSE)
+        methods[method] = replace(cue, confidence=0.0 if aligned is None else min(cue.confidence, aligned.sighting.confidence))
+        best = _better(best, aligned)
+    return replace(thesis, methods=MappingProxyType(methods)), best
+
+
+def _verified(tracker: TrackerConfig, pyramid: Pyramid, cue: Sighting, orientation: Orientation) -> Candidate | None:
+    """The drawing laid where a method says the pad is; by the heading that fits best where it says none."""
+    flat = _in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, tracker.camera)
+    if flat.t_cam_pad[2] < 0.05:
+        return None
+    if cue.yaw_rad is None:
+        radius_px = tracker.camera.fx * tracker.pad.disc_radius_m / float(flat.t_cam_pad[2])
+        level = max(0, math.floor(math.log2(radius_px / _HEADING_PX)))
+        found = heading(pyramid[level], 1 << level, tracker.camera, tracker.pad, flat)
+        if found is None:
+            return None
+        flat = flat.turned(found.turn_rad)
+    return align_at(flat, orientation.measured, pyramid, tracker.camera, tracker.pad)
+
+
+def _better(a: _Registered | None, b: _Registered | None) -> _Registered | None:
+    """The surer one, the first where they are alike."""
+    return b if a is None or (b is not None and b.sighting.confidence > a.sighting.confidence) else a
+
+
+def _register_from(
+    tracker: TrackerConfig,
+    paint: PaintMemory,
+    frame: Frame,
+    pyramid: Pyramid,
+    start: PadPose,
+    orientation: Orientation,
+    options: RegistrationOptions,
+    prior_log_odds: float = 0.0,
+) -> _Registered | None:
+    """Register from a start and judge the drawing where it came to lie, given what speaks for the place beside the frame."""
+    found = register(frame.px, tracker.camera, tracker.pad, start, orientation, options)
+    if found is None:
+        return None
+    aligned = align(pyramid, tracker.camera, tracker.pad, found.pose, SIGMA_TILT_RAD, 0)
+    if aligned is None:
+        return None
+    sure = fit_verification.confidence(fit_verification.features(aligned, found, tracker.pad), prior_log_odds)
+    sighting = registered_sighting(frame, found, tracker.camera, orientation)
+    sighting = replace(sighting, confidence=min(1.0, sure))
+    return _Registered(sighting, learn(paint, aligned, sure) if sure >= _FITS else missed(paint))
+
+
+def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad) -> bool:
+    """Whether the belief is sharp enough to start from."""
+    sigma_yaw = math.sqrt(float(belief.cov[6, 6]))
+    reach_m = _REACH_OF_DISC * pad.disc_radius_m + _REACH_OF_HEIGHT * belief.height_m
+    return 2.0 * sigma_m < reach_m and sigma_yaw < 0.3
+
+
+def _sigma_m(belief: RelativeState) -> float:
+    """Standard deviation of the pad's place along its worst direction."""
+    return math.sqrt(float(np.linalg.eigvalsh(belief.cov[:3, :3])[-1]))

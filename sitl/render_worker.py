@@ -1,0 +1,91 @@
+"""Frames made by a process beside, while the flight goes on: the same bits as in place, on another processor."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from multiprocessing.sharedctypes import RawArray
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl.camera import Renderer, Shot
+
+U8 = NDArray[np.uint8]
+Order = tuple[int, Shot, np.random.Generator]
+"""Shelf, scene, state of chance."""
+_SHELVES = 16
+"""Frames that may be under way: half a second's."""
+_END_S = 5.0
+
+
+class RenderWorker:
+    """Orders and their frames; see `darkroom`."""
+
+    def __init__(self, orders: Connection, frame_slots: NDArray[np.uint8]) -> None:
+        self._orders = orders
+        self._frame_slots = frame_slots
+        self._ordered = self._made = 0
+        self._kept: dict[int, U8] = {}
+
+    def order(self, shot: Shot, rng: np.random.Generator) -> Callable[[], U8]:
+        """Begin a frame; the call that comes back waits for it."""
+        number = self._ordered
+        if number - self._made >= len(self._frame_slots):
+            self._receive()
+        self._orders.send((number % len(self._frame_slots), shot, rng))
+        self._ordered += 1
+        return lambda: self._image(number)
+
+    def _image(self, number: int) -> U8:
+        while self._made <= number:
+            self._receive()
+        return self._kept.pop(number)
+
+    def _receive(self) -> None:
+        try:
+            self._orders.recv()
+        except EOFError as why:
+            raise RuntimeError("the process that renders has ended") from why
+        self._kept[self._made] = self._frame_slots[self._made % len(self._frame_slots)].copy()
+        self._made += 1
+
+
+@contextmanager
+def render_worker(renderer: Renderer) -> Iterator[RenderWorker | None]:
+    """A process that renders, ended with the context; None where this machine has a single processor, or cannot fork."""
+    if len(os.sched_getaffinity(0)) < 2 or "fork" not in multiprocessing.get_all_start_methods():
+        yield None
+        return
+    context = multiprocessing.get_context("fork")
+    shape = (_SHELVES, renderer.camera.height, renderer.camera.width, 3)
+    memory = RawArray("B", int(np.prod(shape)))
+    frame_slots = np.frombuffer(memory, np.uint8).reshape(shape)
+    ours, theirs = context.Pipe()
+    worker = context.Process(target=_work, args=(renderer, theirs, ours, frame_slots), name="darkroom", daemon=True)
+    worker.start()
+    theirs.close()
+    try:
+        yield RenderWorker(ours, frame_slots)
+    finally:
+        ours.close()
+        worker.join(_END_S)
+        if worker.is_alive():
+            worker.kill()
+
+
+def _work(renderer: Renderer, orders: Any, not_ours: Any, frame_slots: NDArray[np.uint8]) -> None:
+    not_ours.close()  # or the end of the other side would never be seen
+    cv2.setNumThreads(1)
+    try:
+        while True:
+            storage_policy, shot, rng = orders.recv()
+            frame_slots[storage_policy] = renderer.render(shot, rng)
+            orders.send(storage_policy)
+    except (EOFError, OSError, KeyboardInterrupt):
+        return  # the other side has ended

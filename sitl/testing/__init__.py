@@ -1,0 +1,1 @@
+"""Truth generators, scenes and fakes that tests and benches share."""

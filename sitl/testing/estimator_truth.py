@@ -1,0 +1,286 @@
+"""A flight over a ship with everything known: truth at any instant, and what imperfect sensors would tell of it.
+
+The vessel is sitl's; the body follows a smooth path, its attitude is the one that thrust along its down axis needs. Sensors err
+by white noise, constant biases and first-order wandering, all from one seed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Pose6, Sighting
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range
+from estimator.contracts.time import MonoNs, Stamp
+from sitl.sea import Waves, sea_state
+from sitl.seakeeping import HULLS
+from sitl.vessel import Vessel
+
+G = 9.80665
+EPOCH_NS = 5_000_000_000
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a flight is made of. Angles in degrees because a person writes these."""
+
+    seed: int = 0
+    sea: int = 4
+    hull: str = "ferry"
+    duration_s: float = 60.0
+    vessel_speed_m_s: float | None = None
+    """None draws one of 0..1.5."""
+    imu_hz: float = 200.0
+    asd_gyro: float = 0.0025
+    asd_accel: float = 0.02
+    gyro_bias: float = 0.005
+    accel_bias: float = 0.15
+    sighting_hz: float = 30.0
+    sigma_lateral_per_m: float = 0.002
+    sigma_range_per_m: float = 0.005
+    sigma_yaw_deg: float = 1.0
+    sigma_tilt_deg: float = 1.0
+    pose6: bool = False
+    delay_s: float = 0.12
+    delay_jitter_s: float = 0.04
+    hidden_delay_s: float = 0.0
+    """Sightings show the world this much later than their stamps say."""
+    mount_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    outliers: float = 0.0
+    """Share of sightings that show something else."""
+    blind: tuple[tuple[float, float], ...] = ()
+    """(from, to) s without sightings."""
+    attitude_hz: float = 50.0
+    attitude_bias_deg: float = 0.2
+    attitude_wander_deg: float = 0.3
+    attitude_wander_s: float = 1.0
+    velocity_hz: float = 50.0
+    velocity_scale: float = 0.83
+    velocity_over: str = "ground"
+    """Or "pad": the sensor sees the moving deck."""
+    velocity_sigma: float = 0.02
+    velocity_correlation_s: float = 0.25
+    range_hz: float = 0.0
+    baro_hz: float = 0.0
+    lively: float = 1.0
+    """Size of the body's wandering about its path."""
+    legs: tuple[tuple[float, float, float, float], ...] = field(
+        default=(
+            (0.0, 2.5, 1.5, 5.0),
+            (5.0, 2.5, 1.5, 5.0),
+            (12.0, 0.3, -0.2, 2.0),
+            (36.0, 0.2, 0.2, 2.0),
+            (42.0, -0.6, 0.6, 4.0),
+            (46.0, -0.6, 0.6, 4.0),
+            (52.0, 0.1, 0.0, 2.0),
+        )
+    )
+    """(s, north, east, up) m from the pad's mean place; reached smoothly."""
+
+
+class Flight:
+    """Truth as functions of time, s since the start."""
+
+    def __init__(self, s: Setting) -> None:
+        self.s = s
+        rng = np.random.default_rng([s.seed, 1])
+        towards, heading = rng.uniform(-math.pi, math.pi, 2)
+        waves = Waves.draw(sea_state(s.sea), s.seed, towards_rad=towards) if s.sea else Waves.flat()
+        speed = float(rng.uniform(0.0, 1.5)) if s.vessel_speed_m_s is None else s.vessel_speed_m_s
+        self.vessel = Vessel(HULLS[s.hull], waves, heading_rad=heading, speed_m_s=speed)
+        self.u = speed * np.array([math.cos(heading), math.sin(heading), 0.0])
+        rest = Vessel(HULLS[s.hull], Waves.flat(), heading_rad=heading).pad(0.0)
+        self.p0 = rest.p_ned[0]
+        self._w = math.tau * rng.uniform(0.15, 0.6, (3, 3))
+        self._a = s.lively * rng.uniform(0.3, 1.0, (3, 3)) * 0.35 / self._w * np.array([[1.0], [1.0], [0.5]])
+        self._phase = rng.uniform(0.0, math.tau, (3, 3))
+        self._yaw = (
+            rng.uniform(-math.pi, math.pi),
+            rng.uniform(0.3, 0.9),
+            math.tau / rng.uniform(15.0, 30.0),
+            rng.uniform(0.0, 6.0),
+        )
+
+    def pad(self, t: F64) -> tuple[F64, F64, F64]:
+        """(n, 3) p and v in ned, (n, 3, 3) R_ned_pad."""
+        m = self.vessel.pad(t)
+        return m.p_ned[0], m.v_ned[0], m.R_ned[0]
+
+    def body(self, t: F64) -> tuple[F64, F64, F64]:
+        """(n, 3) p, v, a in ned."""
+        legs = np.array(self.s.legs)
+        p = np.broadcast_to(legs[0, 1:], (t.size, 3)).copy()
+        v, a = np.zeros((t.size, 3)), np.zeros((t.size, 3))
+        for one, two in pairwise(legs):
+            span = two[0] - one[0]
+            x = np.clip((t - one[0]) / span, 0.0, 1.0)[:, None]
+            d = two[1:] - one[1:]
+            p += d * (x**4 * (35 - 84 * x + 70 * x**2 - 20 * x**3))
+            v += d * (140 * x**3 * (1 - x) ** 3) / span
+            a += d * (420 * x**2 * (1 - x) ** 2 * (1 - 2 * x)) / span**2
+        p[:, 2], v[:, 2], a[:, 2] = -p[:, 2], -v[:, 2], -a[:, 2]
+        angle = self._w * t[:, None, None] + self._phase
+        p += (self._a * np.sin(angle)).sum(axis=2)
+        v += (self._a * self._w * np.cos(angle)).sum(axis=2)
+        a -= (self._a * self._w**2 * np.sin(angle)).sum(axis=2)
+        return p + self.p0 + self.u * t[:, None], v + self.u, a
+
+    def attitude(self, t: F64) -> F64:
+        """(n, 3, 3) R_ned_body: the down axis against the specific force, save for a little drag."""
+        _, v, a = self.body(t)
+        f = a - np.array([0.0, 0.0, G]) + 0.15 * (v - self.u)
+        down = -f / np.linalg.norm(f, axis=1, keepdims=True)
+        first, size, rate, phase = self._yaw
+        yaw = first + size * np.sin(rate * t + phase)
+        ahead = np.stack([np.cos(yaw), np.sin(yaw), np.zeros(t.size)], axis=1)
+        right = np.cross(down, ahead)
+        right /= np.linalg.norm(right, axis=1, keepdims=True)
+        return np.stack([np.cross(right, down), right, down], axis=2)
+
+    def rates(self, t: F64) -> F64:
+        """(n, 3) rad/s in body."""
+        h = 1e-4
+        before, after = self.attitude(t - h), self.attitude(t + h)
+        turn = np.einsum("nji,njk->nik", before, after)
+        return np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1) / (
+            4 * h
+        )
+
+    def relative(self, t: F64) -> tuple[F64, F64, F64]:
+        """(n, 3) d_body_pad_level, (n, 3) v_pad_level, (n,) yaw of the body against the arrow."""
+        p, v, _ = self.body(t)
+        pp, vp, Rp = self.pad(t)
+        R = self.attitude(t)
+        psi = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+        c, s, o, i = np.cos(psi), np.sin(psi), np.zeros(t.size), np.ones(t.size)
+        Z = np.stack([np.stack([c, s, o], -1), np.stack([-s, c, o], -1), np.stack([o, o, i], -1)], axis=1)
+        arrow = np.arctan2(Rp[:, 1, 0], Rp[:, 0, 0])
+        yaw = np.remainder(psi - arrow + math.pi, math.tau) - math.pi
+        return np.einsum("nij,nj->ni", Z, pp - p), np.einsum("nij,nj->ni", Z, vp - v), yaw
+
+
+def stamp(measured_at_s: float, received_at_s: float | None = None, sigma_s: float = 0.0) -> Stamp:
+    measured_at = EPOCH_NS + round(measured_at_s * 1e9)
+    received_at = measured_at if received_at_s is None else EPOCH_NS + round(received_at_s * 1e9)
+    return Stamp(MonoNs(measured_at), MonoNs(max(measured_at, received_at)), sigma_s, "sim")
+
+
+def ns(t_s: float) -> MonoNs:
+    return MonoNs(EPOCH_NS + round(t_s * 1e9))
+
+
+def wander(rng: np.random.Generator, n: int, dt: float, sigma: float, tau: float, width: int) -> F64:
+    """(n, width) first-order Gauss-Markov in its steady state."""
+    keep = math.exp(-dt / tau)
+    fresh = rng.standard_normal((n, width)) * sigma * math.sqrt(1.0 - keep**2)
+    out = np.empty((n, width))
+    out[0] = sigma * rng.standard_normal(width)
+    for k in range(1, n):
+        out[k] = keep * out[k - 1] + fresh[k]
+    return out
+
+
+Event = Imu | Attitude | BodyVelocity | Range | Baro | Sighting
+
+
+def _exp(v: F64) -> F64:
+    return Rotation.from_rotvec(v).matrix
+
+
+def events(flight: Flight) -> list[Event]:
+    """Everything the sensors tell, in the order in which it is heard."""
+    s = flight.s
+    rng = np.random.default_rng([s.seed, 2])
+    out: list[Event] = []
+
+    t = np.arange(0.0, s.duration_s, 1.0 / s.imu_hz)
+    R, w = flight.attitude(t), flight.rates(t)
+    a = flight.body(t)[2]
+    f = np.einsum("nji,nj->ni", R, a - np.array([0.0, 0.0, G]))
+    root = math.sqrt(s.imu_hz)
+    w = w + s.gyro_bias * rng.standard_normal(3) + s.asd_gyro * root * rng.standard_normal(w.shape)
+    f = f + s.accel_bias * rng.standard_normal(3) + s.asd_accel * root * rng.standard_normal(f.shape)
+    out += [Imu(stamp(x), wi, fi) for x, wi, fi in zip(t.tolist(), w, f, strict=True)]
+
+    # The vehicle's own attitude: told at its rate, and what vision levels with at any exposure.
+    error = wander(rng, t.size, 1.0 / s.imu_hz, math.radians(s.attitude_wander_deg), s.attitude_wander_s, 3)
+    error[:, :2] += math.radians(s.attitude_bias_deg) * rng.standard_normal(2)
+    error[:, 2] += math.radians(2.0) * rng.standard_normal()
+    sigma_att = math.radians(math.hypot(s.attitude_wander_deg, 0.0))
+    cov_att = np.eye(3) * sigma_att**2
+
+    def measured(x: float) -> F64:
+        e = np.array([np.interp(x, t, error[:, k]) for k in range(3)])
+        turned: F64 = flight.attitude(np.array([x]))[0] @ _exp(e)
+        return turned
+
+    every = max(1, round(s.imu_hz / s.attitude_hz))
+    out += [Attitude(stamp(t[k]), Rotation(R[k] @ _exp(error[k])), cov_att) for k in range(0, t.size, every)]
+
+    if s.velocity_hz > 0:
+        tv = np.arange(0.0, s.duration_s, 1.0 / s.velocity_hz)
+        noise = wander(rng, tv.size, 1.0 / s.velocity_hz, s.velocity_sigma, s.velocity_correlation_s, 2)
+        Rv, vv = flight.attitude(tv), flight.body(tv)[1]
+        if s.velocity_over == "pad":
+            vv = vv - flight.pad(tv)[1]
+        psi = np.arctan2(Rv[:, 1, 0], Rv[:, 0, 0])
+        fwd = np.cos(psi) * vv[:, 0] + np.sin(psi) * vv[:, 1]
+        rgt = np.cos(psi) * vv[:, 1] - np.sin(psi) * vv[:, 0]
+        cov_v = np.diag([s.velocity_sigma**2, s.velocity_sigma**2, UNKNOWN_VAR])
+        for k in range(tv.size):
+            told_v = s.velocity_scale * np.array([fwd[k], rgt[k], 0.0])
+            told_v[:2] += noise[k]
+            out.append(BodyVelocity(stamp(tv[k]), told_v, cov_v))
+    if s.range_hz > 0:
+        tr = np.arange(0.0, s.duration_s, 1.0 / s.range_hz)
+        p, pp, Rp, Rb = flight.body(tr)[0], flight.pad(tr)[0], flight.pad(tr)[2], flight.attitude(tr)
+        n, c = Rp[:, :, 2], Rb[:, :, 2]
+        r = np.einsum("ni,ni->n", n, pp - p) / np.einsum("ni,ni->n", n, c) + 0.02 * rng.standard_normal(tr.size)
+        out += [Range(stamp(x), max(0.0, float(y)), 0.02) for x, y in zip(tr.tolist(), r, strict=True)]
+    if s.baro_hz > 0:
+        tb = np.arange(0.0, s.duration_s, 1.0 / s.baro_hz)
+        h = 37.0 - flight.body(tb)[0][:, 2] + 0.3 * rng.standard_normal(tb.size)
+        out += [Baro(stamp(x), float(y), 0.3) for x, y in zip(tb.tolist(), h, strict=True)]
+
+    mount = _exp(np.radians(s.mount_deg))
+    seq = 0
+    for measured_at in np.arange(0.3, s.duration_s - s.hidden_delay_s, 1.0 / s.sighting_hz).tolist():
+        seq += 1
+        if any(a0 <= measured_at <= b0 for a0, b0 in s.blind):
+            continue
+        at = np.array([measured_at + s.hidden_delay_s])
+        Rb, pb = flight.attitude(at)[0], flight.body(at)[0][0]
+        pp, _, Rp = (x[0] for x in flight.pad(at))
+        d_seen = mount.T @ Rb.T @ (pp - pb)
+        level = Rotation(measured(measured_at)).without_heading().matrix
+        size = float(np.linalg.norm(d_seen))
+        sigma = size * np.array([s.sigma_lateral_per_m, s.sigma_lateral_per_m, s.sigma_range_per_m]) + 0.001
+        d = level @ (d_seen + sigma * rng.standard_normal(3))
+        seen = level @ mount.T @ Rb.T @ Rp
+        e_rot = np.radians([s.sigma_tilt_deg, s.sigma_tilt_deg, s.sigma_yaw_deg]) * rng.standard_normal(3)
+        seen = _exp(e_rot) @ seen
+        lever = -np.array([[0, -d[2], d[1]], [d[2], 0, -d[0]], [-d[1], d[0], 0]]) @ np.diag([1.0, 1.0, 0.0])
+        cov3 = level @ np.diag(sigma**2) @ level.T + sigma_att**2 * lever @ lever.T
+        wrong = rng.random() < s.outliers
+        if wrong:
+            d = d + rng.uniform(-3.0, 3.0, 3) * np.array([1.0, 1.0, 0.5])
+        yaw = wrap_pi(-math.atan2(seen[1, 0], seen[0, 0]))
+        cov = np.zeros((4, 4))
+        cov[:3, :3] = 0.5 * (cov3 + cov3.T)
+        cov[3, 3] = min(UNKNOWN_YAW_VAR, math.radians(s.sigma_yaw_deg) ** 2 + (0.05 * math.radians(s.sigma_tilt_deg)) ** 2)
+        pose = None
+        if s.pose6:
+            cov6 = np.zeros((6, 6))
+            both = np.vstack([lever, np.diag([1.0, 1.0, 0.0])])
+            cov6[:3, :3] = level @ np.diag(sigma**2) @ level.T
+            cov6[3:, 3:] = np.diag(np.radians([s.sigma_tilt_deg, s.sigma_tilt_deg, s.sigma_yaw_deg]) ** 2)
+            cov6 += sigma_att**2 * both @ both.T
+            pose = Pose6(d, Rotation(seen), 0.5 * (cov6 + cov6.T))
+        received_at = measured_at + max(0.03, s.delay_s + s.delay_jitter_s * rng.standard_normal())
+        out.append(Sighting(stamp(measured_at, received_at), seq, "registration", d, yaw, False, cov, 1.0, pose))
+    rank = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, Sighting: 5}
+    return sorted(out, key=lambda e: (e.stamp.received_at, rank[type(e)]))

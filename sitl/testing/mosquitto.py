@@ -1,0 +1,184 @@
+"""A mosquitto of our own on a free port of the loopback, with TLS, a password file and an ACL."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from companion.mqtt.connection import Connection, Endpoint, Publication, connect
+from companion.mqtt.settings import MqttSettings
+
+MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
+
+CONFIGS = Path(__file__).parents[2] / "configs/broker"
+
+ACL = """
+user drone
+topic write decklander/v1/deck/#
+topic read decklander/v1/deck/command
+user ground
+topic read decklander/v1/#
+topic write decklander/v1/+/command
+user mute
+topic read decklander/v1/#
+topic write decklander/v1/deck/status
+"""
+
+
+def need_mosquitto() -> None:
+    """Skip where there is none; on CI that is a failure."""
+    if MOSQUITTO is None:
+        (pytest.fail if os.environ.get("CI") else pytest.skip)("no mosquitto on this machine (apt install mosquitto)")
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def make_certificates(folder: Path) -> None:
+    """A CA, a server certificate for localhost and 127.0.0.1, a client certificate, and one that this CA did not sign."""
+
+    def openssl(*words: str) -> None:
+        subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
+
+    def key_and_request(name: str, subject: str) -> None:
+        openssl("req", "-new", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes",
+                "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", subject)  # fmt: skip
+
+    for name in ("ca", "stranger_ca"):
+        openssl("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2",
+                "-keyout", f"{name}.key", "-out", f"{name}.crt", "-subj", f"/CN={name}")  # fmt: skip
+    (folder / "names.txt").write_text("subjectAltName=DNS:localhost,IP:127.0.0.1\n")
+    for name, subject in (("server", "/CN=localhost"), ("client", "/CN=drone")):
+        key_and_request(name, subject)
+        openssl("x509", "-req", "-in", f"{name}.csr", "-CA", "ca.crt", "-CAkey", "ca.key", "-CAcreateserial",
+                "-out", f"{name}.crt", "-days", "2", "-extfile", "names.txt")  # fmt: skip
+
+
+@dataclass
+class Broker:
+    """A broker that can be started, stopped, killed and held up."""
+
+    folder: Path
+    certificates: Path
+    require_certificate: bool = False
+    port: int = field(default_factory=free_port)
+    process: subprocess.Popen[bytes] | None = None
+
+    def write_files(self) -> None:
+        (self.folder / "acl").write_text(ACL)
+        (self.folder / "passwords").write_text("".join(f"{user}:{user}-secret\n" for user in ("drone", "ground", "mute")))
+        tool = shutil.which("mosquitto_passwd")
+        assert tool is not None
+        subprocess.run([tool, "-U", "passwords"], cwd=self.folder, check=True, capture_output=True)
+        for user in ("drone", "ground", "mute", "wrong"):
+            (self.folder / f"{user}.password").write_text(f"{user}-secret\n")
+            (self.folder / f"{user}.password").chmod(0o600)
+        for name in ("acl", "passwords"):
+            (self.folder / name).chmod(0o600)
+        user = "user root\n" if os.geteuid() == 0 else ""
+        (self.folder / "mosquitto.conf").write_text(
+            f"{user}listener {self.port} 127.0.0.1\nallow_anonymous false\npassword_file {self.folder}/passwords\n"
+            f"acl_file {self.folder}/acl\ncafile {self.certificates}/ca.crt\ncertfile {self.certificates}/server.crt\n"
+            f"keyfile {self.certificates}/server.key\nrequire_certificate {str(self.require_certificate).lower()}\n"
+            f"persistence true\npersistence_location {self.folder}/\nautosave_on_changes true\nautosave_interval 1\n"
+            "set_tcp_nodelay true\nmax_inflight_messages 0\nmax_queued_messages 100000\nlog_type error\nlog_type warning\n"
+        )
+
+    def write_sample(self) -> None:
+        """The shipped configuration, its files here and its port ours."""
+        text = (CONFIGS / "mosquitto.conf").read_text().replace("listener 8883", f"listener {self.port} 127.0.0.1")
+        for shipped, ours in (
+            ("/etc/mosquitto/decklander.passwords", self.folder / "passwords"),
+            ("/etc/mosquitto/decklander.acl", self.folder / "acl"),
+            ("/etc/mosquitto/certs", self.certificates),
+            ("/var/lib/mosquitto", self.folder),
+        ):
+            assert shipped in text
+            text = text.replace(shipped, str(ours))
+        user = "user root\n" if os.geteuid() == 0 else ""
+        (self.folder / "mosquitto.conf").write_text(user + text)
+        (self.folder / "acl").write_text((CONFIGS / "decklander.acl").read_text())
+
+    def start(self) -> None:
+        assert MOSQUITTO is not None
+        log = (self.folder / "log").open("ab")
+        self.process = subprocess.Popen(
+            [MOSQUITTO, "-c", str(self.folder / "mosquitto.conf")], stdout=log, stderr=subprocess.STDOUT
+        )
+        log.close()
+        end = time.monotonic() + 60
+        while True:
+            try:
+                socket.create_connection(("127.0.0.1", self.port), timeout=1).close()
+                return
+            except OSError:
+                assert time.monotonic() < end, (self.folder / "log").read_text()
+                time.sleep(0.02)
+
+    def stop(self, how: signal.Signals = signal.SIGTERM) -> None:
+        if self.process is not None:
+            self.process.send_signal(how)
+            try:
+                self.process.wait(10)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+            self.process = None
+
+    def away(self, how: signal.Signals, seconds: float) -> None:
+        """Gone for a while. Blocks."""
+        self.stop(how)
+        time.sleep(seconds)
+        self.start()
+
+    def hold(self) -> None:
+        """The process stands still; its sockets stay open."""
+        assert self.process is not None
+        self.process.send_signal(signal.SIGSTOP)
+
+    def go_on(self) -> None:
+        if self.process is not None:
+            self.process.send_signal(signal.SIGCONT)
+
+    def settings(self, user: str = "drone", **changes: object) -> MqttSettings:
+        given: dict[str, object] = {
+            "transport": "tls",
+            "host": "localhost",
+            "port": self.port,
+            "drone": "deck",
+            "commands": "broker",
+            "user": user,
+            "password_file": str(self.folder / f"{user}.password"),
+            "ca_file": str(self.certificates / "ca.crt"),
+            "timeout_s": 1.0,
+            "reconnect_first_s": 0.05,
+            "reconnect_cap_s": 0.3,
+            **changes,
+        }
+        return MqttSettings(**given)  # type: ignore[arg-type]
+
+    @asynccontextmanager
+    async def ground(self) -> AsyncIterator[Connection]:
+        """A ground station's connection."""
+        async with connect(Endpoint.of(self.settings("ground")), "ground", incoming=100_000) as connection:
+            yield connection
+
+
+async def on_message(connection: Connection, topic: str) -> AsyncIterator[Publication]:
+    """Everything on a topic, what was retained included."""
+    await connection.subscribe(topic, qos=1)
+    async for received_at in connection.publications():
+        yield received_at

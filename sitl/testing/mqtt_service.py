@@ -1,0 +1,122 @@
+"""The part without a daemon: a fake operator, a real clock, samples and decisions made up."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from companion.config import secret_files
+from companion.mqtt.commands import CommandHandler
+from companion.mqtt.connection import Endpoint
+from companion.mqtt.events import PendingEvent
+from companion.mqtt.outbox import Outbox
+from companion.mqtt.part import MqttPart
+from companion.mqtt.settings import MqttSettings
+from companion.mqtt.spool import Spool
+from companion.mqtt.topics import Topics
+from companion.observer import Decision
+from companion.runtime.health import Health
+from companion.runtime.supervise import Restart, run
+from drivers.clock import SystemClock
+from estimator.contracts.commands import Command, Velocity
+from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+
+SESSION = "0123456789ab"
+RUN = "fedcba9876543210fedcba9876543210"
+
+
+@dataclass
+class FakeOperator:
+    """Does what it is told unless `cannot` is set."""
+
+    done: list[str] = field(default_factory=list)
+    cannot: str | None = None
+
+    def _do(self, what: str) -> str | None:
+        if self.cannot is None:
+            self.done.append(what)
+        return self.cannot
+
+    def start(self) -> str | None:
+        return self._do("start")
+
+    def pause(self) -> str | None:
+        return self._do("pause")
+
+    def abort(self) -> str | None:
+        return self._do("abort")
+
+    def steer_by(self, path: PathName) -> str | None:
+        return self._do(f"path {path}")
+
+    def record(self, on: bool) -> str | None:
+        return self._do(f"record {on}")
+
+
+def belief(at: MonoNs, height_m: float = 2.0) -> RelativeState:
+    return RelativeState(
+        at, "dead_reckoning", np.array([0.3, -0.2, height_m]), np.array([0.1, 0.2, -0.3]), 0.5,
+        np.diag([0.01, 0.04, 0.09, 0.16, 0.25, 0.36, 0.49]), MonoNs(at - 40_000_000), True,
+    )  # fmt: skip
+
+
+def decision(at: MonoNs, phase: str = "approach", command: Command | None = None) -> Decision:
+    return Decision(at, phase, command or Velocity(np.array([0.4, 0.5, 0.6]), 0.7), belief(at))
+
+
+def status(at: MonoNs, mode: str = "flying", battery: float = 0.8, emergency: bool = False) -> VehicleStatus:
+    return VehicleStatus(Stamp(at, at, 0.0, "sim"), mode == "flying", mode, battery, emergency, True)
+
+
+def event(at: MonoNs, text: str) -> PendingEvent:
+    return PendingEvent(at, "phase", text)
+
+
+@dataclass
+class Rig:
+    """A running part and what it is made of."""
+
+    part: MqttPart
+    health: Health
+    operator: FakeOperator
+    clock: SystemClock
+    spool: Spool
+
+    def count(self, name: str) -> float:
+        return self.part.counts().get(name, 0)
+
+
+@asynccontextmanager
+async def running(settings: MqttSettings, folder: Path, session: str = SESSION) -> AsyncIterator[Rig]:
+    """The part, supervised as in the daemon."""
+    logging.getLogger("companion.mqtt").setLevel(logging.WARNING)
+    clock = SystemClock()
+    health, topics, operator = Health(clock), Topics(settings.drone), FakeOperator()
+    spool = Spool(folder, settings.spool_max_kib * 1024)
+    outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
+    command_handler = CommandHandler(
+        topics, session, operator, RUN, secret_files.key(settings.command_key_file, "mqtt", "command_key_file")
+    )
+    part = MqttPart(settings, Endpoint.of(settings), outbox, command_handler, health, clock, session=session, version="1.2.3")
+    ended = asyncio.Event()
+    async with asyncio.TaskGroup() as group:
+        group.create_task(run({"mqtt": part.run}, Restart(), health, clock, until=ended))
+        try:
+            yield Rig(part, health, operator, clock, spool)
+        finally:
+            ended.set()
+
+
+async def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait for a condition; fail after `seconds`."""
+    async with asyncio.timeout(seconds):
+        while not condition():  # noqa: ASYNC110 (a condition of any kind)
+            await asyncio.sleep(0.01)

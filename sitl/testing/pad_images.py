@@ -1,0 +1,150 @@
+"""Exact images of the pad for tests: every sub-sample of every pixel is traced to the deck and asked for its paint."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.estimates import Sighting
+from estimator.contracts.geometry import F64, Rotation, Transform, wrap_pi
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+
+STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
+DECK_RGB = (110, 105, 112)
+
+
+def sim_camera(p_body_cam_m: tuple[float, float, float] = (0.15, 0.0, 0.0), distortion: tuple[float, ...] = (0.0,) * 5) -> Camera:
+    """The camera of configs/cameras/sim.toml, at a chosen place."""
+    mount = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.array(p_body_cam_m))
+    return Camera(640, 360, 374.67, 374.67, 319.5, 179.5, np.array(distortion), mount)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Where the pad is, seen from the body, and how the body is tilted."""
+
+    d_body_pad_level: tuple[float, float, float]
+    yaw_rad: float = 0.0
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    deck_roll_rad: float = 0.0
+    deck_pitch_rad: float = 0.0
+
+    def attitude(self, sigma_rad: float = math.radians(0.05)) -> Attitude:
+        """As an IMU without error would say it; the vehicle's heading is some angle that nothing may depend on."""
+        return Attitude(STAMP, Rotation.from_rpy(self.roll_rad, self.pitch_rad, 0.7), np.eye(3) * sigma_rad**2)
+
+    def T_cam_pad(self, camera: Camera) -> Transform:
+        R_level_pad = Rotation.from_rpy(0.0, 0.0, -self.yaw_rad) @ Rotation.from_rpy(self.deck_roll_rad, self.deck_pitch_rad, 0.0)
+        T_level_pad = Transform(R_level_pad, np.array(self.d_body_pad_level))
+        T_level_body = Transform(Rotation.from_rpy(self.roll_rad, self.pitch_rad, 0.0), np.zeros(3))
+        return (T_level_body @ camera.T_body_cam).inv @ T_level_pad
+
+
+def project(points_pad: F64, scene: Scene, camera: Camera) -> F64:
+    """(N, 3) m on the pad to (N, 2) px."""
+    T = scene.T_cam_pad(camera)
+    return camera.project(points_pad @ T.R.matrix.T + T.t)
+
+
+def image(
+    scene: Scene, camera: Camera, pad: Pad, *, samples: int = 4, blur_px: float = 0.0, noise: float = 0.0, seed: int = 0,
+    deck_rgb: tuple[int, int, int] = DECK_RGB, gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
+) -> Frame:  # fmt: skip
+    """One frame; `samples` squared sub-samples a pixel added up as light, Gaussian blur, then noise in grey levels."""
+    px: NDArray[np.float32] = np.empty((camera.height, camera.width, 3), np.float32)
+    px[:] = _light(np.array(deck_rgb[::-1]))
+    T = scene.T_cam_pad(camera)
+    rim = pad.circle(1.02 * pad.disc_radius_m, 256) @ T.R.matrix.T + T.t
+    if np.all(rim[:, 2] > 0.02):
+        uv = camera.project(rim)
+        low = np.maximum(np.floor(uv.min(axis=0)).astype(int), 0)
+        high = np.minimum(np.ceil(uv.max(axis=0)).astype(int) + 1, (camera.width, camera.height))
+    else:
+        low, high = np.array([0, 0]), np.array([camera.width, camera.height])
+    if np.all(high > low):
+        px[low[1] : high[1], low[0] : high[0]] = _trace(low, high, T, camera, pad, samples, deck_rgb)
+    px *= np.array(gain[::-1], np.float32)
+    if blur_px > 0.0:
+        px = np.asarray(cv2.GaussianBlur(px, (0, 0), blur_px), np.float32)
+    px = np.asarray(np.interp(px, _light(np.arange(256)), np.arange(256)), np.float32)
+    if noise > 0.0:
+        px = px + np.random.default_rng(seed).normal(0.0, noise, px.shape).astype(np.float32)
+    return Frame(STAMP, 0, np.clip(np.rint(px), 0, 255).astype(np.uint8))
+
+
+def errors(s: Sighting, scene: Scene) -> tuple[F64, float]:
+    """(3,) m of position, rad of heading (nan where none is given; the nearer of two where it is ambiguous)."""
+    d = s.d_body_pad_level - np.array(scene.d_body_pad_level)
+    if s.yaw_rad is None:
+        return d, math.nan
+    off = wrap_pi(s.yaw_rad - scene.yaw_rad)
+    if s.yaw_ambiguous and abs(off) > math.pi / 2:
+        off = wrap_pi(off + math.pi)
+    return d, off
+
+
+def _trace(
+    low: NDArray[np.int_],
+    high: NDArray[np.int_],
+    T: Transform,
+    camera: Camera,
+    pad: Pad,
+    samples: int,
+    deck: tuple[int, int, int],
+) -> NDArray[np.float32]:
+    w, h = int(high[0] - low[0]), int(high[1] - low[1])
+    # Rows of sub-samples are shifted against one another, and columns too, so that an upright edge meets samples squared places.
+    step = (np.arange(samples) + 0.5) / samples - 0.5
+    u = (low[0] + np.arange(w)[:, None] + step).ravel()[None, :] + np.tile(step / samples, h)[:, None]
+    v = (low[1] + np.arange(h)[:, None] + step).ravel()[:, None] + np.tile(step / samples, w)[None, :]
+    if camera.distorted:
+        rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(*u.shape, 2)
+        x, y = rays[:, :, 0], rays[:, :, 1]
+    else:
+        x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    # The point of the ray (x, y, 1) s on the pad's plane, in pad coordinates.
+    M, t = T.R.matrix, T.R.matrix.T @ T.t
+    down = M[0, 2] * x + M[1, 2] * y + M[2, 2]
+    s = t[2] / np.where(np.abs(down) > 1e-9, down, 1e-9)
+    a = (M[0, 0] * x + M[1, 0] * y + M[2, 0]) * s - t[0]
+    b = (M[0, 1] * x + M[1, 1] * y + M[2, 1]) * s - t[1]
+    paint = _paint(a, b, pad)
+    paint[s <= 0] = 0
+    palette = np.array(
+        [deck, pad.colours.rim or pad.colours.disc, pad.colours.disc, pad.colours.ring, pad.colours.h], np.float32
+    )[:, ::-1]
+    colour = _light(palette)[paint]
+    return np.asarray(colour.reshape(h, samples, w, samples, 3).mean(axis=(1, 3)), np.float32)
+
+
+def _paint(x: F64, y: F64, pad: Pad) -> NDArray[np.uint8]:
+    r2 = x * x + y * y
+    out = np.zeros(r2.shape, np.uint8)
+    out[r2 <= pad.disc_radius_m**2] = 1
+    out[r2 <= (pad.disc_radius_m - pad.rim_width_m) ** 2] = 2
+    out[(r2 <= pad.ring_outer_m**2) & (r2 >= pad.ring_inner_m**2)] = 3
+    behind_tip = pad.arrow_tip_m - x
+    out[
+        (behind_tip >= 0)
+        & (behind_tip <= pad.arrow_depth_m)
+        & (np.abs(y) <= behind_tip / pad.arrow_depth_m * pad.arrow_half_base_m)
+    ] = 3
+    half = 0.5 * pad.h_width_m
+    leg = (np.abs(y) <= half) & (np.abs(y) >= half - pad.leg_width_m) & (np.abs(x) <= 0.5 * pad.h_length_m)
+    bar = (np.abs(y) <= half) & (np.abs(x) <= 0.5 * pad.bar_width_m)
+    out[leg | bar] = 4
+    return out
+
+
+def _light(value: NDArray[np.floating] | NDArray[np.integer]) -> NDArray[np.float32]:
+    """sRGB 0..255 to linear light 0..1 (IEC 61966-2-1)."""
+    v = np.asarray(value, float) / 255.0
+    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4).astype(np.float32)

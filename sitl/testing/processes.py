@@ -1,0 +1,86 @@
+"""Programs that a test starts, in a group of their own that is gone when the test is, however it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 60.0
+"""For anything that a healthy program does at some time: a machine under load is slow, and no test asks how slow."""
+
+
+@contextmanager
+def started(words: Sequence[str], *, lasting_s: float = PATIENCE_S + 30.0, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """A program with its standard output as lines of text. Its whole group is killed at the end.
+
+    Args:
+        lasting_s: after this it is killed in any case, so that reading from it cannot take for ever.
+    """
+    options = {"cwd": ROOT, "stdout": subprocess.PIPE, "text": True, **options}
+    process = subprocess.Popen(words, start_new_session=True, **options)
+    watchdog = threading.Timer(lasting_s, kill_group, (process.pid,))
+    watchdog.daemon = True
+    watchdog.start()
+    try:
+        with process:
+            try:
+                yield process
+            finally:
+                kill_group(process.pid)
+    finally:
+        watchdog.cancel()
+
+
+def kill_group(group: int) -> None:
+    """The program and what it left behind."""
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(group, signal.SIGKILL)
+
+
+@contextmanager
+def python(source: str, *words: str, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """A program of a few lines."""
+    with started([sys.executable, "-c", source, *words], **options) as process:
+        yield process
+
+
+def decklander(*words: str) -> list[str]:
+    """The command line of our own program."""
+    return [sys.executable, "-m", "companion.cli.main", *words]
+
+
+@contextmanager
+def burners(n: int) -> Iterator[None]:
+    """As many programs that only take CPU time, for a machine under load."""
+    burning = [subprocess.Popen([sys.executable, "-c", "while 1: pass"]) for _ in range(n)]
+    try:
+        yield
+    finally:
+        for process in burning:
+            process.kill()
+            process.wait()
+
+
+def alive(number: int) -> bool:
+    """Whether a process runs. A zombie that its adoptive parent has not collected yet is as good as gone."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def gone(number: int) -> bool:
+    """Whether a process is gone before long."""
+    end = time.monotonic() + PATIENCE_S
+    while alive(number) and time.monotonic() < end:
+        time.sleep(0.02)
+    return not alive(number)

@@ -1,0 +1,73 @@
+"""A short simulated flight for the tests of recorder and replay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from companion.config.model import CameraSettings, PadSettings
+from companion.config.settings import Settings, load
+from companion.observer import Decision, NullObserver, Observer, ProcessedFrame
+from companion.recorder.recorder import Recorder
+from companion.recorder.records import TruthRecord
+from companion.recorder.setup import about, recorder_to_file
+from companion.runtime.service import make_pilot
+from estimator.contracts.samples import Sample
+from sitl.flight import Flight
+from sitl.scenario import load as load_scenario
+
+SCENARIO = "demo"
+
+
+class Told(NullObserver):
+    """Everything the observers were told, as it was."""
+
+    def __init__(self) -> None:
+        self.samples: list[Sample] = []
+        self.frames: list[ProcessedFrame] = []
+        self.decisions: list[Decision] = []
+
+    def on_sample(self, sample: Sample) -> None:
+        self.samples.append(sample)
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self.frames.append(processed)
+
+    def on_decision(self, decision: Decision) -> None:
+        self.decisions.append(decision)
+
+
+def sim_settings() -> Settings:
+    scenario = load_scenario(SCENARIO)
+    settings = load("sim")
+    return msgspec.structs.replace(
+        settings,
+        camera=CameraSettings(scenario.camera.file),
+        pad=PadSettings(scenario.pad.file),
+        estimator=msgspec.structs.replace(settings.estimator, path="dead_reckoning"),
+    )
+
+
+def fly(observers: Sequence[Observer], seconds: float, recorder: Recorder | None = None) -> Flight:
+    """The first seconds of a flight, with truth told to the recorder at 50 Hz."""
+    settings = sim_settings()
+    flight = Flight(load_scenario(SCENARIO), 1, settings, make_pilot(settings, shadows=("median_mean",)), observers=observers)
+    if recorder is not None:
+        recorder.watch(flight.health)
+    for step in range(round(seconds / 0.005)):
+        flight.step()
+        if recorder is not None and step % 4 == 0:
+            t = flight.world.truth()
+            recorder.on_truth(TruthRecord(int(t.at), t.d_body_pad_level.tolist(), t.v_pad_level.tolist(), t.yaw_rad))
+    return flight
+
+
+def record_to(path: Path, seconds: float = 2.0, **options: object) -> Told:
+    """Fly and record into `path`; what the other observer was told."""
+    settings, told = sim_settings(), Told()
+    pilot = make_pilot(settings)
+    with recorder_to_file(path, pilot.camera, about(settings, {"scenario": SCENARIO, "seed": "1"}), **options) as recorder:  # type: ignore[arg-type]
+        fly([told, recorder], seconds, recorder)
+    return told

@@ -1,0 +1,258 @@
+"""An AR.Drone in a ground station: what it shows, what it can be told, and MAVSDK as the station."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import random
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.mavlink.bridge import VehicleBridge
+from companion.mavlink.bridge_part import BridgePart
+from companion.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
+from drivers.clock import SystemClock
+from drivers.mavlink.access import Named, Standing
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.endpoint import parse_endpoint
+from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage
+from estimator.contracts.commands import Command, Hover, Land, TakeOff
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+from sitl.testing.fake_ardrone import until
+from tests.companion.mavlink.border import frame
+from tests.companion.mavlink.test_mavsdk import HOST, free_port
+
+S = 1_000_000_000
+
+
+def stamp(at: MonoNs) -> Stamp:
+    return Stamp(at, at, 0.001, "synced")
+
+
+class Station:
+    """What a ground station hears of a drone, and tells it."""
+
+    def __init__(self) -> None:
+        self.messages: list[Message] = []
+        self.commands: list[Command] = []
+        self.broken = False
+        self.now = MonoNs(100 * S)
+        self.bridge = VehicleBridge(self._on_message, self._take)
+
+    def _on_message(self, message: Message, to: int | None = None, *, component: int | None = None) -> bool:
+        assert component == 1
+        self.messages.append(message)
+        return True
+
+    def _take(self, command: Command) -> None:
+        if self.broken:
+            raise Recoverable("the link is closed")
+        self.commands.append(command)
+
+    def drone(self, *, flying: bool, mode: str, seconds: float = 1.0, yaw_deg: float = 90.0) -> None:
+        """The drone flies forward at half a metre a second at 1.2 m."""
+        for n in range(round(seconds * 50)):
+            self.now = MonoNs(self.now + S // 50)
+            if n % 10 == 0:
+                self.bridge.on_sample(VehicleStatus(stamp(self.now), flying, mode, 0.66, False, True))
+            body = Rotation.from_rpy(0.0, 0.0, math.radians(yaw_deg))
+            self.bridge.on_sample(Attitude(stamp(self.now), body, np.eye(3) * 1e-4))
+            self.bridge.on_sample(Imu(stamp(self.now), np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, -9.8])))
+            self.bridge.on_sample(BodyVelocity(stamp(self.now), np.array([0.5, 0.0, 0.0]), np.eye(3) * 0.01))
+            self.bridge.on_sample(Range(stamp(self.now), 1.2, 0.02))
+            self.bridge.tick(self.now)
+
+    def tell(self, command: int, *params: float) -> int:
+        padded = [*params, 0, 0, 0, 0, 0, 0, 0][:7]
+        message = mav.MAVLink_command_long_message(7, 1, command, 0, *padded)
+        before = len(self.messages)
+        self.bridge.on_message(ReceivedMessage(message, 0, self.now, 255, 190, standing=Standing.OPERATOR), 7, self.now)
+        ack = self.messages[before]
+        assert (ack.command, ack.target_system, ack.target_component) == (command, 255, 190)
+        return int(ack.result)
+
+    def newest(self, kind: str) -> Any:
+        return [m for m in self.messages if m.get_type() == kind][-1]
+
+
+def test_a_quadrotor_is_seen() -> None:
+    station = Station()
+    station.drone(flying=True, mode="hovering", seconds=2.0)
+    beat = station.newest("HEARTBEAT")
+    assert (beat.type, beat.autopilot, beat.system_status) == (2, 0, 4)
+    assert beat.base_mode & 128
+    assert station.newest("EXTENDED_SYS_STATE").landed_state == 2
+    assert station.newest("SYS_STATUS").battery_remaining == 66
+    q = station.newest("ATTITUDE_QUATERNION")
+    assert Rotation.from_quat([q.q1, q.q2, q.q3, q.q4]).rpy_rad[2] == pytest.approx(math.pi / 2)
+    assert (q.rollspeed, q.pitchspeed, q.yawspeed) == (0.1, 0.2, 0.3)
+    place = station.newest("LOCAL_POSITION_NED")
+    assert (place.x, place.y, place.z) == pytest.approx((0.0, 1.0, -1.2), abs=0.07)
+    assert (place.vx, place.vy) == pytest.approx((0.0, 0.5))
+    counts = {kind: sum(m.get_type() == kind for m in station.messages) for kind in ("HEARTBEAT", "ATTITUDE_QUATERNION")}
+    assert counts["HEARTBEAT"] == 2
+    assert 30 <= counts["ATTITUDE_QUATERNION"] <= 42
+
+
+@pytest.mark.parametrize(("mode", "flying", "state"), [("landed", False, 1), ("taking_off", True, 3), ("landing", True, 4)])
+def test_landed_state(mode: str, flying: bool, state: int) -> None:
+    station = Station()
+    station.drone(flying=flying, mode=mode, seconds=0.6)
+    assert station.newest("EXTENDED_SYS_STATE").landed_state == state
+
+
+def test_no_heartbeat_of_a_drone_that_is_not_heard() -> None:
+    station = Station()
+    station.bridge.tick(station.now)
+    station.bridge.on_sample(VehicleStatus(stamp(station.now), None, "unknown", None, False, False))
+    station.bridge.tick(MonoNs(station.now + 2 * S))
+    assert not [m for m in station.messages if m.get_type() == "HEARTBEAT"]
+
+
+def test_arm_take_off_hold_and_land() -> None:
+    station = Station()
+    station.drone(flying=False, mode="landed", seconds=0.5)
+    assert station.tell(22) == DENIED, "not armed"
+    assert station.tell(400, 1) == ACCEPTED
+    assert station.tell(22) == ACCEPTED
+    station.drone(flying=True, mode="hovering", seconds=0.5)
+    assert station.tell(22) == DENIED, "it flies"
+    assert station.tell(400, 0) == DENIED, "motors are not stopped in flight"
+    assert station.tell(17) == ACCEPTED
+    assert station.tell(21) == ACCEPTED
+    assert [type(c) for c in station.commands] == [TakeOff, Hover, Land]
+    station.broken = True
+    assert station.tell(21) == mav.MAV_RESULT_TEMPORARILY_REJECTED
+    assert station.tell(16) == UNSUPPORTED
+    assert station.tell(512, 148) == ACCEPTED
+    assert station.newest("AUTOPILOT_VERSION")
+    assert station.tell(512, math.nan) == UNSUPPORTED
+    assert station.tell(511, 31, 1_000_000) == ACCEPTED
+
+
+@asynccontextmanager
+async def bridged(**options: Any) -> AsyncIterator[tuple[BridgePart, Links, list[Command]]]:
+    """The bridge listening on a port of its own, with a drone that stands."""
+    clock, commands = SystemClock(), list[Command]()
+    part = BridgePart([LinkOptions(parse_endpoint(f"udpin://{HOST}:0"))], 7, clock, **options)
+    part._taker = commands.append
+    async with asyncio.TaskGroup() as group:
+        running = group.create_task(part.run())
+        await until(lambda: part._links is not None and part._links.all[0].local is not None)
+        now = clock.now()
+        part.on_sample(VehicleStatus(stamp(now), True, "hovering", 0.5, False, True))
+        assert part._links is not None
+        yield part, part._links, commands
+        running.cancel()
+
+
+class Wire:
+    """A ground station's socket."""
+
+    def __init__(self, links: Links, source: tuple[int, int]) -> None:
+        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sock.setblocking(False)
+        self._links, self._codec = links, Codec(*source)
+
+    async def say(self, *messages: Message | bytes) -> list[Message]:
+        """Send these and return what has come back a little later."""
+        counters, address = self._links.all[0].counters, self._links.all[0].local
+        assert address is not None
+        for message in messages:
+            data = message if isinstance(message, bytes) else self._codec.pack(message)
+            expected = counters.bytes_in + len(data)
+            self._sock.sendto(data, address)
+            await until(lambda expected=expected: counters.bytes_in >= expected and not len(self._links.received))
+        await asyncio.sleep(0.05)
+        out: list[Message] = []
+        reader = Codec(1, 1, datagrams=True)
+        with suppress(BlockingIOError):
+            while True:
+                out += reader.feed(self._sock.recv(2048))
+        return out
+
+    def close(self) -> None:
+        self._sock.close()
+
+
+LAND = mav.MAVLink_command_long_message(7, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("operators", [(), (Named(254),)])
+async def test_it_is_closed_to_whoever_is_not_named(operators: tuple[Named, ...]) -> None:
+    async with bridged(operators=operators) as (part, links, commands):
+        wire = Wire(links, (255, 190))
+        beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+        assert await wire.say(beat, LAND) == []
+        assert commands == []
+        assert part.counted()["strangers"] == 2
+        assert part.counted()["peers"] == 0
+        wire.close()
+
+
+async def test_a_named_station_is_told_and_obeyed() -> None:
+    async with bridged(operators=(Named(255),)) as (_part, links, commands):
+        wire = Wire(links, (255, 190))
+        answers = await wire.say(LAND)
+        assert [(m.command, m.result) for m in answers if m.get_type() == "COMMAND_ACK"] == [(21, ACCEPTED)]
+        assert [type(c) for c in commands] == [Land]
+        wire.close()
+
+
+async def test_no_fields_of_any_message_end_it() -> None:
+    chance = random.Random(5)
+    async with bridged(operators=(Named(255),)) as (_part, links, _commands):
+        wire = Wire(links, (255, 190))
+        frames = []
+        for cls in mav.mavlink_map.values():
+            size = cls.unpacker.size
+            frames += [frame(cls, payload, (255, 190)) for payload in (b"\xff" * size, chance.randbytes(size))]
+        await wire.say(*frames)
+        assert dict(links.contained.faults) == {}
+        assert dict(links.unfit) == {}
+        assert any(m.get_type() == "COMMAND_ACK" for m in await wire.say(LAND))
+        wire.close()
+
+
+async def test_mavsdk_flies_it() -> None:
+    mavsdk = pytest.importorskip("mavsdk.asyncio", reason="MAVSDK is not installed")
+    from mavsdk import ComponentType, Configuration
+    from mavsdk.asyncio.plugins.action import ActionAsync
+
+    port, clock, commands = free_port(), SystemClock(), list[Command]()
+    part = BridgePart([LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))], 7, clock, operators=(Named(245),))
+    with pytest.raises(Recoverable, match="not there"):
+        part.command(Land())
+    part._taker = commands.append
+    async with asyncio.TaskGroup() as group:
+        flying = False
+
+        async def live() -> None:
+            while True:
+                now = clock.now()
+                part.on_sample(VehicleStatus(stamp(now), flying, "hovering" if flying else "landed", 0.5, False, True))
+                await asyncio.sleep(0.02)
+
+        tasks = [group.create_task(live()), group.create_task(part.run())]
+        async with mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station:
+            await station.add_any_connection(f"udpin://{HOST}:{port}")
+            system = await station.first_autopilot(timeout_s=10.0)
+            assert system is not None
+            action = ActionAsync(system)
+            await action.arm()
+            await action.takeoff()
+            flying = True
+            await asyncio.sleep(0.1)
+            await action.land()
+        for task in tasks:
+            task.cancel()
+    assert [type(c) for c in commands] == [TakeOff, Land]

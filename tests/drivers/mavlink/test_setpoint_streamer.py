@@ -1,0 +1,342 @@
+"""Who has the vehicle, and what is sent in each period."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.setpoint import velocity_setpoint
+from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer, StreamerOptions
+from drivers.mavlink.vehicle import COPTER_MODES, PX4_MODES, Condition, Identity, Stack, custom_mode, mode_name, set_mode
+from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp
+
+S = 1_000_000_000
+GO = Velocity(np.array([0.5, -0.25, 0.125]), 0.3)
+
+
+class Flight:
+    """A helm in virtual time."""
+
+    def __init__(self, stack: Stack, mode: str = "loiter", **options: object) -> None:
+        self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), StreamerOptions(**options))  # type: ignore[arg-type]
+        self.now = MonoNs(50 * S)
+        self.condition = Condition(mode, True, True)
+        self.told()
+
+    def told(self, mode: str | None = None, flying: bool | None = True) -> None:
+        self.condition = Condition(mode or self.condition.mode, True, flying)
+        self.streamer.on_condition(self.condition)
+
+    def periods(self, seconds: float, command: Velocity | Hover | Land | None = None, *, seen: bool = True) -> list[Message]:
+        """Every message of that long at 25 Hz, the command repeated in each period."""
+        out: list[Message] = []
+        for _ in range(round(seconds * 25)):
+            self.now = MonoNs(self.now + S // 25)
+            if seen:
+                stamp = Stamp(self.now, self.now, 0.001, "synced")
+                self.streamer.on_attitude(Attitude(stamp, Rotation.from_rpy(0.0, 0.0, math.radians(90.0)), np.eye(3) * 1e-4))
+            if command is not None:
+                self.streamer.take(command, self.now)
+            out += self.streamer.period(self.now)
+        return out
+
+
+def modes(messages: list[Message]) -> list[tuple[float, float]]:
+    return [(m.param2, m.param3) for m in messages if m.get_type() == "COMMAND_LONG" and m.command == mav.MAV_CMD_DO_SET_MODE]
+
+
+def velocities(messages: list[Message]) -> list[tuple[float, float, float, float]]:
+    return [(m.vx, m.vy, m.vz, m.yaw_rate) for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+
+
+@pytest.mark.parametrize("yaw_deg", range(-135, 181, 45))
+def test_a_setpoint_says_in_north_and_east_what_was_meant_in_forward_and_right(yaw_deg: int) -> None:
+    yaw = math.radians(yaw_deg)
+    m = velocity_setpoint(2**32 + 5, (7, 1), GO, yaw)
+    assert (m.coordinate_frame, m.type_mask, m.time_boot_ms) == (1, 0x05C7, 5)
+    assert (m.target_system, m.target_component, m.yaw_rate) == (7, 1, 0.3)
+    # What the vehicle then does, seen from its own nose
+    forward = math.cos(yaw) * m.vx + math.sin(yaw) * m.vy
+    right = -math.sin(yaw) * m.vx + math.cos(yaw) * m.vy
+    assert (forward, right, m.vz) == pytest.approx((0.5, -0.25, 0.125))
+    with pytest.raises(ValueError, match="finite"):
+        velocity_setpoint(0, (7, 1), GO, math.nan)
+
+
+def test_the_mask_uses_velocity_and_yaw_rate_and_nothing_else() -> None:
+    m = velocity_setpoint(0, (7, 1), GO, 0.0)
+    ignored = {n for n in range(12) if m.type_mask >> n & 1}
+    assert ignored == {0, 1, 2, 6, 7, 8, 10}
+    # ArduCopter: a setpoint with any velocity axis ignored stops it; PX4 takes acceleration unless all three are ignored
+    assert not m.type_mask & 0x38
+    assert m.type_mask & 0x1C0 == 0x1C0
+
+
+def test_every_mode_has_one_name_and_one_number() -> None:
+    for number, name in COPTER_MODES.items():
+        assert mode_name(Stack.ARDUPILOT, number) == name
+        assert custom_mode(Stack.ARDUPILOT, name) == number
+    for (main, sub), name in PX4_MODES.items():
+        assert mode_name(Stack.PX4, main << 16 | sub << 24) == name
+        assert custom_mode(Stack.PX4, name) == main << 16 | sub << 24
+    m = set_mode(Stack.PX4, (7, 1), "auto.precland")
+    assert (m.param1, m.param2, m.param3) == (1, 4, 9)
+    m = set_mode(Stack.ARDUPILOT, (7, 1), "land")
+    assert (m.param1, m.param2, m.param3) == (1, 9, 0)
+
+
+def test_waiting_for_the_start_sends_nothing_at_all() -> None:
+    for stack in (Stack.ARDUPILOT, Stack.PX4):
+        assert Flight(stack, "guided").periods(2.0, Hover()) == []
+
+
+def test_ardupilot_is_taken_into_guided_by_the_first_velocity() -> None:
+    flight = Flight(Stack.ARDUPILOT)
+    sent = flight.periods(0.5, GO)
+    assert modes(sent) == [(4, 0)], "asked once, not in every period"
+    assert flight.streamer.hand is Hand.TAKING
+    flight.told("guided")
+    sent = flight.periods(1.0, GO)
+    assert modes(sent) == []
+    # The nose points east: forward is east, left is north
+    assert velocities(sent)[0] == pytest.approx((0.25, 0.5, 0.125, 0.3))
+    assert len(velocities(sent)) == 25
+    assert flight.streamer.hand is Hand.OURS
+
+
+def test_px4_hears_setpoints_before_it_is_asked_for_offboard() -> None:
+    flight = Flight(Stack.PX4, "auto.loiter")
+    assert modes(flight.periods(1.9, GO)) == []
+    assert modes(flight.periods(0.3, GO)) == [(6, 0)]
+
+
+def test_a_mode_that_does_not_come_is_asked_for_a_few_times_and_then_left() -> None:
+    flight = Flight(Stack.ARDUPILOT, tries=3)
+    assert len(modes(flight.periods(8.0, GO))) == 3
+    assert flight.streamer.hand is Hand.RELEASED
+    assert flight.periods(1.0, GO) == []
+
+
+def test_a_person_who_takes_the_vehicle_keeps_it_until_the_operator_starts_again() -> None:
+    flight = Flight(Stack.ARDUPILOT)
+    flight.periods(0.2, GO)
+    flight.told("guided")
+    flight.periods(0.2, GO)
+    flight.told("loiter")
+    assert flight.periods(2.0, GO) == []
+    assert flight.periods(2.0, Land()) == []
+    flight.streamer.engage()
+    assert modes(flight.periods(0.2, GO)) == [(4, 0)]
+    flight.told("guided")
+    flight.told("poshold")
+    flight.told("guided")
+    assert flight.streamer.hand is Hand.OURS, "handed back by choosing the mode"
+
+
+def test_a_velocity_grows_stale_and_is_flown_as_standing_still() -> None:
+    flight = Flight(Stack.ARDUPILOT, "guided")
+    flight.periods(0.2, GO)
+    flight.told("guided")
+    sent = velocities(flight.periods(1.0))
+    assert sent[0][:2] != (0.0, 0.0)
+    assert sent[-1] == (0.0, 0.0, 0.0, 0.0)
+    assert flight.streamer.stale_periods > 10
+    assert flight.streamer.hand is Hand.OURS
+
+
+def test_without_a_heading_nothing_is_sent() -> None:
+    flight = Flight(Stack.ARDUPILOT, "guided")
+    flight.periods(0.2, GO)
+    flight.told("guided")
+    flight.periods(0.6, GO, seen=False)
+    assert flight.periods(1.0, GO, seen=False) == []
+    assert flight.streamer.blind_periods >= 25
+
+
+def test_ardupilot_lands_by_its_own_mode() -> None:
+    flight = Flight(Stack.ARDUPILOT)
+    flight.periods(0.2, GO)
+    flight.told("guided")
+    sent = flight.periods(0.3, Land())
+    assert modes(sent) == [(9, 0)]
+    assert velocities(sent) == []
+    flight.told("land")
+    assert flight.periods(3.0, Land()) == []
+    assert modes(flight.periods(0.2, Hover())) == [(4, 0)], "called off"
+    flight.told(flying=False)
+    assert flight.streamer.hand is Hand.IDLE
+
+
+def test_px4_sinks_onto_a_moving_deck_with_the_decks_velocity() -> None:
+    flight = Flight(Stack.PX4, "auto.loiter")
+    flight.periods(2.5, GO)
+    flight.told("offboard")
+    flight.periods(0.2, GO)
+    sent = flight.periods(2.0, Land())
+    assert modes(sent) == []
+    assert velocities(sent)[-1] == pytest.approx((0.25, 0.5, 0.4, 0.0))
+    flight.told("posctl")
+    assert flight.periods(1.0, Land()) == []
+    assert flight.streamer.hand is Hand.RELEASED
+
+
+def test_px4_lands_by_mode_when_it_is_not_ours_or_so_chosen() -> None:
+    flight = Flight(Stack.PX4, "auto.loiter")
+    assert modes(flight.periods(0.2, Land())) == [(4, 6)]
+    flight = Flight(Stack.PX4, "auto.loiter", landing="mode")
+    flight.periods(2.5, GO)
+    flight.told("offboard")
+    assert modes(flight.periods(0.2, Land())) == [(4, 6)]
+
+
+def test_a_person_who_breaks_the_landing_off_keeps_the_vehicle() -> None:
+    flight = Flight(Stack.ARDUPILOT)
+    flight.periods(0.2, GO)
+    flight.told("guided")
+    flight.periods(0.2, Land())
+    flight.told("land")
+    flight.told("loiter")
+    assert flight.periods(3.0, Land()) == []
+    assert flight.streamer.hand is Hand.RELEASED
+
+
+def test_the_last_word() -> None:
+    flight = Flight(Stack.PX4, "auto.loiter")
+    assert flight.streamer.leave(flight.now) == []
+    flight.periods(2.5, GO)
+    flight.told("offboard")
+    last = flight.streamer.leave(flight.now)
+    assert velocities(last) == [(0.0, 0.0, 0.0, 0.0)]
+    assert modes(last) == [(4, 3)], "its stream ends, which is no exit from OFFBOARD"
+    flight.periods(0.2, Land())
+    assert modes(flight.streamer.leave(flight.now)) == [(4, 3)], (
+        "nobody renews the landing any more, and AUTO.LAND knows of no deck"
+    )
+    flight.streamer.take(Hover(), flight.now)
+    flight.told("offboard")
+    flight.periods(0.2, Land(standing=True))
+    assert modes(flight.streamer.leave(flight.now)) == [(4, 6)], "a person's goes on"
+
+
+def over_a_deck(stack: Stack = Stack.PX4, **options: object) -> Flight:
+    """Steered onto a deck that makes 1.5 m/s to the nose's right, with 0.2 m/s of correction on top."""
+    flight = Flight(stack, "loiter" if stack is Stack.ARDUPILOT else "auto.loiter", **options)
+    way = np.array([0.0, 1.5, 0.3])
+    for _ in range(63):
+        flight.streamer.take(Velocity(np.array([0.2, 1.5, 0.3]), 0.0), flight.now, way)
+        flight.periods(0.04)
+    flight.told("guided" if stack is Stack.ARDUPILOT else "offboard")
+    flight.streamer.take(Velocity(np.array([0.2, 1.5, 0.3]), 0.0), flight.now, way)
+    return flight
+
+
+@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
+def test_silent_guidance_is_flown_as_a_hold_with_the_deck_then_over_the_ground_then_not_at_all(stack: Stack) -> None:
+    """Forward is east and right is south in these flights."""
+    flight = over_a_deck(stack)
+    sent = flight.periods(12.0)
+    v = velocities(sent)
+    assert v[0] == pytest.approx((-1.5, 0.2, 0.3, 0.0))
+    assert v[10] == pytest.approx((-1.5, 0.0, 0.0, 0.0)), "the ship's way, without heave and corrections"
+    assert v[80] == (0.0, 0.0, 0.0, 0.0)
+    assert all(vz <= 0.0 for _, _, vz, _ in v[7:])
+    assert set(modes(sent)) == {(4, 3) if stack is Stack.PX4 else (17, 0)}
+    assert len(v) < 12 * 25, "the stream ends, so that the autopilot's own failsafe can act"
+    assert flight.periods(3.0) == []
+    flight.told("auto.loiter" if stack is Stack.PX4 else "brake")
+    assert flight.streamer.hand is Hand.HOLDING
+    assert velocities(flight.periods(0.2, GO)), "guidance that is back is heard again"
+    assert flight.streamer.hand is Hand.TAKING
+
+
+def test_a_person_who_takes_the_vehicle_while_it_holds_keeps_it() -> None:
+    flight = over_a_deck()
+    flight.periods(7.0)
+    flight.told("auto.loiter")
+    flight.told("posctl")
+    assert flight.periods(1.0, GO) == []
+    assert flight.streamer.hand is Hand.RELEASED
+
+
+def test_a_hover_over_a_moving_deck_goes_along_for_a_while() -> None:
+    flight = over_a_deck()
+    v = velocities(flight.periods(5.0, Hover()))
+    assert v[0] == pytest.approx((-1.5, 0.0, 0.0, 0.0))
+    assert v[-1] == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_landing_by_velocity_stops_sinking_when_it_is_not_asked_for_again() -> None:
+    """It sank for ever: 3,000 setpoints in 120 s."""
+    flight = over_a_deck()
+    sinking = velocities(flight.periods(1.0, Land()))
+    assert sinking[-1] == pytest.approx((-1.5, 0.2, 0.4, 0.0), abs=0.01)
+    sent = flight.periods(120.0)
+    v = velocities(sent)
+    still_sinking = sum(vz > 0.0 for _, _, vz, _ in v)
+    assert still_sinking <= 0.5 * 25 + 1
+    assert v[still_sinking + 5] == pytest.approx((-1.5, 0.2, 0.0, 0.0), abs=0.01), "with the deck at first"
+    assert v[-1] == (0.0, 0.0, 0.0, 0.0)
+    assert set(modes(sent)) == {(4, 3)}
+    assert len(v) < 13 * 25
+    assert flight.streamer.landings_called_off == 1
+
+
+def test_a_landing_goes_on_after_a_late_guidance_cycle() -> None:
+    flight = over_a_deck()
+    flight.periods(1.0, Land())
+    assert velocities(flight.periods(0.8))[-1][2] == 0.0
+    assert velocities(flight.periods(0.2, Land()))[-1][2] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(("seconds", "fall_m_s"), [(15.0, 0.0), (3.0 / 0.4, 0.4)])
+def test_a_landing_by_velocity_is_bounded_by_time_and_by_height(seconds: float, fall_m_s: float) -> None:
+    flight = over_a_deck()
+    flight.streamer.on_position(-1.0)
+    down_m, sank_s = -1.0, 0.0
+    for _ in range(round((seconds + 2.0) * 25)):
+        (sent,) = velocities(flight.periods(0.04, Land()))
+        down_m += 0.04 * fall_m_s
+        sank_s += 0.04 * (sent[2] > 0.0)
+        flight.streamer.on_position(down_m)
+    assert sank_s == pytest.approx(seconds, abs=0.1)
+    assert sent[2] == 0.0, "though it is asked for all the time"
+    flight.periods(0.2, GO)
+    assert velocities(flight.periods(0.2, GO))[-1][2] == pytest.approx(0.125), "a go-around is flown"
+
+
+def test_a_landing_by_mode_is_called_off_when_it_is_not_asked_for_again() -> None:
+    flight = over_a_deck(Stack.ARDUPILOT)
+    assert modes(flight.periods(0.3, Land())) == [(9, 0)]
+    flight.told("land")
+    assert modes(flight.periods(0.4)) == []
+    assert modes(flight.periods(0.3)) == [(4, 0)], "back into GUIDED"
+    flight.told("guided")
+    assert set(modes(flight.periods(12.0))) == {(17, 0)}, "and into BRAKE when the silence lasts"
+
+
+def test_a_persons_landing_needs_no_repeating() -> None:
+    flight = over_a_deck(Stack.ARDUPILOT)
+    flight.periods(0.04, Land(standing=True))
+    flight.told("land")
+    assert flight.periods(20.0) == []
+
+
+def test_taking_off_step_by_step() -> None:
+    flight = Flight(Stack.ARDUPILOT, "stabilize")
+    flight.streamer.on_condition(Condition("stabilize", False, False))
+    flight.streamer.take(TakeOff(), flight.now)
+    assert modes(flight.periods(0.2)) == [(4, 0)]
+    flight.streamer.on_condition(Condition("guided", False, False))
+    (arm,) = flight.periods(1.0)
+    assert (arm.command, arm.param1) == (400, 1.0)
+    flight.streamer.on_condition(Condition("guided", True, False))
+    (up,) = flight.periods(1.0)
+    assert (up.command, up.param7) == (22, 3.0)
+    flight.streamer.on_condition(Condition("guided", True, True))
+    assert flight.periods(2.0) == []

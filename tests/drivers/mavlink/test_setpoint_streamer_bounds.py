@@ -1,0 +1,369 @@
+"""The autopilot's helm at each of its edges: ages, times of asking, and the bounds of a landing, to the millisecond."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer, StreamerOptions
+from drivers.mavlink.vehicle import Condition, Identity, Stack
+from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp
+
+GO = Velocity(np.array([0.5, -0.25, 0.125]), 0.3)
+GUIDED, LAND, BRAKE = (4, 0), (9, 0), (17, 0)
+OFFBOARD, LOITER, AUTO_LAND = (6, 0), (4, 3), (4, 6)
+
+
+def ms(t: float) -> MonoNs:
+    return MonoNs(50_000_000_000 + round(t * 1_000_000))
+
+
+class Flight:
+    """A helm, with a heading of north at every period unless it is `blind`."""
+
+    def __init__(self, stack: Stack = Stack.ARDUPILOT, mode: str = "loiter", **options: object) -> None:
+        self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), StreamerOptions(**options))  # type: ignore[arg-type]
+        self.told(mode)
+
+    def told(self, mode: str, *, flying: bool | None = True, armed: bool | None = True) -> None:
+        self.streamer.on_condition(Condition(mode, armed, flying))
+
+    def take(self, command: Command, t: float, way: F64 | None = None) -> None:
+        self.streamer.take(command, ms(t), way)
+
+    def sends(self, t: float, *, blind: bool = False) -> tuple[list[tuple[float, ...]], list[tuple[float, float]]]:
+        """Velocities and modes of one period."""
+        if not blind:
+            self.streamer.on_attitude(Attitude(Stamp(ms(t), ms(t), 0.001, "synced"), Rotation.identity(), 1e-4 * np.eye(3)))
+        return said(self.streamer.period(ms(t)))
+
+
+def said(messages: list[Message]) -> tuple[list[tuple[float, ...]], list[tuple[float, float]]]:
+    v = [(m.vx, m.vy, m.vz, m.yaw_rate) for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+    return v, [(m.param2, m.param3) for m in messages if m.get_type() == "COMMAND_LONG" and m.command == mav.MAV_CMD_DO_SET_MODE]
+
+
+STILL = (0.0, 0.0, 0.0, 0.0)
+GOING = (0.5, -0.25, 0.125, 0.3)
+
+
+def ours(stack: Stack = Stack.ARDUPILOT, way: F64 | None = None, **options: object) -> Flight:
+    """Steered since 0 ms and in the velocity mode."""
+    flight = Flight(stack, "loiter" if stack is Stack.ARDUPILOT else "auto.loiter", **options)
+    flight.take(GO, 0, way)
+    flight.sends(0)
+    flight.told("guided" if stack is Stack.ARDUPILOT else "offboard")
+    assert flight.streamer.hand is Hand.OURS
+    return flight
+
+
+@pytest.mark.parametrize("name", [n for n in StreamerOptions.__slots__ if n != "landing"])
+def test_every_number_is_positive(name: str) -> None:
+    for bad in (0, -1, math.nan, math.inf):
+        with pytest.raises(ValueError, match=name):
+            StreamerOptions(**{name: bad})
+
+
+def test_a_new_helm_has_nothing_and_counts_nothing() -> None:
+    streamer = Flight().streamer
+    assert (streamer.hand, streamer.blind_periods, streamer.stale_periods, streamer.landings_called_off) == (Hand.IDLE, 0, 0, 0)
+
+
+def test_a_velocity_is_flown_up_to_its_age_and_without_a_way_it_then_stands_still() -> None:
+    flight = ours()
+    assert flight.sends(250) == ([GOING], [])
+    assert flight.streamer.stale_periods == 0
+    assert flight.sends(250.001) == ([STILL], [])
+    assert flight.sends(251) == ([STILL], [])
+    assert flight.streamer.stale_periods == 2
+
+
+def test_a_heading_may_be_half_a_second_old() -> None:
+    flight = ours()
+    assert len(flight.sends(500, blind=True)[0]) == 1
+    assert flight.sends(500.001, blind=True) == ([], [])
+    assert flight.sends(501, blind=True) == ([], [])
+    assert flight.streamer.blind_periods == 2
+
+
+def test_a_hold_goes_along_with_what_lies_below_for_three_seconds_and_ends_after_six() -> None:
+    flight = ours(way=np.array([1.0, 2.0, 3.0]))
+    along = (1.0, 2.0, 0.0, 0.0)
+    assert [flight.sends(t)[0] for t in (251, 3000, 3000.001, 6000)] == [[along], [along], [STILL], [STILL]]
+    assert flight.streamer.hand is Hand.OURS
+    assert flight.sends(6000.001) == ([STILL], [BRAKE])
+    assert flight.streamer.hand is Hand.HOLDING
+    asked = [flight.sends(6000 + 500 * i)[1] for i in range(1, 20)]
+    assert sum(map(len, asked)) == 4, "five times in all, a second apart"
+    flight.told("brake")
+    assert flight.streamer.hand is Hand.HOLDING
+    assert flight.sends(20_000) == ([], [])
+    flight.told("loiter")
+    assert flight.streamer.hand is Hand.RELEASED
+
+
+def test_a_hover_is_a_command_and_stands_over_what_lies_below() -> None:
+    flight = ours(way=np.array([1.0, 2.0, 3.0]))
+    for t in range(100, 7000, 200):
+        flight.take(Hover(), t)
+        assert flight.sends(t)[0] == [(1.0, 2.0, 0.0, 0.0) if t <= 3000 else STILL]
+    assert flight.streamer.hand is Hand.OURS
+    assert flight.streamer.stale_periods == 0
+
+
+def test_a_mode_is_asked_for_again_after_a_second_five_times_and_then_left() -> None:
+    flight, asked = Flight(), []
+    for t in range(0, 4999, 250):
+        flight.take(GO, t)
+        asked += [t] * len(flight.sends(t)[1])
+    assert asked == [0, 1000, 2000, 3000, 4000]
+    assert flight.streamer.hand is Hand.TAKING
+    flight.take(GO, 5000)
+    flight.sends(5000)
+    assert flight.streamer.hand is Hand.RELEASED
+    flight.take(GO, 5100)
+    assert flight.sends(5100) == ([], [])
+    flight.told("guided")
+    assert flight.streamer.hand is Hand.OURS
+
+
+def test_px4_streams_for_two_seconds_first_and_anew_after_a_pause() -> None:
+    flight, asked = Flight(Stack.PX4, "auto.loiter"), []
+    for t in (0, 500, 1000, 1500, 1999.999, 2000):
+        flight.take(GO, t)
+        asked.append(flight.sends(t)[1])
+    assert asked == [[]] * 5 + [[OFFBOARD]]
+    flight.told("offboard")
+    flight.told("posctl")
+    assert flight.sends(2100) == ([], [])
+    flight.streamer.engage()
+    for t, modes in ((2200, []), (4199, []), (4200, [OFFBOARD])):
+        flight.take(GO, t)
+        assert flight.sends(t)[1] == modes
+
+
+def test_engaging_takes_back_what_a_person_took_and_nothing_else() -> None:
+    flight = ours()
+    flight.streamer.engage()
+    assert flight.streamer.hand is Hand.OURS
+    flight.told("loiter")
+    assert flight.streamer.hand is Hand.RELEASED
+    flight.streamer.engage()
+    assert flight.streamer.hand is Hand.IDLE
+
+
+@pytest.mark.parametrize(("flying", "hand"), [(True, Hand.TAKING), (None, Hand.TAKING), (False, Hand.IDLE)])
+def test_it_takes_no_vehicle_that_stands(flying: bool | None, hand: Hand) -> None:
+    flight = Flight()
+    flight.told("loiter", flying=flying)
+    flight.take(GO, 0)
+    assert flight.streamer.hand is hand
+    other = Flight(Stack.OTHER)
+    other.take(GO, 0)
+    assert other.streamer.hand is Hand.IDLE, "nor one whose velocity mode is not known"
+
+
+def test_on_the_ground_it_is_over_unless_it_is_about_to_take_off() -> None:
+    flight = ours()
+    flight.told("guided", flying=None)
+    assert flight.streamer.hand is Hand.OURS
+    flight.take(TakeOff(), 0)
+    flight.told("guided", flying=False)
+    assert flight.streamer.hand is Hand.OURS
+    flight.told("guided", flying=True)
+    flight.told("guided", flying=False)
+    assert flight.streamer.hand is Hand.IDLE
+
+
+def sinking(t: float = 0, **options: object) -> Flight:
+    """A landing by velocity since `t`, over a deck that makes 1 m/s ahead, two metres below its origin's height."""
+    flight = Flight(Stack.PX4, "offboard", **options)
+    flight.take(Velocity(np.array([1.0, 0.5, 0.25]), 0.1), t)
+    flight.told("offboard")
+    flight.streamer.on_position(-2.0)
+    flight.take(Land(), t)
+    return flight
+
+
+DOWN, LEVEL = (1.0, 0.5, 0.4, 0.0), (1.0, 0.5, 0.0, 0.0)
+
+
+def test_a_landing_by_velocity_sinks_while_it_is_asked_for_then_holds_then_ends() -> None:
+    flight = sinking()
+    said_at = [flight.sends(t) for t in (0, 500, 500.001, 600, 3000, 3000.001, 6000, 6000.001)]
+    assert said_at == [([v], []) for v in (DOWN, DOWN, LEVEL, LEVEL, LEVEL, STILL, STILL)] + [([STILL], [LOITER])]
+    assert (flight.streamer.landings_called_off, flight.streamer.hand) == (1, Hand.HOLDING)
+
+
+def test_a_landing_asked_for_again_goes_on_and_is_counted_anew() -> None:
+    flight = sinking()
+    assert flight.sends(600)[0] == [LEVEL]
+    flight.take(Land(), 700)
+    assert flight.sends(1200)[0] == [DOWN]
+    assert flight.sends(1201)[0] == [LEVEL]
+    assert flight.streamer.landings_called_off == 2
+
+
+def test_a_landing_by_velocity_ends_by_its_time() -> None:
+    flight = sinking()
+    for t in range(400, 15_001, 400):
+        flight.take(Land(), t)
+        assert flight.sends(t)[0] == [DOWN]
+    flight.take(Land(), 15_000)
+    assert flight.sends(15_000)[0] == [DOWN]
+    assert flight.sends(15_000.001)[0] == [LEVEL]
+    flight.take(Land(), 15_100)
+    assert flight.sends(15_100)[0] == [LEVEL], "though it is asked for"
+    assert flight.streamer.landings_called_off == 1
+    flight.take(Hover(), 15_200)
+    assert (flight.streamer.landings_called_off, flight.streamer.hand) == (2, Hand.TAKING)
+    flight.told("offboard")
+    flight.take(Land(), 15_300)
+    assert flight.sends(15_300)[0] == [DOWN], "another one is another one"
+
+
+def test_a_persons_landing_by_velocity_becomes_the_autopilots_own_after_its_time() -> None:
+    """It sank for ever."""
+    flight = sinking()
+    flight.take(Land(standing=True), 1_000)
+    flight.streamer.on_position(5.0)
+    assert flight.sends(16_000) == ([DOWN], []), "not renewed, and from any height"
+    assert flight.sends(16_000.001) == ([], [AUTO_LAND])
+    assert flight.sends(16_500) == ([], [])
+    assert flight.sends(17_001) == ([], [AUTO_LAND]), "asked for again until it has come about"
+    flight.told("auto.land")
+    assert flight.sends(60_000) == ([], [])
+    assert (flight.streamer.hand, flight.streamer.landings_called_off) == (Hand.LANDING, 0)
+    assert flight.streamer.leave(ms(60_000)) == []
+
+
+def test_a_person_may_order_the_landing_that_guidance_has_under_way_or_has_used_up() -> None:
+    flight = sinking()
+    flight.take(Land(standing=True), 100)
+    flight.take(Land(), 200)
+    assert flight.sends(5_000)[0] == [DOWN], "guidance's own asking makes it no less a person's"
+    spent = sinking()
+    spent.streamer.on_position(1.001)
+    assert spent.sends(100)[0] == [LEVEL]
+    spent.take(Land(standing=True), 200)
+    assert spent.sends(5_000)[0] == [DOWN]
+
+
+@pytest.mark.parametrize(("down_m", "v"), [(1.0, DOWN), (1.001, LEVEL), (-9.0, DOWN)])
+def test_a_landing_by_velocity_ends_by_its_depth(down_m: float, v: tuple[float, ...]) -> None:
+    flight = sinking()
+    flight.streamer.on_position(down_m)
+    assert flight.sends(100)[0] == [v]
+
+
+def test_without_a_height_the_depth_says_nothing() -> None:
+    flight = Flight(Stack.PX4, "offboard")
+    flight.take(GO, 0)
+    flight.told("offboard")
+    flight.take(Land(), 0)
+    flight.streamer.on_position(99.0)
+    assert flight.sends(100)[0][0][2] == 0.4
+
+
+def test_the_velocity_that_is_carried_is_a_mean_over_a_second() -> None:
+    flight = ours(Stack.PX4)
+    flight.take(Velocity(np.array([1.5, 0.75, 0.0]), 0.0), 250)
+    flight.take(Land(), 250)
+    assert flight.sends(250)[0][0] == pytest.approx((0.75, 0.0, 0.4, 0.0))
+    late = ours(Stack.PX4)
+    late.take(Velocity(np.array([1.5, 0.75, 0.0]), 0.0), 2000)
+    late.take(Land(), 2000)
+    assert late.sends(2000)[0][0] == pytest.approx((1.5, 0.75, 0.4, 0.0))
+
+
+def test_a_landing_by_mode_is_asked_for_until_it_has_come_about_and_called_off_when_it_is_not_renewed() -> None:
+    flight = ours()
+    for t in (100, 600, 1099, 1100):
+        flight.take(Land(), t)
+        assert flight.sends(t) == ([], [LAND] if t in (100, 1100) else [])
+    flight.told("land")
+    assert flight.sends(1600) == ([], [])
+    assert flight.sends(1600.001) == ([STILL], [GUIDED])
+    assert (flight.streamer.hand, flight.streamer.landings_called_off) == (Hand.TAKING, 1)
+
+
+@pytest.mark.parametrize(
+    ("stack", "landing", "lands_by_velocity"),
+    [
+        (Stack.PX4, "by stack", True), (Stack.ARDUPILOT, "by stack", False), (Stack.PX4, "mode", False),
+        (Stack.ARDUPILOT, "velocity", True), (Stack.PX4, "velocity", True),
+    ],
+)  # fmt: skip
+def test_how_it_lands_is_chosen_by_option_or_stack(stack: Stack, landing: str, lands_by_velocity: bool) -> None:
+    flight = ours(stack, landing=landing)
+    flight.take(Land(), 100)
+    v, modes = flight.sends(100)
+    assert (bool(v), bool(modes)) == (lands_by_velocity, not lands_by_velocity)
+    other = Flight(stack, "stabilize", landing=landing)
+    other.take(Land(), 100)
+    assert other.sends(100)[1] == [LAND if stack is Stack.ARDUPILOT else AUTO_LAND], "out of another mode always by its own"
+
+
+@pytest.mark.parametrize(("landing", "expected"), [("mode", ([STILL], [BRAKE])), ("velocity", ([STILL], []))])
+def test_the_last_word_of_a_landing_nobody_renews_is_to_hold(landing: str, expected: object) -> None:
+    flight = ours(landing=landing)
+    flight.take(Land(), 100)
+    flight.sends(100)
+    assert said(flight.streamer.leave(ms(110))) == expected
+    person = ours(landing=landing)
+    person.take(Land(standing=True), 100)
+    person.sends(100)
+    assert said(person.streamer.leave(ms(110))) == ([], [LAND] if landing == "velocity" else [])
+
+
+def test_the_last_word_is_to_stand_still_where_the_vehicle_is_ours() -> None:
+    assert said(ours().streamer.leave(ms(10))) == ([STILL], [])
+    assert said(ours(Stack.PX4).streamer.leave(ms(10))) == ([STILL], [LOITER])
+    released = ours()
+    released.told("loiter")
+    assert released.streamer.leave(ms(10)) == []
+    taking = Flight()
+    taking.take(GO, 0)
+    taking.sends(0)
+    assert said(taking.streamer.leave(ms(10))) == ([STILL], [])
+
+
+def test_a_take_off_is_tried_for_fifteen_seconds() -> None:
+    flight = Flight(mode="stabilize")
+    flight.told("guided", flying=False, armed=False)
+    flight.take(TakeOff(), 0)
+    assert len(flight.streamer.period(ms(15_000))) == 1
+    assert flight.streamer.period(ms(15_000.001)) == []
+    assert flight.streamer.period(ms(17_000)) == []
+    flight.take(TakeOff(), 20_000)
+    flight.take(Land(), 20_001)
+    assert all(m.command != mav.MAV_CMD_COMPONENT_ARM_DISARM for m in flight.streamer.period(ms(20_100))), "a landing ends it"
+
+
+def test_arming_and_taking_off_carry_nothing_else_and_are_asked_for_again_though_one_try_is_allowed() -> None:
+    flight = Flight(mode="guided", tries=1)
+    flight.told("guided", flying=False, armed=False)
+    flight.take(TakeOff(), 0)
+    for t in (0, 1000, 2000):
+        (arm,) = flight.streamer.period(ms(t))
+        assert arm.command == mav.MAV_CMD_COMPONENT_ARM_DISARM
+        assert (arm.target_system, arm.target_component, arm.confirmation) == (7, 1, 0)
+        assert [getattr(arm, f"param{n}") for n in range(1, 8)] == [1, 0, 0, 0, 0, 0, 0]
+        assert flight.streamer.period(ms(t + 999)) == []
+    flight.told("guided", flying=False, armed=True)
+    (up,) = flight.streamer.period(ms(3000))
+    assert (up.command, up.confirmation) == (mav.MAV_CMD_NAV_TAKEOFF, 0)
+    assert [getattr(up, f"param{n}") for n in range(1, 8)] == [0, 0, 0, 0, 0, 0, 3.0]
+
+
+def test_without_a_heading_no_mode_is_asked_for_either() -> None:
+    flight = Flight()
+    flight.take(GO, 0)
+    assert flight.sends(0, blind=True) == ([], [])
+    assert flight.sends(10) == ([GOING], [GUIDED])

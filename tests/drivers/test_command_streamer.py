@@ -1,0 +1,230 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.ardrone import at
+from drivers.ardrone import navdata as nd
+from drivers.ardrone.arbiter import HOVER
+from drivers.ardrone.command_streamer import CommandStreamer
+from drivers.ardrone.counters import Counters
+from drivers.ardrone.options import ArDroneOptions
+from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
+from estimator.contracts.samples import UNKNOWN_VAR, BodyVelocity
+from estimator.contracts.time import MonoNs, Stamp
+
+FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
+GROUND = at.Ref(at.REF_BASE)
+FORWARD = Velocity(np.array([0.4, 0.0, 0.0]), 0.0)
+
+
+def ms(t: int) -> MonoNs:
+    return MonoNs(10_000_000_000 + t * 1_000_000)
+
+
+class Cockpit:
+    """A helm with a hand on its clock."""
+
+    def __init__(self) -> None:
+        self.counters = Counters()
+        self.options = ArDroneOptions(command_timeout_s=0.25, velocity_timeout_s=0.2, take_off_timeout_s=5.0)
+        self.streamer = CommandStreamer(self.options, self.counters)
+
+    def hears(self, t: int, control: nd.ControlState, state: int = 0) -> None:
+        demo = nd.Demo(control.word, 50, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0.0)
+        on_ground = control in (nd.ControlState.LANDED, nd.ControlState.INIT)
+        self.streamer.on_navdata(nd.Navdata.of(state | (0 if on_ground else nd.State.FLYING), 1, (demo,)), ms(t))
+
+    def measures(self, t: int, forward_m_s: float = 0.0) -> None:
+        stamp = Stamp(ms(t), ms(t), 0.001, "synced")
+        self.streamer.on_sample(BodyVelocity(stamp, np.array([forward_m_s, 0.0, 0.0]), np.diag([0.1, 0.1, UNKNOWN_VAR])))
+
+    def sends(self, t: int) -> list[at.AtCommand]:
+        return self.streamer.word(ms(t)).commands()
+
+
+@pytest.fixture
+def cockpit() -> Cockpit:
+    return Cockpit()
+
+
+def test_before_any_word_of_the_drone_only_hover_is_sent(cockpit: Cockpit) -> None:
+    """A REF to a drone that flies would have to guess its wish: without the bit it lands, with it one on the ground takes off."""
+    cockpit.streamer.take(FORWARD, ms(0))
+    assert cockpit.sends(0) == [HOVER]
+
+
+def test_on_the_ground_no_wish_to_fly(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.LANDED)
+    assert cockpit.sends(1) == [GROUND, HOVER]
+
+
+def test_take_off_is_held_until_it_flies_and_the_wish_stays(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.LANDED)
+    cockpit.streamer.take(TakeOff(), ms(1))
+    cockpit.streamer.take(FORWARD, ms(2))
+    assert cockpit.sends(3) == [FLY, HOVER], "a velocity does not end a take-off"
+    cockpit.hears(4, nd.ControlState.LANDED)
+    assert cockpit.sends(5) == [FLY, HOVER]
+    cockpit.hears(500, nd.ControlState.TAKING_OFF)
+    cockpit.streamer.take(FORWARD, ms(501))
+    cockpit.measures(501)
+    assert cockpit.sends(502) == [FLY, HOVER], "not steered while it takes off"
+    cockpit.hears(900, nd.ControlState.HOVERING)
+    assert cockpit.sends(901)[0] == FLY, "a flying drone lands on a REF without the bit"
+
+
+def test_a_take_off_that_does_not_happen_is_given_up(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.LANDED)
+    cockpit.streamer.take(TakeOff(), ms(0))
+    cockpit.hears(4900, nd.ControlState.LANDED)
+    assert cockpit.sends(4999)[0] == FLY
+    assert cockpit.sends(5001)[0] == GROUND
+    assert cockpit.counters.take_offs_given_up == 1
+
+
+def test_an_emergency_ends_the_wish_to_take_off(cockpit: Cockpit) -> None:
+    cockpit.streamer.take(TakeOff(), ms(0))
+    cockpit.hears(1, nd.ControlState.LANDED, nd.State.EMERGENCY)
+    cockpit.hears(2, nd.ControlState.LANDED)
+    assert cockpit.sends(3)[0] == GROUND
+
+
+def test_a_persons_landing_is_held_until_it_stands_whatever_comes(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.measures(0)
+    cockpit.streamer.take(Land(standing=True), ms(1))
+    cockpit.streamer.take(FORWARD, ms(2))
+    assert cockpit.sends(3) == [GROUND, HOVER]
+    cockpit.hears(4, nd.ControlState.LANDING)
+    assert cockpit.sends(5) == [GROUND, HOVER]
+    assert cockpit.sends(3000) == [GROUND, HOVER], "also when the drone has fallen silent"
+    assert cockpit.streamer.landing
+    cockpit.hears(3001, nd.ControlState.LANDED)
+    assert not cockpit.streamer.landing
+    cockpit.streamer.take(TakeOff(), ms(3002))
+    assert cockpit.sends(3003)[0] == FLY
+
+
+def test_a_drone_that_lands_by_itself_is_not_called_up_again(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.LANDING)
+    assert cockpit.sends(1) == [HOVER]
+
+
+def test_no_ref_once_the_drone_is_silent(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.HOVERING)
+    assert cockpit.sends(900) == [FLY, HOVER]
+    assert cockpit.sends(1100) == [HOVER]
+
+
+def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.HOVERING)
+    cockpit.measures(0)
+    cockpit.streamer.take(Velocity(np.array([0.4, 0.2, -0.35]), 0.5), ms(0))
+    ref, sticks = cockpit.sends(1)
+    assert ref == FLY
+    assert isinstance(sticks, at.Pcmd)
+    assert sticks.flags == at.PCMD_PROGRESSIVE
+    assert sticks.pitch < 0 < sticks.roll < -sticks.pitch
+    assert sticks.gaz == pytest.approx(0.5)
+    assert sticks.yaw == pytest.approx(0.5 / cockpit.options.loop.yaw_rate_max_rad_s)
+    cockpit.streamer.take(Hover(), ms(2))
+    assert cockpit.sends(3) == [FLY, HOVER]
+
+
+def test_an_old_velocity_command_is_flown_as_hover(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.streamer.take(FORWARD, ms(0))
+    cockpit.measures(240)
+    assert cockpit.sends(249)[1] != HOVER
+    assert cockpit.sends(251)[1] == HOVER
+    assert cockpit.counters.hover_for_age == 1
+
+
+def test_a_velocity_command_without_a_fresh_measurement_is_flown_as_hover(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.streamer.take(FORWARD, ms(0))
+    assert cockpit.sends(1)[1] == HOVER
+    cockpit.measures(2)
+    assert cockpit.sends(3)[1] != HOVER
+    cockpit.streamer.take(FORWARD, ms(210))
+    assert cockpit.sends(211)[1] == HOVER
+    assert cockpit.counters.hover_for_blindness == 2
+
+
+def test_the_watchdog_bit_is_answered(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.LANDED, nd.State.COM_WATCHDOG)
+    assert cockpit.sends(1) == [at.ComWdg(), GROUND, HOVER]
+    cockpit.hears(2, nd.ControlState.LANDED)
+    assert cockpit.sends(3) == [GROUND, HOVER]
+
+
+def test_the_emergency_bit_rises_once_and_only_on_request(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.streamer.toggle_emergency()
+    bits = [c.emergency for t in range(6) for c in cockpit.sends(t) if isinstance(c, at.Ref)]
+    assert bits == [True, True, True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("control", "command", "last"),
+    [
+        (nd.ControlState.HOVERING, FORWARD, [FLY, HOVER]),
+        (nd.ControlState.FLYING, Land(), [GROUND, HOVER]),
+        (nd.ControlState.LANDED, TakeOff(), [GROUND, HOVER]),
+    ],
+)
+def test_the_last_word_is_hover_or_the_landing_commanded(
+    cockpit: Cockpit, control: nd.ControlState, command: Velocity | Land | TakeOff, last: list[at.AtCommand]
+) -> None:
+    cockpit.hears(0, control)
+    cockpit.streamer.take(command, ms(1))
+    assert cockpit.streamer.leave(ms(2)).commands() == last
+
+
+def landing_at(cockpit: Cockpit, t: int, altitude_m: float, state: int = 0) -> None:
+    demo = nd.Demo(nd.ControlState.LANDING.word, 50, 0.0, 0.0, 0.0, round(1000 * altitude_m), 0.0, 0.0, 0.0)
+    cockpit.streamer.on_navdata(nd.Navdata.of(state | nd.State.FLYING, 1, (demo,)), ms(t))
+
+
+@pytest.mark.parametrize(("altitude_m", "ref"), [(1.0, FLY), (0.3, GROUND)])
+def test_a_landing_that_guidance_no_longer_repeats_is_called_off_unless_it_is_about_to_end(
+    cockpit: Cockpit, altitude_m: float, ref: at.Ref
+) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    for t in range(0, 400, 20):
+        cockpit.streamer.take(Land(), ms(t))
+    landing_at(cockpit, 500, altitude_m)
+    assert cockpit.sends(501) == [GROUND, HOVER], "a late guidance cycle is no reason"
+    landing_at(cockpit, 900, altitude_m)
+    assert cockpit.sends(901) == [ref, HOVER]
+
+
+@pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
+def test_guidance_takes_its_landing_back_by_any_other_command(
+    cockpit: Cockpit, altitude_m: float, sent: list[at.AtCommand]
+) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.streamer.take(Land(), ms(1))
+    landing_at(cockpit, 50, altitude_m)
+    cockpit.streamer.take(FORWARD, ms(51))
+    assert cockpit.sends(52) == sent
+
+
+def test_a_landing_for_our_silence_is_called_off_when_we_are_back(cockpit: Cockpit) -> None:
+    landing_at(cockpit, 0, 1.2, nd.State.COM_WATCHDOG)
+    assert cockpit.sends(1) == [at.ComWdg(), FLY, HOVER]
+    landing_at(cockpit, 5, 1.2)
+    assert cockpit.sends(6) == [FLY, HOVER], "the bit is down, as we answered it, and the reason is remembered"
+
+
+def test_a_word_ends_with_the_guidance_cycle_that_it_came_from(cockpit: Cockpit) -> None:
+    """The period that repeats it does not make it younger; the sender flies hover 120 ms after guidance spoke last."""
+    cockpit.options = ArDroneOptions()
+    cockpit.streamer = CommandStreamer(cockpit.options, cockpit.counters)
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.measures(0)
+    cockpit.streamer.take(FORWARD, ms(0))
+    assert cockpit.streamer.word(ms(90)).until == ms(120)
+    cockpit.streamer.take(Hover(), ms(90))
+    assert cockpit.streamer.word(ms(100)).until == ms(220)

@@ -1,0 +1,406 @@
+"""A sighting against a belief made by hand: what is refused, believed, opened, overthrown and learned, each at its edge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.geometry import F64
+from estimator.ekf import gate, measure, so3, vision_update
+from estimator.ekf.algebra import Algebra, Correction
+from estimator.ekf.propagate import Outcome
+from estimator.ekf.state import (
+    CAMERA_DELAY,
+    CAMERA_MOUNT,
+    PAD_YAW,
+    POS_REL,
+    SWAY_PER_HEAVE,
+    TURN_RATE,
+    VEL,
+    VESSEL_VEL,
+    WAVE_YAW,
+    WAVES,
+    YAW_RATE,
+    Belief,
+    N,
+    RejectionStreak,
+    waves_unknown,
+)  # fmt: skip
+from estimator.ekf.vision_update import fuse_sighting
+from tests.estimator.ekf.hand import (
+    MS,
+    OPTIONS,
+    TILTED,
+    TOOLS,
+    S,
+    T,
+    belief,
+    correlated,
+    diagonal,
+    learned,
+    params,
+    sighting,
+    state,
+    under,
+    whole,
+)  # fmt: skip
+
+
+class _Failing(Algebra):
+    """Its n-th correction cannot be computed."""
+
+    def __init__(self, n: int) -> None:
+        super().__init__(N)
+        self._left = n
+
+    def correct(self, P: F64, innov: F64, H: F64, R: F64) -> Correction | None:
+        self._left -= 1
+        return None if self._left == 0 else super().correct(P, innov, H, R)
+
+
+# Refused or believed
+
+
+def test_a_sighting_may_trust_itself_just_enough() -> None:
+    b = belief(x=under(), P=diagonal(d=0.01))
+    same, outcome = fuse_sighting(b, sighting((0.0, 0.0, 2.0), confidence=0.0499), TOOLS)
+    assert same is b
+    assert outcome.verdict is Verdict.GATED
+    assert fuse_sighting(b, sighting((0.0, 0.0, 2.0), confidence=0.05), TOOLS)[1].verdict is Verdict.FUSED
+
+
+def test_a_place_is_fused_by_how_sure_each_side_is() -> None:
+    b = belief(x=under(), P=diagonal(d=0.03), agreed=10, nis_mean=1.2)
+    after, outcome = fuse_sighting(b, sighting((0.1, -0.2, 2.1), var=0.01), TOOLS)
+    assert outcome.verdict is Verdict.FUSED
+    np.testing.assert_allclose(after.x[POS_REL], [0.075, -0.15, 2.075], atol=1e-5)
+    np.testing.assert_allclose(after.P[POS_REL, POS_REL], np.eye(3) * 0.0075, atol=1e-5)
+    assert outcome.nis == pytest.approx((0.01 + 0.04 + 0.01) / 0.04, rel=1e-4)
+    assert outcome.innov is not None
+    assert outcome.S is not None
+    np.testing.assert_allclose(outcome.innov, [0.1, -0.2, 0.1], atol=1e-9)
+    np.testing.assert_allclose(outcome.S, np.eye(3) * 0.04, atol=1e-5)
+    assert (after.agreed, after.sighted) == (11, T)
+    assert after.nis_mean == pytest.approx(gate.mean_of(1.2, outcome.nis, 3))
+
+
+@pytest.mark.parametrize(("var", "agreed"), [(0.0899, 11), (0.0901, 1)])
+def test_a_belief_that_was_lost_begins_to_count_anew(var: float, agreed: int) -> None:
+    b = belief(x=under(), P=diagonal(d=var))
+    assert fuse_sighting(b, sighting((0.1, 0.0, 2.0)), TOOLS)[0].agreed == agreed
+
+
+def test_the_first_sighting_is_the_place_whatever_was_believed() -> None:
+    x = state()
+    x[CAMERA_DELAY] = 0.0
+    b = belief(TILTED, x=x, sighted=-1, agreed=0, heading_known=False, nis_mean=1.3, rejections=RejectionStreak(3, T, T))
+    seen = np.array([1.5, 0.7, 3.0])
+    after, outcome = fuse_sighting(b, sighting(seen, 0.3), TOOLS)
+    assert outcome.verdict is Verdict.FUSED
+    body = measure.levelling(TILTED, TILTED).T @ seen
+    np.testing.assert_allclose(after.x[POS_REL], TILTED @ so3.exp(b.x[CAMERA_MOUNT]) @ body, atol=0.02)
+    assert (after.agreed, after.sighted, after.heading_known, after.rejections) == (1, T, True, RejectionStreak())
+    assert after.nis_mean == 1.3, "it was compared with itself"
+    assert after.P[VESSEL_VEL, VESSEL_VEL].max() < 0.01, "what a vessel told of itself before is kept"
+    kept = [52, 53, TURN_RATE, *WAVES[:3].ravel()]
+    np.testing.assert_allclose(after.x[kept], x[kept], atol=0.05)
+
+
+def test_a_pad_forgotten_for_half_a_minute_is_a_first_one_and_one_of_the_first_instant_is_not() -> None:
+    far = sighting((3.0, 3.0, 4.0), t=T)
+    for ago_s, first in ((29.9, False), (30.1, True)):
+        after, outcome = fuse_sighting(belief(x=under(), P=diagonal(d=1e-4), sighted=T - round(ago_s * S)), far, TOOLS)
+        assert (outcome.verdict is Verdict.FUSED) is first
+        assert after.agreed == (1 if first else 10)
+    t = 100 * MS
+    b = belief(t=t, x=under(), P=diagonal(d=1e-4), sighted=0, sea=learned(t=t))
+    assert fuse_sighting(b, sighting((3.0, 3.0, 4.0), t=t), TOOLS)[1].verdict is Verdict.GATED
+
+
+def test_one_that_cannot_be_compared_is_singular_and_changes_nothing_believed() -> None:
+    row = sighting((0.1, 0.0, 2.0))
+    after, outcome = fuse_sighting(belief(x=under()), row, TOOLS._replace(algebra=_Failing(1)))
+    assert outcome.verdict is Verdict.SINGULAR
+    assert outcome.innov is not None
+    np.testing.assert_allclose(outcome.innov, [0.1, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(after.x, under())
+
+    # A heading let go of, and a place given up: the same, each with what it was compared with last.
+    turned = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_held_s=0.0, heading_seen=-1)
+    after, outcome = fuse_sighting(turned, sighting((0.0, 0.0, 2.0), 3.0), TOOLS._replace(algebra=_Failing(3)))
+    assert (outcome.verdict, after.sighted) == (Verdict.SINGULAR, turned.sighted)
+    assert outcome.innov is not None
+    np.testing.assert_allclose(outcome.innov, np.zeros(4), atol=1e-9)
+    doubt = RejectionStreak(9, T - 2 * S, T - 50 * MS, (3.0, 0.0, 0.0), 1e-4)
+    moved = belief(x=under(), P=diagonal(d=0.01), doubt=doubt)
+    after, outcome = fuse_sighting(moved, sighting((3.0, 0.0, 2.0)), TOOLS._replace(algebra=_Failing(2)))
+    assert (outcome.verdict, after.sighted) == (Verdict.SINGULAR, moved.sighted)
+    assert outcome.innov is not None
+    np.testing.assert_allclose(outcome.innov, np.zeros(3), atol=1e-9)
+
+
+def test_a_refused_one_is_remembered_by_where_it_showed_the_pad_and_how_well() -> None:
+    x = state()
+    x[CAMERA_DELAY] = 0.0
+    b = belief(
+        TILTED, x=x, P=1e-2 * correlated(), rejections=RejectionStreak(2, T - 200 * MS, T - 100 * MS, (9.0, 9.0, 9.0), 1e-4)
+    )
+    seen = replace(sighting((4.0, 1.0, 3.0)), cov=np.diag([0.01, 0.02, 0.06, 9.0]))
+    after, outcome = fuse_sighting(b, seen, TOOLS)
+    assert outcome.verdict is Verdict.GATED
+    assert outcome.nis > gate.nis_max(OPTIONS.gate_probability, 3)
+    shown = TILTED @ so3.exp(x[CAMERA_MOUNT]) @ measure.levelling(TILTED, TILTED).T @ seen.d_body_pad_level
+    assert (after.rejections.n, after.rejections.since, after.rejections.last) == (1, T, T)
+    np.testing.assert_allclose(after.rejections.offset_ned, shown - x[POS_REL], atol=1e-9)
+    assert after.rejections.var_m2 == pytest.approx(0.03)
+    assert (after.sighted, after.agreed) == (b.sighted, b.agreed)
+    assert outcome.innov is not None
+    assert outcome.S is not None
+    assert outcome.nis == pytest.approx(float(outcome.innov @ np.linalg.inv(outcome.S) @ outcome.innov))
+    assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.nis, 3))
+
+
+def test_a_place_shown_often_enough_is_believed_and_begins_with_a_clean_record() -> None:
+    doubt = RejectionStreak(4, T - 700 * MS, T - 50 * MS, (3.0, 0.0, 0.0), 1e-4)
+    b = belief(x=under(), P=diagonal(d=0.01), doubt=doubt, nis_mean=9.0)
+    after, outcome = fuse_sighting(b, sighting((3.0, 0.0, 2.0)), TOOLS)
+    assert outcome.verdict is Verdict.FUSED
+    assert outcome.nis == pytest.approx(0.0, abs=1e-9)
+    assert outcome.S is not None
+    assert outcome.S[0, 0] > 100.0, "it is compared with a belief that knows nothing"
+    np.testing.assert_allclose(
+        np.diag(after.P[VESSEL_VEL, VESSEL_VEL]), 4.0, err_msg="another pad's vessel has a velocity of its own"
+    )
+    np.testing.assert_allclose(after.x[POS_REL], [3.0, 0.0, 2.0], atol=1e-6)
+    assert (after.agreed, after.nis_mean, after.rejections, after.sighted) == (1, 1.0, RejectionStreak(), T)
+    few = b._replace(doubt=doubt._replace(n=3))
+    assert fuse_sighting(few, sighting((3.0, 0.0, 2.0)), TOOLS)[1].verdict is Verdict.GATED
+
+
+# How much of it corrects the camera
+
+
+@pytest.mark.parametrize(("heave_m_s", "made"), [(0.0, 1.0), (0.1, 1.0 - 0.95 / 2.0), (1.0, 1.0 - 0.95 / 1.01), (30.0, 0.05)])
+def test_a_heaving_deck_teaches_the_camera_s_place_and_delay_by_a_share(heave_m_s: float, made: float) -> None:
+    P = correlated()
+    P[CAMERA_DELAY, CAMERA_DELAY] += 1e-3
+    x = state()
+    seen = measure.levelling(TILTED, TILTED) @ so3.exp(-x[CAMERA_MOUNT]) @ TILTED.T @ x[POS_REL] + np.array([0.02, -0.03, 0.01])
+    full, part = (
+        fuse_sighting(belief(TILTED, x=x, P=P, sea=learned(heave_m_s=rate)), sighting(seen), TOOLS)[0].x - x
+        for rate in (0.0, heave_m_s)
+    )
+    assert np.linalg.norm(full[CAMERA_MOUNT]) > 1e-5
+    assert abs(full[CAMERA_DELAY]) > 1e-5
+    np.testing.assert_allclose(part[CAMERA_MOUNT], made * full[CAMERA_MOUNT], rtol=1e-3)
+    assert part[CAMERA_DELAY] == pytest.approx(made * full[CAMERA_DELAY], rel=1e-3)
+    others = np.setdiff1d(np.arange(N), [CAMERA_DELAY, 43, 44, 45])
+    np.testing.assert_allclose(part[others], full[others], atol=1e-12)
+
+
+# The heading
+
+
+def headed(wrong_by: float, **fields: Any) -> tuple[Belief, Belief, Outcome]:
+    """A sighting whose place is right and whose heading is off by so much; what was believed, what is, what became of it."""
+    b = belief(x=under(), P=diagonal(d=0.01, head=0.01), **fields)
+    return b, *fuse_sighting(b, sighting((0.1, 0.0, 2.0), wrong_by), TOOLS)
+
+
+def test_a_heading_that_agrees_is_held_for_longer_by_the_time_since_the_last() -> None:
+    for since_s, gained in ((0.1, 0.1), (0.5, 0.5), (2.0, 0.5)):
+        b, after, outcome = headed(0.05, heading_held_s=3.0, heading_seen=T - round(since_s * S))
+        assert outcome.verdict is Verdict.FUSED
+        assert after.heading_held_s == pytest.approx(3.0 + gained)
+        assert after.heading_seen == T
+    assert headed(0.05, heading_held_s=3.0, heading_seen=-1)[1].heading_held_s == 3.0, "there was no last"
+    assert headed(0.05, heading_held_s=9.9, heading_seen=T - 400 * MS)[1].heading_held_s == OPTIONS.heading_memory_s
+    t = 300 * MS
+    b = belief(t=t, x=under(), P=diagonal(d=0.01, head=0.01), heading_held_s=3.0, heading_seen=0, sea=learned(t=t))
+    assert fuse_sighting(b, sighting((0.0, 0.0, 2.0), 0.0, t=t), TOOLS)[0].heading_held_s == pytest.approx(3.3)
+
+
+def test_a_sighting_that_tells_no_heading_neither_agrees_with_it_nor_contradicts_it() -> None:
+    b = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_held_s=3.0, heading_seen=T - 100 * MS)
+    after, outcome = fuse_sighting(b, sighting((0.0, 0.0, 2.0)), TOOLS)
+    assert outcome.verdict is Verdict.FUSED
+    assert (after.heading_held_s, after.heading_seen) == (3.0, T - 100 * MS)
+
+
+def test_a_heading_that_is_contradicted_is_held_as_long_as_it_was_agreed_with_and_the_place_is_fused() -> None:
+    b, after, outcome = headed(3.0, heading_held_s=0.5, heading_seen=T - 100 * MS)
+    assert outcome.verdict is Verdict.FUSED
+    assert outcome.innov is not None
+    assert outcome.innov.size == 3, "of its place alone"
+    assert after.heading_held_s == pytest.approx(0.4)
+    assert after.x[PAD_YAW] == pytest.approx(0.0, abs=1e-6)
+    assert after.P[PAD_YAW, PAD_YAW] == pytest.approx(b.P[PAD_YAW, PAD_YAW], rel=1e-3)
+    assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.nis, 3))
+    assert outcome.nis == pytest.approx(0.01 / 0.0101, rel=1e-3)
+
+
+@pytest.mark.parametrize("held_s", [0.05, 0.0])
+def test_a_heading_contradicted_for_too_long_gives_way(held_s: float) -> None:
+    seen_at = T - 100 * MS if held_s else -1
+    b, after, outcome = headed(3.0, heading_held_s=held_s, heading_seen=seen_at)
+    assert outcome.verdict is Verdict.FUSED
+    assert outcome.innov is not None
+    assert outcome.innov.size == 4
+    np.testing.assert_allclose(outcome.innov, [0.1, 0.0, 0.0, 0.0], atol=1e-9)
+    assert measure.wrap(float(after.x[PAD_YAW]) + 3.0) == pytest.approx(0.0, abs=1e-6)
+    assert after.P[PAD_YAW, PAD_YAW] == pytest.approx(1e-3, rel=0.01)
+    assert after.heading_held_s == 0.0
+    assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, 0.01 / 0.0101, 4), rel=1e-3)
+    assert after.agreed == 11, "the place was never in doubt"
+
+
+def test_a_place_that_does_not_fit_either_is_no_word_about_the_heading() -> None:
+    b = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_held_s=3.0, heading_seen=T - 100 * MS)
+    after, outcome = fuse_sighting(b, sighting((2.0, 0.0, 2.0), 3.0), TOOLS)
+    assert outcome.verdict is Verdict.GATED
+    assert outcome.innov is not None
+    assert outcome.innov.size == 4
+    assert after.rejections.n == 1
+    assert after.heading_held_s == pytest.approx(3.0)
+
+
+def test_the_place_is_held_to_the_gate_of_three_numbers() -> None:
+    """A place at 22: more than an honest one of three numbers may be, less than one of four."""
+    b = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_held_s=3.0, heading_seen=T - 100 * MS)
+    for nis, verdict in ((20.5, Verdict.FUSED), (22.0, Verdict.GATED)):
+        off = math.sqrt(nis * (0.01 + 1e-4))
+        assert fuse_sighting(b, sighting((off, 0.0, 2.0), 3.0), TOOLS)[1].verdict is verdict
+        assert fuse_sighting(b, sighting((off, 0.0, 2.0)), TOOLS)[1].verdict is verdict
+    after, _ = fuse_sighting(b, sighting((off, 0.0, 2.0), 3.0), TOOLS)
+    assert after.heading_held_s == 3.0, "of a place not believed the heading says nothing"
+    assert fuse_sighting(b, sighting((off, 0.0, 2.0), 0.0), TOOLS)[1].verdict is Verdict.FUSED
+
+
+def test_a_heading_never_known_cannot_be_contradicted() -> None:
+    b = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_known=False, heading_held_s=3.0)
+    after, outcome = fuse_sighting(b, sighting((0.0, 0.0, 2.0), 3.0), TOOLS)
+    assert outcome.verdict is Verdict.GATED
+    assert outcome.innov is not None
+    assert outcome.innov.size == 4
+    assert not after.heading_known
+
+
+def test_a_heading_is_known_once_a_sighting_tells_it_without_an_either_or() -> None:
+    turned = so3.about_down(0.0)
+    for seen, known in (
+        (sighting((0.0, 0.0, 2.0), 0.0), True),
+        (sighting((0.0, 0.0, 2.0)), False),
+        (sighting((0.0, 0.0, 2.0), 0.0, ambiguous=True), False),
+        (sighting((0.0, 0.0, 2.0), 0.0, pose6=whole((0.0, 0.0, 2.0), turned)), True),
+        (sighting((0.0, 0.0, 2.0), 0.0, ambiguous=True, pose6=whole((0.0, 0.0, 2.0), turned)), False),
+    ):
+        b = belief(x=under(), P=diagonal(d=0.01, head=0.5), heading_known=False)
+        after, outcome = fuse_sighting(b, seen, TOOLS)
+        assert outcome.verdict is Verdict.FUSED
+        assert after.heading_known is known
+        assert fuse_sighting(b._replace(heading_known=True), seen, TOOLS)[0].heading_known
+
+
+@pytest.mark.parametrize("told", ["heading", "whole", "nothing"])
+def test_a_heading_given_up_is_the_one_shown_and_owes_nothing_to_the_old(told: str) -> None:
+    b = belief(TILTED, x=state(), heading_held_s=-0.2)
+    R = so3.from_rpy(0.03, -0.05, 0.4)
+    pose6 = whole((1.0, 0.0, 2.0), R) if told == "whole" else None
+    seen = sighting((1.0, 0.0, 2.0), 1.1 if told == "heading" else None, pose6=pose6)
+    after = vision_update._headed_anew(b, seen)
+    if told == "nothing":
+        assert after is b
+        return
+    x, P = b.x.copy(), b.P.copy()
+    x[PAD_YAW] = 0.8 - 1.1 if told == "heading" else 0.8 + 0.4
+    x[YAW_RATE] = x[WAVE_YAW] = 0.0
+    P[PAD_YAW] = 0.0
+    P[:, PAD_YAW] = 0.0
+    P[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
+    np.testing.assert_allclose(after.x, x, atol=1e-12)
+    np.testing.assert_allclose(after.P, P)
+    assert after.heading_held_s == 0.0
+    far = vision_update._headed_anew(b, sighting((1.0, 0.0, 2.0), -3.0))
+    assert far.x[PAD_YAW] == pytest.approx(0.8 + 3.0 - math.tau)
+
+
+@pytest.mark.parametrize(("sigma", "used"), [(0.49, True), (0.51, False)])
+def test_an_either_or_heading_is_of_use_where_the_heading_is_believed_well_enough(sigma: float, used: bool) -> None:
+    for known in (True, False):
+        b = belief(x=under(), P=diagonal(d=0.01, head=sigma**2), heading_known=known)
+        _, outcome = fuse_sighting(b, sighting((0.0, 0.0, 2.0), 0.1, ambiguous=True), TOOLS)
+        assert outcome.innov is not None
+        assert outcome.innov.size == (4 if used and known else 3)
+
+
+# What it is compared with
+
+
+def test_the_error_of_the_attitude_that_levelled_it_is_taken_out_where_it_was_put_in() -> None:
+    tilt = np.diag([0.03**2, 0.01**2, 0.1**2])
+    b = belief(x=under(), P=diagonal(d=0.01), cov_levelled_by=tilt)
+    seen = sighting((0.0, 0.0, 2.0), var=0.01)
+    held, whole_ = (vision_update._compared(b, seen, params(sighting_has_attitude_error=given))[0].R for given in (True, False))
+    np.testing.assert_allclose(whole_, np.eye(3) * 0.01, atol=1e-12)
+    np.testing.assert_allclose(held, np.diag([0.01 - 4 * 0.01**2, 0.01 - 4 * 0.03**2, 0.01]), atol=1e-12)
+
+
+@pytest.mark.parametrize(("var", "learns"), [(0.0408, True), (0.0409, False)])
+def test_the_delay_is_learned_while_the_rate_is_known_to_thirty_five_centimetres_a_second(var: float, learns: bool) -> None:
+    x = under()
+    x[VEL] = 1.0, 0.0, 0.0
+    row, fix = vision_update._compared(belief(x=x, P=diagonal(d=0.01, v=var, delay=1e-4)), sighting((0.0, 0.0, 2.0)), TOOLS)
+    assert fix is not None
+    assert row.H[0, CAMERA_DELAY] == (-1.0 if learns else 0.0)
+    assert 3 * 0.0408 < 0.35**2 < 3 * 0.0409
+    assert row.R[1, 1] == pytest.approx(1e-4 if learns else 1e-4 + 1e-4 * var, rel=1e-4)
+
+
+# Opened
+
+
+@pytest.mark.parametrize("anew", [False, True])
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize(("yaw", "ambiguous"), [(None, False), (0.5, False), (0.5, True)])
+def test_a_belief_opened_drops_what_was_of_the_pad_and_keeps_what_is_of_the_body(
+    anew: bool, known: bool, yaw: float | None, ambiguous: bool
+) -> None:
+    b = belief(TILTED, x=state(), heading_known=known, rejections=RejectionStreak(3, T, T), sea=learned(heave_m_s=0.4))
+    seen = sighting((1.5, 0.7, 3.0), yaw, ambiguous=ambiguous)
+    after = vision_update._initialized(b, seen, OPTIONS, anew=anew)
+    x, P = b.x.copy(), b.P.copy()
+    body = measure.levelling(TILTED, TILTED).T @ seen.d_body_pad_level
+    x[POS_REL] = TILTED @ so3.exp(b.x[CAMERA_MOUNT]) @ body
+    dropped = np.zeros(N, dtype=bool)
+    dropped[POS_REL] = True
+    prior = np.zeros((N, N))
+    prior[POS_REL, POS_REL] = np.eye(3) * (100.0 + 1.5**2 + 0.7**2 + 3.0**2)
+    if anew:
+        for part, var in (
+            (VESSEL_VEL, 4.0),
+            (SWAY_PER_HEAVE, OPTIONS.sigma_sway_per_heave**2),
+            (slice(TURN_RATE, TURN_RATE + 1), OPTIONS.sigma_turn_rate_rad_s**2),
+        ):
+            dropped[part] = True
+            prior[part, part] = np.eye(len(x[part])) * var
+        x[SWAY_PER_HEAVE] = x[TURN_RATE] = 0.0
+        for k in range(3):
+            dropped[WAVES[k]] = True
+            x[WAVES[k]] = 0.0
+            prior[np.ix_(WAVES[k], WAVES[k])] = waves_unknown(b.sea)[k]
+    if (anew or not known) and yaw is not None and not ambiguous:
+        dropped[PAD_YAW] = True
+        x[PAD_YAW] = 0.8 - 0.5
+        prior[PAD_YAW, PAD_YAW] = math.pi**2 / 3.0
+    P[dropped] = 0.0
+    P[:, dropped] = 0.0
+    np.testing.assert_allclose(after.x, x, atol=1e-12)
+    np.testing.assert_allclose(after.P, P + prior, atol=1e-12)
+    assert after.rejections == RejectionStreak()
+    assert after.heading_held_s == 0.0
+    assert b.x[SWAY_PER_HEAVE].all(), "what was believed before stays what it was"

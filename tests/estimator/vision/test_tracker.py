@@ -1,0 +1,119 @@
+"""The eyes as a flight uses them: found without being told where, followed where expected, never believed at the wrong place."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.config.settings import camera_model, load, pad_model
+from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.geometry import Rotation, wrap_pi
+from estimator.contracts.samples import Attitude, Frame
+from estimator.vision.thesis.segmentation import COLOUR_SETS
+from estimator.vision.tracker import SpeaksFor, TrackerConfig, TrackerMemory, expected, track
+from sitl.light import Light
+from sitl.surroundings import Decal, Surroundings
+from sitl.testing.deck_images import shown
+from sitl.testing.pad_images import STAMP
+from sitl.testing.pad_views import Stage, View
+
+SIM = load("sim")
+CAMERA, PAD = camera_model(SIM), pad_model(SIM)
+
+
+def tracker(speaks: SpeaksFor = "fused") -> TrackerConfig:
+    return TrackerConfig(CAMERA, PAD, COLOUR_SETS["simulator"], speaks, math.radians(0.2))
+
+
+def stage(seed: int = 1) -> Stage:
+    return Stage(CAMERA, PAD, Surroundings(), Light(), seed=seed)
+
+
+def attitude(view: View) -> Attitude:
+    R = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.7)
+    return Attitude(view.frame().stamp, R, 1e-6 * np.eye(3))
+
+
+def belief(view: View, off_m: tuple[float, float, float] = (0, 0, 0), sigma_m: float = 0.02) -> RelativeState:
+    at = view.frame().stamp.measured_at
+    cov = np.diag([sigma_m**2] * 3 + [0.01] * 3 + [0.02**2])
+    return RelativeState(at, "ekf", view.d_body_pad_level + np.array(off_m), np.zeros(3), view.yaw_rad, cov, at, True)
+
+
+def right(sighting: Sighting | None, view: View) -> bool:
+    if sighting is None:
+        return False
+    off = sighting.d_body_pad_level - view.d_body_pad_level
+    sigmas = np.sqrt(np.diag(sighting.cov)[:3])
+    turned = 0.0 if sighting.yaw_rad is None else wrap_pi(sighting.yaw_rad - view.yaw_rad)
+    if sighting.yaw_ambiguous:
+        turned = math.remainder(turned, math.pi)
+    return bool(np.all(np.abs(off) < 6 * sigmas + 0.004 * view.d_body_pad_level[2])) and abs(turned) < 0.05
+
+
+@pytest.mark.parametrize("height_m", [0.3, 0.5, 1.0, 3.0, 6.0, 12.0, 20.0])
+@pytest.mark.parametrize("speaks", ["fused", "registration"])
+def test_found_in_the_whole_image_and_followed_from_the_belief(height_m: float, speaks: SpeaksFor) -> None:
+    view = stage().view(height_m)
+    searched, memory = track(tracker(speaks), TrackerMemory(), view.frame(), attitude(view))
+    assert right(searched.selected, view)
+    assert searched.selected is not None
+    assert searched.selected.confidence > (0.5 if height_m >= 0.5 else 0.2)
+    followed, _ = track(tracker(speaks), memory, view.frame(), attitude(view), belief(view, (0.02, -0.01, 0.01)))
+    assert right(followed.selected, view)
+    assert followed.selected is not None
+    assert followed.selected.method == speaks
+    assert followed.selected.confidence > 0.5
+
+
+@pytest.mark.parametrize("off_m", [(0.3, 0.0, 0.0), (0.0, -0.6, 0.4), (2.0, 1.0, -1.0)])
+def test_a_belief_at_the_wrong_place_costs_a_search_and_no_more(off_m: tuple[float, float, float]) -> None:
+    view = stage().view(3.0)
+    seen, _ = track(tracker("registration"), TrackerMemory(), view.frame(), attitude(view), belief(view, off_m))
+    assert right(seen.selected, view)
+
+
+def test_nothing_is_seen_where_there_is_no_pad_even_where_one_is_expected() -> None:
+    view = stage().view(2.0)
+    rng = np.random.default_rng(0)
+    sea = cv2.GaussianBlur(rng.integers(20, 90, (CAMERA.height, CAMERA.width, 3), np.uint8), (0, 0), 5)
+    frame = type(view.frame())(view.frame().stamp, 0, sea)
+    seen, _ = track(tracker(), TrackerMemory(), frame, attitude(view), belief(view))
+    assert seen.selected is None or seen.selected.confidence < 0.2
+
+
+def test_a_bare_green_disc_is_doubted_although_the_ellipse_is_sure_of_it() -> None:
+    seen = shown(CAMERA, None, 3.0, decals=(Decal("green_disc", (0.1, -0.1), 0.78, 0.3, "deck"),))
+    frame = Frame(STAMP, 0, seen.px)
+    told = Attitude(STAMP, seen.R_level_body, 1e-6 * np.eye(3))
+    alone, _ = track(tracker("thesis"), TrackerMemory(), frame, told)
+    assert alone.selected is not None
+    assert alone.selected.confidence > 0.5
+    together, _ = track(tracker(), TrackerMemory(), frame, told)
+    assert together.selected is None or together.selected.confidence < 0.2
+
+
+def test_the_thesis_alone_is_the_thesis() -> None:
+    view = stage().view(2.0)
+    seen, _ = track(tracker("thesis"), TrackerMemory(), view.frame(), attitude(view))
+    assert set(seen.methods) == {"ellipse", "arrow", "corners"}
+    assert seen.selected is not None
+    assert seen.selected.method == "selected"
+
+
+def test_where_the_belief_puts_the_pad_is_where_it_is() -> None:
+    view = stage().view(4.0)
+    pose = expected(belief(view), attitude(view), CAMERA)
+    assert pose is not None
+    assert np.allclose(pose.t_cam_pad, view.pose.t_cam_pad, atol=1e-6)
+    assert pose.R_cam_pad.angle_to(view.pose.R_cam_pad) < 1e-5
+
+
+def test_the_same_frame_gives_the_same_look() -> None:
+    view = stage().view(1.5)
+    one, two = (track(tracker(), TrackerMemory(), view.frame(), attitude(view))[0].selected for _ in range(2))
+    assert one is not None
+    assert two is not None
+    assert np.array_equal(one.d_body_pad_level, two.d_body_pad_level)
+    assert np.array_equal(one.cov, two.cov)

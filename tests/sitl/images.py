@@ -1,0 +1,52 @@
+"""Cameras, pads and shots that the tests of the renderer share."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from estimator.contracts.geometry import F64, Rotation, Transform
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Colours, Pad
+from sitl.camera import Shot
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.array([0.15, 0.0, 0.0]))
+PLAIN = Camera(640, 360, 374.67, 374.67, 319.5, 179.5, np.zeros(5), MOUNT)
+BENT = Camera(640, 360, 400.0, 398.0, 315.2, 188.7, np.array([-0.16, 0.05, 0.003, -0.002, -0.004]), MOUNT)
+BLACK, WHITE = (0, 0, 0), (255, 255, 255)
+
+
+def pad(name: str, **colours: tuple[int, int, int]) -> Pad:
+    with (CONFIGS / "pads" / f"{name}.toml").open("rb") as file:
+        whole = Pad.from_mapping(tomllib.load(file))
+    if not colours:
+        return whole
+    painted = {"disc": BLACK, "ring": BLACK, "h": BLACK, "rim": BLACK, **colours}
+    return replace(whole, colours=Colours(**painted))
+
+
+def shot(
+    height_m: float, aside: tuple[float, float] = (0.0, 0.0), rpy: tuple[float, float, float] = (0.0, 0.0, 0.0), **more: F64
+) -> Shot:
+    """The camera `height_m` over a pad that lies a little askew, its centre `aside` (in frame heights) off the axis."""
+    R_ned_pad = Rotation.from_rpy(0.03, -0.02, 0.7)
+    p_pad = np.array([3.0, -2.0, -0.5])
+    R_ned_body = Rotation.from_rpy(*rpy)
+    R_ned_cam = R_ned_body @ MOUNT.R
+    d_cam_pad = np.array([aside[0] * height_m, aside[1] * height_m, height_m])
+    p_body = p_pad - R_ned_cam @ d_cam_pad - R_ned_body @ MOUNT.t
+    return Shot(4.0, R_ned_body, p_body, R_ned_pad, p_pad, **more)
+
+
+def project(camera: Camera, s: Shot, p_pad: F64) -> F64:
+    """(N, 2) px by OpenCV: the renderer's own geometry is not used."""
+    R = (s.R_ned_body.matrix @ camera.T_body_cam.R.matrix).T
+    p_cam_ned = s.p_body_ned + s.R_ned_body.matrix @ camera.T_body_cam.t
+    rvec = cv2.Rodrigues(R @ s.R_ned_pad.matrix)[0]
+    return cv2.projectPoints(p_pad, rvec, R @ (s.p_pad_ned - p_cam_ned), camera.K, camera.distortion)[0][:, 0]
