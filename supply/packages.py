@@ -34,7 +34,6 @@ READ = {
     "kiwisolver": "BSD-3-Clause",
     "lz4": "BSD-3-Clause",
     "matplotlib": "PSF-2.0",
-    "scipy": "BSD-3-Clause",
 }
 """Distributions whose metadata do not give a licence that a program can read. Each entry was compared with the licence file
 of the distribution, in the version pinned in November 2026: the BSD texts have the third clause; matplotlib's text is its own,

@@ -20,7 +20,7 @@ from companion.runtime.health import Health
 from estimator.contracts.ports import Clock
 from estimator.vision.camera import Camera
 
-_PACKAGES = ("decklander", "numpy", "opencv-python-headless", "av", "filterpy", "mcap")
+_PACKAGES = ("decklander", "numpy", "opencv-python-headless", "av", "mcap")
 
 
 def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> About:

@@ -62,7 +62,7 @@ class Ekf:
 
 
 def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _LIMITS) -> Ekf:
-    """Return a filter that has seen nothing. The first call imports filterpy (about a second).
+    """Return a filter that has received nothing yet.
 
     Args:
         limits: the limits that an IMU sample must keep. The other sensors have their gates, an IMU sample has none. Give None
