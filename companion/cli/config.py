@@ -1,39 +1,58 @@
-"""`decklander config`: check settings, show them with every default, or explain them."""
+"""`decklander config`: check settings files, show them with every default, or print their reference."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 from companion.config import reference
+from companion.config.referenced_files import check_files
 from companion.config.settings import load, shipped
+from estimator.contracts.errors import BadInput
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander config` to the parser."""
     parser = subparsers.add_parser(
-        "config", help="check settings, show them, or explain them", description="Check settings, show them, or explain them."
+        "config", help="check, show or explain settings", description="Check, show or explain settings."
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    names = f"a settings file, or the name of a shipped rig ({', '.join(shipped())})"
+    names = f"settings file, or the name of a shipped vehicle profile ({', '.join(shipped())})"
     check = actions.add_parser(
-        "check", help="say whether settings files are good", description="Say whether settings files are good."
+        "check",
+        help="check settings files",
+        description="Check settings files, and the camera, pad, key, password and certificate files that they name.",
     )
     check.add_argument("files", nargs="+", metavar="FILE", help=names)
     show = actions.add_parser(
-        "show", help="print one with every default filled in", description="Print one with every default filled in."
+        "show", help="print a settings file with every default", description="Print a settings file with every default."
     )
     show.add_argument("file", metavar="FILE", help=names)
     actions.add_parser(
-        "schema", help="print a JSON Schema of settings files", description="Print a JSON Schema of settings files."
+        "schema", help="print the JSON Schema of settings files", description="Print the JSON Schema of settings files."
     )
-    actions.add_parser("reference", help="print the reference page", description="Print the reference page (Markdown).")
+    actions.add_parser(
+        "reference",
+        help="print the reference of all settings",
+        description="Print the reference of all settings (docs/configuration.md) in Markdown.",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the action; return 0.
+
+    Raises:
+        BadInput: a settings file, or a file that it names, cannot be read or has a fault.
+    """
     if args.action == "check":
         for file in args.files:
-            load(file)
-            sys.stdout.write(f"{file}: good\n")
+            settings = load(file)
+            try:
+                unchecked = check_files(settings)
+            except BadInput as why:
+                raise BadInput(f"{file}: {why}") from why
+            sys.stdout.write(f"{file}: good{not_checked(unchecked)}\n")
     elif args.action == "show":
         sys.stdout.write(reference.toml(load(args.file)))
     elif args.action == "schema":
@@ -41,3 +60,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         sys.stdout.write(reference.reference())
     return 0
+
+
+def not_checked(keys: Sequence[str]) -> str:
+    """Return a remark about settings that name systemd credentials, which exist only inside the unit; "" if there are none."""
+    return f" ({', '.join(keys)}: credentials of the systemd unit, not checked here)" if keys else ""

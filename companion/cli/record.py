@@ -110,7 +110,7 @@ def _cut(args: argparse.Namespace) -> int:
     if any(path.resolve() == args.output.resolve() for path in args.files):
         raise BadInput(f"--output {args.output} is one of the files that are read")
     recording = open_recording(args.files)
-    what = Cut(args.from_s, args.to_s, args.inputs, args.samples_each, args.frames_each, not args.no_images)
+    what = Cut(args.from_s, args.to_s, args.inputs, args.samples_each, args.frames_each, not args.no_frames)
     n = _written(args.output, lambda: rewrite(recording, args.output, what))
     sys.stdout.write(f"{args.output}: {n} events, {args.output.stat().st_size / 1e6:.2f} MB\n")
     return 0

@@ -1,12 +1,14 @@
-"""`decklander run`: the daemon."""
+"""`decklander run`: run the landing service."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
+from companion.cli.config import not_checked
 from companion.config.build_camera import camera_options
 from companion.config.proven import Proven
+from companion.config.referenced_files import check_files
 from companion.config.settings import Settings, load, shipped
 from companion.config.vehicle import AutopilotSettings, BridgeSettings, unsigned
 from companion.pilot import Outcome
@@ -17,18 +19,26 @@ from companion.runtime.service import live, log_to_stderr, make_daemon, make_pil
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "run",
-        help="the daemon",
-        description="Fly: look for the pad, approach it, land on it. SIGTERM ends it with the drone in hover; SIGUSR1 begins the "
-        'approach where guidance.start is "signal" (and resumes it), SIGUSR2 pauses it.',
+        help="run the landing service",
+        description="Run the landing service: find the pad, approach it, land on it. SIGTERM stops the service and leaves the "
+        'drone hovering. SIGUSR1 starts the approach if guidance.start is "signal", and resumes it after SIGUSR2 paused it.',
     )
     parser.add_argument(
-        "--config", required=True, metavar="FILE", help=f"settings file, or the name of a shipped rig ({', '.join(shipped())})"
+        "--config",
+        required=True,
+        metavar="FILE",
+        help=f"settings file, or the name of a shipped vehicle profile ({', '.join(shipped())})",
     )
-    parser.add_argument("--once", action="store_true", help="end with the first flight: exit code 0 when it landed, 1 when not")
-    parser.add_argument("--check", action="store_true", help="say what would run, and run nothing")
+    parser.add_argument("--once", action="store_true", help="stop after the first flight; exit code 0 if it landed, else 1")
+    parser.add_argument("--check", action="store_true", help="check the settings and the files that they name, print what would run, and stop")
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the service until it is stopped, or until the first flight has ended with `--once`.
+
+    Raises:
+        BadInput: the settings, or a file that they name, cannot be read or have a fault.
+    """
     settings = load(args.config)
     proven = Proven(settings)
     with proven.excusing():
@@ -39,7 +49,8 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
     pilot = make_pilot(settings)
     if args.check:
         c = pilot.camera
-        camera_options(settings)  # its controls are text of its own
+        camera_options(settings)  # parses camera.controls, which `load` does not
+        unchecked = check_files(settings)
         sys.stdout.write(
             f"{_vehicle(settings)}\n"
             f"camera: {settings.camera.file}, {c.width}x{c.height} px, {_source(settings)}\n"
@@ -50,6 +61,7 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
             f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
             f"mqtt: {_broker(settings)}\n"
             f"metrics: {settings.metrics.endpoint}\n"
+            f"files: found{not_checked(unchecked)}\n"
         )
         return 0
     log_to_stderr(settings)
@@ -65,24 +77,24 @@ def _vehicle(settings: Settings) -> str:
     if isinstance(v, AutopilotSettings):
         signed = unsigned(v) or "signed"
         who = f", and from system {v.operators}" if v.operators else ""
-        whom = f"system {v.system_id}" if v.system_id else "the first that flies"
+        whom = f"system {v.system_id}" if v.system_id else "the first autopilot heard"
         return (
             f"vehicle: autopilot over {v.links} ({signed}), {whom}; "
             f"we are component {v.component_id}; commands from the autopilot's own link{who}"
         )
     return (
         f"vehicle: ardrone at {v.host}, navdata {v.navdata_port}/udp, video {v.video_port}/tcp, "
-        f"commands {v.at_port}/udp, configuration {v.control_port}/tcp" + (_shown(bridge) if bridge.links else "")
+        f"commands {v.at_port}/udp, configuration {v.control_port}/tcp" + (_bridge(bridge) if bridge.links else "")
     )
 
 
-def _shown(bridge: BridgeSettings) -> str:
+def _bridge(bridge: BridgeSettings) -> str:
     who = (
         f"system {bridge.operators}"
         if bridge.operators
         else "whoever signs"
         if bridge.signing_key_file
-        else "nobody (face.operators)"
+        else "nobody (bridge.operators)"
     )
     return (
         f"; shown to ground stations as system {bridge.system_id} over {bridge.links} ({unsigned(bridge) or 'signed'}), "

@@ -1,4 +1,4 @@
-"""`decklander watch`: drones live in the terminal, over MQTT."""
+"""`decklander watch`: watch drones live in the terminal, over MQTT."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from companion.mqtt.settings import MqttSettings
 
 _REDRAW_S = 0.25
-_REST_S = 1.0
+_BACK_OFF_S = 1.0
 _LINE_EACH_S = 1.0
 _INCOMING = 2000
 _CLEAR, _HOME, _TO_END, _BELOW, _HIDE, _SHOW = "\x1b[2J", "\x1b[H", "\x1b[K", "\x1b[J", "\x1b[?25l", "\x1b[?25h"
@@ -28,22 +28,31 @@ _CLEAR, _HOME, _TO_END, _BELOW, _HIDE, _SHOW = "\x1b[2J", "\x1b[H", "\x1b[K", "\
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "watch",
-        help="drones live in the terminal, over MQTT",
-        description="Show what drones say on an MQTT broker: one screen on a terminal, a line a second and one for each event "
-        "elsewhere. The broker is that of a rig's settings, or what the options say.",
+        help="watch drones live in the terminal, over MQTT",
+        description="Show what drones publish on an MQTT broker: a full screen on a terminal, else a line per second and a line "
+        "per event. Take the broker from a settings file or from the options. Exit code 1 if --seconds pass without a "
+        "connection to the broker.",
     )
-    parser.add_argument("--config", metavar="FILE", help="settings file whose [mqtt] says where the broker is and who we are")
-    parser.add_argument("--host", help="broker (default 127.0.0.1)")
-    parser.add_argument("--port", type=int, help="its port (default 8883 with TLS, 1883 without)")
+    parser.add_argument("--config", metavar="FILE", help="read the broker and the credentials from [mqtt] of this settings file")
+    parser.add_argument("--host", help="host name or address of the broker (default: 127.0.0.1)")
+    parser.add_argument("--port", type=int, help="port of the broker (default: 8883 with TLS, 1883 without)")
     parser.add_argument("--user", help="user name")
-    parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with the password")
-    parser.add_argument("--ca-file", type=Path, metavar="FILE", help="certificates of the CAs to trust in place of the system's")
-    parser.add_argument("--plain-tcp", action="store_true", help="no TLS")
-    parser.add_argument("--drone", metavar="NAME", help="this one only (default: every drone on the broker)")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after this long")
+    parser.add_argument("--password-file", type=Path, metavar="FILE", help="read the password from this file")
+    parser.add_argument("--ca-file", type=Path, metavar="FILE", help="trust the CAs in this file instead of the system's")
+    parser.add_argument("--plain-tcp", action="store_true", help="connect without TLS")
+    parser.add_argument("--drone", metavar="NAME", help="show only this drone (default: every drone on the broker)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="stop after this many seconds")
 
 
 def run(args: argparse.Namespace) -> int:
+    """Show drones until interrupted or until `--seconds` have passed.
+
+    Returns:
+        0, or 1 if the broker was never reached.
+
+    Raises:
+        BadInput: an option or the settings file is wrong, or a secret cannot be read.
+    """
     from companion.config.settings import load
     from companion.mqtt.connection import Endpoint
     from companion.mqtt.settings import MqttSettings
@@ -88,7 +97,7 @@ def _changed(settings: MqttSettings, args: argparse.Namespace) -> MqttSettings:
 
 
 class _Watch:
-    """Listens and shows."""
+    """Subscribe to the broker and show what arrives."""
 
     def __init__(self, endpoint: Endpoint, drone: str | None, out: TextIO, live: bool) -> None:
         from companion.mqtt.topics import ROOT
@@ -99,11 +108,17 @@ class _Watch:
         self._topic = f"{ROOT}/{drone or '+'}/+"
         self._out = out
         self._live = live
-        self._said: dict[str, float] = {}
+        self._printed_s: dict[str, float] = {}
+        """When the last line of each drone was printed, seconds of the monotonic clock."""
+        self._reached = False
+        """Whether the broker ever accepted the connection."""
 
     async def run(self, seconds: float | None) -> int:
-        """Until cancelled, or for so many seconds."""
-        self._write(_HIDE + _CLEAR if self._live else "")
+        """Show drones until cancelled, or for this many seconds; return the exit code."""
+        if self._live:
+            self._write(_HIDE + _CLEAR)
+        else:
+            sys.stderr.write(f"connecting to {self._where} ...\n")
         try:
             async with asyncio.timeout(seconds), asyncio.TaskGroup() as group:
                 group.create_task(self._listen())
@@ -113,7 +128,19 @@ class _Watch:
             pass
         finally:
             self._write(_SHOW + "\n" if self._live else "")
+        if not self._reached:
+            raise Recoverable(self._model.trouble or f"no answer from {self._where} within {seconds:g} s{self._hint}")
+        if not self._model.drones:
+            sys.stderr.write(f"connected to {self._where}, but no drone published anything\n")
         return 0
+
+    @property
+    def _where(self) -> str:
+        return f"broker {self._endpoint.host}:{self._endpoint.port} ({'plain TCP' if self._endpoint.tls is None else 'TLS'})"
+
+    @property
+    def _hint(self) -> str:
+        return "; a broker that expects TLS does not answer plain TCP" if self._endpoint.tls is None else ""
 
     async def _listen(self) -> None:
         from aiomqtt import MqttError
@@ -124,14 +151,15 @@ class _Watch:
             try:
                 async with connect(self._endpoint, f"decklander-watch-{uuid.uuid4().hex[:8]}", incoming=_INCOMING) as connection:
                     await connection.subscribe_to(self._topic, qos=1, retained=True)
-                    self._model.connected, self._model.trouble = True, ""
+                    self._reached, self._model.connected, self._model.trouble = True, True, ""
                     async for publication in connection.publications():
                         self._take(publication.topic, publication.payload)
             except (Recoverable, MqttError) as why:
-                if not self._live and str(why) != self._model.trouble:
-                    sys.stderr.write(f"no broker: {why}\n")
-                self._model.connected, self._model.trouble = False, str(why)
-            await asyncio.sleep(_REST_S)
+                trouble = f"{why}{self._hint}" if not self._reached else str(why)
+                if not self._live and trouble != self._model.trouble:
+                    sys.stderr.write(f"no connection: {trouble}\n")
+                self._model.connected, self._model.trouble = False, trouble
+            await asyncio.sleep(_BACK_OFF_S)
 
     def _take(self, topic: str, payload: bytes) -> None:
         from companion.mqtt.watch_view import line
@@ -141,9 +169,9 @@ class _Watch:
         if update is None or self._live:
             return
         drone, event = update
-        if event is not None or now_s - self._said.get(drone.name, -_LINE_EACH_S) >= _LINE_EACH_S:
+        if event is not None or now_s - self._printed_s.get(drone.name, -_LINE_EACH_S) >= _LINE_EACH_S:
             if event is None:
-                self._said[drone.name] = now_s
+                self._printed_s[drone.name] = now_s
             self._write(line(drone, event) + "\n")
 
     async def _draw(self) -> None:

@@ -39,7 +39,7 @@ class MetricsEndpoint:
         self._settings = settings
         self._health = health
         self._limits = limits or Limits()
-        self._token = _token(settings)
+        self._token = read_token(settings)
         self._page = b""
         self._made_s = -math.inf
         self.port: int | None = None
@@ -123,7 +123,12 @@ def _closing(answer: web.Response) -> web.Response:
     return answer
 
 
-def _token(settings: MetricsSettings) -> bytes | None:
+def read_token(settings: MetricsSettings) -> bytes | None:
+    """Return the token that /metrics asks for, None if none is set.
+
+    Raises:
+        BadInput: the file cannot be read, or holds no token.
+    """
     secret = secret_files.text(settings.token_file, "metrics", "token_file")
     if secret is None:
         return None

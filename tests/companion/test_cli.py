@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import subprocess
 import sys
 import tomllib
@@ -133,6 +134,52 @@ def test_config_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().err == (
         f"decklander: {shown}: vision.threads must be a whole number from 1 to 64 threads, found 1000\n"
     )
+
+
+SECRETS = {
+    "mqtt.password_file": '[mqtt]\ntransport = "tls"\nuser = "deck"\npassword_file = "absent"\n',
+    "mqtt.command_key_file": '[mqtt]\ntransport = "tls"\ncommands = "signed"\ncommand_key_file = "absent"\n',
+    "mqtt.ca_file": '[mqtt]\ntransport = "tls"\nca_file = "absent"\n',
+    "metrics.token_file": '[metrics]\nendpoint = "http"\ntoken_file = "absent"\n',
+    "bridge.signing_key_file": '[bridge]\nlinks = "udpin://127.0.0.1:14550"\nsigning_key_file = "absent"\n',
+}
+
+
+@pytest.mark.parametrize("key", SECRETS)
+def test_a_missing_secret_file_fails_the_check(key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "rig.toml"
+    head = (ROOT / "configs/sim.toml").read_text().partition("\n[guidance]")[0]
+    assert "[mqtt]" not in head
+    rig.write_text(f"{head}\n{SECRETS[key]}")
+    for words in (["config", "check", str(rig)], ["run", "--check", "--config", str(rig)]):
+        assert cli.main(words) == 2
+        err = capsys.readouterr().err
+        assert key in err
+        assert re.search(r"absent.?: No such file", err)
+        assert err.count("\n") == 1
+
+
+def test_secret_files_of_links_that_are_off_are_not_missed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "rig.toml"
+    head = (ROOT / "configs/sim.toml").read_text().partition("\n[guidance]")[0]
+    rig.write_text(head + '\n[mqtt]\nuser = "deck"\npassword_file = "absent"\n')
+    assert cli.main(["config", "check", str(rig)]) == 0
+    assert capsys.readouterr().out == f"{rig}: good\n"
+
+
+def test_credentials_are_checked_inside_the_systemd_unit_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = tmp_path / "rig.toml"
+    head = (ROOT / "configs/sim.toml").read_text().partition("\n[guidance]")[0]
+    rig.write_text(head + '\n[mqtt]\ntransport = "tls"\nuser = "deck"\npassword_file = "credential:password"\n')
+    monkeypatch.delenv("CREDENTIALS_DIRECTORY", raising=False)
+    assert cli.main(["config", "check", str(rig)]) == 0
+    assert "mqtt.password_file: credentials of the systemd unit, not checked here" in capsys.readouterr().out
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    assert cli.main(["config", "check", str(rig)]) == 2
+    (tmp_path / "password").write_text("secret\n")
+    assert cli.main(["config", "check", str(rig)]) == 0
 
 
 def test_a_reader_that_went_away_is_no_traceback() -> None:

@@ -28,6 +28,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from sitl.testing.mosquitto import Broker
 from sitl.testing.mqtt_service import SESSION, decision, running, status, until
+from sitl.testing.mqtt_service import event as pending_event
 from tests.companion.mqtt.conftest import broker, certificates
 
 __all__ = ["broker", "certificates"]
@@ -176,6 +177,22 @@ def test_wrong_use_is_one_line(words: list[str], said: str, capsys: pytest.Captu
     assert capsys.readouterr().err == f"decklander: {said}\n"
 
 
+def test_plain_tcp_to_a_port_with_tls_says_so_and_fails(broker: Broker, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["watch", "--host", "localhost", "--port", str(broker.port), "--plain-tcp", "--seconds", "0.7"]
+    assert cli.main(words) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"connecting to broker localhost:{broker.port} (plain TCP) ...\n")
+    assert f"decklander: no answer from broker localhost:{broker.port} (plain TCP) within 0.7 s" in said
+    assert "a broker that expects TLS does not answer plain TCP" in said
+
+
+def test_a_broker_without_drones_is_said_to_be_silent(broker: Broker, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["watch", "--host", "localhost", "--port", str(broker.port), "--user", "ground", "--seconds", "1.5"]
+    words += ["--password-file", str(broker.folder / "ground.password"), "--ca-file", str(broker.certificates / "ca.crt")]
+    assert cli.main(words) == 0
+    assert f"connected to broker localhost:{broker.port} (TLS), but no drone published anything" in capsys.readouterr().err
+
+
 async def test_where_there_is_no_terminal_it_prints_lines(broker: Broker, tmp_path: Path) -> None:
     options = {
         "--host": "localhost",
@@ -194,7 +211,7 @@ async def test_where_there_is_no_terminal_it_prints_lines(broker: Broker, tmp_pa
             for k in count():
                 rig.part.on_sample(status(rig.clock.now()))
                 rig.part.on_decision(decision(rig.clock.now()))
-                rig.part.tell(event(rig.clock.now(), f"number {k}"))
+                rig.part.tell(pending_event(rig.clock.now(), f"number {k}"))
                 await asyncio.sleep(0.1)
 
         async with asyncio.TaskGroup() as group:

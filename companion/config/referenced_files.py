@@ -1,0 +1,67 @@
+"""Check the files that settings name besides camera and pad: keys, passwords and certificates.
+
+`load` reads the camera and the pad. What is checked here would be read when a link is opened, which may be in flight.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+
+from companion.config import secret_files
+from companion.config.keys import CREDENTIAL
+from companion.config.model import Settings
+from companion.config.vehicle import AutopilotSettings
+from estimator.contracts.errors import BadInput
+
+
+def check_files(settings: Settings, environment: Mapping[str, str] = os.environ) -> tuple[str, ...]:
+    """Read every key, password and certificate that the settings name, as the service does when it opens its links.
+
+    Returns:
+        The settings that name a systemd credential. Outside the systemd unit these files do not exist, so they are not read.
+
+    Raises:
+        BadInput: a file is missing, cannot be read, or does not hold what the setting needs.
+    """
+    outside_unit = not environment.get("CREDENTIALS_DIRECTORY")
+    unchecked = []
+    for key, references, read in _references(settings):
+        if outside_unit and any(reference.startswith(CREDENTIAL) for reference in references):
+            unchecked.append(key)
+        else:
+            read()
+    return tuple(unchecked)
+
+
+def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Callable[[], object]]]:
+    """Yield (settings key, file references, function that reads the files) for everything that is switched on."""
+    if isinstance(settings.vehicle, AutopilotSettings) and settings.vehicle.signing_key_file:
+        yield _signing("vehicle", settings.vehicle.signing_key_file)
+    if settings.bridge.links and settings.bridge.signing_key_file:
+        yield _signing("bridge", settings.bridge.signing_key_file)
+    m = settings.mqtt
+    if m.transport != "off":
+        from companion.mqtt import access
+
+        yield "mqtt.password_file", (m.password_file,), lambda: access.password(m)
+        yield "mqtt.command_key_file", (m.command_key_file,), lambda: secret_files.key(
+            m.command_key_file, "mqtt", "command_key_file"
+        )
+        yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: access.tls_context(m)
+    if settings.metrics.endpoint != "off" and settings.metrics.token_file:
+        from companion.metrics.endpoint import read_token
+
+        yield "metrics.token_file", (settings.metrics.token_file,), lambda: read_token(settings.metrics)
+
+
+def _signing(section: str, reference: str) -> tuple[str, tuple[str, ...], Callable[[], object]]:
+    from drivers.mavlink.signing import load_key
+
+    def read() -> None:
+        try:
+            load_key(reference)
+        except BadInput as why:
+            raise BadInput(f"{section}.signing_key_file: {why}") from why
+
+    return f"{section}.signing_key_file", (reference,), read
