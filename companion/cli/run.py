@@ -30,7 +30,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help=f"settings file, or the name of a shipped vehicle profile ({', '.join(shipped())})",
     )
     parser.add_argument("--once", action="store_true", help="stop after the first flight; exit code 0 if it landed, else 1")
-    parser.add_argument("--check", action="store_true", help="check the settings and the files that they name, print what would run, and stop")
+    parser.add_argument("--check", action="store_true", help="check settings and files, print what would run, and stop")
 
 
 def run(args: argparse.Namespace) -> int:

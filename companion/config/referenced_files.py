@@ -45,8 +45,10 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
         from companion.mqtt import access
 
         yield "mqtt.password_file", (m.password_file,), lambda: access.password(m)
-        yield "mqtt.command_key_file", (m.command_key_file,), lambda: secret_files.key(
-            m.command_key_file, "mqtt", "command_key_file"
+        yield (
+            "mqtt.command_key_file",
+            (m.command_key_file,),
+            lambda: secret_files.key(m.command_key_file, "mqtt", "command_key_file"),
         )
         yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: access.tls_context(m)
     if settings.metrics.endpoint != "off" and settings.metrics.token_file:
