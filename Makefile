@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
-.PHONY: demo test test-image test-v4l2 lint bench fuzz mutants sbom licences audit pins
+.PHONY: demo test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
 
 demo: $(VENV)/.runtime
 	$(BIN)/decklander demo
@@ -31,6 +31,10 @@ lint: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	@for bench in $(subst /,.,$(BENCHES)); do echo "== $$bench"; $(BIN)/python -m $$bench || exit 1; done
+
+# The documentation as a site in site/; a broken link or a page outside the navigation fails it. A preview while writing: .venv/bin/mkdocs serve.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 # Every parser against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8, CPU=1 for CPU time. ONLY="pave at" for some targets, JOBS=1 for one core.
 fuzz: $(VENV)/.fuzz
@@ -66,6 +70,10 @@ $(VENV)/.fuzz: requirements/fuzz.txt $(VENV)/.dev
 	$(PIP) install --require-hashes -r requirements/fuzz.txt
 	@touch $@
 
+$(VENV)/.docs: requirements/docs.txt $(VENV)/.dev
+	$(PIP) install --require-hashes -r requirements/docs.txt
+	@touch $@
+
 $(VENV)/.supply: requirements/supply.txt $(VENV)/.dev
 	$(PIP) install --require-hashes -r requirements/supply.txt
 	@touch $@
@@ -87,3 +95,4 @@ pins:
 	$(PIN) --constraint requirements/build.txt --constraint requirements/runtime.txt --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
+	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in
