@@ -1,4 +1,4 @@
-"""Test that the site's navigation and every link of the documentation are whole, without mkdocs; `make docs` builds the site itself."""
+"""Test the navigation and every link of the documentation, without mkdocs; `make docs` builds the site itself."""
 
 from __future__ import annotations
 
