@@ -30,7 +30,7 @@ from estimator.contracts.geometry import F64  # noqa: E402
 from estimator.contracts.samples import Attitude  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
-from estimator.vision.detect.acquire import Candidate, acquire  # noqa: E402
+from estimator.vision.detect.acquire import PadCandidate, acquire  # noqa: E402
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align  # noqa: E402
 from estimator.vision.detect.verification import keeps_claim  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
@@ -61,7 +61,7 @@ def floor_ms(px: np.ndarray) -> float:
     return (time.process_time_ns() - began) * 1e-6
 
 
-def image_of(px: np.ndarray, camera: Camera, pad: Pad, truth: PadPose | None, best: Candidate | None, text: str) -> np.ndarray:
+def image_of(px: np.ndarray, camera: Camera, pad: Pad, truth: PadPose | None, best: PadCandidate | None, text: str) -> np.ndarray:
     """The frame with the candidate's drawing in magenta; a far pad enlarged."""
     im = px.copy()
     if best is not None:
@@ -85,7 +85,7 @@ def sheet(images: list[np.ndarray], path: Path) -> None:
     cv2.imwrite(str(path), np.vstack([np.hstack(images[i : i + 4]) for i in range(0, len(images), 4)]))
 
 
-def registered(scene: Scene, candidates: list[Candidate], camera: Camera, pad: Pad) -> tuple[float, bool] | None:
+def registered(scene: Scene, candidates: list[PadCandidate], camera: Camera, pad: Pad) -> tuple[float, bool] | None:
     """What the eyes make of the candidates: their confidence in the best registration, and whether it keeps the judge's claim."""
     attitude = None
     if scene.R_level_body is not None:
@@ -195,7 +195,7 @@ def main() -> None:
     called: list[tuple[float, bool]] = []
     bad: list[np.ndarray] = []
 
-    def look(scene: Scene) -> tuple[Candidate | None, float, tuple[float, bool] | None]:
+    def look(scene: Scene) -> tuple[PadCandidate | None, float, tuple[float, bool] | None]:
         R = scene.R_level_body if args.attitude != "none" else None
         began = time.process_time_ns()
         candidates = acquire(scene.px, camera, pad, R)

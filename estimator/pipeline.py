@@ -55,14 +55,14 @@ class Memory:
     attitudes: AttitudeHistory
     paths: tuple[Path, ...]
     """The steering path first."""
-    guard: integrity.Guard = field(default_factory=integrity.Guard)
+    guard: integrity.IntegrityGuard = field(default_factory=integrity.IntegrityGuard)
 
 
 def start(options: Options) -> Memory:
     """An estimator that has seen nothing."""
     names = (options.steering, *(name for name in options.shadows if name != options.steering))
     paths = tuple(_path(name, options) for name in names)
-    return Memory(options, AttitudeHistory(options.history_s), paths, integrity.Guard(options.integrity))
+    return Memory(options, AttitudeHistory(options.history_s), paths, integrity.IntegrityGuard(options.integrity))
 
 
 def on_frame(memory: Memory, frame: Frame) -> tuple[Memory, Verdict | None]:
@@ -132,7 +132,7 @@ def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
     return memory.attitudes.at(stamp.measured_at, stamp)
 
 
-def _dressed(state: RelativeState, guard: integrity.Guard, now: MonoNs) -> RelativeState:
+def _dressed(state: RelativeState, guard: integrity.IntegrityGuard, now: MonoNs) -> RelativeState:
     doubts = integrity.doubts(guard, now)
     return replace(
         state,

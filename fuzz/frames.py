@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.config import build
 from companion.config.settings import load
-from drivers.camera.v4l2_formats import H264Decoder, Layout, to_bgr
+from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
@@ -36,7 +36,7 @@ def run_v4l2(data: bytes) -> None:
     width, height = 2 * (1 + choices.number(1) % 40), 2 * (1 + choices.number(1) % 40)
     kind = _FORMATS[how % 4]
     stride = {"MJPG": 0, "YUYV": 2 * width}.get(kind, width) + (choices.number(1) if kind != "MJPG" else 0)
-    layout, decoder = Layout(kind, width, height, stride), H264Decoder()
+    layout, decoder = FrameLayout(kind, width, height, stride), H264Decoder()
     while choices:
         buffer = choices.block()
         px = decoder.decode(buffer, layout) if how & 0x80 else to_bgr(buffer, layout)

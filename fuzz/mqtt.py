@@ -14,18 +14,18 @@ import msgspec
 from companion.mqtt import messages, watch_view
 from companion.mqtt.commands import CommandHandler
 from companion.mqtt.messages import (
-    Belief,
-    Event,
+    BeliefReport,
+    CommandReply,
+    CommandReport,
+    EventMessage,
     FlowReport,
-    Found,
     HealthReport,
-    Order,
+    MethodReport,
     PartReport,
-    Reply,
-    Sighting,
+    SightingMessage,
     StageReport,
-    State,
-    Status,
+    StateMessage,
+    StatusMessage,
     VehicleState,
     encode,
 )
@@ -124,21 +124,21 @@ def _draw(model: WatchModel, now_s: float) -> None:
 
 def watch_seeds() -> Iterator[bytes]:
     """One of each message of the drone, and numbers at the ends of what they may be."""
-    belief = Belief(
+    belief = BeliefReport(
         path="ekf", d_body_pad_level_m=(1.0, 2.0, 3.0), v_pad_level_m_s=(0.1, 0.0, 1e300), yaw_rad=None,
         sigma_d_m=(0.1, 0.1, 0.1), sigma_v_m_s=(0.1, 0.1, 0.1), sigma_yaw_rad=3.0, sighted_age_s=0.1, consistent=True,
     )  # fmt: skip
-    found = Found(d_body_pad_level_m=(1.0, 2.0, 3.0), yaw_rad=0.1, yaw_ambiguous=False, cov=(0.0,) * 16, confidence=0.9)
+    found = MethodReport(d_body_pad_level_m=(1.0, 2.0, 3.0), yaw_rad=0.1, yaw_ambiguous=False, cov=(0.0,) * 16, confidence=0.9)
     said = {
-        "status": Status(
+        "status": StatusMessage(
             session=SESSION, at_ns=1, online=True, reason="up", version="1", started_unix_s=1.7e9, started_ns=0
         ),
-        "state": State(
+        "state": StateMessage(
             session=SESSION, at_ns=2, phase="descend", belief=belief, shadows=(belief,),
-            order=Order(kind="velocity", v_level_m_s=(0.1, 0.2, 0.3)),
+            order=CommandReport(kind="velocity", v_level_m_s=(0.1, 0.2, 0.3)),
             vehicle=VehicleState(mode="flying", flying=True, battery_fraction=0.5, emergency=False, link_ok=True, age_s=0.1),
         ),
-        "sighting": Sighting(
+        "sighting": SightingMessage(
             session=SESSION, at_ns=3, measured_at_ns=2, sequence=1, verdict="fused", chosen="ellipse",
             selected=found, methods={"ellipse": found},
         ),
@@ -147,11 +147,11 @@ def watch_seeds() -> Iterator[bytes]:
             flows={"Imu": FlowReport(count=1, age_s=None, rate_hz=200.0)}, frames={"fused": 3}, inputs={"ekf": {"fused": 2}},
             stages={"vision": StageReport(count=1, p50_s=0.01, p99_s=None)}, counters={"mavlink": {"lost": 1.0}},
         ),
-        "event": Event(
+        "event": EventMessage(
             session=SESSION, at_ns=5, id="a", spool="s", sequence=7, kind="phase", text="descend",
             data={"from": "x", "n": 1.0},
         ),
-        "reply": Reply(session=SESSION, at_ns=6, id="1", accepted=False, reason="expired", text="late"),
+        "reply": CommandReply(session=SESSION, at_ns=6, id="1", accepted=False, reason="expired", text="late"),
     }  # fmt: skip
     rows = [block(f"{ROOT}/drone/{leaf}".encode()) + b"\1" + block(encode(message)) for leaf, message in said.items()]
     yield b"".join(rows)

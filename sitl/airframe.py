@@ -107,7 +107,7 @@ class Airframe:
 
 
 @dataclass(slots=True)
-class Limits:
+class StickLimits:
     """What a full stick means. Settable in flight."""
 
     euler_angle_max_rad: float = 0.21

@@ -20,7 +20,7 @@ Flag: TypeAlias = bool | NDArray[np.bool_]
 Vec: TypeAlias = tuple[Num, Num, Num]
 
 
-class Algebra(Protocol):
+class MathBackend(Protocol):
     """Elementary functions over `Num`. `where` evaluates both branches."""
 
     def where(self, flag: Flag, yes: Num, no: Num) -> Num: ...
@@ -136,7 +136,7 @@ def product(p: tuple[Num, Num, Num, Num], q: tuple[Num, Num, Num, Num]) -> tuple
     )
 
 
-def quaternion_of_rpy(m: Algebra, roll: Num, pitch: Num, yaw: Num) -> tuple[Num, Num, Num, Num]:
+def quaternion_of_rpy(m: MathBackend, roll: Num, pitch: Num, yaw: Num) -> tuple[Num, Num, Num, Num]:
     """Of Rz(yaw) Ry(pitch) Rx(roll)."""
     cr, sr, cp, sp = m.cos(0.5 * roll), m.sin(0.5 * roll), m.cos(0.5 * pitch), m.sin(0.5 * pitch)
     cy, sy = m.cos(0.5 * yaw), m.sin(0.5 * yaw)
@@ -148,7 +148,7 @@ def quaternion_of_rpy(m: Algebra, roll: Num, pitch: Num, yaw: Num) -> tuple[Num,
     )
 
 
-def rpy_of(m: Algebra, rows: tuple[Vec, Vec, Vec]) -> Vec:
+def rpy_of(m: MathBackend, rows: tuple[Vec, Vec, Vec]) -> Vec:
     """(roll, pitch, yaw) of Rz(yaw) Ry(pitch) Rx(roll)."""
     a, b, c = rows
     return m.atan2(c[1], c[2]), m.asin(m.clip(-c[0], -1.0, 1.0)), m.atan2(b[0], a[0])

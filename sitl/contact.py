@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from sitl.airframe import Airframe
-from sitl.algebra import Algebra, Flag, Num, Vec, cross, inverse_rotate, rotate, rpy_of
+from sitl.algebra import Flag, MathBackend, Num, Vec, cross, inverse_rotate, rotate, rpy_of
 from sitl.sea import GRAVITY_M_S2
 
 Rows = tuple[Vec, Vec, Vec]
@@ -103,7 +103,7 @@ class Relative:
         """m over the deck's plane."""
         return -self.d[2]
 
-    def yaw(self, m: Algebra) -> Num:
+    def yaw(self, m: MathBackend) -> Num:
         return rpy_of(m, self.R)[2]
 
 
@@ -136,7 +136,7 @@ class ContactForce:
     """How many feet or corners."""
 
 
-def contact_force(m: Algebra, shape: DeckShape, airframe: Airframe, r: Relative, step_s: float) -> ContactForce:
+def contact_force(m: MathBackend, shape: DeckShape, airframe: Airframe, r: Relative, step_s: float) -> ContactForce:
     """Spring and damper normal to the deck under each foot (and each upper corner of a body on its side), friction along it.
 
     Friction is what would stop the foot within a few steps, but no more than the coefficient times the normal force: it
@@ -174,7 +174,7 @@ def contact_force(m: Algebra, shape: DeckShape, airframe: Airframe, r: Relative,
     return ContactForce((fx, fy, fz), (tx, ty, tz), touching)
 
 
-def buoyancy(m: Algebra, airframe: Airframe, wet: Flag, depth: Num, v: Vec, w: Vec, sea_vz: Num) -> tuple[Vec, Vec]:
+def buoyancy(m: MathBackend, airframe: Airframe, wet: Flag, depth: Num, v: Vec, w: Vec, sea_vz: Num) -> tuple[Vec, Vec]:
     """Acceleration in ned and torque in body of what lies in the water `depth` m deep: buoyant, heavily damped, full of foam."""
     up = m.clip(depth / 0.06, 0.0, 3.0) * GRAVITY_M_S2
     ix, iy, iz = airframe.inertia_kg_m2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sitl.airframe import Airframe
-from sitl.algebra import Algebra, Num, Vec
+from sitl.algebra import MathBackend, Num, Vec
 
 Four = tuple[Num, Num, Num, Num]
 """Of the front left, front right, rear right and rear left rotor."""
@@ -26,7 +26,7 @@ def delivered(airframe: Airframe, thrust_n: Num, torque_n_m: Vec, health: tuple[
     return a + b + c + d, (f.arm_m * (a - b - c + d), f.arm_m * (a + b - c - d), f.yaw_torque_per_thrust_m * (a - b + c - d))
 
 
-def ground_effect(m: Algebra, airframe: Airframe, height_m: Num) -> Num:
+def ground_effect(m: MathBackend, airframe: Airframe, height_m: Num) -> Num:
     """Factor on thrust from the air under the rotors, the body's origin being `height_m` over a surface.
 
     Source: Cheeseman & Bennett, The effect of the ground on a helicopter rotor in forward flight, ARC R&M 3021, 1955:

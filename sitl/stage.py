@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from sitl.airframe import Airframe, Avionics, Limits
+from sitl.airframe import Airframe, Avionics, StickLimits
 from sitl.camera import Renderer
 from sitl.contact import DeckShape, Ground
 from sitl.disturbances import Wind
@@ -63,10 +63,10 @@ def airframe(scenario: Scenario) -> Airframe:
     )
 
 
-def limits(scenario: Scenario) -> Limits:
+def limits(scenario: Scenario) -> StickLimits:
     """What a full stick means at first."""
     v = scenario.vehicle
-    return Limits(math.radians(v.euler_angle_max_deg), v.vz_max_m_s, math.radians(v.yaw_rate_max_deg_s))
+    return StickLimits(math.radians(v.euler_angle_max_deg), v.vz_max_m_s, math.radians(v.yaw_rate_max_deg_s))
 
 
 def deck_shape(ship: Hull, pad_yaw_rad: float) -> DeckShape:

@@ -14,12 +14,12 @@ from enum import IntEnum
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from sitl.airframe import Airframe, Limits
+from sitl.airframe import Airframe, StickLimits
 from sitl.algebra import (
-    Algebra,
     Arrays,
     Flag,
     Floats,
+    MathBackend,
     Num,
     Vec,
     cross,
@@ -75,7 +75,7 @@ class Vehicle:
         if not 0.0 < step_s <= 0.01:
             raise ValueError(f"step_s must lie in (0, 0.01] s, got {step_s!r}")
         self.airframe, self.shape, self.step_s = airframe, shape, step_s
-        self.limits = Limits()
+        self.limits = StickLimits()
         self.wind = wind or Wind()
         self.extra_wind: Vec = _ZERO
         """m/s in ned, on top of the wind: a single gust as it passes."""
@@ -83,7 +83,7 @@ class Vehicle:
         """Share of its thrust that each rotor (front left, front right, rear right, rear left) delivers."""
         self.flow_works = True
         single = isinstance(seeds, np.random.SeedSequence)
-        self._m: Algebra = Floats() if single else Arrays()
+        self._m: MathBackend = Floats() if single else Arrays()
         self.batch: int | None = None if isinstance(seeds, np.random.SeedSequence) else len(seeds)
         each = [seeds] if isinstance(seeds, np.random.SeedSequence) else list(seeds)
         self._disturbances = Disturbances(self.wind, airframe.avionics, step_s, each, single)
@@ -440,7 +440,7 @@ class Vehicle:
             self.tied = self.tied | ties
 
 
-def _pick(m: Algebra, flag: Flag, yes: Vec, no: Vec) -> Vec:
+def _pick(m: MathBackend, flag: Flag, yes: Vec, no: Vec) -> Vec:
     return (m.where(flag, yes[0], no[0]), m.where(flag, yes[1], no[1]), m.where(flag, yes[2], no[2]))
 
 

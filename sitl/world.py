@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.time import NS_PER_S, MonoNs
-from sitl.airframe import Limits
+from sitl.airframe import StickLimits
 from sitl.camera import Renderer, Shot
 from sitl.contact import Ground
 from sitl.faults import FaultTimer, FramesDelayed, FramesDropped, FramesMisstamped, FramesShifted, Gust, WeakRotor
@@ -190,7 +190,7 @@ class World:
         return Phase(int(self._vehicle.phase))
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> StickLimits:
         """What a full stick means; set its fields at any time."""
         return self._vehicle.limits
 

@@ -15,7 +15,7 @@ import msgspec
 
 from companion.cli import record_option
 from companion.cli.progress import Progress
-from companion.cli.verdict import Contact, Ending, HandledCommand
+from companion.cli.verdict import Contact, Ending, FlightGrade
 from companion.config.model import CameraSettings, PadSettings
 from companion.config.settings import load, shipped
 from companion.observer import Observer
@@ -152,7 +152,7 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         )
         for t in result.truth.contacts
     )
-    judged = HandledCommand(
+    judged = FlightGrade(
         result.grade.value,
         result.because,
         result.unsafe,

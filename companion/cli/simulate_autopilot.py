@@ -24,7 +24,7 @@ from companion.observer import Observer
 from companion.runtime import event_loop
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import NS_PER_S, MonoNs
-from sitl.autopilots.flight import Autopilot, AutopilotFlight, FlightEnd
+from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.autopilots.follow import FollowEnd
 from sitl.autopilots.program import executable
 from sitl.scenario import Scenario
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     settings = rig(scenario, args.config)
     progress = None if args.json else Progress()
     observers: list[Observer] = [] if progress is None else [progress]
-    autopilot = Autopilot(args.autopilot, binary, parameters=parameters(args.param))
+    autopilot = AutopilotProgram(args.autopilot, binary, parameters=parameters(args.param))
     began = time.monotonic()
     with _folder(args.keep) as folder:
         flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, observers)

@@ -43,7 +43,7 @@ class Contact:
 
 
 @dataclass(frozen=True, slots=True)
-class HandledCommand:
+class FlightGrade:
     """What a simulator that sees the whole flight says of it."""
 
     grade: str
@@ -73,7 +73,7 @@ class Ending:
     duration_s: float
     frames: Counter[Verdict]
     started: MonoNs = _ZERO
-    judged: HandledCommand | None = None
+    judged: FlightGrade | None = None
     load: Load | None = None
     """How well the machine kept up; None where the flight does not depend on it."""
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TextIO
 from estimator.contracts.errors import BadInput, Recoverable
 
 if TYPE_CHECKING:
-    from companion.mqtt.connection import Endpoint
+    from companion.mqtt.connection import BrokerEndpoint
     from companion.mqtt.settings import MqttSettings
 
 _REDRAW_S = 0.25
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         BadInput: an option or the settings file is wrong, or a secret cannot be read.
     """
     from companion.config.settings import load
-    from companion.mqtt.connection import Endpoint
+    from companion.mqtt.connection import BrokerEndpoint
     from companion.mqtt.settings import MqttSettings
     from companion.mqtt.topics import Topics
 
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
             raise BadInput(f"--drone: {why}") from why
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise BadInput(f"--seconds must be more than 0, got {args.seconds}")
-    endpoint = Endpoint.of(settings)
+    endpoint = BrokerEndpoint.of(settings)
     out, live = sys.stdout, sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
     from companion.runtime import event_loop
 
@@ -99,7 +99,7 @@ def _changed(settings: MqttSettings, args: argparse.Namespace) -> MqttSettings:
 class _Watch:
     """Subscribe to the broker and show what arrives."""
 
-    def __init__(self, endpoint: Endpoint, drone: str | None, out: TextIO, live: bool) -> None:
+    def __init__(self, endpoint: BrokerEndpoint, drone: str | None, out: TextIO, live: bool) -> None:
         from companion.mqtt.topics import ROOT
         from companion.mqtt.watch_model import WatchModel
 

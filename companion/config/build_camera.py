@@ -8,7 +8,7 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from companion.config.model import Settings
 from companion.config.settings import camera_model
 from companion.runtime.daemon import Link, OpenLink
-from drivers.camera.video_source import Camera, open_camera
+from drivers.camera.video_source import VideoSource, open_camera
 from drivers.camera.video_source_options import CameraOptions, SourceTimeouts, StreamOptions, V4l2Options
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command
@@ -73,7 +73,7 @@ def controls(text: str) -> dict[str, int | bool | str]:
 class LinkWithCamera:
     """The vehicle's samples and commands, the camera's frames."""
 
-    def __init__(self, vehicle: Link, camera: Camera) -> None:
+    def __init__(self, vehicle: Link, camera: VideoSource) -> None:
         self.vehicle = vehicle
         self.camera = camera
 

@@ -12,7 +12,7 @@ from aiohttp import web
 
 from companion.config import secret_files
 from companion.metrics.exposition import CONTENT_TYPE, text
-from companion.metrics.limits import Limits, bounded
+from companion.metrics.limits import ConnectionLimits, bounded
 from companion.metrics.settings import MetricsSettings
 from companion.runtime.health import Health
 from companion.runtime.liveness import stuck
@@ -35,10 +35,10 @@ class MetricsEndpoint:
         BadInput: the token cannot be read or is too short.
     """
 
-    def __init__(self, settings: MetricsSettings, health: Health, limits: Limits | None = None) -> None:
+    def __init__(self, settings: MetricsSettings, health: Health, limits: ConnectionLimits | None = None) -> None:
         self._settings = settings
         self._health = health
-        self._limits = limits or Limits()
+        self._limits = limits or ConnectionLimits()
         self._token = read_token(settings)
         self._page = b""
         self._made_s = -math.inf

@@ -14,7 +14,7 @@ from aiohttp import web
 
 
 @dataclass(slots=True)
-class Limits:
+class ConnectionLimits:
     """The bounds, and how often each was met."""
 
     connections: int = 16
@@ -30,7 +30,7 @@ class Limits:
     """Connections from the oldest to the newest."""
 
 
-def bounded(server: web.Server, limits: Limits) -> Callable[[], asyncio.Protocol]:
+def bounded(server: web.Server, limits: ConnectionLimits) -> Callable[[], asyncio.Protocol]:
     """Return a factory of protocols that serve one bounded connection each."""
     return lambda: _Bounded(server(), limits)
 
@@ -38,7 +38,7 @@ def bounded(server: web.Server, limits: Limits) -> Callable[[], asyncio.Protocol
 class _Bounded(asyncio.Protocol):
     """One connection: everything goes on to aiohttp's own protocol while the bounds hold."""
 
-    def __init__(self, inner: asyncio.Protocol, limits: Limits) -> None:
+    def __init__(self, inner: asyncio.Protocol, limits: ConnectionLimits) -> None:
         self._inner = inner
         self._limits = limits
         self._deadline: asyncio.TimerHandle | None = None

@@ -14,7 +14,16 @@ from typing import Protocol
 
 import msgspec
 
-from companion.mqtt.messages import Abort, Command, Pause, Refusal, Reply, SetPath, SetRecording, Start
+from companion.mqtt.messages import (
+    AbortCommand,
+    Command,
+    CommandReply,
+    PauseCommand,
+    Refusal,
+    SetPathCommand,
+    SetRecordingCommand,
+    StartCommand,
+)
 from companion.mqtt.signature import Forged, Unsigned, verified
 from companion.mqtt.topics import Topics
 from estimator.contracts.estimates import PathName
@@ -47,7 +56,7 @@ class Operated(Protocol):
 class HandledCommand:
     """What became of one message on the command topic."""
 
-    reply: Reply
+    reply: CommandReply
     topic: str
     """Where the answer goes."""
     command: str | None
@@ -88,7 +97,7 @@ class CommandHandler:
         def refuse(
             reason: Refusal, words: str, of: str | None = None, name: str | None = None, to: str | None = None
         ) -> HandledCommand:
-            answer = Reply(session=self.session, at_ns=now, id=of, accepted=False, reason=reason, text=words)
+            answer = CommandReply(session=self.session, at_ns=now, id=of, accepted=False, reason=reason, text=words)
             return HandledCommand(answer, to or self.topics.reply, name)
 
         if len(payload) > LONGEST_BYTES:
@@ -124,7 +133,7 @@ class CommandHandler:
         elif (cannot := self._carry_out(command)) is not None:
             handled = refuse("not_possible", cannot, command.id, name, to)
         else:
-            done = Reply(session=self.session, at_ns=now, id=command.id, accepted=True, reason=None, text=f"{name} done")
+            done = CommandReply(session=self.session, at_ns=now, id=command.id, accepted=True, reason=None, text=f"{name} done")
             handled = HandledCommand(done, to, name)
         self._answered[command.id] = handled
         if len(self._answered) > REMEMBERED:
@@ -133,15 +142,15 @@ class CommandHandler:
 
     def _carry_out(self, command: Command) -> str | None:
         match command:
-            case Start():
+            case StartCommand():
                 return self.operated.start()
-            case Pause():
+            case PauseCommand():
                 return self.operated.pause()
-            case Abort():
+            case AbortCommand():
                 return self.operated.abort()
-            case SetPath():
+            case SetPathCommand():
                 return self.operated.steer_by(command.path)
-            case SetRecording():
+            case SetRecordingCommand():
                 return self.operated.record(command.on)
 
 

@@ -40,7 +40,7 @@ _quiet.setLevel(logging.CRITICAL)
 
 
 @dataclass(frozen=True, slots=True)
-class Endpoint:
+class BrokerEndpoint:
     """Where the broker is and who we are to it."""
 
     host: str
@@ -53,13 +53,13 @@ class Endpoint:
     timeout_s: float
 
     @staticmethod
-    def of(settings: MqttSettings) -> Endpoint:
+    def of(settings: MqttSettings) -> BrokerEndpoint:
         """As set, secrets read.
 
         Raises:
             BadInput: a secret or certificate cannot be read or used.
         """
-        return Endpoint(
+        return BrokerEndpoint(
             settings.host,
             settings.port,
             settings.user or None,
@@ -85,7 +85,7 @@ class Publication:
 class Connection(aiomqtt.Client):
     """An open connection. `MqttError` is what its methods raise when the broker fails."""
 
-    def __init__(self, endpoint: Endpoint, identifier: str, will: aiomqtt.Will | None, incoming: int) -> None:
+    def __init__(self, endpoint: BrokerEndpoint, identifier: str, will: aiomqtt.Will | None, incoming: int) -> None:
         properties = None
         if endpoint.mqtt5:
             properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -238,7 +238,7 @@ class Connection(aiomqtt.Client):
 
 @asynccontextmanager
 async def connect(
-    endpoint: Endpoint, identifier: str, will: aiomqtt.Will | None = None, incoming: int = INCOMING
+    endpoint: BrokerEndpoint, identifier: str, will: aiomqtt.Will | None = None, incoming: int = INCOMING
 ) -> AsyncIterator[Connection]:
     """A connection while the context is open.
 

@@ -7,18 +7,18 @@ import math
 import numpy as np
 
 from companion.mqtt.messages import (
-    Belief,
+    BeliefReport,
+    CommandReport,
     FlowReport,
-    Found,
     HealthReport,
-    Order,
+    MethodReport,
     PartReport,
+    SightingMessage,
     StageReport,
-    State,
+    StateMessage,
     Vector3,
     VehicleState,
 )
-from companion.mqtt.messages import Sighting as SightingMessage
 from companion.observer import Decision, ProcessedFrame
 from companion.runtime.health import HealthSnapshot
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
@@ -28,10 +28,10 @@ from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import seconds_between
 
 
-def state(session: str, decision: Decision, vehicle: VehicleStatus | None) -> State:
+def state(session: str, decision: Decision, vehicle: VehicleStatus | None) -> StateMessage:
     """One round of guidance and the newest the vehicle said of itself."""
     at = decision.at
-    return State(
+    return StateMessage(
         session=session,
         at_ns=at,
         phase=decision.phase,
@@ -51,10 +51,10 @@ def state(session: str, decision: Decision, vehicle: VehicleStatus | None) -> St
     )
 
 
-def belief(of: RelativeState, decision: Decision) -> Belief:
+def belief(of: RelativeState, decision: Decision) -> BeliefReport:
     """Sigmas are the square roots of the covariance's diagonal."""
     sigmas = np.sqrt(np.diag(of.cov))
-    return Belief(
+    return BeliefReport(
         path=of.path,
         d_body_pad_level_m=_vector(of.d_body_pad_level),
         v_pad_level_m_s=_vector(of.v_pad_level),
@@ -67,17 +67,17 @@ def belief(of: RelativeState, decision: Decision) -> Belief:
     )
 
 
-def order(command: Command | None) -> Order | None:
+def order(command: Command | None) -> CommandReport | None:
     """What guidance asked of the vehicle."""
     match command:
         case Velocity():
-            return Order(kind="velocity", v_level_m_s=_vector(command.v_level), yaw_rate_rad_s=command.yaw_rate_rad_s)
+            return CommandReport(kind="velocity", v_level_m_s=_vector(command.v_level), yaw_rate_rad_s=command.yaw_rate_rad_s)
         case Hover():
-            return Order(kind="hover")
+            return CommandReport(kind="hover")
         case TakeOff():
-            return Order(kind="takeoff")
+            return CommandReport(kind="takeoff")
         case Land():
-            return Order(kind="land")
+            return CommandReport(kind="land")
         case None:
             return None
 
@@ -97,10 +97,10 @@ def sighting(session: str, processed: ProcessedFrame) -> SightingMessage:
     )
 
 
-def _found(of: Sighting | None) -> Found | None:
+def _found(of: Sighting | None) -> MethodReport | None:
     if of is None:
         return None
-    return Found(
+    return MethodReport(
         d_body_pad_level_m=_vector(of.d_body_pad_level),
         yaw_rad=of.yaw_rad,
         yaw_ambiguous=of.yaw_ambiguous,

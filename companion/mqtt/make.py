@@ -10,7 +10,7 @@ from importlib import metadata
 from companion.config import secret_files
 from companion.mqtt import access
 from companion.mqtt.commands import CommandHandler
-from companion.mqtt.connection import Endpoint
+from companion.mqtt.connection import BrokerEndpoint
 from companion.mqtt.operator import PilotOperator
 from companion.mqtt.outbox import Outbox
 from companion.mqtt.part import MqttPart
@@ -34,7 +34,7 @@ def make_mqtt(
         BadInput: a secret, a certificate or the spool cannot be read or used.
     """
     session, topics = uuid.uuid4().hex[:12], Topics(settings.drone)
-    endpoint = Endpoint.of(settings)
+    endpoint = BrokerEndpoint.of(settings)
     spool = Spool(access.spool_folder(settings), settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
     key = secret_files.key(settings.command_key_file, "mqtt", "command_key_file")

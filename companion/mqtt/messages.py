@@ -27,7 +27,7 @@ class Message(Struct, frozen=True, kw_only=True):
     """When it was true."""
 
 
-class Status(Message, frozen=True, kw_only=True):
+class StatusMessage(Message, frozen=True, kw_only=True):
     """Retained. Whether the service is there; the last will says `online: false` for it."""
 
     online: bool
@@ -38,7 +38,7 @@ class Status(Message, frozen=True, kw_only=True):
     started_ns: int
 
 
-class Belief(Struct, frozen=True, kw_only=True):
+class BeliefReport(Struct, frozen=True, kw_only=True):
     """Where the pad is believed to be; axes forward, right, down of the body without roll and pitch."""
 
     path: str
@@ -53,7 +53,7 @@ class Belief(Struct, frozen=True, kw_only=True):
     consistent: bool
 
 
-class Order(Struct, frozen=True, kw_only=True):
+class CommandReport(Struct, frozen=True, kw_only=True):
     """What guidance asked of the vehicle."""
 
     kind: Literal["velocity", "hover", "takeoff", "land"]
@@ -72,19 +72,19 @@ class VehicleState(Struct, frozen=True, kw_only=True):
     age_s: float
 
 
-class State(Message, frozen=True, kw_only=True):
+class StateMessage(Message, frozen=True, kw_only=True):
     """The newest round of guidance."""
 
     phase: str
-    belief: Belief | None
-    shadows: tuple[Belief, ...]
+    belief: BeliefReport | None
+    shadows: tuple[BeliefReport, ...]
     """Beliefs of the paths that do not steer."""
-    order: Order | None
+    order: CommandReport | None
     """null while guidance leaves the vehicle to itself."""
     vehicle: VehicleState | None
 
 
-class Found(Struct, frozen=True, kw_only=True):
+class MethodReport(Struct, frozen=True, kw_only=True):
     """One method's answer about one frame."""
 
     d_body_pad_level_m: Vector3
@@ -95,7 +95,7 @@ class Found(Struct, frozen=True, kw_only=True):
     confidence: float
 
 
-class Sighting(Message, frozen=True, kw_only=True):
+class SightingMessage(Message, frozen=True, kw_only=True):
     """The newest frame and what became of it. `at_ns` is when vision had done with it."""
 
     measured_at_ns: int
@@ -104,8 +104,8 @@ class Sighting(Message, frozen=True, kw_only=True):
     verdict: str
     chosen: str | None
     """The method that speaks for the frame."""
-    selected: Found | None
-    methods: dict[str, Found | None]
+    selected: MethodReport | None
+    methods: dict[str, MethodReport | None]
 
 
 class PartReport(Struct, frozen=True, kw_only=True):
@@ -142,7 +142,7 @@ class HealthReport(Message, frozen=True, kw_only=True):
     counters: dict[str, dict[str, float]]
 
 
-class Event(Message, frozen=True, kw_only=True):
+class EventMessage(Message, frozen=True, kw_only=True):
     """Something that happened once. `id` is unique for ever and the same in every delivery; `sequence` counts without a gap
     within one `spool`, so that a consumer sees what was dropped."""
 
@@ -164,7 +164,7 @@ class OperatorNotice(Message, frozen=True, kw_only=True):
     """Whether commands are signed, or the broker answers for who may send them."""
 
 
-class Ordered(Struct, frozen=True, kw_only=True, tag_field="command", forbid_unknown_fields=True):
+class OperatorCommand(Struct, frozen=True, kw_only=True, tag_field="command", forbid_unknown_fields=True):
     """What every command carries."""
 
     id: Word
@@ -177,31 +177,31 @@ class Ordered(Struct, frozen=True, kw_only=True, tag_field="command", forbid_unk
     """`decklander/v1/<drone>/reply` (the default) or one name below it."""
 
 
-class Start(Ordered, frozen=True, kw_only=True, tag="start"):
+class StartCommand(OperatorCommand, frozen=True, kw_only=True, tag="start"):
     """Begin the approach, or go on with it."""
 
 
-class Pause(Ordered, frozen=True, kw_only=True, tag="pause"):
+class PauseCommand(OperatorCommand, frozen=True, kw_only=True, tag="pause"):
     """Hover until `start`."""
 
 
-class Abort(Ordered, frozen=True, kw_only=True, tag="abort"):
+class AbortCommand(OperatorCommand, frozen=True, kw_only=True, tag="abort"):
     """Hover, and leave it at that."""
 
 
-class SetPath(Ordered, frozen=True, kw_only=True, tag="path"):
+class SetPathCommand(OperatorCommand, frozen=True, kw_only=True, tag="path"):
     """Steer by this estimator."""
 
     path: PathName
 
 
-class SetRecording(Ordered, frozen=True, kw_only=True, tag="record"):
+class SetRecordingCommand(OperatorCommand, frozen=True, kw_only=True, tag="record"):
     """Recording on or off."""
 
     on: bool
 
 
-Command = Start | Pause | Abort | SetPath | SetRecording
+Command = StartCommand | PauseCommand | AbortCommand | SetPathCommand | SetRecordingCommand
 
 Refusal = Literal[
     "malformed",
@@ -217,7 +217,7 @@ Refusal = Literal[
 ]
 
 
-class Reply(Message, frozen=True, kw_only=True):
+class CommandReply(Message, frozen=True, kw_only=True):
     """The answer to a command."""
 
     id: str | None
@@ -229,13 +229,13 @@ class Reply(Message, frozen=True, kw_only=True):
 
 
 PUBLISHED: dict[str, type[Message]] = {
-    "status": Status,
-    "state": State,
-    "sighting": Sighting,
+    "status": StatusMessage,
+    "state": StateMessage,
+    "sighting": SightingMessage,
     "health": HealthReport,
-    "event": Event,
+    "event": EventMessage,
     "operator": OperatorNotice,
-    "reply": Reply,
+    "reply": CommandReply,
 }
 """Last part of the topic to the message that travels there."""
 
@@ -255,7 +255,7 @@ def decode(leaf: str, payload: bytes) -> Message | None:
 
 def schema() -> str:
     """JSON Schema of every message under `$defs`, one property a line."""
-    models = (*PUBLISHED.values(), Start, Pause, Abort, SetPath, SetRecording)
+    models = (*PUBLISHED.values(), StartCommand, PauseCommand, AbortCommand, SetPathCommand, SetRecordingCommand)
     _, definitions = msgspec.json.schema_components(models, ref_template="#/$defs/{name}")
     whole = []
     for name, definition in sorted(definitions.items()):

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from companion.mqtt.connection import Connection
 from companion.mqtt.disk import DiskThread
 from companion.mqtt.events import PendingEvent
-from companion.mqtt.messages import Event, encode
+from companion.mqtt.messages import EventMessage, encode
 from companion.mqtt.spool import Fsync, Record, Spool
 from drivers.mailbox import Line
 from estimator.contracts.errors import Recoverable
@@ -144,7 +144,7 @@ class Outbox:
 
     def _encoded(self, event: PendingEvent, number: int) -> bytes:
         return encode(
-            Event(
+            EventMessage(
                 session=self._session,
                 at_ns=event.at,
                 id=f"{self._session}-{number}",

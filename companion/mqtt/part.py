@@ -18,9 +18,9 @@ import aiomqtt
 
 from companion.mqtt import encode as encoding
 from companion.mqtt.commands import CommandHandler
-from companion.mqtt.connection import Connection, Endpoint, Publication, connect
+from companion.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
 from companion.mqtt.events import Changes, PendingEvent
-from companion.mqtt.messages import Message, OperatorNotice, Status, encode
+from companion.mqtt.messages import Message, OperatorNotice, StatusMessage, encode
 from companion.mqtt.outbox import Outbox
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.topics import Topics
@@ -52,7 +52,7 @@ class MqttPart:
     def __init__(
         self,
         settings: MqttSettings,
-        endpoint: Endpoint,
+        endpoint: BrokerEndpoint,
         outbox: Outbox,
         command_handler: CommandHandler,
         health: Health,
@@ -244,8 +244,8 @@ class MqttPart:
             self._stopping = True
             self._outbox.put(PendingEvent(self._clock.now(), "service", "service stopped"))
 
-    def _status(self, reason: Literal["up", "stopped", "lost"]) -> Status:
-        return Status(
+    def _status(self, reason: Literal["up", "stopped", "lost"]) -> StatusMessage:
+        return StatusMessage(
             session=self._session,
             at_ns=self._clock.now(),
             online=reason == "up",

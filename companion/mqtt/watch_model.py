@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from companion.mqtt.messages import PUBLISHED, Event, HealthReport, Sighting, State, Status, decode
+from companion.mqtt.messages import PUBLISHED, EventMessage, HealthReport, SightingMessage, StateMessage, StatusMessage, decode
 from companion.mqtt.topics import split
 
 EVENTS = 200
@@ -39,11 +39,11 @@ class DroneModel:
     """One drone as far as it was heard."""
 
     name: str
-    status: Status | None = None
-    state: State | None = None
-    sighting: Sighting | None = None
+    status: StatusMessage | None = None
+    state: StateMessage | None = None
+    sighting: SightingMessage | None = None
     health: HealthReport | None = None
-    events: deque[Event] = field(default_factory=lambda: deque(maxlen=EVENTS))
+    events: deque[EventMessage] = field(default_factory=lambda: deque(maxlen=EVENTS))
     arrivals: dict[str, Arrivals] = field(default_factory=dict)
     copies: int = 0
     """Events that came more than once."""
@@ -53,7 +53,7 @@ class DroneModel:
     _ids: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
     _last: tuple[str, int] | None = None
 
-    def on_message(self, leaf: str, payload: bytes, now_s: float) -> Event | None:
+    def on_message(self, leaf: str, payload: bytes, now_s: float) -> EventMessage | None:
         """Take a message; the event when it is a new one."""
         if leaf.partition("/")[0] not in PUBLISHED:
             return None
@@ -63,19 +63,19 @@ class DroneModel:
             return None
         self.arrivals.setdefault(leaf.partition("/")[0], Arrivals()).note(now_s)
         match message:
-            case Status():
+            case StatusMessage():
                 self.status = message
-            case State():
+            case StateMessage():
                 self.state = message
-            case Sighting():
+            case SightingMessage():
                 self.sighting = message
             case HealthReport():
                 self.health = message
-            case Event():
+            case EventMessage():
                 return self._event(message)
         return None
 
-    def _event(self, event: Event) -> Event | None:
+    def _event(self, event: EventMessage) -> EventMessage | None:
         if event.id in self._ids:
             self.copies += 1
             return None
@@ -97,7 +97,7 @@ class WatchModel:
     connected: bool = False
     trouble: str = ""
 
-    def on_message(self, topic: str, payload: bytes, now_s: float) -> tuple[DroneModel, Event | None] | None:
+    def on_message(self, topic: str, payload: bytes, now_s: float) -> tuple[DroneModel, EventMessage | None] | None:
         """Take a message; whose it was, and the event when it is a new one. None for what is not ours."""
         parts = split(topic)
         if parts is None or (self.only is not None and parts[0] != self.only):

@@ -6,7 +6,7 @@ import math
 import unicodedata
 from collections.abc import Callable
 
-from companion.mqtt.messages import Event, StageReport
+from companion.mqtt.messages import EventMessage, StageReport
 from companion.mqtt.watch_model import DroneModel, WatchModel
 
 STALE_S = 3.0
@@ -34,7 +34,7 @@ def screen(model: WatchModel, now_s: float, width: int, height: int, *, colour: 
     return [_cut(line, width) for line in lines[:height]]
 
 
-def line(drone: DroneModel, event: Event | None) -> str:
+def line(drone: DroneModel, event: EventMessage | None) -> str:
     """One plain line: the event, or else the drone's state."""
     if event is not None:
         return f"{drone.name} event {event.sequence} {event.kind}: {_clean(event.text)}"
@@ -128,7 +128,7 @@ def _wrapped(label: str, items: list[str], width: int) -> list[str]:
     return [text.rstrip() for text in lines]
 
 
-def _event(event: Event, paint: Paint) -> str:
+def _event(event: EventMessage, paint: Paint) -> str:
     colour = {"command": _YELLOW, "phase": _GREEN}.get(event.kind, _DIM)
     return f"{event.at_ns * 1e-9:12.2f} s  {event.sequence:>6}  {paint(f'{event.kind:<8}', colour)} {_clean(event.text)}"
 

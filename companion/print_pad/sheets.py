@@ -17,7 +17,7 @@ RULER_MM = 100.0
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class MarkLine:
     """A thin mark, mm from the sheet's top-left corner."""
 
     x0: float
@@ -52,7 +52,7 @@ class Sheet:
     from_y_mm: float
     window_width_mm: float
     window_height_mm: float
-    lines: tuple[Line, ...]
+    lines: tuple[MarkLine, ...]
     labels: tuple[Label, ...]
 
 
@@ -104,21 +104,21 @@ def _count(length: float, sheet: float, overlap: float) -> int:
     return max(1, math.ceil((length - overlap) / (sheet - overlap) - 1e-9))
 
 
-def _marks(size: tuple[float, float], margin: float, overlap: float, neighbours: dict[str, bool]) -> list[Line]:
+def _marks(size: tuple[float, float], margin: float, overlap: float, neighbours: dict[str, bool]) -> list[MarkLine]:
     """In the margins, where the middle of each overlap with a neighbour runs: cut there and butt the sheets."""
     w, h = size
     out = []
     for side, x in (("left", margin + overlap / 2), ("right", w - margin - overlap / 2)):
         if neighbours[side]:
-            out += [Line(x, margin - 2.5, x, margin), Line(x, h - margin, x, h - margin + 2.5)]
+            out += [MarkLine(x, margin - 2.5, x, margin), MarkLine(x, h - margin, x, h - margin + 2.5)]
     for side, y in (("top", margin + overlap / 2), ("bottom", h - margin - overlap / 2)):
         if neighbours[side]:
-            out += [Line(margin - 2.5, y, margin, y), Line(w - margin, y, w - margin + 2.5, y)]
+            out += [MarkLine(margin - 2.5, y, margin, y), MarkLine(w - margin, y, w - margin + 2.5, y)]
     return out
 
 
-def _ruler(size: tuple[float, float], margin: float) -> tuple[list[Line], Label]:
+def _ruler(size: tuple[float, float], margin: float) -> tuple[list[MarkLine], Label]:
     x, y = margin + 12.0, size[1] - margin + 3.5
-    ticks = [Line(x + t, y - (1.2 if t % 50 else 2.0), x + t, y) for t in range(0, int(RULER_MM) + 1, 10)]
+    ticks = [MarkLine(x + t, y - (1.2 if t % 50 else 2.0), x + t, y) for t in range(0, int(RULER_MM) + 1, 10)]
     text = "100 mm: print at 100 %, not fitted to the page"
-    return [Line(x, y, x + RULER_MM, y), *ticks], Label(x, y + 2.6, text, 2.2)
+    return [MarkLine(x, y, x + RULER_MM, y), *ticks], Label(x, y + 2.6, text, 2.2)

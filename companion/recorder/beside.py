@@ -6,18 +6,18 @@ from collections.abc import Callable
 from typing import Literal
 
 from companion.recorder.recorder import PART, Recorder
-from companion.runtime.beside import Beside
-from companion.runtime.containment import Guard
+from companion.runtime.beside import RestartablePart
+from companion.runtime.containment import CallGuard
 from companion.runtime.health import Health
 from estimator.contracts.time import MonoNs
 
 
-class RecorderBeside(Beside[Recorder]):
-    """See `Beside`."""
+class RecorderBeside(RestartablePart[Recorder]):
+    """See `RestartablePart`."""
 
     def __init__(self, make: Callable[[], Recorder], health: Health) -> None:
         self._wanted: bool | None = None
-        self._guard = Guard(f"{PART}.on_link", health)
+        self._guard = CallGuard(f"{PART}.on_link", health)
         super().__init__(PART, lambda: self._as_wanted(make()))
 
     def switch(self, on: bool) -> str | None:

@@ -33,7 +33,7 @@ class Part(Protocol):
 Made = TypeVar("Made", bound=Part)
 
 
-class Beside(Generic[Made]):
+class RestartablePart(Generic[Made]):
     """Makes the part at once, so that wrong settings are found before the service begins, and again after each failure.
 
     Args:

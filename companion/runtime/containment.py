@@ -28,7 +28,7 @@ REST_FIRST_S, REST_MOST_S = 10.0, 300.0
 """First and longest wait before the callee is tried again. Each wait is twice the last: memory or descriptors may come back."""
 
 
-class Guard:
+class CallGuard:
     """The way to one callee.
 
     Args:
@@ -83,8 +83,8 @@ class Audience:
     """All observers behind one, each method of each behind a guard of its own."""
 
     def __init__(self, observers: Sequence[Observer], health: Health) -> None:
-        def guard(observer: Observer, method: str) -> Guard:
-            return Guard(f"{name_of(observer)}.{method}", health)
+        def guard(observer: Observer, method: str) -> CallGuard:
+            return CallGuard(f"{name_of(observer)}.{method}", health)
 
         self._samples = [(guard(o, "on_sample"), o.on_sample) for o in observers]
         self._frames = [(guard(o, "on_frame"), o.on_frame) for o in observers]

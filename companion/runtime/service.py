@@ -15,7 +15,7 @@ from companion.config.model import Settings
 from companion.config.vehicle import AutopilotSettings
 from companion.observer import Observer
 from companion.pilot import Outcome, Pilot
-from companion.runtime.beside import Beside
+from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
 from companion.runtime.event_loop import heeded
 from companion.runtime.health import Health
@@ -74,7 +74,7 @@ def make_daemon(
     if settings.mqtt.transport != "off":
         from companion.mqtt.make import make_mqtt
 
-        mqtt = Beside("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording))
+        mqtt = RestartablePart("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording))
         watching.append(mqtt)
         extras["mqtt"] = mqtt.run
     if settings.metrics.endpoint != "off":

@@ -25,7 +25,7 @@ from drivers.ardrone.navdata_flight import (
     Time,
     Trims,
 )
-from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OPTION_HEADER, Layout
+from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OPTION_HEADER, OptionLayout
 from drivers.ardrone.navdata_sensors import (
     AdcDataFrame,
     Gps,
@@ -97,7 +97,7 @@ _CHECKSUM = struct.Struct("<HHI")
 
 T = TypeVar("T")
 
-_LAYOUTS: dict[int, tuple[Layout, ...]] = {}
+_LAYOUTS: dict[int, tuple[OptionLayout, ...]] = {}
 """By tag, the longest first: a body is read by the longest layout it can fill."""
 for _layout in sorted(LAYOUT_OF_CLASS.values(), key=lambda layout: -layout.size):
     _LAYOUTS[_layout.tag] = (*_LAYOUTS.get(_layout.tag, ()), _layout)

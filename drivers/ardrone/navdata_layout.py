@@ -25,7 +25,7 @@ OPTION_HEADER = struct.Struct("<HH")
 """Tag, size in bytes of the whole option with this header."""
 
 
-class Layout:
+class OptionLayout:
     """How one option class lies on the wire."""
 
     def __init__(self, tag: int, cls: type[Any]) -> None:
@@ -67,7 +67,7 @@ class Layout:
         return OPTION_HEADER.pack(self.tag, self.size) + self.body.pack(*values)
 
 
-LAYOUT_OF_CLASS: dict[type[Any], Layout] = {}
+LAYOUT_OF_CLASS: dict[type[Any], OptionLayout] = {}
 C = TypeVar("C", bound=type[Any])
 
 
@@ -75,7 +75,7 @@ def option(tag: int) -> Callable[[C], C]:
     """Enter a dataclass into the table of options under its tag; two classes of one tag differ in size."""
 
     def enter(cls: C) -> C:
-        LAYOUT_OF_CLASS[cls] = Layout(tag, cls)
+        LAYOUT_OF_CLASS[cls] = OptionLayout(tag, cls)
         return cls
 
     return enter

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from drivers.camera.images import claimed_size
 from drivers.camera.v4l2_device import Buffer, Device, KernelDevice
-from drivers.camera.v4l2_formats import H264Decoder, Layout, to_bgr
+from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from drivers.camera.v4l2_names import cameras, find
-from drivers.camera.video_source import Camera, CameraLost
+from drivers.camera.video_source import CameraLost, VideoSource
 from drivers.camera.video_source_options import V4l2Options
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
@@ -39,7 +39,7 @@ OpenDevice = Callable[[str, V4l2Options], Device]
 class V4l2Channel:
     """One run from opening to unplugging; run it again after that."""
 
-    def __init__(self, options: V4l2Options, clock: Clock, camera: Camera, open_device: OpenDevice = KernelDevice) -> None:
+    def __init__(self, options: V4l2Options, clock: Clock, camera: VideoSource, open_device: OpenDevice = KernelDevice) -> None:
         self._o = options
         self._clock = clock
         self._camera = camera
@@ -150,7 +150,7 @@ class V4l2Channel:
             self._note_size(buffer.data, device.layout)
         return None
 
-    def _note_size(self, data: bytes, layout: Layout) -> None:
+    def _note_size(self, data: bytes, layout: FrameLayout) -> None:
         """Count a JPEG of another size than was agreed; the first is named in the log."""
         claimed = claimed_size(data) if layout.format == "MJPG" else None
         if claimed is None or claimed == (layout.width, layout.height):

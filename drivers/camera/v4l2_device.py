@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from linuxpy.video import device as kernel
 from linuxpy.video import raw
 
-from drivers.camera.v4l2_formats import Layout
+from drivers.camera.v4l2_formats import FrameLayout
 from drivers.camera.video_source_options import FORMATS, V4l2Options
 from estimator.contracts.errors import BadInput, SetupImpossible
 
@@ -49,7 +49,7 @@ class Buffer:
 class Device(Protocol):
     """What the driver asks of a device."""
 
-    layout: Layout
+    layout: FrameLayout
     rate_hz: float
     exposure_s: float | None
 
@@ -136,7 +136,7 @@ class KernelDevice:
             what = "only multi-planar" if kernel.Capability.VIDEO_CAPTURE_MPLANE in caps else "no"
             raise SetupImpossible(f"camera {self._path}: it offers {what} video capture (another node of it may)")
 
-    def _set_format(self, o: V4l2Options) -> tuple[Layout, float]:
+    def _set_format(self, o: V4l2Options) -> tuple[FrameLayout, float]:
         offered = {f.pixel_format.human_str(): None for f in kernel.iter_read_formats(self._device, _CAPTURE)}
         wanted = [f for f in FORMATS if f in offered] if o.format == "auto" else [o.format] if o.format in offered else []
         if not wanted:
@@ -157,7 +157,7 @@ class KernelDevice:
             raise BadInput(f"camera {self._path}: no frame of {o.width}x{o.height} px; the nearest is {', '.join(sizes)}")
         return self._try(best[1], o)
 
-    def _try(self, name: str, o: V4l2Options) -> tuple[Layout, float]:
+    def _try(self, name: str, o: V4l2Options) -> tuple[FrameLayout, float]:
         kernel.set_format(self._device, _CAPTURE, o.width, o.height, name)
         rate_hz = 0.0
         try:
@@ -171,7 +171,7 @@ class KernelDevice:
             rate_hz = o.rate_hz
         got = kernel.get_raw_format(self._device, _CAPTURE).fmt.pix
         fourcc = kernel.human_pixel_format(int(got.pixelformat))
-        return Layout(fourcc, int(got.width), int(got.height), int(got.bytesperline)), rate_hz
+        return FrameLayout(fourcc, int(got.width), int(got.height), int(got.bytesperline)), rate_hz
 
     def _controls(self) -> dict[str, Any]:
         return {_control_name(c.name.decode()): c for c in kernel.iter_read_controls(self._device)}

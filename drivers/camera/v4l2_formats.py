@@ -18,7 +18,7 @@ U8 = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class FrameLayout:
     """What the device said it will send."""
 
     format: str
@@ -28,7 +28,7 @@ class Layout:
     """0 for compressed formats."""
 
 
-def to_bgr(data: bytes, layout: Layout) -> U8 | None:
+def to_bgr(data: bytes, layout: FrameLayout) -> U8 | None:
     """One buffer of a format whose frames stand alone, as (H, W, 3) BGR; None when it is torn, damaged or of another size.
 
     YUYV and NV12 are taken as BT.601 with studio swing, what webcams send and V4L2 assumes for standard definition.
@@ -47,7 +47,7 @@ def to_bgr(data: bytes, layout: Layout) -> U8 | None:
     return _u8(cv2.cvtColor(np.ascontiguousarray(lines[:, :w]), cv2.COLOR_GRAY2BGR))
 
 
-def _jpeg(data: bytes, layout: Layout) -> U8 | None:
+def _jpeg(data: bytes, layout: FrameLayout) -> U8 | None:
     # The decoder fills what a torn frame lacks with grey and says nothing, hence the end mark; drivers pad with zeros.
     whole = data.rstrip(b"\0")
     if not (whole.startswith(b"\xff\xd8") and whole.endswith(b"\xff\xd9")):
@@ -77,7 +77,7 @@ class H264Decoder:
         """For an IDR."""
         return self._codec is None
 
-    def decode(self, unit: bytes, layout: Layout) -> U8 | None:
+    def decode(self, unit: bytes, layout: FrameLayout) -> U8 | None:
         """One access unit as (H, W, 3) BGR; None while waiting, or when it is damaged (then it waits)."""
         if self._codec is None:
             if not stands_alone(unit):

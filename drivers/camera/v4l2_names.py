@@ -12,7 +12,7 @@ SYSFS = Path("/sys/class/video4linux")
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class CaptureDevice:
     """A capture device of this machine."""
 
     path: Path
@@ -27,7 +27,7 @@ class Found:
     """Among the nodes of one body: the first gives frames, a second often metadata."""
 
 
-def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path = Path("/dev")) -> list[Found]:
+def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path = Path("/dev")) -> list[CaptureDevice]:
     """Every video device with its most stable path, in order of that path."""
     stable: dict[Path, Path] = {}
     for folder in reversed(by_name):
@@ -39,11 +39,11 @@ def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path 
             continue
         node, device = dev / entry.name, entry / "device"
         body = device.resolve() if device.exists() else entry
-        found.append(Found(stable.get(node, node), node, _text(entry / "name"), body, int(_text(entry / "index") or 0)))
+        found.append(CaptureDevice(stable.get(node, node), node, _text(entry / "name"), body, int(_text(entry / "index") or 0)))
     return sorted(found, key=lambda f: str(f.path))
 
 
-def find(text: str, there: list[Found]) -> Path | None:
+def find(text: str, there: list[CaptureDevice]) -> Path | None:
     """The path that `text` means: itself when it is a path, else the one camera whose stable name or card holds it.
 
     Of several nodes of one camera (many have one for frames and one for metadata) the first is meant.

@@ -32,7 +32,7 @@ class CameraLost(Recoverable):
         self.reason = reason
 
 
-class Camera:
+class VideoSource:
     """An open camera. It may be away at the moment: see `down`."""
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Camera:
 
 
 @asynccontextmanager
-async def open_camera(options: CameraOptions, clock: Clock) -> AsyncIterator[Camera]:
+async def open_camera(options: CameraOptions, clock: Clock) -> AsyncIterator[VideoSource]:
     """Open the camera and keep it open; it does not wait for the first frame.
 
     A camera that is unplugged, silent or not there yet is tried again with growing rests and counted; the reader of `frames`
@@ -54,7 +54,7 @@ async def open_camera(options: CameraOptions, clock: Clock) -> AsyncIterator[Cam
         BadInput: the device cannot do what the options ask (size, format, control).
         SetupImpossible: no permission, or not a camera.
     """
-    camera = Camera()
+    camera = VideoSource()
     if isinstance(options, V4l2Options):
         from drivers.camera.v4l2 import V4l2Channel
 
@@ -84,7 +84,7 @@ async def open_camera(options: CameraOptions, clock: Clock) -> AsyncIterator[Cam
 
 
 async def _reconnect(
-    name: str, body: Callable[[], Awaitable[None]], camera: Camera, clock: Clock, timeouts: SourceTimeouts
+    name: str, body: Callable[[], Awaitable[None]], camera: VideoSource, clock: Clock, timeouts: SourceTimeouts
 ) -> None:
     wait_s = timeouts.first_s
     said: str | None = None

@@ -22,7 +22,7 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from drivers.camera.images import ImageRefused
-from drivers.camera.video_source import Camera, CameraLost
+from drivers.camera.video_source import CameraLost, VideoSource
 from drivers.camera.video_source_options import CameraCounters, StreamOptions
 from drivers.camera.videos import MOST_PACKET_BYTES, open_video
 from drivers.clock_map import ClockMap, ClockMapOptions
@@ -46,7 +46,7 @@ class _Image:
 class StreamChannel:
     """One run from opening to the end; run it again after that."""
 
-    def __init__(self, options: StreamOptions, clock: Clock, camera: Camera) -> None:
+    def __init__(self, options: StreamOptions, clock: Clock, camera: VideoSource) -> None:
         self._o = options
         self._clock = clock
         self._camera = camera

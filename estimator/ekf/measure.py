@@ -71,7 +71,7 @@ class LinearizedMeasurement(NamedTuple):
     """(3, N) of a sighting: how the rate of what it shows depends on the state; (0, N) of all else."""
 
 
-class Deck(NamedTuple):
+class PadAttitude(NamedTuple):
     """How the pad stands and turns."""
 
     R: F64
@@ -82,14 +82,14 @@ class Deck(NamedTuple):
     """(3,) rad/s."""
 
 
-def deck(x: F64) -> Deck:
+def deck(x: F64) -> PadAttitude:
     """From heading, list, and the oscillators of roll and pitch."""
     roll, pitch, yaw = float(x[_ROLL] + x[DECK_TRIM[0]]), float(x[_PITCH] + x[DECK_TRIM[1]]), float(x[PAD_YAW])
     R = so3.from_rpy(roll, pitch, yaw)
     c, s = math.cos(yaw), math.sin(yaw)
     cp = math.cos(pitch)
     axes = np.array([[c * cp, -s, 0.0], [s * cp, c, 0.0], [-math.sin(pitch), 0.0, 1.0]])
-    return Deck(R, axes, axes.dot([x[DECK_RATE[3]], x[DECK_RATE[4]], x[YAW_RATE] + x[TURN_RATE]]))
+    return PadAttitude(R, axes, axes.dot([x[DECK_RATE[3]], x[DECK_RATE[4]], x[YAW_RATE] + x[TURN_RATE]]))
 
 
 def v_pad_ned(x: F64) -> F64:

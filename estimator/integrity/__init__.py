@@ -9,7 +9,7 @@ Pure: values in, values out. Freshness is of the world and not of the packet: a 
 nothing new is refused, so that the estimate ages.
 """
 
-from estimator.integrity.guard import Guard, admit, admit_frame, admit_sighting, doubts, fused
+from estimator.integrity.guard import IntegrityGuard, admit, admit_frame, admit_sighting, doubts, fused
 from estimator.integrity.options import IntegrityOptions
 
-__all__ = ["Guard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "doubts", "fused"]
+__all__ = ["IntegrityGuard", "IntegrityOptions", "admit", "admit_frame", "admit_sighting", "doubts", "fused"]

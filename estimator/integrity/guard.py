@@ -19,7 +19,7 @@ _OLD_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Guard:
+class IntegrityGuard:
     """Everything the watches remember. Immutable."""
 
     options: IntegrityOptions = field(default_factory=IntegrityOptions)
@@ -33,7 +33,7 @@ class Guard:
     """True until the vehicle reports that it is in the air."""
 
 
-def admit(guard: Guard, event: Sample) -> tuple[Guard, Verdict | None]:
+def admit(guard: IntegrityGuard, event: Sample) -> tuple[IntegrityGuard, Verdict | None]:
     """Take one sample; None when it may go to the estimator."""
     o, kind = guard.options, type(event).__name__
     watch, verdict = clock.watch_arrival(guard.clock, kind, event.stamp, o.clock_step_max_s)
@@ -54,15 +54,15 @@ def admit(guard: Guard, event: Sample) -> tuple[Guard, Verdict | None]:
     return guard, verdict
 
 
-def admit_frame(guard: Guard, frame: Frame) -> tuple[Guard, Verdict | None]:
+def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:
     """Take one frame before anything is looked for in it; REPEATED when its pixels were there before."""
     watch, repeated = frames.watch(guard.frames, frame.px)
     return replace(guard, frames=watch), Verdict.REPEATED if repeated else None
 
 
 def admit_sighting(
-    guard: Guard, sighting: Sighting, attitude: Attitude | None, belief: RelativeState | None
-) -> tuple[Guard, Verdict | None]:
+    guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None, belief: RelativeState | None
+) -> tuple[IntegrityGuard, Verdict | None]:
     """Take one sighting.
 
     Args:
@@ -90,7 +90,7 @@ def admit_sighting(
     return replace(guard, tracks=following), None if explained else Verdict.ELSEWHERE
 
 
-def fused(guard: Guard, sighting: Sighting, attitude: Attitude | None) -> Guard:
+def fused(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None) -> IntegrityGuard:
     """The steering estimator took a sighting that was let through."""
     guard = replace(guard, tracks=tracks.fused(guard.tracks, _place(sighting, attitude)))
     if attitude is None:
@@ -98,7 +98,7 @@ def fused(guard: Guard, sighting: Sighting, attitude: Attitude | None) -> Guard:
     return replace(guard, heights=heights.saw(guard.heights, sighting, attitude.R_ned_body))
 
 
-def doubts(guard: Guard, now: MonoNs) -> tuple[Doubt, ...]:
+def doubts(guard: IntegrityGuard, now: MonoNs) -> tuple[Doubt, ...]:
     """Return the reasons not to descend by the estimate."""
     found = []
     if guard.frames.frozen:

@@ -38,7 +38,7 @@ class Place(NamedTuple):
     sigma_down_m: float
 
 
-class Candidate(NamedTuple):
+class TrackCandidate(NamedTuple):
     """Another place in which a pad is seen."""
 
     first: int
@@ -58,7 +58,7 @@ class Tracks(NamedTuple):
     n: int = 0
     """Sightings of this track."""
     last: Place | None = None
-    candidates: tuple[Candidate, ...] = ()
+    candidates: tuple[TrackCandidate, ...] = ()
 
     def disputed(self, now: int) -> bool:
         """Return whether a pad was seen elsewhere more than by accident within the last second."""
@@ -103,23 +103,23 @@ def fused(tracks: Tracks, seen: Place) -> Tracks:
     return tracks._replace(n=tracks.n + 1, last=last, candidates=alive)
 
 
-def _adopted(tracks: Tracks, chosen: Candidate, candidates: tuple[Candidate, ...], o: IntegrityOptions) -> bool:
+def _adopted(tracks: Tracks, chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], o: IntegrityOptions) -> bool:
     seen = chosen.last.t
     alone = all(c is chosen or c.n < _SEEN_AT_LEAST or seen - c.last.t > _ALIVE_S * 1e9 for c in candidates)
     unseen = tracks.last is None or tracks.last.t < chosen.first
     return alone and unseen and chosen.n >= _ESTABLISHED and seen - chosen.first >= o.adopt_s * 1e9
 
 
-def _joins(c: Candidate, seen: Place, o: IntegrityOptions) -> bool:
+def _joins(c: TrackCandidate, seen: Place, o: IntegrityOptions) -> bool:
     return abs(seen.t - c.last.t) <= _ALIVE_S * 1e9 and _beside(c.last, seen, o)
 
 
 def _with(
-    candidates: tuple[Candidate, ...], known: Candidate | None, seen: Place, expected: Place | None
-) -> tuple[Candidate, ...]:
+    candidates: tuple[TrackCandidate, ...], known: TrackCandidate | None, seen: Place, expected: Place | None
+) -> tuple[TrackCandidate, ...]:
     """The candidates with one more look, which joins `known` or begins another."""
     then = (math.inf, math.inf) if expected is None else (expected.sigma_m, expected.sigma_down_m)
-    chosen = Candidate(seen.t, 1, seen, then) if known is None else known._replace(n=known.n + 1, last=seen)
+    chosen = TrackCandidate(seen.t, 1, seen, then) if known is None else known._replace(n=known.n + 1, last=seen)
     others = [c for c in candidates if c is not known and seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9]
     return (*sorted(others, key=lambda c: c.last.t)[-(_MOST - 1) :], chosen)
 

@@ -20,7 +20,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
 from estimator.vision.detect import verification
-from estimator.vision.detect.acquire import Candidate, acquire, align_at
+from estimator.vision.detect.acquire import PadCandidate, acquire, align_at
 from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
@@ -189,7 +189,7 @@ def _verify_cues(
     return replace(thesis, methods=MappingProxyType(methods)), best
 
 
-def _verified(tracker: TrackerConfig, pyramid: Pyramid, cue: Sighting, orientation: Orientation) -> Candidate | None:
+def _verified(tracker: TrackerConfig, pyramid: Pyramid, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
     """The drawing laid where a method says the pad is; by the heading that fits best where it says none."""
     flat = _in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, tracker.camera)
     if flat.t_cam_pad[2] < 0.05:

@@ -11,7 +11,7 @@ from typing import Any
 
 from drivers.ardrone import navdata
 from drivers.ardrone.navdata import Navdata
-from sitl.airframe import Limits
+from sitl.airframe import StickLimits
 from sitl.world import Phase, Readings, Stick
 
 STANDARD_GRAVITY = 9.80665
@@ -48,7 +48,7 @@ class Situation:
     time_us: int
     """Of the drone's clock."""
     stick: Stick
-    limits: Limits
+    limits: StickLimits
     shot: Shot
     echoes: int
     """Ultrasound echoes so far: a new one may read the same as the last."""

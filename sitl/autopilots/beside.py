@@ -21,7 +21,7 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
 
 
-class Beside:
+class FlightDaemon:
     """The daemon of one flight, and the way into it.
 
     Args:

@@ -34,7 +34,7 @@ from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.time import seconds_between
 from sitl.autopilots import arducopter, px4
 from sitl.autopilots.ardupilot_json import CURVE, JsonBackend, serve_json
-from sitl.autopilots.beside import Beside, beside_autopilot
+from sitl.autopilots.beside import FlightDaemon, beside_autopilot
 from sitl.autopilots.body import Body, Landing
 from sitl.autopilots.camera import LockStepCamera
 from sitl.autopilots.lock_step import LockStepClock
@@ -53,7 +53,7 @@ _SILENT_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Autopilot:
+class AutopilotProgram:
     """Which program is flown, and how."""
 
     name: Name
@@ -89,7 +89,7 @@ class AutopilotFlight:
     seed: int
     settings: Settings
     """Of the daemon; the autopilot becomes its vehicle."""
-    autopilot: Autopilot
+    autopilot: AutopilotProgram
     folder: Path
     """The program's working directory."""
     observers: Sequence[Observer] = ()
@@ -119,7 +119,7 @@ class AutopilotFlight:
         to_daemon, to_station = px4.MAVLINK_PORTS if self.autopilot.name == "px4" else (free_udp_port(), free_udp_port())
         settings = beside_autopilot(self.settings, f"udpin://{HOST}:{to_daemon}")
         pilot = make_pilot(settings)
-        side = Beside(settings, pilot, self.clock, self.observers)
+        side = FlightDaemon(settings, pilot, self.clock, self.observers)
         link = LinkOptions(parse_endpoint(f"udpin://{HOST}:{to_station}"))
         failed: Recoverable | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
@@ -149,7 +149,7 @@ class AutopilotFlight:
             raise failed
         return end
 
-    async def _conduct(self, links: Links, side: Beside, pilot: Pilot, daemon: asyncio.Task[Outcome | None]) -> FlightEnd:
+    async def _conduct(self, links: Links, side: FlightDaemon, pilot: Pilot, daemon: asyncio.Task[Outcome | None]) -> FlightEnd:
         station, camera = self.station, self._camera
         assert camera is not None
         while station.task is not Task.FAILED:

@@ -23,7 +23,7 @@ from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from sitl.airframe import Airframe
-from sitl.autopilots.beside import Beside, beside_autopilot
+from sitl.autopilots.beside import FlightDaemon, beside_autopilot
 from sitl.autopilots.body import Landing
 from sitl.autopilots.pose import Pose, PoseSource
 from sitl.camera import Shot
@@ -124,7 +124,7 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
     clock = SystemClock()
     settings = beside_autopilot(settings, url, start=settings.guidance.start)
     pilot = make_pilot(settings)
-    side = Beside(settings, pilot, clock, observers)
+    side = FlightDaemon(settings, pilot, clock, observers)
     watcher = _Watcher(scenario, seed, side, clock)
     with ThreadPoolExecutor(1, thread_name_prefix="camera") as pool:
         async with asyncio.TaskGroup() as group:
@@ -141,7 +141,7 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
 class _Watcher:
     """Takes poses, makes frames, notes how it came down."""
 
-    def __init__(self, scenario: Scenario, seed: int, side: Beside, clock: SystemClock) -> None:
+    def __init__(self, scenario: Scenario, seed: int, side: FlightDaemon, clock: SystemClock) -> None:
         self._scenario, self._seed, self._side, self._clock = scenario, seed, side, clock
         self._source = PoseSource()
         self._deck: DeckUnder | None = None

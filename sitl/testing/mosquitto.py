@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.mqtt.connection import Connection, Endpoint, Publication, connect
+from companion.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
 from companion.mqtt.settings import MqttSettings
 
 MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
@@ -173,7 +173,7 @@ class Broker:
     @asynccontextmanager
     async def ground(self) -> AsyncIterator[Connection]:
         """A ground station's connection."""
-        async with connect(Endpoint.of(self.settings("ground")), "ground", incoming=100_000) as connection:
+        async with connect(BrokerEndpoint.of(self.settings("ground")), "ground", incoming=100_000) as connection:
             yield connection
 
 

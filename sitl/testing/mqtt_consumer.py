@@ -9,7 +9,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from companion.mqtt.access import password, tls_context
-from companion.mqtt.messages import Event, decode
+from companion.mqtt.messages import EventMessage, decode
 from sitl.testing.mosquitto import Broker
 
 
@@ -21,7 +21,7 @@ class Consumer:
         self._total = total
         self._ids: set[str] = set()
         self.numbers: list[int] = []
-        self.others: list[Event] = []
+        self.others: list[EventMessage] = []
         self.copies = 0
         self.listening = asyncio.Event()
         self.done = asyncio.Event()
@@ -50,7 +50,7 @@ class Consumer:
 
     def _take(self, payload: bytes) -> None:
         event = decode("event", payload)
-        assert isinstance(event, Event)
+        assert isinstance(event, EventMessage)
         if event.id in self._ids:
             self.copies += 1
             return

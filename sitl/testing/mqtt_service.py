@@ -13,7 +13,7 @@ import numpy as np
 
 from companion.config import secret_files
 from companion.mqtt.commands import CommandHandler
-from companion.mqtt.connection import Endpoint
+from companion.mqtt.connection import BrokerEndpoint
 from companion.mqtt.events import PendingEvent
 from companion.mqtt.outbox import Outbox
 from companion.mqtt.part import MqttPart
@@ -105,7 +105,9 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     command_handler = CommandHandler(
         topics, session, operator, RUN, secret_files.key(settings.command_key_file, "mqtt", "command_key_file")
     )
-    part = MqttPart(settings, Endpoint.of(settings), outbox, command_handler, health, clock, session=session, version="1.2.3")
+    part = MqttPart(
+        settings, BrokerEndpoint.of(settings), outbox, command_handler, health, clock, session=session, version="1.2.3"
+    )
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(run({"mqtt": part.run}, Restart(), health, clock, until=ended))

@@ -42,7 +42,7 @@ _LEGS = (
 
 
 @dataclass(frozen=True)
-class Hull:
+class HullResponse:
     """How a vessel answers waves."""
 
     heave_rad_s: float
@@ -53,11 +53,11 @@ class Hull:
     """Deck slope over wave slope for long waves."""
 
 
-FERRY = Hull(1.6, 1.1, 0.15, 0.5)
-BOAT = Hull(4.0, 3.0, 0.2, 0.7)
-PLATFORM = Hull(1.2, 0.6, 0.2, 0.2)
+FERRY = HullResponse(1.6, 1.1, 0.15, 0.5)
+BOAT = HullResponse(4.0, 3.0, 0.2, 0.7)
+PLATFORM = HullResponse(1.2, 0.6, 0.2, 0.2)
 
-SEAS: dict[str, tuple[Hull, tuple[tuple[float, float, float], ...]]] = {
+SEAS: dict[str, tuple[HullResponse, tuple[tuple[float, float, float], ...]]] = {
     "calm": (FERRY, ()),
     "jonswap": (FERRY, ((1.5, 7.0, 3.3),)),
     "small boat": (BOAT, ((0.5, 3.5, 3.3),)),
@@ -204,7 +204,7 @@ class Voyage:
     @staticmethod
     def _answered(
         rng: np.random.Generator,
-        hull: Hull,
+        hull: HullResponse,
         w: NDArray[np.floating],
         z: NDArray[np.complexfloating],
         n: int,

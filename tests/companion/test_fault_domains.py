@@ -209,11 +209,11 @@ def test_a_part_that_fails_again_and_again_is_given_up_unless_it_is_the_outside_
 
 
 def test_an_observer_that_was_set_aside_is_tried_again_and_comes_back() -> None:
-    from companion.runtime.containment import Guard
+    from companion.runtime.containment import CallGuard
 
     clock = VirtualClock()
     health = Health(clock)
-    guard, calls = Guard("x", health, limit=2), 0
+    guard, calls = CallGuard("x", health, limit=2), 0
 
     def callee() -> int:
         nonlocal calls

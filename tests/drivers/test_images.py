@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from drivers.camera import images
 from drivers.camera.images import MOST_PIXELS, ImageRefused, claimed_size, decode
-from drivers.camera.v4l2_formats import H264Decoder, Layout, to_bgr
+from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from drivers.camera.videos import open_video
 from drivers.imports import video
 from estimator.contracts.errors import BadInput
@@ -67,7 +67,7 @@ def test_a_claim_of_gigabytes_never_reaches_the_decoder(suffix: str, side: int) 
     with pytest.raises(ImageRefused, match="expected 640x480"):
         decode(bomb, (640, 480))
     if suffix == ".jpg":
-        assert to_bgr(bomb, Layout("MJPG", 640, 480, 0)) is None
+        assert to_bgr(bomb, FrameLayout("MJPG", 640, 480, 0)) is None
 
 
 def test_a_file_without_end_is_read_no_further_than_an_image_goes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,7 +122,7 @@ def test_a_video_of_far_larger_frames_is_refused_before_it_is_decoded(large: Pat
     with pytest.raises(BadInput, match=r"large\.h264: not a readable video: frames of 3072x3072 px"):
         next(video.frames(large, (640, 480)))
     decoder = H264Decoder()
-    assert decoder.decode(large.read_bytes(), Layout("H264", 640, 480, 0)) is None
+    assert decoder.decode(large.read_bytes(), FrameLayout("H264", 640, 480, 0)) is None
     assert decoder.waiting
     assert peak_mib() - before < 20
     with open_video(str(large)) as container:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, Layout
+from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OptionLayout
 from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.samples import Sampler, samples_from_navdata
 from estimator.contracts.time import MonoNs, Stamp
@@ -41,7 +41,7 @@ RENAMED = {
 """Names in the capture's description to ours, where they differ."""
 
 
-def told_apart(layout: Layout) -> Any:
+def told_apart(layout: OptionLayout) -> Any:
     """An option whose every number differs from every other."""
     numbers = itertools.count(1)
     arguments = []
@@ -54,7 +54,7 @@ def told_apart(layout: Layout) -> Any:
     return layout.cls(*arguments)
 
 
-def _letters(codes: str, layout: Layout) -> list[tuple[bool, str]]:
+def _letters(codes: str, layout: OptionLayout) -> list[tuple[bool, str]]:
     out, count = [], ""
     for c in codes:
         if c.isdigit():
@@ -123,7 +123,7 @@ def test_time_capture_is_milliseconds_just_before_the_datagram() -> None:
 
 
 @pytest.mark.parametrize("layout", LAYOUT_OF_CLASS.values(), ids=lambda layout: layout.cls.__name__)
-def test_no_two_fields_are_swapped(layout: Layout) -> None:
+def test_no_two_fields_are_swapped(layout: OptionLayout) -> None:
     option = told_apart(layout)
     datagram = nd.encode(nd.Navdata.of(7, 9, (option,)))
     decoded = nd.decode(datagram)

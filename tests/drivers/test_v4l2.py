@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from drivers.camera.v4l2 import V4l2Channel, stamp_of
 from drivers.camera.v4l2_device import Buffer
-from drivers.camera.v4l2_formats import H264Decoder, Layout, stands_alone, to_bgr
-from drivers.camera.v4l2_names import Found, cameras, find
-from drivers.camera.video_source import Camera, CameraLost
+from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, stands_alone, to_bgr
+from drivers.camera.v4l2_names import CaptureDevice, cameras, find
+from drivers.camera.video_source import CameraLost, VideoSource
 from drivers.camera.video_source_options import CameraCounters, SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
@@ -66,7 +66,7 @@ class FakeDevice:
     """Buffers put in are read in order; `unplug` makes it answer as the kernel does."""
 
     def __init__(self, form: str = "YUYV", stride: int = 2 * W) -> None:
-        self.layout = Layout(form, W, H, stride)
+        self.layout = FrameLayout(form, W, H, stride)
         self.rate_hz = 30.0
         self.exposure_s: float | None = 0.01
         self.queue: deque[Buffer] = deque()
@@ -110,7 +110,7 @@ def buffer(sequence: int, data: bytes | None = None, error: bool = False, age_s:
     return Buffer(yuyv() if data is None else data, sequence, stamp_ns, True, False, error)
 
 
-async def run(camera: Camera, device: FakeDevice, story: Any, **more: Any) -> str:
+async def run(camera: VideoSource, device: FakeDevice, story: Any, **more: Any) -> str:
     """Run the channel beside `story` until it is lost; the reason."""
     channel = V4l2Channel(options(**more), CLOCK, camera, lambda path, o: device)
     async with asyncio.timeout(60), asyncio.TaskGroup() as group:
@@ -127,7 +127,7 @@ def accounted(c: CameraCounters) -> bool:
 
 
 async def test_frames_gaps_damage_and_unplugging_are_all_counted() -> None:
-    camera, device = Camera(), FakeDevice()
+    camera, device = VideoSource(), FakeDevice()
     seqs: list[int] = []
 
     async def story() -> None:
@@ -155,7 +155,7 @@ async def test_frames_gaps_damage_and_unplugging_are_all_counted() -> None:
 
 
 async def test_an_image_that_claims_another_size_is_named_once_and_counted(caplog: pytest.LogCaptureFixture) -> None:
-    camera, device = Camera(), FakeDevice("MJPG", 0)
+    camera, device = VideoSource(), FakeDevice("MJPG", 0)
 
     async def story() -> None:
         for sequence in range(3):
@@ -174,7 +174,7 @@ async def test_an_image_that_claims_another_size_is_named_once_and_counted(caplo
 
 
 async def test_the_count_goes_on_over_its_wrap_and_a_new_count_is_no_gap() -> None:
-    camera, device = Camera(), FakeDevice()
+    camera, device = VideoSource(), FakeDevice()
 
     async def story() -> None:
         for sequence in (2**32 - 1, 0, 2, 0):
@@ -190,7 +190,7 @@ async def test_silence_ends_the_run() -> None:
     async def story() -> None:
         return
 
-    assert await run(Camera(), FakeDevice(), story, timeouts=SourceTimeouts(0.05, 0.01, 0.01)) == "silent"
+    assert await run(VideoSource(), FakeDevice(), story, timeouts=SourceTimeouts(0.05, 0.01, 0.01)) == "silent"
 
 
 async def test_cancelled_at_any_time_it_closes_the_device() -> None:
@@ -203,7 +203,7 @@ async def test_cancelled_at_any_time_it_closes_the_device() -> None:
             loop.call_soon_threadsafe(opened.set)
             return device
 
-        task = loop.create_task(V4l2Channel(options(), CLOCK, Camera(), open_device).run())
+        task = loop.create_task(V4l2Channel(options(), CLOCK, VideoSource(), open_device).run())
         await opened.wait()
         device.put(*[buffer(i) for i in range(4)])
         await asyncio.sleep(delay_s)
@@ -216,7 +216,7 @@ async def test_cancelled_at_any_time_it_closes_the_device() -> None:
 @pytest.mark.parametrize("damage", ["gap", "error", "garbage"])
 async def test_h264_waits_for_a_image_that_stands_alone_after_any_damage(damage: str) -> None:
     units = h264(6)
-    camera, device = Camera(), FakeDevice("H264", 0)
+    camera, device = VideoSource(), FakeDevice("H264", 0)
     assert [stands_alone(u) for u in units] == [True] + [False] * 5
     seen: list[int] = []
 
@@ -256,7 +256,7 @@ def test_formats_come_out_as_the_image_that_went_in(form: str) -> None:
     data = np.pad(lines, ((0, 0), (0, pad)), constant_values=77).tobytes()
     if form == "MJPG":
         data = cv2.imencode(".jpg", px, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes() + bytes(100)
-    layout = Layout(form, W, H, lines.shape[1] + pad)
+    layout = FrameLayout(form, W, H, lines.shape[1] + pad)
     out = H264Decoder().decode(h264(1)[0], layout) if form == "H264" else to_bgr(data, layout)
     assert out is not None
     wanted = cv2.cvtColor(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR) if form == "GREY" else px
@@ -275,7 +275,7 @@ def test_a_webcams_jpeg_without_huffman_tables_is_read() -> None:
         at += size
     bare = out + data[at:]
     assert b"\xff\xc4" not in bare
-    px = to_bgr(bare, Layout("MJPG", W, H, 0))
+    px = to_bgr(bare, FrameLayout("MJPG", W, H, 0))
     assert px is not None
     assert np.median(np.abs(px.astype(int) - image())) <= 6
 
@@ -283,12 +283,12 @@ def test_a_webcams_jpeg_without_huffman_tables_is_read() -> None:
 @given(form=st.sampled_from(["YUYV", "NV12", "GREY", "MJPG"]), data=st.binary(max_size=3 * W * H), cut=st.integers(0, 3000))
 @settings(deadline=None, max_examples=60)
 def test_torn_bytes_are_refused_and_never_raise(form: str, data: bytes, cut: int) -> None:
-    layout = Layout(form, W, H, 2 * W if form == "YUYV" else W)
+    layout = FrameLayout(form, W, H, 2 * W if form == "YUYV" else W)
     jpeg = cv2.imencode(".jpg", image())[1].tobytes()
     for bad in (data, jpeg[: min(cut, len(jpeg) - 3)]):
         out = to_bgr(bad, layout)
         assert out is None or out.shape == (H, W, 3)
-    assert to_bgr(jpeg[: min(cut, len(jpeg) - 3)], Layout("MJPG", W, H, 0)) is None
+    assert to_bgr(jpeg[: min(cut, len(jpeg) - 3)], FrameLayout("MJPG", W, H, 0)) is None
     decoder = H264Decoder()
     assert decoder.decode(data, layout) is None
     assert decoder.decode(b"\0\0\1\x65" + data, layout) is None
@@ -341,7 +341,7 @@ def test_cameras_are_found_by_what_does_not_move(tmp_path: Path) -> None:
         if name:
             (by_id / name).symlink_to(dev / node)
     there = cameras((by_id,), sysfs, dev)
-    assert Found(by_id / "usb-Nice_Cam_B2-video-index0", dev / "video2", "Nice Cam", tmp_path / "usb2") in there
+    assert CaptureDevice(by_id / "usb-Nice_Cam_B2-video-index0", dev / "video2", "Nice Cam", tmp_path / "usb2") in there
     assert find("nameless", there) == dev / "video9"
     assert find("cam_a1", there) == by_id / "usb-Nice_Cam_A1-video-index0"
     assert find("video3", there) == dev / "video3"

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from drivers.camera.video_source import Camera
+from drivers.camera.video_source import VideoSource
 from estimator.contracts.samples import Frame
 
 Seen = dict[str, Any]
@@ -23,7 +23,7 @@ async def until(true: Callable[[], bool]) -> None:
         await asyncio.sleep(0.02)
 
 
-async def settled(camera: Camera) -> Seen:
+async def settled(camera: VideoSource) -> Seen:
     """The counters between two frames: a buffer still being decoded has no verdict yet."""
     for _ in range(200):
         counted = camera.counters.as_dict()
@@ -33,7 +33,7 @@ async def settled(camera: Camera) -> Seen:
     return counted
 
 
-async def take(camera: Camera, n: int) -> list[Frame]:
+async def take(camera: VideoSource, n: int) -> list[Frame]:
     frames: list[Frame] = []
     try:
         async with asyncio.timeout(30):

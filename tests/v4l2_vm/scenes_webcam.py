@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.v4l2_names import cameras
-from drivers.camera.video_source import Camera, open_camera
+from drivers.camera.video_source import VideoSource, open_camera
 from drivers.camera.video_source_options import SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError
@@ -88,7 +88,7 @@ def options(**more: Any) -> V4l2Options:
     return V4l2Options(**(settings | {"timeouts": SourceTimeouts(2.0, 0.1, 0.4)} | more))
 
 
-async def look(camera: Camera, n: int) -> Seen:
+async def look(camera: VideoSource, n: int) -> Seen:
     return describe(await take(camera, n)) | await settled(camera)
 
 

@@ -59,7 +59,7 @@ _NEAR_SHARE = 0.10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
+class PadCandidate:
     """Where the pad may be."""
 
     pose: PadPose
@@ -93,7 +93,7 @@ def acquire(
     memory: PaintMemory = FRESH,
     *,
     sure: float = SURE,
-) -> list[Candidate]:
+) -> list[PadCandidate]:
     """Candidates for the pad, best first; none where nothing resembles it.
 
     Args:
@@ -110,7 +110,7 @@ def acquire(
         raise ValueError(f"the frame is {px.shape[1]}x{px.shape[0]} px, the camera's are {camera.width}x{camera.height}")
     pyramid = Pyramid(px)
     plane = Plane.of(camera, R_level_body)
-    found: list[Candidate] = []
+    found: list[PadCandidate] = []
     for stage in _stages(pyramid, camera, pad, plane, memory):
         for guesses, most in stage:
             found += _align(guesses, found, most, pyramid, camera, pad, sure)
@@ -140,10 +140,10 @@ def _stages(
 
 
 def _align(
-    guesses: list[_Guess], tried: list[Candidate], most: int, pyramid: Pyramid, camera: Camera, pad: Pad, sure: float
-) -> list[Candidate]:
+    guesses: list[_Guess], tried: list[PadCandidate], most: int, pyramid: Pyramid, camera: Camera, pad: Pad, sure: float
+) -> list[PadCandidate]:
     """The drawing laid on the best guesses of a stage, unless it was laid there before."""
-    out: list[Candidate] = []
+    out: list[PadCandidate] = []
     aligned = 0
     for guess in sorted(guesses, key=lambda g: -g.score):
         if guess.score < _LEAST_GUESS or aligned == _TRIES * most:
@@ -163,7 +163,7 @@ def _align(
 
 def align_at(
     pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None = None
-) -> Candidate | None:
+) -> PadCandidate | None:
     """The drawing laid on the frame from one rough pose, and judged; None where it does not fit at all.
 
     Args:
@@ -181,7 +181,7 @@ def align_at(
         if turned is not None:
             aligned, arrow = turned, arrow_support(turned)
     values = features(aligned, pad)
-    return Candidate(
+    return PadCandidate(
         aligned.pose, confidence(values, ALONE_LOG_ODDS * alone(values)), arrow < _ARROW_SEEN, aligned.in_view, values, aligned
     )
 
@@ -339,8 +339,8 @@ def _near(a: PadPose, b: PadPose) -> bool:
     )
 
 
-def _distinct(candidates: list[Candidate]) -> list[Candidate]:
-    out: list[Candidate] = []
+def _distinct(candidates: list[PadCandidate]) -> list[PadCandidate]:
+    out: list[PadCandidate] = []
     for c in candidates:
         if not any(_near(c.pose, k.pose) for k in out):
             out.append(c)

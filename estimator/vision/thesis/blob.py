@@ -28,7 +28,7 @@ class Masks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Blob:
+class DiscBlob:
     """What may be the disc, or the part of it that shows."""
 
     hull: NDArray[np.int32]
@@ -40,7 +40,7 @@ class Blob:
     """By it the blobs of one frame compare: plausibility squared times the root of the area."""
 
 
-def choose_blob(masks: Masks, sure: U8, widest_px: int | None = None) -> Blob | None:
+def choose_blob(masks: Masks, sure: U8, widest_px: int | None = None) -> DiscBlob | None:
     """The blob most like the disc, or None.
 
     Args:
@@ -53,7 +53,7 @@ def choose_blob(masks: Masks, sure: U8, widest_px: int | None = None) -> Blob | 
     painted = cv2.morphologyEx(cv2.bitwise_or(masks.green, masks.orange), cv2.MORPH_CLOSE, _CLOSE)
     contours, _ = cv2.findContours(painted, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     big = sorted(((cv2.contourArea(c), i) for i, c in enumerate(contours) if len(c) >= 12), reverse=True)[:_BLOBS]
-    best: Blob | None = None
+    best: DiscBlob | None = None
     edge_pieces: list[NDArray[np.int32]] = []
     for area, i in big:
         if area < _MIN_BLOB_PX:
@@ -72,13 +72,13 @@ def choose_blob(masks: Masks, sure: U8, widest_px: int | None = None) -> Blob | 
         # Square and root keep a large meadow from beating a small disc that carries ring and H.
         score = plausibility**2 * float(np.sqrt(area))
         if best is None or score > best.score:
-            best = Blob(hull, touches, plausibility, score)
+            best = DiscBlob(hull, touches, plausibility, score)
     if best is not None and best.touches_border and len(edge_pieces) > 1:
         # From close by, ring and H cut the visible disc into pieces that each reach the frame's edge.
         joined = np.asarray(cv2.convexHull(np.concatenate(edge_pieces)), np.int32)
         plausibility = _plausibility(joined, True, masks)
         if plausibility >= 0.8 * best.plausibility:
-            return Blob(joined, True, max(best.plausibility, plausibility), best.score)
+            return DiscBlob(joined, True, max(best.plausibility, plausibility), best.score)
     return best
 
 

@@ -110,7 +110,7 @@ def fit_ellipse(xy: F64) -> Ellipse | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Disc:
+class DiscOutline:
     """What the ellipse method found."""
 
     marks: Marks
@@ -118,7 +118,7 @@ class Disc:
     features: tuple[Feature, ...]
 
 
-def find_disc(seg: Segmentation, view: View, pad: Pad) -> Disc | None:
+def find_disc(seg: Segmentation, view: View, pad: Pad) -> DiscOutline | None:
     """The disc's outline, or None when it leaves the frame, is too small, or is no ellipse."""
     if seg.touches_border:
         return None
@@ -169,7 +169,7 @@ def find_disc(seg: Segmentation, view: View, pad: Pad) -> Disc | None:
         Feature("ellipse", "disc", view.pixels(ellipse.points(72))),
         Feature("point", "centre", centre_uv),
     )
-    return Disc(Marks(uv, radius_m * unit, modes, yaw_known=False), confidence, features)
+    return DiscOutline(Marks(uv, radius_m * unit, modes, yaw_known=False), confidence, features)
 
 
 def _goes_on_outside(seg: Segmentation, outline: Ellipse) -> bool:

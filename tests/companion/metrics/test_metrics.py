@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from companion.config.settings import from_mapping
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.exposition import text
-from companion.metrics.limits import Limits
+from companion.metrics.limits import ConnectionLimits
 from companion.metrics.settings import MetricsSettings
 from companion.runtime.health import Health
 from companion.runtime.supervise import Restart, run
@@ -99,7 +99,7 @@ def test_a_flow_that_stops_slows_down_instead_of_keeping_its_rate() -> None:
 
 
 @asynccontextmanager
-async def serving(health: Health, limits: Limits | None = None, token_file: str = "") -> AsyncIterator[MetricsEndpoint]:
+async def serving(health: Health, limits: ConnectionLimits | None = None, token_file: str = "") -> AsyncIterator[MetricsEndpoint]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -171,7 +171,7 @@ async def ended(reader: asyncio.StreamReader) -> bytes:
     "said", [b"", b"GET /metrics HTTP/1.1\r\nHost: x\r\n", b"POST /metrics HTTP/1.1\r\nContent-Length: 900\r\n\r\nabc"]
 )
 async def test_a_request_that_never_ends_is_closed_in_time(said: bytes) -> None:
-    limits = Limits(connection_s=0.1)
+    limits = ConnectionLimits(connection_s=0.1)
     async with serving(Health(SystemClock()), limits) as endpoint:
         reader, writer = await dialled(endpoint, said)
         await ended(reader)
@@ -181,7 +181,7 @@ async def test_a_request_that_never_ends_is_closed_in_time(said: bytes) -> None:
 
 
 async def test_many_half_open_requests_neither_pile_up_nor_shut_out_a_whole_one() -> None:
-    limits = Limits(connections=8, connection_s=30.0)
+    limits = ConnectionLimits(connections=8, connection_s=30.0)
     health = Health(SystemClock())
     async with serving(health, limits) as endpoint:
         lines = [await dialled(endpoint, b"GET /metrics HTTP/1.1\r\n") for _ in range(60)]
@@ -196,7 +196,7 @@ async def test_many_half_open_requests_neither_pile_up_nor_shut_out_a_whole_one(
 
 
 async def test_an_endless_request_is_cut_off() -> None:
-    limits = Limits()
+    limits = ConnectionLimits()
     async with serving(Health(SystemClock()), limits) as endpoint:
         reader, writer = await dialled(endpoint, b"GET /health HTTP/1.1\r\n")
         for k in range(10):

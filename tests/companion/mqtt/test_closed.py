@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 
 from companion.config.settings import from_mapping
 from companion.mqtt.commands import CommandHandler
-from companion.mqtt.connection import Connection, Endpoint, connect
-from companion.mqtt.messages import OperatorNotice, Reply, decode
+from companion.mqtt.connection import BrokerEndpoint, Connection, connect
+from companion.mqtt.messages import CommandReply, OperatorNotice, decode
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.signature import Forged, Unsigned, signed, verified
 from companion.mqtt.topics import Topics
@@ -148,7 +148,7 @@ async def test_signed_commands_over_a_real_broker(broker: Broker, tmp_path: Path
         for payload in (good[65:], good, good):
             await ground.publish_message(TREE + "command", payload, qos=1)
             reply = decode("reply", (await anext(received_at)).payload)
-            assert isinstance(reply, Reply)
+            assert isinstance(reply, CommandReply)
             answers.append(reply.reason)
         assert answers == ["unsigned", None, None]
         assert rig.operator.done == ["start"]
@@ -164,7 +164,7 @@ async def test_what_a_display_may_read_tells_no_run_and_lets_it_command_nothing(
     (broker.folder / "acl").write_text(acl + drone)
     broker.start()
     async with (
-        connect(Endpoint.of(broker.settings("mute")), "display", incoming=1000) as display,
+        connect(BrokerEndpoint.of(broker.settings("mute")), "display", incoming=1000) as display,
         listening(broker, tmp_path, state_hz=20.0, health_hz=10.0) as (rig, ground),
         asyncio.timeout(10),
     ):

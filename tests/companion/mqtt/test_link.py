@@ -13,8 +13,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from companion.mqtt.connection import Connection, Endpoint
-from companion.mqtt.messages import HealthReport, Reply, State, Status, decode
+from companion.mqtt.connection import BrokerEndpoint, Connection
+from companion.mqtt.messages import CommandReply, HealthReport, StateMessage, StatusMessage, decode
 from sitl.testing.mosquitto import Broker, on_message
 from sitl.testing.mqtt_service import RUN, decision, running, status, until
 
@@ -36,10 +36,10 @@ async def test_what_is_said_arrives_and_the_status_is_there_for_late_comers(brok
                 assert received_at[leaf] is not None, message
                 if {"status", "state", "health", "event"} <= received_at.keys():
                     break
-    assert isinstance(received_at["status"], Status)
+    assert isinstance(received_at["status"], StatusMessage)
     assert (received_at["status"].online, received_at["status"].reason, received_at["status"].version) == (True, "up", "1.2.3")
     state = received_at["state"]
-    assert isinstance(state, State)
+    assert isinstance(state, StateMessage)
     assert state.belief is not None
     assert state.belief.d_body_pad_level_m == (0.3, -0.2, 2.0)
     assert state.belief.sigma_v_m_s == pytest.approx((0.4, 0.5, 0.6))
@@ -52,11 +52,11 @@ async def test_what_is_said_arrives_and_the_status_is_there_for_late_comers(brok
 
 
 async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path: Path) -> None:
-    async def retained() -> Status:
+    async def retained() -> StatusMessage:
         async with broker.ground() as ground:
             async for message in on_message(ground, TREE + "status"):
                 found = decode("status", message.payload)
-                assert isinstance(found, Status)
+                assert isinstance(found, StatusMessage)
                 return found
         raise AssertionError
 
@@ -97,13 +97,13 @@ async def test_a_command_is_carried_out_once_and_answered_where_it_asks(broker: 
         await ground.subscribe(TREE + "reply/#", qos=1)
         expires = rig.clock.now() + 5_000_000_000
 
-        async def ask(**fields: object) -> Reply:
+        async def ask(**fields: object) -> CommandReply:
             command = {"id": "a1", "run": RUN, "expires_ns": expires, **fields}
             await ground.publish_message(TREE + "command", json.dumps(command).encode(), qos=1)
             received_at = await anext(ground.publications())
             assert received_at.topic == fields.get("reply_to", TREE + "reply")
             reply = decode("reply", received_at.payload)
-            assert isinstance(reply, Reply)
+            assert isinstance(reply, CommandReply)
             return reply
 
         async with asyncio.timeout(60):
@@ -150,7 +150,7 @@ async def test_a_retained_command_never_reaches_us(broker: Broker, tmp_path: Pat
 
 
 async def test_a_cancellation_that_comes_with_the_answer_is_not_swallowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    connection = Connection(Endpoint("nowhere", 1, None, None, None, True, 10, 5.0), "x", None, 1)
+    connection = Connection(BrokerEndpoint("nowhere", 1, None, None, None, True, 10, 5.0), "x", None, 1)
     sent = SimpleNamespace(rc=0, mid=1, is_published=lambda: False)
     monkeypatch.setattr(connection._client, "publish", lambda *_: sent)
     async with asyncio.TaskGroup() as group:

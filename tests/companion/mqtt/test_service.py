@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TypeVar
 
-from companion.mqtt.messages import Event, HealthReport, Message, OperatorNotice, Reply, Status, decode
+from companion.mqtt.messages import CommandReply, EventMessage, HealthReport, Message, OperatorNotice, StatusMessage, decode
 from companion.mqtt.signature import signed
 from sitl.testing.mosquitto import Broker
 
@@ -65,7 +65,7 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
         async def wait(kind: type[M]) -> M:
             async for message in received_at:
                 said = decode(message.topic.removeprefix(TREE), message.payload)
-                if isinstance(said, Event):
+                if isinstance(said, EventMessage):
                     events.append(said.text)
                 if isinstance(said, OperatorNotice):
                     runs.append(said.run)
@@ -73,21 +73,21 @@ async def test_the_daemon_answers_commands_and_says_goodbye(broker: Broker, tmp_
                     return said
             raise AssertionError
 
-        async def ask(**fields: object) -> Reply:
+        async def ask(**fields: object) -> CommandReply:
             health = await wait(HealthReport)
             command = {"id": f"c{health.at_ns}", "run": runs[-1], "expires_ns": health.at_ns + 5 * 10**9, **fields}
             await ground.publish_message(TREE + "command", signed(key, TREE + "command", json.dumps(command).encode()), qos=1)
-            return await wait(Reply)
+            return await wait(CommandReply)
 
         try:
-            assert (await wait(Status)).online
+            assert (await wait(StatusMessage)).online
             assert (await ask(command="start")).accepted
             assert (await ask(command="path", path="median_mean")).accepted
             assert (await ask(command="abort")).accepted
             late = await ask(command="start")
             assert (late.reason, late.text) == ("not_possible", "the flight is over: aborted")
             daemon.send_signal(signal.SIGTERM)
-            farewell = await wait(Status)
+            farewell = await wait(StatusMessage)
             assert (farewell.online, farewell.reason) == (False, "stopped")
             await daemon.wait()
         finally:

@@ -116,7 +116,7 @@ def test_any_bytes_are_a_command_or_a_refusal(payload: bytes) -> None:
     at = command_handler()
     handled = at.take(payload, NOW)
     assert handled.reply.accepted == (handled.reply.reason is None) == bool(at.operated.done)  # type: ignore[attr-defined]
-    assert isinstance(decode("reply", messages.encode(handled.reply)), messages.Reply)
+    assert isinstance(decode("reply", messages.encode(handled.reply)), messages.CommandReply)
     for leaf in PUBLISHED:
         decode(leaf, payload)
 
@@ -132,7 +132,7 @@ def seen(at: MonoNs, found: bool) -> ProcessedFrame:
 
 def test_a_frame_reads_back_as_what_was_seen() -> None:
     said = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, True))))
-    assert isinstance(said, messages.Sighting)
+    assert isinstance(said, messages.SightingMessage)
     assert (said.at_ns, said.measured_at_ns, said.sequence, said.verdict, said.chosen) == (
         NOW + 5_000_000, NOW - 30_000_000, 7, "fused", "ellipse",
     )  # fmt: skip
@@ -142,7 +142,7 @@ def test_a_frame_reads_back_as_what_was_seen() -> None:
     assert said.selected.cov[::5] == (0.1, 0.2, 0.3, 0.4)
     assert said.methods["arrow"] is None
     nothing = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, False))))
-    assert isinstance(nothing, messages.Sighting)
+    assert isinstance(nothing, messages.SightingMessage)
     assert nothing.selected is None
 
 

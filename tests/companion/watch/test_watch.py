@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from companion.cli import main as cli
 from companion.mqtt import encode, messages
-from companion.mqtt.messages import Event, Status
+from companion.mqtt.messages import EventMessage, StatusMessage
 from companion.mqtt.topics import Topics
 from companion.mqtt.watch_model import DRONES, WatchModel
 from companion.mqtt.watch_view import line, screen
@@ -37,14 +37,14 @@ NOW = MonoNs(60_000_000_000)
 ROOT = Path(__file__).parents[3]
 
 
-def event(number: int, text: str = "landed", spool: str = "s") -> Event:
-    return Event(
+def event(number: int, text: str = "landed", spool: str = "s") -> EventMessage:
+    return EventMessage(
         session=SESSION, at_ns=NOW, id=f"{SESSION}-{number}", spool=spool, sequence=number, kind="phase", text=text, data={}
     )
 
 
-def online(reason: Literal["up", "stopped", "lost"] = "up") -> Status:
-    return Status(
+def online(reason: Literal["up", "stopped", "lost"] = "up") -> StatusMessage:
+    return StatusMessage(
         session=SESSION, at_ns=NOW, online=reason == "up", reason=reason, version="1.2", started_unix_s=0.0, started_ns=0,
     )  # fmt: skip
 

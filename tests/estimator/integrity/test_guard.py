@@ -11,12 +11,12 @@ from estimator.contracts.estimates import Doubt, RelativeState, Sighting, Verdic
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity import Guard, admit, admit_frame, admit_sighting, doubts, fused
+from estimator.integrity import IntegrityGuard, admit, admit_frame, admit_sighting, doubts, fused
 from estimator.integrity.clock import ClockWatch
 from estimator.integrity.frames import FrameWatch
 from estimator.integrity.heights import HeightWatch
 from estimator.integrity.sensors import Repeat, SensorWatch
-from estimator.integrity.tracks import Candidate, Place, Tracks
+from estimator.integrity.tracks import Place, TrackCandidate, Tracks
 from estimator.integrity.view import ViewWatch
 
 S, MS = 1_000_000_000, 1_000_000
@@ -46,22 +46,22 @@ def status(t: int, flying: bool | None) -> VehicleStatus:
 
 
 def test_a_vehicle_flies_until_it_says_that_it_does_not() -> None:
-    assert Guard().flying
+    assert IntegrityGuard().flying
     for flying, then in ((True, True), (False, False), (None, True)):
-        guard, verdict = admit(Guard(flying=not then), status(T, flying))
+        guard, verdict = admit(IntegrityGuard(flying=not then), status(T, flying))
         assert (guard.flying, verdict) == (then, None)
 
 
 def test_a_reading_that_repeats_is_refused_in_flight_alone() -> None:
     for flying, said in ((True, Verdict.FROZEN), (False, None)):
-        guard = Guard(flying=flying)
+        guard = IntegrityGuard(flying=flying)
         for i in range(4):
             guard, verdict = admit(guard, Baro(stamp(T + i * S), 1.0, 0.5))
         assert verdict is said
 
 
 def test_arrival_delay_and_reading_are_judged_in_turn() -> None:
-    guard, verdict = admit(Guard(), Imu(stamp(T), np.zeros(3), np.array([0.0, 0.0, -9.8])))
+    guard, verdict = admit(IntegrityGuard(), Imu(stamp(T), np.zeros(3), np.array([0.0, 0.0, -9.8])))
     assert verdict is None
     assert set(guard.sensors) == {Imu}
     late, verdict = admit(guard, Baro(stamp(T + 2 * S), 1.0, 0.5))
@@ -77,7 +77,7 @@ def test_arrival_delay_and_reading_are_judged_in_turn() -> None:
 
 
 def test_range_and_barometer_are_compared_with_the_camera_unless_they_are_refused() -> None:
-    seen = Guard(heights=HeightWatch(seen_at=T, d_level=(0.0, 0.0, 2.0)))
+    seen = IntegrityGuard(heights=HeightWatch(seen_at=T, d_level=(0.0, 0.0, 2.0)))
     guard, _ = admit(seen, Range(stamp(T), 2.0, 0.01))
     assert guard.heights.agreed_at == T
     guard, _ = admit(seen, Baro(stamp(T), 32.0, 0.5))
@@ -90,36 +90,36 @@ def test_range_and_barometer_are_compared_with_the_camera_unless_they_are_refuse
 
 def test_a_frame_that_repeats_is_refused() -> None:
     frame = Frame(stamp(T), 1, np.zeros((32, 4, 3), np.uint8))
-    guard, verdict = admit_frame(Guard(), frame)
+    guard, verdict = admit_frame(IntegrityGuard(), frame)
     assert verdict is None
     assert admit_frame(guard, frame)[1] is Verdict.REPEATED
 
 
 def test_a_sighting_is_placed_in_axes_of_fixed_heading_with_its_own_doubt() -> None:
-    guard, verdict = admit_sighting(Guard(), sighting(T), attitude(T), None)
+    guard, verdict = admit_sighting(IntegrityGuard(), sighting(T), attitude(T), None)
     c, s = math.cos(HEADING), math.sin(HEADING)
     assert verdict is None
     assert guard.tracks.last is not None
     assert guard.tracks.last.t == T
     assert guard.tracks.last.d == pytest.approx((c - 0.5 * s, s + 0.5 * c, 2.0))
     assert (guard.tracks.last.sigma_m, guard.tracks.last.sigma_down_m) == pytest.approx((math.sqrt(8e-4), 0.03))
-    guard, _ = admit_sighting(Guard(), sighting(T), None, None)
+    guard, _ = admit_sighting(IntegrityGuard(), sighting(T), None, None)
     assert guard.tracks.last is not None
     assert guard.tracks.last.d == (1.0, 0.5, 2.0), "as far as a heading is known"
 
 
-def followed() -> Guard:
-    guard, _ = admit_sighting(Guard(), sighting(T), attitude(T), None)
+def followed() -> IntegrityGuard:
+    guard, _ = admit_sighting(IntegrityGuard(), sighting(T), attitude(T), None)
     for _ in range(9):
         guard = fused(guard, sighting(T), attitude(T))
     return guard
 
 
 def test_what_the_estimator_took_is_counted_and_its_height_compared_where_the_attitude_is_known() -> None:
-    guard = fused(Guard(), sighting(T), attitude(T, 0.1))
+    guard = fused(IntegrityGuard(), sighting(T), attitude(T, 0.1))
     assert (guard.tracks.n, guard.heights.seen_at, guard.heights.d_level) == (1, T, (1.0, 0.5, 2.0))
     assert guard.heights.down_level == pytest.approx((0.0, -math.sin(0.1), math.cos(0.1)))
-    guard = fused(Guard(), sighting(T), None)
+    guard = fused(IntegrityGuard(), sighting(T), None)
     assert (guard.tracks.n, guard.heights) == (1, HeightWatch())
 
 
@@ -136,7 +136,7 @@ def test_another_place_is_refused_unless_the_belief_expects_it() -> None:
 def test_a_sightings_stamp_is_judged_before_its_place() -> None:
     guard, verdict = admit_sighting(followed(), sighting(T + 2 * S, (9.0, 0.0, 2.0)), None, None)
     assert (verdict, guard.tracks, guard.clock.rival is not None) == (Verdict.TOO_NEW, followed().tracks, True)
-    guard = Guard()
+    guard = IntegrityGuard()
     for i in range(10):
         guard, verdict = admit_sighting(guard, sighting(T + i * MS), None, None)
         assert verdict is None
@@ -149,7 +149,7 @@ def test_a_sightings_stamp_is_judged_before_its_place() -> None:
 def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(
     flying: bool, known: bool, said: Verdict | None
 ) -> None:
-    guard = Guard(flying=flying)
+    guard = IntegrityGuard(flying=flying)
     for i in range(12):
         t = T + i * 40 * MS
         at = attitude(t, 0.02 * (-1) ** i)
@@ -162,18 +162,20 @@ def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(
 def test_each_doubt_is_told_for_its_own_reason() -> None:
     frozen = SensorWatch(frozen=True)
     view = ViewWatch(((T, np.zeros(3), np.eye(3)),), True)
-    other = Candidate(T, 3, Place(T, (9.0, 0.0, 2.0), 0.0, 0.0))
+    other = TrackCandidate(T, 3, Place(T, (9.0, 0.0, 2.0), 0.0, 0.0))
     for guard, doubt in (
-        (Guard(frames=FrameWatch((), 3)), Doubt.CAMERA_FROZEN),
-        (Guard(view=view), Doubt.VIEW_FROZEN),
-        (Guard(sensors=MappingProxyType({Imu: frozen})), Doubt.IMU_FROZEN),
-        (Guard(sensors=MappingProxyType({Attitude: frozen})), Doubt.ATTITUDE_FROZEN),
-        (Guard(tracks=Tracks(1, 9, None, (other,))), Doubt.ELSEWHERE),
-        (Guard(heights=HeightWatch(contradicted=True)), Doubt.RANGE),
-        (Guard(heights=HeightWatch(baro_contradicted=True)), Doubt.HEIGHT),
+        (IntegrityGuard(frames=FrameWatch((), 3)), Doubt.CAMERA_FROZEN),
+        (IntegrityGuard(view=view), Doubt.VIEW_FROZEN),
+        (IntegrityGuard(sensors=MappingProxyType({Imu: frozen})), Doubt.IMU_FROZEN),
+        (IntegrityGuard(sensors=MappingProxyType({Attitude: frozen})), Doubt.ATTITUDE_FROZEN),
+        (IntegrityGuard(tracks=Tracks(1, 9, None, (other,))), Doubt.ELSEWHERE),
+        (IntegrityGuard(heights=HeightWatch(contradicted=True)), Doubt.RANGE),
+        (IntegrityGuard(heights=HeightWatch(baro_contradicted=True)), Doubt.HEIGHT),
     ):
         assert doubts(guard, MonoNs(T)) == (doubt,)
-    assert doubts(Guard(clock=ClockWatch(T), sensors=MappingProxyType({Imu: SensorWatch(), Baro: frozen})), MonoNs(T)) == ()
-    assert [doubts(Guard(view=view), MonoNs(T + t)) for t in (S - 1, S)] == [(Doubt.VIEW_FROZEN,), ()]
-    assert doubts(Guard(view=ViewWatch((), True)), MonoNs(T)) == ()
-    assert doubts(Guard(view=view._replace(frozen=False)), MonoNs(T)) == ()
+    assert (
+        doubts(IntegrityGuard(clock=ClockWatch(T), sensors=MappingProxyType({Imu: SensorWatch(), Baro: frozen})), MonoNs(T)) == ()
+    )
+    assert [doubts(IntegrityGuard(view=view), MonoNs(T + t)) for t in (S - 1, S)] == [(Doubt.VIEW_FROZEN,), ()]
+    assert doubts(IntegrityGuard(view=ViewWatch((), True)), MonoNs(T)) == ()
+    assert doubts(IntegrityGuard(view=view._replace(frozen=False)), MonoNs(T)) == ()

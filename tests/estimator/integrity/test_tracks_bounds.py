@@ -5,7 +5,7 @@ import math
 import pytest
 
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.tracks import Candidate, Place, Tracks, fused, judge
+from estimator.integrity.tracks import Place, TrackCandidate, Tracks, fused, judge
 
 LIMITS = IntegrityOptions()
 S, MS = 1_000_000_000, 1_000_000
@@ -16,7 +16,7 @@ def place(t: int, side_m: float = 0.0, down_m: float = 2.0, sigma_m: float = 0.0
     return Place(t, (0.6 * side_m, -0.8 * side_m, down_m), sigma_m, sigma_m if sigma_down_m is None else sigma_down_m)
 
 
-def followed(n: int = 20, *candidates: Candidate, t: int = T) -> Tracks:
+def followed(n: int = 20, *candidates: TrackCandidate, t: int = T) -> Tracks:
     return Tracks(3, n, place(t), candidates)
 
 
@@ -93,8 +93,8 @@ def test_what_the_belief_did_not_explain_at_first_it_does_not_explain_later() ->
     assert explains(unsure, place(T + S + 30 * MS, 0.5), place(T + S, sigma_m=0.2))
 
 
-def other(n: int, first: int, last: int, side_m: float = 1.0) -> Candidate:
-    return Candidate(first, n, place(last, side_m))
+def other(n: int, first: int, last: int, side_m: float = 1.0) -> TrackCandidate:
+    return TrackCandidate(first, n, place(last, side_m))
 
 
 def test_three_looks_within_a_second_dispute_the_track() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
-from estimator.vision.detect.acquire import Candidate, acquire
+from estimator.vision.detect.acquire import PadCandidate, acquire
 from estimator.vision.detect.verification import keeps_claim
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
@@ -25,7 +25,7 @@ from tests.estimator.vision.conftest import shipped_camera, shipped_pad
 DATA = Path(__file__).parents[3] / "../shared/data"
 
 
-def best_of(candidates: list[Candidate]) -> Candidate:
+def best_of(candidates: list[PadCandidate]) -> PadCandidate:
     assert candidates, "nothing at all was found"
     assert all(a.score >= b.score for a, b in itertools.pairwise(candidates))
     return candidates[0]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.airframe import Limits
+from sitl.airframe import StickLimits
 from sitl.world import Phase, Readings, RenderedFrame, Stick, Truth
 
 G = 9.80665
@@ -25,7 +25,7 @@ class PointMass:
     def __init__(self, start: MonoNs, height_m: float = 0.0) -> None:
         self.now = start
         self.phase = Phase.HOVERING if height_m else Phase.LANDED
-        self.limits = Limits()
+        self.limits = StickLimits()
         self.faults: set[str] = set()
         self.stamp_error_s = 0.0
         self.frame_delay_s = 0.0

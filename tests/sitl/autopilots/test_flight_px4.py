@@ -25,7 +25,7 @@ from estimator.contracts.errors import BadInput
 from sitl.airframe import Airframe
 from sitl.autopilots import px4
 from sitl.autopilots.body import Body
-from sitl.autopilots.flight import Autopilot, AutopilotFlight
+from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.scenario import load
 from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.sitl.autopilots.pilot import Cascade
@@ -138,7 +138,7 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
     scenario = replace(scenario, start=replace(scenario.start, height_m=2.0), duration_limit_s=40.0)
     folder = tmp_path / "flight"
     folder.mkdir()
-    autopilot = Autopilot("px4", build(tmp_path), parameters=(("MPC_XY_VEL_MAX", 3.0),))
+    autopilot = AutopilotProgram("px4", build(tmp_path), parameters=(("MPC_XY_VEL_MAX", 3.0),))
     flight = AutopilotFlight(scenario, 1, load_settings("sim"), autopilot, folder)
     async with asyncio.timeout(380), asyncio.TaskGroup() as group:
         standin = group.create_task(pretend(flight))
