@@ -24,7 +24,7 @@ from companion.config.settings import from_mapping
 from estimator.vision.pad import Pad
 
 ROOT = Path(__file__).parents[2]
-PAGES = [*sorted(ROOT.glob("docs/*.md")), ROOT / "README.md"]
+PAGES = [*sorted(ROOT.glob("docs/**/*.md")), *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY"))]
 
 
 @dataclass(frozen=True)
