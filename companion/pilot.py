@@ -5,9 +5,11 @@ The daemon and the simulator drive the same pilot, so what is proved in virtual 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
+
+from msgspec import structs
 
 from companion.guidance.lease import NO_LANDING
 from companion.guidance.pid import Gains, Pid, SetPoint, pid_step
@@ -19,6 +21,7 @@ from estimator.contracts.commands import Command, Hover, Land
 from estimator.contracts.estimates import Doubt, PathName, RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import Detection
@@ -52,14 +55,22 @@ class Pilot:
 
     Args:
         automatic: begin the approach as soon as the vehicle flies; else wait for `begin`.
+        shadows: estimator paths that run along to be compared and never steer.
     """
 
     def __init__(
-        self, tracker: TrackerConfig, options: pipeline.Options, plan: Plan, gains: Gains, *, automatic: bool = True
+        self,
+        tracker: TrackerConfig,
+        options: EstimatorOptions,
+        plan: Plan,
+        gains: Gains,
+        *,
+        automatic: bool = True,
+        shadows: Sequence[PathName] = (),
     ) -> None:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
-        self._memory = pipeline.start(options)
+        self._memory = pipeline.start(options, shadows)
         self._plan = plan
         self._gains = gains
         self._automatic = automatic
@@ -116,7 +127,7 @@ class Pilot:
 
         One that does not run along has no belief to go on from, so in an approach it is only taken over while paused.
         """
-        runs_along = path in (self._memory.options.steering, *self._memory.options.shadows)
+        runs_along = path in {one.name for one in self._memory.paths}
         approaching = self._begun and not self._paused and self._flew and self.outcome is None
         if approaching and not runs_along:
             return f"{path} does not run along; pause the approach first"
@@ -129,7 +140,7 @@ class Pilot:
     def retune(self, plan: Plan, gains: Gains, *, min_confidence: float, max_delay_s: float) -> None:
         """Other numbers from now on; what is going on goes on."""
         self._plan, self._gains = plan, gains
-        options = replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
+        options = structs.replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
         self._memory = replace(self._memory, options=options)
 
     def belief(self, now: MonoNs) -> RelativeState | None:
@@ -180,7 +191,7 @@ class Pilot:
     def decide(self, now: MonoNs) -> Decision:
         """One round of guidance. The command is None while the vehicle is left to itself."""
         believed = pipeline.beliefs(self._memory, now)
-        steering = self._memory.options.steering
+        steering = self._memory.options.path
         belief = next((b for b in believed if b.path == steering), None)
         command = self._command(now)
         shadows = tuple(b for b in believed if b.path != steering)

@@ -26,7 +26,8 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState, Sighti
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.rest_calibration import RestCalibration, RestOptions, add_acceleration, add_velocity
+from estimator.options import DeadReckoningOptions
+from estimator.rest_calibration import RestCalibration, add_acceleration, add_velocity
 
 GRAVITY_M_S2 = 9.80665
 _NIS_MAX = 16.27
@@ -36,41 +37,6 @@ _KNOT_S = 0.004
 _VERTICAL_HOLD_S = 0.5
 _NOT_MEASURED_VAR = 1e3
 """(m/s)^2; a velocity axis with more counts as not measured."""
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Everything that can be chosen. The defaults are the thesis' where it gives one, else honest for an AR.Drone 2.0."""
-
-    dead_band_v_m_s: float = 0.003
-    dead_band_a_m_s2: float = 0.5
-    """Of the horizontal axes."""
-    velocity_scale: float = 1.0
-    """Multiplies the measured velocity: one over the ratio at which the vehicle reads it."""
-    sigma_velocity_scale: float = 0.2
-    """Of what remains; an AR.Drone 2.0 reads 0.83 of the truth over one floor and more or less over another."""
-    sigma_pad_v_m_s: float = 0.15
-    """Of each horizontal component of the pad's own velocity over the ground, which nothing here measures."""
-    sigma_heading_rate_rad_s: float = 0.01
-    """Of the drift of the vehicle's heading against the pad's."""
-    sigma_unknown_v_m_s: float = 1.0
-    """Of a velocity that no recent sample tells."""
-    sigma_vertical_v_m_s: float = 0.3
-    """Of a vertical velocity that has been left to leak."""
-    vertical_tau_s: float = 0.35
-    vertical_leak_s: float = 1.0
-    vertical_mean_s: float = 5.0
-    hold_s: float = 0.25
-    """How long a velocity or acceleration is trusted after its instant."""
-    history_s: float = 1.5
-    """How late a sighting may be."""
-    calibration: RestOptions | None = None
-    """Average velocity and specific force at rest first and subtract the means from then on; None to go without."""
-
-    def __post_init__(self) -> None:
-        for name in ("velocity_scale", "vertical_tau_s", "vertical_leak_s", "vertical_mean_s", "hold_s", "history_s"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +58,7 @@ class _Anchor:
 class DeadReckoning:
     """The belief. Immutable: `step` gives the next one."""
 
-    options: Options
+    options: DeadReckoningOptions
     t: MonoNs | None = None
     """The instant the odometer stands at."""
     R_ned_body: Rotation | None = None
@@ -129,10 +95,10 @@ class DeadReckoning:
     rest: RestCalibration | None = None
 
     @staticmethod
-    def start(options: Options | None = None) -> DeadReckoning:
+    def start(options: DeadReckoningOptions | None = None) -> DeadReckoning:
         """Knows nothing yet."""
-        options = options or Options()
-        return DeadReckoning(options, rest=RestCalibration(options.calibration) if options.calibration else None)
+        options = options or DeadReckoningOptions()
+        return DeadReckoning(options, rest=RestCalibration(options) if options.calibration_s > 0.0 else None)
 
 
 def step(state: DeadReckoning, event: Sample | Sighting) -> tuple[DeadReckoning, Verdict | None]:
@@ -240,7 +206,7 @@ def _velocity(state: DeadReckoning, sample: BodyVelocity) -> DeadReckoning:
     if state.rest is not None:
         state = replace(state, rest=add_velocity(state.rest, sample.stamp.measured_at, sample.v_level))
     v = o.velocity_scale * (sample.v_level - _biases(state)[0])
-    v[np.abs(v) < o.dead_band_v_m_s] = 0.0
+    v[np.abs(v) < o.velocity_dead_band_m_s] = 0.0
     measured = np.diag(sample.cov_level) < _NOT_MEASURED_VAR
     cov_v = o.velocity_scale**2 * sample.cov_level
     cov_v[~measured, :] = cov_v[:, ~measured] = 0.0
@@ -265,7 +231,7 @@ def _imu(state: DeadReckoning, sample: Imu) -> DeadReckoning:
     mean, n = state.a_vertical_mean, state.a_samples + 1
     step_s = 0.0 if state.a_t is None else min(seconds_between(state.a_t, sample.stamp.measured_at), state.options.hold_s)
     mean += (a[2] - mean) * max(1.0 / n, 1.0 - math.exp(-step_s / state.options.vertical_mean_s))
-    small = np.abs(a) < state.options.dead_band_a_m_s2
+    small = np.abs(a) < state.options.acceleration_dead_band_m_s2
     # the vertical axis has its mean taken off instead: a dead-band would hide how a descent is stopped
     a = np.array([0.0 if small[0] else a[0], 0.0 if small[1] else a[1], a[2] - mean])
     return replace(state, a_rel=-a, a_t=sample.stamp.measured_at, a_vertical_mean=float(mean), a_samples=n)

@@ -7,34 +7,18 @@ others are there to be compared.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+
+from msgspec import structs
 
 from estimator import dead_reckoning, ekf, filters, integrity
 from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What can be chosen."""
-
-    steering: PathName = "ekf"
-    shadows: tuple[PathName, ...] = ()
-    """Paths that run along and never steer."""
-    max_delay_s: float = 0.5
-    """A sighting heard later than this after it was true is refused."""
-    min_confidence: float = 0.2
-    """A sighting below is refused."""
-    history_s: float = 2.0
-    """How far back attitudes are kept."""
-    max_gap_s: float = 0.5
-    """A pause in sightings after which median and mean begin anew."""
-    dead_reckoning: dead_reckoning.Options = field(default_factory=dead_reckoning.Options)
-    ekf: ekf.EkfOptions = field(default_factory=ekf.EkfOptions)
-    integrity: integrity.IntegrityOptions = field(default_factory=integrity.IntegrityOptions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +35,20 @@ class Outcome:
 class Memory:
     """Everything the estimator knows. Immutable."""
 
-    options: Options
+    options: EstimatorOptions
     attitudes: AttitudeHistory
     paths: tuple[Path, ...]
     """The steering path first."""
     guard: integrity.IntegrityGuard = field(default_factory=integrity.IntegrityGuard)
 
 
-def start(options: Options) -> Memory:
-    """An estimator that has seen nothing."""
-    names = (options.steering, *(name for name in options.shadows if name != options.steering))
+def start(options: EstimatorOptions, shadows: Sequence[PathName] = ()) -> Memory:
+    """Return an estimator that has seen nothing.
+
+    Args:
+        shadows: paths that run along to be compared and never steer.
+    """
+    names = (options.path, *(name for name in shadows if name != options.path))
     paths = tuple(_path(name, options) for name in names)
     return Memory(options, AttitudeHistory(options.history_s), paths, integrity.IntegrityGuard(options.integrity))
 
@@ -112,8 +100,7 @@ def steer_by(memory: Memory, name: PathName) -> Memory:
     """
     chosen = next((path for path in memory.paths if path.name == name), None) or _path(name, memory.options)
     others = tuple(path for path in memory.paths if path.name != name)
-    options = replace(memory.options, steering=name, shadows=tuple(path.name for path in others))
-    return replace(memory, options=options, paths=(chosen, *others))
+    return replace(memory, options=structs.replace(memory.options, path=name), paths=(chosen, *others))
 
 
 def belief(memory: Memory, now: MonoNs) -> RelativeState | None:
@@ -143,7 +130,7 @@ def _dressed(state: RelativeState, guard: integrity.IntegrityGuard, now: MonoNs)
     )
 
 
-def _refusal(options: Options, sighting: Sighting) -> Verdict | None:
+def _refusal(options: EstimatorOptions, sighting: Sighting) -> Verdict | None:
     if sighting.stamp.delay_s > options.max_delay_s:
         return Verdict.TOO_OLD
     if sighting.confidence < options.min_confidence:
@@ -151,14 +138,14 @@ def _refusal(options: Options, sighting: Sighting) -> Verdict | None:
     return None
 
 
-def _path(name: PathName, options: Options) -> Path:
+def _path(name: PathName, options: EstimatorOptions) -> Path:
     match name:
         case "median_mean":
             return MedianMeanPath(filters.MedianMean(options.max_gap_s))
         case "dead_reckoning":
-            return DeadReckoningPath(
-                filters.MedianMean(options.max_gap_s), dead_reckoning.DeadReckoning.start(options.dead_reckoning)
-            )
+            own = options.dead_reckoning
+            reckoning = structs.replace(own, history_s=max(own.history_s, options.max_delay_s))
+            return DeadReckoningPath(filters.MedianMean(options.max_gap_s), dead_reckoning.DeadReckoning.start(reckoning))
         case "ekf":
             return EkfPath(ekf.start(options.ekf, limits=None))
         case _:

@@ -11,25 +11,14 @@ import numpy as np
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
-
-
-@dataclass(frozen=True, slots=True)
-class RestOptions:
-    """How long to look, and what still counts as rest."""
-
-    duration_s: float = 10.0
-    samples: int = 1000
-    """At least so many of the accelerometer."""
-    v_max_m_s: float = 0.15
-    a_max_m_s2: float = 1.5
-    """Above either the drone does not rest and the calibration begins anew. An AR.Drone 2.0 at rest shows up to 0.8."""
+from estimator.options import DeadReckoningOptions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestCalibration:
     """Sums so far; `done` once the means are final."""
 
-    options: RestOptions = field(default_factory=RestOptions)
+    options: DeadReckoningOptions = field(default_factory=DeadReckoningOptions)
     since: MonoNs | None = None
     v_sum: F64 = field(default_factory=lambda: np.zeros(3))
     v_samples: int = 0
@@ -52,7 +41,7 @@ def add_velocity(state: RestCalibration, t: MonoNs, v_level: F64) -> RestCalibra
     """Take one measured velocity, (3,) m/s."""
     if state.done:
         return state
-    if float(np.abs(v_level).max()) > state.options.v_max_m_s:
+    if float(np.abs(v_level).max()) > state.options.calibration_velocity_max_m_s:
         return RestCalibration(state.options)
     since = t if state.since is None else state.since
     return replace(state, since=since, v_sum=state.v_sum + v_level, v_samples=state.v_samples + 1)
@@ -63,9 +52,9 @@ def add_acceleration(state: RestCalibration, t: MonoNs, a_body: F64) -> RestCali
     o = state.options
     if state.done:
         return state
-    if float(np.abs(a_body).max()) > o.a_max_m_s2:
+    if float(np.abs(a_body).max()) > o.calibration_acceleration_max_m_s2:
         return RestCalibration(o)
     since = t if state.since is None else state.since
     samples = state.a_samples + 1
-    done = samples >= o.samples and seconds_between(since, t) >= o.duration_s
+    done = samples >= o.calibration_samples and seconds_between(since, t) >= o.calibration_s
     return replace(state, since=since, a_sum=state.a_sum + a_body, a_samples=samples, done=done)

@@ -11,8 +11,8 @@ from typing import Annotated, Literal, TypeVar, get_args
 
 from msgspec import Struct
 
-from companion.config.keys import choice, number, text
 from companion.guidance.planner import Phase as GuidancePhase
+from estimator.contracts.keys import choice, number, text
 
 PHASES = tuple(phase.value for phase in GuidancePhase)
 """The phases of guidance that a fault may begin in."""

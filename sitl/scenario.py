@@ -16,10 +16,10 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.config.keys import choice, number, text
 from companion.config.refusal import explain
 from companion.config.settings import SHIPPED, read_toml, shipped
 from estimator.contracts.errors import BadInput
+from estimator.contracts.keys import choice, number, text
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.faults import AnyFault

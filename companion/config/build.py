@@ -6,6 +6,8 @@ import math
 from dataclasses import replace
 from typing import Literal
 
+from msgspec import structs
+
 from companion.config.model import (
     HeadingGainsSettings,
     HorizontalGainsSettings,
@@ -20,11 +22,8 @@ from companion.runtime.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import SampleOptions
 from drivers.ardrone.velocity_loop import LoopOptions
-from estimator import dead_reckoning, pipeline
 from estimator.contracts.errors import BadInput
-from estimator.ekf.options import EkfOptions
-from estimator.integrity import IntegrityOptions
-from estimator.rest_calibration import RestOptions
+from estimator.options import EstimatorOptions
 from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker import TrackerConfig
 
@@ -78,41 +77,16 @@ def tracker(settings: Settings) -> TrackerConfig:
     return TrackerConfig(camera_model(settings), pad_model(settings), COLOUR_SETS[v.colours], v.method, deck)
 
 
-def estimator_options(settings: Settings) -> pipeline.Options:
-    """How sightings become a belief. A frame that `max_delay_s` lets in, dead reckoning can still place."""
-    e, d = settings.estimator, settings.estimator.dead_reckoning
-    defaults = dead_reckoning.Options()
-    # An AR.Drone's optical flow is against what it sees, deck or water; an autopilot's velocity is over the ground.
+def estimator_options(settings: Settings) -> EstimatorOptions:
+    """The estimator's options with what the vehicle decides.
+
+    An AR.Drone's optical flow is against what it sees, deck or water; an autopilot's velocity is over the ground.
+    """
+    options = settings.estimator
+    if options.ekf.velocity_is_over != "auto":
+        return options
     over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotSettings) else "either"
-    i = e.integrity
-    return pipeline.Options(
-        steering=e.path,
-        max_delay_s=e.max_delay_s,
-        min_confidence=e.min_confidence,
-        history_s=e.history_s,
-        max_gap_s=e.max_gap_s,
-        ekf=EkfOptions(velocity_is_over=over),
-        integrity=IntegrityOptions(
-            specific_force_max_m_s2=i.specific_force_max_m_s2,
-            turn_rate_max_rad_s=math.radians(i.turn_rate_max_deg_s),
-            speed_max_m_s=i.speed_max_m_s,
-            imu_frozen_s=i.imu_frozen_s,
-            velocity_frozen_s=i.velocity_frozen_s,
-            sighting_delay_step_max_s=i.delay_step_max_s,
-            adopt_s=i.adopt_s,
-            range_tolerance_m=i.range_tolerance_m,
-            range_tolerance_share=i.range_tolerance_share,
-            range_doubt_s=i.range_doubt_s,
-        ),
-        dead_reckoning=replace(
-            defaults,
-            dead_band_v_m_s=d.velocity_dead_band_m_s,
-            dead_band_a_m_s2=d.acceleration_dead_band_m_s2,
-            sigma_pad_v_m_s=d.sigma_pad_v_m_s,
-            history_s=max(defaults.history_s, e.max_delay_s),
-            calibration=RestOptions(duration_s=d.calibration_s) if d.calibration_s > 0 else None,
-        ),
-    )
+    return structs.replace(options, ekf=structs.replace(options.ekf, velocity_is_over=over))
 
 
 def gains(settings: Settings) -> Gains:

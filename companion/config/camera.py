@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.config.keys import choice, number, text
+from estimator.contracts.keys import choice, number, text
 
 
 class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):

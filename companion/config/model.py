@@ -12,14 +12,14 @@ from typing import Annotated, Literal
 from msgspec import Struct
 
 from companion.config.camera import CameraSettings as CameraSettings
-from companion.config.keys import choice, number, text
 from companion.config.recorder import RecorderSettings
 from companion.config.vehicle import ArDroneSettings, AutopilotSettings, BridgeSettings
 from companion.guidance.pid import Gains
 from companion.guidance.plan import Plan
 from companion.metrics.settings import MetricsSettings
 from companion.mqtt.settings import MqttSettings
-from estimator.integrity import IntegrityOptions
+from estimator.contracts.keys import choice, number, text
+from estimator.options import EstimatorOptions
 
 _TUNED = "tuned in simulation"
 _SHIPPED_OR_PATH = "the name of a shipped one, or a path relative to the settings file"
@@ -46,98 +46,6 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("one standard deviation of the deck's roll and pitch", "deg", 0.0, 30.0, "supply vessel in a slight sea")
     ] = 2.0
     threads: Annotated[int, number("threads OpenCV may use for one frame", "threads", 1, 64)] = 1
-
-
-class DeadReckoningSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """Carrying the last sighting on by the drone's own velocity and acceleration."""
-
-    calibration_s: Annotated[
-        float,
-        number(
-            "average biases over this long while the drone stands still before it flies; 0 for not at all",
-            "s",
-            0.0,
-            60.0,
-            "off in the thesis' code, 10 s in its section 4.3",
-        ),
-    ] = 0.0
-    velocity_dead_band_m_s: Annotated[
-        float, number("a smaller velocity counts as none", "m/s", 0.0, 0.5, "3 mm/s in the thesis' code")
-    ] = 0.003
-    acceleration_dead_band_m_s2: Annotated[
-        float, number("a smaller acceleration counts as none", "m/s^2", 0.0, 5.0, "0.5 m/s^2 in the thesis' code")
-    ] = 0.5
-    sigma_pad_v_m_s: Annotated[
-        float, number("how fast the pad itself may move along each horizontal axis: one standard deviation", "m/s", 0.0, 10.0)
-    ] = 0.15
-
-
-_LIMITS = IntegrityOptions()
-
-
-class IntegritySettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits that an input must keep; any other input is refused, counted and logged."""
-
-    specific_force_max_m_s2: Annotated[
-        float, number("an accelerometer that reads more is not believed", "m/s^2", 15.0, 1000.0, "8 g")
-    ] = _LIMITS.specific_force_max_m_s2
-    turn_rate_max_deg_s: Annotated[
-        float, number("a gyro that reads more is not believed", "deg/s", 100.0, 10_000.0, "range of a common part")
-    ] = 2000.0
-    speed_max_m_s: Annotated[
-        float, number("a velocity of the vehicle or vessel above this is not believed", "m/s", 1.0, 100.0)
-    ] = _LIMITS.speed_max_m_s
-    imu_frozen_s: Annotated[
-        float, number("an IMU that repeats itself to the bit for longer is refused", "s", 0.02, 10.0, "5 ms on a real AR.Drone")
-    ] = _LIMITS.imu_frozen_s
-    velocity_frozen_s: Annotated[
-        float, number("a velocity in flight that repeats itself to the bit for longer is refused", "s", 0.02, 10.0)
-    ] = _LIMITS.velocity_frozen_s
-    delay_step_max_s: Annotated[
-        float,
-        number("frames whose delay leaves its own median by more are refused until it has stayed there for 10 s", "s", 0.02, 2.0),
-    ] = _LIMITS.sighting_delay_step_max_s
-    adopt_s: Annotated[
-        float, number("for how long a single other place must be seen, and the pad not, to become the pad", "s", 0.5, 60.0)
-    ] = _LIMITS.adopt_s
-    range_tolerance_m: Annotated[float, number("range sensor and camera may differ by this over the pad", "m", 0.01, 100.0)] = (
-        _LIMITS.range_tolerance_m
-    )
-    range_tolerance_share: Annotated[float, number("and by this share of the height besides", "1", 0.001, 1.0)] = (
-        _LIMITS.range_tolerance_share
-    )
-    range_doubt_s: Annotated[float, number("for how long they must differ for the descent to end", "s", 0.1, 60.0)] = (
-        _LIMITS.range_doubt_s
-    )
-
-
-class EstimatorSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """How sightings become the belief that guidance steers by."""
-
-    path: Annotated[
-        Literal["ekf", "median_mean", "dead_reckoning"],
-        choice(
-            "which estimator steers: the error-state filter; the filtered sightings alone; or those carried on by dead reckoning"
-        ),
-    ] = "ekf"
-    max_gap_s: Annotated[
-        float,
-        number("after a gap this long the moving median and mean start afresh instead of mixing old with new", "s", 0.05, 10.0),
-    ] = 0.5
-    min_confidence: Annotated[
-        float, number("a sighting less sure than this to be the pad is refused; 1 is certain", "1", 0.0, 1.0)
-    ] = 0.2
-    max_delay_s: Annotated[float, number("a frame older than this on arrival is refused", "s", 0.05, 5.0)] = 0.5
-    history_s: Annotated[float, number("how far back attitudes are kept to meet late frames", "s", 0.1, 30.0)] = 2.0
-    dead_reckoning: DeadReckoningSettings = DeadReckoningSettings()
-    integrity: IntegritySettings = IntegritySettings()
-
-    def __post_init__(self) -> None:
-        if self.history_s <= self.max_delay_s:
-            raise ValueError(
-                f"history_s ({self.history_s:g} s) must exceed max_delay_s ({self.max_delay_s:g} s), or the oldest frames "
-                "accepted would find no attitude"
-            )
 
 
 _GAINS = Gains()
@@ -341,7 +249,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     camera: CameraSettings
     pad: PadSettings
     vision: VisionSettings = VisionSettings()
-    estimator: EstimatorSettings = EstimatorSettings()
+    estimator: EstimatorOptions = EstimatorOptions()
     guidance: GuidanceSettings = GuidanceSettings()
     service: ServiceSettings = ServiceSettings()
     recorder: RecorderSettings = RecorderSettings()

@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.config.keys import choice, number, text
 from drivers.mavlink.access import Named, parse_operators
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from estimator.contracts.errors import BadInput
+from estimator.contracts.keys import choice, number, text
 
 _LINKS = "MAVLink links, with commas between: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD"
 _KEY = (

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.config.keys import choice, number, on_loopback, text
+from companion.config.keys import on_loopback
+from estimator.contracts.keys import choice, number, text
 
 
 class MetricsSettings(Struct, frozen=True, forbid_unknown_fields=True):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -17,6 +16,7 @@ from companion.runtime.service import make_pilot
 from estimator import pipeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
+from estimator.options import EstimatorOptions
 
 
 def available_paths() -> tuple[PathName, ...]:
@@ -24,7 +24,7 @@ def available_paths() -> tuple[PathName, ...]:
     found: list[PathName] = []
     for name in get_args(PathName):
         try:
-            pipeline.start(replace(pipeline.Options(), steering=name))
+            pipeline.start(EstimatorOptions(path=name))
         except ValueError:
             continue
         found.append(name)

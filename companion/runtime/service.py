@@ -6,7 +6,6 @@ import logging
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from companion.config import build
@@ -40,10 +39,11 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
     """
     return Pilot(
         build.tracker(settings),
-        replace(build.estimator_options(settings), shadows=tuple(shadows)),
+        build.estimator_options(settings),
         build.plan(settings),
         build.gains(settings),
         automatic=settings.guidance.start == "automatic",
+        shadows=shadows,
     )
 
 

@@ -51,7 +51,7 @@ def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple
     """Over the ground, or over the deck: where that is not given, the samples themselves tell, and doubt widens the noise."""
     o = params.options
     b = propagated(b, event.stamp.measured_at, params)
-    if o.velocity_is_over == "either" and b.sighted >= 0:
+    if o.velocity_is_over in ("auto", "either") and b.sighted >= 0:
         b = _seen_below(b, event, o)
     share = _share_over_pad(b, o)
     v, cov = event.v_level, event.cov_level
@@ -70,7 +70,7 @@ def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple
 
 
 def _share_over_pad(b: Belief, o: EkfOptions) -> float:
-    if o.velocity_is_over != "either":
+    if o.velocity_is_over not in ("auto", "either"):
         return 1.0 if o.velocity_is_over == "pad" else 0.0
     if b.sighted < 0:
         return 0.0

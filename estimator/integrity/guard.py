@@ -75,9 +75,7 @@ def admit_sighting(
     o = guard.options
     watch, verdict = clock.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
     if verdict is None:
-        watch, verdict = clock.watch_delay(
-            watch, "Sighting", sighting.stamp, o.sighting_delay_step_max_s, o.sighting_delay_settle_s
-        )
+        watch, verdict = clock.watch_delay(watch, "Sighting", sighting.stamp, o.delay_step_max_s, o.delay_settle_s)
     guard = replace(guard, clock=watch)
     if verdict is not None:
         return guard, verdict

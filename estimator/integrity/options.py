@@ -3,83 +3,132 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from typing import Annotated
+
+from msgspec import Struct
+
+from estimator.contracts.keys import check_ranges, number
 
 
-@dataclass(frozen=True, slots=True)
-class IntegrityOptions:
-    """Every limit with its unit.
+class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """Limits that an input must keep; any other input is refused, counted and logged.
 
     Raises:
-        ValueError: a number that is not finite or not positive.
+        ValueError: a number outside its range.
     """
 
-    specific_force_max_m_s2: float = 80.0
-    """Largest specific force; a landing on a hard deck stays below 8 g."""
-    turn_rate_max_rad_s: float = math.radians(2000.0)
-    """Largest turn rate: the range of a common gyro."""
-    speed_max_m_s: float = 20.0
-    """Largest speed of the vehicle and of the vessel over the ground."""
-    acceleration_max_m_s2: float = 30.0
-    """Largest change of velocity between two samples, over their time."""
-    velocity_step_m_s: float = 1.5
-    """Step of a velocity that is allowed in addition, for its sensor's own noise."""
-    tilt_rate_max_rad_s: float = 8.0
-    """Largest rate of roll and pitch between two samples."""
-    tilt_step_rad: float = math.radians(20.0)
-    """Step of roll and pitch that is allowed in addition."""
-    height_rate_max_m_s: float = 20.0
-    """Largest rate of height between two samples of the barometer."""
-    height_step_m: float = 5.0
-    """Step of a barometer's height that is allowed in addition, for a gust on its port."""
-    spike_s: float = 0.5
-    """A step that is still there after this long is no spike, and is let through."""
+    specific_force_max_m_s2: Annotated[
+        float, number("an accelerometer that reads more is not believed", "m/s^2", 15.0, 1000.0, "8 g")
+    ] = 80.0
+    turn_rate_max_deg_s: Annotated[
+        float, number("a gyro that reads more is not believed", "deg/s", 100.0, 10_000.0, "range of a common part")
+    ] = 2000.0
+    speed_max_m_s: Annotated[
+        float, number("a velocity of the vehicle or vessel above this is not believed", "m/s", 1.0, 100.0)
+    ] = 20.0
+    acceleration_max_m_s2: Annotated[
+        float, number("largest change of velocity between two samples, over the time between them", "m/s^2", 1.0, 1000.0)
+    ] = 30.0
+    velocity_step_m_s: Annotated[
+        float, number("step of velocity that is allowed in addition, for the sensor's own noise", "m/s", 0.01, 100.0)
+    ] = 1.5
+    tilt_rate_max_rad_s: Annotated[float, number("largest rate of roll and pitch between two samples", "rad/s", 0.1, 100.0)] = 8.0
+    tilt_step_rad: Annotated[float, number("step of roll and pitch that is allowed in addition", "rad", 0.001, math.pi)] = (
+        math.radians(20.0)
+    )
+    height_rate_max_m_s: Annotated[
+        float, number("largest rate of height between two samples of the barometer", "m/s", 0.1, 1000.0)
+    ] = 20.0
+    height_step_m: Annotated[
+        float, number("step of a barometer's height that is allowed in addition, for a gust on its port", "m", 0.01, 1000.0)
+    ] = 5.0
+    spike_s: Annotated[
+        float, number("a step that is still there after this long is no spike, and is let through", "s", 0.01, 60.0)
+    ] = 0.5
 
-    imu_frozen_s: float = 0.15
-    """An IMU sample that repeats the one before to the bit for this long is refused. In 41 s of a real AR.Drone's flight none
-    repeated for longer than 5 ms."""
-    attitude_frozen_s: float = 0.25
-    velocity_frozen_s: float = 0.5
-    range_frozen_s: float = 2.0
-    """An ultrasound that counts in millimetres holds over flat ground: 0.12 s in that flight."""
-    baro_frozen_s: float = 2.0
+    imu_frozen_s: Annotated[
+        float, number("an IMU that repeats itself to the bit for longer is refused", "s", 0.02, 10.0, "5 ms on a real AR.Drone")
+    ] = 0.15
+    attitude_frozen_s: Annotated[
+        float, number("an attitude that repeats itself to the bit for longer is refused", "s", 0.02, 60.0)
+    ] = 0.25
+    velocity_frozen_s: Annotated[
+        float, number("a velocity in flight that repeats itself to the bit for longer is refused", "s", 0.02, 10.0)
+    ] = 0.5
+    range_frozen_s: Annotated[
+        float,
+        number("a range that repeats itself to the bit for longer is refused", "s", 0.02, 60.0, "0.12 s on a real AR.Drone"),
+    ] = 2.0
+    baro_frozen_s: Annotated[
+        float, number("a barometer that repeats itself to the bit for longer is refused", "s", 0.02, 60.0)
+    ] = 2.0
 
-    clock_step_max_s: float = 1.0
-    """An arrival this far from all others' is refused until others confirm it."""
-    sample_delay_step_max_s: float = 0.5
-    """How far a sample's delay (arrival less measurement) may lie from its stream's median."""
-    sighting_delay_step_max_s: float = 0.15
-    """The same for sightings."""
-    sample_delay_settle_s: float = 1.0
-    """A delay that stays elsewhere for this long is the stream's new one."""
-    sighting_delay_settle_s: float = 10.0
+    clock_step_max_s: Annotated[
+        float, number("an arrival this far from all others' is refused until others confirm it", "s", 0.02, 60.0)
+    ] = 1.0
+    sample_delay_step_max_s: Annotated[
+        float, number("how far a sample's delay (arrival less measurement) may lie from its stream's median", "s", 0.005, 60.0)
+    ] = 0.5
+    delay_step_max_s: Annotated[
+        float,
+        number("frames whose delay leaves its own median by more are refused until it has stayed there", "s", 0.02, 2.0),
+    ] = 0.15
+    sample_delay_settle_s: Annotated[
+        float, number("a sample's delay that stays elsewhere for this long is the stream's new one", "s", 0.01, 600.0)
+    ] = 1.0
+    delay_settle_s: Annotated[
+        float, number("a frame's delay that stays elsewhere for this long is the new one", "s", 0.01, 600.0)
+    ] = 10.0
 
-    view_turned_min_rad: float = 0.01
-    """How much the body has to turn (one standard deviation, within half a second) before a pad that keeps its place in the image
-    counts as frozen."""
-    view_still_ratio: float = 0.1
-    """It does when its bearing moves less than this share of what the turning alone would move it."""
+    view_turned_min_rad: Annotated[
+        float,
+        number(
+            "how far the body has to turn (one standard deviation within half a second) before a pad that keeps its place in "
+            "the image counts as frozen",
+            "rad",
+            1e-4,
+            1.0,
+        ),
+    ] = 0.01
+    view_still_ratio: Annotated[
+        float, number("it does when its bearing moves less than this share of what the turning alone makes", "1", 0.001, 1.0)
+    ] = 0.1
 
-    place_step_m: float = 0.06
-    """How far a sighting may lie from where the pad is expected, besides its own and the belief's uncertainty."""
-    place_step_share: float = 0.05
-    """The same, in addition, as a share of the height: what three degrees of attitude error make."""
-    adopt_s: float = 2.0
-    """A single other place, seen for this long while the track is not, becomes the new track."""
+    place_step_m: Annotated[
+        float,
+        number("how far a sighting may lie from where the pad is expected, besides the uncertainty of both", "m", 0.001, 100.0),
+    ] = 0.06
+    place_step_share: Annotated[
+        float,
+        number("and by this share of the height in addition", "1", 0.001, 10.0, "three degrees of attitude error"),
+    ] = 0.05
+    adopt_s: Annotated[
+        float, number("for how long a single other place must be seen, and the pad not, to become the pad", "s", 0.5, 60.0)
+    ] = 2.0
 
-    range_tolerance_m: float = 0.08
-    range_tolerance_share: float = 0.08
-    """How far range sensor and camera may differ over the pad: a length plus a share of the height."""
-    range_doubt_s: float = 1.0
-    """Time for which they must differ."""
-    deck_radius_m: float = 0.6
-    """Radius of the deck around the pad's centre: beyond it there may be water below, and a range says nothing of the pad."""
-    height_tolerance_m: float = 2.5
-    """How far the height's change over ten seconds may differ between barometer and camera, besides a third of the change: heave
-    of the deck and drift of the air are in it."""
+    range_tolerance_m: Annotated[float, number("range sensor and camera may differ by this over the pad", "m", 0.01, 100.0)] = (
+        0.08
+    )
+    range_tolerance_share: Annotated[float, number("and by this share of the height besides", "1", 0.001, 1.0)] = 0.08
+    range_doubt_s: Annotated[float, number("for how long they must differ for the descent to end", "s", 0.1, 60.0)] = 1.0
+    deck_radius_m: Annotated[
+        float,
+        number("radius of the deck around the pad's centre; beyond it a range says nothing of the pad", "m", 0.05, 100.0),
+    ] = 0.6
+    height_tolerance_m: Annotated[
+        float,
+        number(
+            "by how much barometer and camera may differ about the change of height over ten seconds, besides a third of it",
+            "m",
+            0.01,
+            100.0,
+        ),
+    ] = 2.5
+
+    @property
+    def turn_rate_max_rad_s(self) -> float:
+        """The limit of the gyro, rad/s."""
+        return math.radians(self.turn_rate_max_deg_s)
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"IntegrityOptions.{f.name} must be a positive number, got {value!r}")
+        check_ranges(self)

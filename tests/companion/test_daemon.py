@@ -16,13 +16,13 @@ from companion.runtime.daemon import Daemon, Link
 from companion.runtime.supervise import Restart
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
-from estimator import pipeline
 from estimator.contracts.commands import Command, Hover
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import Stamp, after
+from estimator.options import EstimatorOptions
 from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker import TrackerConfig
 
@@ -86,7 +86,7 @@ class Diary(NullObserver):
 def daemon_of(
     open_link: Callable[[], AbstractAsyncContextManager[Link]], *, once: bool = False, diary: NullObserver | None = None
 ) -> Daemon:
-    pilot = Pilot(EYES, pipeline.Options(), Plan.over_the_pad(), Gains())
+    pilot = Pilot(EYES, EstimatorOptions(), Plan.over_the_pad(), Gains())
     return Daemon(
         open_link,
         pilot,

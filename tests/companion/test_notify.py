@@ -22,10 +22,10 @@ from companion.runtime.health import Health
 from companion.runtime.liveness import LivenessLimits, stuck
 from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
 from companion.runtime.supervise import Restart
-from estimator import pipeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
+from estimator.options import EstimatorOptions
 from tests.companion.test_daemon import CLOCK, EYES, FakeVehicle, until
 
 
@@ -76,7 +76,7 @@ def watched(
 
 
 def pilot_of() -> Pilot:
-    return Pilot(EYES, pipeline.Options(), Plan.over_the_pad(), Gains())
+    return Pilot(EYES, EstimatorOptions(), Plan.over_the_pad(), Gains())
 
 
 async def test_ready_once_then_pings_then_stopping(systemd: Systemd) -> None:

@@ -12,12 +12,12 @@ from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.pid import Gains
 from companion.guidance.plan import Plan
 from companion.pilot import Outcome, Pilot
-from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.options import EstimatorOptions
 from estimator.vision.thesis.detection import Detection
 from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker import TrackerConfig
@@ -32,7 +32,7 @@ class Cockpit:
     """A pilot whose senses are told by hand: the body at rest above the pad unless moved, every reading noisy."""
 
     def __init__(self, *, automatic: bool = True, path: str = "dead_reckoning") -> None:
-        options = pipeline.Options(steering=path)  # type: ignore[arg-type]
+        options = EstimatorOptions(path=path)  # type: ignore[arg-type]
         self.pilot = Pilot(EYES, options, Plan.over_the_pad(), Gains(), automatic=automatic)
         self.now = MonoNs(0)
         self.d = np.array([0.3, -0.2, 3.0])

@@ -26,8 +26,8 @@ from companion.runtime.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.video_source_options import CameraOptions
 from drivers.mavlink.autopilot import AutopilotOptions
-from estimator import pipeline
 from estimator.contracts.errors import BadInput
+from estimator.options import EstimatorOptions
 
 READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
@@ -73,6 +73,8 @@ def cameras(settings: Settings) -> list[CameraOptions | None]:
 
 def plain(value: Any) -> Any:
     """Options as nested tuples that compare by value."""
+    if isinstance(value, msgspec.Struct):
+        return tuple((name, plain(getattr(value, name))) for name in value.__struct_fields__)
     if dataclasses.is_dataclass(value):
         return tuple((f.name, plain(getattr(value, f.name))) for f in dataclasses.fields(value))
     if isinstance(value, np.ndarray):
@@ -85,6 +87,10 @@ def plain(value: Any) -> Any:
 def other(field: inspect.Field, path: str) -> object:
     """A good value that is not the default."""
     bare = field.type.type if isinstance(field.type, inspect.Metadata) else field.type
+    if path == "estimator.ekf.gate_probability":
+        return 1e-3
+    if path == "estimator.ekf.velocity_is_over":
+        return "pad"
     if path == "camera.file":
         return "photos"
     if path == "vehicle.links":
@@ -133,7 +139,7 @@ def test_defaults_are_those_of_the_parts() -> None:
     assert math.isclose(gains.turn_max_rad_s, Gains().turn_max_rad_s, rel_tol=0.01)
     assert dataclasses.replace(gains, turn_max_rad_s=Gains().turn_max_rad_s) == Gains()
     assert plain(build.plan(settings)) == plain(Plan.over_the_pad())
-    assert plain(build.estimator_options(settings)) == plain(pipeline.Options())
+    assert settings.estimator == EstimatorOptions()
     assert build.restart(settings) == Restart()
     link = build.ardrone_options(settings)
     same = {"loop", "samples"}

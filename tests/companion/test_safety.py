@@ -18,12 +18,12 @@ from companion.guidance.pid import Gains, fit_to_steer
 from companion.guidance.plan import Plan
 from companion.observer import Decision
 from companion.pilot import Pilot
-from estimator import pipeline
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import Doubt, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.options import EstimatorOptions
 from estimator.vision.thesis.detection import Detection
 from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker import TrackerConfig
@@ -50,7 +50,7 @@ class Loop:
     lowest_m: float = math.inf
 
     def __post_init__(self) -> None:
-        self.pilot = Pilot(EYES, pipeline.Options(steering=self.path), self.plan, Gains())
+        self.pilot = Pilot(EYES, EstimatorOptions(path=self.path), self.plan, Gains())
         self.rng = np.random.default_rng(7)
         self.now = MonoNs(10**12)
         self.ticks = 0

@@ -89,7 +89,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         (
             {"a b": 1},
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
-            "mqtt, metrics, face",
+            "mqtt, metrics, bridge",
         ),
         ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
         ({"vision": 3}, "vision must be a table of keys, found 3"),
@@ -127,7 +127,9 @@ def test_every_number_refuses_nan_infinities_and_what_lies_outside_its_range(pat
 
 UNITS = {
     "s": "_s", "m": "_m", "m/s": "_m_s", "m/s^2": "_m_s2", "deg": "_deg", "deg/s": "_deg_s", "Hz": "_hz", "port": "_port",
-    "1/s": "_1_s", "1/s^2": "_1_s2", "threads": "threads", "samples": "_items",
+    "1/s": "_1_s", "1/s^2": "_1_s2", "threads": "threads", "samples": ("_items", "_samples"),
+    "rad": "_rad", "rad/s": "_rad_s", "rad/s/sqrt(Hz)": "_rad_s", "rad/s^2/sqrt(Hz)": "_rad_s2", "m/s^2/sqrt(Hz)": "_m_s2",
+    "m/s^3/sqrt(Hz)": "_m_s3", "m/sqrt(s)": "_m", "s/sqrt(s)": "_s_sqrt_s", "rad/sqrt(s)": "_rad_sqrt_s", "1/sqrt(s)": "",
     "id": "_id", "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames",
 }  # fmt: skip
 GAINS_AND_RATIOS = {
@@ -139,6 +141,13 @@ GAINS_AND_RATIOS = {
     "slow_floor",
     "soft_least",
     "restart_factor",
+    "sigma_velocity_scale",
+    "sigma_sway_per_heave",
+    "gate_probability",
+    "view_still_ratio",
+    "place_step_share",
+    "reopen_count",
+    "leap_count",
     "min_confidence",
     "jpeg_quality",
     "frames_each",
@@ -188,6 +197,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     estimator, service = data.setdefault("estimator", {}), data.setdefault("service", {})
     planner = data.setdefault("guidance", {}).setdefault("planner", {})
     estimator.update(max_delay_s=0.5, history_s=1.0)
+    estimator.setdefault("ekf", {}).update(gate_probability=1e-3)
     service.update(restart_first_s=0.1, restart_cap_s=1.0)
     data.setdefault("recorder", {}).update(max_file_mb=1.0, max_total_mb=10.0)
     data.setdefault("mqtt", {}).update(reconnect_first_s=0.1, reconnect_cap_s=1.0, user="a", certificate_file="", key_file="")

@@ -15,12 +15,12 @@ from companion.guidance.planner import Plan
 from companion.pilot import Pilot
 from companion.runtime.daemon import Daemon, Link
 from drivers.mailbox import Latest, Line
-from estimator import pipeline
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
+from estimator.options import EstimatorOptions
 from estimator.vision.thesis.detection import Detection
 from tests.companion.test_daemon import EYES
 
@@ -67,7 +67,7 @@ class SeeingPilot(Pilot):
     """Sees the pad where the fake vehicle knows it to be."""
 
     def __init__(self, vehicle: FakeFlight) -> None:
-        options = pipeline.Options(steering="dead_reckoning")
+        options = EstimatorOptions(path="dead_reckoning")
         super().__init__(EYES, options, Plan.over_the_pad(), Gains())
         self._truth = vehicle
 

@@ -11,7 +11,7 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Sighting, Verdict
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.rest_calibration import RestOptions
+from estimator.options import DeadReckoningOptions
 
 FLIGHT = Path(__file__).parents[2] / "../shared/data/flight_with_mocap"
 G = np.array([0.0, 0.0, -dr.GRAVITY_M_S2])
@@ -192,7 +192,7 @@ def test_calibration_at_rest_takes_the_means_off():
         t = i * 0.01
         events += [attitude(t, roll=0.05, pitch=-0.03), velocity(t, bias_v + rng.normal(0, 0.005, 3))]
         events += [imu(t, tilt.inv @ G + bias_f + rng.normal(0, 0.1, 3))]
-    state, _ = feed(events, dr.Options(calibration=RestOptions()))
+    state, _ = feed(events, DeadReckoningOptions(calibration_s=10.0))
     state, _ = feed([sighting(10.995, [0, 0, 2])], state=state)
     details = dict(dr.at(state, ns(11.0)).details)
     assert details["calibrated"] == 1.0
@@ -201,7 +201,7 @@ def test_calibration_at_rest_takes_the_means_off():
 
 
 def test_a_drone_that_moves_is_not_at_rest():
-    options = dr.Options(calibration=RestOptions(duration_s=1.0, samples=50))
+    options = DeadReckoningOptions(calibration_s=1.0, calibration_samples=50)
     events = [e for i in range(200) for e in (attitude(i * 0.01), imu(i * 0.01, G), velocity(i * 0.01, [(i % 50) * 0.01, 0, 0]))]
     state, _ = feed([*events, sighting(1.99, [0, 0, 2])], options)
     assert dict(dr.at(state, ns(2.0)).details)["calibrated"] == 0.0

@@ -11,9 +11,10 @@ from estimator.contracts.estimates import RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.options import EstimatorOptions
 from estimator.paths import Event
 
-BOTH = pipeline.Options(steering="dead_reckoning", shadows=("median_mean",))
+STEERING = EstimatorOptions(path="dead_reckoning")
 
 
 def stamp(t_s: float, delay_s: float = 0.0) -> Stamp:
@@ -44,7 +45,7 @@ def feed(memory: pipeline.Memory, events: list[Event]) -> tuple[pipeline.Memory,
 
 
 def hovering(until_s: float = 1.0) -> pipeline.Memory:
-    memory = pipeline.start(BOTH)
+    memory = pipeline.start(STEERING, shadows=("median_mean",))
     for i in range(round(until_s * 200)):
         memory, _ = feed(memory, at_rest(i / 200))
         if i % 7 == 0 and i > 20:
@@ -57,7 +58,7 @@ def same(a: RelativeState, b: RelativeState) -> bool:
 
 
 def test_nothing_is_believed_before_the_first_sighting() -> None:
-    memory, _ = feed(pipeline.start(BOTH), at_rest(0.0))
+    memory, _ = feed(pipeline.start(STEERING, shadows=("median_mean",)), at_rest(0.0))
     assert pipeline.belief(memory, MonoNs(0)) is None
     assert pipeline.beliefs(memory, MonoNs(0)) == ()
 
@@ -78,9 +79,9 @@ def test_every_sighting_ends_in_one_verdict_a_path_and_a_refused_one_changes_not
     before = pipeline.beliefs(memory, MonoNs(10**9))
     after, outcomes = pipeline.step(memory, sighting(0.99, (3.0, 3.0, 3.0), delay_s=delay_s, confidence=confidence))
     assert sorted(o.path for o in outcomes) == ["dead_reckoning", "median_mean"]
-    if delay_s > BOTH.max_delay_s + 1e-6:
+    if delay_s > STEERING.max_delay_s + 1e-6:
         assert {o.verdict for o in outcomes} == {Verdict.TOO_OLD}
-    elif confidence < BOTH.min_confidence:
+    elif confidence < STEERING.min_confidence:
         assert {o.verdict for o in outcomes} == {Verdict.GATED}
     if all(o.verdict is not Verdict.FUSED for o in outcomes):
         assert all(same(a, b) for a, b in zip(before, pipeline.beliefs(after, MonoNs(10**9)), strict=True))

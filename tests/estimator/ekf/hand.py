@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+from msgspec import structs
 
 from estimator.contracts.estimates import Pose6, Sighting
 from estimator.contracts.geometry import F64, Rotation
@@ -25,7 +24,7 @@ TILTED = so3.from_rpy(0.1, -0.15, 0.8)
 
 
 def params(**changed: object) -> FilterParams:
-    o = replace(OPTIONS, **changed)  # type: ignore[arg-type]
+    o = structs.replace(OPTIONS, **changed)  # type: ignore[arg-type]
     return FilterParams(o, motion.ProcessNoise(o), TOOLS.algebra)
 
 

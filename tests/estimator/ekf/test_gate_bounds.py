@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy.stats import chi2
 
 from estimator.ekf import EkfOptions, gate
@@ -89,7 +89,7 @@ def test_a_belief_of_few_sightings_is_overthrown_by_one_more_than_they_were() ->
 
 
 def test_a_belief_of_three_or_more_is_overthrown_by_count_and_time_alone() -> None:
-    options = replace(OPTIONS, reopen_count=5, reopen_s=0.6)
+    options = structs.replace(OPTIONS, reopen_count=5, reopen_s=0.6)
     row = RejectionStreak(n=5, since=0, last=600_000_000)
     assert gate.should_reset(row, 3, options)
     assert gate.should_reset(row, 1000, options)

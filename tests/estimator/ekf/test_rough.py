@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from benches import estimator_faults
 from benches.estimator_faults import BEGIN_S, SCENE, suffered
@@ -106,7 +107,7 @@ def test_a_belief_that_nothing_confirms_is_not_called_consistent() -> None:
         state = at(ekf, ns(later_s))
         assert state is not None
         assert state.consistent is expected
-    strict = replace(ekf, options=replace(ekf.options, consistent_sigma_m=1e-3))
+    strict = replace(ekf, options=structs.replace(ekf.options, consistent_sigma_m=1e-3))
     state = at(strict, ns(8.1))
     assert state is not None
     assert not state.consistent, "a sigma beyond the bound"

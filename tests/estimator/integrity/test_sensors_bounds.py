@@ -1,10 +1,10 @@
 """Readings at each edge: a limit may be reached and not passed, a step in its time, a repeat for so long."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
@@ -80,7 +80,7 @@ def test_a_step_is_allowed_what_the_vehicle_can_do_within_a_tenth_of_a_second(af
 def test_a_step_on_its_limit_is_possible() -> None:
     assert said(velocity(T, (0.0, 0.0, 0.0)), velocity(T + S, (4.5, 0.0, 0.0))) == [None, None]
     assert said(baro(T, 0.0), baro(T + S, 7.0)) == [None, None]
-    half_turn = replace(LIMITS, tilt_step_rad=math.pi - 0.1 * LIMITS.tilt_rate_max_rad_s)
+    half_turn = structs.replace(LIMITS, tilt_step_rad=math.pi - 0.1 * LIMITS.tilt_rate_max_rad_s)
     state, _ = watch(SensorWatch(), roll(T, 0.0), half_turn, True)
     assert watch(state, roll(T + S, math.pi), half_turn, True)[1] is None
 

@@ -1,10 +1,10 @@
 """A view that stands still, at each edge: how many looks over how long, and how far the body has to have turned."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation
@@ -80,7 +80,7 @@ def test_a_pad_at_no_distance_has_no_bearing() -> None:
 
 @pytest.mark.parametrize(("limit", "swing_rad", "frozen"), [(0.01, 0.0099, False), (0.01, 0.0101, True), (0.03, 0.0297, False)])
 def test_the_body_has_to_have_turned(limit: float, swing_rad: float, frozen: bool) -> None:
-    assert looked(EIGHT, replace(LIMITS, view_turned_min_rad=limit), swing_rad=swing_rad).frozen is frozen
+    assert looked(EIGHT, structs.replace(LIMITS, view_turned_min_rad=limit), swing_rad=swing_rad).frozen is frozen
 
 
 @pytest.mark.parametrize(("own", "frozen"), [(0.0, True), (0.095, True), (0.115, False), (1.0, False)])

@@ -1,0 +1,76 @@
+"""How an option is declared: its meaning, unit, range and the source of its default, in one line beside its type and default.
+
+    class FilterOptions(Struct, frozen=True, forbid_unknown_fields=True):
+        forget_s: Annotated[float, number("silence after which the filter starts again", "s", 1.0, 600.0)] = 30.0
+
+The class is at once what the part takes and what the settings file may hold: the reader, `config check`, the reference page
+and the JSON Schema use the same declaration.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Annotated, Literal, get_args, get_origin, get_type_hints
+
+from msgspec import Meta, Struct
+
+
+def number(meaning: str, unit: str, low: float, high: float, source: str = "") -> Meta:
+    """Declare a key that holds a number in `unit` ("1" for a ratio), from `low` to `high`, both included."""
+    return Meta(ge=low, le=high, description=meaning, extra_json_schema=_notes(unit, source))
+
+
+def text(meaning: str, longest: int, source: str = "", shortest: int = 1) -> Meta:
+    """Declare a key that holds text of `shortest` to `longest` characters."""
+    return Meta(min_length=shortest, max_length=longest, description=meaning, extra_json_schema=_notes("", source))
+
+
+def name(meaning: str, longest: int, source: str = "") -> Meta:
+    """Declare a key that holds one word of letters, digits, - and _."""
+    return Meta(
+        pattern=rf"^[A-Za-z0-9_-]{{1,{longest}}}(?!\n)$",
+        min_length=1,
+        max_length=longest,
+        description=meaning,
+        extra_json_schema=_notes("", source),
+    )
+
+
+def choice(meaning: str, source: str = "") -> Meta:
+    """Declare a key that holds one of the words of its Literal, or true or false."""
+    return Meta(description=meaning, extra_json_schema=_notes("", source))
+
+
+def check_ranges(options: Struct) -> None:
+    """Refuse options made in code that a settings file could not hold; for `__post_init__`.
+
+    Raises:
+        ValueError: a number outside its declared range or not finite, or a word that is not among the choices.
+    """
+    kind = type(options).__name__
+    for key, low, high in _ranges(type(options)):
+        value = getattr(options, key)
+        if not low <= value <= high:
+            raise ValueError(f"{kind}.{key} must lie in {low:g} to {high:g}, got {value!r}")
+    for key, words in _choices(type(options)):
+        if getattr(options, key) not in words:
+            raise ValueError(f"{kind}.{key} must be one of {', '.join(map(str, words))}, got {getattr(options, key)!r}")
+
+
+@cache
+def _ranges(kind: type[Struct]) -> tuple[tuple[str, float, float], ...]:
+    found: list[tuple[str, float, float]] = []
+    for key, hint in get_type_hints(kind, include_extras=True).items():
+        for note in get_args(hint)[1:] if get_origin(hint) is Annotated else ():
+            if isinstance(note, Meta) and note.ge is not None and note.le is not None:
+                found.append((key, note.ge, note.le))
+    return tuple(found)
+
+
+@cache
+def _choices(kind: type[Struct]) -> tuple[tuple[str, tuple[object, ...]], ...]:
+    return tuple((key, get_args(hint)) for key, hint in get_type_hints(kind).items() if get_origin(hint) is Literal)
+
+
+def _notes(unit: str, source: str) -> dict[str, str] | None:
+    return {name: note for name, note in (("x-unit", unit), ("x-source", source)) if note} or None

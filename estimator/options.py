@@ -1,0 +1,119 @@
+"""The estimator's options: which path steers, what is refused at the door, and the numbers of each path."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from estimator.contracts.keys import check_ranges, choice, number
+from estimator.ekf.options import EkfOptions
+from estimator.integrity.options import IntegrityOptions
+
+_AR_DRONE = "AR.Drone 2.0"
+
+
+class DeadReckoningOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """Carrying the last sighting on by the drone's own velocity and acceleration.
+
+    Raises:
+        ValueError: a number outside its range.
+    """
+
+    calibration_s: Annotated[
+        float,
+        number(
+            "average biases over this long while the drone stands still before it flies; 0 for not at all",
+            "s",
+            0.0,
+            60.0,
+            "off in the thesis' code, 10 s in its section 4.3",
+        ),
+    ] = 0.0
+    calibration_samples: Annotated[
+        int, number("and over at least so many samples of the accelerometer", "samples", 1, 1_000_000, "thesis section 4.3")
+    ] = 1000
+    calibration_velocity_max_m_s: Annotated[
+        float, number("a drone that measures more does not stand still: the calibration begins again", "m/s", 0.001, 10.0)
+    ] = 0.15
+    calibration_acceleration_max_m_s2: Annotated[
+        float,
+        number("the same for acceleration", "m/s^2", 0.01, 20.0, "an AR.Drone 2.0 at rest shows up to 0.8"),
+    ] = 1.5
+    velocity_dead_band_m_s: Annotated[
+        float, number("a smaller velocity counts as none", "m/s", 0.0, 0.5, "3 mm/s in the thesis' code")
+    ] = 0.003
+    acceleration_dead_band_m_s2: Annotated[
+        float, number("a smaller horizontal acceleration counts as none", "m/s^2", 0.0, 5.0, "0.5 m/s^2 in the thesis' code")
+    ] = 0.5
+    velocity_scale: Annotated[
+        float, number("factor of the measured velocity: one over the ratio at which the vehicle reads it", "1", 0.1, 10.0)
+    ] = 1.0
+    sigma_velocity_scale: Annotated[
+        float, number("one standard deviation of the scale that remains", "1", 0.0, 10.0, "AR.Drone 2.0 over several floors")
+    ] = 0.2
+    sigma_pad_v_m_s: Annotated[
+        float, number("how fast the pad itself may move along each horizontal axis: one standard deviation", "m/s", 0.0, 10.0)
+    ] = 0.15
+    sigma_heading_rate_rad_s: Annotated[
+        float, number("drift of the vehicle's heading against the pad's: one standard deviation", "rad/s", 0.0, 1.0)
+    ] = 0.01
+    sigma_unknown_v_m_s: Annotated[
+        float, number("one standard deviation of a velocity that no recent sample tells", "m/s", 0.0, 100.0)
+    ] = 1.0
+    sigma_vertical_v_m_s: Annotated[
+        float, number("one standard deviation of a vertical velocity that has leaked to zero", "m/s", 0.0, 100.0)
+    ] = 0.3
+    vertical_tau_s: Annotated[
+        float, number("within this time the vertical velocity is pulled towards the sightings' rate", "s", 0.01, 60.0, _AR_DRONE)
+    ] = 0.35
+    vertical_leak_s: Annotated[
+        float, number("within this time the vertical velocity leaks to zero without sightings", "s", 0.01, 60.0)
+    ] = 1.0
+    vertical_mean_s: Annotated[
+        float, number("the accelerometer's mean over this long is taken for its vertical bias", "s", 0.01, 600.0)
+    ] = 5.0
+    hold_s: Annotated[float, number("how long a velocity or acceleration is trusted after it was measured", "s", 0.001, 10.0)] = (
+        0.25
+    )
+    history_s: Annotated[
+        float, number("how late a sighting may be; estimator.max_delay_s where that is longer", "s", 0.05, 30.0)
+    ] = 1.5
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+class EstimatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """How sightings become the estimate that guidance steers by.
+
+    Raises:
+        ValueError: a number outside its range, or a history shorter than the delay that is allowed.
+    """
+
+    path: Annotated[
+        Literal["ekf", "median_mean", "dead_reckoning"],
+        choice(
+            "which estimator steers: the error-state filter; the filtered sightings alone; or those carried on by dead reckoning"
+        ),
+    ] = "ekf"
+    max_gap_s: Annotated[
+        float,
+        number("after a gap this long the moving median and mean start afresh instead of mixing old with new", "s", 0.05, 10.0),
+    ] = 0.5
+    min_confidence: Annotated[
+        float, number("a sighting less sure than this to be the pad is refused; 1 is certain", "1", 0.0, 1.0)
+    ] = 0.2
+    max_delay_s: Annotated[float, number("a frame older than this on arrival is refused", "s", 0.05, 5.0)] = 0.5
+    history_s: Annotated[float, number("how far back attitudes are kept to meet late frames", "s", 0.1, 30.0)] = 2.0
+    ekf: EkfOptions = EkfOptions()
+    dead_reckoning: DeadReckoningOptions = DeadReckoningOptions()
+    integrity: IntegrityOptions = IntegrityOptions()
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.history_s <= self.max_delay_s:
+            raise ValueError(
+                f"history_s ({self.history_s:g} s) must exceed max_delay_s ({self.max_delay_s:g} s), or the oldest frames "
+                "accepted would find no attitude"
+            )
