@@ -245,7 +245,7 @@ def test_the_kind_of_vehicle_decides_which_keys_there_are(tmp_path: Path) -> Non
             ('source = "v4l2"\ndevice = "Test camera"', ""),
             'camera.source must be "v4l2" or "stream": an autopilot has no frames',
         ),
-        (("[camera]", '[face]\nlinks = "udpin://0.0.0.0:14550"\n[camera]'), "bridge.links must be empty"),
+        (("[camera]", '[bridge]\nlinks = "udpin://0.0.0.0:14550"\n[camera]'), "bridge.links must be empty"),
     ],
 )
 def test_what_an_autopilot_does_not_go_with(tmp_path: Path, change: tuple[str, str], said: str) -> None:

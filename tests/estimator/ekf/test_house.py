@@ -28,6 +28,7 @@ def test_imports() -> None:
                     "estimator",
                     "functools",
                     "itertools",
+                    "msgspec",
                 }, path
                 assert not name.startswith("estimator.vision"), path
 

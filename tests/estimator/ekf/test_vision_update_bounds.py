@@ -372,7 +372,7 @@ def test_a_belief_opened_drops_what_was_of_the_pad_and_keeps_what_is_of_the_body
 ) -> None:
     b = belief(TILTED, x=state(), heading_known=known, rejections=RejectionStreak(3, T, T), sea=learned(heave_m_s=0.4))
     seen = sighting((1.5, 0.7, 3.0), yaw, ambiguous=ambiguous)
-    after = vision_update._initialized(b, seen, OPTIONS, anew=anew)
+    after = vision_update._initialized(b, seen, OPTIONS, reset=anew)
     x, P = b.x.copy(), b.P.copy()
     body = measure.levelling(TILTED, TILTED).T @ seen.d_body_pad_level
     x[POS_REL] = TILTED @ so3.exp(b.x[CAMERA_MOUNT]) @ body
