@@ -207,7 +207,7 @@ class Recorder:
         self._seen += 1
         keep = self._options.frames != "none" and (self._seen - 1) % self._options.frames_each == 0
         if keep and not self._frames_waiting.acquire(blocking=self._options.when_full == "wait"):
-            self.dropped["image"] += 1
+            self.dropped["frame"] += 1
             keep = False
         if (
             not self._give(processed.done, (encode.detection(processed), processed if keep else None, processed.detection))
