@@ -8,7 +8,7 @@ BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
 .PHONY: demo test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
 
-demo: $(VENV)/.runtime
+demo: $(VENV)/.report
 	$(BIN)/decklander demo
 
 test: lint
@@ -60,6 +60,11 @@ $(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/runtime.txt
 	$(PIP) install --no-deps --no-build-isolation --editable .
 	@touch $@
 
+# The drawings of demo's report, calibrate and soak.
+$(VENV)/.report: requirements/report.txt $(VENV)/.runtime
+	$(PIP) install --require-hashes -r requirements/report.txt
+	@touch $@
+
 $(VENV)/.dev: requirements/dev.txt $(VENV)/.runtime
 	$(PIP) install --require-hashes -r requirements/dev.txt
 	@touch $@
@@ -92,7 +97,8 @@ PIN := pip-compile --quiet --upgrade --generate-hashes --allow-unsafe --strip-ex
 pins:
 	$(PIN) --only-build-deps --build-deps-for=editable -o requirements/build.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
-	$(PIN) --constraint requirements/build.txt --constraint requirements/runtime.txt --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) --constraint requirements/runtime.txt --extra report -o requirements/report.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --extra report --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in

@@ -29,15 +29,10 @@ _FROM_TEXT = {
 }
 READ = {
     "aiomqtt": "BSD-3-Clause",
-    "contourpy": "BSD-3-Clause",
-    "cycler": "BSD-3-Clause",
-    "kiwisolver": "BSD-3-Clause",
     "lz4": "BSD-3-Clause",
-    "matplotlib": "PSF-2.0",
 }
 """Distributions whose metadata do not give a licence that a program can read. Each entry was compared with the licence file
-of the distribution, in the version pinned in November 2026: the BSD texts have the third clause; matplotlib's text is its own,
-modelled on the PSF licence that its classifier names. No test reads these texts again for a new version."""
+of the distribution, in the version pinned in November 2026: the BSD texts have the third clause. No test reads these texts again for a new version."""
 
 _CARRIED = {
     "libx264": "GPL-2.0-or-later",

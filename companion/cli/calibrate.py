@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.calibrate import assess, figures
+from companion.calibrate import assess
 from companion.calibrate.board import Board
 from companion.calibrate.camera_file import text
 from companion.calibrate.gather import PICTURES, image_files, look_at, watch
 from companion.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.calibrate.views import Collection
 from companion.cli import board_option
+from companion.report.drawing import require_drawing
 from companion.runtime import event_loop
 from drivers.camera.video_source_options import FORMATS, CameraOptions, StreamOptions, V4l2Options
 from estimator.contracts.errors import BadInput
@@ -67,6 +68,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadInput: an argument, an image or the board is wrong.
     """
+    if args.figures is not None:
+        require_drawing("--figures")
     board = board_option.board(args, args.board)
     position, rpy = _three(args.position_m, "--position-m"), _three(args.rpy_deg, "--rpy-deg")
     mount = Transform(Rotation.from_rpy(*(math.radians(a) for a in rpy)), np.array(position))
@@ -81,6 +84,8 @@ def run(args: argparse.Namespace) -> int:
         return 1
     solution = solve(collection.views, board, size, mount)
     if args.figures is not None:
+        from companion.calibrate import figures
+
         figures.write_coverage([f.view for f in solution.fits], size, Path(args.figures) / "coverage.png")
         figures.write_residuals(solution, Path(args.figures) / "residuals.png")
     found = assess.assess(solution, size)

@@ -27,6 +27,7 @@ from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
 from companion.observer import Observer
 from companion.pilot import Outcome
+from companion.report.drawing import require_drawing
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.log_observer import LogObserver
 from companion.report.page import PAGE, write_report
@@ -70,6 +71,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    if not args.no_report:
+        require_drawing("the report", "; or fly without it: --no-report")
     scenario = load_scenario(args.scenario)
     return event_loop.run(_demo(args, scenario))
 

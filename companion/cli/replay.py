@@ -20,6 +20,7 @@ from companion.recorder.setup import about, recorder_to_file
 from companion.replay.engine import Replay
 from companion.replay.log_observer import Difference, LogObserver, differences, recorded_beliefs
 from companion.replay.pilots import available_paths, pilot_of, settings_of
+from companion.report.drawing import require_drawing
 from companion.report.figures import ErrorRow, all_series, error_rows
 from companion.report.flight_log import FlightLog
 from companion.report.page import PAGE, write_report
@@ -65,6 +66,8 @@ class Pass:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.report is not None:
+        require_drawing("--report")
     recording = open_recording(args.recording)
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")

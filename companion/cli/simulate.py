@@ -19,6 +19,7 @@ from companion.cli.verdict import Contact, Ending, FlightGrade
 from companion.config.model import CameraSettings, PadSettings
 from companion.config.settings import load, shipped
 from companion.observer import Observer
+from companion.report.drawing import require_drawing
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.log_observer import LogObserver
 from companion.report.page import PAGE, write_report
@@ -83,6 +84,8 @@ def run(args: argparse.Namespace) -> int:
         return simulate_autopilot.run(args)
     if args.binary is not None or args.keep is not None or args.param:
         raise BadInput("--binary, --param and --keep go with --autopilot")
+    if args.report is not None:
+        require_drawing("--report")
     scenario = load_scenario(args.scenario)
     settings = load(args.config or "sim")
     if args.config is None:

@@ -25,6 +25,7 @@ from companion.cli.soak_plot import plot
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
 from companion.pilot import Pilot
+from companion.report.drawing import require_drawing
 from companion.runtime import event_loop
 from companion.runtime.health import Health
 from companion.runtime.service import make_daemon, make_pilot
@@ -141,6 +142,7 @@ def run(args: argparse.Namespace) -> int:
     scenario = load_scenario(args.scenario)
     settings = _rig(args, scenario)
     if args.plot is not None:
+        require_drawing("--plot")
         _writable("--plot", args.plot)
     interrupted: Stopped | None = None
     with nullcontext() if args.readings is None else _opened(args.readings) as file:

@@ -7,7 +7,6 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 
-from companion.report import plots
 from companion.report.figures import ErrorRow, Series, TimingRow, all_series, error_rows, timing_rows
 from companion.report.flight_log import FlightLog
 from companion.report.palette import colour
@@ -112,6 +111,8 @@ def _video(video: str | None) -> str:
 
 
 def _trajectory(log: FlightLog, series: list[Series]) -> str:
+    from companion.report import plots
+
     if not log.truth and not any(s.is_path for s in series):
         return '<h2>Trajectory</h2><p class="note">Neither truth nor an estimate was recorded.</p>'
     return (
@@ -121,6 +122,8 @@ def _trajectory(log: FlightLog, series: list[Series]) -> str:
 
 
 def _estimates(log: FlightLog, series: list[Series]) -> str:
+    from companion.report import plots
+
     if not series:
         return '<h2>Estimates</h2><p class="note">Nothing was estimated.</p>'
     parts = [
@@ -175,6 +178,8 @@ def _error_row(r: ErrorRow) -> str:
 
 
 def _frames(log: FlightLog) -> str:
+    from companion.report import plots
+
     total = sum(log.verdicts.values())
     if not total:
         return '<h2>Frames</h2><p class="note">No frames were counted.</p>'
@@ -185,6 +190,8 @@ def _frames(log: FlightLog) -> str:
 
 
 def _commands(log: FlightLog) -> str:
+    from companion.report import plots
+
     if not log.commands:
         return '<h2>Commands</h2><p class="note">No commands were recorded.</p>'
     return f"<h2>Commands</h2><figure>{plots.commands(log)}</figure>"

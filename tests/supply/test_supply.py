@@ -17,7 +17,7 @@ SHIPPED = packages(pins())
 
 
 def test_every_pinned_distribution_has_a_known_licence_and_the_page_is_that_of_today() -> None:
-    assert len(SHIPPED) > 30
+    assert len(SHIPPED) > 20
     assert licences.unknown(SHIPPED) == []
     assert licences.unknown([*SHIPPED, replace(SHIPPED[0], licence=None)]) == [SHIPPED[0].pin.name]
     assert (ROOT / "docs/licences.md").read_text() == licences.page(SHIPPED), "make licences"
@@ -58,7 +58,9 @@ def test_the_bill_lists_every_pin_with_its_hashes_licence_and_needs(tmp_path: Pa
     carried = {c["name"]: c for c in by_name["av"]["components"]}
     assert "GPL-2.0-or-later" in json.dumps(carried["libx264"]["licenses"])
     needs = {d["ref"]: d.get("dependsOn", []) for d in bill["dependencies"]}
-    assert any(ref.startswith("numpy==") for ref in needs[f"matplotlib=={by_name['matplotlib']['version']}"])
+    assert any(
+        ref.startswith("numpy==") for ref in needs[f"opencv-python-headless=={by_name['opencv-python-headless']['version']}"]
+    )
     again = json.loads(sbom.bill(SHIPPED, "0.1.0"))
     assert again["serialNumber"] == bill["serialNumber"], "the same pins are the same bill"
 

@@ -1,0 +1,57 @@
+"""A service without the extra `report`: commands that draw say so before they work, and nothing else asks for matplotlib."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from companion.cli.main import main
+from companion.report.drawing import require_drawing
+from estimator.contracts.errors import BadInput
+
+
+def test_a_missing_matplotlib_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    require_drawing("--plot")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(BadInput, match=r"--plot draws with matplotlib, .* requirements/report\.txt"):
+        require_drawing("--plot")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["demo"],
+        ["simulate", "demo", "--report", "{}/r"],
+        ["replay", "{}/none.mcap", "--report", "{}/r"],
+        ["calibrate", "camera", "{}", "--out", "{}/camera.toml", "--figures", "{}"],
+        ["soak", "--plot", "{}/soak.svg", "--hours", "1"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_every_command_that_draws_refuses_at_once(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main([word.format(tmp_path) for word in words]) == 2
+    assert "matplotlib, which is not installed" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+_ALL_HELP = """
+import sys
+sys.modules["matplotlib"] = None
+from companion.cli.main import COMMANDS, main
+for command in COMMANDS:
+    try:
+        main([command, "--help"])
+    except SystemExit as end:
+        assert end.code == 0, command
+assert "companion.cli.soak" in sys.modules
+"""
+
+
+def test_every_command_has_its_help_without_matplotlib() -> None:
+    assert subprocess.run([sys.executable, "-c", _ALL_HELP], capture_output=True, text=True, check=False).stderr == ""
