@@ -32,7 +32,8 @@ READ = {
     "lz4": "BSD-3-Clause",
 }
 """Distributions whose metadata do not give a licence that a program can read. Each entry was compared with the licence file
-of the distribution, in the version pinned in November 2026: the BSD texts have the third clause. No test reads these texts again for a new version."""
+of the distribution, in the version pinned in November 2026: the BSD texts have the third clause. No test reads these texts
+again for a new version."""
 
 _CARRIED = {
     "libx264": "GPL-2.0-or-later",
