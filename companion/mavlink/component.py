@@ -12,7 +12,6 @@ It is alive inside the vehicle's context and not vital itself: a fault in one th
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import math
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -31,6 +30,7 @@ from companion.mavlink.status_texts import Severity, StatusTexts
 from companion.mavlink.target_track import TargetTrack
 from companion.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.health import Health
+from drivers.beside import running_beside
 from drivers.mavlink.access import Standing
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
@@ -362,15 +362,8 @@ async def speaking(component: Component, autopilot: Autopilot, clock: Clock) -> 
             await clock.sleep(component.options.tick_s)
 
     component.attach(autopilot)
-    failed: Exception | None = None
-    async with asyncio.TaskGroup() as group:
-        task = group.create_task(tick(), name="mavlink-component")
+    async with running_beside([("mavlink-component", tick())]):
         try:
             yield
-        except Exception as why:  # the caller's own error must not come out wrapped in a group
-            failed = why
         finally:
             component.detach()
-            task.cancel()
-    if failed is not None:
-        raise failed

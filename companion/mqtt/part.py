@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import random
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
@@ -26,7 +25,8 @@ from companion.mqtt.settings import MqttSettings
 from companion.mqtt.topics import Topics
 from companion.observer import Decision, ProcessedFrame
 from companion.runtime.health import Health
-from estimator.contracts.errors import Recoverable
+from drivers.reconnect import BackOff, reconnect
+from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -77,7 +77,7 @@ class MqttPart:
         self._seen: ProcessedFrame | None = None
         self._vehicle: VehicleStatus | None = None
         self._counts: Counter[str] = Counter()
-        self._trouble: str | None = None
+        self._broker_down = False
         self._stopping = False
         health.counters("mqtt", self.counts)
         self.tell(PendingEvent(self._started, "service", "service started", {"version": version, "unix_s": self._started_unix_s}))
@@ -120,30 +120,21 @@ class MqttPart:
             self.tell(*self._changes.health(self._health.snapshot()))
             await self._clock.sleep(_WATCH_PARTS_S)
 
-    async def _stay_connected(self) -> NoReturn:
-        rest_s = self._settings.reconnect_first_s
+    async def _stay_connected(self) -> None:
+        s = self._settings
+        back_off = BackOff(s.reconnect_first_s, s.reconnect_cap_s, _HEALTHY_S, jitter=0.5)
+        name = f"MQTT broker {self._endpoint.host}:{self._endpoint.port}"
         try:
-            while True:
-                began = self._clock.now()
-                try:
-                    await self._connection()
-                except* (Recoverable, aiomqtt.MqttError) as group:
-                    self._failed(_first_words(group))
-                if seconds_between(began, self._clock.now()) > _HEALTHY_S:
-                    rest_s = self._settings.reconnect_first_s
-                await self._clock.sleep(rest_s * random.uniform(0.5, 1.0))
-                rest_s = min(2.0 * rest_s, self._settings.reconnect_cap_s)
+            await reconnect(name, self._connection, back_off, self._clock, self._failed, (Recoverable, aiomqtt.MqttError))
         finally:
             self._log_stopped()
 
-    def _failed(self, why: str) -> None:
-        """Said once, then counted: a broker may be away for hours."""
+    def _failed(self, why: BaseException) -> None:
+        """Count a failure, and tell health once: a broker may be absent for hours."""
         self._counts["connection_failures"] += 1
-        if self._trouble is None:
-            self._health.down(BROKER, Recoverable(why))
-        if why != self._trouble:
-            log.warning("no broker: %s; the flight goes on, trying again", why)
-        self._trouble = why
+        if not self._broker_down:
+            self._health.down(BROKER, why)
+        self._broker_down = True
 
     async def _connection(self) -> None:
         will = aiomqtt.Will(self._topics.status, encode(self._status("lost")), qos=1, retain=True)
@@ -163,7 +154,7 @@ class MqttPart:
             await connection.publish_message(self._topics.operator, encode(notice), qos=1, retain=True)
         await connection.publish_message(self._topics.status, encode(self._status("up")), qos=1, retain=True)
         self._counts["connections"] += 1
-        self._trouble = None
+        self._broker_down = False
         self._health.up(BROKER)
         log.info("connected to broker %s:%d", self._endpoint.host, self._endpoint.port)
         s = self._settings
@@ -237,7 +228,7 @@ class MqttPart:
                     pass
                 await connection.publish_message(self._topics.status, encode(self._status("stopped")), qos=1, retain=True)
         except* (TimeoutError, aiomqtt.MqttError) as group:
-            log.info("the broker did not take our farewell: %s", _first_words(group))
+            log.info("the broker did not take our farewell: %s", in_words(group))
 
     def _log_stopped(self) -> None:
         if not self._stopping:
@@ -254,10 +245,3 @@ class MqttPart:
             started_unix_s=self._started_unix_s,
             started_ns=self._started,
         )
-
-
-def _first_words(group: BaseExceptionGroup[BaseException]) -> str:
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    return str(error) or type(error).__name__

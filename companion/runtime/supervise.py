@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from companion.runtime.containment import report
 from companion.runtime.health import Health
+from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
@@ -29,45 +30,46 @@ CLOSE_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Restart:
-    """How long a failed part rests: `first_s`, then `factor` times longer each time up to `cap_s`.
-
-    A part that stayed up for `healthy_after_s` starts over with `first_s`.
-    """
+    """When a failed part is started again, and when it is given up."""
 
     first_s: float = 0.2
+    """The rest before the first restart, seconds."""
     factor: float = 2.0
+    """Each further rest is this many times longer."""
     cap_s: float = 5.0
+    """The longest rest, seconds."""
     healthy_after_s: float = 5.0
+    """A part that stayed up for this long starts over with `first_s`."""
     give_up_after: int = 10
-    """Failures in a row of a part beside the flight; those of the outside world do not count, it may come back at any time."""
+    """Failures in a row after which a part beside the flight is given up. Failures of the outside world do not count, because
+    it may come back at any time."""
+
+    @property
+    def back_off(self) -> BackOff:
+        """The rests, as `drivers.reconnect` takes them."""
+        return BackOff(self.first_s, self.cap_s, self.healthy_after_s, self.factor)
 
 
 async def keep_alive(name: str, body: Body, policy: Restart, health: Health, clock: Clock) -> None:
-    """Run a vital `body` again after each `Recoverable`; anything else propagates. A body that returns is done for good."""
-    delay_s = policy.first_s
-    while True:
-        began = clock.now()
-        try:
-            health.up(name)
-            await uncancelled(name, body)
-            return
-        except* Recoverable as group:
-            health.down(name, group)
-            log.warning("%s failed and will be restarted: %s", name, in_words(group))
-        if seconds_between(began, clock.now()) >= policy.healthy_after_s:
-            delay_s = policy.first_s
-        await clock.sleep(delay_s)
-        delay_s = min(delay_s * policy.factor, policy.cap_s)
+    """Run a vital `body` again after each `Recoverable`; anything else propagates. A body that returns has finished."""
+
+    async def attempt() -> None:
+        health.up(name)
+        await uncancelled(name, body)
+
+    await reconnect(name, attempt, policy.back_off, clock, lambda why: health.down(name, why), (Recoverable,))
 
 
 async def contain(name: str, body: Body, policy: Restart, health: Health, clock: Clock) -> None:
     """Run a `body` beside the flight again after whatever it raises. Raises nothing but its own cancellation.
 
     An error that is not the outside world's (`Recoverable`, `OSError`) is logged with its traceback the first time, and
-    `policy.give_up_after` of them in a row end the part for good. A body that returns is done.
+    `policy.give_up_after` of them in a row end the part for good. A body that returns has finished.
     """
-    delay_s, in_a_row = policy.first_s, 0
-    while True:
+    in_a_row = 0
+
+    async def attempt() -> None:
+        nonlocal in_a_row
         began = clock.now()
         try:
             health.up(name)
@@ -83,10 +85,8 @@ async def contain(name: str, body: Body, policy: Restart, health: Health, clock:
             report("%s failed while it ended", name, why=why)
             raise asyncio.CancelledError from why
         if seconds_between(began, clock.now()) >= policy.healthy_after_s:
-            delay_s, in_a_row = policy.first_s, 0
-        if _of_the_world(why):
-            log.warning("%s failed and will be restarted: %s", name, in_words(why))
-        else:
+            in_a_row = 0
+        if not _of_the_world(why):
             in_a_row += 1
             if health.contain(name) == 1:
                 report("%s failed and will be restarted; the flight goes on", name, why=why)
@@ -95,9 +95,9 @@ async def contain(name: str, body: Body, policy: Restart, health: Health, clock:
             health.down(name, RuntimeError(words))
             log.error("%s is %s", name, words)
             return
-        health.down(name, why)
-        await clock.sleep(delay_s)
-        delay_s = min(delay_s * policy.factor, policy.cap_s)
+        raise Recoverable(in_words(why)) from why
+
+    await reconnect(name, attempt, policy.back_off, clock, lambda why: health.down(name, why))
 
 
 async def run(

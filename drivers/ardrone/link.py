@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 
 from drivers.ardrone.command_channel import CommandChannel
@@ -13,12 +12,13 @@ from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.reconnect import BackOff, reconnect
 from drivers.ardrone.setup import Setup
 from drivers.ardrone.video_channel import VideoChannel
+from drivers.beside import running_beside
 from drivers.mailbox import Latest, Line
+from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.commands import Command
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs
@@ -93,6 +93,18 @@ class ArDrone:
         """Process that sends the commands, None while there is none."""
         return self._commands.sender_pid
 
+    async def _keep_open(self, name: str, body: Callable[[], Awaitable[None]], back_off: BackOff) -> None:
+        async def attempt() -> None:
+            self.down.pop(name, None)
+            await body()
+            raise Recoverable("ended by itself")
+
+        def on_failure(why: BaseException) -> None:
+            self.counters.restarts[name] += 1
+            self.down[name] = in_words(why)
+
+        await reconnect(f"AR.Drone {name}", attempt, back_off, self._clock, on_failure)
+
     def _close(self, *, hold: bool) -> None:
         self._open = False
         self._commands.close(hold=hold and not self._released)
@@ -111,9 +123,10 @@ async def open_ardrone(options: ArDroneOptions, clock: Clock) -> AsyncIterator[A
     successor.
     """
     drone = ArDrone(options, clock)
-    back_off = BackOff(options.restart_first_s, options.restart_most_s)
+    back_off = BackOff(options.restart_first_s, options.restart_most_s, healthy_after_s=options.restart_most_s)
     # Without commands a flying drone lands by itself, so that socket is never left closed for long.
-    fast_back_off = BackOff(options.command_period_s, min(options.restart_most_s, 8 * options.command_period_s))
+    fast_most_s = min(options.restart_most_s, 8 * options.command_period_s)
+    fast_back_off = BackOff(options.command_period_s, fast_most_s, healthy_after_s=fast_most_s)
     channels = {
         "at": (drone._commands.run, fast_back_off),
         "navdata": (drone._navdata.run, back_off),
@@ -121,21 +134,11 @@ async def open_ardrone(options: ArDroneOptions, clock: Clock) -> AsyncIterator[A
         "control": (drone._control.run, back_off),
         "video": (drone._video.run, back_off),
     }
-    failed: Exception | None = None
-    async with asyncio.TaskGroup() as group:
-        tasks = [
-            group.create_task(reconnect(name, body, clock, wait, drone.counters.restarts, drone.down), name=f"ardrone-{name}")
-            for name, (body, wait) in channels.items()
-        ]
+    tasks = [(f"ardrone-{name}", drone._keep_open(name, body, wait)) for name, (body, wait) in channels.items()]
+    async with running_beside(tasks):
         hold = True
         try:
             yield drone
             hold = False
-        except Exception as why:  # the caller's own error must not come out wrapped in a group
-            failed = why
         finally:
             drone._close(hold=hold)
-            for task in tasks:
-                task.cancel()
-    if failed is not None:
-        raise failed

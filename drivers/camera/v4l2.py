@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.images import claimed_size
+from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.v4l2_device import Buffer, Device, KernelDevice
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from drivers.camera.v4l2_names import cameras, find
-from drivers.camera.video_source import CameraLost, VideoSource
 from drivers.camera.video_source_options import V4l2Options
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame

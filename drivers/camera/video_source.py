@@ -6,41 +6,15 @@ async with open_camera(V4l2Options("/dev/v4l/by-id/usb-...", 640, 480), clock) a
 
 from __future__ import annotations
 
-import asyncio
-import logging
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from drivers.camera.video_source_options import CameraCounters, CameraOptions, SourceTimeouts, V4l2Options
-from drivers.mailbox import Latest
-from estimator.contracts.errors import Recoverable
+from drivers.beside import running_beside
+from drivers.camera.source import CameraLost, VideoSource
+from drivers.camera.video_source_options import CameraOptions, V4l2Options
+from drivers.reconnect import BackOff, reconnect
+from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
-from estimator.contracts.samples import Frame
-from estimator.contracts.time import seconds_between
-
-_log = logging.getLogger(__name__)
-
-
-class CameraLost(Recoverable):
-    """The camera went away or fell silent; `reason` is one word for counting.
-
-    Raised by a camera's `run`; `ended` with a file that is over, which is not opened again.
-    """
-
-    def __init__(self, reason: str, text: str) -> None:
-        super().__init__(text)
-        self.reason = reason
-
-
-class VideoSource:
-    """An open camera. It may be away at the moment: see `down`."""
-
-    def __init__(self) -> None:
-        self.frames: Latest[Frame] = Latest()
-        """Newest only. A video file that is over ends it with `CameraLost`."""
-        self.counters = CameraCounters()
-        self.down: str | None = "not yet opened"
-        """Why no frames come; None while they do."""
 
 
 @asynccontextmanager
@@ -55,6 +29,7 @@ async def open_camera(options: CameraOptions, clock: Clock) -> AsyncIterator[Vid
         SetupImpossible: no permission, or not a camera.
     """
     camera = VideoSource()
+    # Each kind loads its own library (linuxpy, PyAV) only when it is used.
     if isinstance(options, V4l2Options):
         from drivers.camera.v4l2 import V4l2Channel
 
@@ -63,48 +38,37 @@ async def open_camera(options: CameraOptions, clock: Clock) -> AsyncIterator[Vid
         from drivers.camera.video_source_stream import StreamChannel
 
         body = StreamChannel(options, clock, camera).run
-    failed: Exception | None = None
     name = options.device if isinstance(options, V4l2Options) else options.source
+    timeouts = options.timeouts
+    back_off = BackOff(timeouts.first_s, timeouts.most_s, healthy_after_s=timeouts.most_s)
+
+    async def attempt() -> None:
+        try:
+            await body()
+            raise CameraLost("ended", f"{name} ended by itself")
+        except CameraLost as why:
+            if why.reason != "ended":
+                raise
+            camera.down = in_words(why)
+            camera.frames.fail(why)
+
+    def on_failure(why: BaseException) -> None:
+        camera.down = in_words(why)
+        camera.counters.restarts[_reason(why)] += 1
+
     try:
-        async with asyncio.TaskGroup() as group:
-            task = group.create_task(_reconnect(name, body, camera, clock, options.timeouts), name="camera")
+        async with running_beside([("camera", reconnect(f"camera {name}", attempt, back_off, clock, on_failure))]):
             try:
                 yield camera
-            except Exception as why:  # the caller's own error must not come out wrapped in a group
-                failed = why
             finally:
                 camera.frames.fail(Recoverable("the camera is closed"))
-                task.cancel()
     except BaseExceptionGroup as errors:
         if len(errors.exceptions) == 1:
             raise errors.exceptions[0] from None
         raise
-    if failed is not None:
-        raise failed
 
 
-async def _reconnect(
-    name: str, body: Callable[[], Awaitable[None]], camera: VideoSource, clock: Clock, timeouts: SourceTimeouts
-) -> None:
-    wait_s = timeouts.first_s
-    said: str | None = None
-    while True:
-        began = clock.now()
-        try:
-            await body()
-            why: Exception = CameraLost("ended", f"{name} ended by itself")
-        except (Recoverable, OSError) as failed:
-            why = failed
-        reason = why.reason if isinstance(why, CameraLost) else "failed"
-        camera.down = str(why) or type(why).__name__
-        if reason == "ended":
-            camera.frames.fail(why)
-            return
-        camera.counters.restarts[reason] += 1
-        if seconds_between(began, clock.now()) > timeouts.most_s:
-            wait_s, said = timeouts.first_s, None
-        # An absent camera is tried for hours: once is enough.
-        _log.log(logging.DEBUG if said == camera.down else logging.WARNING, "camera %s; again in %.1f s", camera.down, wait_s)
-        said = camera.down
-        await clock.sleep(wait_s)
-        wait_s = min(2.0 * wait_s, timeouts.most_s)
+def _reason(why: BaseException) -> str:
+    while isinstance(why, BaseExceptionGroup):
+        why = why.exceptions[0]
+    return why.reason if isinstance(why, CameraLost) else "failed"

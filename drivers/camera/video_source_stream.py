@@ -22,7 +22,7 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from drivers.camera.images import ImageRefused
-from drivers.camera.video_source import CameraLost, VideoSource
+from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.video_source_options import CameraCounters, StreamOptions
 from drivers.camera.videos import MOST_PACKET_BYTES, open_video
 from drivers.clock_map import ClockMap, ClockMapOptions

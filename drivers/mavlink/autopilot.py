@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable
@@ -12,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from drivers.beside import running_beside
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.access import AccessOptions, Named, Source, Standing
 from drivers.mavlink.boot_clock import BootClock
@@ -335,19 +335,12 @@ async def open_autopilot(options: AutopilotOptions, clock: Clock) -> AsyncIterat
     is heard we speak as system 1.
     """
     identity = (options.system or 1, options.component)
-    failed: Exception | None = None
     reporters = frozenset(() if options.vessel_system is None else (options.vessel_system,))
     access = AccessOptions(options.operators, reporters)
-    async with open_links(options.links, clock, identity, access=access) as links, asyncio.TaskGroup() as group:
+    async with open_links(options.links, clock, identity, access=access) as links:
         autopilot = Autopilot(options, links, clock)
-        tasks = [group.create_task(autopilot._read()), group.create_task(autopilot._tick())]
-        try:
-            yield autopilot
-        except Exception as why:  # the caller's own error must not come out wrapped in a group
-            failed = why
-        finally:
-            autopilot._close()
-            for task in tasks:
-                task.cancel()
-    if failed is not None:
-        raise failed
+        async with running_beside([("autopilot-read", autopilot._read()), ("autopilot-tick", autopilot._tick())]):
+            try:
+                yield autopilot
+            finally:
+                autopilot._close()

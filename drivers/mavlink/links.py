@@ -6,7 +6,6 @@ peer and who a stranger is decided in `access`: strangers share one codec, and n
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -14,6 +13,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Literal
 
+from drivers.beside import running_beside
 from drivers.mailbox import Line
 from drivers.mavlink.access import Access, AccessOptions, Source, Standing
 from drivers.mavlink.codec import Codec, CodecCounters, Unfit
@@ -22,7 +22,8 @@ from drivers.mavlink.dialect import Message
 from drivers.mavlink.endpoint import Address, Endpoint
 from drivers.mavlink.signing import Signing
 from drivers.mavlink.wires import Wire, open_wire
-from estimator.contracts.errors import Recoverable
+from drivers.reconnect import BackOff, reconnect
+from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -182,20 +183,13 @@ class Link:
             self._peers.pop(address, None)
 
     async def reconnect(self) -> None:
-        """Open, and open again whenever it broke."""
-        wait_s = self._o.restart_first_s
-        while True:
-            began = self._clock.now()
-            try:
-                await self._run()
-            except Recoverable as why:
-                self.down = str(why)
-            if seconds_between(began, self._clock.now()) > self._o.restart_most_s:
-                wait_s = self._o.restart_first_s
-            self.counters.restarts += 1
-            _log.warning("MAVLink %s: %s; again in %.1f s", self.endpoint, self.down, wait_s)
-            await self._clock.sleep(wait_s)
-            wait_s = min(2.0 * wait_s, self._o.restart_most_s)
+        """Open the link, and open it again whenever it broke. It never returns."""
+        back_off = BackOff(self._o.restart_first_s, self._o.restart_most_s, healthy_after_s=self._o.restart_most_s)
+        await reconnect(f"MAVLink {self.endpoint}", self._run, back_off, self._clock, self._failed, (Recoverable,))
+
+    def _failed(self, why: BaseException) -> None:
+        self.down = in_words(why)
+        self.counters.restarts += 1
 
     def identify(self, system: int, component: int) -> None:
         for peer in self._peers.values():
@@ -368,18 +362,10 @@ async def open_links(
         access: who is known before anything is heard; nobody where it is None.
     """
     links = Links(options, clock, identity, capacity, access or AccessOptions())
-    failed: Exception | None = None
-    async with asyncio.TaskGroup() as group:
-        tasks = [group.create_task(link.reconnect(), name=f"mavlink-{link.endpoint}") for link in links.all]
+    async with running_beside([(f"mavlink-{link.endpoint}", link.reconnect()) for link in links.all]):
         try:
             yield links
-        except Exception as why:  # the caller's own error must not come out wrapped in a group
-            failed = why
         finally:
             links.received.fail(Recoverable("the MAVLink links are closed"))
-            for task in tasks:
-                task.cancel()
             for times in {id(one.signing.times): one.signing.times for one in options if one.signing is not None}.values():
                 times.close()
-    if failed is not None:
-        raise failed

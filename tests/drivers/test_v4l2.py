@@ -22,11 +22,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.v4l2 import V4l2Channel, stamp_of
 from drivers.camera.v4l2_device import Buffer
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, stands_alone, to_bgr
 from drivers.camera.v4l2_names import CaptureDevice, cameras, find
-from drivers.camera.video_source import CameraLost, VideoSource
 from drivers.camera.video_source_options import CameraCounters, SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput

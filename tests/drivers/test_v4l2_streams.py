@@ -14,7 +14,8 @@ import av
 import numpy as np
 import pytest
 
-from drivers.camera.video_source import CameraLost, open_camera
+from drivers.camera.source import CameraLost
+from drivers.camera.video_source import open_camera
 from drivers.camera.video_source_options import SourceTimeouts, StreamOptions, V4l2Options
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput

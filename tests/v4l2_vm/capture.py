@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from drivers.camera.video_source import VideoSource
+from drivers.camera.source import VideoSource
 from estimator.contracts.samples import Frame
 
 Seen = dict[str, Any]

@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera.source import VideoSource
 from drivers.camera.v4l2_names import cameras
-from drivers.camera.video_source import VideoSource, open_camera
+from drivers.camera.video_source import open_camera
 from drivers.camera.video_source_options import SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError

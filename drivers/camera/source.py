@@ -1,0 +1,30 @@
+"""What every camera driver fills and every reader of frames holds: the open camera, and the error of one that is lost."""
+
+from __future__ import annotations
+
+from drivers.camera.video_source_options import CameraCounters
+from drivers.mailbox import Latest
+from estimator.contracts.errors import Recoverable
+from estimator.contracts.samples import Frame
+
+
+class CameraLost(Recoverable):
+    """The camera was unplugged, fell silent or is absent; `reason` is one word for counting.
+
+    A channel raises it with the reason `ended` when a file is over, and that file is not opened again.
+    """
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+class VideoSource:
+    """An open camera. It may be absent at the moment: see `down`."""
+
+    def __init__(self) -> None:
+        self.frames: Latest[Frame] = Latest()
+        """The newest frame. The end of a video file ends it with `CameraLost`."""
+        self.counters = CameraCounters()
+        self.down: str | None = "not yet opened"
+        """The reason why no frames arrive, None while they do."""

@@ -1,0 +1,121 @@
+"""The one reconnect loop: rests, what ends it, and how little it logs."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+
+import pytest
+
+from drivers.reconnect import BackOff, reconnect
+from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.time import MonoNs
+
+
+class FakeClock:
+    def __init__(self) -> None:
+        self.t = 0
+        self.slept: list[float] = []
+
+    def now(self) -> MonoNs:
+        return MonoNs(self.t)
+
+    async def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.t += round(seconds * 1e9)
+        await asyncio.sleep(0)
+
+
+class Body:
+    """Fails as the list says: an error, or a number of seconds to be up before it fails. It returns when the list is over."""
+
+    def __init__(self, clock: FakeClock, runs: list[BaseException | float]) -> None:
+        self.clock, self.runs = clock, runs
+
+    async def __call__(self) -> None:
+        if not self.runs:
+            return
+        run = self.runs.pop(0)
+        if isinstance(run, BaseException):
+            raise run
+        self.clock.t += round(run * 1e9)
+        raise OSError("unplugged")
+
+
+BACK_OFF = BackOff(0.5, 4.0, healthy_after_s=10.0)
+
+
+async def test_rests_grow_to_the_cap_and_begin_again_after_a_healthy_run() -> None:
+    clock, failures = FakeClock(), []
+    body = Body(clock, [*[Recoverable("absent")] * 6, 9.9, 10.0, Recoverable("absent")])
+    await reconnect("camera", body, BACK_OFF, clock, failures.append)
+    assert clock.slept == [0.5, 1.0, 2.0, 4.0, 4.0, 4.0, 4.0, 0.5, 1.0]
+    assert len(failures) == 9
+
+
+async def test_an_absent_device_is_logged_twice_in_an_hour_and_once_when_it_is_back(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "drivers.reconnect")
+    clock = FakeClock()
+    await reconnect("camera", Body(clock, [*[Recoverable("absent")] * 900, 11.0]), BACK_OFF, clock)
+    assert clock.t > 3600e9 - 4e9
+    assert caplog.messages == [
+        "camera: absent; trying again",
+        "camera: still absent; trying every 4 s until it comes back",
+        "camera: up again after 900 failed attempts",
+        "camera: unplugged; trying again",
+    ]
+
+
+async def test_a_recovery_is_logged_while_the_body_runs(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "drivers.reconnect")
+    up = asyncio.Event()
+    runs = 0
+
+    async def body() -> None:
+        nonlocal runs
+        runs += 1
+        if runs == 1:
+            raise Recoverable("absent")
+        asyncio.get_running_loop().call_later(0.03, up.set)
+        await up.wait()
+
+    async with asyncio.timeout(5.0):
+        await reconnect("link", body, BackOff(0.5, 4.0, healthy_after_s=0.01), FakeClock())
+    assert caplog.messages[-1] == "link: up again after 1 failed attempts"
+
+
+async def test_reasons_that_never_repeat_do_not_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    clock = FakeClock()
+    await reconnect("link", Body(clock, [Recoverable(f"silent for {i} s") for i in range(500)]), BACK_OFF, clock)
+    assert len([r for r in caplog.records if r.levelno >= logging.INFO]) == 5
+
+
+@pytest.mark.parametrize("error", [BadInput("no such size"), ValueError("a bug"), asyncio.CancelledError()])
+async def test_any_other_error_passes_through_as_it_is(error: BaseException) -> None:
+    with pytest.raises(type(error)) as raised:
+        await reconnect("camera", Body(FakeClock(), [Recoverable("absent"), error]), BACK_OFF, FakeClock())
+    assert raised.value is error or isinstance(error, asyncio.CancelledError)
+
+
+async def test_a_group_with_a_bug_in_it_passes_through() -> None:
+    body = Body(FakeClock(), [ExceptionGroup("both", [Recoverable("absent"), ValueError("a bug")])])
+    with pytest.raises(ExceptionGroup) as raised:
+        await reconnect("camera", body, BACK_OFF, FakeClock())
+    assert [type(e) for e in raised.value.exceptions] == [ValueError]
+
+
+async def test_jitter_shortens_each_rest_by_at_most_its_part() -> None:
+    clock = FakeClock()
+    await reconnect("broker", Body(clock, [Recoverable("refused")] * 50), BackOff(1.0, 1.0, 10.0, jitter=0.5), clock)
+    assert all(0.5 <= s <= 1.0 for s in clock.slept)
+    assert len({round(s, 6) for s in clock.slept}) > 25
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [(0.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 2.0, -1.0), (1.0, 2.0, 1.0, 0.5), (1.0, 2.0, 1.0, 2.0, 1.0), (math.nan, 1.0, 1.0)],
+)
+def test_a_back_off_out_of_range_is_refused(numbers: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="a back-off needs"):
+        BackOff(*numbers)
