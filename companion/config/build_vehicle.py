@@ -19,7 +19,7 @@ from companion.runtime.supervise import Body
 from drivers.ardrone.link import open_ardrone
 from estimator.contracts.ports import Clock
 
-if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a face does without
+if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
     from drivers.mavlink.links import Tap
 
 

@@ -1,4 +1,4 @@
-"""What a person can set of the vehicle: the tables [vehicle] and [face] of the settings file."""
+"""What a person can set of the vehicle: the tables [vehicle] and [bridge] of the settings file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A drone that speaks no MAVLink (an AR.Drone) with a MAVLink face: a station sees a quadrotor and can take off, land, hold.
+"""A drone that speaks no MAVLink (an AR.Drone) as a MAVLink vehicle: a ground station sees a quadrotor and can command it.
 
-    face = Face(links.send, command)     # an observer of the service; `hear` what the links hear, `tick` now and then
+    bridge = VehicleBridge(links.send, command)     # an observer; `on_message` takes what the links receive, `tick` the time
 
 It speaks as component 1 of the links' system. Its place is the sum of the drone's own velocities since take-off: good to see
 where it went, not to fly by.
@@ -61,7 +61,7 @@ class VehicleBridge(NullObserver):
         self._w_body: F64 = np.zeros(3)
         self._p_ned: F64 = np.zeros(3)
         self._armed = False
-        self.refusals = Refusals("face.operators")
+        self.refusals = Refusals("bridge.operators")
         self._offered = Offered(
             {
                 mav.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,

@@ -1,4 +1,4 @@
-"""The MAVLink face as a part of the service: its links, an observer of the drone, and a supervised body."""
+"""The MAVLink bridge as a part of the service: its links, an observer of the drone, and a supervised body."""
 
 from __future__ import annotations
 

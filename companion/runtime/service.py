@@ -27,7 +27,7 @@ from estimator.contracts.ports import Clock
 
 log = logging.getLogger(__name__)
 
-if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a face does without
+if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
     from drivers.mavlink.links import Tap
 
 

@@ -1,4 +1,4 @@
-"""The simulated body over the simulated deck behind a MAVLink face, flown by velocity setpoints alone, in virtual time.
+"""The simulated body over the simulated deck behind a MAVLink bridge, flown by velocity setpoints alone, in virtual time.
 
 Messages cross real sockets; the clock stands still until they have arrived and the frames of the instant were looked at, so a
 flight is the same on a machine however busy.
