@@ -37,11 +37,11 @@ from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.fit_verification import confidence, features  # noqa: E402
-from estimator.vision.register.registration import Options, register  # noqa: E402
+from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from sitl.testing.pad_scenes import (  # noqa: E402
     CONDITIONS,
     DATA,
-    Scene,
+    PadScene,
     empty_scene,
     load_camera,
     load_pad,
@@ -85,14 +85,16 @@ def sheet(images: list[np.ndarray], path: Path) -> None:
     cv2.imwrite(str(path), np.vstack([np.hstack(images[i : i + 4]) for i in range(0, len(images), 4)]))
 
 
-def registered(scene: Scene, candidates: list[PadCandidate], camera: Camera, pad: Pad) -> tuple[float, bool] | None:
+def registered(scene: PadScene, candidates: list[PadCandidate], camera: Camera, pad: Pad) -> tuple[float, bool] | None:
     """What the eyes make of the candidates: their confidence in the best registration, and whether it keeps the judge's claim."""
     attitude = None
     if scene.R_level_body is not None:
         attitude = Attitude(Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
     out: list[tuple[float, bool]] = []
     for c in candidates[:2]:
-        found = register(scene.px, camera, pad, c.pose, Orientation.of(attitude, math.radians(2.0)), Options(coarse=False))
+        found = register(
+            scene.px, camera, pad, c.pose, Orientation.of(attitude, math.radians(2.0)), RegistrationOptions(coarse=False)
+        )
         aligned = None if found is None else align(Pyramid(scene.px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
         if found is not None and aligned is not None:
             right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
@@ -161,7 +163,7 @@ def photographs(failures: Path | None) -> None:
             found += good
             if not good:
                 bad.append(image_of(px, camera, pad, None, best, row["frame"]))
-            result = None if best is None else register(px, camera, pad, best.pose, None, Options(coarse=False))
+            result = None if best is None else register(px, camera, pad, best.pose, None, RegistrationOptions(coarse=False))
             if result is not None:
                 ways = [result.pose, result.pose.turned(math.pi)][: 2 if result.yaw_ambiguous else 1]
                 off = [np.hypot(*(camera.project(way.points(pad.h_corners())) - labels[row["frame"]]).T) for way in ways]
@@ -195,7 +197,7 @@ def main() -> None:
     called: list[tuple[float, bool]] = []
     bad: list[np.ndarray] = []
 
-    def look(scene: Scene) -> tuple[PadCandidate | None, float, tuple[float, bool] | None]:
+    def look(scene: PadScene) -> tuple[PadCandidate | None, float, tuple[float, bool] | None]:
         R = scene.R_level_body if args.attitude != "none" else None
         began = time.process_time_ns()
         candidates = acquire(scene.px, camera, pad, R)

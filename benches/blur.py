@@ -25,8 +25,8 @@ import numpy as np  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from estimator.vision.pose import View, solve  # noqa: E402
-from estimator.vision.register.registration import Options, register  # noqa: E402
+from estimator.vision.pose import OrientedCamera, solve  # noqa: E402
+from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from estimator.vision.thesis.ellipse import find_disc  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS, segment  # noqa: E402
 from sitl.light import Sensor  # noqa: E402
@@ -75,10 +75,10 @@ def biases(by: By, height_m: float, blur_px: float, frames: int) -> tuple[Bias, 
     for i in range(frames):
         way = math.tau * i / frames
         view = stage.view(height_m, v_body_ned=(speed * math.cos(way), speed * math.sin(way), 0.0))
-        found = register(view.px, camera, pad, stage.start(view, 0.3), view.orientation(), Options(coarse=False))
+        found = register(view.px, camera, pad, stage.start(view, 0.3), view.orientation(), RegistrationOptions(coarse=False))
         if found is not None:
             ours.append(float(np.linalg.norm(found.pose.t_cam_pad) / np.linalg.norm(view.pose.t_cam_pad)) - 1.0)
-        seg, level = segment(view.px, COLOUR_SETS["simulator"]), View(camera, view.orientation())
+        seg, level = segment(view.px, COLOUR_SETS["simulator"]), OrientedCamera(camera, view.orientation())
         disc = None if seg is None else find_disc(seg, level, pad)
         fix = None if disc is None else solve(disc.marks, level)
         if fix is not None:

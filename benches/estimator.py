@@ -28,7 +28,7 @@ from estimator import ekf
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import F64
 from estimator.paths import DeadReckoningPath, MedianMeanPath
-from sitl.testing.estimator_truth import Flight, Setting, events, ns
+from sitl.testing.estimator_truth import Setting, TruthFlight, events, ns
 
 HOLD_S = (12.0, 26.0)
 """While the body stays about 2 m over the pad's mean place."""
@@ -113,7 +113,7 @@ def setting(seed: int) -> Setting:
 
 def fly(seed: int) -> Result:
     s = setting(seed)
-    flight = Flight(s)
+    flight = TruthFlight(s)
     out = Result(s.sea, s.sighting_hz)
     memory = ekf.start(OPTIONS)
     others = {"median_mean": MedianMeanPath(), "dead_reckoning": DeadReckoningPath()}
@@ -183,7 +183,7 @@ def floor() -> float:
     return float(np.median(took))
 
 
-def foretell(memory: ekf.Ekf, flight: Flight, now_s: float, covered: dict[tuple[str, float, float], list[int]]) -> None:
+def foretell(memory: ekf.Ekf, flight: TruthFlight, now_s: float, covered: dict[tuple[str, float, float], list[int]]) -> None:
     """Compare one forecast with what came."""
     predicted = ekf.forecast(memory, ns(now_s), HORIZONS_S)
     if predicted is None:

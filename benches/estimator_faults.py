@@ -25,10 +25,10 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range
 from estimator.contracts.time import MonoNs
-from sitl.testing.voyage_truth import Event, Scene
+from sitl.testing.voyage_truth import Event, VoyageScene
 
 BEGIN_S = 12.0
-SCENE = Scene(sea="jonswap", duration_s=22.0, gaps=0, imu_hz=100.0)
+SCENE = VoyageScene(sea="jonswap", duration_s=22.0, gaps=0, imu_hz=100.0)
 AHEAD = np.array([1.0, 0.0, 0.0])
 HOUR_NS = 3_600_000_000_000
 
@@ -99,7 +99,7 @@ FAULTS: dict[str, Callable[[], Fault]] = {
 """Each fault by its name."""
 
 
-def suffered(name: str, scene: Scene = SCENE) -> tuple[Score, float]:
+def suffered(name: str, scene: VoyageScene = SCENE) -> tuple[Score, float]:
     """The flight with a fault, scored from 11 s on, and when the fault ends, s."""
     fault = FAULTS[name]()
     end = BEGIN_S + fault.lasts_s

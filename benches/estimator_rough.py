@@ -25,7 +25,7 @@ import numpy as np
 from estimator import ekf
 from estimator.contracts.geometry import F64
 from sitl.testing import voyage_truth
-from sitl.testing.voyage_truth import OPTIONS, SEAS, Event, Scene, Voyage, ns
+from sitl.testing.voyage_truth import OPTIONS, SEAS, Event, Voyage, VoyageScene, ns
 
 HORIZONS_S = (1.0, 2.0, 3.0)
 CHI2_7 = (1.690, 16.013)
@@ -61,7 +61,7 @@ class Score:
 
 
 def fly(
-    scene: Scene,
+    scene: VoyageScene,
     options: ekf.EkfOptions = OPTIONS,
     *,
     since_s: float = 8.0,
@@ -173,7 +173,7 @@ def main(arguments: Sequence[str]) -> int:
     for sea in chosen.sea or [name for name in SEAS if name != "calm"]:
         scores = []
         for seed in range(chosen.first, chosen.first + chosen.runs):
-            scene = Scene(seed=seed, sea=sea, hidden_delay_s=0.03 if seed % 4 < 2 else -0.03)
+            scene = VoyageScene(seed=seed, sea=sea, hidden_delay_s=0.03 if seed % 4 < 2 else -0.03)
             scores.append(fly(voyage_truth.without_errors(scene) if chosen.ideal else scene))
         print(row(sea, scores), flush=True)
     return 0

@@ -31,14 +31,14 @@ from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from sitl.testing.pad_scenes import DATA, Scene, empty_scene, load_camera, load_pad  # noqa: E402
+from sitl.testing.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad  # noqa: E402
 
 CHUNK = 100
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9)
 
 
-def scene_of(chunk: int, i: int) -> Scene:
+def scene_of(chunk: int, i: int) -> PadScene:
     rng = np.random.default_rng([chunk, i, 0xFA15E])
     return empty_scene(rng, load_camera("sim"), float(np.exp(rng.uniform(math.log(0.25), math.log(30.0)))))
 

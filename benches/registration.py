@@ -29,9 +29,9 @@ sys.path.insert(0, str(ROOT))
 from estimator.contracts.geometry import F64, Rotation  # noqa: E402
 from estimator.vision.bound import information, sigmas  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
-from estimator.vision.register.registration import Options, register  # noqa: E402
+from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from estimator.vision.register.state import light_table  # noqa: E402
-from sitl.camera import Shot  # noqa: E402
+from sitl.camera import Exposure  # noqa: E402
 from sitl.light import FLAT, Light, Sensor  # noqa: E402
 from sitl.surroundings import Surroundings  # noqa: E402
 from sitl.testing.pad_views import PLAIN, Stage, error, pad_error  # noqa: E402
@@ -50,7 +50,7 @@ def bound(stage: Stage, height_m: float) -> F64:
         R = Rotation.from_rpy(0.0, 0.0, 0.4)
         R_ned_pad = Rotation.from_rpy(0.0, 0.0, float(delta[3]))
         at = p_pad + np.array([0.0, 0.0, -1.0]) * h - R.matrix @ mount.t
-        shot = Shot(0.0, R, at, R_ned_pad, p_pad + delta[:3])
+        shot = Exposure(0.0, R, at, R_ned_pad, p_pad + delta[:3])
         return renderer.radiance(shot).astype(float)
 
     step_m = 0.05 * h / stage.camera.fx
@@ -96,7 +96,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     camera, pad = shipped_camera("sim"), shipped_pad("thesis")
     sensor = Sensor(exposure_s=0.0, psf_sigma_px=args.blur)
-    options = Options(coarse=args.coarse)
+    options = RegistrationOptions(coarse=args.coarse)
     print("height  found | lateral std mm: ours bound ratio | range std mm: ours bound ratio   bias | heading deg: ours bound  | "
           "NEES (95 % band)    90 % | x y z: 1 | ms  /floor")  # fmt: skip
     for height_m in map(float, args.heights.split(",")):

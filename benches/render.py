@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT))
 from estimator.contracts.geometry import Rotation  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
-from sitl.camera import Renderer, Shot  # noqa: E402
+from sitl.camera import Exposure, Renderer  # noqa: E402
 from sitl.sea import SHELTERED_SLIGHT, Waves  # noqa: E402
 from sitl.seakeeping import FERRY  # noqa: E402
 from sitl.surroundings import Deck, Surroundings  # noqa: E402
@@ -37,14 +37,14 @@ def table(path: str) -> dict[str, Any]:
         return tomllib.load(file)
 
 
-def shot_over_pad(vessel: Vessel, t_s: float, height_m: float) -> Shot:
+def shot_over_pad(vessel: Vessel, t_s: float, height_m: float) -> Exposure:
     """Two degrees of tilt, half a metre a second, a slow turn: what a landing looks like."""
     pad = vessel.pad_at(t_s)
     R = Rotation.from_rpy(0.02, -0.03, 0.6)
     away = np.array([0.1 * height_m if height_m > 0.5 else 0.0, -0.05 * height_m, -height_m])
     p = pad.p_ned + away - R @ np.array([0.15, 0.0, 0.0])
     v = np.array([0.3, -0.2, 0.3]) * min(1.0, height_m / 2)
-    return Shot(t_s, R, p, pad.rotation(), pad.p_ned, v, np.array([0.05, -0.05, 0.1]), pad.v_ned, pad.w)
+    return Exposure(t_s, R, p, pad.rotation(), pad.p_ned, v, np.array([0.05, -0.05, 0.1]), pad.v_ned, pad.w)
 
 
 def milliseconds(call: Callable[[], object], rounds: int) -> tuple[float, float]:

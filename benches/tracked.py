@@ -24,14 +24,14 @@ from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
-from sitl.testing.pad_scenes import CONDITIONS, Scene, load_camera, load_pad, pad_scene  # noqa: E402
+from sitl.testing.pad_scenes import CONDITIONS, PadScene, load_camera, load_pad, pad_scene  # noqa: E402
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 10.0, 15.0, 20.0, 30.0)
 STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "sim")
 SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD, SIGMA_YAW_RAD = math.radians(1.0), math.radians(2.0), 0.02
 
 
-def looked(scene: Scene, R_level_body: Rotation, tracker: TrackerConfig, rng: np.random.Generator) -> tuple[float, float]:
+def looked(scene: PadScene, R_level_body: Rotation, tracker: TrackerConfig, rng: np.random.Generator) -> tuple[float, float]:
     """Confidence of what is selected, 0 for nothing, and how far off it is over the height."""
     assert scene.truth is not None
     mount = tracker.camera.T_body_cam

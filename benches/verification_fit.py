@@ -32,8 +32,8 @@ from estimator.vision.detect.verification import FEATURES, keeps_claim  # noqa: 
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
 from estimator.vision.register.fit_verification import EVIDENCE, features  # noqa: E402
-from estimator.vision.register.registration import Options, register  # noqa: E402
-from sitl.testing.pad_scenes import CONDITIONS, Scene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
+from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
+from sitl.testing.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
 
 F64 = NDArray[np.float64]
 _CHUNK = 50
@@ -61,7 +61,7 @@ _ONE_WAY = (
 """Evidence that a fit must not turn round."""
 
 
-def scenes(seed: int) -> Iterator[tuple[int, bool, Pad, Scene]]:
+def scenes(seed: int) -> Iterator[tuple[int, bool, Pad, PadScene]]:
     """Frame, whether it has a pad, which, and the scene; of one chunk of frames."""
     rng = np.random.default_rng([seed, 0x51DE])
     camera, pads = load_camera("sim"), [load_pad("thesis"), load_pad("printed")]
@@ -94,7 +94,7 @@ def registered_examples(seed: int) -> F64:
             attitude = Attitude(stamp, scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
         orientation = Orientation.of(attitude, math.radians(2.0))
         for c in acquire(scene.px, camera, pad, scene.R_level_body)[:2]:
-            found = register(scene.px, camera, pad, c.pose, orientation, Options(coarse=False))
+            found = register(scene.px, camera, pad, c.pose, orientation, RegistrationOptions(coarse=False))
             aligned = None if found is None else align(Pyramid(scene.px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)
             if found is None or aligned is None:
                 continue

@@ -38,12 +38,12 @@ from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
 from estimator.vision.pad_pose import PadPose  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
-from estimator.vision.register.registration import Options, Registration, register  # noqa: E402
+from estimator.vision.register.registration import Registration, RegistrationOptions, register  # noqa: E402
 from estimator.vision.thesis.detection import detect  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
 from sitl.light import FLAT, Sensor  # noqa: E402
 from sitl.testing.pad_images import STAMP  # noqa: E402
-from sitl.testing.pad_views import PLAIN, Stage, View  # noqa: E402
+from sitl.testing.pad_views import PLAIN, RenderedView, Stage  # noqa: E402
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad  # noqa: E402
 
 U8 = NDArray[np.uint8]
@@ -54,7 +54,7 @@ FINE = 6
 FLOOR_LIGHT, WHITE_LIGHT, BLACK_LIGHT = 0.16, 0.8, 0.02
 
 
-_CLOSE = Options(coarse=False)
+_CLOSE = RegistrationOptions(coarse=False)
 APRILTAG = Detector(families="tag36h11", nthreads=1, quad_decimate=1.0)
 """One for the whole run, and never taken down: its destructor corrupts the heap."""
 
@@ -68,7 +68,7 @@ class Tally:
     yaw_rad: list[float] = field(default_factory=list)
     ms: list[float] = field(default_factory=list)
 
-    def add(self, found: tuple[F64, float | None] | None, view: View, ms: float, either_way: bool = False) -> None:
+    def add(self, found: tuple[F64, float | None] | None, view: RenderedView, ms: float, either_way: bool = False) -> None:
         self.tried += 1
         self.ms.append(ms)
         if found is None:
@@ -96,20 +96,20 @@ class Tally:
         return [share, *(f"{x:.3g}" for x in (lateral, std[2], mean[2])), yaw, f"{took:.1f}", f"{took / floor_ms:.0f}"]
 
 
-def R_level_cam(view: View, camera: Camera) -> Rotation:
+def R_level_cam(view: RenderedView, camera: Camera) -> Rotation:
     return Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0) @ camera.T_body_cam.R
 
 
-def truth(view: View) -> F64:
+def truth(view: RenderedView) -> F64:
     """(3,) m from the lens to the pad in `level`; the mount is taken off, as it is the same for all."""
     return in_level(view, shipped_camera("sim"), view.pose.t_cam_pad)
 
 
-def in_level(view: View, camera: Camera, t_cam: F64) -> F64:
+def in_level(view: RenderedView, camera: Camera, t_cam: F64) -> F64:
     return np.asarray(R_level_cam(view, camera) @ t_cam)
 
 
-def of_pose(view: View, camera: Camera, pose: PadPose) -> tuple[F64, float]:
+def of_pose(view: RenderedView, camera: Camera, pose: PadPose) -> tuple[F64, float]:
     arrow = (R_level_cam(view, camera) @ pose.R_cam_pad).matrix[:, 0]
     return in_level(view, camera, pose.t_cam_pad), -math.atan2(arrow[1], arrow[0])
 
@@ -151,7 +151,7 @@ class MarkerScene:
         return np.round(255 * coded).astype(np.uint8)
 
 
-def pnp(uv: F64, side_m: float, view: View, camera: Camera) -> tuple[F64, float]:
+def pnp(uv: F64, side_m: float, view: RenderedView, camera: Camera) -> tuple[F64, float]:
     """From the four corners, clockwise from the corner at the arrow's port side."""
     h = side_m / 2
     square = np.array([(-h, h, 0), (h, h, 0), (h, -h, 0), (-h, -h, 0)])
@@ -199,10 +199,12 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
 
         start = stage.start(view, 0.5)
 
-        def tracked(view: View = view, start: PadPose = start, orientation: Orientation = orientation) -> Registration | None:
+        def tracked(
+            view: RenderedView = view, start: PadPose = start, orientation: Orientation = orientation
+        ) -> Registration | None:
             return register(view.px, camera, pad, start, orientation, _CLOSE)
 
-        def searched(view: View = view, orientation: Orientation = orientation) -> Registration | None:
+        def searched(view: RenderedView = view, orientation: Orientation = orientation) -> Registration | None:
             level = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0)
             candidates = acquire(view.px, camera, pad, level)
             return register(view.px, camera, pad, candidates[0].pose, orientation, _CLOSE) if candidates else None
@@ -214,14 +216,14 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
 
         px = aruco_scene.image(view.pose)
 
-        def by_aruco(px: U8 = px, view: View = view) -> tuple[F64, float] | None:
+        def by_aruco(px: U8 = px, view: RenderedView = view) -> tuple[F64, float] | None:
             corners, ids, _ = aruco.detectMarkers(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
             return None if ids is None else pnp(corners[0][0], side_m, view, camera)
 
         tallies["ArUco, sub-pixel"].add(*_swap(timed(by_aruco), view))
         px = tag_scene.image(view.pose)
 
-        def by_apriltag(px: U8 = px, view: View = view) -> tuple[F64, float] | None:
+        def by_apriltag(px: U8 = px, view: RenderedView = view) -> tuple[F64, float] | None:
             found = APRILTAG.detect(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY))
             if not found:
                 return None
@@ -234,8 +236,8 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
 
 
 def _swap(
-    result: tuple[tuple[F64, float | None] | None, float], view: View
-) -> tuple[tuple[F64, float | None] | None, View, float]:
+    result: tuple[tuple[F64, float | None] | None, float], view: RenderedView
+) -> tuple[tuple[F64, float | None] | None, RenderedView, float]:
     return result[0], view, result[1]
 
 

@@ -30,14 +30,14 @@ from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
-from estimator.vision.pose import Marks, Orientation, View, solve  # noqa: E402
+from estimator.vision.pose import Marks, Orientation, OrientedCamera, solve  # noqa: E402
 from estimator.vision.thesis.arrow import find_arrow  # noqa: E402
 from estimator.vision.thesis.blob import U8  # noqa: E402
 from estimator.vision.thesis.corners import find_corners  # noqa: E402
 from estimator.vision.thesis.detection import detect  # noqa: E402
 from estimator.vision.thesis.ellipse import find_disc  # noqa: E402
 from estimator.vision.thesis.segmentation import COLOUR_SETS, SIMULATOR, ColourSet, HsvRange, Segmentation, segment  # noqa: E402
-from sitl.camera import Renderer, Shot  # noqa: E402
+from sitl.camera import Exposure, Renderer  # noqa: E402
 
 HEIGHTS_M = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "selected")
@@ -75,7 +75,7 @@ def flights(height_m: float, frames: int, renderer: Renderer, seed: int) -> Iter
         p_cam = p_pad - axis * (height_m / axis[2]) + np.append(rng.normal(0.0, 0.03 * min(1.0, height_m), 2), 0.0)
         p_body = p_cam - camera_ahead
         pad_yaw = rng.uniform(-math.pi, math.pi)
-        shot = Shot(float(i), R_ned_body, p_body, Rotation.from_rpy(0.0, 0.0, pad_yaw), p_pad)
+        shot = Exposure(float(i), R_ned_body, p_body, Rotation.from_rpy(0.0, 0.0, pad_yaw), p_pad)
         frame = Frame(STAMP, i, renderer.render(shot, rng))
         d_level = Rotation.from_rpy(0.0, 0.0, -heading) @ (p_pad - p_body)
         yield frame, Attitude(STAMP, R_ned_body, np.eye(3) * 1e-8), d_level, wrap_pi(heading - pad_yaw)
@@ -174,7 +174,7 @@ def stages(rounds: int, seed: int) -> None:
     print(f"{'height':>6} {'floor':>6} {'segment':>8} {'ellipse':>8} {'arrow':>7} {'corners':>8} {'poses':>6} {'look':>6} ratio")
     for height_m in HEIGHTS_M:
         frame, attitude, _, _ = next(flights(height_m, 1, renderer, seed))
-        view = View(camera, Orientation.of(attitude))
+        view = OrientedCamera(camera, Orientation.of(attitude))
         seg = segment(frame.px, SIMULATOR)
         if seg is None:
             print(f"{height_m:6.1f} nothing green")
@@ -208,11 +208,11 @@ def floor_of(px: U8) -> None:
     cv2.inRange(cv2.cvtColor(px, cv2.COLOR_BGR2HSV), (52, 217, 38), (68, 255, 153))
 
 
-def arrow_of(seg: Segmentation, view: View, pad: Pad) -> None:
+def arrow_of(seg: Segmentation, view: OrientedCamera, pad: Pad) -> None:
     find_arrow(seg, view, pad, seg.orangeness())
 
 
-def poses_of(marks: list[Marks], view: View) -> None:
+def poses_of(marks: list[Marks], view: OrientedCamera) -> None:
     for m in marks:
         solve(m, view)
 

@@ -28,7 +28,7 @@ from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
 
-class Outcome(Enum):
+class FlightOutcome(Enum):
     """How a flight ended."""
 
     LANDED = "landed"
@@ -45,7 +45,7 @@ class Outcome(Enum):
     """The operator called it off; the vehicle hovers."""
 
 
-_TRIED = (Outcome.GAVE_UP, Outcome.LAND_TIMEOUT)
+_TRIED = (FlightOutcome.GAVE_UP, FlightOutcome.LAND_TIMEOUT)
 """It hovers, and the operator may begin again."""
 _PLAIN = (Phase.WAITING, Phase.APPROACH, Phase.DESCEND, Phase.LAND)
 
@@ -90,7 +90,7 @@ class Pilot:
         self.phase = "waiting for the vehicle"
         self.reason = ""
         """Why it does what it does, where that is not the plain way down: for the operator."""
-        self.outcome: Outcome | None = None
+        self.outcome: FlightOutcome | None = None
 
     @property
     def camera(self) -> Camera:
@@ -120,7 +120,7 @@ class Pilot:
 
     def abort(self) -> None:
         """The operator: hover, and leave it at that. A landing already ordered is no longer repeated."""
-        self.outcome = self.outcome or Outcome.ABORTED
+        self.outcome = self.outcome or FlightOutcome.ABORTED
 
     def steer_by(self, path: PathName) -> str | None:
         """The operator: steer by another estimator; None when that is done, else why it cannot be.
@@ -206,15 +206,15 @@ class Pilot:
         status = self._status
         if self.outcome is not None:
             self.phase = self.outcome.value
-            return Hover() if self.outcome is Outcome.ABORTED or self.outcome in _TRIED else None
+            return Hover() if self.outcome is FlightOutcome.ABORTED or self.outcome in _TRIED else None
         if status is None or not self._flew:
             self.phase = "waiting for the vehicle"
             return None
         if status.emergency:
-            self._end(Outcome.EMERGENCY)
+            self._end(FlightOutcome.EMERGENCY)
             return None
         if status.flying is False:
-            self._end(Outcome.LANDED if self._told_to_land else Outcome.LANDED_BY_OTHERS)
+            self._end(FlightOutcome.LANDED if self._told_to_land else FlightOutcome.LANDED_BY_OTHERS)
             return None
         if not self._begun or self._paused:
             self.phase = "paused" if self._paused else "waiting for the start"
@@ -227,14 +227,14 @@ class Pilot:
         self.phase = phase.value
         self.reason = "" if phase in _PLAIN else self._planner.reason
         if phase is Phase.GAVE_UP:
-            self._end(Outcome.LAND_TIMEOUT if NO_LANDING in self._planner.reason else Outcome.GAVE_UP)
+            self._end(FlightOutcome.LAND_TIMEOUT if NO_LANDING in self._planner.reason else FlightOutcome.GAVE_UP)
         if isinstance(aim, SetPoint):
             self._pid, command = pid_step(self._pid, self._gains, now, belief, aim)
             return command
         self._told_to_land = self._told_to_land or isinstance(aim, Land)
         return aim
 
-    def _end(self, outcome: Outcome) -> None:
+    def _end(self, outcome: FlightOutcome) -> None:
         self.outcome = outcome
-        self._stood = outcome in (Outcome.LANDED, Outcome.LANDED_BY_OTHERS)
+        self._stood = outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS)
         self.phase = outcome.value

@@ -31,7 +31,7 @@ def _zeros() -> F64:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class Exposure:
     """Where everything is in the middle of the exposure, and how it moves during it."""
 
     t_s: float
@@ -83,11 +83,11 @@ class Renderer:
         e, a = self.light.sun_elevation_rad, self.light.sun_azimuth_rad
         self._to_sun = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
 
-    def render(self, shot: Shot, rng: np.random.Generator) -> U8:
+    def render(self, shot: Exposure, rng: np.random.Generator) -> U8:
         """(H, W, 3) BGR, as the sensor gives it. Of `rng` one number is drawn, for the noise."""
         return self._development.sensor_image(self.radiance(shot), rng)
 
-    def radiance(self, shot: Shot) -> F32:
+    def radiance(self, shot: Exposure) -> F32:
         """(H, W, 3) BGR linear light on the sensor before noise and tone curve; 1 is full scale, brighter is not cut off."""
         R_body_cam, p_body_cam = self.camera.T_body_cam.R.matrix, self.camera.T_body_cam.t
         poses = [_pose(shot, self.camera, 0.0)]
@@ -123,7 +123,9 @@ class Renderer:
             cv2.add(light, cv2.merge([added * g for g in level]), dst=light)
         return self._development.blur(light)
 
-    def _scenery(self, shot: Shot, R_ned_cam: F64, p_cam_ned: F64, R_cam_pad: F64, t_cam_pad: F64) -> tuple[U8, F32, F32 | None]:
+    def _scenery(
+        self, shot: Exposure, R_ned_cam: F64, p_cam_ned: F64, R_cam_pad: F64, t_cam_pad: F64
+    ) -> tuple[U8, F32, F32 | None]:
         """Paint values of everything but the pad, factors on its light, and light added."""
         h, w = self.camera.height, self.camera.width
         gain = self._vignette.copy()
@@ -181,7 +183,7 @@ class Renderer:
                 added = self._add_glare(added, R_cam_pad, t_cam_pad, plane)
         return canvas, gain, added
 
-    def _ship_on_water(self, shot: Shot) -> list[F64]:
+    def _ship_on_water(self, shot: Exposure) -> list[F64]:
         """Hull at the waterline, the shadow it casts, and its wake: outlines on calm water, (N, 3) m ned."""
         deck, painter = self.surroundings.deck, self._deck
         if deck is None or painter is None:
@@ -212,7 +214,7 @@ class Renderer:
             )  # fmt: skip
         return out
 
-    def _hull_side(self, canvas: U8, shot: Shot, R_ned_cam: F64, p_cam_ned: F64, line: F64) -> None:
+    def _hull_side(self, canvas: U8, shot: Exposure, R_ned_cam: F64, p_cam_ned: F64, line: F64) -> None:
         if self._deck is None:
             return
         rim = self._deck.rim_pad() @ shot.R_ned_pad.matrix.T + shot.p_pad_ned
@@ -223,7 +225,7 @@ class Renderer:
             quad = np.array([rim[i], rim[(i + 1) % len(rim)], below[i], line[i]])
             draw(canvas, self._lens, (quad - p_cam_ned) @ R_ned_cam, (46, 58, 74))
 
-    def _cast_shadow(self, gain: F32, shot: Shot, R_cam_pad: F64, t_cam_pad: F64, mask: U8 | None) -> None:
+    def _cast_shadow(self, gain: F32, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, mask: U8 | None) -> None:
         if self.light.drone_shadow == 0:
             return
         R_pad_ned = shot.R_ned_pad.matrix.T
@@ -261,7 +263,7 @@ class Renderer:
         return out
 
 
-def _pose(shot: Shot, camera: Camera, later_s: float) -> tuple[F64, F64]:
+def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
     """Rotation (3, 3) and place (3,) m of the pad in `cam`, `later_s` after the middle of the exposure."""
     R_ned_body, R_ned_pad = shot.R_ned_body.matrix, shot.R_ned_pad.matrix
     p_body, p_pad = shot.p_body_ned, shot.p_pad_ned

@@ -17,14 +17,14 @@ import numpy as np
 from companion.config.build import ardrone_options
 from companion.config.model import Settings
 from companion.observer import Observer, ProcessedFrame
-from companion.pilot import Outcome, Pilot
+from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.health import Health
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.landing_watch import DroneReport
-from drivers.ardrone.samples import Sampler
+from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 from estimator.contracts.estimates import Verdict
@@ -62,7 +62,7 @@ class Timing:
 class FlightResult:
     """How it ended."""
 
-    outcome: Outcome | None
+    outcome: FlightOutcome | None
     """None when the scenario's time ran out."""
     duration_s: float
     touchdown: Touchdown | None
@@ -84,7 +84,7 @@ class FlightResult:
 
     @property
     def landed_on_pad(self) -> bool:
-        return self.outcome is Outcome.LANDED and self.touchdown is not None and self.touchdown.on_pad
+        return self.outcome is FlightOutcome.LANDED and self.touchdown is not None and self.touchdown.on_pad
 
 
 class _VirtualClock:
@@ -231,7 +231,7 @@ class Flight:
         now = self._clock.t
         self._pilot = pilot
         self._streamer = CommandStreamer(self._options, Counters())
-        self._sampler = Sampler(self._options.samples)
+        self._sampler = NavdataSampler(self._options.samples)
         self._due_guidance = self._due_frame = self._due_command = now
         self._on_the_way.clear()
         self._looking = None
@@ -334,8 +334,8 @@ class Flight:
             tuple((fault.kind, began_s) for fault, began_s in self.world.faults.begun),
         )
 
-    def _refused(self, outcome: Outcome | None) -> str | None:
-        if outcome is not Outcome.GAVE_UP:
+    def _refused(self, outcome: FlightOutcome | None) -> str | None:
+        if outcome is not FlightOutcome.GAVE_UP:
             return None
         frames = self._watch.since_sight
         told = ", ".join(f"{n} {verdict.value}" for verdict, n in frames.most_common())

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl.camera import Renderer, Shot
+from sitl.camera import Exposure, Renderer
 
 U8 = NDArray[np.uint8]
-Order = tuple[int, Shot, np.random.Generator]
+Order = tuple[int, Exposure, np.random.Generator]
 """Shelf, scene, state of chance."""
 _SHELVES = 16
 """Frames that may be under way: half a second's."""
@@ -33,7 +33,7 @@ class RenderWorker:
         self._ordered = self._made = 0
         self._kept: dict[int, U8] = {}
 
-    def order(self, shot: Shot, rng: np.random.Generator) -> Callable[[], U8]:
+    def order(self, shot: Exposure, rng: np.random.Generator) -> Callable[[], U8]:
         """Begin a frame; the call that comes back waits for it."""
         number = self._ordered
         if number - self._made >= len(self._frame_slots):

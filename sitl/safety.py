@@ -13,7 +13,7 @@ from enum import Enum
 from typing import Literal
 
 from companion.guidance.planner import Phase as GuidancePhase
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.world import Phase, Touchdown, Truth
@@ -118,7 +118,7 @@ def on_pad_m(contacts: Sequence[Touchdown]) -> float | None:
 
 
 def grade(
-    outcome: Outcome | None,
+    outcome: FlightOutcome | None,
     landed_m: float | None,
     unsafe: Sequence[str],
     expect: Literal["land", "refuse", "either"],
@@ -136,10 +136,10 @@ def grade(
     """
     if unsafe:
         return Grade.FAILED, "; ".join(unsafe)
-    if outcome is Outcome.LANDED and landed_m is not None:
+    if outcome is FlightOutcome.LANDED and landed_m is not None:
         return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
-    if outcome is Outcome.GAVE_UP or (outcome is None and left_alone):
-        said = "gave up" if outcome is Outcome.GAVE_UP else "hovered without a service"
+    if outcome is FlightOutcome.GAVE_UP or (outcome is None and left_alone):
+        said = "gave up" if outcome is FlightOutcome.GAVE_UP else "hovered without a service"
         if expect == "land":
             return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
         return Grade.REFUSED_RIGHTLY, said

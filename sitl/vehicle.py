@@ -42,7 +42,7 @@ DECK, SEA = 1.0, 2.0
 _ZERO: Vec = (0.0, 0.0, 0.0)
 
 
-class Phase(IntEnum):
+class VehiclePhase(IntEnum):
     """What the vehicle is doing."""
 
     LANDED = 0
@@ -139,7 +139,7 @@ class Vehicle:
         self.q = quaternion_of_rpy(m, right / GRAVITY_M_S2, -forward / GRAVITY_M_S2, yaw)
         self.thrust_n = self.airframe.mass_kg * m.sqrt(against_x * against_x + against_y * against_y + GRAVITY_M_S2**2)
         self._z_hold = self.p[2]
-        self.phase = self._number(float(Phase.HOVERING))
+        self.phase = self._number(float(VehiclePhase.HOVERING))
         self.airborne_s = self._number(1.0)
 
     def stand(self, ground: Ground, d_pad: F64, yaw_rad: float | F64) -> None:
@@ -147,7 +147,7 @@ class Vehicle:
         self._tied_d = self._vec(d_pad)
         self._tied_q = quaternion_of_rpy(self._m, self._zero, self._zero, self._number(0.0) + yaw_rad)
         self.tied = self._flag(True)
-        self.phase = self._number(float(Phase.LANDED))
+        self.phase = self._number(float(VehiclePhase.LANDED))
         self.thrust_n = self._zero
         self.airborne_s = self._zero
         self.p, self.v, self.q, self.w = self._carried(ground)
@@ -173,25 +173,27 @@ class Vehicle:
 
     def take_off(self, which: Flag = True) -> None:
         """Those of `which` that stand with their motors off."""
-        self.phase = self._m.where((self.phase == Phase.LANDED) & which, float(Phase.TAKING_OFF), self.phase)
+        self.phase = self._m.where((self.phase == VehiclePhase.LANDED) & which, float(VehiclePhase.TAKING_OFF), self.phase)
 
     def land(self, which: Flag = True) -> None:
         """Those of `which` that fly."""
-        flies = (self.phase == Phase.TAKING_OFF) | (self.phase == Phase.HOVERING) | (self.phase == Phase.FLYING)
-        self.phase = self._m.where(flies & which, float(Phase.LANDING), self.phase)
+        flies = (
+            (self.phase == VehiclePhase.TAKING_OFF) | (self.phase == VehiclePhase.HOVERING) | (self.phase == VehiclePhase.FLYING)
+        )
+        self.phase = self._m.where(flies & which, float(VehiclePhase.LANDING), self.phase)
 
     def stay_up(self, which: Flag = True) -> None:
         """Let those vehicles of `which` that are landing hover instead."""
-        self.phase = self._m.where((self.phase == Phase.LANDING) & which, float(Phase.HOVERING), self.phase)
+        self.phase = self._m.where((self.phase == VehiclePhase.LANDING) & which, float(VehiclePhase.HOVERING), self.phase)
 
     def cut_motors(self, which: Flag = True) -> None:
         """At once, wherever it is."""
-        self.phase = self._m.where(which, float(Phase.EMERGENCY), self.phase)
+        self.phase = self._m.where(which, float(VehiclePhase.EMERGENCY), self.phase)
 
     def leave_emergency(self, which: Flag = True) -> None:
         """Those of `which` that lie still on deck, not in the water."""
-        rests = (self.phase == Phase.EMERGENCY) & self.tied & self._m.no(self.ditched)
-        self.phase = self._m.where(rests & which, float(Phase.LANDED), self.phase)
+        rests = (self.phase == VehiclePhase.EMERGENCY) & self.tied & self._m.no(self.ditched)
+        self.phase = self._m.where(rests & which, float(VehiclePhase.LANDED), self.phase)
 
     @property
     def p_ned(self) -> F64:
@@ -247,9 +249,9 @@ class Vehicle:
         r = relative(ground, ahead, self.v, rows, self.w)
         over = self.shape.holds(r.d[0], r.d[1]) & (r.d[2] < DEEPEST_M)
         height = m.where(over, -r.d[2], ground.sea_z - ahead[2])
-        steered = (self.phase == Phase.HOVERING) | (self.phase == Phase.FLYING)
-        self.phase = m.where(steered, m.where(command[4], float(Phase.FLYING), float(Phase.HOVERING)), self.phase)
-        motors = (self.phase != Phase.LANDED) & (self.phase != Phase.EMERGENCY)
+        steered = (self.phase == VehiclePhase.HOVERING) | (self.phase == VehiclePhase.FLYING)
+        self.phase = m.where(steered, m.where(command[4], float(VehiclePhase.FLYING), float(VehiclePhase.HOVERING)), self.phase)
+        motors = (self.phase != VehiclePhase.LANDED) & (self.phase != VehiclePhase.EMERGENCY)
         self.tied = self.tied & m.no(motors)
         thrust, torque = self._loops(command, rows, r, over, ground)
         lag = self._alpha[f.motor_lag_s]
@@ -295,7 +297,7 @@ class Vehicle:
         m, f, dt, limits = self._m, self.airframe, self.step_s, self.limits
         k, av = f.loops, f.avionics
         roll, pitch, gaz, yaw, _ = command
-        flying = self.phase == Phase.FLYING
+        flying = self.phase == VehiclePhase.FLYING
         c = m.clip(m.sqrt(rows[0][0] * rows[0][0] + rows[1][0] * rows[1][0]), 1e-6, 1.0)
         cos_psi, sin_psi = rows[0][0] / c, rows[1][0] / c
         error = self.tilt_error_rad
@@ -335,13 +337,13 @@ class Vehicle:
         )
 
         z, vz = self.p[2], self.v[2]
-        holding = (self.phase == Phase.HOVERING) | (flying & (gaz < 1e-3) & (gaz > -1e-3))
+        holding = (self.phase == VehiclePhase.HOVERING) | (flying & (gaz < 1e-3) & (gaz > -1e-3))
         self._z_hold = m.where(holding, self._z_hold, z + 0.3 * vz)  # where it will have come to a stop
         hold = m.clip(k.height_p * (self._z_hold - z), -limits.vz_max_m_s, limits.vz_max_m_s)
-        own = m.where(self.phase == Phase.LANDING, f.landing_speed_m_s, -f.take_off_speed_m_s)
+        own = m.where(self.phase == VehiclePhase.LANDING, f.landing_speed_m_s, -f.take_off_speed_m_s)
         sink_asked = m.where(holding, hold, m.where(flying, -gaz * limits.vz_max_m_s, own))
         e = sink_asked - vz
-        gain = m.where((self.contact_s > 0.0) | (self.phase == Phase.LANDED), 0.0, k.climb_i * dt)
+        gain = m.where((self.contact_s > 0.0) | (self.phase == VehiclePhase.LANDED), 0.0, k.climb_i * dt)
         iz = m.clip(self._integral[2] + gain * e, -k.climb_i_max_m_s2, k.climb_i_max_m_s2)
         self._integral = (ix, iy, iz)
         sink = k.climb_p * e - k.climb_d * az + iz
@@ -410,10 +412,14 @@ class Vehicle:
         self.airborne_s = m.where(stands | wet, 0.0, self.airborne_s + dt)
         self.contact_s = m.where(stands, self.contact_s + dt, m.clip(self.contact_s - dt, 0.0, f.motors_off_after_s))
         phase = self.phase
-        phase = m.where((phase == Phase.LANDING) & (self.contact_s > f.motors_off_after_s), float(Phase.LANDED), phase)
-        phase = m.where((phase == Phase.TAKING_OFF) & (height > 0.9 * f.take_off_height_m), float(Phase.HOVERING), phase)
+        phase = m.where(
+            (phase == VehiclePhase.LANDING) & (self.contact_s > f.motors_off_after_s), float(VehiclePhase.LANDED), phase
+        )
+        phase = m.where(
+            (phase == VehiclePhase.TAKING_OFF) & (height > 0.9 * f.take_off_height_m), float(VehiclePhase.HOVERING), phase
+        )
         fell = (rows[2][2] < math.cos(f.tilt_cut_off_rad)) & motors
-        self.phase = m.where(wet | fell, float(Phase.EMERGENCY), phase)
+        self.phase = m.where(wet | fell, float(VehiclePhase.EMERGENCY), phase)
 
     def _rest(self, ground: Ground, r: Relative, touching: Num, motors: Flag) -> None:
         """Tie what lies still with its motors off to the deck; untie what the deck throws off."""

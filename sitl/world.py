@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.airframe import StickLimits
-from sitl.camera import Renderer, Shot
+from sitl.camera import Exposure, Renderer
 from sitl.contact import Ground
 from sitl.faults import FaultTimer, FramesDelayed, FramesDropped, FramesMisstamped, FramesShifted, Gust, WeakRotor
 from sitl.faulty_sensors import FROZEN, distorted
@@ -30,9 +30,9 @@ from sitl.render_worker import RenderWorker
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.sensors import Readings, Sensors
 from sitl.stage import airframe, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind, wind_from
-from sitl.vehicle import SEA, Phase, Vehicle
+from sitl.vehicle import SEA, Vehicle, VehiclePhase
 
-__all__ = ["Phase", "Readings", "RenderedFrame", "Stick", "Touchdown", "Truth", "World"]
+__all__ = ["Readings", "RenderedFrame", "Stick", "Touchdown", "Truth", "VehiclePhase", "World"]
 
 STEP_NS = 4_000_000
 """Of the physics: 250 Hz, some fifteen steps to a radian of the stiffest spring."""
@@ -76,7 +76,7 @@ class Touchdown:
     """Closing speed into the deck (into the water's mean level)."""
     lateral_speed_m_s: float
     """Along the deck, against it."""
-    phase: Phase = Phase.LANDING
+    phase: VehiclePhase = VehiclePhase.LANDING
     """The vehicle's phase just before the contact."""
     motors: bool = True
     """Whether its motors were turning just before."""
@@ -119,7 +119,7 @@ class Truth:
     v_pad_ned: F64
     """(3,) m/s."""
     R_ned_pad: Rotation
-    phase: Phase
+    phase: VehiclePhase
     touchdown: Touchdown | None
     """The newest contact."""
     contacts: tuple[Touchdown, ...] = ()
@@ -186,8 +186,8 @@ class World:
         self._apply_faults()
 
     @property
-    def phase(self) -> Phase:
-        return Phase(int(self._vehicle.phase))
+    def phase(self) -> VehiclePhase:
+        return VehiclePhase(int(self._vehicle.phase))
 
     @property
     def limits(self) -> StickLimits:
@@ -283,7 +283,7 @@ class World:
             return lambda: dark, False
         v, g, expose = self._vehicle, self._ground, self.renderer.render
         aside = self._aside()
-        shot = Shot(
+        shot = Exposure(
             t_s=self._seconds,
             R_ned_body=Rotation(v.R_ned_body),
             # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
@@ -322,7 +322,7 @@ class World:
 
     @property
     def _motors_on(self) -> bool:
-        return self.phase not in (Phase.LANDED, Phase.EMERGENCY)
+        return self.phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
 
     @property
     def _seconds(self) -> float:
@@ -340,7 +340,7 @@ class World:
         v, touched_s, phase = self._vehicle, self._vehicle.touched_s, self._vehicle.phase
         v.step(self._ground)
         if v.touched_what and v.touched_s != touched_s:
-            self._contacts.append(self._contact(Phase(int(phase))))
+            self._contacts.append(self._contact(VehiclePhase(int(phase))))
         self._sensors.step(self._vehicle, self._ground, self._motors_on)
 
     def _deck(self) -> Ground:
@@ -380,7 +380,7 @@ class World:
         p, g = self._vehicle.p, self._ground
         return -float(sum(g.R[i][2] * (p[i] - g.p[i]) for i in range(3)))
 
-    def _contact(self, phase: Phase) -> Touchdown:
+    def _contact(self, phase: VehiclePhase) -> Touchdown:
         """The contact that the newest step of the physics made, in flight phase `phase` until then."""
         v = self._vehicle
         d, u = np.array(v.touched_d), np.array(v.touched_v)
@@ -395,7 +395,7 @@ class World:
             vertical_speed_m_s=float(u[2]),
             lateral_speed_m_s=math.hypot(u[0], u[1]),
             phase=phase,
-            motors=phase not in (Phase.LANDED, Phase.EMERGENCY),
+            motors=phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY),
             guidance_phase=self.guidance_phase,
         )
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.calibrate.solve import Solution
-from companion.calibrate.views import View
+from companion.calibrate.views import BoardView
 
 VIEWS = 10
 CELLS = (6, 4)
@@ -60,7 +60,7 @@ class Assessment:
         return [*self.imprecise, *self.uncovered]
 
 
-def coverage(views: Sequence[View], size: tuple[int, int]) -> NDArray[np.int64]:
+def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.int64]:
     """(rows, columns) of `CELLS`: how many corners lay in each cell of the image."""
     w, h = size
     counts = np.zeros((CELLS[1], CELLS[0]), dtype=np.int64)
@@ -71,7 +71,7 @@ def coverage(views: Sequence[View], size: tuple[int, int]) -> NDArray[np.int64]:
     return counts
 
 
-def missing_before(views: Sequence[View], size: tuple[int, int]) -> list[str]:
+def missing_before(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
     """What can be said without solving: number of views and where in the image they are."""
     lacks = []
     if len(views) < VIEWS:

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 from companion.calibrate.assess import CELLS, coverage
 from companion.calibrate.solve import Solution
-from companion.calibrate.views import View
+from companion.calibrate.views import BoardView
 
 
-def write_coverage(views: Sequence[View], size: tuple[int, int], path: Path) -> None:
+def write_coverage(views: Sequence[BoardView], size: tuple[int, int], path: Path) -> None:
     """A PNG: every corner of every view in the image, and the cells that hold none."""
     w, h = size
     figure, axes = _figure(7.2, 6.6 * h / w + 0.9)

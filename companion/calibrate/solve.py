@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from companion.calibrate.board import Board
-from companion.calibrate.views import View
+from companion.calibrate.views import BoardView
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
@@ -39,7 +39,7 @@ _MODELS = {
 class Fit:
     """One view as the camera explains it."""
 
-    view: View
+    view: BoardView
     residual_px: F64
     """(n, 2) measured minus predicted."""
     tilt_deg: tuple[float, float]
@@ -70,7 +70,7 @@ class Solution:
         return float(np.sqrt(np.mean(np.concatenate([np.sum(f.residual_px**2, axis=1) for f in self.fits]))))
 
 
-def solve(views: Sequence[View], board: Board, size: tuple[int, int], mount: Transform | None = None) -> Solution:
+def solve(views: Sequence[BoardView], board: Board, size: tuple[int, int], mount: Transform | None = None) -> Solution:
     """The camera that explains the views best.
 
     Args:
@@ -81,7 +81,7 @@ def solve(views: Sequence[View], board: Board, size: tuple[int, int], mount: Tra
         BadInput: too few views, or views that no camera explains (the wrong board, say).
     """
     used = list(views)
-    rejected: list[View] = []
+    rejected: list[BoardView] = []
     for _ in range(4):
         if len(used) < LEAST_VIEWS:
             raise BadInput(f"only {len(used)} usable views of the board; at least {LEAST_VIEWS} are needed to begin with")
@@ -100,7 +100,7 @@ def solve(views: Sequence[View], board: Board, size: tuple[int, int], mount: Tra
 _Solved = tuple[Camera, F64, str, list[tuple[F64, F64]]]
 
 
-def _best_model(views: Sequence[View], board: Board, size: tuple[int, int], mount: Transform | None) -> _Solved:
+def _best_model(views: Sequence[BoardView], board: Board, size: tuple[int, int], mount: Transform | None) -> _Solved:
     """The model with the least Bayesian information criterion."""
     points = board.corners_m
     object_points = [points[v.ids].astype(np.float32) for v in views]
@@ -141,7 +141,7 @@ def _one_to_one(camera: Camera) -> bool:
     return bool(bent[:first_fall].max() >= reach)
 
 
-def _pose(view: View, board: Board, camera: Camera) -> tuple[F64, F64]:
+def _pose(view: BoardView, board: Board, camera: Camera) -> tuple[F64, F64]:
     _, rvec, tvec = cv2.solvePnP(board.corners_m[view.ids], view.uv_px, camera.K, camera.distortion)
     return _three(rvec), _three(tvec)
 
@@ -150,7 +150,7 @@ def _three(column: ArrayLike) -> F64:
     return np.array(column, dtype=float).ravel()
 
 
-def _fit(view: View, board: Board, camera: Camera, rvec: F64, tvec: F64) -> Fit:
+def _fit(view: BoardView, board: Board, camera: Camera, rvec: F64, tvec: F64) -> Fit:
     R = Rotation.from_rotvec(rvec).matrix
     p_cam = board.corners_m[view.ids] @ R.T + tvec
     normal = R[:, 2] * np.sign(R[2, 2])

@@ -23,7 +23,7 @@ _STILL = 0.004
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class BoardView:
     """One image of the board."""
 
     name: str
@@ -42,17 +42,17 @@ class Collection:
     def __init__(self, board: Board, moving: bool) -> None:
         self._board = board
         self._moving = moving
-        self._before: View | None = None
+        self._before: BoardView | None = None
         self.size: tuple[int, int] | None = None
         """(width, height) px."""
-        self.views: list[View] = []
+        self.views: list[BoardView] = []
         self.looked = 0
         self.without: list[str] = []
         """Names of images in which the board was not found."""
         self.repeated = 0
         """Images that showed nothing new, or a moving board."""
 
-    def add(self, name: str, px: U8) -> View | None:
+    def add(self, name: str, px: U8) -> BoardView | None:
         """Look at one (H, W) or (H, W, 3) image; the view, when it was kept.
 
         Raises:
@@ -70,7 +70,7 @@ class Collection:
             self.without.append(name)
             self._before = None
             return None
-        view = View(name, *found)
+        view = BoardView(name, *found)
         before, self._before = self._before, view
         diagonal_px = float(np.hypot(*size))
         if self._moving:
@@ -83,7 +83,7 @@ class Collection:
         return view
 
 
-def _moved(a: View, b: View) -> float | None:
+def _moved(a: BoardView, b: BoardView) -> float | None:
     """Largest way in px of a corner that both show, None when there are too few of them."""
     _, ia, ib = np.intersect1d(a.ids, b.ids, return_indices=True)
     if len(ia) < 4:

@@ -20,7 +20,7 @@ import numpy as np
 
 from companion.cli import record_option
 from companion.cli.machine_load import Load
-from companion.cli.progress import Progress
+from companion.cli.progress import ProgressObserver
 from companion.cli.verdict import Contact, Ending
 from companion.cli.version import version
 from companion.config.model import CameraSettings, PadSettings, Settings
@@ -86,7 +86,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
             settings = _rig(scenario, child.ports)
             pilot = make_pilot(settings, shadows=SHADOWS)
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
-            progress = None if args.json else Progress()
+            progress = None if args.json else ProgressObserver()
             observers: list[Observer] = [LogObserver(log)] if progress is None else [LogObserver(log), progress]
             facts = {"kind": "demo", "scenario": args.scenario, "seed": str(args.seed)}
             with record_option.recording(args, settings, facts, live=True) as recorder:
@@ -184,7 +184,7 @@ def _rig(scenario: Scenario, ports: dict[str, int]) -> Settings:
 
 def _ending(
     args: argparse.Namespace,
-    outcome: Outcome | None,
+    outcome: FlightOutcome | None,
     duration_s: float,
     truth: list[dict[str, Any]],
     health: Health,

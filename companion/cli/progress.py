@@ -10,7 +10,7 @@ from companion.observer import Decision, NullObserver, ProcessedFrame
 from estimator.contracts.time import MonoNs, seconds_between
 
 
-class Progress(NullObserver):
+class ProgressObserver(NullObserver):
     """Height, lateral distance, phase, frame rate and delay, as the daemon itself believes them.
 
     Args:

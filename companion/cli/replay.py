@@ -18,7 +18,7 @@ from companion.recorder.reading import RecordedFrame, Recording, open_recording
 from companion.recorder.records import TruthRecord
 from companion.recorder.setup import about, recorder_to_file
 from companion.replay.engine import Replay
-from companion.replay.log_observer import Difference, LogObserver, differences, recorded_beliefs
+from companion.replay.log_observer import BeliefLogObserver, Difference, differences, recorded_beliefs
 from companion.replay.pilots import available_paths, pilot_of, settings_of
 from companion.report.drawing import require_drawing
 from companion.report.figures import ErrorRow, all_series, error_rows
@@ -56,7 +56,7 @@ class Pass:
     """One replay and what it left."""
 
     name: str
-    log_observer: LogObserver
+    log_observer: BeliefLogObserver
     replay: Replay
     wall_s: float
     flown_s: float
@@ -102,7 +102,9 @@ def run(args: argparse.Namespace) -> int:
 def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: Settings, own: bool, record: Path | None) -> Pass:
     pilot = pilot_of(recording, settings, args.path, own_camera=own)
     steering = args.path or settings.estimator.path
-    log_observer = LogObserver(FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering))
+    log_observer = BeliefLogObserver(
+        FlightLog(f"Replay of {recording.name}", MonoNs(0), pilot.pad, pilot.camera, steering=steering)
+    )
     observers: list[Observer] = [log_observer]
     replay = Replay(recording, pilot, sightings=args.sightings, rate_hz=settings.guidance.rate_hz, observers=observers)
     began = time.monotonic()
@@ -118,7 +120,9 @@ def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: S
     return Pass(name, log_observer, replay, time.monotonic() - began, flown_s)
 
 
-def _feed(replay: Replay, log_observer: LogObserver, images: bool, truth_to: Sequence[Callable[[TruthRecord], None]]) -> float:
+def _feed(
+    replay: Replay, log_observer: BeliefLogObserver, images: bool, truth_to: Sequence[Callable[[TruthRecord], None]]
+) -> float:
     """To the end; the recording's length in seconds."""
     first = last = MonoNs(0)
     image: bytes | None = None

@@ -7,7 +7,7 @@ import asyncio
 import sys
 from contextlib import AsyncExitStack
 
-from companion.cli.progress import Progress
+from companion.cli.progress import ProgressObserver
 from companion.config.settings import Settings
 from companion.mavlink import operator
 from companion.mavlink.component import Component, ComponentOptions, speaking
@@ -48,8 +48,8 @@ class _Deaf:
     def record(self, on: bool) -> str | None:
         return _REFUSAL if on else None
 
-    def progress(self) -> operator.Progress:
-        return operator.Progress(None)
+    def progress(self) -> operator.LandingProgress:
+        return operator.LandingProgress(None)
 
 
 class _Newest(NullObserver):
@@ -79,7 +79,7 @@ async def _play(args: argparse.Namespace, recording: Recording, settings: Settin
     clock = SystemClock()
     newest = _Newest()
     observers: list[Observer] = [newest]
-    progress = None if args.json else Progress()
+    progress = None if args.json else ProgressObserver()
     async with AsyncExitStack() as stack:
         if args.mavlink:
             links = tuple(LinkOptions(parse_endpoint(url)) for url in args.mavlink)

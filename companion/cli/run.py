@@ -11,7 +11,7 @@ from companion.config.proven import Proven
 from companion.config.referenced_files import check_files
 from companion.config.settings import Settings, load, shipped
 from companion.config.vehicle import AutopilotSettings, BridgeSettings, unsigned
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from companion.runtime import event_loop
 from companion.runtime.service import live, log_to_stderr, make_daemon, make_pilot
 
@@ -69,7 +69,7 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
     outcome = event_loop.run(live(daemon, pilot))
     if outcome is not None:
         sys.stderr.write(f"flight ended: {outcome.value}\n")
-    return 0 if not args.once or outcome in (Outcome.LANDED, Outcome.LANDED_BY_OTHERS) else 1
+    return 0 if not args.once or outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS) else 1
 
 
 def _vehicle(settings: Settings) -> str:

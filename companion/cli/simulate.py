@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from companion.cli import record_option
-from companion.cli.progress import Progress
+from companion.cli.progress import ProgressObserver
 from companion.cli.verdict import Contact, Ending, FlightGrade
 from companion.config.model import CameraSettings, PadSettings
 from companion.config.settings import load, shipped
@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         settings = msgspec.structs.replace(settings, **own)
     kept = args.report is not None or args.record is not None
     pilot = make_pilot(settings, shadows=SHADOWS if kept else ())
-    progress = None if args.json else Progress()
+    progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
     log = FlightLog(scenario.title, started=MonoNs(0), pad=pilot.pad, camera=pilot.camera, steering=settings.estimator.path)
     if args.report is not None:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from companion.cli.progress import Progress
+from companion.cli.progress import ProgressObserver
 from companion.cli.verdict import Contact, Ending
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     scenario = load_scenario(args.scenario)
     refuse_faults(args.scenario, scenario)
     settings = rig(scenario, args.config)
-    progress = None if args.json else Progress()
+    progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
     autopilot = AutopilotProgram(args.autopilot, binary, parameters=parameters(args.param))
     began = time.monotonic()

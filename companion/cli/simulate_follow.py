@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from companion.cli.progress import Progress
+from companion.cli.progress import ProgressObserver
 from companion.cli.simulate_autopilot import ending_of, refuse_faults, rig
 from companion.observer import Observer
 from companion.runtime import event_loop
@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     scenario = load_scenario(args.scenario)
     refuse_faults(args.scenario, scenario)
     settings = rig(scenario, args.config)
-    progress = None if args.json else Progress()
+    progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
     end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))
     if progress is not None:

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Any
 
 from companion.cli.machine_load import Load
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from sitl.flight import FlightResult
 from sitl.safety import Grade, grade
@@ -53,7 +53,7 @@ def virtual(at_s: float, seed: int, title: str, result: FlightResult) -> Flown:
 def real(
     at_s: float,
     said: dict[str, Any],
-    outcome: Outcome | None,
+    outcome: FlightOutcome | None,
     frames: Counter[Verdict],
     guidance_late_s: float | None = None,
 ) -> Flown:
@@ -65,7 +65,7 @@ def real(
         frames: what the daemon made of its frames.
         guidance_late_s: median of what guidance cycles came late at the end of the flight, seconds.
     """
-    if said["ended"] == "time is up" and outcome is not Outcome.GAVE_UP:
+    if said["ended"] == "time is up" and outcome is not FlightOutcome.GAVE_UP:
         outcome = None  # the simulator switched the drone off in the air, which the pilot takes for an emergency
     landed_m = said["lateral_m"] if said["on_pad"] else None
     worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], left_alone=said["left_alone"])

@@ -18,11 +18,11 @@ import msgspec
 
 from companion.config import build
 from companion.config.model import Settings
-from companion.runtime.daemon import Daemon, Link
+from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.service import make_pilot
 from drivers.ardrone import at
 from drivers.ardrone.navdata import Navdata
-from drivers.ardrone.samples import Sampler
+from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
@@ -108,7 +108,7 @@ class _Reel:
             self._navdata.append(drone.navdata())
             if (tick + 1) * TICK_S * rate_hz >= len(self._images):
                 self._images.append(world.render())
-        self._sampler = Sampler(build.ardrone_options(settings).samples)
+        self._sampler = NavdataSampler(build.ardrone_options(settings).samples)
         self.frames: Latest[Frame] = Latest()
         self.samples: Line[Sample] = Line(settings.service.sample_queue_items)
 
@@ -119,7 +119,7 @@ class _Reel:
         return None
 
     @asynccontextmanager
-    async def open(self) -> AsyncIterator[Link]:
+    async def open(self) -> AsyncIterator[VehicleLink]:
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(self._speak()), group.create_task(self._film())]
             try:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from companion.cli.machine_load import Load
-from companion.pilot import Outcome
-from companion.report.flight_log import FlightLog
-from companion.report.flight_log import Touchdown as LoggedTouchdown
+from companion.pilot import FlightOutcome
+from companion.report.flight_log import FlightLog, LoggedTouchdown
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -67,7 +66,7 @@ class Ending:
 
     scenario: str
     seed: int
-    outcome: Outcome | None
+    outcome: FlightOutcome | None
     """As the pilot saw it; None when the time ran out."""
     contacts: tuple[Contact, ...]
     duration_s: float
@@ -85,7 +84,7 @@ class Ending:
     @property
     def on_pad(self) -> bool:
         """The goal: the pilot says landed, and the simulator says on the pad."""
-        return self.outcome is Outcome.LANDED and self.contact is not None and self.contact.on_pad
+        return self.outcome is FlightOutcome.LANDED and self.contact is not None and self.contact.on_pad
 
     @property
     def good(self) -> bool:

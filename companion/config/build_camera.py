@@ -74,7 +74,7 @@ def controls(text: str) -> dict[str, int | bool | str]:
 class LinkWithCamera:
     """The vehicle's samples and commands, the camera's frames."""
 
-    def __init__(self, vehicle: Link, camera: VideoSource) -> None:
+    def __init__(self, vehicle: VehicleLink, camera: VideoSource) -> None:
         self.vehicle = vehicle
         self.camera = camera
 
@@ -97,11 +97,11 @@ def with_camera(open_vehicle: OpenLink, options: CameraOptions, clock: Clock) ->
     """Opens both. A camera that goes away comes back by itself, and the vehicle hears nothing of it."""
 
     @asynccontextmanager
-    async def both() -> AsyncIterator[Link]:
+    async def both() -> AsyncIterator[VehicleLink]:
         async with open_vehicle() as vehicle, open_camera(options, clock) as camera:
             yield LinkWithCamera(vehicle, camera)
 
-    def open_link() -> AbstractAsyncContextManager[Link]:
+    def open_link() -> AbstractAsyncContextManager[VehicleLink]:
         return both()
 
     return open_link

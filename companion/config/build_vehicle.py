@@ -13,7 +13,7 @@ from companion.config.model import Settings
 from companion.config.vehicle import AutopilotSettings
 from companion.observer import Observer
 from companion.pilot import Pilot
-from companion.runtime.daemon import Link, OpenLink
+from companion.runtime.daemon import OpenLink, VehicleLink
 from companion.runtime.health import Health
 from companion.runtime.supervise import Body
 from drivers.ardrone.link import open_ardrone
@@ -83,7 +83,7 @@ def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap
     )
     health.counters("bridge", bridge.counted)
 
-    def open_link() -> AbstractAsyncContextManager[Link]:
+    def open_link() -> AbstractAsyncContextManager[VehicleLink]:
         return bridge.beside(open_ardrone(options, clock))
 
     return VehicleParts(open_link, (bridge,), {"bridge": bridge.run})

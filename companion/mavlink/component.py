@@ -26,7 +26,7 @@ from companion.mavlink.operator import Operator
 from companion.mavlink.outputs import OutputOptions, Outputs
 from companion.mavlink.parameters import ParameterServer, Store
 from companion.mavlink.refusals import Refusals
-from companion.mavlink.status_texts import Severity, StatusTexts
+from companion.mavlink.status_texts import MavSeverity, StatusTexts
 from companion.mavlink.target_track import TargetTrack
 from companion.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.health import Health
@@ -49,13 +49,13 @@ _CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_C
 _TELL_AGAIN_S = 60.0
 """Between two texts about the same part, which may fail and come back many times a minute."""
 _SEVERITIES = {
-    "landed": Severity.NOTICE,
-    "landed by others": Severity.NOTICE,
-    "gave up": Severity.CRITICAL,
-    "no landing reported": Severity.ERROR,
-    "emergency": Severity.CRITICAL,
-    "aborted": Severity.WARNING,
-    "paused": Severity.NOTICE,
+    "landed": MavSeverity.NOTICE,
+    "landed by others": MavSeverity.NOTICE,
+    "gave up": MavSeverity.CRITICAL,
+    "no landing reported": MavSeverity.ERROR,
+    "emergency": MavSeverity.CRITICAL,
+    "aborted": MavSeverity.WARNING,
+    "paused": MavSeverity.NOTICE,
 }
 """Of phases that are more than information."""
 
@@ -198,7 +198,7 @@ class Component(NullObserver):
             self._belief = decision.belief
         if decision.phase != self._phase:
             self._phase = decision.phase
-            severity = _SEVERITIES.get(decision.phase, Severity.INFO)
+            severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)
             self.texts.say(severity, f"Decklander: {decision.phase}", decision.at)
 
     # What others tell
@@ -213,16 +213,16 @@ class Component(NullObserver):
             if self._parameters is not None:
                 self._answer(received, self._parameters.in_force(received.message))
             if (news := self.refusals.news(received)) is not None:
-                self.texts.say(Severity.WARNING, f"Decklander: {news}", now)
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {news}", now)
             return
         self._answer(received, self._commands.on_message(received.message, (received.system, received.component), us, now))
         if received.message.get_type() in ("COMMAND_LONG", "COMMAND_INT") and self._commands.refusal is not None:
-            self.texts.say(Severity.WARNING, f"Decklander: {self._commands.refusal}", now)
+            self.texts.say(MavSeverity.WARNING, f"Decklander: {self._commands.refusal}", now)
             self._commands.refusal = None
         if self._parameters is not None and received.standing >= Standing.PEER:
             self._send(self._parameters.on_message(received.message, us))
             if self._parameters.refused is not None:
-                self.texts.say(Severity.WARNING, f"Decklander: {self._parameters.refused}", now)
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {self._parameters.refused}", now)
                 self._parameters.refused = None
 
     def _answer(self, received: ReceivedMessage, messages: list[Message]) -> None:
@@ -295,13 +295,13 @@ class Component(NullObserver):
     def _check_health(self, now: MonoNs) -> None:
         why = self._fault(now) if self._decided is not None else None
         if why is not None and not self._sick:
-            self.texts.say(Severity.ERROR, f"Decklander: {why}", now)
+            self.texts.say(MavSeverity.ERROR, f"Decklander: {why}", now)
         self._sick = why is not None
         for name, part in self._health.parts.items():
             last = self._told.get(name)
             if not (part.up or part.vital) and (last is None or seconds_between(last, now) >= _TELL_AGAIN_S):
                 self._told[name] = now
-                self.texts.say(Severity.WARNING, f"Decklander: {name} is down: {part.last_error}", now)
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {name} is down: {part.last_error}", now)
 
     def _heartbeat(self, now: MonoNs) -> Message | None:
         if self._fault(now) is not None:

@@ -14,7 +14,7 @@ from companion.mavlink.pilot_operator import PilotTower
 from companion.mavlink.refusals import link_counters
 from companion.mavlink.tunables import Tunables
 from companion.pilot import Pilot
-from companion.runtime.daemon import Link
+from companion.runtime.daemon import VehicleLink
 from companion.runtime.health import Health
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.links import Links, Tap
@@ -62,7 +62,7 @@ class AutopilotPart:
         health.counters("mavlink", self._counted)
 
     @asynccontextmanager
-    async def open(self) -> AsyncIterator[Link]:
+    async def open(self) -> AsyncIterator[VehicleLink]:
         """The autopilot as the daemon's link."""
         async with open_autopilot(self._options, self._clock) as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap

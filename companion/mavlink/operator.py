@@ -12,7 +12,7 @@ PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf")
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class LandingProgress:
     """How the landing that was asked for goes on."""
 
     percent: int | None
@@ -46,6 +46,6 @@ class Operator(Protocol):
         """Start or stop a recording."""
         ...
 
-    def progress(self) -> Progress:
+    def progress(self) -> LandingProgress:
         """Of the landing."""
         ...

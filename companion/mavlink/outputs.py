@@ -59,7 +59,7 @@ class OutputOptions:
             raise ValueError(f"rate_hz must lie in 1..50 and range_id in 0..255, got {self}")
 
 
-class Vehicle(Protocol):
+class AutopilotView(Protocol):
     """What is needed to know of the autopilot."""
 
     @property
@@ -95,14 +95,14 @@ class Outputs:
         self.withheld: Counter[str] = Counter()
         """Why a target that was due was not sent."""
 
-    def sends_ranges(self, vehicle: Vehicle) -> bool:
+    def sends_ranges(self, vehicle: AutopilotView) -> bool:
         """Whether this autopilot's rangefinder is us."""
         if self._o.ranges != "auto":
             return self._o.ranges == "on"
         kinds = (vehicle.parameter_values.get(f"RNGFND{n}_TYPE") for n in range(1, 5))
         return vehicle.stack is Stack.ARDUPILOT and _MAVLINK_RANGEFINDER in kinds
 
-    def due(self, now: MonoNs, vehicle: Vehicle, sighted: MonoNs | None) -> list[Message]:
+    def due(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> list[Message]:
         """The messages of this instant.
 
         Args:
@@ -116,7 +116,7 @@ class Outputs:
             out.append(self._range(now, vehicle, sighted))
         return out
 
-    def target(self, now: MonoNs, vehicle: Vehicle, sighted: MonoNs | None) -> list[Message]:
+    def target(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> list[Message]:
         """The target as it is to be told now, whether or not it is due; the next is due one period later."""
         self._target_at = now
         seen, why = self._seen(now, vehicle, sighted)
@@ -149,7 +149,7 @@ class Outputs:
             return [message, relative]
         return [message]
 
-    def _seen(self, now: MonoNs, vehicle: Vehicle, sighted: MonoNs | None) -> tuple[Seen | None, str]:
+    def _seen(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> tuple[Seen | None, str]:
         if vehicle.stack is Stack.OTHER:
             return None, "unknown autopilot"
         if vehicle.condition.flying is False:
@@ -166,7 +166,7 @@ class Outputs:
             return None, "no newer position"
         return self._track.at(at), "no attitude"
 
-    def _range(self, now: MonoNs, vehicle: Vehicle, sighted: MonoNs | None) -> Message:
+    def _range(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> Message:
         sigma_m, range_m = 0.05, None
         if vehicle.condition.flying is False:
             range_m = self._o.ground_clearance_m

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from companion.mavlink.operator import Progress
+from companion.mavlink.operator import LandingProgress
 from companion.mqtt.operator import PilotOperator
-from companion.pilot import Outcome, Pilot
+from companion.pilot import FlightOutcome, Pilot
 from estimator.contracts.estimates import PathName, RelativeState
 
 
@@ -47,13 +47,13 @@ class PilotTower:
     def record(self, on: bool) -> str | None:
         return self._handlers.record(on)
 
-    def progress(self) -> Progress:
+    def progress(self) -> LandingProgress:
         outcome = self._pilot.outcome
         if outcome is not None:
-            called_off = outcome is Outcome.ABORTED
-            return Progress(None, None if called_off else outcome is Outcome.LANDED, called_off)
+            called_off = outcome is FlightOutcome.ABORTED
+            return LandingProgress(None, None if called_off else outcome is FlightOutcome.LANDED, called_off)
         belief = self._believe()
         if belief is None or belief.height_m <= 0:
-            return Progress(None)
+            return LandingProgress(None)
         self._from_m = max(belief.height_m, self._from_m or 0.0)
-        return Progress(round(100.0 * (1.0 - belief.height_m / self._from_m)))
+        return LandingProgress(round(100.0 * (1.0 - belief.height_m / self._from_m)))

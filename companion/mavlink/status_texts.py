@@ -13,7 +13,7 @@ _CHUNK = 50
 _SAID_MAX = 64
 
 
-class Severity(IntEnum):
+class MavSeverity(IntEnum):
     """MAV_SEVERITY, the part of it that is used."""
 
     CRITICAL = 2
@@ -25,7 +25,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class _Text:
-    severity: Severity
+    severity: MavSeverity
     text: str
 
 
@@ -46,7 +46,7 @@ class StatusTexts:
         self.dropped = 0
         """Texts that never went out."""
 
-    def say(self, severity: Severity, text: str, now: MonoNs) -> None:
+    def say(self, severity: MavSeverity, text: str, now: MonoNs) -> None:
         """Queue a text unless it was said a moment ago."""
         last = self._said.get(text)
         if last is not None and seconds_between(last, now) < self._repeat_s:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from companion.pilot import Outcome, Pilot
+from companion.pilot import FlightOutcome, Pilot
 from estimator.contracts.estimates import PathName
 
 
@@ -21,7 +21,7 @@ class PilotOperator:
 
     def start(self) -> str | None:
         over = self._over()
-        if over is None or self._pilot.outcome in (Outcome.GAVE_UP, Outcome.LAND_TIMEOUT):
+        if over is None or self._pilot.outcome in (FlightOutcome.GAVE_UP, FlightOutcome.LAND_TIMEOUT):
             self._pilot.begin()
             return None
         return over

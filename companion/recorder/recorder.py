@@ -38,7 +38,7 @@ _ROOM_AGAIN_MB = 20.0
 P = ParamSpec("P")
 
 
-class State(Enum):
+class RecorderState(Enum):
     """What the writing thread is doing."""
 
     IDLE = "idle"
@@ -117,11 +117,11 @@ class Recorder:
         self._tried: MonoNs | None = None
         self._rest_s = options.retry_s
         self._recorded_health: MonoNs | None = None
-        self._shown = State.IDLE
+        self._shown = RecorderState.IDLE
         self._seen = 0
         self._paused = False
         self._unflushed = 0
-        self._state = State.IDLE
+        self._state = RecorderState.IDLE
         self.why = ""
         """Why nothing is being written, in words; empty while it is."""
         self.written = 0
@@ -137,7 +137,7 @@ class Recorder:
         self.files = 0
 
     @property
-    def state(self) -> State:
+    def state(self) -> RecorderState:
         return self._state
 
     @property
@@ -178,7 +178,7 @@ class Recorder:
 
     def close(self) -> None:
         """Write what waits and end the file. Gives up after `close_s`."""
-        if self._state is State.CLOSED or not self._thread.is_alive():
+        if self._state is RecorderState.CLOSED or not self._thread.is_alive():
             return
         give_up_s = time.monotonic() + self._options.close_s
         with suppress(queue.Full):
@@ -198,7 +198,7 @@ class Recorder:
     def switch(self, on: bool) -> str | None:
         """The operator: record or do not; says why it cannot."""
         self._paused = not on
-        return self.why if on and self._state is State.BLOCKED else None
+        return self.why if on and self._state is RecorderState.BLOCKED else None
 
     def on_sample(self, sample: Sample) -> None:
         self._give(sample.stamp.received_at, sample)
@@ -232,7 +232,7 @@ class Recorder:
         self._give(at, rec.LinkRecord(int(at), link, direction, data, name))
 
     def _give(self, at: MonoNs, what: object) -> bool:
-        if self._options.when_full == "wait" and self._state is not State.CLOSED:
+        if self._options.when_full == "wait" and self._state is not RecorderState.CLOSED:
             self._queue.put(_Item(at, what))
             return True
         try:
@@ -253,7 +253,7 @@ class Recorder:
         if self._health is None or self._state is self._shown:
             return
         self._shown = self._state
-        if self._state is State.BLOCKED:
+        if self._state is RecorderState.BLOCKED:
             self._health.down(PART, OSError(self.why))
         else:
             self._health.up(PART)
@@ -272,7 +272,7 @@ class Recorder:
                 self._guarded(self._take, item)
             self._guarded(self._end_file)
         finally:
-            self._state = State.CLOSED
+            self._state = RecorderState.CLOSED
 
     def _guarded(self, handler: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
         """A fault of the disk ends the file, a fault of ours costs a record; neither ends the flight."""
@@ -313,14 +313,18 @@ class Recorder:
         if self._paused:
             if self._file is not None:
                 self._end_file()
-            self._state = State.PAUSED
+            self._state = RecorderState.PAUSED
             return False
         if self._file is not None:
             return True
-        if self._tried is not None and self._state is State.BLOCKED and 0.0 <= seconds_between(self._tried, at) < self._rest_s:
+        if (
+            self._tried is not None
+            and self._state is RecorderState.BLOCKED
+            and 0.0 <= seconds_between(self._tried, at) < self._rest_s
+        ):
             return False
         self._tried = at
-        reason = self._storage_policy.lacks_room(_ROOM_AGAIN_MB if self._state is State.BLOCKED else 0.0)
+        reason = self._storage_policy.lacks_room(_ROOM_AGAIN_MB if self._state is RecorderState.BLOCKED else 0.0)
         if reason is not None:
             self._lacks(reason)
             return False
@@ -335,9 +339,9 @@ class Recorder:
             self._file.add(topic, at_ns, message)
         self._file.flush()
         self._began = self._flushed = self._synced = at
-        if self._state is State.BLOCKED:
+        if self._state is RecorderState.BLOCKED:
             log.warning("recorder: records again, in %s", self._file.path)
-        self._state, self.why, self._rest_s = State.RECORDING, "", self._options.retry_s
+        self._state, self.why, self._rest_s = RecorderState.RECORDING, "", self._options.retry_s
         self._storage_policy.tidy(self._file.path)
 
     def _flush(self, now: MonoNs | None) -> None:
@@ -371,11 +375,11 @@ class Recorder:
 
     def _lacks(self, reason: str) -> None:
         self.blocked += 1
-        if self._state is State.BLOCKED:
+        if self._state is RecorderState.BLOCKED:
             self._rest_s = min(2.0 * self._rest_s, self._options.retry_cap_s)
         else:
             log.error("recorder: nothing is recorded now: %s; the flight goes on, trying again", reason)
-        self._state, self.why = State.BLOCKED, reason
+        self._state, self.why = RecorderState.BLOCKED, reason
 
 
 def _kind(what: object) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.guidance.planner import Phase
 from companion.observer import Decision, Observer, ProcessedFrame
-from companion.pilot import Outcome, Pilot
+from companion.pilot import FlightOutcome, Pilot
 from companion.recorder import encode
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
 from companion.recorder.records import HealthRecord, LinkRecord, TruthRecord
@@ -83,7 +83,7 @@ class Replay:
         return self._hash.hexdigest()
 
     @property
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> FlightOutcome | None:
         """How the flight ended in the pilot's eyes."""
         return self._pilot.outcome
 
@@ -178,7 +178,7 @@ class Replay:
         """What the operator said is not recorded as such, but it shows in the phases."""
         if phase == "paused":
             self._pilot.pause()
-        elif phase == Outcome.ABORTED.value:
+        elif phase == FlightOutcome.ABORTED.value:
             self._pilot.abort()
         elif phase in _FLOWN and self._phase not in _FLOWN:
             self._pilot.begin()

@@ -11,7 +11,7 @@ import numpy as np
 from companion.observer import Decision, ProcessedFrame
 from companion.recorder.reading import Recording
 from companion.recorder.records import TruthRecord
-from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange, Touchdown, TruthSample
+from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, LoggedTouchdown, PhaseChange, TruthSample
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import Sample
@@ -21,7 +21,7 @@ Beliefs = dict[tuple[PathName, MonoNs], RelativeState]
 
 
 @dataclass(slots=True)
-class LogObserver:
+class BeliefLogObserver:
     """An observer that fills a log and keeps every belief by path and instant."""
 
     log: FlightLog
@@ -63,7 +63,7 @@ class LogObserver:
             lateral_m, sinking, sliding = (
                 math.nan if x is None else x for x in (t.lateral_m, t.vertical_speed_m_s, t.lateral_speed_m_s)
             )
-            self.log.touchdown = Touchdown(MonoNs(t.at_ns), lateral_m, sinking, sliding, t.on_pad)
+            self.log.touchdown = LoggedTouchdown(MonoNs(t.at_ns), lateral_m, sinking, sliding, t.on_pad)
 
     def attach_image(self, image: bytes | None) -> None:
         """The newest frame's frame as it was recorded."""

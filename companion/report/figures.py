@@ -66,7 +66,7 @@ class TimingRow:
     max_s: float
 
 
-class Truth:
+class TruthTrack:
     """Truth at any instant between its samples; nan outside, and across holes of more than 0.2 s."""
 
     def __init__(self, samples: Sequence[TruthSample]) -> None:
@@ -95,7 +95,7 @@ class Truth:
 
 def all_series(log: FlightLog) -> list[Series]:
     """Every method and path the log holds, methods first, each in order of time."""
-    truth = Truth(log.truth)
+    truth = TruthTrack(log.truth)
     methods: dict[str, list[Sighting]] = {}
     for sighting in log.sightings:
         methods.setdefault(sighting.method, []).append(sighting)
@@ -114,7 +114,7 @@ def all_series(log: FlightLog) -> list[Series]:
 
 def _series(
     log: FlightLog,
-    truth: Truth,
+    truth: TruthTrack,
     name: str,
     is_path: bool,
     at: list[MonoNs],

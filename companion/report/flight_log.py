@@ -65,7 +65,7 @@ class FrameRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Touchdown:
+class LoggedTouchdown:
     """The instant of contact."""
 
     at: MonoNs
@@ -107,4 +107,4 @@ class FlightLog:
     """Measured durations by stage (decode, look, filter, encode, ...), in the order they are to be shown."""
     delay_s: list[float] = field(default_factory=list)
     """From mid-exposure to the command that used the frame, one a frame."""
-    touchdown: Touchdown | None = None
+    touchdown: LoggedTouchdown | None = None

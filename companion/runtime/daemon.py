@@ -18,7 +18,7 @@ from typing import Protocol
 import cv2
 
 from companion.observer import Decision, Observer, ProcessedFrame
-from companion.pilot import Outcome, Pilot
+from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.containment import Audience
 from companion.runtime.health import Health
 from companion.runtime.supervise import Body, Restart, run, uncancelled
@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 _ATTITUDE_TRIES, _ATTITUDE_PAUSE_S = 10, 0.005
 
 
-class Link(Protocol):
+class VehicleLink(Protocol):
     """A vehicle with a camera, as a driver offers it while its context is open."""
 
     @property
@@ -53,7 +53,7 @@ class Link(Protocol):
         ...
 
 
-OpenLink = Callable[[], AbstractAsyncContextManager[Link]]
+OpenLink = Callable[[], AbstractAsyncContextManager[VehicleLink]]
 
 
 class Daemon:
@@ -93,7 +93,7 @@ class Daemon:
         self._health_period_s = health_period_s
         self._threads = threads
         self._once = once
-        self._link: Link | None = None
+        self._link: VehicleLink | None = None
         self._ended = asyncio.Event()
         self._tracker: Worker | None = None
         self._wrong_size_said = False
@@ -102,7 +102,7 @@ class Daemon:
         self.health = health or Health(clock)
         self._audience = Audience(observers, self.health)
 
-    async def run(self) -> Outcome | None:
+    async def run(self) -> FlightOutcome | None:
         """Until the flight has ended (with `once`) or `stop` is called; the flight's outcome, None when it had none yet.
 
         Raises:
@@ -136,14 +136,14 @@ class Daemon:
             finally:
                 self._link = None
 
-    async def _read_samples(self, link: Link) -> None:
+    async def _read_samples(self, link: VehicleLink) -> None:
         async for sample in link.samples:
             self.health.beat(type(sample).__name__)
             for outcome in self._pilot.on_sample(sample):
                 self.health.input(outcome.kind, outcome.verdict)
             self._audience.on_sample(sample)
 
-    async def _read_frames(self, link: Link) -> None:
+    async def _read_frames(self, link: VehicleLink) -> None:
         overtaken = 0
         async for frame in link.frames:
             for _ in range(link.frames.replaced - overtaken):

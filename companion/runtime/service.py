@@ -13,7 +13,7 @@ from companion.config.build_vehicle import vehicle_parts
 from companion.config.model import Settings
 from companion.config.vehicle import AutopilotSettings
 from companion.observer import Observer
-from companion.pilot import Outcome, Pilot
+from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
 from companion.runtime.event_loop import heeded
@@ -119,7 +119,7 @@ def log_to_stderr(settings: Settings) -> None:
     logging.basicConfig(level=settings.service.log_level.upper(), format=form, stream=sys.stderr, force=True)
 
 
-async def live(daemon: Daemon, pilot: Pilot) -> Outcome | None:
+async def live(daemon: Daemon, pilot: Pilot) -> FlightOutcome | None:
     """Run the daemon as a process does: SIGINT, SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
     handlers = {
         signal.SIGINT: daemon.stop,

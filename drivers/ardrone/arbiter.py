@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from drivers.ardrone.at import REF_BASE, REF_TAKE_OFF, AtCommand, ComWdg, Pcmd, Ref
 from drivers.ardrone.landing_watch import FRESH_S, DroneReport, LandingWatch
-from drivers.ardrone.navdata import ControlState, State
+from drivers.ardrone.navdata import ControlState, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
 
 HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
@@ -98,7 +98,7 @@ class CommandArbiter:
         report = self._reported(now, FRESH_S)
         if report is None:
             return [*([ComWdg()] if word.watchdog else []), HOVER]
-        out: list[AtCommand] = [ComWdg()] if report.state & State.COM_WATCHDOG else []
+        out: list[AtCommand] = [ComWdg()] if report.state & NavdataState.COM_WATCHDOG else []
         stays_up = report.flying and (report.control is not ControlState.LANDING or self._watch.calls_off(now))
         return [*out, *([Ref(STAY_UP)] if stays_up else []), HOVER]
 

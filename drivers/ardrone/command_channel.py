@@ -10,7 +10,7 @@ from drivers.ardrone.counters import Counters
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_client import SenderClient
-from drivers.ardrone.sender_wire import SenderOptions, Status, as_text
+from drivers.ardrone.sender_wire import SenderOptions, SenderStatus, as_text
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -91,7 +91,7 @@ class CommandChannel:
             as_text(o.timeouts(o.hold_com_watchdog_s)), as_text(o.timeouts(o.com_watchdog_s)),
         )  # fmt: skip
 
-    def _told(self, before: Status, now: Status) -> None:
+    def _told(self, before: SenderStatus, now: SenderStatus) -> None:
         self._counters.at_datagrams += now.datagrams - before.datagrams
         self._counters.at_commands += max(0, now.sequence - before.sequence)
         self._counters.at_errors += now.errors - before.errors

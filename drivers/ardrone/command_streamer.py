@@ -12,7 +12,7 @@ from drivers.ardrone.arbiter import HOVER, STAY_UP, Word
 from drivers.ardrone.at import PCMD_PROGRESSIVE, REF_BASE, REF_EMERGENCY, Pcmd
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.landing_watch import ORDERED_ABOVE_M, SILENT_ABOVE_M, DroneReport, LandingWatch
-from drivers.ardrone.navdata import ControlState, Navdata, State
+from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import RESET, acceleration_of, step
 from estimator.contracts.commands import Command, Land, TakeOff, Velocity
@@ -71,7 +71,7 @@ class CommandStreamer:
     @property
     def flying(self) -> bool | None:
         """As navdata says; None before any."""
-        return None if self._state is None else bool(self._state & State.FLYING)
+        return None if self._state is None else bool(self._state & NavdataState.FLYING)
 
     @property
     def landing(self) -> bool:
@@ -102,7 +102,7 @@ class CommandStreamer:
         if (control := navdata.control_state) is not None:
             self._control = control
         self._watch.on_report(DroneReport.of(navdata), now, ordered=self._landing is not None)
-        if self._state & State.FLYING or self._state & State.EMERGENCY:
+        if self._state & NavdataState.FLYING or self._state & NavdataState.EMERGENCY:
             self._take_off_at = None
         elif self._control in _ON_GROUND:
             self._landing, self._taken_back = None, False
@@ -116,7 +116,7 @@ class CommandStreamer:
 
     def word(self, now: MonoNs) -> Word:
         """The word of this period, with the instant until which it may be flown."""
-        watchdog = self._state is not None and bool(self._state & State.COM_WATCHDOG)
+        watchdog = self._state is not None and bool(self._state & NavdataState.COM_WATCHDOG)
         self._counters.watchdog_resets += watchdog
         ref = self._ref_bits(now)
         sticks = self._sticks(now)

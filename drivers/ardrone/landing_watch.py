@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from drivers.ardrone.navdata import ControlState, Demo, Navdata, State
+from drivers.ardrone.navdata import ControlState, Demo, Navdata, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
 
 GAP_S = 1.0
@@ -22,7 +22,12 @@ SILENT_ABOVE_M = 0.5
 ORDERED_ABOVE_M = 0.15
 """A landing that guidance takes back by another command is called off above this height."""
 _NOT_FOR_SILENCE = (
-    State.BATTERY_LOW | State.USER_EMERGENCY | State.MOTOR_PROBLEM | State.CUTOUT | State.ANGLES_OUT_OF_RANGE | State.EMERGENCY
+    NavdataState.BATTERY_LOW
+    | NavdataState.USER_EMERGENCY
+    | NavdataState.MOTOR_PROBLEM
+    | NavdataState.CUTOUT
+    | NavdataState.ANGLES_OUT_OF_RANGE
+    | NavdataState.EMERGENCY
 )
 
 
@@ -56,7 +61,7 @@ class DroneReport:
     @property
     def flying(self) -> bool:
         """Whether the drone is in the air, a landing under way included."""
-        return bool(self.state & State.FLYING)
+        return bool(self.state & NavdataState.FLYING)
 
 
 class LandingWatch:
@@ -77,7 +82,7 @@ class LandingWatch:
         if not (report.flying and report.control is ControlState.LANDING):
             self.cause = None
         elif self.cause is None:
-            unheard = report.state & (State.COM_WATCHDOG | State.COMMUNICATION_LOST)
+            unheard = report.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST)
             if ordered:
                 self.cause = Cause.OURS
             elif gap and unheard and not report.state & _NOT_FOR_SILENCE:

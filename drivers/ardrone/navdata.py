@@ -17,12 +17,12 @@ from drivers.ardrone.navdata_flight import (
     Demo,
     EulerAngles,
     GyrosOffsets,
+    NavdataTime,
     PhysMeasures,
     Pwm,
     RawMeasures,
     RcReferences,
     References,
-    Time,
     Trims,
 )
 from drivers.ardrone.navdata_layout import LAYOUT_OF_CLASS, OPTION_HEADER, OptionLayout
@@ -66,14 +66,14 @@ __all__ = [
     "KalmanPressure",
     "Magneto",
     "Navdata",
+    "NavdataState",
+    "NavdataTime",
     "PhysMeasures",
     "PressureRaw",
     "Pwm",
     "RawMeasures",
     "RcReferences",
     "References",
-    "State",
-    "Time",
     "TrackersSend",
     "Trims",
     "VideoStream",
@@ -103,7 +103,7 @@ for _layout in sorted(LAYOUT_OF_CLASS.values(), key=lambda layout: -layout.size)
     _LAYOUTS[_layout.tag] = (*_LAYOUTS.get(_layout.tag, ()), _layout)
 
 
-class State(IntFlag):
+class NavdataState(IntFlag):
     """Bits of the header's state word."""
 
     FLYING = 1 << 0
@@ -168,7 +168,7 @@ class Navdata:
     """One datagram. `options` maps a tag to its option dataclass in the order of the wire."""
 
     state: int
-    """`State` bits."""
+    """`NavdataState` bits."""
     sequence: int
     vision_defined: int
     options: Mapping[int, Any]

@@ -9,7 +9,7 @@ from drivers.ardrone.datagrams import open_datagrams
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.refusal import Refusal
-from drivers.ardrone.samples import Sampler, time_us
+from drivers.ardrone.samples import NavdataSampler, time_us
 from drivers.clock_map import ClockMap, ClockMapOptions
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
@@ -44,7 +44,7 @@ class NavdataChannel:
         self._counters = counters
         self._received = received
         self._restarted = restarted
-        self._sampler = Sampler(options.samples)
+        self._sampler = NavdataSampler(options.samples)
         self._map = ClockMap(
             ClockMapOptions(
                 wrap_ns=2048 * 1_000_000_000,

@@ -44,16 +44,16 @@ class Demo:
 
 @option(1)
 @dataclass(frozen=True, slots=True)
-class Time:
+class NavdataTime:
     """The drone's clock: seconds in the high 11 bits, microseconds in the low 21; wraps every 2048 s."""
 
     time: U32
 
     @staticmethod
-    def of_us(time_us: int) -> Time:
+    def of_us(time_us: int) -> NavdataTime:
         """From microseconds of the drone's clock, wrapped as the drone wraps them."""
         seconds, micros = divmod(time_us, 1_000_000)
-        return Time((seconds % 2048) << 21 | micros)
+        return NavdataTime((seconds % 2048) << 21 | micros)
 
     @property
     def time_us(self) -> int:

@@ -1,4 +1,4 @@
-"""Navdata to samples in SI units and aerospace axes. Pure; `Sampler` alone remembers, to leave out repeats.
+"""Navdata to samples in SI units and aerospace axes. Pure; `NavdataSampler` alone remembers, to leave out repeats.
 
 Signs: theta is nose up, phi right side down, psi clockwise, accelerometer and gyro are forward-right-down (a datagram at rest
 reads -942 mg downward and +80 mg forward with the nose 4.9 degrees up). Sigmas come from a flight under motion capture:
@@ -13,7 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from drivers.ardrone.navdata import Altitude, ControlState, Demo, Navdata, PhysMeasures, PressureRaw, RawMeasures, State, Time
+from drivers.ardrone.navdata import (
+    Altitude,
+    ControlState,
+    Demo,
+    Navdata,
+    NavdataState,
+    PhysMeasures,
+    PressureRaw,
+    RawMeasures,
+    Time,
+)
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
@@ -104,7 +114,7 @@ def pressure_of_height_pa(height_m: float) -> float:
     return float(101325.0 * (1.0 - height_m / 44330.77) ** (1.0 / 0.190263))
 
 
-class Sampler:
+class NavdataSampler:
     """`samples_from_navdata` without repeats.
 
     The drone repeats a reading in every datagram until the sensor has a new one (ultrasound 25 Hz, barometer about 100 Hz in
@@ -121,7 +131,7 @@ class Sampler:
         keys = {
             Range: _range_key(navdata),
             Baro: navdata.get(PressureRaw),
-            VehicleStatus: (navdata.state & ~State.COMMAND_ACK, navdata.control_state),
+            VehicleStatus: (navdata.state & ~NavdataState.COMMAND_ACK, navdata.control_state),
         }
         return [s for s in samples_from_navdata(navdata, stamp, self._options) if self._fresh(s, keys)]
 
@@ -165,7 +175,7 @@ def _velocity(demo: Demo, stamp: Stamp, options: SampleOptions) -> BodyVelocity:
 
 def _range_m(navdata: Navdata) -> float | None:
     """The ultrasound's own reading; in demo mode the drone's height turned back along the body's axis."""
-    if navdata.state & State.ULTRASOUND_DEAF:
+    if navdata.state & NavdataState.ULTRASOUND_DEAF:
         return None
     altitude = navdata.get(Altitude)
     if altitude is not None:
@@ -188,9 +198,9 @@ def _status(navdata: Navdata, stamp: Stamp) -> VehicleStatus:
     demo, mode = navdata.get(Demo), navdata.control_state
     return VehicleStatus(
         stamp,
-        flying=bool(navdata.state & State.FLYING),
+        flying=bool(navdata.state & NavdataState.FLYING),
         mode="unknown" if mode is None else _MODES[mode],
         battery_fraction=min(1.0, demo.battery_percent / 100.0) if demo is not None else None,
-        emergency=bool(navdata.state & State.EMERGENCY),
-        link_ok=not navdata.state & (State.COM_WATCHDOG | State.COMMUNICATION_LOST),
+        emergency=bool(navdata.state & NavdataState.EMERGENCY),
+        link_ok=not navdata.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST),
     )

@@ -25,9 +25,9 @@ from drivers.ardrone.sender_lock import claim, yield_to
 from drivers.ardrone.sender_wire import (
     BUSY,
     LINE_MAX,
-    Order,
     SenderOptions,
-    Status,
+    SenderOrder,
+    SenderStatus,
     TextCommand,
     as_text,
     order_of,
@@ -142,7 +142,7 @@ class Sender:
         if self._arbiter.word is not before:
             self._transmit(time.monotonic_ns())
 
-    def _obey(self, order: Order) -> None:
+    def _obey(self, order: SenderOrder) -> None:
         if order.word is not None:
             self._arbiter.take(order.word)
         elif order.end is not None:
@@ -227,7 +227,7 @@ class Sender:
         if now - self._status_at < _STATUS_S * _NS or self._service is None:
             return
         self._status_at = now
-        status = Status(self._sequence, self._datagrams, self._errors, self._arbiter.hovers)
+        status = SenderStatus(self._sequence, self._datagrams, self._errors, self._arbiter.hovers)
         # A service that does not read is told later; of one that is gone the next read says so.
         with suppress(OSError):
             self._service.send(pack_status(status), socket.MSG_DONTWAIT)

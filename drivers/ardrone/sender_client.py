@@ -13,7 +13,17 @@ from pathlib import Path
 import drivers
 from drivers.ardrone.arbiter import HOVER, Word
 from drivers.ardrone.at import AtCommand, encode
-from drivers.ardrone.sender_wire import BUSY, LINE_MAX, REOPEN, SenderOptions, Status, pack, pack_commands, pack_end, status_of
+from drivers.ardrone.sender_wire import (
+    BUSY,
+    LINE_MAX,
+    REOPEN,
+    SenderOptions,
+    SenderStatus,
+    pack,
+    pack_commands,
+    pack_end,
+    status_of,
+)
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -48,13 +58,13 @@ class SenderClient:
         self,
         options: SenderOptions,
         clock: Clock,
-        told: Callable[[Status, Status], None],
+        told: Callable[[SenderStatus, SenderStatus], None],
         hovered: Callable[[], None] = lambda: None,
     ) -> None:
         self._o = options
         self._clock = clock
         self._told = told
-        self._status = Status(0, 0, 0, 0)
+        self._status = SenderStatus(0, 0, 0, 0)
         self._hovered = hovered
         self._silent_s = max(_SILENT_S, _SILENT_PERIODS * options.period_s)
         self._received_at: MonoNs | None = None

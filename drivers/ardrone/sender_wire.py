@@ -58,7 +58,7 @@ class SenderOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class SenderStatus:
     """What a sender has done since it began."""
 
     sequence: int
@@ -70,7 +70,7 @@ class Status:
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class SenderOrder:
     """One line of the service, taken apart: at most one of the fields is set."""
 
     word: Word | None = None
@@ -109,26 +109,26 @@ def pack_commands(commands: Sequence[AtCommand], until: MonoNs) -> bytes:
     return json.dumps({"send": as_text(commands), "until": until}).encode() + b"\n"
 
 
-def pack_status(status: Status) -> bytes:
+def pack_status(status: SenderStatus) -> bytes:
     """The line of a status."""
     return json.dumps([status.sequence, status.datagrams, status.errors, status.late_hovers]).encode() + b"\n"
 
 
-def order_of(line: bytes) -> Order:
+def order_of(line: bytes) -> SenderOrder:
     """Take a line of the service apart."""
     said = json.loads(line)
     if isinstance(said, list):
-        return Order(word=_word(said))
+        return SenderOrder(word=_word(said))
     if "send" in said:
-        return Order(commands=tuple((str(name), str(rest)) for name, rest in said["send"]), until=MonoNs(said["until"]))
+        return SenderOrder(commands=tuple((str(name), str(rest)) for name, rest in said["send"]), until=MonoNs(said["until"]))
     if "end" in said:
-        return Order(end=_word(said["end"]))
-    return Order(reopen=True)
+        return SenderOrder(end=_word(said["end"]))
+    return SenderOrder(reopen=True)
 
 
-def status_of(line: bytes) -> Status:
+def status_of(line: bytes) -> SenderStatus:
     """Take a line of the sender apart."""
-    return Status(*json.loads(line))
+    return SenderStatus(*json.loads(line))
 
 
 def _fields(word: Word) -> list[object]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl, Misc, Pmode
 from drivers.ardrone.command_channel import CommandChannel
 from drivers.ardrone.counters import Counters
-from drivers.ardrone.navdata import State
+from drivers.ardrone.navdata import NavdataState
 from drivers.ardrone.navdata_channel import NavdataChannel
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import Recoverable
@@ -62,7 +62,7 @@ class Setup:
 
     def on_state(self, state: int) -> None:
         """State bits that a configured drone does not show."""
-        if self.done.is_set() and state & (State.NAVDATA_BOOTSTRAP | State.NAVDATA_DEMO):
+        if self.done.is_set() and state & (NavdataState.NAVDATA_BOOTSTRAP | NavdataState.NAVDATA_DEMO):
             self.again()
 
     async def run(self) -> None:
@@ -94,10 +94,10 @@ class Setup:
 
     async def _set(self, command: Sequence[AtCommand], key: str) -> None:
         began = self._clock.now()
-        await self._until(lambda state: not state & State.COMMAND_ACK, [Ctrl(CTRL_ACK)], began, key)
+        await self._until(lambda state: not state & NavdataState.COMMAND_ACK, [Ctrl(CTRL_ACK)], began, key)
         self._counters.config_sent += 1
-        await self._until(lambda state: bool(state & State.COMMAND_ACK), command, began, key)
-        await self._until(lambda state: not state & State.COMMAND_ACK, [Ctrl(CTRL_ACK)], began, key)
+        await self._until(lambda state: bool(state & NavdataState.COMMAND_ACK), command, began, key)
+        await self._until(lambda state: not state & NavdataState.COMMAND_ACK, [Ctrl(CTRL_ACK)], began, key)
         self._counters.config_acknowledged += 1
 
     async def _until(self, reached: Callable[[int], bool], command: Sequence[AtCommand], began: MonoNs, key: str) -> None:
@@ -122,4 +122,6 @@ class Setup:
         Raises:
             Recoverable: the bit did not fall in `config_timeout_s`.
         """
-        await self._until(lambda state: not state & State.COMMAND_ACK, [Ctrl(CTRL_ACK)], self._clock.now(), "the acknowledge bit")
+        await self._until(
+            lambda state: not state & NavdataState.COMMAND_ACK, [Ctrl(CTRL_ACK)], self._clock.now(), "the acknowledge bit"
+        )

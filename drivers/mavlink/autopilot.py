@@ -18,7 +18,7 @@ from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.requests import RATES_HZ, Parameters, Streams
-from drivers.mavlink.samples import LocalPosition, SampleOptions, Sampler
+from drivers.mavlink.samples import LocalPosition, MavlinkSampler, SampleOptions
 from drivers.mavlink.setpoint_streamer import SetpointStreamer, StreamerOptions
 from drivers.mavlink.timesync import TimeSync, TimeSyncOptions, answer_to
 from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
@@ -81,7 +81,7 @@ class _Known:
     identity: Identity
     sync: TimeSync
     clock: BootClock
-    sampler: Sampler
+    sampler: MavlinkSampler
     streams: Streams
     parameters: Parameters
     streamer: SetpointStreamer
@@ -261,7 +261,7 @@ class Autopilot:
             identity = Identity(received.system, received.component, stack, int(received.message.type))
             sync = TimeSync(self._o.sync)
             clock = BootClock(sync)
-            sampler = Sampler(stack, clock, self._o.samples, ranges=self._o.ranges)
+            sampler = MavlinkSampler(stack, clock, self._o.samples, ranges=self._o.ranges)
             parameters = Parameters(stack, self._o.parameters)
             streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o.streamer)
             self._known = _Known(

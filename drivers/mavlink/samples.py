@@ -70,7 +70,7 @@ class LocalPosition:
     """(3,) m/s."""
 
 
-class Sampler:
+class MavlinkSampler:
     """Messages of one autopilot (and of the vessel, where it reports) to samples.
 
     Args:

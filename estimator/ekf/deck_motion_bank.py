@@ -87,7 +87,7 @@ def carrying(asd_accel_m_s2: float, asd_gyro_rad_s: float, asd_accel_bias_m_s3: 
     )
 
 
-class Sea(NamedTuple):
+class DeckMotionBank(NamedTuple):
     """What has been learned. `w_rad_s`, `zeta`, `sigma` are its summary: (5,), for north, east, down in m, roll, pitch in rad."""
 
     t: int
@@ -109,17 +109,17 @@ class Sea(NamedTuple):
     """(5, 4, 4) stationary covariance of the summary's oscillators for sigma = 1."""
 
 
-def unknown() -> Sea:
+def unknown() -> DeckMotionBank:
     """Nothing seen yet."""
     P = np.zeros((*SIGMA.shape, _SIZE, _SIZE))
     P[:, :, :4, :4] = (SIGMA**2)[:, :, None, None] * AT_REST
     for i in range(3):
         P[:, :, 4 + i, 4 + i] = DRIFT_VAR[:, i, None]
     log_weight = np.broadcast_to(LOG_PRIOR, SIGMA.shape)
-    return Sea(-1, log_weight, np.zeros((*SIGMA.shape, _SIZE)), P, skill.unknown(), *_summary(log_weight))
+    return DeckMotionBank(-1, log_weight, np.zeros((*SIGMA.shape, _SIZE)), P, skill.unknown(), *_summary(log_weight))
 
 
-def observe(sea: Sea, t: int, y: F64, var: F64, by: Carrying, reach_m: float) -> Sea:
+def observe(sea: DeckMotionBank, t: int, y: F64, var: F64, by: Carrying, reach_m: float) -> DeckMotionBank:
     """Take one look at the deck.
 
     Args:
@@ -153,7 +153,7 @@ def observe(sea: Sea, t: int, y: F64, var: F64, by: Carrying, reach_m: float) ->
     if skill.due(known, t):
         waves = _weight_ahead(log_weight, summary[0][:, :1])[..., None] * x[..., :4]
         known = skill.compared(known, t, waves[..., :2].sum(axis=1), np.einsum("kgri,cgi->kcr", _AHEAD, waves))
-    return Sea(t, log_weight, x, P, known, *summary)
+    return DeckMotionBank(t, log_weight, x, P, known, *summary)
 
 
 def _weight_ahead(log_weight: F64, rest: F64) -> F64:
@@ -182,7 +182,7 @@ class Ahead(NamedTuple):
     """(H, 5) the same of the displacement's change."""
 
 
-def ahead(sea: Sea, t: int, rate: F64, horizons_s: F64) -> Ahead:
+def ahead(sea: DeckMotionBank, t: int, rate: F64, horizons_s: F64) -> Ahead:
     """Foretell the waves from `t` (ns) on.
 
     Every member goes on from its own state: what pushes it belongs to its own period and damping, and another's would send it
@@ -252,7 +252,7 @@ def _moved_on(dt: float) -> tuple[F64, F64]:
     return F, Q
 
 
-def log_evidence_of_rest(sea: Sea) -> float:
+def log_evidence_of_rest(sea: DeckMotionBank) -> float:
     """Log of how much likelier all that was seen is from a deck at rest than from one that moves."""
     rest = min(max(float(sea.weight[0, 0]), 1e-12), 1.0 - 1e-12)
     return math.log(rest / (1.0 - rest)) - _REST_ODDS

@@ -22,7 +22,7 @@ _PRIOR, _PRIOR_COUNT = 0.7, 20.0
 """The share before anything was compared, and how many comparisons it weighs as much as."""
 
 
-class Told(NamedTuple):
+class IssuedForecast(NamedTuple):
     """What was foretold at one instant."""
 
     t: int
@@ -34,7 +34,7 @@ class Told(NamedTuple):
 class Skill(NamedTuple):
     """Sums over the comparisons, fading."""
 
-    told: tuple[Told, ...]
+    told: tuple[IssuedForecast, ...]
     """Oldest first; those whose longest horizon has not come yet."""
     n: F64
     """(3,) comparisons by horizon."""
@@ -76,7 +76,7 @@ def compared(skill: Skill, t: int, now: F64, ahead: F64) -> Skill:
                 product[k] += f * now
                 square[k] += f * f
     kept = tuple(one for one in told if t - one.t <= (HORIZONS_S[-1] + 2.0 * PERIOD_S) * 1e9)
-    return Skill((*kept, Told(t, ahead)), n, product, square)
+    return Skill((*kept, IssuedForecast(t, ahead)), n, product, square)
 
 
 def share(skill: Skill, horizons_s: F64) -> F64:

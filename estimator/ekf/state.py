@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from estimator.ekf.deck_motion_bank import Sea
+from estimator.ekf.deck_motion_bank import DeckMotionBank
 from estimator.ekf.options import EkfOptions
 
 GRAVITY_M_S2 = 9.80665
@@ -161,7 +161,7 @@ class Belief(NamedTuple):
     """Log-odds that the velocity sensor sees the pad's deck and not the ground."""
     t_velocity: int
     """ns, of the newest velocity sample; -1 none."""
-    sea: Sea
+    sea: DeckMotionBank
     rejections: RejectionStreak
     sighted: int
     """ns, when the newest fused sighting was true; -1 none since the start or since it was forgotten."""
@@ -177,12 +177,12 @@ class Belief(NamedTuple):
     """ns, of the newest sighting that told a heading; -1 none."""
 
 
-def waves_unknown(sea: Sea) -> F64:
+def waves_unknown(sea: DeckMotionBank) -> F64:
     """(5, 4, 4) covariance of the oscillators while only their size is known."""
     return np.asarray((sea.sigma**2)[:, None, None] * sea.at_rest)
 
 
-def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_heading_rad: float, sea: Sea) -> Belief:
+def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_heading_rad: float, sea: DeckMotionBank) -> Belief:
     """Knows an attitude and nothing else."""
     x = np.zeros(N)
     x[VEL_SCALE] = options.velocity_scale

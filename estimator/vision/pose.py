@@ -55,7 +55,7 @@ class Orientation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class OrientedCamera:
     """A camera in a known orientation: brings pixels to the level plane at unit depth below the camera and back."""
 
     camera: Camera
@@ -111,7 +111,7 @@ class Fix:
     """(4, 4) of [forward, right, down, yaw]."""
 
 
-def solve(marks: Marks, view: View) -> Fix | None:
+def solve(marks: Marks, view: OrientedCamera) -> Fix | None:
     """The pose of the pad, or None when the points give none (a ray that misses the deck, all points in one place).
 
     The covariance is the sum over all modes (image points, roll and pitch, tilt of the deck) of what each moves the result by, to

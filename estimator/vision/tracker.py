@@ -29,8 +29,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import SIGMA_DECK_RAD, Orientation
 from estimator.vision.register import fit_verification
-from estimator.vision.register.registration import Options as RegistrationOptions
-from estimator.vision.register.registration import register
+from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.thesis.detection import Detection, detect
 from estimator.vision.thesis.segmentation import ColourSet

@@ -31,7 +31,7 @@ _LOOK_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Pause:
+class PauseBetweenFlights:
     """Between two flights, seconds."""
 
     landed_s: float = 3.0
@@ -76,7 +76,7 @@ async def fly_again(
     say: Callable[..., None],
     *,
     faults: bool = False,
-    pause: Pause | None = None,
+    pause: PauseBetweenFlights | None = None,
 ) -> None:
     """Until cancelled: wait for the flight to end, tell how it did, begin the next with the next seed.
 
@@ -85,7 +85,7 @@ async def fly_again(
         say: told `event="flight"`, how it ended and where it touched.
         faults: give each further flight the faults of a shipped scenario.
     """
-    pause = pause or Pause()
+    pause = pause or PauseBetweenFlights()
     while True:
         sent, stood_s = server.counters["video_sent"], server.stood_still_s
         ended = await _end(server, clock)

@@ -12,7 +12,7 @@ from drivers.ardrone.navdata import Navdata
 from estimator.contracts.time import MonoNs
 from sitl.ardrone.config import Configuration
 from sitl.ardrone.drone_clock import DroneClock
-from sitl.ardrone.navdata_from_world import ALL_OPTIONS, Shot, Situation, datagram, upright_m
+from sitl.ardrone.navdata_from_world import ALL_OPTIONS, SentFrame, Situation, datagram, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
 from sitl.world import Phase, Stick, World
 
@@ -36,7 +36,7 @@ class Drone:
         self.state = DroneState(self._configuration(network or {}))
         self.answers: dict[RefAction, Callable[[], bytes]] = {}
         """What the control channel is to send, made when it is sent; asked for twice, it is sent once."""
-        self.shot = Shot()
+        self.shot = SentFrame()
         """The newest frame filmed, sent or not."""
         self._clock = clock
         self._stick = self._flown = HOVER

@@ -23,7 +23,7 @@ ALL_OPTIONS = (1 << 28) - 1
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class SentFrame:
     """The last frame that went out, as navdata speaks of it."""
 
     number: int = 0
@@ -49,7 +49,7 @@ class Situation:
     """Of the drone's clock."""
     stick: Stick
     limits: StickLimits
-    shot: Shot
+    shot: SentFrame
     echoes: int
     """Ultrasound echoes so far: a new one may read the same as the last."""
     ticks: int

@@ -22,7 +22,7 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.front_view import front_view
-from sitl.ardrone.navdata_from_world import Shot
+from sitl.ardrone.navdata_from_world import SentFrame
 from sitl.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoPort
 from sitl.ardrone.truth_log import TruthLog
 from sitl.ardrone.video import AccessUnit, Encoder
@@ -267,7 +267,7 @@ class ArDroneServer:
             pps_size=unit.pps_size,
         )
         self._stream_position += len(unit.data) - unit.sps_size - unit.pps_size
-        self.drone.shot = Shot(number, timestamp_ms, rpy, altitude_m, len(unit.data), round(encoder.max_bitrate_kbps))
+        self.drone.shot = SentFrame(number, timestamp_ms, rpy, altitude_m, len(unit.data), round(encoder.max_bitrate_kbps))
         wait_s = self._habits.video_delay_s + late_s - seconds_between(image.exposed_at, self._clock.now())
         loop = asyncio.get_running_loop()
         # A stream keeps its order: what follows a late frame waits behind it. Of two calls for one instant either may be first.

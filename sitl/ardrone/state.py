@@ -13,7 +13,7 @@ from enum import Enum
 from typing import assert_never
 
 from drivers.ardrone import at
-from drivers.ardrone.navdata import ControlState, State
+from drivers.ardrone.navdata import ControlState, NavdataState
 from drivers.ardrone.refusal import Refusal
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.config import Answer, Configuration, Ids
@@ -27,8 +27,8 @@ LIMIT_KEYS = frozenset(
 
 
 _ALWAYS = (
-    State.ALTITUDE_CONTROL | State.CAMERA_READY | State.PIC_VERSION_OK
-    | State.AT_CODEC_ON | State.NAVDATA_ON | State.VIDEO_ON | State.ACQUISITION_ON
+    NavdataState.ALTITUDE_CONTROL | NavdataState.CAMERA_READY | NavdataState.PIC_VERSION_OK
+    | NavdataState.AT_CODEC_ON | NavdataState.NAVDATA_ON | NavdataState.VIDEO_ON | NavdataState.ACQUISITION_ON
 )  # fmt: skip
 
 AIRBORNE = frozenset({Phase.TAKING_OFF, Phase.HOVERING, Phase.FLYING, Phase.LANDING})
@@ -143,18 +143,18 @@ class DroneState:
         """Navdata's state word."""
         word = _ALWAYS
         for bit, is_on in (
-            (State.FLYING, phase in AIRBORNE),
-            (State.VIDEO_ENABLED, self.config.flag("general:video_enable")),
-            (State.VISION_ENABLED, self.config.flag("general:vision_enable")),
-            (State.COMMAND_ACK, self._ack),
-            (State.NAVDATA_DEMO, not self._bootstrap and self.config.flag("general:navdata_demo")),
-            (State.NAVDATA_BOOTSTRAP, self._bootstrap),
-            (State.COMMUNICATION_LOST, self._silent),
-            (State.BATTERY_LOW, battery_low),
-            (State.USER_EMERGENCY, self._user_emergency),
-            (State.ULTRASOUND_DEAF, ultrasound_deaf),
-            (State.COM_WATCHDOG, self._watchdog),
-            (State.EMERGENCY, phase is Phase.EMERGENCY),
+            (NavdataState.FLYING, phase in AIRBORNE),
+            (NavdataState.VIDEO_ENABLED, self.config.flag("general:video_enable")),
+            (NavdataState.VISION_ENABLED, self.config.flag("general:vision_enable")),
+            (NavdataState.COMMAND_ACK, self._ack),
+            (NavdataState.NAVDATA_DEMO, not self._bootstrap and self.config.flag("general:navdata_demo")),
+            (NavdataState.NAVDATA_BOOTSTRAP, self._bootstrap),
+            (NavdataState.COMMUNICATION_LOST, self._silent),
+            (NavdataState.BATTERY_LOW, battery_low),
+            (NavdataState.USER_EMERGENCY, self._user_emergency),
+            (NavdataState.ULTRASOUND_DEAF, ultrasound_deaf),
+            (NavdataState.COM_WATCHDOG, self._watchdog),
+            (NavdataState.EMERGENCY, phase is Phase.EMERGENCY),
         ):
             if is_on:
                 word |= bit

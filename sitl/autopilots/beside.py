@@ -14,7 +14,7 @@ from companion.config.model import CameraSettings, Settings
 from companion.config.vehicle import AutopilotSettings
 from companion.observer import Observer
 from companion.pilot import Pilot
-from companion.runtime.daemon import Daemon, Link
+from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.health import Health
 from drivers.mavlink.autopilot import Autopilot
 from estimator.contracts.ports import Clock
@@ -31,7 +31,7 @@ class FlightDaemon:
     def __init__(self, settings: Settings, pilot: Pilot, clock: Clock, observers: Sequence[Observer] = ()) -> None:
         health = Health(clock)
         self._parts = vehicle_parts(settings, pilot, health, clock)
-        self._opened: list[Link] = []
+        self._opened: list[VehicleLink] = []
         self.daemon = Daemon(
             self._open,
             pilot,
@@ -46,7 +46,7 @@ class FlightDaemon:
         )
 
     @asynccontextmanager
-    async def _open(self) -> AsyncIterator[Link]:
+    async def _open(self) -> AsyncIterator[VehicleLink]:
         async with self._parts.open_link() as link:
             self._opened.append(link)
             try:

@@ -10,11 +10,11 @@ import numpy as np
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.motors import Motors, MotorVehicle
-from sitl.camera import Renderer, Shot
+from sitl.camera import Exposure, Renderer
 from sitl.contact import Ground
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.stage import airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
-from sitl.vehicle import DECK, SEA, Phase
+from sitl.vehicle import DECK, SEA, VehiclePhase
 from sitl.world import RenderedFrame
 
 _CHUNK_S = 0.25
@@ -141,14 +141,14 @@ class Body:
     @property
     def upright(self) -> bool:
         """Whether it can still fly: neither turned over nor in the water."""
-        return self._vehicle.phase != Phase.EMERGENCY
+        return self._vehicle.phase != VehiclePhase.EMERGENCY
 
     def expose(self) -> Callable[[], RenderedFrame]:
         """The scene is fixed now, the call makes the frame. One such call at a time."""
         if self._renderer is None:
             self._renderer = renderer(self.scenario, self.waves, self.vessel)
         v, g, expose = self._vehicle, self._ground, self._renderer.render
-        shot = Shot(
+        shot = Exposure(
             t_s=self.t_s,
             R_ned_body=Rotation(v.R_ned_body),
             p_body_ned=v.p_ned,

@@ -22,7 +22,7 @@ import numpy as np
 
 from companion.config.model import Settings
 from companion.observer import Observer
-from companion.pilot import Outcome, Pilot
+from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.health import Health
 from companion.runtime.service import make_pilot
 from drivers.mavlink.access import AccessOptions
@@ -40,7 +40,7 @@ from sitl.autopilots.camera import LockStepCamera
 from sitl.autopilots.lock_step import LockStepClock
 from sitl.autopilots.program import Program, free_udp_port, running
 from sitl.autopilots.px4_hil import HilBackend, serve_hil
-from sitl.autopilots.station import STATION, GroundStation, Task, View
+from sitl.autopilots.station import STATION, GroundStation, OperatorView, Task
 from sitl.scenario import Scenario
 
 Name = Literal["arducopter", "px4"]
@@ -68,7 +68,7 @@ class AutopilotProgram:
 class FlightEnd:
     """How it ended."""
 
-    outcome: Outcome | None
+    outcome: FlightOutcome | None
     """As the pilot saw it; None when the time ran out."""
     landing: Landing | None
     duration_s: float
@@ -149,7 +149,9 @@ class AutopilotFlight:
             raise failed
         return end
 
-    async def _conduct(self, links: Links, side: FlightDaemon, pilot: Pilot, daemon: asyncio.Task[Outcome | None]) -> FlightEnd:
+    async def _conduct(
+        self, links: Links, side: FlightDaemon, pilot: Pilot, daemon: asyncio.Task[FlightOutcome | None]
+    ) -> FlightEnd:
         station, camera = self.station, self._camera
         assert camera is not None
         while station.task is not Task.FAILED:
@@ -180,7 +182,7 @@ class AutopilotFlight:
             station.failure,
         )
 
-    def _view(self, body: Body) -> View:
+    def _view(self, body: Body) -> OperatorView:
         state, start = body.state(), self.scenario.start
         yaw = state.R_ned_body.rpy_rad[2]
         heading = body.R_ned_pad.rpy_rad[2] + math.radians(start.heading_deg)
@@ -188,7 +190,7 @@ class AutopilotFlight:
         level = Rotation.from_rpy(0.0, 0.0, yaw).inv
         # The ship's steady way, without what the waves do to the pad.
         v_start = self._way() if start.with_vessel else np.zeros(3)
-        return View(
+        return OperatorView(
             level @ (body.p_pad_ned - to_pad - state.p_ned),
             level @ v_start,
             level @ (v_start - state.v_ned),

@@ -14,7 +14,7 @@ import numpy as np
 
 from companion.config.model import Settings
 from companion.observer import Observer
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from companion.runtime.health import Health
 from companion.runtime.service import make_pilot
 from drivers.clock import SystemClock
@@ -25,8 +25,8 @@ from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from sitl.airframe import Airframe
 from sitl.autopilots.beside import FlightDaemon, beside_autopilot
 from sitl.autopilots.body import Landing
-from sitl.autopilots.pose import Pose, PoseSource
-from sitl.camera import Shot
+from sitl.autopilots.pose import AutopilotPose, PoseSource
+from sitl.camera import Exposure
 from sitl.scenario import Scenario, pad_model
 from sitl.stage import flight_seeds, renderer, sea_and_vessel
 from sitl.world import RenderedFrame
@@ -45,7 +45,7 @@ _CLEAR_M = 0.15
 class FollowEnd:
     """How it ended."""
 
-    outcome: Outcome | None
+    outcome: FlightOutcome | None
     landing: Landing | None
     duration_s: float
     """Since the vehicle was first seen to fly."""
@@ -63,7 +63,7 @@ class DeckUnder:
         stands: it is on its feet: then the pad lies at their height.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, first: Pose, stands: bool) -> None:
+    def __init__(self, scenario: Scenario, seed: int, first: AutopilotPose, stands: bool) -> None:
         seeds = flight_seeds(seed)
         self._waves, self._vessel = sea_and_vessel(scenario, [seeds.sea])
         self._renderer = renderer(scenario, self._waves, self._vessel)
@@ -83,10 +83,10 @@ class DeckUnder:
         pad = self._vessel.pad_at(t_s)
         return t_s, pad.p_ned, pad.v_ned, pad.R_ned, pad.w
 
-    def look(self, pose: Pose) -> Callable[[], RenderedFrame]:
+    def look(self, pose: AutopilotPose) -> Callable[[], RenderedFrame]:
         """The frame from there, made when it is called."""
         t_s, p, v, R, w = self._deck(pose.at)
-        shot = Shot(
+        shot = Exposure(
             t_s=t_s, R_ned_body=pose.R_ned_body, p_body_ned=pose.p_ned + self._shift, R_ned_pad=Rotation(R), p_pad_ned=p,
             v_body_ned=pose.v_ned, w_body=pose.w_body, v_pad_ned=v, w_pad=w,
         )  # fmt: skip
@@ -94,11 +94,11 @@ class DeckUnder:
         rng = np.random.default_rng([self._camera_seed, self._images])
         return lambda: RenderedFrame(self._renderer.render(shot, rng), pose.at, self._exposure_s)
 
-    def height_m(self, pose: Pose) -> float:
+    def height_m(self, pose: AutopilotPose) -> float:
         """Over the pad's centre."""
         return float((self._deck(pose.at)[1] - pose.p_ned - self._shift)[2])
 
-    def landing(self, pose: Pose, descent_rate_m_s: float) -> Landing:
+    def landing(self, pose: AutopilotPose, descent_rate_m_s: float) -> Landing:
         """As if it stood on the deck there.
 
         Args:
@@ -132,7 +132,7 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
             failure = await watcher.film(pool, daemon)
             side.daemon.stop()
             await daemon
-    stands = pilot.outcome in (Outcome.LANDED, Outcome.LANDED_BY_OTHERS)
+    stands = pilot.outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS)
     return FollowEnd(
         pilot.outcome, watcher.landing if stands else None, watcher.flown_s, side.daemon.health, watcher.by_truth, failure
     )
@@ -146,12 +146,12 @@ class _Watcher:
         self._source = PoseSource()
         self._deck: DeckUnder | None = None
         self._flew: MonoNs | None = None
-        self._newest: Pose | None = None
+        self._newest: AutopilotPose | None = None
         self._placed: MonoNs | None = None
         """When it first told where it is."""
         self._descent_rate_m_s = 0.0
         self._listening: object = None
-        self._last: Pose | None = None
+        self._last: AutopilotPose | None = None
         self.by_truth = False
         self.frames = 0
 
@@ -166,7 +166,7 @@ class _Watcher:
     def flown_s(self) -> float:
         return 0.0 if self._flew is None else seconds_between(self._flew, self._clock.now())
 
-    async def film(self, pool: ThreadPoolExecutor, daemon: asyncio.Task[Outcome | None]) -> str:
+    async def film(self, pool: ThreadPoolExecutor, daemon: asyncio.Task[FlightOutcome | None]) -> str:
         """Frames, period by period; why there was no flight, empty where there was one."""
         loop, began = asyncio.get_running_loop(), self._clock.now()
         while not daemon.done():
@@ -189,14 +189,14 @@ class _Watcher:
             await self._clock.sleep(max(PERIOD_S - seconds_between(turn, self._clock.now()), 0.002))
         return ""
 
-    def _ready_for(self, pose: Pose) -> bool:
+    def _ready_for(self, pose: AutopilotPose) -> bool:
         """Whether there is something new to see, and the eyes are free: a machine that is too slow sees less often, not later."""
         if self._deck is None or (self._newest is not None and pose.at <= self._newest.at):
             return False
         waited_s = _OLD_S if self._newest is None else seconds_between(self._newest.at, pose.at)
         return self._side.concluded() >= self.frames or waited_s >= _OLD_S
 
-    def _look_around(self, now: MonoNs) -> Pose | None:
+    def _look_around(self, now: MonoNs) -> AutopilotPose | None:
         autopilot = self._side.autopilot
         if autopilot is None or autopilot.identity is None:
             return None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from sitl.airframe import Airframe
 from sitl.algebra import Flag, Num, Vec
 from sitl.contact import Ground, Relative, Rows
-from sitl.vehicle import Phase, Vehicle
+from sitl.vehicle import Vehicle, VehiclePhase
 
 Motors = tuple[float, float, float, float]
 """0..1 of the front right, rear left, front left and rear right motor: the order in which ArduPilot and PX4 number a quad X."""
@@ -44,8 +44,8 @@ class MotorVehicle(Vehicle):
 
     def step(self, ground: Ground) -> None:
         """One step; with every motor at rest it may come to rest on the deck and be carried with it."""
-        if self.phase != Phase.EMERGENCY:
-            self.phase = float(Phase.FLYING if max(self.motors) > _SPINS else Phase.LANDED)
+        if self.phase != VehiclePhase.EMERGENCY:
+            self.phase = float(VehiclePhase.FLYING if max(self.motors) > _SPINS else VehiclePhase.LANDED)
             # The inherited rule turns flying into hovering unless the stick says otherwise.
             self.command(0.0, 0.0, 0.0, 0.0, True)
         super().step(ground)

@@ -26,7 +26,7 @@ _MEAN_S = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pose:
+class AutopilotPose:
     """The body at one instant."""
 
     at: MonoNs
@@ -93,7 +93,7 @@ class PoseSource:
 
     def newest(
         self, now: MonoNs, positions: tuple[LocalPosition, ...], attitude: Attitude | None, *, by_truth: bool = True
-    ) -> Pose | None:
+    ) -> AutopilotPose | None:
         """As of the newest attitude; None before the autopilot said where it is.
 
         Args:
@@ -111,7 +111,7 @@ class PoseSource:
         p = last.p_body_ned + since_s * last.v_body_ned
         if truthful:
             p = p + self._apart
-        return Pose(at, p, last.v_body_ned, attitude.R_ned_body, self._w_body if truthful else np.zeros(3), truthful)
+        return AutopilotPose(at, p, last.v_body_ned, attitude.R_ned_body, self._w_body if truthful else np.zeros(3), truthful)
 
     def _tell(
         self, now: MonoNs, place: tuple[float, float, float], rates: tuple[float, ...], positions: tuple[LocalPosition, ...]

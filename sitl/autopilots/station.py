@@ -51,7 +51,7 @@ class StationTimeouts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class OperatorView:
     """What the person sees."""
 
     to_start_level: F64
@@ -124,25 +124,25 @@ class GroundStation:
         elif ordered:
             self._fail(f"the companion refused the landing with result {result}")
 
-    def period(self, now: MonoNs, view: View) -> list[Message]:
+    def period(self, now: MonoNs, view: OperatorView) -> list[Message]:
         """What to send; call it at 10 Hz and more."""
         if self._since is None:
             self._since = now
         out = [_heartbeat()] if self._due("heartbeat", now) else []
         return out + self._handlers[self.task](self, now, view)
 
-    def _meet(self, now: MonoNs, view: View) -> list[Message]:
+    def _meet(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.meet_s, now, "no heartbeat of the autopilot was heard")
         return []
 
-    def _arm(self, now: MonoNs, view: View) -> list[Message]:
+    def _arm(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.arm_s, now, f"the autopilot would not arm: {self._last_words}")
         mode = TAKE_OFF_MODE[self._stack]
         if self._stack is Stack.ARDUPILOT and self.mode != mode:
             return [set_mode(self._stack, self._autopilot, mode)] if self._due("mode", now) else []
         return [self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)] if self._due("arm", now) else []
 
-    def _take_off(self, now: MonoNs, view: View) -> list[Message]:
+    def _take_off(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.take_off_s, now, f"it did not take off: {self._last_words}")
         if view.height_m > 0.85 * self._height_m:
             self._next(Task.GO if self._flies_there else Task.ORDER, now)
@@ -153,7 +153,7 @@ class GroundStation:
             return [set_mode(self._stack, self._autopilot, TAKE_OFF_MODE[self._stack])]
         return [self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._height_m)]
 
-    def _go(self, now: MonoNs, view: View) -> list[Message]:
+    def _go(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.go_s, now, "it did not reach the start of the landing")
         # The place heaves with the pad: nobody flies after that.
         close = math.hypot(*view.to_start_level[:2]) < 0.6 and abs(view.to_start_level[2]) < _HEAVE_M
@@ -167,14 +167,14 @@ class GroundStation:
         rate = min(max(0.8 * wrap_pi(view.turn_rad), -0.5), 0.5)
         return [velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
 
-    def _order(self, now: MonoNs, view: View) -> list[Message]:
+    def _order(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.order_s, now, "the companion did not answer the order to land")
         return [self._command(mav.MAV_CMD_NAV_LAND, to=self._companion)] if self._due("order", now) else []
 
-    def _nothing(self, now: MonoNs, view: View) -> list[Message]:
+    def _nothing(self, now: MonoNs, view: OperatorView) -> list[Message]:
         return []
 
-    _handlers: dict[Task, Callable[[GroundStation, MonoNs, View], list[Message]]] = {  # noqa: RUF012
+    _handlers: dict[Task, Callable[[GroundStation, MonoNs, OperatorView], list[Message]]] = {  # noqa: RUF012
         Task.MEET: _meet,
         Task.ARM: _arm,
         Task.TAKE_OFF: _take_off,

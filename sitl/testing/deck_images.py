@@ -14,7 +14,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from sitl.camera import Renderer, Shot
+from sitl.camera import Exposure, Renderer
 from sitl.light import Light
 from sitl.surroundings import Decal, Deck, Surroundings
 
@@ -44,7 +44,7 @@ def shown(
     ray = np.array([aside[0], aside[1], 1.0])
     d_cam = ray * (height_m / float(R_ned_cam[2] @ ray))
     p_body = p_pad - R_ned_cam @ d_cam - R_ned_body @ camera.T_body_cam.t
-    shot = Shot(3.0, R_ned_body, p_body, R_ned_pad, p_pad, np.array([0.2, -0.1, 0.1]) * min(1.0, height_m))
+    shot = Exposure(3.0, R_ned_body, p_body, R_ned_pad, p_pad, np.array([0.2, -0.1, 0.1]) * min(1.0, height_m))
     px = _renderer(camera, pad, light if light is not None else Light(), decals).render(shot, np.random.default_rng(seed))
     truth = PadPose(Rotation(R_ned_cam.T @ R_ned_pad.matrix), d_cam)
     return Shown(px, truth, R_ned_body.without_heading())

@@ -82,7 +82,7 @@ class Setting:
     """(s, north, east, up) m from the pad's mean place; reached smoothly."""
 
 
-class Flight:
+class TruthFlight:
     """Truth as functions of time, s since the start."""
 
     def __init__(self, s: Setting) -> None:
@@ -191,7 +191,7 @@ def _exp(v: F64) -> F64:
     return Rotation.from_rotvec(v).matrix
 
 
-def events(flight: Flight) -> list[Event]:
+def events(flight: TruthFlight) -> list[Event]:
     """Everything the sensors tell, in the order in which it is heard."""
     s = flight.s
     rng = np.random.default_rng([s.seed, 2])

@@ -31,7 +31,7 @@ class FakeArDrone:
     """Flies by word alone: REF bit 9 makes it fly after `take_off_s`, REF without it lands it at once."""
 
     def __init__(self) -> None:
-        self.state = nd.State.NAVDATA_BOOTSTRAP | nd.State.COM_WATCHDOG
+        self.state = nd.NavdataState.NAVDATA_BOOTSTRAP | nd.NavdataState.COM_WATCHDOG
         self.control = nd.ControlState.LANDED
         self.sequence = 0
         self.clock_us = 5_000_000
@@ -63,7 +63,7 @@ class FakeArDrone:
 
     def forget(self) -> None:
         """As after its battery was changed."""
-        self.state = nd.State.NAVDATA_BOOTSTRAP | nd.State.COM_WATCHDOG
+        self.state = nd.NavdataState.NAVDATA_BOOTSTRAP | nd.NavdataState.COM_WATCHDOG
         self.control = nd.ControlState.LANDED
         self.sequence = 0
         self.clock_us = 1_000_000
@@ -73,10 +73,10 @@ class FakeArDrone:
         """The next one."""
         self.sequence += 1
         self.clock_us += 5_000
-        if self.state & nd.State.NAVDATA_BOOTSTRAP:
+        if self.state & nd.NavdataState.NAVDATA_BOOTSTRAP:
             return nd.encode(nd.Navdata.of(self.state, self.sequence))
         options: tuple[Any, ...] = (nd.Demo(self.control.word, 80, 0.0, 0.0, 0.0, 900, self.vx_mm_s, 0.0, 0.0),)
-        if not self.state & nd.State.NAVDATA_DEMO:
+        if not self.state & nd.NavdataState.NAVDATA_DEMO:
             accs, gyros = (0.0, 0.0, -1000.0), (0.0, 0.0, 0.0)
             options += (nd.Time.of_us(self.clock_us), nd.PhysMeasures(40.0, 0, accs, gyros), nd.Altitude(altitude_raw_mm=900))
         return nd.encode(nd.Navdata.of(self.state, self.sequence, options))
@@ -103,24 +103,24 @@ class FakeArDrone:
         if isinstance(command, at.ConfigIds):
             self._ids = command
             return
-        if isinstance(command, at.Config) and not self.deaf_to_config and not self.state & nd.State.COMMAND_ACK:
+        if isinstance(command, at.Config) and not self.deaf_to_config and not self.state & nd.NavdataState.COMMAND_ACK:
             self.configuration[command.key] = command.value
             self.configured_in_order.append(command.key)
             self.ids_before_config.append(self._ids)
-            self.state |= nd.State.COMMAND_ACK
+            self.state |= nd.NavdataState.COMMAND_ACK
         elif isinstance(command, at.Ctrl) and command.mode == at.CTRL_ACK:
-            self.state &= ~(nd.State.COMMAND_ACK | nd.State.NAVDATA_BOOTSTRAP)
+            self.state &= ~(nd.NavdataState.COMMAND_ACK | nd.NavdataState.NAVDATA_BOOTSTRAP)
         elif isinstance(command, at.Ctrl) and command.mode == at.CTRL_CONFIGURATION:
             for writer in self.control_writers:
                 writer.write(control.render(self.configuration))
         elif isinstance(command, at.ComWdg):
-            self.state &= ~nd.State.COM_WATCHDOG
+            self.state &= ~nd.NavdataState.COM_WATCHDOG
         elif isinstance(command, at.Ref) and self.forces_ref:
-            if command.take_off and not self.state & nd.State.FLYING:
-                self.state |= nd.State.FLYING
+            if command.take_off and not self.state & nd.NavdataState.FLYING:
+                self.state |= nd.NavdataState.FLYING
                 self.control = nd.ControlState.HOVERING
             elif not command.take_off:
-                self.state &= ~nd.State.FLYING
+                self.state &= ~nd.NavdataState.FLYING
                 self.control = nd.ControlState.LANDED
         self._ids = None
 

@@ -27,7 +27,7 @@ def sim_camera(p_body_cam_m: tuple[float, float, float] = (0.15, 0.0, 0.0), dist
 
 
 @dataclass(frozen=True)
-class Scene:
+class PadPlacement:
     """Where the pad is, seen from the body, and how the body is tilted."""
 
     d_body_pad_level: tuple[float, float, float]
@@ -48,14 +48,14 @@ class Scene:
         return (T_level_body @ camera.T_body_cam).inv @ T_level_pad
 
 
-def project(points_pad: F64, scene: Scene, camera: Camera) -> F64:
+def project(points_pad: F64, scene: PadPlacement, camera: Camera) -> F64:
     """(N, 3) m on the pad to (N, 2) px."""
     T = scene.T_cam_pad(camera)
     return camera.project(points_pad @ T.R.matrix.T + T.t)
 
 
 def image(
-    scene: Scene, camera: Camera, pad: Pad, *, samples: int = 4, blur_px: float = 0.0, noise: float = 0.0, seed: int = 0,
+    scene: PadPlacement, camera: Camera, pad: Pad, *, samples: int = 4, blur_px: float = 0.0, noise: float = 0.0, seed: int = 0,
     deck_rgb: tuple[int, int, int] = DECK_RGB, gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Frame:  # fmt: skip
     """One frame; `samples` squared sub-samples a pixel added up as light, Gaussian blur, then noise in grey levels."""
@@ -80,7 +80,7 @@ def image(
     return Frame(STAMP, 0, np.clip(np.rint(px), 0, 255).astype(np.uint8))
 
 
-def errors(s: Sighting, scene: Scene) -> tuple[F64, float]:
+def errors(s: Sighting, scene: PadPlacement) -> tuple[F64, float]:
     """(3,) m of position, rad of heading (nan where none is given; the nearer of two where it is ambiguous)."""
     d = s.d_body_pad_level - np.array(scene.d_body_pad_level)
     if s.yaw_rad is None:

@@ -16,7 +16,7 @@ from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from sitl.camera import Renderer, Shot
+from sitl.camera import Exposure, Renderer
 from sitl.light import Light, Sensor
 from sitl.sea import SEA_STATES, Waves
 from sitl.surroundings import RGB, Decal, Deck, Surroundings
@@ -38,7 +38,7 @@ def load_pad(name: str) -> Pad:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class PadScene:
     """One frame, what is true of it, and what a vehicle would know beside it."""
 
     px: NDArray[np.uint8]
@@ -131,7 +131,7 @@ def cluster(rng: np.random.Generator, at: tuple[float, float], size_m: float, on
     return [one(kind)]
 
 
-def truth_of(shot: Shot, camera: Camera) -> PadPose:
+def truth_of(shot: Exposure, camera: Camera) -> PadPose:
     R_ned_cam = shot.R_ned_body.matrix @ camera.T_body_cam.R.matrix
     p_cam = shot.p_body_ned + shot.R_ned_body.matrix @ camera.T_body_cam.t
     return PadPose(Rotation(R_ned_cam.T @ shot.R_ned_pad.matrix), R_ned_cam.T @ (shot.p_pad_ned - p_cam))
@@ -164,7 +164,7 @@ def _measured(rng: np.random.Generator, R_ned_body: Rotation) -> Rotation | None
 
 def pad_scene(
     rng: np.random.Generator, camera: Camera, pad: Pad, height_m: float, condition: str, tilt_rad: float | None = None
-) -> Scene:
+) -> PadScene:
     """The pad on a deck, camera `height_m` over its plane; from close by at least some of ring or H is in view."""
     R_ned_body = _attitude(rng, math.radians(float(rng.uniform(0, 25))) if tilt_rad is None else tilt_rad)
     roll, pitch = rng.normal(0, math.radians(2.0), 2)
@@ -194,7 +194,7 @@ def pad_scene(
     assert best is not None
     p_body = p_pad - R_ned_cam @ best[1] - R_ned_body @ camera.T_body_cam.t
     v = rng.normal(0, 0.4, 3) * min(1.0, height_m)
-    shot = Shot(float(rng.uniform(0, 100)), R_ned_body, p_body, R_ned_pad, p_pad, v, rng.normal(0, 0.1, 3))
+    shot = Exposure(float(rng.uniform(0, 100)), R_ned_body, p_body, R_ned_pad, p_pad, v, rng.normal(0, 0.1, 3))
     decals = tuple(_decals(rng, int(rng.integers(0, 4)), (0.0, 0.0), height_m)) if condition != "plain" else ()
     decals = tuple(d for d in decals if not (d.on == "deck" and math.hypot(*d.centre_m) < 0.45 + 0.75 * d.size_m))
     renderer = Renderer(camera, pad, _surroundings(rng, True, decals), random_light(rng, condition), _sensor(rng))
@@ -213,10 +213,10 @@ def pad_scene(
             cv2.fillPoly(covered, [quad], 255)
             shade = rng.integers(20, 160, 3)
             px = np.where(covered[:, :, None] > 0, shade + rng.normal(0, 6, px.shape), px).clip(0, 255).astype(np.uint8)
-    return Scene(px, truth, _measured(rng, R_ned_body), height_m, visible_share(truth, camera, pad, covered), condition)
+    return PadScene(px, truth, _measured(rng, R_ned_body), height_m, visible_share(truth, camera, pad, covered), condition)
 
 
-def empty_scene(rng: np.random.Generator, camera: Camera, height_m: float) -> Scene:
+def empty_scene(rng: np.random.Generator, camera: Camera, height_m: float) -> PadScene:
     """No pad: sea or deck, rafts, awnings, other helipads, an H alone, a ring alone, right below or scattered."""
     condition = str(rng.choice(["plain", "light", "glare", "wet", "shadow"]))
     R_ned_body = _attitude(rng, math.radians(float(rng.uniform(0, 25))))
@@ -227,14 +227,14 @@ def empty_scene(rng: np.random.Generator, camera: Camera, height_m: float) -> Sc
     aim = rng.normal(0, 0.3 * height_m + 0.2, 2)
     p_body = p_pad + np.array([aim[0], aim[1], -height_m])
     v = rng.normal(0, 0.4, 3) * min(1.0, height_m)
-    shot = Shot(float(rng.uniform(0, 100)), R_ned_body, p_body, R_ned_pad, p_pad, v, rng.normal(0, 0.1, 3))
+    shot = Exposure(float(rng.uniform(0, 100)), R_ned_body, p_body, R_ned_pad, p_pad, v, rng.normal(0, 0.1, 3))
     decals: list[Decal] = []
     if rng.uniform() < 0.85:
         decals += _decals(rng, int(rng.integers(0, 6)), (0.0, 0.0) if with_deck else None, 0.8 * height_m)
         size = float(np.exp(rng.uniform(math.log(0.25), math.log(1.5)))) * max(0.5, min(height_m, 4.0))
         decals += cluster(rng, (float(rng.normal(0, 0.1)), float(rng.normal(0, 0.1))), size, with_deck)
     renderer = Renderer(camera, None, _surroundings(rng, with_deck, tuple(decals)), random_light(rng, condition), _sensor(rng))
-    return Scene(renderer.render(shot, rng), None, _measured(rng, R_ned_body), height_m, 0.0, condition)
+    return PadScene(renderer.render(shot, rng), None, _measured(rng, R_ned_body), height_m, 0.0, condition)
 
 
 def photo_pose(row: dict[str, str]) -> PadPose:
@@ -243,4 +243,14 @@ def photo_pose(row: dict[str, str]) -> PadPose:
     return PadPose(Rotation.from_rotvec([float(row[f"rvec_{a}"]) for a in "xyz"]), t)
 
 
-__all__ = ["Scene", "Transform", "empty_scene", "load_camera", "load_pad", "pad_scene", "photo_pose", "truth_of", "visible_share"]
+__all__ = [
+    "PadScene",
+    "Transform",
+    "empty_scene",
+    "load_camera",
+    "load_pad",
+    "pad_scene",
+    "photo_pose",
+    "truth_of",
+    "visible_share",
+]

@@ -14,7 +14,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from sitl.camera import Renderer, Shot
+from sitl.camera import Exposure, Renderer
 from sitl.light import FLAT, Light, Sensor
 from sitl.surroundings import Decal, Deck, Surroundings
 from sitl.testing.pad_images import STAMP
@@ -26,7 +26,7 @@ PLAIN = Surroundings(
 
 
 @dataclass(frozen=True)
-class View:
+class RenderedView:
     """One frame and the truth behind it."""
 
     px: NDArray[np.uint8]
@@ -61,7 +61,7 @@ class Stage:
     def view(
         self, height_m: float, tilt_rad: float = math.radians(1.5), deck_rad: float = 0.0, lateral: float = 0.1,
         yaw_rad: float | None = None, v_body_ned: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    ) -> View:  # fmt: skip
+    ) -> RenderedView:  # fmt: skip
         """The camera `height_m` over the pad and up to `lateral` times that aside (at most 12 cm below a metre)."""
         rng = self.rng
         roll, pitch = rng.normal(0.0, tilt_rad, 2)
@@ -75,16 +75,16 @@ class Stage:
         p_cam = p_pad + np.array([*aside, -height_m])
         mount = self.camera.T_body_cam
         p_body = p_cam - R_ned_body.matrix @ mount.t
-        shot = Shot(0.0, R_ned_body, p_body, R_ned_pad, p_pad, v_body_ned=np.array(v_body_ned))
+        shot = Exposure(0.0, R_ned_body, p_body, R_ned_pad, p_pad, v_body_ned=np.array(v_body_ned))
         R_ned_cam = R_ned_body @ mount.R
         pose = PadPose(R_ned_cam.inv @ R_ned_pad, R_ned_cam.matrix.T @ (p_pad - p_cam))
         R_level_ned = Rotation.from_rpy(0.0, 0.0, yaw).inv
         arrow = (R_level_ned @ R_ned_pad).matrix[:, 0]
         heading = -math.atan2(arrow[1], arrow[0])
         px = self.renderer.render(shot, rng)
-        return View(px, pose, roll, pitch, R_level_ned.matrix @ (p_pad - p_body), heading)
+        return RenderedView(px, pose, roll, pitch, R_level_ned.matrix @ (p_pad - p_body), heading)
 
-    def start(self, view: View, off_px: float) -> PadPose:
+    def start(self, view: RenderedView, off_px: float) -> PadPose:
         """The truth, some pixels aside, too near or too far, and turned."""
         rng, t = self.rng, view.pose.t_cam_pad
         m_per_px = float(t[2]) / self.camera.fx

@@ -21,7 +21,7 @@ from sitl.scenario import load as load_scenario
 SCENARIO = "demo"
 
 
-class Told(NullObserver):
+class ObservedCalls(NullObserver):
     """Everything the observers were told, as it was."""
 
     def __init__(self) -> None:
@@ -64,9 +64,9 @@ def fly(observers: Sequence[Observer], seconds: float, recorder: Recorder | None
     return flight
 
 
-def record_to(path: Path, seconds: float = 2.0, **options: object) -> Told:
+def record_to(path: Path, seconds: float = 2.0, **options: object) -> ObservedCalls:
     """Fly and record into `path`; what the other observer was told."""
-    settings, told = sim_settings(), Told()
+    settings, told = sim_settings(), ObservedCalls()
     pilot = make_pilot(settings)
     with recorder_to_file(path, pilot.camera, about(settings, {"scenario": SCENARIO, "seed": "1"}), **options) as recorder:  # type: ignore[arg-type]
         fly([told, recorder], seconds, recorder)

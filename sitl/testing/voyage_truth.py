@@ -71,7 +71,7 @@ SEAS: dict[str, tuple[HullResponse, tuple[tuple[float, float, float], ...]]] = {
 
 
 @dataclass(frozen=True)
-class Scene:
+class VoyageScene:
     """One flight. Angles in degrees because a person writes these."""
 
     seed: int = 0
@@ -130,7 +130,7 @@ def coloured(rng: np.random.Generator, n: int, step_s: float, sigma: float, memo
 class Voyage:
     """Truth at any instant, s since the start."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: VoyageScene) -> None:
         self.scene = scene
         rng = np.random.default_rng([scene.seed, 41])
         t = np.arange(-_MARGIN_S, scene.duration_s + _MARGIN_S, _STEP_S)
@@ -256,7 +256,7 @@ Event = Imu | Attitude | BodyVelocity | Range | Sighting
 
 
 @dataclass
-class Sensors:
+class SensorErrors:
     """What was drawn for one flight."""
 
     mount: F64 = field(default_factory=lambda: np.zeros(3))
@@ -264,7 +264,7 @@ class Sensors:
     scale: float = 1.0
 
 
-def events(voyage: Voyage) -> tuple[list[Event], Sensors]:
+def events(voyage: Voyage) -> tuple[list[Event], SensorErrors]:
     """Everything the sensors tell, in the order of arrival, and the constant errors drawn."""
     s = voyage.scene
     rng = np.random.default_rng([s.seed, 42])
@@ -283,7 +283,7 @@ def events(voyage: Voyage) -> tuple[list[Event], Sensors]:
     cov_att = np.eye(3) * math.radians(0.4) ** 2
     out += [Attitude(stamp(t[k]), Rotation(told[k].as_matrix()), cov_att) for k in range(0, t.size, 2)]
 
-    sensors = Sensors(scale=float(rng.uniform(0.82, 1.0)), delay_s=s.hidden_delay_s)
+    sensors = SensorErrors(scale=float(rng.uniform(0.82, 1.0)), delay_s=s.hidden_delay_s)
     every = slice(0, t.size, 4)
     tv, Rv = t[every], R[every]
     psi = np.arctan2(Rv[:, 1, 0], Rv[:, 0, 0])
@@ -316,7 +316,7 @@ def events(voyage: Voyage) -> tuple[list[Event], Sensors]:
 
 
 def _sighting(
-    voyage: Voyage, sensors: Sensors, x: float, seq: int, told: Spin, draw: F64, elsewhere: F64 | None, late_s: float
+    voyage: Voyage, sensors: SensorErrors, x: float, seq: int, told: Spin, draw: F64, elsewhere: F64 | None, late_s: float
 ) -> Sighting:
     at = np.array([x + sensors.delay_s])
     (p, *_), (pp, _, Rp), R = voyage.body(at), voyage.pad(at), Spin.from_matrix(voyage.attitude(at)[0])
@@ -339,6 +339,6 @@ def _sighting(
     return Sighting(stamp(x, x + late_s), seq, "registration", d, math.remainder(yaw, math.tau), False, cov, 1.0)
 
 
-def without_errors(scene: Scene) -> Scene:
+def without_errors(scene: VoyageScene) -> VoyageScene:
     """The same sea and path seen by sensors that only have white noise."""
     return replace(scene, **IDEAL)

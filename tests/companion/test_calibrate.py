@@ -15,7 +15,7 @@ from companion.calibrate import assess
 from companion.calibrate.board import Board
 from companion.calibrate.gather import look_at, watch
 from companion.calibrate.solve import solve
-from companion.calibrate.views import Collection, View
+from companion.calibrate.views import BoardView, Collection
 from companion.cli.main import main
 from drivers.camera.video_source_options import StreamOptions, V4l2Options
 from estimator.contracts.errors import BadInput, Recoverable
@@ -138,7 +138,7 @@ def test_a_view_that_contradicts_the_others_is_left_out(folders: dict[str, Path]
     views = list(collection.views)
     bent = views[4]
     wave = np.stack([4 * np.sin(bent.uv_px[:, 1] / 9), np.zeros(len(bent.ids))], axis=1)
-    views[4] = View(bent.name, bent.ids, bent.uv_px + wave)
+    views[4] = BoardView(bent.name, bent.ids, bent.uv_px + wave)
     solution = solve(views, CHARUCO, (480, 320))
     assert [f.view.name for f in solution.left_out] == [bent.name]
     assert worst_px(solution.camera, BENT) < 1.0

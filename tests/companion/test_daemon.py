@@ -11,8 +11,8 @@ from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.pid import Gains
 from companion.guidance.plan import Plan
 from companion.observer import Decision, NullObserver, ProcessedFrame
-from companion.pilot import Outcome, Pilot
-from companion.runtime.daemon import Daemon, Link
+from companion.pilot import FlightOutcome, Pilot
+from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.supervise import Restart
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
@@ -50,7 +50,7 @@ class FakeVehicle:
         self.released = True
 
     @asynccontextmanager
-    async def open(self) -> AsyncIterator[Link]:
+    async def open(self) -> AsyncIterator[VehicleLink]:
         self.opened += 1
         self.frames, self.samples = Latest(), Line(1000)
         try:
@@ -84,7 +84,7 @@ class Diary(NullObserver):
 
 
 def daemon_of(
-    open_link: Callable[[], AbstractAsyncContextManager[Link]], *, once: bool = False, diary: NullObserver | None = None
+    open_link: Callable[[], AbstractAsyncContextManager[VehicleLink]], *, once: bool = False, diary: NullObserver | None = None
 ) -> Daemon:
     pilot = Pilot(EYES, EstimatorOptions(), Plan.over_the_pad(), Gains())
     return Daemon(
@@ -152,7 +152,7 @@ async def test_a_vehicle_that_cannot_be_opened_is_tried_again() -> None:
     tries = 0
 
     @asynccontextmanager
-    async def refuse() -> AsyncIterator[Link]:
+    async def refuse() -> AsyncIterator[VehicleLink]:
         nonlocal tries
         tries += 1
         raise Recoverable("nobody there")
@@ -200,7 +200,7 @@ async def test_it_ends_with_the_flight_when_told_so() -> None:
 
     async with asyncio.timeout(60):
         outcome, _ = await asyncio.gather(daemon.run(), feed())
-    assert outcome is Outcome.LANDED_BY_OTHERS
+    assert outcome is FlightOutcome.LANDED_BY_OTHERS
     assert vehicle.left_hovering == 1
 
 

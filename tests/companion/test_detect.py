@@ -13,11 +13,11 @@ import pytest
 
 from companion.cli import main as cli
 from estimator.vision.pad import Pad
-from sitl.testing.pad_images import Scene, image
+from sitl.testing.pad_images import PadPlacement, image
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad
 
 KEYS = ["source", "index", "found", "confidence", "d_body_pad_level_m", "yaw_deg", "yaw_ambiguous", "cov", "method", "methods"]
-SCENE = Scene((0.35, -0.15, 1.4), math.radians(40.0), math.radians(3.0), math.radians(-2.0))
+SCENE = PadPlacement((0.35, -0.15, 1.4), math.radians(40.0), math.radians(3.0), math.radians(-2.0))
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def album(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("album")
     camera, pad = shipped_camera("sim"), shipped_pad("thesis")
     cv2.imwrite(str(folder / "a.png"), image(SCENE, camera, pad, blur_px=0.6, noise=1.5).px)
-    cv2.imwrite(str(folder / "b.png"), image(Scene((0.15, 0.0, 0.5)), camera, pad, blur_px=0.6).px)
+    cv2.imwrite(str(folder / "b.png"), image(PadPlacement((0.15, 0.0, 0.5)), camera, pad, blur_px=0.6).px)
     cv2.imwrite(str(folder / "c.png"), np.full((360, 640, 3), 80, np.uint8))
     (folder / "notes.txt").write_text("no image\n")
     return folder
@@ -87,7 +87,7 @@ def test_a_video_is_read_frame_by_frame(tmp_path: Path, capsys: pytest.CaptureFi
         stream.width, stream.height, stream.pix_fmt = 640, 360, "yuv420p"
         stream.options = {"crf": "16", "preset": "ultrafast"}
         for z in heights:
-            px = image(Scene((0.15, 0.0, z), 0.4), camera, pad, blur_px=0.6).px
+            px = image(PadPlacement((0.15, 0.0, z), 0.4), camera, pad, blur_px=0.6).px
             out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="bgr24")))
         out.mux(stream.encode())
     assert detect(path, "--camera", "sim", "--json", "--colours", "simulator") == 0
@@ -173,7 +173,7 @@ def test_the_printed_pad_ships(tmp_path: Path, capsys: pytest.CaptureFixture[str
     pad: Pad = shipped_pad("printed")
     camera = shipped_camera("photos")
     path = tmp_path / "printed.png"
-    cv2.imwrite(str(path), image(Scene((0.1, 0.0, 1.5)), camera, pad, blur_px=0.7, noise=1.0).px)
+    cv2.imwrite(str(path), image(PadPlacement((0.1, 0.0, 1.5)), camera, pad, blur_px=0.7, noise=1.0).px)
     assert detect(path, "--camera", "photos", "--pad", "printed", "--json") == 0
     (record,) = records(capsys)
     assert np.allclose(record["d_body_pad_level_m"], (0.1, 0.0, 1.5), atol=0.01)  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ import pytest
 from companion.cli import demo
 from companion.cli.machine_load import GUIDANCE_LATE_MAX_S, Load
 from companion.cli.verdict import Ending
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from companion.runtime.daemon import Daemon
 from companion.runtime.health import Health
 from companion.runtime.supervise import Restart
@@ -24,7 +24,7 @@ from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock
 SAID: dict[str, Any] = {"event": "ended", "phase": "hovering", "stood_still_s": 0.25, "counters": {"video_sent": 880}}
 
 
-def ended(outcome: Outcome | None, late_s: float = 0.0, said: bytes | None = None) -> Ending:
+def ended(outcome: FlightOutcome | None, late_s: float = 0.0, said: bytes | None = None) -> Ending:
     """A demo of 30 s in which guidance cycles came that much late."""
     health = Health(SystemClock())
     health.frames = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 30})
@@ -36,7 +36,7 @@ def ended(outcome: Outcome | None, late_s: float = 0.0, said: bytes | None = Non
 
 
 def test_a_demo_that_gave_up_on_a_machine_too_slow_says_so_with_the_figure() -> None:
-    late = ended(Outcome.GAVE_UP, 0.085)
+    late = ended(FlightOutcome.GAVE_UP, 0.085)
     assert late.in_words().splitlines()[-1] == (
         "this machine was too slow to fly in real time, so this shows nothing: "
         "half of the guidance cycles came 85 ms late or later"
@@ -45,7 +45,7 @@ def test_a_demo_that_gave_up_on_a_machine_too_slow_says_so_with_the_figure() -> 
 
 
 def test_a_demo_that_failed_on_a_machine_that_kept_up_blames_no_machine() -> None:
-    failed = ended(Outcome.GAVE_UP, GUIDANCE_LATE_MAX_S)
+    failed = ended(FlightOutcome.GAVE_UP, GUIDANCE_LATE_MAX_S)
     assert failed.in_words() == "gave up after 30.0 s, without touching anything"
     assert failed.as_json()["machine_too_slow"] is None
 
@@ -65,10 +65,10 @@ def test_what_the_simulated_drone_says_of_its_own_time_is_told(changed: dict[str
 
 def test_a_landing_on_the_pad_is_not_talked_down() -> None:
     load = Load(30.0, 200, 4.0, Counter(), 0.085)
-    landed = Ending("demo", 1, Outcome.LANDED, (), 30.0, Counter(), load=load)
+    landed = Ending("demo", 1, FlightOutcome.LANDED, (), 30.0, Counter(), load=load)
     assert "too slow" in landed.in_words(), "it touched nothing"
     on_pad = demo.Contact(landed.started, "pad", 0.05, 0.0, 0.4, 0.1)
-    good = Ending("demo", 1, Outcome.LANDED, (on_pad,), 30.0, Counter(), load=load)
+    good = Ending("demo", 1, FlightOutcome.LANDED, (on_pad,), 30.0, Counter(), load=load)
     assert "too slow" not in good.in_words()
 
 

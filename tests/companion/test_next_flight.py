@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.config.settings import load
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from companion.runtime.service import make_pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.samples import VehicleStatus
@@ -17,21 +17,21 @@ def status(at_s: float, flying: bool, emergency: bool = False) -> VehicleStatus:
     return VehicleStatus(Stamp(at, at, 0.001, "sim"), flying, "hovering" if flying else "landed", 0.8, emergency, True)
 
 
-@pytest.mark.parametrize("outcome", [Outcome.ABORTED, Outcome.EMERGENCY, Outcome.LANDED_BY_OTHERS])
-def test_the_next_flight_begins_when_it_flies_after_having_stood(outcome: Outcome) -> None:
+@pytest.mark.parametrize("outcome", [FlightOutcome.ABORTED, FlightOutcome.EMERGENCY, FlightOutcome.LANDED_BY_OTHERS])
+def test_the_next_flight_begins_when_it_flies_after_having_stood(outcome: FlightOutcome) -> None:
     pilot = make_pilot(load("sim"))
     pilot.on_sample(status(0.0, True))
     pilot.decide(MonoNs(0))
-    if outcome is Outcome.ABORTED:
+    if outcome is FlightOutcome.ABORTED:
         pilot.abort()
     else:
-        pilot.on_sample(status(0.1, outcome is Outcome.EMERGENCY, emergency=outcome is Outcome.EMERGENCY))
+        pilot.on_sample(status(0.1, outcome is FlightOutcome.EMERGENCY, emergency=outcome is FlightOutcome.EMERGENCY))
         pilot.decide(MonoNs(100_000_000))
     assert pilot.outcome is outcome
-    if outcome is not Outcome.LANDED_BY_OTHERS:
+    if outcome is not FlightOutcome.LANDED_BY_OTHERS:
         pilot.on_sample(status(1.0, True))
         assert pilot.outcome is outcome, "still the same flight: nothing begins anew in the air"
-        if outcome is Outcome.ABORTED:
+        if outcome is FlightOutcome.ABORTED:
             assert pilot.decide(MonoNs(1_000_000_000)).command == Hover()
     pilot.on_sample(status(2.0, False))
     assert pilot.outcome is outcome

@@ -136,25 +136,25 @@ def test_how_a_flight_ends() -> None:
     fly_until(landed, lambda: isinstance(landed.tick(sighted=True), Land))
     landed.flying = False
     assert landed.tick(sighted=False) is None
-    assert landed.pilot.outcome is Outcome.LANDED
+    assert landed.pilot.outcome is FlightOutcome.LANDED
 
     timed_out = Cockpit()
     over_the_last_way_point(timed_out)
     fly_until(timed_out, lambda: ended(timed_out), seconds=60.0)
-    assert timed_out.pilot.outcome is Outcome.LAND_TIMEOUT
+    assert timed_out.pilot.outcome is FlightOutcome.LAND_TIMEOUT
     assert timed_out.tick(sighted=True) == Hover()
 
     others = Cockpit()
     others.tick(sighted=True)
     others.flying = False
     others.tick(sighted=False)
-    assert others.pilot.outcome is Outcome.LANDED_BY_OTHERS
+    assert others.pilot.outcome is FlightOutcome.LANDED_BY_OTHERS
 
     cut = Cockpit()
     cut.tick(sighted=True)
     cut.emergency = True
     assert cut.tick(sighted=True) is None
-    assert cut.pilot.outcome is Outcome.EMERGENCY
+    assert cut.pilot.outcome is FlightOutcome.EMERGENCY
 
 
 def test_the_next_flight_begins_when_the_vehicle_flies_again() -> None:
@@ -162,7 +162,7 @@ def test_the_next_flight_begins_when_the_vehicle_flies_again() -> None:
     cockpit.tick(sighted=True)
     cockpit.flying = False
     cockpit.tick(sighted=False)
-    assert cockpit.pilot.outcome is Outcome.LANDED_BY_OTHERS
+    assert cockpit.pilot.outcome is FlightOutcome.LANDED_BY_OTHERS
     cockpit.flying = True
     fly_until(cockpit, lambda: isinstance(cockpit.tick(sighted=True), Velocity))
     assert cockpit.pilot.outcome is None

@@ -18,25 +18,25 @@ from mcap.reader import make_reader
 from companion.observer import Decision
 from companion.recorder.channels import TOPICS
 from companion.recorder.reading import RecordedFrame, open_recording
-from companion.recorder.recorder import Options, Recorder, State
+from companion.recorder.recorder import Options, Recorder, RecorderState
 from companion.recorder.records import TruthRecord
 from companion.recorder.storage_policy import Folder, SingleFile
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
-from sitl.testing.recorded_flight import Told, record_to, sim_settings
+from sitl.testing.recorded_flight import ObservedCalls, record_to, sim_settings
 from tests.companion.recorder_parts import ABOUT, CAMERA, imu, samples_of, wait_for
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Told]:
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ObservedCalls]:
     path = tmp_path_factory.mktemp("recorder") / "flight.mcap"
     return path, record_to(path, seconds=1.2, frames="png")
 
 
-def test_everything_told_reads_back_the_same_to_the_bit(flown: tuple[Path, Told]) -> None:
+def test_everything_told_reads_back_the_same_to_the_bit(flown: tuple[Path, ObservedCalls]) -> None:
     path, told = flown
     recording = open_recording([path])
     events = list(recording.events())
@@ -79,7 +79,7 @@ def same(a: object, b: object) -> bool:
     return all(same(getattr(a, n), getattr(b, n)) for n in names) if names else a == b
 
 
-def test_settings_camera_pad_and_versions_travel_with_it(flown: tuple[Path, Told]) -> None:
+def test_settings_camera_pad_and_versions_travel_with_it(flown: tuple[Path, ObservedCalls]) -> None:
     recording = open_recording([flown[0]])
     assert recording.settings() == sim_settings()
     camera, pad = recording.camera(), recording.pad()
@@ -90,7 +90,7 @@ def test_settings_camera_pad_and_versions_travel_with_it(flown: tuple[Path, Told
     assert recording.metadata["flight"] == {"scenario": "demo", "seed": "1"}
 
 
-def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_schemas(flown: tuple[Path, Told]) -> None:
+def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_schemas(flown: tuple[Path, ObservedCalls]) -> None:
     with flown[0].open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -133,7 +133,7 @@ def conforms(schema: dict[str, object], value: object, where: str) -> None:
             conforms(items, inner, f"{where}[]")
 
 
-def test_a_file_cut_anywhere_reads_up_to_the_cut(flown: tuple[Path, Told], tmp_path: Path) -> None:
+def test_a_file_cut_anywhere_reads_up_to_the_cut(flown: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
     data = flown[0].read_bytes()
     whole = list(open_recording([flown[0]]).events())
     counts = []
@@ -152,7 +152,7 @@ def test_a_file_cut_anywhere_reads_up_to_the_cut(flown: tuple[Path, Told], tmp_p
     assert torn in recording.cut
 
 
-def test_a_flipped_bit_ends_the_reading_and_is_no_traceback(flown: tuple[Path, Told], tmp_path: Path) -> None:
+def test_a_flipped_bit_ends_the_reading_and_is_no_traceback(flown: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
     data = bytearray(flown[0].read_bytes())
     rng = np.random.default_rng(5)
     for at in rng.integers(200_000, len(data) - 20_000, 12):
@@ -241,7 +241,7 @@ def test_pause_ends_the_file_and_resume_begins_another(tmp_path: Path) -> None:
                 recorder.pause()
             if i == 20:
                 wait_for(lambda: recorder._queue.empty())
-                assert recorder.state is State.PAUSED
+                assert recorder.state is RecorderState.PAUSED
                 recorder.resume()
             recorder.on_sample(imu(0.01 * i))
     assert len(samples_of(tmp_path / "a.mcap")) in (9, 10)

@@ -15,7 +15,7 @@ import pytest
 
 from companion.recorder import mcap_file
 from companion.recorder.reading import RecordedFrame, open_recording
-from companion.recorder.recorder import Options, Recorder, State
+from companion.recorder.recorder import Options, Recorder, RecorderState
 from companion.recorder.storage_policy import Folder, SingleFile
 from estimator.contracts.samples import Imu
 from sitl.testing.descriptors import no_descriptors
@@ -58,12 +58,12 @@ def test_a_full_disk_is_said_once_flown_through_and_left_behind(
         for i in range(100, 600):
             recorder.on_sample(imu(0.01 * i))
             wait_for(lambda: recorder._queue.empty())
-        wait_for(lambda: recorder.state is State.BLOCKED and recorder._queue.empty())
+        wait_for(lambda: recorder.state is RecorderState.BLOCKED and recorder._queue.empty())
         assert recorder.why == "No space left on device"
         disk.full = False
         for i in range(600, 900):
             recorder.on_sample(imu(0.01 * i))
-        wait_for(lambda: recorder._queue.empty() and recorder.state is State.RECORDING)
+        wait_for(lambda: recorder._queue.empty() and recorder.state is RecorderState.RECORDING)
     said = [r for r in caplog.records if r.levelname == "ERROR"]
     assert [r.getMessage() for r in said] == [
         "recorder: nothing is recorded now: No space left on device; the flight goes on, trying again"
@@ -114,7 +114,7 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
                 free["bytes"] = 400_000_000
             if i == 200:
                 wait_for(lambda: recorder._queue.empty())
-                assert recorder.state is State.BLOCKED
+                assert recorder.state is RecorderState.BLOCKED
                 assert "400 MB free" in recorder.why, recorder.why
                 free["bytes"] = 600_000_000
             recorder.on_sample(imu(0.01 * i))
@@ -162,7 +162,7 @@ def test_a_link_that_leads_nowhere_among_the_recordings_is_stepped_over(tmp_path
     with Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.1, sync_s=0.1)) as recorder:
         told(recorder, 0.0, 2.0)
         wait_for(lambda: recorder.written == 200)
-        assert recorder.state is State.RECORDING
+        assert recorder.state is RecorderState.RECORDING
         assert (recorder.blocked, recorder.faults, recorder.files) == (0, 0, 1)
     assert len(samples_of(tmp_path / "decklander-20261120T050000Z-0002.mcap")) == 200
 
@@ -193,13 +193,13 @@ def test_a_folder_that_cannot_be_used_is_tried_until_it_can(
     spoil(path)
     with Recorder(folder(path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0, retry_cap_s=4.0)) as recorder:
         at_s = told(recorder, 0.0, 30.0)
-        assert recorder.state is State.BLOCKED
+        assert recorder.state is RecorderState.BLOCKED
         assert re.search(why, recorder.why)
         assert 8 <= recorder.blocked <= 11, "after 1, 2, 4, 4, 4 ... s"
         assert recorder.counted()["dropped_imu"] == 3000
         mend(path)
         told(recorder, at_s, 5.0)
-        assert recorder.state is State.RECORDING
+        assert recorder.state is RecorderState.RECORDING
         assert recorder.why == ""
     assert len([r for r in caplog.records if r.levelname == "ERROR"]) == 1
     (file,) = path.glob("*.mcap")
@@ -212,7 +212,7 @@ def test_a_folder_that_is_taken_away_in_flight_is_begun_anew(tmp_path: Path) -> 
         at_s = told(recorder, 0.0, 2.0)
         shutil.rmtree(path)
         told(recorder, at_s, 4.0)
-        assert recorder.state is State.RECORDING
+        assert recorder.state is RecorderState.RECORDING
         assert recorder.files == 2
     (file,) = path.glob("*.mcap")
     assert len(samples_of(file)) >= 200
@@ -222,10 +222,10 @@ def test_without_descriptors_nothing_is_recorded_for_a_while(tmp_path: Path) -> 
     with Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0)) as recorder:
         with no_descriptors():
             at_s = told(recorder, 0.0, 2.0)
-            assert recorder.state is State.BLOCKED
+            assert recorder.state is RecorderState.BLOCKED
             assert recorder.why.endswith("Too many open files")
         told(recorder, at_s, 4.0)
-        assert recorder.state is State.RECORDING
+        assert recorder.state is RecorderState.RECORDING
 
 
 def test_a_file_that_cannot_be_removed_does_not_end_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,7 +243,7 @@ def test_a_file_that_cannot_be_removed_does_not_end_the_recording(tmp_path: Path
         told(recorder, 0.0, 2.0)
         wait_for(lambda: recorder.written == 200)
         assert recorder.counted()["not_removed"] >= 1
-        assert recorder.state is State.RECORDING
+        assert recorder.state is RecorderState.RECORDING
 
 
 def test_a_disk_that_hangs_holds_up_the_end_of_the_service_for_a_moment_only(tmp_path: Path, disk: Disk) -> None:

@@ -22,7 +22,7 @@ from companion.recorder.recorder import Options, Recorder
 from companion.recorder.setup import about
 from companion.recorder.storage_policy import SingleFile
 from companion.replay.engine import Replay
-from companion.replay.log_observer import LogObserver, differences, recorded_beliefs
+from companion.replay.log_observer import BeliefLogObserver, differences, recorded_beliefs
 from companion.replay.pilots import pilot_of
 from companion.report.flight_log import FlightLog
 from companion.runtime.service import make_pilot
@@ -30,11 +30,11 @@ from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs
 from sitl.flight import Flight
 from sitl.scenario import load as load_scenario
-from sitl.testing.recorded_flight import SCENARIO, Told, record_to, sim_settings
+from sitl.testing.recorded_flight import SCENARIO, ObservedCalls, record_to, sim_settings
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Told]:
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ObservedCalls]:
     path = tmp_path_factory.mktemp("replay") / "flight.mcap"
     return path, record_to(path, seconds=1.5)
 
@@ -45,12 +45,12 @@ def replayed(path: Path, *words: str, capsys: pytest.CaptureFixture[str]) -> dic
     return out
 
 
-def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(flown: tuple[Path, Told]) -> None:
+def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(flown: tuple[Path, ObservedCalls]) -> None:
     recording = open_recording([flown[0]])
     settings = sim_settings()
-    told = Told()
+    told = ObservedCalls()
     pilot = pilot_of(recording, settings, None, own_camera=True)
-    log_observer = LogObserver(FlightLog("replay", MonoNs(0), pilot.pad, pilot.camera))
+    log_observer = BeliefLogObserver(FlightLog("replay", MonoNs(0), pilot.pad, pilot.camera))
     replay = Replay(recording, pilot, sightings=True, observers=[log_observer, told])
     replay.run()
     assert replay.counts.as_recorded == replay.counts.frames == len(flown[1].frames) > 20
@@ -67,7 +67,7 @@ def test_recorded_sightings_give_the_recorded_beliefs_and_commands_to_the_bit(fl
 
 
 def test_the_same_replay_has_the_same_hash_and_a_change_another(
-    flown: tuple[Path, Told], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     digests = [replayed(flown[0], capsys=capsys)["passes"][0]["sha256"] for _ in range(2)]
     assert digests[0] == digests[1]
@@ -83,7 +83,7 @@ def test_the_same_replay_has_the_same_hash_and_a_change_another(
 
 
 def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(
-    flown: tuple[Path, Told], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = replayed(flown[0], "--path", "median_mean", "--report", str(tmp_path / "report"), capsys=capsys)
     done = out["passes"][0]
@@ -100,7 +100,7 @@ def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(
 
 
 def test_a_replay_can_be_recorded_and_compared_with(
-    flown: tuple[Path, Told], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = tmp_path / "old.mcap"
     replayed(flown[0], "--sightings", "--record", str(other), capsys=capsys)
@@ -114,7 +114,7 @@ def test_a_replay_can_be_recorded_and_compared_with(
 def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
     settings = sim_settings()
     settings = msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="signal"))
-    pilot, told, path = make_pilot(settings), Told(), tmp_path / "told.mcap"
+    pilot, told, path = make_pilot(settings), ObservedCalls(), tmp_path / "told.mcap"
     options = Options(frames="none", when_full="wait")
     with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options) as recorder:
         flight = Flight(load_scenario(SCENARIO), 2, settings, pilot, observers=[told, recorder])
@@ -126,7 +126,7 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
             if step == 200:
                 pilot.abort()
             flight.step()
-    again = Told()
+    again = ObservedCalls()
     recording = open_recording([path])
     Replay(recording, pilot_of(recording, settings, None, own_camera=True), observers=[again]).run()
     assert [d.phase for d in again.decisions] == [d.phase for d in told.decisions]
@@ -135,8 +135,8 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
     assert isinstance(again.decisions[-1].command, Hover)
 
 
-def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, Told], tmp_path: Path) -> None:
-    settings, path, told = sim_settings(), tmp_path / "inputs.mcap", Told()
+def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
+    settings, path, told = sim_settings(), tmp_path / "inputs.mcap", ObservedCalls()
     with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), Options(frames="none", when_full="wait")) as out:
         for sample in flown[1].samples:
             out.on_sample(sample)
@@ -148,7 +148,7 @@ def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, To
 
 
 def test_a_cut_recording_replays_up_to_the_cut_and_says_so(
-    flown: tuple[Path, Told], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flown: tuple[Path, ObservedCalls], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     part = tmp_path / "cut.mcap"
     data = flown[0].read_bytes()
@@ -169,7 +169,9 @@ def test_a_cut_recording_replays_up_to_the_cut_and_says_so(
         (["--compare", "none.mcap"], "No such file"),
     ],
 )
-def test_wrong_use_is_one_line(flown: tuple[Path, Told], words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_use_is_one_line(
+    flown: tuple[Path, ObservedCalls], words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     first = [] if words == ["none.mcap"] else [str(flown[0]), "--sightings"]
     assert cli.main(["replay", *first, *words]) == 2
     err = capsys.readouterr().err
@@ -177,7 +179,7 @@ def test_wrong_use_is_one_line(flown: tuple[Path, Told], words: list[str], said:
     assert err.count("\n") == 1
 
 
-async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flown: tuple[Path, Told]) -> None:
+async def test_in_real_time_it_speaks_to_an_autopilot_as_if_it_happened_now(flown: tuple[Path, ObservedCalls]) -> None:
     from pymavlink.dialects.v20 import ardupilotmega as mav
 
     peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

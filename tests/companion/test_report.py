@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.report.figures import Truth, all_series, body_over_pad, error_rows, timing_rows
-from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange, Touchdown, TruthSample
+from companion.report.figures import TruthTrack, all_series, body_over_pad, error_rows, timing_rows
+from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, LoggedTouchdown, PhaseChange, TruthSample
 from companion.report.overlay import Overlay, annotate, annotated_size
 from companion.report.page import render, write_report
 from companion.report.palette import OUTLINE, bgr, colour
@@ -72,22 +72,22 @@ def flight(images=True) -> FlightLog:
     log.phases = [PhaseChange(ns(100), "approach"), PhaseChange(ns(102), "descend"), PhaseChange(ns(103.8), "land")]
     log.stage_s = {"decode": [0.001] * 100, "detect": [0.004 + 0.00001 * i for i in range(100)]}
     log.delay_s = [0.1, 0.2, 0.3]
-    log.touchdown = Touchdown(ns(104), 0.0312, 0.27, 0.05, on_pad=True)
+    log.touchdown = LoggedTouchdown(ns(104), 0.0312, 0.27, 0.05, on_pad=True)
     return log
 
 
 def test_truth_is_interpolated_across_the_wrap_and_not_beyond_its_record():
-    truth = Truth(flight().truth)
+    truth = TruthTrack(flight().truth)
     got = truth.at([ns(100 + t) for t in (0.005, 0.705, 2.345)])
     for row, t in zip(got, (0.005, 0.705, 2.345), strict=True):
         d, yaw = truth_at(t)
         np.testing.assert_allclose(row[:3], d, atol=1e-4)
         assert abs(math.remainder(row[3] - yaw, math.tau)) < 1e-6
     assert np.all(np.isnan(truth.at([ns(99.9), ns(104.2)])))
-    holed = Truth([s for s in flight().truth if not 1.0 < (s.at - ns(100)) * 1e-9 < 2.0])
+    holed = TruthTrack([s for s in flight().truth if not 1.0 < (s.at - ns(100)) * 1e-9 < 2.0])
     assert np.all(np.isnan(holed.at([ns(101.5)])))
     assert np.all(np.isfinite(holed.at([ns(100.5), ns(102.5)])))
-    assert np.all(np.isnan(Truth([]).at([ns(1)])))
+    assert np.all(np.isnan(TruthTrack([]).at([ns(1)])))
 
 
 def test_error_statistics_are_those_put_in():

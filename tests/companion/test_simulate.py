@@ -11,7 +11,7 @@ import pytest
 
 from companion.cli import main as cli
 from companion.cli.verdict import Contact, Ending, FlightGrade
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from tests.sitl.near import NEAR
@@ -22,7 +22,9 @@ JUDGED = FlightGrade(
     "failed", "touched the deck 0.48 m from the pad's centre", ("touched the deck 0.48 m from the pad's centre",), None, 1, 0.31,
     (("frames_frozen", 6.2),), "refuse", 30.0,
 )  # fmt: skip
-ENDING = Ending("rough", 3, Outcome.LANDED, (STRIKE, LANDING), 15.2, Counter({Verdict.FUSED: 400}), MonoNs(500_000_000), JUDGED)
+ENDING = Ending(
+    "rough", 3, FlightOutcome.LANDED, (STRIKE, LANDING), 15.2, Counter({Verdict.FUSED: 400}), MonoNs(500_000_000), JUDGED
+)
 
 
 def test_every_contact_and_what_was_unsafe_is_told() -> None:
@@ -49,7 +51,7 @@ def test_a_landing_after_a_strike_is_not_good_and_a_right_refusal_is() -> None:
     assert ENDING.on_pad
     assert not ENDING.good
     refused = FlightGrade("refused rightly", "gave up", (), "gave up; frames: 600 no_pad", 0, None, (), "refuse", 30.0)
-    ending = replace(ENDING, outcome=Outcome.GAVE_UP, contacts=(), judged=refused)
+    ending = replace(ENDING, outcome=FlightOutcome.GAVE_UP, contacts=(), judged=refused)
     assert ending.good
     assert "refused: gave up; frames: 600 no_pad" in ending.in_words()
     assert replace(ENDING, judged=None).good, "without a judgement the pad alone decides"

@@ -14,7 +14,7 @@ from companion.cli.machine_load import Load
 from companion.cli.soak_flights import Class, Flown, Outcomes, by_fault, real
 from companion.cli.soak_judge import Reading
 from companion.cli.soak_plot import plot
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from tests.sitl.near import NEAR
@@ -27,7 +27,7 @@ SAID: dict[str, Any] = {
 }  # fmt: skip
 
 
-def judged(outcome: Outcome | None, frames: Counter[Verdict] = GOOD, **said: Any) -> Flown:
+def judged(outcome: FlightOutcome | None, frames: Counter[Verdict] = GOOD, **said: Any) -> Flown:
     return real(10.0, {**SAID, **said}, outcome, frames)
 
 
@@ -36,17 +36,17 @@ def flown(worth: Class, seed: int = 1, title: str = "a; faults/b") -> Flown:
 
 
 def test_a_flight_in_real_time_is_on_the_pad_refused_or_failed() -> None:
-    assert judged(Outcome.LANDED).worth is Class.ON_PAD
+    assert judged(FlightOutcome.LANDED).worth is Class.ON_PAD
     away: dict[str, Any] = {"ended": "time is up", "on_pad": False, "surface": None, "lateral_m": None}
-    assert judged(Outcome.GAVE_UP, **away).worth is Class.REFUSED_RIGHTLY
-    assert judged(Outcome.GAVE_UP, expect="land", **away).worth is Class.FAILED
-    late = judged(Outcome.EMERGENCY, **away)
+    assert judged(FlightOutcome.GAVE_UP, **away).worth is Class.REFUSED_RIGHTLY
+    assert judged(FlightOutcome.GAVE_UP, expect="land", **away).worth is Class.FAILED
+    late = judged(FlightOutcome.EMERGENCY, **away)
     assert (late.worth, late.because) == (Class.FAILED, "time ran out: it neither landed nor gave up")
-    wet = judged(Outcome.LANDED, on_pad=False, surface="water", unsafe=["in the water, 2.50 m from the pad's centre"])
+    wet = judged(FlightOutcome.LANDED, on_pad=False, surface="water", unsafe=["in the water, 2.50 m from the pad's centre"])
     assert (wet.worth, wet.because) == (Class.FAILED, "in the water, 2.50 m from the pad's centre")
-    struck = judged(Outcome.LANDED, unsafe=["touched the deck 0.48 m from the pad's centre"])
+    struck = judged(FlightOutcome.LANDED, unsafe=["touched the deck 0.48 m from the pad's centre"])
     assert struck.worth is Class.FAILED, "a landing does not make good what was struck before"
-    assert judged(Outcome.EMERGENCY, ended="emergency", on_pad=False).worth is Class.FAILED
+    assert judged(FlightOutcome.EMERGENCY, ended="emergency", on_pad=False).worth is Class.FAILED
 
 
 @pytest.mark.parametrize(
@@ -61,18 +61,18 @@ def test_a_flight_in_real_time_is_on_the_pad_refused_or_failed() -> None:
 def test_a_machine_that_is_too_slow_is_named_for_a_failure_and_a_good_flight_stays_good(
     frames: Counter[Verdict], said: dict[str, Any], reason: str
 ) -> None:
-    failed = judged(Outcome.EMERGENCY, frames, ended="emergency", on_pad=False, **said)
+    failed = judged(FlightOutcome.EMERGENCY, frames, ended="emergency", on_pad=False, **said)
     assert failed.worth is Class.STARVED
     assert reason in failed.because
     assert "emergency" in failed.because, "what happened is told beside"
-    assert judged(Outcome.LANDED, frames, **said).worth is Class.ON_PAD
+    assert judged(FlightOutcome.LANDED, frames, **said).worth is Class.ON_PAD
     assert Load(30.0, 880, 0.2, GOOD).starved() is None
 
 
 def test_a_flight_whose_guidance_came_late_is_the_machines() -> None:
     failed = {**SAID, "ended": "emergency", "on_pad": False}
-    assert real(10.0, failed, Outcome.EMERGENCY, GOOD, 0.02).worth is Class.FAILED
-    late = real(10.0, failed, Outcome.EMERGENCY, GOOD, 0.045)
+    assert real(10.0, failed, FlightOutcome.EMERGENCY, GOOD, 0.02).worth is Class.FAILED
+    late = real(10.0, failed, FlightOutcome.EMERGENCY, GOOD, 0.045)
     assert late.worth is Class.STARVED
     assert late.because.startswith("half of the guidance cycles came 45 ms late or later")
 

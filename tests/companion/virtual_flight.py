@@ -13,7 +13,7 @@ import numpy as np
 from companion.guidance.pid import Gains
 from companion.guidance.planner import Plan
 from companion.pilot import Pilot
-from companion.runtime.daemon import Daemon, Link
+from companion.runtime.daemon import Daemon, VehicleLink
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.estimates import Sighting
@@ -99,7 +99,7 @@ class FakeFlight:
         self.released = True
 
     @asynccontextmanager
-    async def open(self) -> AsyncIterator[Link]:
+    async def open(self) -> AsyncIterator[VehicleLink]:
         self.released = False
         try:
             yield self

@@ -21,7 +21,7 @@ def ms(t: int) -> MonoNs:
 
 def report(control: nd.ControlState, altitude_m: float | None = 1.5, bits: int = 0) -> DroneReport:
     in_the_air = control not in (nd.ControlState.LANDED, nd.ControlState.INIT)
-    return DroneReport(bits | (nd.State.FLYING if in_the_air else 0), control, altitude_m)
+    return DroneReport(bits | (nd.NavdataState.FLYING if in_the_air else 0), control, altitude_m)
 
 
 def test_a_word_is_flown_up_to_its_deadline_and_hover_after_it() -> None:
@@ -59,7 +59,7 @@ def test_no_order_to_take_off_or_to_land_outlives_its_word() -> None:
 def test_a_drone_in_the_air_is_held_there_and_its_watchdog_answered() -> None:
     arbiter = CommandArbiter(60.0)
     arbiter.take(Word(ms(120), AHEAD, FLY.bits))
-    arbiter.on_report(report(nd.ControlState.HOVERING, bits=nd.State.COM_WATCHDOG), ms(1000))
+    arbiter.on_report(report(nd.ControlState.HOVERING, bits=nd.NavdataState.COM_WATCHDOG), ms(1000))
     assert arbiter.commands(ms(1001)) == [at.ComWdg(), FLY, HOVER]
     assert arbiter.commands(ms(1300)) == [HOVER], "told too late, the wish to fly would start the motors of one that has landed"
     arbiter.on_report(report(nd.ControlState.LANDED), ms(1400))
@@ -85,18 +85,18 @@ def test_a_landing_nobody_renews_is_called_off_unless_it_is_about_to_end(
     assert arbiter.commands(ms(301)) == ([FLY, HOVER] if called_off else [HOVER])
 
 
-SILENT = nd.State.COM_WATCHDOG | nd.State.COMMUNICATION_LOST
+SILENT = nd.NavdataState.COM_WATCHDOG | nd.NavdataState.COMMUNICATION_LOST
 
 
 @pytest.mark.parametrize(
     ("bits", "first_at", "cause"),
     [
         (SILENT, None, Cause.SILENCE),
-        (nd.State.COM_WATCHDOG, None, Cause.SILENCE),
+        (nd.NavdataState.COM_WATCHDOG, None, Cause.SILENCE),
         (SILENT, 9000, Cause.OTHERS),
         (0, None, Cause.OTHERS),
-        (SILENT | nd.State.BATTERY_LOW, None, Cause.OTHERS),
-        (SILENT | nd.State.USER_EMERGENCY, None, Cause.OTHERS),
+        (SILENT | nd.NavdataState.BATTERY_LOW, None, Cause.OTHERS),
+        (SILENT | nd.NavdataState.USER_EMERGENCY, None, Cause.OTHERS),
     ],
 )
 def test_whose_landing_it_is(bits: int, first_at: int | None, cause: Cause) -> None:

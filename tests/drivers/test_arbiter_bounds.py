@@ -19,7 +19,7 @@ def ms(t: int) -> MonoNs:
 
 
 def report(control: nd.ControlState | None, *, flying: bool, bits: int = 0, altitude_m: float | None = 1.5) -> DroneReport:
-    return DroneReport(bits | (nd.State.FLYING if flying else 0), control, altitude_m)
+    return DroneReport(bits | (nd.NavdataState.FLYING if flying else 0), control, altitude_m)
 
 
 def silent(hold_s: float = 60.0, **word: bool) -> CommandArbiter:
@@ -84,7 +84,7 @@ def test_without_a_report_the_watchdog_is_reset_where_the_word_asked_for_it(watc
 @pytest.mark.parametrize("watchdog", [True, False])
 def test_with_a_report_the_watchdog_is_reset_where_the_drone_says_so(watchdog: bool) -> None:
     arbiter = silent(watchdog=not watchdog)
-    arbiter.on_report(report(nd.ControlState.FLYING, flying=True, bits=nd.State.COM_WATCHDOG if watchdog else 0), ms(200))
+    arbiter.on_report(report(nd.ControlState.FLYING, flying=True, bits=nd.NavdataState.COM_WATCHDOG if watchdog else 0), ms(200))
     assert arbiter.commands(ms(201)) == [*([at.ComWdg()] if watchdog else []), FLY, HOVER]
 
 

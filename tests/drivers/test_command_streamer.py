@@ -33,7 +33,7 @@ class Cockpit:
     def hears(self, t: int, control: nd.ControlState, state: int = 0) -> None:
         demo = nd.Demo(control.word, 50, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0.0)
         on_ground = control in (nd.ControlState.LANDED, nd.ControlState.INIT)
-        self.streamer.on_navdata(nd.Navdata.of(state | (0 if on_ground else nd.State.FLYING), 1, (demo,)), ms(t))
+        self.streamer.on_navdata(nd.Navdata.of(state | (0 if on_ground else nd.NavdataState.FLYING), 1, (demo,)), ms(t))
 
     def measures(self, t: int, forward_m_s: float = 0.0) -> None:
         stamp = Stamp(ms(t), ms(t), 0.001, "synced")
@@ -85,7 +85,7 @@ def test_a_take_off_that_does_not_happen_is_given_up(cockpit: Cockpit) -> None:
 
 def test_an_emergency_ends_the_wish_to_take_off(cockpit: Cockpit) -> None:
     cockpit.streamer.take(TakeOff(), ms(0))
-    cockpit.hears(1, nd.ControlState.LANDED, nd.State.EMERGENCY)
+    cockpit.hears(1, nd.ControlState.LANDED, nd.NavdataState.EMERGENCY)
     cockpit.hears(2, nd.ControlState.LANDED)
     assert cockpit.sends(3)[0] == GROUND
 
@@ -153,7 +153,7 @@ def test_a_velocity_command_without_a_fresh_measurement_is_flown_as_hover(cockpi
 
 
 def test_the_watchdog_bit_is_answered(cockpit: Cockpit) -> None:
-    cockpit.hears(0, nd.ControlState.LANDED, nd.State.COM_WATCHDOG)
+    cockpit.hears(0, nd.ControlState.LANDED, nd.NavdataState.COM_WATCHDOG)
     assert cockpit.sends(1) == [at.ComWdg(), GROUND, HOVER]
     cockpit.hears(2, nd.ControlState.LANDED)
     assert cockpit.sends(3) == [GROUND, HOVER]
@@ -184,7 +184,7 @@ def test_the_last_word_is_hover_or_the_landing_commanded(
 
 def landing_at(cockpit: Cockpit, t: int, altitude_m: float, state: int = 0) -> None:
     demo = nd.Demo(nd.ControlState.LANDING.word, 50, 0.0, 0.0, 0.0, round(1000 * altitude_m), 0.0, 0.0, 0.0)
-    cockpit.streamer.on_navdata(nd.Navdata.of(state | nd.State.FLYING, 1, (demo,)), ms(t))
+    cockpit.streamer.on_navdata(nd.Navdata.of(state | nd.NavdataState.FLYING, 1, (demo,)), ms(t))
 
 
 @pytest.mark.parametrize(("altitude_m", "ref"), [(1.0, FLY), (0.3, GROUND)])
@@ -212,7 +212,7 @@ def test_guidance_takes_its_landing_back_by_any_other_command(
 
 
 def test_a_landing_for_our_silence_is_called_off_when_we_are_back(cockpit: Cockpit) -> None:
-    landing_at(cockpit, 0, 1.2, nd.State.COM_WATCHDOG)
+    landing_at(cockpit, 0, 1.2, nd.NavdataState.COM_WATCHDOG)
     assert cockpit.sends(1) == [at.ComWdg(), FLY, HOVER]
     landing_at(cockpit, 5, 1.2)
     assert cockpit.sends(6) == [FLY, HOVER], "the bit is down, as we answered it, and the reason is remembered"

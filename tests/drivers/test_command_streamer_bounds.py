@@ -42,7 +42,7 @@ class Cockpit:
         self.streamer = CommandStreamer(self.options, self.counters)
 
     def hears(self, t: float, control: nd.ControlState | None, bits: int = 0, *, altitude_m: float = 1.0) -> None:
-        state = bits | (0 if control in (LANDED, nd.ControlState.INIT, nd.ControlState.DEFAULT) else nd.State.FLYING)
+        state = bits | (0 if control in (LANDED, nd.ControlState.INIT, nd.ControlState.DEFAULT) else nd.NavdataState.FLYING)
         demo = () if control is None else (nd.Demo(control.word, 50, 0.0, 0.0, 0.0, round(1000 * altitude_m), 0.0, 0.0, 0.0),)
         self.streamer.on_navdata(nd.Navdata.of(state, 1, demo), ms(t))
 
@@ -150,7 +150,7 @@ def test_an_emergency_is_three_periods_and_ends_the_wish_to_take_off(cockpit: Co
     assert [cockpit.ref(t) for t in range(1, 6)] == [emergency] * 3 + [GROUND] * 2
 
 
-@pytest.mark.parametrize("bit", [nd.State.EMERGENCY, nd.State.FLYING])
+@pytest.mark.parametrize("bit", [nd.NavdataState.EMERGENCY, nd.NavdataState.FLYING])
 def test_flight_or_emergency_ends_a_take_off(cockpit: Cockpit, bit: int) -> None:
     cockpit.streamer.take(TakeOff(), ms(0))
     cockpit.hears(1, LANDED, bit)
@@ -164,7 +164,7 @@ def test_a_landing_ends_on_the_ground_alone(cockpit: Cockpit) -> None:
         cockpit.streamer.take(Land(standing=True), ms(1))
         cockpit.hears(2, control)
         assert cockpit.streamer.landing is not ends
-    cockpit.hears(3, FLYING, nd.State.EMERGENCY)
+    cockpit.hears(3, FLYING, nd.NavdataState.EMERGENCY)
     assert cockpit.streamer.landing
 
 
@@ -223,7 +223,7 @@ def test_how_low_a_landing_for_our_silence_is_called_off_owes_nothing_to_one_bef
     if before:
         cockpit.hears(100, FLYING)
     for t, altitude_m, ref in ((2000, 0.3, None), (2010, 0.6, STAY_UP)):
-        cockpit.hears(t, LANDING, nd.State.COM_WATCHDOG, altitude_m=altitude_m)
+        cockpit.hears(t, LANDING, nd.NavdataState.COM_WATCHDOG, altitude_m=altitude_m)
         assert cockpit.ref(t) == ref
 
 
@@ -245,7 +245,7 @@ def test_the_first_step_of_the_loop_takes_no_time_and_other_samples_say_nothing_
 
 
 def test_the_watchdog_is_counted_as_often_as_it_is_reset(cockpit: Cockpit) -> None:
-    cockpit.hears(0, FLYING, nd.State.COM_WATCHDOG)
+    cockpit.hears(0, FLYING, nd.NavdataState.COM_WATCHDOG)
     assert cockpit.streamer.word(ms(1)).watchdog
     assert cockpit.streamer.word(ms(2)).watchdog
     cockpit.hears(3, FLYING)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from drivers.ardrone.landing_watch import Cause, DroneReport, LandingWatch
-from drivers.ardrone.navdata import ControlState, State
+from drivers.ardrone.navdata import ControlState, NavdataState
 from estimator.contracts.time import MonoNs
 
-UNHEARD = State.FLYING | State.COM_WATCHDOG
+UNHEARD = NavdataState.FLYING | NavdataState.COM_WATCHDOG
 
 
 def ms(t: int) -> MonoNs:
@@ -29,7 +29,7 @@ def for_silence() -> LandingWatch:
 @pytest.mark.parametrize(("gap_ms", "cause"), [(1000, Cause.OTHERS), (1001, Cause.SILENCE)])
 def test_only_a_gap_longer_than_a_second_can_have_been_our_silence(gap_ms: int, cause: Cause) -> None:
     watch = LandingWatch()
-    watch.on_report(DroneReport(State.FLYING, ControlState.HOVERING, 1.0), ms(0), ordered=False)
+    watch.on_report(DroneReport(NavdataState.FLYING, ControlState.HOVERING, 1.0), ms(0), ordered=False)
     watch.on_report(landing(), ms(gap_ms), ordered=False)
     assert watch.cause is cause
 

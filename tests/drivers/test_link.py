@@ -56,11 +56,11 @@ async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key() -> None:
         assert drone.configuration == fake.configuration
         first_ids = [ids is not None for ids in fake.ids_before_config]
         assert first_ids == [False] * 4 + [True] * (len(first_ids) - 4), "ids directly before every key once they are in use"
-        assert not fake.state & nd.State.COMMAND_ACK
+        assert not fake.state & nd.NavdataState.COMMAND_ACK
         assert drone.counters.config_acknowledged == len(first_ids)
         assert drone.counters.config_timeouts == drone.counters.config_mismatches == 0
         assert not fake.refused
-        await until(lambda: not fake.state & nd.State.COM_WATCHDOG)
+        await until(lambda: not fake.state & nd.NavdataState.COM_WATCHDOG)
     numbers = [n for n, _ in fake.commands]
     assert numbers[0] == 1
     assert 1 <= numbers.count(1) <= 8, "the first datagrams make the drone count anew, lest one lost datagram deafens it"
@@ -136,7 +136,7 @@ async def test_take_off_velocity_hover_land() -> None:
         await until(lambda: drone.ready)
         assert not any(c.take_off or c.emergency for c in fake.of(at.Ref))
         drone.command(TakeOff())
-        await until(lambda: bool(fake.state & nd.State.FLYING))
+        await until(lambda: bool(fake.state & nd.NavdataState.FLYING))
         fake.vx_mm_s = 100.0
         await steer(drone, fake)
         assert next(c for c in reversed(fake.of(at.Pcmd)) if c.flags == at.PCMD_PROGRESSIVE).pitch < 0
@@ -144,9 +144,9 @@ async def test_take_off_velocity_hover_land() -> None:
         seen = len(fake.of(at.Pcmd))
         await until(lambda: len(fake.of(at.Pcmd)) > seen + 3)
         assert fake.of(at.Pcmd)[-1] == at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)
-        assert fake.state & nd.State.FLYING
+        assert fake.state & nd.NavdataState.FLYING
         drone.command(Land())
-        await until(lambda: not fake.state & nd.State.FLYING)
+        await until(lambda: not fake.state & nd.NavdataState.FLYING)
     assert not any(c.emergency for c in fake.of(at.Ref))
 
 
@@ -155,7 +155,7 @@ async def test_a_silent_pilot_means_hover_within_the_timeout() -> None:
     async with linked(fake, command_timeout_s=0.1) as drone:
         await until(lambda: drone.ready)
         drone.command(TakeOff())
-        await until(lambda: bool(fake.state & nd.State.FLYING))
+        await until(lambda: bool(fake.state & nd.NavdataState.FLYING))
         await steer(drone, fake)
         await until(lambda: fake.of(at.Pcmd)[-1].flags == 0)
         await until(lambda: drone.counters.hover_for_age > 0)
@@ -171,8 +171,8 @@ async def test_leaving_in_flight_leaves_the_drone_in_hover(how: str) -> None:
             async with open_ardrone(options, SystemClock()) as drone:
                 await until(lambda: drone.ready)
                 drone.command(TakeOff())
-                await until(lambda: bool(fake.state & nd.State.FLYING))
-                await until(lambda: bool(drone.navdata and drone.navdata.state & nd.State.FLYING))
+                await until(lambda: bool(fake.state & nd.NavdataState.FLYING))
+                await until(lambda: bool(drone.navdata and drone.navdata.state & nd.NavdataState.FLYING))
                 await steer(drone, fake)
                 flying.set()
                 if how == "error":
@@ -190,7 +190,7 @@ async def test_leaving_in_flight_leaves_the_drone_in_hover(how: str) -> None:
         await asyncio.sleep(0.05)
         assert fake.of(at.Pcmd)[-3:] == [at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)] * 3
         assert fake.of(at.Ref)[-3:] == [at.Ref(at.REF_BASE | at.REF_TAKE_OFF)] * 3
-        assert fake.state & nd.State.FLYING
+        assert fake.state & nd.NavdataState.FLYING
 
 
 async def test_after_leaving_readers_and_commands_hear_of_it() -> None:
@@ -306,16 +306,16 @@ async def test_a_drone_that_begins_anew_is_configured_anew() -> None:
         await until(lambda: drone.ready)
         assert drone.counters.navdata_restarts == 1
         assert "video:video_channel" in fake.configured_in_order
-        assert not fake.state & (nd.State.NAVDATA_BOOTSTRAP | nd.State.COM_WATCHDOG)
+        assert not fake.state & (nd.NavdataState.NAVDATA_BOOTSTRAP | nd.NavdataState.COM_WATCHDOG)
 
 
 async def test_a_drone_that_falls_back_to_demo_mode_is_configured_anew() -> None:
     fake = FakeArDrone()
     async with linked(fake) as drone:
         await until(lambda: drone.ready)
-        fake.state |= nd.State.NAVDATA_DEMO
+        fake.state |= nd.NavdataState.NAVDATA_DEMO
         await until(lambda: not drone.ready)
-        fake.state &= ~nd.State.NAVDATA_DEMO
+        fake.state &= ~nd.NavdataState.NAVDATA_DEMO
         await until(lambda: drone.ready)
 
 

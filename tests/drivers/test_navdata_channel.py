@@ -65,7 +65,7 @@ def test_without_a_clock_the_stamp_says_so(ear: Ear) -> None:
 
 
 def test_bootstrap_has_no_samples_but_is_heard(ear: Ear) -> None:
-    ear.channel.take(nd.encode(nd.Navdata.of(nd.State.NAVDATA_BOOTSTRAP, 1)), MonoNs(5))
+    ear.channel.take(nd.encode(nd.Navdata.of(nd.NavdataState.NAVDATA_BOOTSTRAP, 1)), MonoNs(5))
     assert ear.sequences == [1]
     assert ear.samples == []
     assert ear.channel.received_at == 5

@@ -9,8 +9,8 @@ import pytest
 
 from drivers.ardrone import navdata as nd
 from drivers.ardrone.samples import (
+    NavdataSampler,
     SampleOptions,
-    Sampler,
     height_of_pressure_m,
     pressure_of_height_pa,
     samples_from_navdata,
@@ -70,7 +70,7 @@ def test_units_and_signs_of_everything_in_flight() -> None:
         nd.PhysMeasures(40.0, 0, (100.0, 200.0, -1000.0), (10.0, -20.0, 30.0)),
         nd.Altitude(altitude_raw_mm=1400),
         nd.PressureRaw(0, 0, 400, 101325),
-        state=nd.State.FLYING,
+        state=nd.NavdataState.FLYING,
     )
     samples = samples_from_navdata(navdata, STAMP)
     np.testing.assert_allclose(the(Imu, samples).f_body, [0.980665, 1.96133, -9.80665])
@@ -106,7 +106,7 @@ def test_demo_mode_has_no_imu_and_its_range_is_along_the_body() -> None:
     ("navdata", "absent"),
     [
         (of(DEMO, nd.Altitude(altitude_raw_mm=0)), Range),
-        (of(DEMO, nd.Altitude(altitude_raw_mm=900), state=nd.State.ULTRASOUND_DEAF), Range),
+        (of(DEMO, nd.Altitude(altitude_raw_mm=900), state=nd.NavdataState.ULTRASOUND_DEAF), Range),
         (of(replace(DEMO, altitude_mm=0)), Range),
         (of(replace(DEMO, psi_mdeg=math.nan)), Attitude),
         (of(replace(DEMO, vy_mm_s=math.inf)), BodyVelocity),
@@ -119,12 +119,12 @@ def test_what_is_not_known_is_left_out(navdata: nd.Navdata, absent: type[Any]) -
 
 
 def test_faults_reach_the_status() -> None:
-    status = the(VehicleStatus, samples_from_navdata(of(state=nd.State.EMERGENCY | nd.State.COM_WATCHDOG), STAMP))
+    status = the(VehicleStatus, samples_from_navdata(of(state=nd.NavdataState.EMERGENCY | nd.NavdataState.COM_WATCHDOG), STAMP))
     assert (status.emergency, status.link_ok, status.mode, status.battery_fraction) == (True, False, "unknown", None)
 
 
 def test_repeats_of_slow_sensors_are_left_out() -> None:
-    sampler = Sampler(repeat_s=0.1)
+    sampler = NavdataSampler(repeat_s=0.1)
     given: dict[type[Any], list[int]] = {Range: [], Baro: [], VehicleStatus: [], Imu: []}
     for k in range(40):  # 200 Hz; ultrasound anew every 40 ms, barometer every 10 ms
         navdata = of(
@@ -133,7 +133,7 @@ def test_repeats_of_slow_sensors_are_left_out() -> None:
             nd.RawMeasures(nb_echo=k // 8),
             nd.Altitude(altitude_raw_mm=900),
             nd.PressureRaw(k // 2, 0, 0, 100000),
-            state=nd.State.FLYING | (nd.State.COMMAND_ACK if k % 2 else 0),
+            state=nd.NavdataState.FLYING | (nd.NavdataState.COMMAND_ACK if k % 2 else 0),
         )
         for sample in sampler.samples(navdata, at(5 * k)):
             if type(sample) in given:

@@ -129,13 +129,13 @@ async def test_a_service_that_is_killed_or_stopped_leaves_hover_and_the_drone_in
         await until(lambda: not moving(fake))
         assert sum(bool(p.flags) for p in fake.of(at.Pcmd)[before:]) <= 30, "120 ms at 10 ms each, and what was on its way"
         count = len(fake.of(at.Pcmd))
-        fake.state |= nd.State.COM_WATCHDOG
+        fake.state |= nd.NavdataState.COM_WATCHDOG
         await until(lambda: len(fake.of(at.Pcmd)) > count + 30)
         assert all(p.flags == 0 for p in fake.of(at.Pcmd)[count:])
-        assert fake.state & nd.State.FLYING, "never told to land"
-        await until(lambda: not fake.state & nd.State.COM_WATCHDOG)
+        assert fake.state & nd.NavdataState.FLYING, "never told to land"
+        await until(lambda: not fake.state & nd.NavdataState.COM_WATCHDOG)
         await until(lambda: fake.configuration["general:com_watchdog"] == str(options.hold_com_watchdog_s))
-        fake.state &= ~nd.State.COMMAND_ACK
+        fake.state &= ~nd.NavdataState.COMMAND_ACK
         if how is signal.SIGSTOP:
             # What it had in hand when it was stopped is old; it flies on only by what guidance says now.
             child.send_signal(signal.SIGCONT)
@@ -143,7 +143,7 @@ async def test_a_service_that_is_killed_or_stopped_leaves_hover_and_the_drone_in
             await until(lambda: fake.configuration["general:com_watchdog"] == "2")
         else:
             await until(lambda: not alive(sender))
-            assert fake.state & nd.State.FLYING, "given up after hold_s, to the drone's own rules"
+            assert fake.state & nd.NavdataState.FLYING, "given up after hold_s, to the drone's own rules"
 
 
 async def test_a_new_service_takes_over_from_the_sender_that_holds_the_drone() -> None:
@@ -161,7 +161,7 @@ async def test_a_new_service_takes_over_from_the_sender_that_holds_the_drone() -
             numbers = [n for n, _ in fake.commands[seen:]]
             assert numbers == sorted(numbers), "it goes on counting, and the two are never both heard"
             assert fake.configuration["general:com_watchdog"] == "2"
-        assert fake.state & nd.State.FLYING
+        assert fake.state & nd.NavdataState.FLYING
         assert not any(c.emergency for c in fake.of(at.Ref))
 
 
@@ -179,7 +179,7 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
     async with fake.on_loopback() as options, open_ardrone(options, CLOCK) as drone:
         await until(lambda: drone.ready)
         drone.command(TakeOff())
-        await until(lambda: bool(fake.state & nd.State.FLYING))
+        await until(lambda: bool(fake.state & nd.NavdataState.FLYING))
         fake.vx_mm_s = 100.0
         await steer(drone, fake)
         first = drone.sender_pid
@@ -188,7 +188,7 @@ async def test_a_sender_that_is_killed_or_stuck_is_replaced_and_the_drone_hovers
         await until(lambda: not moving(fake))
         await until(lambda: drone.counters.at_senders == 2 and drone.sender_pid not in (None, first))
         await steer(drone, fake)
-        assert fake.state & nd.State.FLYING
+        assert fake.state & nd.NavdataState.FLYING
         assert not alive(first)
 
 
@@ -240,7 +240,7 @@ async def test_a_blocked_event_loop_means_hover() -> None:
     async with fake.on_loopback(command_timeout_s=0.12) as options, open_ardrone(options, CLOCK) as drone:
         await until(lambda: drone.ready)
         drone.command(TakeOff())
-        await until(lambda: bool(fake.state & nd.State.FLYING))
+        await until(lambda: bool(fake.state & nd.NavdataState.FLYING))
         fake.vx_mm_s = 100.0
         await steer(drone, fake)
         seen = len(fake.of(at.Pcmd))
@@ -250,7 +250,7 @@ async def test_a_blocked_event_loop_means_hover() -> None:
         assert 0 in flags[:30]
         assert not any(flags[flags.index(0) :]), "and guidance has said nothing since"
         assert drone.sender_pid is not None
-        assert fake.state & nd.State.FLYING
+        assert fake.state & nd.NavdataState.FLYING
 
 
 async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> None:

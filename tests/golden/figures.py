@@ -16,7 +16,7 @@ from companion.config.settings import load
 from companion.recorder.reading import open_recording
 from companion.recorder.records import TruthRecord
 from companion.replay.engine import Replay
-from companion.replay.log_observer import LogObserver
+from companion.replay.log_observer import BeliefLogObserver
 from companion.replay.pilots import pilot_of
 from companion.report.figures import all_series, error_rows
 from companion.report.flight_log import FlightLog
@@ -34,7 +34,7 @@ def measured(name: str) -> Figures:
     """Of one golden recording through the shipped settings `sim`, with the recording's own camera and pad."""
     recording = open_recording([HERE / f"{name}.mcap"])
     pilot = pilot_of(recording, load("sim"), None, own_camera=True)
-    log_observer = LogObserver(FlightLog(name, MonoNs(0), pilot.pad, pilot.camera))
+    log_observer = BeliefLogObserver(FlightLog(name, MonoNs(0), pilot.pad, pilot.camera))
     for _, event in Replay(recording, pilot, observers=[log_observer]).steps():
         if isinstance(event, TruthRecord):
             log_observer.on_truth(event)

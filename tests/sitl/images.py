@@ -13,7 +13,7 @@ import numpy as np
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Colours, Pad
-from sitl.camera import Shot
+from sitl.camera import Exposure
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.array([0.15, 0.0, 0.0]))
@@ -33,7 +33,7 @@ def pad(name: str, **colours: tuple[int, int, int]) -> Pad:
 
 def shot(
     height_m: float, aside: tuple[float, float] = (0.0, 0.0), rpy: tuple[float, float, float] = (0.0, 0.0, 0.0), **more: F64
-) -> Shot:
+) -> Exposure:
     """The camera `height_m` over a pad that lies a little askew, its centre `aside` (in frame heights) off the axis."""
     R_ned_pad = Rotation.from_rpy(0.03, -0.02, 0.7)
     p_pad = np.array([3.0, -2.0, -0.5])
@@ -41,10 +41,10 @@ def shot(
     R_ned_cam = R_ned_body @ MOUNT.R
     d_cam_pad = np.array([aside[0] * height_m, aside[1] * height_m, height_m])
     p_body = p_pad - R_ned_cam @ d_cam_pad - R_ned_body @ MOUNT.t
-    return Shot(4.0, R_ned_body, p_body, R_ned_pad, p_pad, **more)
+    return Exposure(4.0, R_ned_body, p_body, R_ned_pad, p_pad, **more)
 
 
-def project(camera: Camera, s: Shot, p_pad: F64) -> F64:
+def project(camera: Camera, s: Exposure, p_pad: F64) -> F64:
     """(N, 2) px by OpenCV: the renderer's own geometry is not used."""
     R = (s.R_ned_body.matrix @ camera.T_body_cam.R.matrix).T
     p_cam_ned = s.p_body_ned + s.R_ned_body.matrix @ camera.T_body_cam.t

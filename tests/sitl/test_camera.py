@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.camera import Renderer, Shot
+from sitl.camera import Exposure, Renderer
 from sitl.light import FLAT, IDEAL, linear_from_srgb
 from sitl.surroundings import Surroundings
 from tests.sitl.images import BENT, BLACK, PLAIN, WHITE, pad, project, shot
@@ -40,7 +40,7 @@ NEAR = [
 ]
 
 
-def light_of(camera: Camera, s: Shot, p: Pad | None, finished: bool = True) -> F64:
+def light_of(camera: Camera, s: Exposure, p: Pad | None, finished: bool = True) -> F64:
     """(H, W) linear light of the green channel, white paint = 1: of the 8-bit frame, or before it was cut to eight bits."""
     renderer = Renderer(camera, p, Surroundings(), FULL, IDEAL)
     if not finished:
@@ -49,7 +49,7 @@ def light_of(camera: Camera, s: Shot, p: Pad | None, finished: bool = True) -> F
     return linear_from_srgb(image[..., 1])
 
 
-def brute_force(camera: Camera, s: Shot, p: Pad, n: int) -> dict[str, F64]:
+def brute_force(camera: Camera, s: Exposure, p: Pad, n: int) -> dict[str, F64]:
     """(H, W) share of disc, orange and white by n x n points a pixel, each asked which paint it falls on."""
     h, w = camera.height, camera.width
     off = (np.arange(n) + 0.5) / n - 0.5
@@ -78,7 +78,7 @@ def brute_force(camera: Camera, s: Shot, p: Pad, n: int) -> dict[str, F64]:
     return out
 
 
-def share(camera: Camera, s: Shot, part: str, finished: bool = True) -> F64:
+def share(camera: Camera, s: Exposure, part: str, finished: bool = True) -> F64:
     """(H, W) share of a pixel that one paint of the pad covers, from frames alone: 8-bit ones, or the light before that."""
     without = light_of(camera, s, None if part == "disc" else pad("thesis", disc=BLACK), finished)
     lit = light_of(
@@ -88,7 +88,7 @@ def share(camera: Camera, s: Shot, part: str, finished: bool = True) -> F64:
 
 
 @pytest.mark.parametrize(("camera", "s"), POSES[:3])
-def test_the_disc_s_centroid_and_area_are_those_of_its_projected_outline(camera: Camera, s: Shot) -> None:
+def test_the_disc_s_centroid_and_area_are_those_of_its_projected_outline(camera: Camera, s: Exposure) -> None:
     uv = project(camera, s, pad("thesis").circle(0.390, 2000))
     x, y = uv.T
     x2, y2 = np.roll(uv, -1, axis=0).T
@@ -115,7 +115,7 @@ def crossings(shares: F64, at_px: F64, along_px: F64) -> F64:
     return np.asarray(s[i] + (0.5 - before) / (after - before) * (s[1] - s[0]))
 
 
-def edge(camera: Camera, s: Shot, points: F64, inward: F64, margin_px: float = 6.0) -> tuple[F64, F64]:
+def edge(camera: Camera, s: Exposure, points: F64, inward: F64, margin_px: float = 6.0) -> tuple[F64, F64]:
     """Points of an edge (N, 3) in `pad` and its inward normals, as pixels and unit vectors in the frame, if well inside it."""
     uv = project(camera, s, points)
     # An edge's normal does not project onto its frame's normal: turn the frame's tangent instead.
@@ -142,7 +142,7 @@ def straight_sides(p: Pad, part: str) -> list[tuple[F64, F64, F64]]:
 
 @pytest.mark.parametrize(("camera", "s"), POSES)
 @pytest.mark.parametrize("part", ["disc", "h", "ring"])
-def test_edges_cross_half_way_where_opencv_projects_them(camera: Camera, s: Shot, part: str) -> None:
+def test_edges_cross_half_way_where_opencv_projects_them(camera: Camera, s: Exposure, part: str) -> None:
     p = pad("thesis")
     shares = share(camera, s, part)
     if part == "disc":
@@ -164,7 +164,7 @@ def test_edges_cross_half_way_where_opencv_projects_them(camera: Camera, s: Shot
 
 
 @pytest.mark.parametrize(("camera", "s"), NEAR)
-def test_the_h_s_corners_by_line_fits_are_opencv_s(camera: Camera, s: Shot) -> None:
+def test_the_h_s_corners_by_line_fits_are_opencv_s(camera: Camera, s: Exposure) -> None:
     p = pad("thesis")
     shares = share(camera, s, "h")
     corners = p.h_corners()
@@ -222,7 +222,7 @@ def test_motion_blur_is_the_mean_of_the_sharp_images_during_the_exposure(
     moving = replace(still, v_body_ned=v, w_body=w, v_pad_ned=vp, w_pad=wp)
     painted, blank = pad("thesis", h=WHITE, ring=WHITE), pad("thesis", disc=BLACK)
 
-    def shares(s: Shot, exposure: float) -> F64:
+    def shares(s: Exposure, exposure: float) -> F64:
         sensor = replace(IDEAL, exposure_s=exposure)
         a, b = (Renderer(PLAIN, p, Surroundings(), FULL, sensor).radiance(s)[..., 1] for p in (painted, blank))
         return (a - b).astype(float)
@@ -230,7 +230,7 @@ def test_motion_blur_is_the_mean_of_the_sharp_images_during_the_exposure(
     mean = np.zeros((360, 640))
     times = (np.arange(40) + 0.5) / 40 * exposure_s - exposure_s / 2
     for t in times:
-        there = Shot(
+        there = Exposure(
             4.0, still.R_ned_body @ Rotation.from_rotvec(w * t), still.p_body_ned + v * t,
             still.R_ned_pad @ Rotation.from_rotvec(wp * t), still.p_pad_ned + vp * t,
         )  # fmt: skip

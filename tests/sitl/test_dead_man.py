@@ -15,7 +15,7 @@ from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.landing_watch import DroneReport
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.samples import Sampler
+from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
@@ -51,7 +51,7 @@ class Bench:
 
     def service(self) -> None:
         """A new process of the service knows nothing."""
-        self.streamer, self.sampler = CommandStreamer(OPTIONS, Counters()), Sampler(OPTIONS.samples)
+        self.streamer, self.sampler = CommandStreamer(OPTIONS, Counters()), NavdataSampler(OPTIONS.samples)
 
     @property
     def now(self) -> MonoNs:

@@ -13,7 +13,7 @@ import pytest
 
 from companion.config.settings import load as load_settings
 from companion.observer import Decision, NullObserver, ProcessedFrame
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from companion.runtime.service import make_pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
@@ -241,7 +241,7 @@ def test_a_refusal_says_what_guidance_said_and_what_became_of_the_frames(monkeyp
     pilot = flight._pilot
 
     def gives_up(now: MonoNs) -> Decision:
-        pilot.outcome = Outcome.GAVE_UP
+        pilot.outcome = FlightOutcome.GAVE_UP
         return Decision(now, "gave up", Hover(), None, (), "the pad was not found again")
 
     monkeypatch.setattr(pilot, "decide", gives_up)

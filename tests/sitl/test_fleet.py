@@ -8,7 +8,7 @@ import pytest
 from estimator.contracts.time import MonoNs
 from sitl.fleet import Fleet
 from sitl.scenario import load
-from sitl.vehicle import Phase
+from sitl.vehicle import VehiclePhase
 from sitl.world import Stick, World
 
 SEEDS = [3, 8, 21]
@@ -40,7 +40,7 @@ def test_lands_on_moving_decks_and_is_carried() -> None:
     v.land()
     for _ in range(1100):
         fleet.step()
-    assert np.all(np.asarray(v.phase) == Phase.LANDED)
+    assert np.all(np.asarray(v.phase) == VehiclePhase.LANDED)
     assert np.all(fleet.on_deck < 0.8)
     rest = fleet.d_body_pad_level
     assert rest[:, 2] == pytest.approx([0.045] * 20, abs=0.05)

@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.settings import load
 from companion.observer import Decision, NullObserver, ProcessedFrame
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from companion.runtime.service import make_pilot
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.estimates import Verdict
@@ -71,7 +71,7 @@ def with_fault(kind: str, start_s: float, duration_s: float) -> Scenario:
 
 def test_it_lands_on_the_pad_and_every_frame_is_counted() -> None:
     result, diary = calm()
-    assert result.outcome is Outcome.LANDED
+    assert result.outcome is FlightOutcome.LANDED
     assert result.landed_on_pad
     assert result.touchdown is not None
     assert result.touchdown.lateral_m < 0.25

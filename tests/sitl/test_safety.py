@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
@@ -91,21 +91,21 @@ def test_contacts_outside_commit_are_those_with_motors_before_guidance_means_to_
 @pytest.mark.parametrize(
     ("outcome", "contacts", "expect", "worth"),
     [
-        (Outcome.LANDED, ["pad"], "land", Grade.ON_PAD),
-        (Outcome.LANDED, ["pad"], "refuse", Grade.ON_PAD),
-        (Outcome.LANDED, ["deck"], "either", Grade.FAILED),
-        (Outcome.LANDED, [], "either", Grade.FAILED),
-        (Outcome.GAVE_UP, [], "refuse", Grade.REFUSED_RIGHTLY),
-        (Outcome.GAVE_UP, [], "either", Grade.REFUSED_RIGHTLY),
-        (Outcome.GAVE_UP, [], "land", Grade.FAILED),
-        (Outcome.GAVE_UP, ["water"], "refuse", Grade.FAILED),
-        (Outcome.EMERGENCY, [], "refuse", Grade.FAILED),
-        (Outcome.LANDED_BY_OTHERS, ["pad"], "either", Grade.FAILED),
+        (FlightOutcome.LANDED, ["pad"], "land", Grade.ON_PAD),
+        (FlightOutcome.LANDED, ["pad"], "refuse", Grade.ON_PAD),
+        (FlightOutcome.LANDED, ["deck"], "either", Grade.FAILED),
+        (FlightOutcome.LANDED, [], "either", Grade.FAILED),
+        (FlightOutcome.GAVE_UP, [], "refuse", Grade.REFUSED_RIGHTLY),
+        (FlightOutcome.GAVE_UP, [], "either", Grade.REFUSED_RIGHTLY),
+        (FlightOutcome.GAVE_UP, [], "land", Grade.FAILED),
+        (FlightOutcome.GAVE_UP, ["water"], "refuse", Grade.FAILED),
+        (FlightOutcome.EMERGENCY, [], "refuse", Grade.FAILED),
+        (FlightOutcome.LANDED_BY_OTHERS, ["pad"], "either", Grade.FAILED),
         (None, [], "refuse", Grade.FAILED),
     ],
 )
 def test_a_flight_is_worth_what_its_scenario_expects(
-    outcome: Outcome | None,
+    outcome: FlightOutcome | None,
     contacts: list[Literal["pad", "deck", "water"]],
     expect: Literal["land", "refuse", "either"],
     worth: Grade,

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from sitl.camera import Renderer, Shot
+from sitl.camera import Exposure, Renderer
 from sitl.light import FLAT, IDEAL, Light, Sensor
 from sitl.sea import SEA_STATES, SHELTERED_SLIGHT, Waves
 from sitl.seakeeping import FERRY, SUPPLY_SHIP
@@ -52,7 +52,7 @@ def test_a_image_comes_from_anywhere_in_any_attitude(
     pad_rpy: tuple[float, float, float],
     v: tuple[float, ...],
 ) -> None:
-    s = Shot(
+    s = Exposure(
         3.0, Rotation.from_rpy(*rpy), np.array(p), Rotation.from_rpy(*pad_rpy), np.array([0.0, 0.0, -0.6]), v_body_ned=np.array(v)
     )
     image = which.render(s, np.random.default_rng(0))
@@ -119,7 +119,7 @@ def test_the_vessel_s_pad_is_where_its_image_shows_it() -> None:
     for t in (0.0, 30.0):
         at = vessel.pad_at(t)
         body = Rotation.from_rpy(0.0, 0.0, 1.0)
-        s = Shot(
+        s = Exposure(
             t,
             body,
             at.p_ned - np.array([0, 0, 3.0]) - body @ PLAIN.T_body_cam.t,

@@ -13,7 +13,7 @@ from sitl.airframe import Airframe, Avionics, Loops
 from sitl.contact import DeckShape, Ground
 from sitl.disturbances import Wind
 from sitl.sea import GRAVITY_M_S2
-from sitl.vehicle import DECK, SEA, Phase, Vehicle
+from sitl.vehicle import DECK, SEA, Vehicle, VehiclePhase
 
 DT = 0.004
 SHAPE = DeckShape(fore_m=3.0, aft_m=2.0, port_m=1.4, starboard_m=1.4)
@@ -66,7 +66,7 @@ def test_hovers_on_its_weight() -> None:
     assert np.abs(v.p_ned - [0.0, 0.0, -10.0]).max() < 1e-6
     assert v.thrust_n == pytest.approx(STILL.mass_kg * GRAVITY_M_S2, rel=1e-6)
     assert v.f_body == pytest.approx([0.0, 0.0, -GRAVITY_M_S2], abs=1e-6)
-    assert v.phase == Phase.HOVERING
+    assert v.phase == VehiclePhase.HOVERING
 
 
 def test_falls_freely_without_motors_or_air() -> None:
@@ -148,7 +148,7 @@ def test_a_command_waits_for_its_delay() -> None:
     v.command(1.0, 0.0, 0.0, 0.0, progressive=True)
     run(v, 0.1)
     assert v.w_body[0] == 0.0
-    assert v.phase == Phase.HOVERING
+    assert v.phase == VehiclePhase.HOVERING
     run(v, 0.02)
     assert v.w_body[0] > 0.0
 
@@ -224,7 +224,7 @@ def test_single_and_batch_agree() -> None:
         assert np.abs(v.v_ned - batch.v_ned[i]).max() < 1e-12
         assert np.abs(v.R_ned_body - batch.R_ned_body[i]).max() < 1e-12
         assert v.touched_what == np.asarray(batch.touched_what)[i]
-    assert [v.phase for v in singles] == [Phase.LANDED, Phase.LANDED, Phase.EMERGENCY, Phase.LANDED]
+    assert [v.phase for v in singles] == [VehiclePhase.LANDED, VehiclePhase.LANDED, VehiclePhase.EMERGENCY, VehiclePhase.LANDED]
     assert np.asarray(batch.tied).tolist() == [True, True, False, True]
 
 
@@ -245,11 +245,11 @@ def test_ground_effect_lifts_and_fades() -> None:
 def test_lands_by_itself_and_stands() -> None:
     v = flying(height_m=2.5)
     v.land()
-    assert v.phase == Phase.LANDING
+    assert v.phase == VehiclePhase.LANDING
     run(v, 2.0, flat_deck())
     assert v.v_ned[2] == pytest.approx(STILL.landing_speed_m_s, abs=0.05)
     run(v, 8.0, flat_deck())
-    assert v.phase == Phase.LANDED
+    assert v.phase == VehiclePhase.LANDED
     assert v.touched_what == DECK
     assert 0.02 < v.touched_v[2] < STILL.landing_speed_m_s
     assert v.thrust_n < 1e-3
@@ -311,7 +311,7 @@ def test_lands_on_a_moving_deck_and_goes_with_it() -> None:
     for n in range(1, 6000):
         g = moving_deck(n * DT)
         v.step(g)
-        if v.phase == Phase.LANDED and v.tied and at_rest is None:
+        if v.phase == VehiclePhase.LANDED and v.tied and at_rest is None:
             at_rest = on_pad(v, g)
     assert at_rest is not None
     assert np.abs(on_pad(v, g) - at_rest).max() < 1e-9
@@ -348,10 +348,10 @@ def test_takes_off_and_hovers() -> None:
     v = make()
     v.stand(flat_deck(), np.array([0.0, 0.0, -STILL.feet.below_m]), 0.2)
     v.land()
-    assert v.phase == Phase.LANDED
+    assert v.phase == VehiclePhase.LANDED
     v.take_off()
     run(v, 10.0, flat_deck())
-    assert v.phase == Phase.HOVERING
+    assert v.phase == VehiclePhase.HOVERING
     assert -v.p_ned[2] - 0.5 == pytest.approx(STILL.take_off_height_m, abs=0.25)
     assert np.hypot(*v.p_ned[:2]) < 0.05
 
@@ -361,23 +361,23 @@ def test_water_ends_the_flight() -> None:
     v.p = (0.0, 4.0, -2.0)
     v.land()
     run(v, 12.0, flat_deck())
-    assert v.phase == Phase.EMERGENCY
+    assert v.phase == VehiclePhase.EMERGENCY
     assert v.touched_what == SEA
     assert v.ditched
     assert v.p_ned[2] == pytest.approx(0.0, abs=0.1)
     v.leave_emergency()
     v.take_off()
-    assert v.phase == Phase.EMERGENCY
+    assert v.phase == VehiclePhase.EMERGENCY
 
 
 def test_emergency_ends_on_deck_only() -> None:
     v = flying(height_m=0.8)
     v.cut_motors()
     v.leave_emergency()
-    assert v.phase == Phase.EMERGENCY
+    assert v.phase == VehiclePhase.EMERGENCY
     run(v, 2.0, flat_deck())
     v.leave_emergency()
-    assert v.phase == Phase.LANDED
+    assert v.phase == VehiclePhase.LANDED
 
 
 def test_a_weak_rotor_drops_its_corner_and_a_dead_one_ends_the_flight() -> None:
@@ -388,10 +388,10 @@ def test_a_weak_rotor_drops_its_corner_and_a_dead_one_ends_the_flight() -> None:
     assert roll < -0.01
     assert pitch < -0.01
     run(v, 5.0)
-    assert v.phase == Phase.HOVERING
+    assert v.phase == VehiclePhase.HOVERING
     v.rotor_health = (0.0, 1.0, 1.0, 1.0)
     run(v, 3.0)
-    assert v.phase == Phase.EMERGENCY
+    assert v.phase == VehiclePhase.EMERGENCY
 
 
 def test_rotors_add_up() -> None:

@@ -15,7 +15,7 @@ from sitl.ardrone.truth_log import record
 from sitl.faults import KINDS, Gust, WeakRotor
 from sitl.safety import outside_commit
 from sitl.scenario import Scenario, Sea, SensorSettings, Start, VesselSettings, WindSettings, load
-from sitl.vehicle import Phase
+from sitl.vehicle import VehiclePhase
 from sitl.world import Readings, RenderedFrame, Stick, Truth, World
 
 CALM = Scenario(
@@ -35,7 +35,7 @@ def run(world: World, seconds: float) -> None:
     world.advance(after(world.now, seconds))
 
 
-def phase_of(world: World) -> Phase:
+def phase_of(world: World) -> VehiclePhase:
     return world.phase
 
 
@@ -62,10 +62,10 @@ class Pilot:
 def land(world: World, limit_s: float) -> Truth:
     pilot, period = Pilot(world), 0.02
     for _ in range(round(limit_s / period)):
-        if world.phase == Phase.FLYING or world.phase == Phase.HOVERING:
+        if world.phase == VehiclePhase.FLYING or world.phase == VehiclePhase.HOVERING:
             pilot.steer(period)
         run(world, period)
-        if world.phase in (Phase.LANDED, Phase.EMERGENCY):
+        if world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY):
             run(world, 1.0)
             break
     return world.truth()
@@ -76,7 +76,7 @@ def test_a_pilot_who_knows_the_truth_lands_on_the_pad(name: str) -> None:
     scenario = load(name)
     truth = land(World(scenario, 3), scenario.duration_limit_s)
     touch = truth.touchdown
-    assert truth.phase == Phase.LANDED
+    assert truth.phase == VehiclePhase.LANDED
     assert touch is not None
     assert touch.on_pad
     assert touch.surface == "pad"
@@ -96,12 +96,12 @@ def test_starts_where_the_scenario_says() -> None:
         truth = world.truth()
         assert truth.d_body_pad_level == pytest.approx([1.5, 2.6, 5.0], abs=1e-9)
         assert math.degrees(truth.yaw_rad) == pytest.approx(heading, abs=1e-9)
-        assert truth.phase == Phase.HOVERING
+        assert truth.phase == VehiclePhase.HOVERING
         assert truth.touchdown is None
     world = World(with_(CALM, start=Start(where="pad", heading_deg=15.0)), 1)
     run(world, 1.0)
     truth = world.truth()
-    assert truth.phase == Phase.LANDED
+    assert truth.phase == VehiclePhase.LANDED
     assert truth.d_body_pad_level == pytest.approx([0.0, 0.0, 0.045], abs=1e-9)
     assert math.degrees(truth.yaw_rad) == pytest.approx(15.0)
 
@@ -187,19 +187,19 @@ def test_the_image_shows_the_pad_where_the_truth_has_it() -> None:
 def test_takes_off_from_a_moving_deck_and_comes_back() -> None:
     world = World(with_(load("demo"), start=Start(where="pad")), 1)
     world.land()
-    assert phase_of(world) == Phase.LANDED
+    assert phase_of(world) == VehiclePhase.LANDED
     world.take_off()
-    assert phase_of(world) == Phase.TAKING_OFF
+    assert phase_of(world) == VehiclePhase.TAKING_OFF
     run(world, 6.0)
-    assert phase_of(world) == Phase.HOVERING
+    assert phase_of(world) == VehiclePhase.HOVERING
     assert world.truth().d_body_pad_level[2] > 0.6
     assert world.truth().touchdown is None
     world.stick(Stick(0.0, 0.0, 0.0, 0.0, True))
     run(world, 0.1)
-    assert phase_of(world) == Phase.FLYING
+    assert phase_of(world) == VehiclePhase.FLYING
     world.land()
     run(world, 8.0)
-    assert phase_of(world) == Phase.LANDED
+    assert phase_of(world) == VehiclePhase.LANDED
     touch = world.truth().touchdown
     assert touch is not None
     assert touch.surface in ("pad", "deck")
@@ -210,7 +210,7 @@ def test_water_is_recorded_as_such() -> None:
     world.land()
     run(world, 10.0)
     truth = world.truth()
-    assert truth.phase == Phase.EMERGENCY
+    assert truth.phase == VehiclePhase.EMERGENCY
     assert truth.touchdown is not None
     assert truth.touchdown.surface == "water"
     assert not truth.touchdown.on_pad
@@ -230,8 +230,8 @@ def test_every_contact_of_a_flight_is_kept_with_what_the_vehicle_was_doing() -> 
     truth = world.truth()
     strike, landing = truth.contacts
     assert truth.touchdown is landing
-    assert (strike.phase, strike.motors, strike.guidance_phase) == (Phase.FLYING, True, "descend")
-    assert (landing.phase, landing.motors, landing.guidance_phase) == (Phase.LANDING, True, "land")
+    assert (strike.phase, strike.motors, strike.guidance_phase) == (VehiclePhase.FLYING, True, "descend")
+    assert (landing.phase, landing.motors, landing.guidance_phase) == (VehiclePhase.LANDING, True, "land")
     assert strike.at < landing.at
     assert strike.vertical_speed_m_s == pytest.approx(0.8 * 0.7, abs=0.1)
     assert landing.vertical_speed_m_s == pytest.approx(0.4, abs=0.1)
@@ -247,12 +247,12 @@ def test_emergency_stops_the_motors_at_once() -> None:
     world = World(CALM, 1)
     world.emergency()
     run(world, 0.4)
-    assert phase_of(world) == Phase.EMERGENCY
+    assert phase_of(world) == VehiclePhase.EMERGENCY
     assert world.readings().motors_pwm < (60, 60, 60, 60)
     assert world.truth().v_body_ned[2] > 2.0
     run(world, 2.0)
     world.leave_emergency()
-    assert phase_of(world) == Phase.LANDED
+    assert phase_of(world) == VehiclePhase.LANDED
 
 
 def test_limits_can_be_set_in_flight() -> None:

@@ -19,7 +19,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import Blurred
 from estimator.vision.pad import Pad
 from estimator.vision.register.glare import CLIPPED, GlareBlob, find
-from estimator.vision.register.state import N_STATE, U8, Footprint, State, light_table
+from estimator.vision.register.state import N_STATE, U8, Footprint, RegistrationState, light_table
 
 _DARK = 0.01
 """Light at which a sensor's noise in the dark, read-out and rounding, equals the noise of the light: variance goes as light plus
@@ -82,8 +82,8 @@ class DenseFit:
 
 
 def patch(
-    px: U8, camera: Camera, pad: Pad, state: State, margin_px: float, max_pixels: int, gamma: bool, exact: bool
-) -> tuple[Patch, State] | None:
+    px: U8, camera: Camera, pad: Pad, state: RegistrationState, margin_px: float, max_pixels: int, gamma: bool, exact: bool
+) -> tuple[Patch, RegistrationState] | None:
     """The part of the frame that holds the pad as the state has it, reduced by a whole factor to about `max_pixels`.
 
     Args:
@@ -181,7 +181,9 @@ def basis(fp: Footprint, cut: Patch) -> tuple[F64, F64]:
     return out, np.stack(changes)
 
 
-def fit(state: State, cut: Patch, pad: Pad, last: DenseFit | None, edge_sigma_px: float, final: bool = False) -> DenseFit:
+def fit(
+    state: RegistrationState, cut: Patch, pad: Pad, last: DenseFit | None, edge_sigma_px: float, final: bool = False
+) -> DenseFit:
     """One linearisation.
 
     Args:
@@ -291,7 +293,7 @@ def _noise_of_paints(r: F64, values: F64, inside: NDArray[np.bool_], grow: float
     return np.asarray(np.maximum(var @ shares, 1e-10))
 
 
-def arrow_amplitudes(state: State, cut: Patch, pad: Pad, fit: DenseFit) -> tuple[float, float, float] | None:
+def arrow_amplitudes(state: RegistrationState, cut: Patch, pad: Pad, fit: DenseFit) -> tuple[float, float, float] | None:
     """How much of an arrowhead is where it should be, how much opposite, and sigma of either; 1 is a whole one.
 
     None when the ring's paint does not differ from the disc's, or no arrowhead would be in view.

@@ -18,7 +18,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.register.dense import TUKEY, median
 from estimator.vision.register.sampling import KINDS, Profiles
 from estimator.vision.register.solver import inverse
-from estimator.vision.register.state import N_STATE, Footprint, State
+from estimator.vision.register.state import N_STATE, Footprint, RegistrationState
 
 _STILL_OFF_PX = 0.1
 _CONTRAST_RATIO = (0.4, 2.5)
@@ -92,7 +92,7 @@ class Shifts:
     """(9, G) how a shift of a group by one px pulls at the gradient."""
 
 
-def shares(state: State, profiles: Profiles, pad: Pad, fp: Footprint | None = None) -> Shares:
+def shares(state: RegistrationState, profiles: Profiles, pad: Pad, fp: Footprint | None = None) -> Shares:
     """See `Shares`; `fp` where it has been worked out already."""
     if fp is None:
         fp = state.footprint(profiles.rays, pad)
@@ -267,7 +267,7 @@ def _noise(r: F64, s: F64, weight: F64, profiles: Profiles) -> F64:
     return out
 
 
-def arrow_amplitude(state: State, profiles: Profiles, pad: Pad, mixed: F64) -> tuple[float, float]:
+def arrow_amplitude(state: RegistrationState, profiles: Profiles, pad: Pad, mixed: F64) -> tuple[float, float]:
     """How much of an arrowhead there is beside the ring's stroke, and its sigma; 1 is a whole one, (0, inf) when out of view."""
     part = profiles.kind_parts[EdgeKind.ARROW]
     w = profiles.usable[part]
@@ -286,7 +286,7 @@ def arrow_amplitude(state: State, profiles: Profiles, pad: Pad, mixed: F64) -> t
     return float(a[2]), math.sqrt(float(r @ r) / max(1.0, free - 3.0) * float(cov[2, 2]))
 
 
-def spacing_ok(state: State, pad: Pad) -> bool:
+def spacing_ok(state: RegistrationState, pad: Pad) -> bool:
     """Whether edges of different kinds are far enough apart for profiles."""
     gap = min(
         pad.disc_radius_m - pad.rim_width_m - pad.arrow_tip_m, pad.ring_inner_m - math.hypot(pad.h_length_m, pad.h_width_m) / 2

@@ -30,7 +30,7 @@ from estimator.vision.register import profiles as profiles_
 from estimator.vision.register.edge_support import EdgeSupport, arrow_support, dense_support, profile_support
 from estimator.vision.register.sampling import sample
 from estimator.vision.register.solver import WEAK_BLUR_PX2, Solver, TiltTarget, depth_in_view, difference, inverse
-from estimator.vision.register.state import N_POSE, N_STATE, U8, State
+from estimator.vision.register.state import N_POSE, N_STATE, U8, RegistrationState
 
 _NOISE_DOUBTED = 5e-4
 """Variance of smoothed light over light: four times what worn paint on a patchy deck comes to. More is something on the pad."""
@@ -43,7 +43,7 @@ _EDGE_DOUBTED_PX = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class RegistrationOptions:
     """What a caller may trade.
 
     Defaults are for 640x360 frames on one thread.
@@ -104,7 +104,7 @@ class Registration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    state: State
+    state: RegistrationState
     H: F64
     """(9, 9) of the frame."""
     cov: F64
@@ -122,7 +122,7 @@ class _Solved:
 
 
 def register(
-    px: U8, camera: Camera, pad: Pad, start: PadPose, prior: Orientation | None = None, options: Options | None = None
+    px: U8, camera: Camera, pad: Pad, start: PadPose, prior: Orientation | None = None, options: RegistrationOptions | None = None
 ) -> Registration | None:
     """Refine a rough pose.
 
@@ -140,13 +140,13 @@ def register(
     """
     if px.shape != (camera.height, camera.width, 3):
         raise ValueError(f"want a frame of shape {(camera.height, camera.width, 3)}, got {px.shape}")
-    options = options if options is not None else Options()
+    options = options if options is not None else RegistrationOptions()
     tilt = TiltTarget.of(prior, camera) if prior is not None else None
     pose = start
     if options.coarse:
         sigma = SIGMA_TILT_RAD if prior is not None and prior.measured else SIGMA_TILT_FREE_RAD
         pose = approach(Pyramid(px), camera, pad, start, sigma) or start
-    state = State.of(pose, camera, options.blur_px, depth_in_view(pose, camera))
+    state = RegistrationState.of(pose, camera, options.blur_px, depth_in_view(pose, camera))
     solved = _refine(px, camera, pad, state, tilt, options)
     if solved is None:
         return None
@@ -158,7 +158,9 @@ def register(
     return _result(solved, camera, pad, prior)
 
 
-def _refine(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget | None, options: Options) -> _Solved | None:
+def _refine(
+    px: U8, camera: Camera, pad: Pad, state: RegistrationState, tilt: TiltTarget | None, options: RegistrationOptions
+) -> _Solved | None:
     radius_px = pad.disc_radius_m / state.m_per_px
     small = (2 * radius_px + 8) ** 2 <= options.dense_pixels
     if not small and profiles_.spacing_ok(state, pad):
@@ -169,7 +171,9 @@ def _refine(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget | N
     return _dense_fit(px, camera, pad, state, tilt, options)
 
 
-def _dense_fit(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget | None, options: Options) -> _Solved | None:
+def _dense_fit(
+    px: U8, camera: Camera, pad: Pad, state: RegistrationState, tilt: TiltTarget | None, options: RegistrationOptions
+) -> _Solved | None:
     got = dense.patch(px, camera, pad, state, 1.5 + 3.0 * state.sigma_px, options.dense_pixels, options.gamma, exact=True)
     if got is None:
         return None
@@ -207,7 +211,9 @@ def _dense_fit(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget 
     return _Solved(state, H, cov, edges, noise, 0.0, visible, inliers, moved * cut.reduced, seen and not doubted, doubted, True)
 
 
-def _by_profiles(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarget | None, options: Options) -> _Solved | None:
+def _by_profiles(
+    px: U8, camera: Camera, pad: Pad, state: RegistrationState, tilt: TiltTarget | None, options: RegistrationOptions
+) -> _Solved | None:
     edges = edges_of(pad)
     solver = Solver(state, tilt, pad)
     for again in range(3):
@@ -263,7 +269,12 @@ def _by_profiles(px: U8, camera: Camera, pad: Pad, state: State, tilt: TiltTarge
 
 
 def _edge_variance(
-    shifts: profiles_.Shifts, accepted: NDArray[np.bool_], delta: F64, noise: float, state: State, options: Options
+    shifts: profiles_.Shifts,
+    accepted: NDArray[np.bool_],
+    delta: F64,
+    noise: float,
+    state: RegistrationState,
+    options: RegistrationOptions,
 ) -> tuple[float, float]:
     """Variance (px^2) of edges' places that neither noise nor pose explains, and the square root of what was measured.
 
@@ -297,7 +308,7 @@ def _growth(fit: profiles_.ProfileFit, samples: int) -> float:
     return max(1.0, together / alone) if alone > 0 else 1.0
 
 
-def _dense_edges_off(state: State, pad: Pad, options: Options, more_px: float) -> F64:
+def _dense_edges_off(state: RegistrationState, pad: Pad, options: RegistrationOptions, more_px: float) -> F64:
     """(9, 9) what unexplained places of edges cost: eight sectors of the disc and four strokes of the H, each by itself."""
     merged_px = min(_MERGED_EDGES_PX3 * (state.m_per_px / pad.disc_radius_m) ** 2, _MERGED_EDGES_MOST_PX)
     letter_m = math.hypot(math.hypot(options.dense_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)
@@ -318,7 +329,7 @@ def _outline(pad: Pad) -> tuple[F64, tuple[slice, ...]]:
     return np.c_[at, np.zeros(len(at))], tuple(slice(a, b) for a, b in pairwise(borders))
 
 
-def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: State, options: Options) -> bool:
+def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: RegistrationState, options: RegistrationOptions) -> bool:
     if not _opposite_in_view(camera, pad, state):
         return False
     got = dense.patch(px, camera, pad, state, 3.0, options.dense_pixels, options.gamma, exact=True)
@@ -330,7 +341,7 @@ def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: State, options: 
     return arrow is not None and arrow[1] - arrow[0] > max(0.5, 4.0 * arrow[2])
 
 
-def _opposite_in_view(camera: Camera, pad: Pad, state: State) -> bool:
+def _opposite_in_view(camera: Camera, pad: Pad, state: RegistrationState) -> bool:
     """Whether a corner of an arrowhead turned by half, or its middle, lies in the frame."""
     corners = -pad.arrowhead()[:, :2]
     at = np.concatenate([corners, corners.mean(axis=0, keepdims=True)]) @ state.R[:, :2].T + state.t

@@ -17,7 +17,7 @@ from estimator.contracts.geometry import F64
 from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind, Edges
 from estimator.vision.pad import Pad
-from estimator.vision.register.state import U8, Footprint, State, light_table, pixel_rays
+from estimator.vision.register.state import U8, Footprint, RegistrationState, light_table, pixel_rays
 
 KINDS = len(EdgeKind)
 _IN_GROUP = 6
@@ -63,7 +63,7 @@ def _table(edges: Edges) -> tuple[F64, NDArray[np.intp], F64]:
 
 
 def sample(
-    px: U8, camera: Camera, pad: Pad, edges: Edges, state: State, max_profiles: int, half: int, gamma: bool
+    px: U8, camera: Camera, pad: Pad, edges: Edges, state: RegistrationState, max_profiles: int, half: int, gamma: bool
 ) -> tuple[Profiles, Footprint] | None:
     """Profiles of 2 * half + 1 pixels across the edges in view, and where they look; None when too few to fix anything."""
     rows, first, total = _table(edges)
@@ -141,7 +141,7 @@ def sample(
     return profiles, fp
 
 
-def _foreign(state: State, profiles: Profiles, fp: Footprint, pad: Pad) -> NDArray[np.bool_]:
+def _foreign(state: RegistrationState, profiles: Profiles, fp: Footprint, pad: Pad) -> NDArray[np.bool_]:
     """(N,) pixels within three sigmas of an edge of another kind."""
     places = fp.places
     x, y = np.abs(places.x), np.abs(places.y)

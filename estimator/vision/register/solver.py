@@ -13,7 +13,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.state import N_STATE, State
+from estimator.vision.register.state import N_STATE, RegistrationState
 
 _FREE_ROTATION_RAD = math.pi / math.sqrt(3.0)
 """Sigma of an angle that could be anything."""
@@ -73,7 +73,7 @@ def depth_in_view(pose: PadPose, camera: Camera) -> float:
 class Solver:
     """Gauss-Newton with the priors in; keeps what the weak ones are centred on."""
 
-    def __init__(self, state: State, tilt: TiltTarget | None, pad: Pad) -> None:
+    def __init__(self, state: RegistrationState, tilt: TiltTarget | None, pad: Pad) -> None:
         self._tilt = tilt
         self._blur = state.blur_px2
         free = np.zeros(N_STATE)
@@ -83,7 +83,7 @@ class Solver:
         self._free = np.diag(free)
         self._reach_m = min(pad.disc_radius_m, 0.6 * state.depth_m)
 
-    def prior(self, state: State) -> tuple[F64, F64]:
+    def prior(self, state: RegistrationState) -> tuple[F64, F64]:
         """(9, 9) information and (9,) gradient."""
         H, g = self._free.copy(), np.zeros(N_STATE)
         g[6:] = (self._blur - state.blur_px2) * WEAK_BLUR_PX2**-2
@@ -93,7 +93,9 @@ class Solver:
             g[3:5] += A @ target
         return H, g
 
-    def step(self, state: State, H: F64, g: F64, limit_px: float, blur_too: bool = True) -> tuple[State, float]:
+    def step(
+        self, state: RegistrationState, H: F64, g: F64, limit_px: float, blur_too: bool = True
+    ) -> tuple[RegistrationState, float]:
         """The next state and how far it moved the frame, px; a step longer than the limit is shortened."""
         H0, g0 = self.prior(state)
         if blur_too:
@@ -106,7 +108,7 @@ class Solver:
             delta = delta * (limit_px / moved)
         return state.moved(delta), moved
 
-    def moved_px(self, state: State, delta: F64) -> float:
+    def moved_px(self, state: RegistrationState, delta: F64) -> float:
         reach = self._reach_m
         # Seen from afar a tilt shortens the frame by its change against the line of sight only.
         lever = reach * (reach / state.depth_m + 0.1)
@@ -114,7 +116,7 @@ class Solver:
         parts = (math.hypot(x, y), abs(z) * reach / state.depth_m, lever * math.hypot(rx, ry), reach * abs(rz))
         return max(parts) / state.m_per_px
 
-    def covariance(self, state: State, H: F64) -> F64:
+    def covariance(self, state: RegistrationState, H: F64) -> F64:
         return inverse(H + self.prior(state)[0])
 
 
@@ -130,7 +132,7 @@ def _solved(H: F64, g: F64) -> F64:
     return np.asarray(x[:, 0] if ok else np.linalg.solve(H, g), float)
 
 
-def difference(a: State, b: State) -> F64:
+def difference(a: RegistrationState, b: RegistrationState) -> F64:
     """(9,) the increment from a to b, which are near one another."""
     (_, xy, xz), (yx, _, yz), (zx, zy, _) = (a.R.T @ b.R).tolist()
     out = np.empty(N_STATE)

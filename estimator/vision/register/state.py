@@ -32,7 +32,7 @@ _MAX_BLUR_PX2 = 49.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class RegistrationState:
     """A pose and a blur."""
 
     R: F64
@@ -47,11 +47,11 @@ class State:
     """Depth at which that scale holds."""
 
     @staticmethod
-    def of(pose: PadPose, camera: Camera, blur_px: float, depth_m: float) -> State:
+    def of(pose: PadPose, camera: Camera, blur_px: float, depth_m: float) -> RegistrationState:
         """`depth_m`: of the part of the pad that is in view."""
         var = blur_px**2 + _PIXEL_VAR
         scale = depth_m / (0.5 * (camera.fx + camera.fy))
-        return State(pose.R_cam_pad.matrix, pose.t_cam_pad, np.array([var, 0.0, var]), scale, depth_m)
+        return RegistrationState(pose.R_cam_pad.matrix, pose.t_cam_pad, np.array([var, 0.0, var]), scale, depth_m)
 
     @property
     def pose(self) -> PadPose:
@@ -68,22 +68,24 @@ class State:
         """Of the point spread with the pixel, mean over directions."""
         return math.sqrt(0.5 * float(self.blur_px2[0] + self.blur_px2[2]))
 
-    def reduced(self, k: int, smoothing_px2: float) -> State:
+    def reduced(self, k: int, smoothing_px2: float) -> RegistrationState:
         """The same in pixels k times as wide, with what their square and a smoothing of them add to the blur."""
         added = _PIXEL_VAR * (1.0 - 1.0 / k**2) + smoothing_px2
         b = self.blur_px2 / k**2 + added * np.array([1.0, 0.0, 1.0])
         return replace(self, blur_px2=b, m_per_px=self.m_per_px * k)
 
-    def restored(self, k: int, smoothing_px2: float) -> State:
+    def restored(self, k: int, smoothing_px2: float) -> RegistrationState:
         """Undoes `reduced`; what is left is at least a pixel's, since a blur found in wide pixels may be less than they add."""
         added = _PIXEL_VAR * (1.0 - 1.0 / k**2) + smoothing_px2
         b = (self.blur_px2 - added * np.array([1.0, 0.0, 1.0])) * k**2
         return replace(self, blur_px2=_possible(b), m_per_px=self.m_per_px / k)
 
-    def moved(self, delta: F64) -> State:
+    def moved(self, delta: F64) -> RegistrationState:
         """(9,) increment applied; the blur stays a covariance no smaller than a pixel's."""
         R = self.R @ cv2.Rodrigues(delta[3:6])[0]
-        return State(R, self.t + self.R @ delta[:3], _possible(self.blur_px2 + delta[6:9]), self.m_per_px, self.depth_m)
+        return RegistrationState(
+            R, self.t + self.R @ delta[:3], _possible(self.blur_px2 + delta[6:9]), self.m_per_px, self.depth_m
+        )
 
     def footprint(self, rays: F64, pad: Pad) -> Footprint:
         """Where pixels look. `rays` (N, 2) are x/z, y/z."""

@@ -11,7 +11,7 @@ import numpy as np
 from estimator.contracts.estimates import Feature
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
-from estimator.vision.pose import Marks, View
+from estimator.vision.pose import Marks, OrientedCamera
 from estimator.vision.thesis.blob import U8
 from estimator.vision.thesis.right_angles import RightAngle, refine
 from estimator.vision.thesis.segmentation import F32, Segmentation
@@ -47,7 +47,7 @@ class _Centroid:
     perimeter_px: float
 
 
-def find_arrow(seg: Segmentation, view: View, pad: Pad, orangeness: F32 | None) -> Arrow | None:
+def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F32 | None) -> Arrow | None:
     """The arrow, or None when the H leaves the frame, there is no tip, or the two do not fit one another.
 
     Args:
@@ -110,7 +110,7 @@ def find_arrow(seg: Segmentation, view: View, pad: Pad, orangeness: F32 | None) 
     return Arrow(Marks(uv, np.array([[0.0, 0.0], [pad.arrow_tip_m, 0.0]]), modes), confidence, features)
 
 
-def _centroid(seg: Segmentation, whiteness: F32, view: View) -> _Centroid | None:
+def _centroid(seg: Segmentation, whiteness: F32, view: OrientedCamera) -> _Centroid | None:
     """Centre of the H: the centroid of its paint over the level plane; over the frame the nearer half counts more."""
     near = cv2.dilate(seg.h, np.ones((3, 3), np.uint8), iterations=2)
     u0, v0, w, h = cv2.boundingRect(near)
@@ -170,7 +170,7 @@ def _paint_behind(tips: F64, inwards: F64, orangeness: F32, pad: Pad, px_per_m: 
     return np.asarray(np.median(cv2.remap(orangeness, u, v, cv2.INTER_LINEAR), axis=1), float)
 
 
-def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: View, pad: Pad, scale: float) -> float | None:
+def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: OrientedCamera, pad: Pad, scale: float) -> float | None:
     """Misfit of tip and H: length against the H's area, bisector against the centre, angle of the arms against 90 degrees.
 
     None when any of them is out of the question. The H's long axis is no help: its moments are alike along and across.
@@ -190,7 +190,7 @@ def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: View, pad: Pad
     return float(np.mean(parts**2)) if np.all(np.abs(parts) <= 3.0) else None
 
 
-def _local_px(view: View, plane: F64) -> float:
+def _local_px(view: OrientedCamera, plane: F64) -> float:
     """Pixels for one unit of the level plane at this place."""
     h = 1e-3
     uv = view.pixels(plane + h * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]))

@@ -19,7 +19,7 @@ import numpy as np
 from estimator.contracts.estimates import Feature
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
-from estimator.vision.pose import Marks, View, point_modes
+from estimator.vision.pose import Marks, OrientedCamera, point_modes
 from estimator.vision.thesis.blob import U8
 from estimator.vision.thesis.right_angles import RightAngle, candidates, refine
 from estimator.vision.thesis.segmentation import F32, Segmentation
@@ -48,7 +48,7 @@ class Corners:
     """Which side of the cross-bar the starting pair stood on."""
 
 
-def find_corners(seg: Segmentation, view: View, pad: Pad) -> Corners | None:
+def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Corners | None:
     """The corners of the H, or None when fewer than two inner ones show or they do not fit the drawing."""
     whiteness = seg.whiteness
     if whiteness is None:
@@ -170,7 +170,7 @@ def _match(found: list[RightAngle], plane: F64, drawing: F64, lay: Lay, pad: Pad
     return pairs, float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) / unit
 
 
-def _painted(lay: Lay, seg: Segmentation, view: View, pad: Pad, whiteness: F32) -> bool:
+def _painted(lay: Lay, seg: Segmentation, view: OrientedCamera, pad: Pad, whiteness: F32) -> bool:
     """Whether the frame is white where the laid drawing is and not where it is not, at the places that lie in the frame."""
     leg_y = 0.5 * (pad.h_width_m - pad.leg_width_m)
     ends = 0.4 * pad.h_length_m

@@ -10,7 +10,7 @@ from estimator.contracts.estimates import Feature, Method, Sighting
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.pose import SIGMA_DECK_RAD, Marks, Orientation, View, sighting, solve
+from estimator.vision.pose import SIGMA_DECK_RAD, Marks, Orientation, OrientedCamera, sighting, solve
 from estimator.vision.thesis.arrow import find_arrow
 from estimator.vision.thesis.corners import find_corners
 from estimator.vision.thesis.ellipse import find_disc
@@ -51,7 +51,7 @@ def detect(
     if frame.px.shape[:2] != (camera.height, camera.width):
         h, w = frame.px.shape[:2]
         raise ValueError(f"the frame is {w}x{h} px, the camera's are {camera.width}x{camera.height}")
-    view = View(camera, Orientation.of(attitude, sigma_deck_rad))
+    view = OrientedCamera(camera, Orientation.of(attitude, sigma_deck_rad))
     seg = segment(frame.px, colours)
     if seg is None:
         return Detection(None, None, MappingProxyType({"ellipse": None, "arrow": None, "corners": None}))

@@ -16,7 +16,7 @@ import numpy as np
 from estimator.contracts.estimates import Feature
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
-from estimator.vision.pose import Marks, View
+from estimator.vision.pose import Marks, OrientedCamera
 from estimator.vision.thesis.segmentation import Segmentation
 
 _POINTS = 120
@@ -118,7 +118,7 @@ class DiscOutline:
     features: tuple[Feature, ...]
 
 
-def find_disc(seg: Segmentation, view: View, pad: Pad) -> DiscOutline | None:
+def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> DiscOutline | None:
     """The disc's outline, or None when it leaves the frame, is too small, or is no ellipse."""
     if seg.touches_border:
         return None

@@ -14,9 +14,9 @@ import companion.config.settings as settings_of
 from companion.config.model import Settings
 from companion.mavlink.commands import ACCEPTED, CANCELLED, DENIED, FAILED, IN_PROGRESS, UNSUPPORTED, CommandServer, Offered
 from companion.mavlink.computer import Computer, ComputerReader, computer_status
-from companion.mavlink.operator import Progress
+from companion.mavlink.operator import LandingProgress
 from companion.mavlink.parameters import ParameterServer
-from companion.mavlink.status_texts import Severity, StatusTexts
+from companion.mavlink.status_texts import MavSeverity, StatusTexts
 from companion.mavlink.tunables import NAMES, Tunables
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
@@ -39,7 +39,7 @@ class Tower:
     def __init__(self) -> None:
         self.handlers: list[str] = []
         self.refusal: str | None = None
-        self.state = Progress(None)
+        self.state = LandingProgress(None)
 
     def _handler(self, name: str) -> str | None:
         if self.refusal is None:
@@ -61,7 +61,7 @@ class Tower:
     def record(self, on: bool) -> str | None:
         return self._handler(f"record {on}")
 
-    def progress(self) -> Progress:
+    def progress(self) -> LandingProgress:
         return self.state
 
 
@@ -173,24 +173,24 @@ def test_a_sender_that_repeats_without_counting_is_understood() -> None:
 def test_a_landing_reports_until_it_ends() -> None:
     tower = Tower()
     commands = server(tower)
-    tower.state = Progress(0)
+    tower.state = LandingProgress(0)
     assert acks(commands.on_message(long(21), STATION, US, at(0))) == [(21, IN_PROGRESS, 0)]
     assert commands.due(at(0.5)) == []
-    tower.state = Progress(40)
+    tower.state = LandingProgress(40)
     assert acks(commands.due(at(1.1))) == [(21, IN_PROGRESS, 40)]
     assert acks(commands.on_message(long(21, confirmation=1), STATION, US, at(1.2))) == [(21, IN_PROGRESS, 40)]
-    tower.state = Progress(None)
+    tower.state = LandingProgress(None)
     assert acks(commands.due(at(2.2))) == [(21, IN_PROGRESS, 255)]
-    tower.state = Progress(100, landed=True)
+    tower.state = LandingProgress(100, landed=True)
     assert acks(commands.due(at(2.3))) == [(21, ACCEPTED, 0)]
     assert commands.due(at(9)) == []
     assert tower.handlers == ["begin"]
 
 
 @pytest.mark.parametrize(
-    ("end", "result"), [(Progress(None, landed=False), FAILED), (Progress(None, called_off=True), CANCELLED)]
+    ("end", "result"), [(LandingProgress(None, landed=False), FAILED), (LandingProgress(None, called_off=True), CANCELLED)]
 )
-def test_a_landing_that_did_not_come_about(end: Progress, result: int) -> None:
+def test_a_landing_that_did_not_come_about(end: LandingProgress, result: int) -> None:
     tower = Tower()
     commands = server(tower)
     commands.on_message(long(21), STATION, US, at(0))
@@ -330,8 +330,8 @@ def said(messages: list[Message]) -> list[tuple[int, str]]:
 def test_texts_are_few_and_the_severe_ones_go_first() -> None:
     texts = StatusTexts(rate_hz=1.0, burst=3, waiting=4)
     for n in range(6):
-        texts.say(Severity.INFO, f"news {n}", at(0))
-    texts.say(Severity.CRITICAL, "gave up", at(0))
+        texts.say(MavSeverity.INFO, f"news {n}", at(0))
+    texts.say(MavSeverity.CRITICAL, "gave up", at(0))
     first = said(texts.due(at(0)))
     assert first[0] == (2, "gave up")
     assert len(first) == 3
@@ -343,9 +343,9 @@ def test_texts_are_few_and_the_severe_ones_go_first() -> None:
 def test_the_same_text_is_not_said_twice_in_a_row() -> None:
     texts = StatusTexts()
     for n in range(5):
-        texts.say(Severity.WARNING, "pad lost", at(n))
+        texts.say(MavSeverity.WARNING, "pad lost", at(n))
     assert len(texts.due(at(5))) == 1
-    texts.say(Severity.WARNING, "pad lost", at(20))
+    texts.say(MavSeverity.WARNING, "pad lost", at(20))
     assert len(texts.due(at(20))) == 1
 
 
@@ -353,7 +353,7 @@ def test_the_same_text_is_not_said_twice_in_a_row() -> None:
 def test_long_texts_come_in_chunks_that_join(length: int) -> None:
     texts = StatusTexts()
     text = "".join(chr(ord("a") + n % 26) for n in range(length))
-    texts.say(Severity.INFO, text, at(0))
+    texts.say(MavSeverity.INFO, text, at(0))
     chunks = [wired(m) for m in texts.due(at(0))]
     assert "".join(c.text for c in chunks) == text
     assert [c.chunk_seq for c in chunks] == list(range(len(chunks)))

@@ -13,8 +13,8 @@ import companion.config.settings as settings_of
 from companion.config import build
 from companion.config.vehicle import AutopilotSettings
 from companion.mavlink.make import AutopilotPart
-from companion.pilot import Outcome
-from companion.runtime.daemon import Daemon, Link
+from companion.pilot import FlightOutcome
+from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.health import Health
 from companion.runtime.service import make_pilot
 from drivers.mavlink.autopilot import Autopilot
@@ -51,7 +51,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
     opened: list[Autopilot] = []
 
     @asynccontextmanager
-    async def open_link() -> AsyncIterator[Link]:
+    async def open_link() -> AsyncIterator[VehicleLink]:
         async with part.open() as link:
             assert isinstance(link, Autopilot)
             opened.append(link)
@@ -67,7 +67,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
         once=True,
         health=health,
     )
-    outcomes: list[Outcome | None] = []
+    outcomes: list[FlightOutcome | None] = []
 
     async def serve() -> None:
         outcomes.append(await daemon.run())
@@ -95,7 +95,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
                 )
                 if outcomes:
                     break
-    assert outcomes == [Outcome.LANDED]
+    assert outcomes == [FlightOutcome.LANDED]
     landing = craft.body.landing()
     assert landing is not None
     assert landing.on_deck

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from companion.mavlink.operator import Progress
+from companion.mavlink.operator import LandingProgress
 from companion.mavlink.tunables import NAMES
 from drivers.mavlink.access import Named
 from sitl.testing.fake_autopilot import FakeAutopilot
@@ -87,13 +87,13 @@ async def test_a_landing_commanded_by_mavsdk_is_answered_when_it_is_over() -> No
     from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
 
     async with met() as (stage, system):
-        stage.tower.state = Progress(10)
+        stage.tower.state = LandingProgress(10)
         landing = asyncio.ensure_future(command(MavlinkDirectAsync(system), 21))
         try:
             await asyncio.sleep(1.5)
             assert not landing.done()
             assert stage.tower.handlers == ["begin"]
-            stage.tower.state = Progress(100, landed=True)
+            stage.tower.state = LandingProgress(100, landed=True)
             async with asyncio.timeout(60):
                 assert (await landing)["result"] == 0
         finally:

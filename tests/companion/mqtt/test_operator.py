@@ -6,7 +6,7 @@ import pytest
 
 from companion.config.settings import load
 from companion.mqtt.operator import PilotOperator
-from companion.pilot import Outcome, Pilot
+from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.service import make_pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs
@@ -27,7 +27,7 @@ def test_start_pause_and_abort_reach_the_pilot_and_nothing_follows_an_abort() ->
     assert operator.start() is None
     assert pilot.decide(MonoNs(3)).phase != "paused"
     assert operator.abort() is None
-    assert pilot.outcome is Outcome.ABORTED
+    assert pilot.outcome is FlightOutcome.ABORTED
     assert isinstance(pilot.decide(MonoNs(4)).command, Hover)
     assert operator.start() == operator.pause() == operator.abort() == "the flight is over: aborted"
 

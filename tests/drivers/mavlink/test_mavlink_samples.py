@@ -10,7 +10,7 @@ import pytest
 
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.samples import Sampler
+from drivers.mavlink.samples import MavlinkSampler
 from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import Rotation
@@ -20,8 +20,8 @@ from estimator.contracts.time import MonoNs
 NOW = MonoNs(9_000_000_000)
 
 
-def sampler(stack: Stack = Stack.ARDUPILOT, **options: Any) -> Sampler:
-    return Sampler(stack, BootClock(TimeSync()), **options)
+def sampler(stack: Stack = Stack.ARDUPILOT, **options: Any) -> MavlinkSampler:
+    return MavlinkSampler(stack, BootClock(TimeSync()), **options)
 
 
 def attitude(yaw_deg: float, roll_deg: float = 3.0, pitch_deg: float = -5.0) -> Any:
@@ -115,7 +115,7 @@ def test_our_own_range_echoed_by_the_autopilot_is_not_a_measurement() -> None:
     assert sampler(ranges=False).samples(distance(345), NOW) == []
 
 
-def status(s: Sampler, message: Any, at: int = NOW) -> VehicleStatus | None:
+def status(s: MavlinkSampler, message: Any, at: int = NOW) -> VehicleStatus | None:
     out = s.samples(message, MonoNs(at))
     assert len(out) <= 1
     assert not out or isinstance(out[0], VehicleStatus)

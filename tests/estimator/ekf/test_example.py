@@ -13,7 +13,7 @@ import pytest
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import Imu
 from estimator.ekf import at
-from sitl.testing.estimator_truth import EPOCH_NS, Flight, Setting, events, ns
+from sitl.testing.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
 
 PAGE = Path(__file__).parents[3] / "docs" / "estimator.md"
 
@@ -25,7 +25,7 @@ def test_thirty_lines_on_a_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str
     example = ModuleType("example")
     exec(compile(block[1], str(PAGE), "exec"), example.__dict__)
 
-    flight = Flight(Setting(seed=2, sea=2, duration_s=6.0, imu_hz=100.0, attitude_wander_deg=0.01, attitude_bias_deg=0.0))
+    flight = TruthFlight(Setting(seed=2, sea=2, duration_s=6.0, imu_hz=100.0, attitude_wander_deg=0.01, attitude_bias_deg=0.0))
     path = tmp_path / "flight.csv"
     with path.open("w", newline="") as file:
         out = csv.writer(file)

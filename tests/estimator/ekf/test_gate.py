@@ -13,12 +13,12 @@ from estimator.contracts.samples import Imu, Range
 from estimator.ekf import Ekf, EkfOptions, at, gate, start, step
 from estimator.ekf.algebra import Algebra
 from estimator.ekf.state import VEL_SCALE, N, RejectionStreak
-from sitl.testing.estimator_truth import EPOCH_NS, Flight, Setting, events, ns, stamp
+from sitl.testing.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns, stamp
 
 CALM = Setting(seed=1, sea=2, duration_s=9.0, imu_hz=100.0, sighting_hz=20.0, attitude_hz=20.0, velocity_hz=20.0)
 
 
-def error_m(ekf: Ekf, flight: Flight, t: float) -> float:
+def error_m(ekf: Ekf, flight: TruthFlight, t: float) -> float:
     state = at(ekf, ns(t))
     assert state is not None
     return float(np.linalg.norm(state.d_body_pad_level - flight.relative(np.array([t]))[0][0]))
@@ -28,7 +28,7 @@ def shifted(s: Sighting, by: np.ndarray) -> Sighting:
     return replace(s, d_body_pad_level=s.d_body_pad_level + by)
 
 
-def level(flight: Flight, t_s: float, ned: np.ndarray) -> np.ndarray:
+def level(flight: TruthFlight, t_s: float, ned: np.ndarray) -> np.ndarray:
     """A vector fixed to the world, in the axes that turn with the body."""
     R = flight.attitude(np.array([t_s]))[0]
     c, s = R[:2, 0] / np.hypot(*R[:2, 0])
@@ -36,7 +36,7 @@ def level(flight: Flight, t_s: float, ned: np.ndarray) -> np.ndarray:
 
 
 def test_five_percent_wrong_sightings_never_capture_it() -> None:
-    flight = Flight(replace(CALM, outliers=0.05, duration_s=12.0))
+    flight = TruthFlight(replace(CALM, outliers=0.05, duration_s=12.0))
     ekf, gated, next_s, worst = start(), 0, 2.0, 0.0
     for event in events(flight):
         ekf, outcomes = step(ekf, event)
@@ -49,7 +49,7 @@ def test_five_percent_wrong_sightings_never_capture_it() -> None:
 
 
 def test_a_false_pad_beside_the_true_one_is_refused_as_long_as_the_true_one_shows() -> None:
-    flight = Flight(CALM)
+    flight = TruthFlight(CALM)
     ekf, refused = start(), []
     for event in events(flight):
         wrong = isinstance(event, Sighting) and event.stamp.measured_at > ns(3.0) and event.seq % 2 == 0
@@ -67,7 +67,7 @@ def test_a_false_pad_beside_the_true_one_is_refused_as_long_as_the_true_one_show
 
 def test_a_pad_that_has_moved_for_good_is_believed_after_a_while() -> None:
     """The way back: what was refused again and again, always alike, becomes the belief, and says so by `consistent`."""
-    flight = Flight(CALM)
+    flight = TruthFlight(CALM)
     jump = np.array([0.8, -0.5, 0.2])
     ekf, verdicts, extended = start(), [], False
     for event in events(flight):
@@ -101,7 +101,7 @@ def test_a_belief_that_drifts_away_from_what_is_seen_finds_back() -> None:
     far = gate.extended(streak, 8 * 100_000_000, np.array([1.5, 0.0, 1.4]), 0.01**2)
     assert far.n == 1, "two false pads do not agree"
 
-    flight, ekf, last, longest = Flight(setting(86)), start(OPTIONS), ns(2.0), 0.0
+    flight, ekf, last, longest = TruthFlight(setting(86)), start(OPTIONS), ns(2.0), 0.0
     for event in events(flight):
         ekf, outcomes = step(ekf, event)
         if isinstance(event, Sighting) and outcomes[0].verdict is Verdict.FUSED and event.stamp.measured_at > last:
@@ -115,7 +115,7 @@ def test_a_belief_that_drifts_away_from_what_is_seen_finds_back() -> None:
 def test_a_slow_vessel_s_ground_is_not_taken_for_its_deck() -> None:
     """0.2 m/s under way, a sensor over the ground, and an accelerometer that errs by more than that within two seconds."""
     ekf = start(OPTIONS)
-    for event in events(Flight(setting(37))):
+    for event in events(TruthFlight(setting(37))):
         ekf, _ = step(ekf, event)
         if event.stamp.received_at > ns(10.0):
             break
@@ -125,7 +125,7 @@ def test_a_slow_vessel_s_ground_is_not_taken_for_its_deck() -> None:
 
 
 def test_a_wrong_first_sighting_is_soon_overthrown() -> None:
-    flight = Flight(CALM)
+    flight = TruthFlight(CALM)
     ekf, first = start(), True
     for event in events(flight):
         if isinstance(event, Sighting) and first:
@@ -137,7 +137,7 @@ def test_a_wrong_first_sighting_is_soon_overthrown() -> None:
 
 
 def test_the_deck_edge_is_gated_and_not_believed() -> None:
-    flight = Flight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
+    flight = TruthFlight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
     ekf, beyond = start(), []
     for event in events(flight):
         if isinstance(event, Range) and event.stamp.measured_at > ns(5.0):
@@ -155,7 +155,7 @@ def test_range_is_of_use_over_the_deck_and_refused_far_from_it() -> None:
     beside = replace(CALM, legs=((0.0, 2.5, 0.0, 2.0), (9.0, 2.5, 0.0, 2.0)), lively=0.2, range_hz=20.0)
     for chosen, wanted in ((over, Verdict.FUSED), (beside, Verdict.GATED)):
         ekf, verdicts = start(), []
-        for event in events(Flight(chosen)):
+        for event in events(TruthFlight(chosen)):
             ekf, outcomes = step(ekf, event)
             if isinstance(event, Range) and event.stamp.measured_at > ns(4.0):
                 verdicts.append(outcomes[0].verdict)
@@ -165,7 +165,7 @@ def test_range_is_of_use_over_the_deck_and_refused_far_from_it() -> None:
 @pytest.mark.parametrize("confidence", [0.0, 0.04])
 def test_a_sighting_that_does_not_trust_itself_is_refused(confidence: float) -> None:
     ekf = start()
-    for event in events(Flight(CALM)):
+    for event in events(TruthFlight(CALM)):
         if event.stamp.received_at > ns(1.0):
             break
         ekf, _ = step(ekf, event)
@@ -204,7 +204,7 @@ def test_first_imu_alone_levels_the_body() -> None:
 
 def test_an_offset_of_the_range_sensor_is_learned_and_not_believed() -> None:
     """An AR.Drone's ultrasound sits 3.4 cm under what motion capture calls the drone."""
-    flight = Flight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
+    flight = TruthFlight(replace(CALM, legs=((0.0, 0.1, 0.0, 2.0), (9.0, 0.1, 0.0, 2.0)), lively=0.2, range_hz=20.0))
     ekf = start()
     for event in events(flight):
         if isinstance(event, Range):

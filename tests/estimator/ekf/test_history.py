@@ -13,7 +13,7 @@ from estimator.contracts.estimates import RelativeState, Sighting, Verdict
 from estimator.contracts.samples import Baro, Imu, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.ekf import Ekf, EkfOptions, at, start, step
-from sitl.testing.estimator_truth import EPOCH_NS, Flight, Setting, events, ns
+from sitl.testing.estimator_truth import EPOCH_NS, Setting, TruthFlight, events, ns
 
 SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro_hz=10.0, imu_hz=100.0, outliers=0.05)
 
@@ -42,7 +42,7 @@ def same(one: RelativeState | None, two: RelativeState | None) -> float:
 
 
 def test_late_and_shuffled_equals_in_order() -> None:
-    received_at = events(Flight(SETTING))
+    received_at = events(TruthFlight(SETTING))
     in_order = sorted(received_at, key=lambda e: (e.stamp.measured_at, isinstance(e, Sighting)))
     assert sum(a is not b for a, b in zip(received_at, in_order, strict=True)) > 100
     rng = np.random.default_rng(0)
@@ -57,7 +57,7 @@ def test_late_and_shuffled_equals_in_order() -> None:
 
 
 def test_an_older_memory_is_not_touched() -> None:
-    received_at = events(Flight(SETTING))
+    received_at = events(TruthFlight(SETTING))
     half, _ = run(received_at[:600])
     before = at(half, ns(3.0))
     for event in received_at[600:900]:
@@ -67,7 +67,7 @@ def test_an_older_memory_is_not_touched() -> None:
 
 def test_reading_on_another_thread_changes_nothing() -> None:
     """The eyes ask where the pad is expected while the loop goes on stepping."""
-    received_at = events(Flight(replace(SETTING, duration_s=2.0)))
+    received_at = events(TruthFlight(replace(SETTING, duration_s=2.0)))
     alone, _ = run(received_at)
     half, _ = run(received_at[: len(received_at) // 2])
     done, read = threading.Event(), [0]
@@ -94,7 +94,7 @@ def test_reading_on_another_thread_changes_nothing() -> None:
 
 
 def test_too_old_and_too_new() -> None:
-    ekf, _ = run([e for e in events(Flight(SETTING)) if isinstance(e, Imu)])
+    ekf, _ = run([e for e in events(TruthFlight(SETTING)) if isinstance(e, Imu)])
     now = EPOCH_NS + 5_000_000_000
     old = Baro(Stamp(MonoNs(now - 2_000_000_000), MonoNs(now), 0.0, "sim"), 1.0, 0.1)
     new = Baro(Stamp(MonoNs(now + 300_000_000), MonoNs(now), 0.1, "sim"), 1.0, 0.1)
@@ -106,9 +106,11 @@ def test_too_old_and_too_new() -> None:
 
 
 def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
-    received_at = events(Flight(SETTING))
+    received_at = events(TruthFlight(SETTING))
     ekf, _ = run(received_at)
-    later = [e for e in events(Flight(Setting(seed=4, sea=4, duration_s=15.0, imu_hz=100.0))) if e.stamp.measured_at > ns(13.0)]
+    later = [
+        e for e in events(TruthFlight(Setting(seed=4, sea=4, duration_s=15.0, imu_hz=100.0))) if e.stamp.measured_at > ns(13.0)
+    ]
     verdicts = []
     for event in later:
         ekf, outcomes = step(ekf, event)
@@ -121,14 +123,14 @@ def test_a_pause_of_all_streams_does_not_lock_out_what_follows() -> None:
 def test_nothing_known_is_none_and_needs_an_attitude() -> None:
     ekf = start()
     assert at(ekf, ns(0.0)) is None
-    sightings = [e for e in events(Flight(SETTING)) if isinstance(e, Sighting)]
+    sightings = [e for e in events(TruthFlight(SETTING)) if isinstance(e, Sighting)]
     ekf, outcomes = step(ekf, sightings[0])
     assert outcomes[0].verdict is Verdict.NO_ATTITUDE
     assert at(ekf, ns(1.0)) is None
 
 
 def test_history_is_bounded() -> None:
-    ekf, _ = run(events(Flight(SETTING)), EkfOptions(history_s=0.5))
+    ekf, _ = run(events(TruthFlight(SETTING)), EkfOptions(history_s=0.5))
     times = [node.key[0] for node in ekf.history.nodes]
     assert times[-1] - times[0] <= 500_000_000
     assert len(times) < 200

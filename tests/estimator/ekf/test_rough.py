@@ -18,9 +18,9 @@ from estimator.contracts.time import MonoNs
 from estimator.ekf import Ekf, at, moving, start, step
 from estimator.ekf.state import TURN_RATE, VEL
 from sitl.testing import voyage_truth
-from sitl.testing.voyage_truth import OPTIONS, Event, Scene, Voyage, ns
+from sitl.testing.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
 
-QUICK = Scene(duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, range_hz=5.0, gaps=1)
+QUICK = VoyageScene(duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, range_hz=5.0, gaps=1)
 
 
 @pytest.mark.parametrize("sea", ["small boat", "turning", "swell and wind", "narrow"])
@@ -91,7 +91,7 @@ def test_a_pad_that_stands_is_not_said_to_move_because_the_attitude_errs() -> No
     assert p < 0.3
 
 
-def followed(scene: Scene, until_s: float) -> tuple[Ekf, list[Event]]:
+def followed(scene: VoyageScene, until_s: float) -> tuple[Ekf, list[Event]]:
     received_at, _ = voyage_truth.events(Voyage(scene))
     ekf = start(OPTIONS)
     for event in received_at:

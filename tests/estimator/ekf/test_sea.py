@@ -15,7 +15,7 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.samples import VesselReport
 from estimator.ekf import Ekf, at, deck_motion_bank, forecast, moving, start, step
 from estimator.ekf.oscillator import stationary, transition
-from sitl.testing.estimator_truth import Flight, Setting, events, ns, stamp
+from sitl.testing.estimator_truth import Setting, TruthFlight, events, ns, stamp
 
 QUICK = Setting(seed=3, sea=4, duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, attitude_hz=10.0, velocity_hz=10.0, pose6=True)
 
@@ -82,9 +82,9 @@ def test_a_deck_at_rest_is_found_to_be_at_rest() -> None:
     assert bank.sigma[:3].max() < 0.05
 
 
-def run(s: Setting) -> tuple[Flight, Ekf, list[float]]:
+def run(s: Setting) -> tuple[TruthFlight, Ekf, list[float]]:
     """The flight, the final memory, and the NEES of the RelativeState twice a second after 6 s."""
-    flight, ekf, nees, next_s = Flight(s), start(), [], 6.0
+    flight, ekf, nees, next_s = TruthFlight(s), start(), [], 6.0
     for event in events(flight):
         while event.stamp.received_at > ns(next_s):
             state = at(ekf, ns(next_s))
@@ -105,7 +105,7 @@ def test_consistent_and_the_forecast_holds_its_bands() -> None:
     for seed in (3, 4):
         nees += run(replace(QUICK, seed=seed))[2]
     ekf, next_s = start(), 10.0
-    flight = Flight(QUICK)
+    flight = TruthFlight(QUICK)
     for event in events(flight):
         if event.stamp.received_at > ns(next_s) and next_s < 17.0:
             told = forecast(ekf, ns(next_s), (1.0, 2.0, 3.0))
@@ -153,7 +153,7 @@ def test_moving_or_not() -> None:
 
 def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_it() -> None:
     s = replace(QUICK, blind=((10.0, 14.0),), duration_s=17.0)
-    flight, ekf = Flight(s), start()
+    flight, ekf = TruthFlight(s), start()
     sigma, before = [], None
     for event in events(flight):
         now = event.stamp.received_at
@@ -183,7 +183,7 @@ def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_
 
 def test_a_report_of_the_ship_tells_its_velocity_and_heading() -> None:
     s = replace(QUICK, sea=0, vessel_speed_m_s=1.2, velocity_hz=0.0, duration_s=6.0)
-    flight, ekf, next_s = Flight(s), start(), 1.0
+    flight, ekf, next_s = TruthFlight(s), start(), 1.0
     for event in events(flight):
         ekf, _ = step(ekf, event)
         if event.stamp.received_at > ns(next_s):
@@ -198,7 +198,7 @@ def test_a_report_of_the_ship_tells_its_velocity_and_heading() -> None:
 
 def test_half_a_heading_is_used_only_when_the_other_half_is_known() -> None:
     """An H alone: its heading may be 180 degrees off."""
-    flight = Flight(replace(QUICK, duration_s=5.0, pose6=False))
+    flight = TruthFlight(replace(QUICK, duration_s=5.0, pose6=False))
     ekf, ambiguous = start(), 0
     for event in events(flight):
         if isinstance(event, Sighting) and event.stamp.measured_at > ns(1.0):

@@ -16,10 +16,10 @@ from estimator.ekf.algebra import Algebra
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import ATT_BIAS, ATT_ERR, BARO_OFFSET, CAMERA_DELAY, PAD_YAW, POS_REL, VEL, VEL_SCALE, VESSEL_VEL, N
 from estimator.ekf.vision_update import _compared
-from sitl.testing.voyage_truth import OPTIONS, Scene, Voyage, events, ns, stamp
+from sitl.testing.voyage_truth import OPTIONS, Voyage, VoyageScene, events, ns, stamp
 from tests.estimator.ekf.test_jacobians import random_belief, sighting
 
-SCENE = Scene(seed=3, sea="jonswap", duration_s=9.5, imu_hz=50.0, sighting_hz=10.0, range_hz=2.0, gaps=0, outliers=0.0)
+SCENE = VoyageScene(seed=3, sea="jonswap", duration_s=9.5, imu_hz=50.0, sighting_hz=10.0, range_hz=2.0, gaps=0, outliers=0.0)
 
 
 def hover(seconds: float, ekf: Ekf, since: float = 0.0, yaw_told: float = 0.0, velocity: tuple[float, float] = (0.0, 0.0)) -> Ekf:

@@ -25,7 +25,7 @@ class Detection:
         self.shown: list[tuple[int, F64, F64, deck_motion_bank.Carrying, float]] = []
         monkeypatch.setattr(deck_motion_bank, "observe", self._look)
 
-    def _look(self, s: deck_motion_bank.Sea, *shown: Any) -> deck_motion_bank.Sea:
+    def _look(self, s: deck_motion_bank.DeckMotionBank, *shown: Any) -> deck_motion_bank.DeckMotionBank:
         self.shown.append(shown)
         return s._replace(t=shown[0])
 

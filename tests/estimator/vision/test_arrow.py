@@ -13,12 +13,12 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import SIMULATOR
-from sitl.testing.pad_images import STAMP, Scene, errors, image, project
+from sitl.testing.pad_images import STAMP, PadPlacement, errors, image, project
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 35.0, 90.0, 179.9, -90.0, -145.0])
 def test_the_heading_is_right_all_round(yaw_deg: float, camera: Camera, pad: Pad) -> None:
-    scene = Scene((0.17, -0.02, 1.2), math.radians(yaw_deg))
+    scene = PadPlacement((0.17, -0.02, 1.2), math.radians(yaw_deg))
     s = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5), scene.attitude(), camera, pad, SIMULATOR).methods["arrow"]
     assert s is not None
     assert not s.yaw_ambiguous
@@ -33,7 +33,7 @@ def test_centre_and_tip_keep_their_fractions_of_a_pixel(camera: Camera, pad: Pad
     rng = np.random.default_rng(2)
     centre, tip = [], []
     for i in range(8):
-        scene = Scene((0.15 + rng.uniform(-0.01, 0.01), rng.uniform(-0.01, 0.01), 1.5), rng.uniform(-3, 3))
+        scene = PadPlacement((0.15 + rng.uniform(-0.01, 0.01), rng.uniform(-0.01, 0.01), 1.5), rng.uniform(-3, 3))
         s = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5, seed=i), scene.attitude(), camera, pad, SIMULATOR).methods[
             "arrow"
         ]
@@ -49,7 +49,7 @@ def test_centre_and_tip_keep_their_fractions_of_a_pixel(camera: Camera, pad: Pad
 
 def test_the_centroid_is_one_of_paint_not_of_pixels(camera: Camera, pad: Pad) -> None:
     """Tilted by 25 degrees at 0.8 m, the nearer half of the H covers more pixels and pulls their centroid over a pixel away."""
-    scene = Scene((0.08, -0.37, 0.8), 0.3, math.radians(25.0), math.radians(-5.0))
+    scene = PadPlacement((0.08, -0.37, 0.8), 0.3, math.radians(25.0), math.radians(-5.0))
     frame = image(scene, camera, pad, samples=5)
     s = detect(frame, scene.attitude(), camera, pad, SIMULATOR).methods["arrow"]
     assert s is not None
@@ -66,7 +66,7 @@ def test_the_centroid_is_one_of_paint_not_of_pixels(camera: Camera, pad: Pad) ->
 def test_range_far_beyond_the_thesis(camera: Camera, pad: Pad) -> None:
     """The thesis had an arrow in 4 % of frames at 5 m, 0.64 m off in height and 100 degrees in heading."""
     for seed, yaw in enumerate((-2.0, 0.5, 2.2)):
-        scene = Scene((0.15, 0.1, 5.0), yaw)
+        scene = PadPlacement((0.15, 0.1, 5.0), yaw)
         s = detect(
             image(scene, camera, pad, blur_px=0.6, noise=1.5, seed=seed), scene.attitude(), camera, pad, SIMULATOR
         ).methods["arrow"]
@@ -78,7 +78,7 @@ def test_range_far_beyond_the_thesis(camera: Camera, pad: Pad) -> None:
 
 def test_no_orange_no_arrow(camera: Camera, pad: Pad) -> None:
     """An empty mask is no estimate, not an arrow at (0, 0)."""
-    scene = Scene((0.15, 0.0, 1.5))
+    scene = PadPlacement((0.15, 0.0, 1.5))
     px = image(scene, camera, pad).px.copy()
     hsv = cv2.cvtColor(px, cv2.COLOR_BGR2HSV)
     px[(hsv[:, :, 0] < 45) & (hsv[:, :, 1] > 60)] = (0, 102, 0)
@@ -88,6 +88,6 @@ def test_no_orange_no_arrow(camera: Camera, pad: Pad) -> None:
 
 
 def test_an_h_that_leaves_the_image_has_no_centroid(camera: Camera, pad: Pad) -> None:
-    scene = Scene((0.15, 0.62, 0.9), -math.pi / 2)
+    scene = PadPlacement((0.15, 0.62, 0.9), -math.pi / 2)
     seen = detect(image(scene, camera, pad), scene.attitude(), camera, pad, SIMULATOR)
     assert seen.methods["arrow"] is None

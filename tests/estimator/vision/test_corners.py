@@ -11,15 +11,15 @@ import pytest
 from estimator.contracts.estimates import Sighting
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.pose import Orientation, View
+from estimator.vision.pose import Orientation, OrientedCamera
 from estimator.vision.thesis.corners import Side, find_corners, side_of
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.right_angles import RightAngle, candidates, refine
 from estimator.vision.thesis.segmentation import SIMULATOR, segment
-from sitl.testing.pad_images import Scene, errors, image, project
+from sitl.testing.pad_images import PadPlacement, errors, image, project
 
 
-def corners_of(scene: Scene, camera: Camera, pad: Pad, seed: int = 0) -> Sighting | None:
+def corners_of(scene: PadPlacement, camera: Camera, pad: Pad, seed: int = 0) -> Sighting | None:
     frame = image(scene, camera, pad, blur_px=0.6, noise=1.5, seed=seed)
     return detect(frame, scene.attitude(), camera, pad, SIMULATOR).methods["corners"]
 
@@ -69,7 +69,7 @@ def test_what_is_no_right_angle_is_none() -> None:
 @pytest.mark.parametrize("yaw_deg", [0.0, 20.0, 45.0, 89.0, 90.0, 135.0, -60.0, -179.0])
 @pytest.mark.parametrize("height_m", [0.4, 1.0, 2.0])
 def test_pose_of_the_h_up_to_half_a_turn(height_m: float, yaw_deg: float, camera: Camera, pad: Pad) -> None:
-    scene = Scene((0.16, 0.01, height_m), math.radians(yaw_deg))
+    scene = PadPlacement((0.16, 0.01, height_m), math.radians(yaw_deg))
     s = corners_of(scene, camera, pad)
     assert s is not None
     assert s.yaw_ambiguous
@@ -88,11 +88,11 @@ def test_two_inner_corners_do_on_the_long_side_and_on_the_short_one(
     place: tuple[float, float], side: Side, camera: Camera, pad: Pad
 ) -> None:
     """The thesis' listing had the two sides exchanged, which makes three times the range, or a third."""
-    scene = Scene((*place, 0.22), 0.03)
+    scene = PadPlacement((*place, 0.22), 0.03)
     frame = image(scene, camera, pad, blur_px=0.6, noise=1.5)
     seg = segment(frame.px, SIMULATOR)
     assert seg is not None
-    found = find_corners(seg, View(camera, Orientation.of(scene.attitude())), pad)
+    found = find_corners(seg, OrientedCamera(camera, Orientation.of(scene.attitude())), pad)
     assert found is not None
     assert found.side == side
     inner_seen = [tuple(xy) for xy in np.abs(found.marks.pad_xy_m).round(3).tolist()].count((0.02, 0.06))
@@ -121,7 +121,7 @@ def test_corners_keep_their_fractions_of_a_pixel(camera: Camera, pad: Pad) -> No
     rng = np.random.default_rng(3)
     off = []
     for i in range(6):
-        scene = Scene((0.15 + rng.uniform(-0.01, 0.01), rng.uniform(-0.01, 0.01), 0.9), rng.uniform(-3, 3))
+        scene = PadPlacement((0.15 + rng.uniform(-0.01, 0.01), rng.uniform(-0.01, 0.01), 0.9), rng.uniform(-3, 3))
         s = corners_of(scene, camera, pad, seed=i)
         assert s is not None
         true = project(pad.h_corners(), scene, camera)
@@ -134,7 +134,7 @@ def test_corners_keep_their_fractions_of_a_pixel(camera: Camera, pad: Pad) -> No
 
 def test_figures_drawn_beside_the_h_do_not_move_its_corners(camera: Camera, pad: Pad) -> None:
     """The thesis' code wrote numbers into the very frame it measured. Ours leaves the frame as it was."""
-    scene = Scene((0.15, 0.0, 1.0), 0.3)
+    scene = PadPlacement((0.15, 0.0, 1.0), 0.3)
     frame = image(scene, camera, pad)
     before = frame.px.copy()
     first = detect(frame, scene.attitude(), camera, pad, SIMULATOR)
@@ -147,7 +147,7 @@ def test_figures_drawn_beside_the_h_do_not_move_its_corners(camera: Camera, pad:
 
 
 def test_a_bare_white_square_is_no_h(camera: Camera, pad: Pad) -> None:
-    scene = Scene((0.15, 0.0, 0.9), 0.2)
+    scene = PadPlacement((0.15, 0.0, 0.9), 0.2)
     px = image(scene, camera, pad).px.copy()
     outline = project(pad.h_corners()[[0, 5, 6, 11]], scene, camera)
     cv2.fillPoly(px, [np.rint(outline).astype(np.int32)], (231, 231, 231))

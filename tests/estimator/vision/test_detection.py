@@ -18,7 +18,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS, INDOOR, SIMULATOR, HsvRange, segment
 from estimator.vision.thesis.select import choose, with_heading_of
-from sitl.testing.pad_images import STAMP, Scene, errors, image, sim_camera
+from sitl.testing.pad_images import STAMP, PadPlacement, errors, image, sim_camera
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad
 
 DATA = Path(__file__).parents[3] / "../shared/data"
@@ -27,7 +27,7 @@ DATA = Path(__file__).parents[3] / "../shared/data"
 def test_each_height_has_its_method(camera: Camera, pad: Pad) -> None:
     chosen = []
     for height_m in (0.4, 1.5, 8.0):
-        scene = Scene((0.15, 0.0, height_m), 0.5)
+        scene = PadPlacement((0.15, 0.0, height_m), 0.5)
         seen = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5), scene.attitude(), camera, pad, SIMULATOR)
         chosen.append(seen.chosen)
         assert seen.selected is not None
@@ -38,7 +38,7 @@ def test_each_height_has_its_method(camera: Camera, pad: Pad) -> None:
 
 def test_from_a_hand_above_the_deck_to_thirty_metres(camera: Camera, pad: Pad) -> None:
     for height_m in (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0):
-        scene = Scene((0.15, 0.02, height_m), -1.1)
+        scene = PadPlacement((0.15, 0.02, height_m), -1.1)
         seen = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5), scene.attitude(), camera, pad, SIMULATOR)
         assert seen.selected is not None, height_m
         d = errors(seen.selected, scene)[0]
@@ -50,7 +50,7 @@ def test_from_a_hand_above_the_deck_to_thirty_metres(camera: Camera, pad: Pad) -
 def test_tilt_and_forward_offset_are_put_in(method: Method, pad: Pad) -> None:
     """Rolled and pitched by 8 degrees, with the camera 15 cm ahead: taken as level the pad would be a third of a metre off."""
     camera = sim_camera((0.15, 0.0, 0.04))
-    scene = Scene((0.4, -0.25, 1.7), 0.8, math.radians(8.0), math.radians(8.0))
+    scene = PadPlacement((0.4, -0.25, 1.7), 0.8, math.radians(8.0), math.radians(8.0))
     frame = image(scene, camera, pad, blur_px=0.6)
     s = detect(frame, scene.attitude(), camera, pad, SIMULATOR).methods[method]
     assert s is not None
@@ -71,7 +71,7 @@ def test_the_covariance_holds_over_many_frames(camera: Camera, pad: Pad) -> None
     for i in range(24):
         z = float(rng.uniform(0.9, 2.2))
         at = (0.15 + rng.uniform(-0.1, 0.1) * z, rng.uniform(-0.1, 0.1) * z, z)
-        scene = Scene(at, rng.uniform(-3, 3), *rng.normal(0, 0.05, 2), *rng.normal(0, sigma_deck, 2))
+        scene = PadPlacement(at, rng.uniform(-3, 3), *rng.normal(0, 0.05, 2), *rng.normal(0, sigma_deck, 2))
         told = Rotation.from_rpy(scene.roll_rad, scene.pitch_rad, 0.0) @ Rotation.from_rotvec(rng.normal(0, sigma_tilt, 3))
         attitude = Attitude(STAMP, told, np.eye(3) * sigma_tilt**2)
         frame = image(scene, camera, pad, samples=3, blur_px=0.6, noise=2.0, seed=i)
@@ -113,7 +113,7 @@ def test_noise_and_one_colour_raise_nothing() -> None:
 
 def test_green_things_elsewhere_are_not_the_pad(camera: Camera, pad: Pad) -> None:
     """A large green sheet and a green box beside the pad: the blob with ring and H is taken."""
-    scene = Scene((0.15, -0.35, 2.0), 0.3)
+    scene = PadPlacement((0.15, -0.35, 2.0), 0.3)
     px = image(scene, camera, pad).px.copy()
     px[0:150, 430:640] = (0, 102, 0)
     px[250:330, 480:560] = (0, 102, 0)
@@ -125,7 +125,7 @@ def test_green_things_elsewhere_are_not_the_pad(camera: Camera, pad: Pad) -> Non
 
 def test_the_edge_of_a_shadow_across_the_h_moves_little(camera: Camera, pad: Pad) -> None:
     """Half of the light gone on one side: half of the paint is then another grey there, and the darker side weighs no less."""
-    scene = Scene((0.16, 0.01, 0.8), 0.5)
+    scene = PadPlacement((0.16, 0.01, 0.8), 0.5)
     px = image(scene, camera, pad, blur_px=0.6).px.copy()
     shade = np.triu(np.ones((360, 640)), 140) > 0
     px[shade] = np.rint(px[shade] * 0.74).astype(np.uint8)

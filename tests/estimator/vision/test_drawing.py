@@ -15,7 +15,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.vision.drawing import Blurred, EdgeKind, Share, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.register.state import State
+from estimator.vision.register.state import RegistrationState
 from sitl.testing.pad_images import _paint
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad
 
@@ -103,7 +103,7 @@ def test_derivatives_by_pose_and_blur(height: float, roll: float, pitch: float, 
     camera, pad = shipped_camera("sim"), PADS[seed % 2]
     rng = np.random.default_rng(seed)
     pose = PadPose(Rotation.from_rpy(roll, pitch, yaw), np.array([*rng.uniform(-0.1, 0.1, 2) * height, height]))
-    state = State.of(pose, camera, 0.8, height)
+    state = RegistrationState.of(pose, camera, 0.8, height)
     # Places within three sigmas of edges, where shares change.
     edges = edges_of(pad)
     near = edges.at_m[rng.integers(len(edges.at_m), size=60)] + rng.normal(0.0, 1.0, (60, 2)) * state.m_per_px

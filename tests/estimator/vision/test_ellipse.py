@@ -17,7 +17,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.ellipse import Ellipse, fit_ellipse
 from estimator.vision.thesis.segmentation import SIMULATOR
-from sitl.testing.pad_images import Scene, errors, image, project
+from sitl.testing.pad_images import PadPlacement, errors, image, project
 from tests.estimator.vision.conftest import shipped_pad
 
 
@@ -58,7 +58,7 @@ def test_the_disc_is_measured_without_bias(height_m: float, camera: Camera, pad:
     rng = np.random.default_rng(1)
     off = []
     for i in range(6):
-        scene = Scene((0.15 + rng.uniform(-0.05, 0.05), rng.uniform(-0.05, 0.05), height_m), rng.uniform(-3, 3))
+        scene = PadPlacement((0.15 + rng.uniform(-0.05, 0.05), rng.uniform(-0.05, 0.05), height_m), rng.uniform(-3, 3))
         s = detect(image(scene, camera, pad, blur_px=0.6, noise=1.5, seed=i), scene.attitude(), camera, pad, SIMULATOR).methods[
             "ellipse"
         ]
@@ -72,7 +72,7 @@ def test_the_disc_is_measured_without_bias(height_m: float, camera: Camera, pad:
 
 def test_under_tilt_the_centre_of_the_ellipse_is_not_taken_for_the_image_of_the_centre(camera: Camera, pad: Pad) -> None:
     """At 1.3 m and 15 degrees the two lie 3 px apart, that is 1 cm on deck."""
-    scene = Scene((0.0, -0.35, 1.3), 0.4, math.radians(15.0), math.radians(-6.0))
+    scene = PadPlacement((0.0, -0.35, 1.3), 0.4, math.radians(15.0), math.radians(-6.0))
     s = detect(image(scene, camera, pad, samples=5), scene.attitude(), camera, pad, SIMULATOR).methods["ellipse"]
     assert s is not None
     outline = fit_ellipse(project(pad.circle(pad.disc_radius_m), scene, camera))
@@ -83,7 +83,7 @@ def test_under_tilt_the_centre_of_the_ellipse_is_not_taken_for_the_image_of_the_
 
 
 def test_the_ellipse_says_that_it_knows_no_heading(camera: Camera, pad: Pad) -> None:
-    scene = Scene((0.15, 0.0, 3.0), 1.0)
+    scene = PadPlacement((0.15, 0.0, 3.0), 1.0)
     s = detect(image(scene, camera, pad), scene.attitude(), camera, pad, SIMULATOR).methods["ellipse"]
     assert s is not None
     assert s.yaw_rad is None
@@ -92,7 +92,7 @@ def test_the_ellipse_says_that_it_knows_no_heading(camera: Camera, pad: Pad) -> 
 
 
 def test_a_disc_that_leaves_the_image_has_no_ellipse(camera: Camera, pad: Pad) -> None:
-    scene = Scene((0.15, 0.75, 1.0))
+    scene = PadPlacement((0.15, 0.75, 1.0))
     seen = detect(image(scene, camera, pad), scene.attitude(), camera, pad, SIMULATOR)
     assert seen.methods["ellipse"] is None
     assert seen.methods["arrow"] is not None
@@ -104,7 +104,7 @@ def test_a_red_rim_is_no_part_of_the_disc(camera: Camera, pad: Pad) -> None:
     colours = replace(pad.colours, rim=printed.colours.rim)
     rimmed = replace(pad, disc_radius_m=pad.disc_radius_m + 0.013, rim_width_m=0.013, colours=colours)
     for height_m in (1.0, 2.5):
-        scene = Scene((0.15, 0.0, height_m), 0.2)
+        scene = PadPlacement((0.15, 0.0, height_m), 0.2)
         s = detect(image(scene, camera, rimmed, blur_px=0.6), scene.attitude(), camera, rimmed, SIMULATOR).methods["ellipse"]
         assert s is not None
         assert abs(errors(s, scene)[0][2]) < 0.006 * height_m

@@ -16,7 +16,7 @@ from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Frame
 from estimator.vision.camera import Camera
 from estimator.vision.marker import Marker, MarkerBoard, find_markers
-from sitl.testing.pad_images import STAMP, Scene, sim_camera
+from sitl.testing.pad_images import STAMP, PadPlacement, sim_camera
 
 SEA = Path(__file__).parents[3] / "../shared/data/sea"
 NESTED = MarkerBoard.from_mapping(
@@ -50,7 +50,7 @@ def drawn(board: MarkerBoard, per_m: float) -> tuple[NDArray[np.uint8], float]:
     return deck, half
 
 
-def photograph(board: MarkerBoard, scene: Scene, camera: Camera, seed: int = 0, fine: int = 4) -> Frame:
+def photograph(board: MarkerBoard, scene: PadPlacement, camera: Camera, seed: int = 0, fine: int = 4) -> Frame:
     """The board through the camera, `fine` squared samples a pixel, with noise."""
     deck, half = drawn(board, 1000.0)
     n = len(deck)
@@ -68,7 +68,7 @@ def photograph(board: MarkerBoard, scene: Scene, camera: Camera, seed: int = 0, 
     return Frame(STAMP, 5, np.repeat(np.clip(gray, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2))
 
 
-def error(d_and_yaw: tuple[F64, float | None], scene: Scene) -> F64:
+def error(d_and_yaw: tuple[F64, float | None], scene: PadPlacement) -> F64:
     d, yaw = d_and_yaw
     assert yaw is not None
     return np.append(d - np.array(scene.d_body_pad_level), wrap_pi(yaw - scene.yaw_rad))
@@ -79,7 +79,7 @@ def test_the_pose_is_the_true_one_within_its_covariance(seed: int) -> None:
     rng = np.random.default_rng([seed, 11])
     camera = sim_camera((0.15, 0.02, 0.03))
     height = float(rng.uniform(1.2, 3.0))
-    scene = Scene(
+    scene = PadPlacement(
         (0.15 + float(rng.uniform(-0.12, 0.12)) * height, float(rng.uniform(-0.12, 0.12)) * height, height),
         float(rng.uniform(-math.pi, math.pi)), *(float(a) for a in rng.uniform(-0.2, 0.2, 2)),
     )  # fmt: skip
@@ -95,7 +95,7 @@ def test_the_pose_is_the_true_one_within_its_covariance(seed: int) -> None:
 
 def test_near_the_deck_the_small_marker_alone_carries_on() -> None:
     camera = sim_camera((0.0, 0.0, 0.0))
-    scene = Scene((0.05, -0.36, 0.22), 0.0)
+    scene = PadPlacement((0.05, -0.36, 0.22), 0.0)
     found = find_markers(photograph(NESTED, scene, camera), scene.attitude(), camera, NESTED)
     assert found is not None
     assert len(found.features) == 1
@@ -104,7 +104,7 @@ def test_near_the_deck_the_small_marker_alone_carries_on() -> None:
 
 def test_an_unknown_attitude_costs_what_it_makes_of_the_pose() -> None:
     camera = sim_camera()
-    scene = Scene((0.1, 0.1, 2.0), 0.4, 0.04, -0.05)
+    scene = PadPlacement((0.1, 0.1, 2.0), 0.4, 0.04, -0.05)
     frame = photograph(NESTED, scene, camera)
     told, untold = (find_markers(frame, a, camera, NESTED) for a in (scene.attitude(), None))
     assert told is not None
@@ -124,7 +124,7 @@ def test_nothing_is_found_at_sea_nor_with_other_numbers() -> None:
         px = cv2.resize(np.asarray(cv2.imread(str(path)), np.uint8), (640, 360), interpolation=cv2.INTER_AREA)
         assert find_markers(Frame(STAMP, 0, np.asarray(px, np.uint8)), None, camera, NESTED) is None
     other = MarkerBoard("other", (Marker("apriltag_36h11", 8, 0.5, (0.0, 0.0), 0.0),))
-    scene = Scene((0.15, 0.0, 2.0))
+    scene = PadPlacement((0.15, 0.0, 2.0))
     assert find_markers(photograph(NESTED, scene, camera), scene.attitude(), camera, other) is None
     with pytest.raises(ValueError, match="640x360"):
         find_markers(Frame(STAMP, 0, np.zeros((100, 100, 3), np.uint8)), None, camera, NESTED)

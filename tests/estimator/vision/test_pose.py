@@ -13,15 +13,15 @@ from estimator.contracts.geometry import F64, Rotation, Transform, wrap_pi
 from estimator.contracts.samples import Attitude
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from estimator.vision.pose import SIGMA_LEVEL_ASSUMED_RAD, Marks, Orientation, View, point_modes, solve
-from sitl.testing.pad_images import STAMP, Scene, project, sim_camera
+from estimator.vision.pose import SIGMA_LEVEL_ASSUMED_RAD, Marks, Orientation, OrientedCamera, point_modes, solve
+from sitl.testing.pad_images import STAMP, PadPlacement, project, sim_camera
 
 angle = st.floats(-math.pi + 1e-6, math.pi, allow_nan=False)
 tilt = st.floats(-0.35, 0.35)
 side = st.floats(-0.3, 0.3)
 
 
-def marks_of(points: F64, scene: Scene, camera: Camera, sigma_px: float = 0.1) -> Marks:
+def marks_of(points: F64, scene: PadPlacement, camera: Camera, sigma_px: float = 0.1) -> Marks:
     return Marks(project(points, scene, camera), points[:, :2], point_modes(np.full(len(points), sigma_px)))
 
 
@@ -33,13 +33,13 @@ def test_exact_marks_give_the_exact_pose(
     """Tilt is put in, the camera's place on the body is turned with it, and the lens is undone."""
     distortion = (0.05, -0.02, 0.002, -0.001, 0.0) if lens else (0.0,) * 5
     camera = sim_camera((ahead, 0.03, 0.05), distortion)
-    scene = Scene((x * z, y * z, z), yaw, roll, pitch)
+    scene = PadPlacement((x * z, y * z, z), yaw, roll, pitch)
     points = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]])
     T = scene.T_cam_pad(camera)
     p_cam = points @ T.R.matrix.T + T.t
     # Farther out this lens folds its frame over, and nothing can undo that.
     assume(bool(np.all(p_cam[:, 2] > 0.1)) and float(np.abs(p_cam[:, :2] / p_cam[:, 2:]).max()) < 0.95)
-    fix = solve(marks_of(points, scene, camera), View(camera, Orientation.of(scene.attitude())))
+    fix = solve(marks_of(points, scene, camera), OrientedCamera(camera, Orientation.of(scene.attitude())))
     assert fix is not None
     assert np.allclose(fix.d_body_pad_level, scene.d_body_pad_level, atol=1e-6 * max(1.0, z))
     assert abs(wrap_pi(fix.yaw_rad - yaw)) < 1e-6
@@ -48,7 +48,7 @@ def test_exact_marks_give_the_exact_pose(
 def test_the_sign_of_each_axis_and_of_the_heading(camera: Camera) -> None:
     """Ahead is up in the frame, starboard is right; a body turned clockwise from the arrow has a positive heading."""
     two = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0]])
-    view = View(camera, Orientation.of(Scene((0, 0, 1)).attitude()))
+    view = OrientedCamera(camera, Orientation.of(PadPlacement((0, 0, 1)).attitude()))
     up_and_right = np.array([[319.5 + 50, 179.5 - 40], [319.5 + 50, 179.5 - 140]])
     fix = solve(Marks(up_and_right, two[:, :2], point_modes(np.full(2, 0.1))), view)
     assert fix is not None
@@ -62,8 +62,10 @@ def test_the_sign_of_each_axis_and_of_the_heading(camera: Camera) -> None:
 
 
 def test_a_heading_of_exactly_zero_is_a_heading(camera: Camera) -> None:
-    scene = Scene((0.15, 0.0, 1.5), 0.0)
-    fix = solve(marks_of(np.array([[0, 0, 0], [0.3, 0, 0.0]]), scene, camera), View(camera, Orientation.of(scene.attitude())))
+    scene = PadPlacement((0.15, 0.0, 1.5), 0.0)
+    fix = solve(
+        marks_of(np.array([[0, 0, 0], [0.3, 0, 0.0]]), scene, camera), OrientedCamera(camera, Orientation.of(scene.attitude()))
+    )
     assert fix is not None
     assert fix.yaw_rad == pytest.approx(0.0, abs=1e-12)
     assert 0.0 < fix.cov[3, 3] < 0.1
@@ -74,7 +76,7 @@ def test_half_a_pixel_of_principal_point_is_seen(camera: Camera) -> None:
     at = np.array([[319.5, 179.5], [319.5, 79.5]])
     fix = solve(
         Marks(at, np.array([[0, 0], [0.3, 0]]), point_modes(np.full(2, 0.1))),
-        View(camera, Orientation.of(Scene((0, 0, 1)).attitude())),
+        OrientedCamera(camera, Orientation.of(PadPlacement((0, 0, 1)).attitude())),
     )
     assert fix is not None
     assert np.allclose(fix.d_body_pad_level[:2], camera.T_body_cam.t[:2], atol=1e-12)
@@ -84,20 +86,20 @@ def test_the_covariance_is_what_a_monte_carlo_finds(pad: Pad) -> None:
     """Pixels, roll and pitch, and the deck's tilt all drawn at random, for marks away from the middle of the frame."""
     camera = sim_camera()
     sigma_px, sigma_tilt, sigma_deck = 0.3, math.radians(0.6), math.radians(0.8)
-    scene = Scene((0.6, -0.5, 1.5), 0.6, 0.08, -0.05)
+    scene = PadPlacement((0.6, -0.5, 1.5), 0.6, 0.08, -0.05)
     points = np.concatenate([np.zeros((1, 3)), pad.arrowhead()[:1]])
     attitude = Attitude(STAMP, scene.attitude().R_ned_body, np.diag([1.0, 1.0, 4.0]) * sigma_tilt**2)
     orientation = Orientation.of(attitude, sigma_deck)
-    predicted = solve(marks_of(points, scene, camera, sigma_px), View(camera, orientation))
+    predicted = solve(marks_of(points, scene, camera, sigma_px), OrientedCamera(camera, orientation))
     assert predicted is not None
     rng = np.random.default_rng(4)
     errors = []
     for _ in range(600):
-        deck = Scene(scene.d_body_pad_level, scene.yaw_rad, scene.roll_rad, scene.pitch_rad, *rng.normal(0, sigma_deck, 2))
+        deck = PadPlacement(scene.d_body_pad_level, scene.yaw_rad, scene.roll_rad, scene.pitch_rad, *rng.normal(0, sigma_deck, 2))
         uv = project(points, deck, camera) + rng.normal(0, sigma_px, (2, 2))
         slip = rng.normal(0, sigma_tilt, 3) * (1, 1, 2)
         R = attitude.R_ned_body @ Rotation.from_rotvec(slip)
-        view = View(camera, Orientation.of(Attitude(STAMP, R, attitude.cov_body)))
+        view = OrientedCamera(camera, Orientation.of(Attitude(STAMP, R, attitude.cov_body)))
         fix = solve(Marks(uv, points[:, :2], point_modes(np.full(2, sigma_px))), view)
         assert fix is not None
         errors.append(np.append(fix.d_body_pad_level - scene.d_body_pad_level, wrap_pi(fix.yaw_rad - scene.yaw_rad)))
@@ -109,10 +111,10 @@ def test_the_covariance_is_what_a_monte_carlo_finds(pad: Pad) -> None:
 
 
 def test_without_an_attitude_level_is_assumed_and_priced(camera: Camera) -> None:
-    scene = Scene((0.15, 0.0, 4.0))
+    scene = PadPlacement((0.15, 0.0, 4.0))
     points = np.array([[0, 0, 0], [0.3, 0, 0.0]])
-    told = solve(marks_of(points, scene, camera), View(camera, Orientation.of(scene.attitude())))
-    assumed = solve(marks_of(points, scene, camera), View(camera, Orientation.of(None)))
+    told = solve(marks_of(points, scene, camera), OrientedCamera(camera, Orientation.of(scene.attitude())))
+    assumed = solve(marks_of(points, scene, camera), OrientedCamera(camera, Orientation.of(None)))
     assert told is not None
     assert assumed is not None
     assert np.allclose(told.d_body_pad_level, assumed.d_body_pad_level, atol=1e-9)
@@ -125,7 +127,7 @@ def test_rays_that_miss_the_deck_give_nothing() -> None:
     """A camera that looks at the horizon sees no deck below it, and there is no answer in zeros."""
     mount = Transform(Rotation.from_rpy(math.pi / 2, 0.0, math.pi / 2), np.zeros(3))
     camera = Camera(640, 360, 374.67, 374.67, 319.5, 179.5, np.zeros(5), mount)
-    view = View(camera, Orientation.of(None))
+    view = OrientedCamera(camera, Orientation.of(None))
     assert np.all(np.isnan(view.plane(np.array([[319.5, 100.0]]))))
     marks = Marks(np.array([[319.5, 100.0], [319.5, 50.0]]), np.array([[0, 0], [0.3, 0]]), point_modes(np.full(2, 0.1)))
     assert solve(marks, view) is None
@@ -133,4 +135,4 @@ def test_rays_that_miss_the_deck_give_nothing() -> None:
 
 def test_marks_all_in_one_place_give_nothing(camera: Camera) -> None:
     marks = Marks(np.full((2, 2), 200.0), np.array([[0, 0], [0.3, 0]]), point_modes(np.full(2, 0.1)))
-    assert solve(marks, View(camera, Orientation.of(None))) is None
+    assert solve(marks, OrientedCamera(camera, Orientation.of(None))) is None

@@ -15,13 +15,13 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import EdgeKind
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.register.registration import Options, register
+from estimator.vision.register.registration import RegistrationOptions, register
 from sitl.light import Light, Sensor
 from sitl.surroundings import Surroundings
 from sitl.testing.pad_images import sim_camera
-from sitl.testing.pad_views import Stage, View, error, pad_error
+from sitl.testing.pad_views import RenderedView, Stage, error, pad_error
 
-TRACK = Options(coarse=False)
+TRACK = RegistrationOptions(coarse=False)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_gamma_is_undone(camera: Camera, pad: Pad) -> None:
     for _ in range(4):
         view = stage.view(4.0)
         start = stage.start(view, 0.2)
-        for options, out in ((TRACK, right), (Options(coarse=False, gamma=False), wrong)):
+        for options, out in ((TRACK, right), (RegistrationOptions(coarse=False, gamma=False), wrong)):
             found = register(view.px, camera, pad, start, view.orientation(), options)
             assert found is not None
             out.append(pad_error(found.pose, view.pose)[0][2])
@@ -156,7 +156,7 @@ def test_a_tilted_deck_is_measured(camera: Camera, pad: Pad) -> None:
         assert e @ np.linalg.solve(found.cov, e) < chi2.ppf(0.9999, 6)
 
 
-def half_hidden(view: View, pad: Pad, camera: Camera, towards_rad: float) -> NDArray[np.uint8]:
+def half_hidden(view: RenderedView, pad: Pad, camera: Camera, towards_rad: float) -> NDArray[np.uint8]:
     """A grey tarpaulin over one half of the pad, its edge through a point beside the centre."""
     out = np.array([math.cos(towards_rad), math.sin(towards_rad)])
     side = np.array([-out[1], out[0]])
@@ -278,7 +278,7 @@ def test_refusals(camera: Camera, pad: Pad) -> None:
     aside = PadPose(view.pose.R_cam_pad, view.pose.t_cam_pad + np.array([9.0, 0.0, 0.0]))
     behind = PadPose(view.pose.R_cam_pad, -view.pose.t_cam_pad)
     for start in (aside, behind):
-        for options in (TRACK, Options()):
+        for options in (TRACK, RegistrationOptions()):
             assert register(view.px, camera, pad, start, None, options) is None
     with pytest.raises(ValueError, match="shape"):
         register(view.px[:100], camera, pad, view.pose)

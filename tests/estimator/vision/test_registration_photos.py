@@ -11,7 +11,7 @@ import pytest
 
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.register.registration import Options, register
+from estimator.vision.register.registration import RegistrationOptions, register
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad
 
 DATA = Path(__file__).parents[3] / "../shared/data/pad_photos"
@@ -35,7 +35,7 @@ def test_the_corners_of_the_h() -> None:
         p = poses[name]
         # From a start that is wrong by several pixels in place, size and heading.
         start = PadPose(Rotation.from_rotvec(p[3:6]) @ Rotation.from_rpy(0.0, 0.0, 0.06), p[:3] * 1.04)
-        result = register(px.astype(np.uint8), camera, pad, start, None, Options())
+        result = register(px.astype(np.uint8), camera, pad, start, None, RegistrationOptions())
         if result is None or result.inliers < 0.5:
             continue
         found += 1

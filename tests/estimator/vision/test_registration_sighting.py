@@ -14,14 +14,14 @@ from estimator.contracts.geometry import wrap_pi
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from estimator.vision.pose import Orientation
-from estimator.vision.register.registration import Options, register
+from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import registered_sighting
-from sitl.testing.pad_views import Stage, View
+from sitl.testing.pad_views import RenderedView, Stage
 
-TRACK = Options(coarse=False)
+TRACK = RegistrationOptions(coarse=False)
 
 
-def believed(view: View, rng: np.random.Generator, sigma_rad: float, sigma_deck_rad: float) -> Orientation:
+def believed(view: RenderedView, rng: np.random.Generator, sigma_rad: float, sigma_deck_rad: float) -> Orientation:
     """The attitude as an instrument of that quality says it."""
     roll, pitch = view.roll_rad + rng.normal(0.0, sigma_rad), view.pitch_rad + rng.normal(0.0, sigma_rad)
     return Orientation(roll, pitch, np.eye(2) * sigma_rad**2, sigma_deck_rad, True)

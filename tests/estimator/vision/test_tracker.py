@@ -16,7 +16,7 @@ from sitl.light import Light
 from sitl.surroundings import Decal, Surroundings
 from sitl.testing.deck_images import shown
 from sitl.testing.pad_images import STAMP
-from sitl.testing.pad_views import Stage, View
+from sitl.testing.pad_views import RenderedView, Stage
 
 SIM = load("sim")
 CAMERA, PAD = camera_model(SIM), pad_model(SIM)
@@ -30,18 +30,18 @@ def stage(seed: int = 1) -> Stage:
     return Stage(CAMERA, PAD, Surroundings(), Light(), seed=seed)
 
 
-def attitude(view: View) -> Attitude:
+def attitude(view: RenderedView) -> Attitude:
     R = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.7)
     return Attitude(view.frame().stamp, R, 1e-6 * np.eye(3))
 
 
-def belief(view: View, off_m: tuple[float, float, float] = (0, 0, 0), sigma_m: float = 0.02) -> RelativeState:
+def belief(view: RenderedView, off_m: tuple[float, float, float] = (0, 0, 0), sigma_m: float = 0.02) -> RelativeState:
     at = view.frame().stamp.measured_at
     cov = np.diag([sigma_m**2] * 3 + [0.01] * 3 + [0.02**2])
     return RelativeState(at, "ekf", view.d_body_pad_level + np.array(off_m), np.zeros(3), view.yaw_rad, cov, at, True)
 
 
-def right(sighting: Sighting | None, view: View) -> bool:
+def right(sighting: Sighting | None, view: RenderedView) -> bool:
     if sighting is None:
         return False
     off = sighting.d_body_pad_level - view.d_body_pad_level

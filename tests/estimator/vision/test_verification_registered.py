@@ -15,7 +15,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.fit_verification import EVIDENCE, SET, confidence, features
-from estimator.vision.register.registration import Options, register
+from estimator.vision.register.registration import RegistrationOptions, register
 from sitl.surroundings import Decal
 from sitl.testing.deck_images import covered, disc_of, shown
 from sitl.testing.pad_images import STAMP
@@ -23,7 +23,7 @@ from sitl.testing.pad_images import STAMP
 
 def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_level_body: Rotation) -> float:
     orientation = Orientation.of(Attitude(STAMP, R_level_body, 1e-6 * np.eye(3)))
-    found = register(px, camera, pad, start, orientation, Options(coarse=False))
+    found = register(px, camera, pad, start, orientation, RegistrationOptions(coarse=False))
     if found is None:
         return 0.0
     aligned = align(Pyramid(px), camera, pad, found.pose, SIGMA_TILT_RAD, 0)

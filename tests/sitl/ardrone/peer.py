@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from drivers.ardrone import at, navdata, pave
-from drivers.ardrone.navdata import Navdata, State
+from drivers.ardrone.navdata import Navdata, NavdataState
 from sitl.ardrone.server import Ports
 
 ASK = b"\x01\x00\x00\x00"
@@ -56,11 +56,11 @@ class Peer:
     async def configure(self, key: str, value: str) -> None:
         """With the whole handshake; the peer has asked for navdata."""
         self.say(at.Ctrl(at.CTRL_ACK))
-        await self.until(lambda n: not n.state & State.COMMAND_ACK)
+        await self.until(lambda n: not n.state & NavdataState.COMMAND_ACK)
         self.say(at.Config(key, value))
-        await self.until(lambda n: bool(n.state & State.COMMAND_ACK))
+        await self.until(lambda n: bool(n.state & NavdataState.COMMAND_ACK))
         self.say(at.Ctrl(at.CTRL_ACK))
-        await self.until(lambda n: not n.state & State.COMMAND_ACK)
+        await self.until(lambda n: not n.state & NavdataState.COMMAND_ACK)
 
     @asynccontextmanager
     async def talking(self, *commands: at.AtCommand, period_s: float = 0.03) -> AsyncIterator[None]:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from drivers.ardrone import at, control, navdata, pave
-from drivers.ardrone.navdata import ControlState, State
+from drivers.ardrone.navdata import ControlState, NavdataState
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from sitl.ardrone import truth_log
@@ -64,14 +64,14 @@ async def test_bootstrap_says_nothing_but_its_state_until_it_is_configured(peer:
     first = await peer.on_message()
     assert first.sequence == 1
     assert first.options == {}
-    assert first.state & State.NAVDATA_BOOTSTRAP
-    assert first.state & State.COM_WATCHDOG
+    assert first.state & NavdataState.NAVDATA_BOOTSTRAP
+    assert first.state & NavdataState.COM_WATCHDOG
     await peer.configure("general:navdata_demo", "TRUE")
     demo = await peer.on_message()
     assert list(demo.options) == [0, 16], "65537: demo and vision_detect"
     assert demo.control_state is ControlState.LANDED
     peer.say(at.ComWdg())
-    await peer.until(lambda n: not n.state & State.COM_WATCHDOG)
+    await peer.until(lambda n: not n.state & NavdataState.COM_WATCHDOG)
 
 
 @pytest.mark.parametrize(("demo", "low_hz", "high_hz"), [("TRUE", 13.0, 18.0), ("FALSE", 170.0, 215.0)])
@@ -137,12 +137,12 @@ async def test_it_takes_off_flies_and_lands(peer: Peer, world: PointMass) -> Non
     await peer.configure("general:navdata_demo", "FALSE")
     async with peer.talking(FLY, at.Pcmd(0, 0.9, 0.9, 0.9, 0.9)):
         up = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
-        assert up.state & State.FLYING
+        assert up.state & NavdataState.FLYING
         await asyncio.sleep(0.1)
         assert abs(world.v).max() < 1e-9, "flag 0 holds the place whatever the sticks say"
     async with peer.talking(LAND):
         down = await peer.until(lambda n: n.control_state is ControlState.LANDED)
-    assert not down.state & State.FLYING
+    assert not down.state & NavdataState.FLYING
 
 
 async def test_limits_of_the_configuration_rule_the_stick(peer: Peer, world: PointMass) -> None:
@@ -184,11 +184,11 @@ async def test_silence_makes_it_hover_and_land(peer: Peer, world: PointMass) -> 
     await peer.configure("general:navdata_demo", "FALSE")
     async with peer.talking(at.ComWdg(), FLY, at.Pcmd(1, 0.0, -0.3, 0.0, 0.0)):
         flying = await peer.until(lambda n: n.control_state is ControlState.FLYING)
-        assert not flying.state & State.COM_WATCHDOG
+        assert not flying.state & NavdataState.COM_WATCHDOG
     while peer.waiting():
         flying = await peer.on_message()
     hovering = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
-    assert hovering.state & State.COM_WATCHDOG
+    assert hovering.state & NavdataState.COM_WATCHDOG
     landing = await peer.until(lambda n: n.control_state is ControlState.LANDING)
     times = [t for n in (flying, hovering, landing) if (t := n.get(navdata.Time)) is not None]
     # By the drone's own clock, and from about its last command on: a busy machine hears and says late.
@@ -196,7 +196,7 @@ async def test_silence_makes_it_hover_and_land(peer: Peer, world: PointMass) -> 
     assert 0.4e6 < hovered_us - since_us < 1.4e6
     assert 0.9e6 < landing_us - hovered_us < 1.1e6
     landed = await peer.until(lambda n: n.control_state is ControlState.LANDED)
-    assert landed.state & State.COMMUNICATION_LOST
+    assert landed.state & NavdataState.COMMUNICATION_LOST
 
 
 async def test_two_clients_hear_the_same_navdata(server: ArDroneServer, peer: Peer, stack: ExitStack) -> None:
@@ -231,7 +231,7 @@ async def test_a_client_vanishes_and_comes_back(server: ArDroneServer, stack: Ex
     stack.callback(again.close)
     second.ask(b"\x01")
     back = await second.until(lambda n: n.sequence > last)
-    assert back.state & State.FLYING
+    assert back.state & NavdataState.FLYING
     second.say(at.ComWdg())
     second.say(LAND)
     await second.until(lambda n: n.control_state is ControlState.LANDED)
@@ -341,7 +341,7 @@ async def test_configuration_on_request(server: ArDroneServer, peer: Peer) -> No
     read = control.parse(text)
     assert read["general:ardrone_name"] == "Albatross"
     assert read["network:video_port"] == str(server.ports.video)
-    assert (await peer.on_message()).state & State.COMMAND_ACK
+    assert (await peer.on_message()).state & NavdataState.COMMAND_ACK
     peer.say(at.Ctrl(at.CTRL_ACK), at.Ctrl(at.CTRL_CUSTOM_IDS))
     async with asyncio.timeout(60):
         assert (await reader.readuntil(b"\0")).startswith(b"[applis]\r00000000,")

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.ardrone import at
-from drivers.ardrone.navdata import ControlState, State
+from drivers.ardrone.navdata import ControlState, NavdataState
 from estimator.contracts.time import MonoNs
 from sitl.ardrone.state import HOVER, LOST_COM, DroneState, RefAction
 from sitl.world import Phase, Stick
@@ -35,8 +35,8 @@ class Pilot:
             datagram += at.encode(self.sequence, command)
         return list(self.drone.take(datagram, at_s(now_s), phase))
 
-    def word(self, phase: Phase = Phase.LANDED) -> State:
-        return State(self.drone.word(phase, battery_low=False, ultrasound_deaf=False))
+    def word(self, phase: Phase = Phase.LANDED) -> NavdataState:
+        return NavdataState(self.drone.word(phase, battery_low=False, ultrasound_deaf=False))
 
 
 @pytest.fixture
@@ -78,13 +78,13 @@ def test_smaller_sequence_numbers_are_ignored_and_one_starts_anew(pilot: Pilot) 
 def test_silence_makes_a_flying_drone_hover_then_land(pilot: Pilot) -> None:
     drone = pilot.drone
     pilot.say(at.ComWdg(), FLY)
-    assert State.COM_WATCHDOG not in pilot.word()
+    assert NavdataState.COM_WATCHDOG not in pilot.word()
     pilot.say(AHEAD, phase=Phase.FLYING, now_s=1.0)
     assert list(drone.tick(at_s(2.9), Phase.FLYING)) == []
     assert list(drone.tick(at_s(3.0), Phase.FLYING)) == [HOVER]
     word = pilot.word(Phase.HOVERING)
-    assert State.COM_WATCHDOG in word
-    assert State.COMMUNICATION_LOST in word
+    assert NavdataState.COM_WATCHDOG in word
+    assert NavdataState.COMMUNICATION_LOST in word
     assert drone.control_state(Phase.HOVERING) == ControlState.HOVERING.word | LOST_COM
     assert list(drone.tick(at_s(4.9), Phase.HOVERING)) == []
     assert list(drone.tick(at_s(5.0), Phase.HOVERING)) == [RefAction.LAND]
@@ -101,10 +101,10 @@ def test_a_client_that_comes_back_in_time_keeps_flying_and_clears_the_bit_itself
     assert pilot.say(FLY, AHEAD, phase=Phase.HOVERING, now_s=2.6) == [Stick(0.0, -0.5, 0.0, 0.0, True)], (
         "the watchdog resets numbers"
     )
-    assert State.COMMUNICATION_LOST not in pilot.word()
-    assert State.COM_WATCHDOG in pilot.word()
+    assert NavdataState.COMMUNICATION_LOST not in pilot.word()
+    assert NavdataState.COM_WATCHDOG in pilot.word()
     pilot.say(at.ComWdg(), phase=Phase.FLYING, now_s=2.7)
-    assert State.COM_WATCHDOG not in pilot.word()
+    assert NavdataState.COM_WATCHDOG not in pilot.word()
     assert list(drone.tick(at_s(4.6), Phase.FLYING)) == []
 
 
@@ -116,23 +116,23 @@ def test_old_numbers_do_not_feed_the_watchdog(pilot: Pilot) -> None:
 
 
 def test_nobody_was_ever_there_so_nobody_is_missed(pilot: Pilot) -> None:
-    assert State.COM_WATCHDOG in pilot.word(), "set at first contact"
+    assert NavdataState.COM_WATCHDOG in pilot.word(), "set at first contact"
     assert list(pilot.drone.tick(at_s(100.0), Phase.HOVERING)) == []
 
 
 def test_bootstrap_and_handshake(pilot: Pilot) -> None:
-    assert State.NAVDATA_BOOTSTRAP in pilot.word()
+    assert NavdataState.NAVDATA_BOOTSTRAP in pilot.word()
     pilot.say(at.Config("general:navdata_demo", "TRUE"))
     word = pilot.word()
-    assert State.COMMAND_ACK in word
-    assert State.NAVDATA_DEMO in word
-    assert State.NAVDATA_BOOTSTRAP not in word
+    assert NavdataState.COMMAND_ACK in word
+    assert NavdataState.NAVDATA_DEMO in word
+    assert NavdataState.NAVDATA_BOOTSTRAP not in word
     pilot.say(at.ComWdg())
-    assert State.COMMAND_ACK in pilot.word(), "only CTRL 5 clears it"
+    assert NavdataState.COMMAND_ACK in pilot.word(), "only CTRL 5 clears it"
     pilot.say(at.Ctrl(5))
-    assert State.COMMAND_ACK not in pilot.word()
+    assert NavdataState.COMMAND_ACK not in pilot.word()
     pilot.say(at.Config("general:navdata_demo", "FALSE"))
-    assert State.NAVDATA_DEMO not in pilot.word()
+    assert NavdataState.NAVDATA_DEMO not in pilot.word()
     pilot.say(at.Config("general:wings", "2"))
     assert pilot.drone.counters["config_unknown_key"] == 1
     assert pilot.drone.counters["config_during_ack"] == 1
@@ -140,7 +140,7 @@ def test_bootstrap_and_handshake(pilot: Pilot) -> None:
 
 def test_asking_for_the_configuration_is_acknowledged_too(pilot: Pilot) -> None:
     assert pilot.say(at.Ctrl(4)) == [RefAction.SEND_CONFIGURATION]
-    assert State.COMMAND_ACK in pilot.word()
+    assert NavdataState.COMMAND_ACK in pilot.word()
     assert pilot.say(at.Ctrl(5), at.Ctrl(6, None)) == [RefAction.SEND_CUSTOM_IDS]
 
 
@@ -165,11 +165,11 @@ def test_emergency_is_an_edge_that_toggles(pilot: Pilot) -> None:
     assert pilot.say(cut, phase=Phase.FLYING) == [RefAction.CUT_MOTORS]
     assert pilot.say(cut, phase=Phase.EMERGENCY) == []
     word = pilot.word(Phase.EMERGENCY)
-    assert State.EMERGENCY in word
-    assert State.USER_EMERGENCY in word
+    assert NavdataState.EMERGENCY in word
+    assert NavdataState.USER_EMERGENCY in word
     assert pilot.say(FLY, phase=Phase.EMERGENCY) == []
     assert pilot.say(cut, phase=Phase.EMERGENCY) == [RefAction.LEAVE_EMERGENCY]
-    assert State.USER_EMERGENCY not in pilot.word()
+    assert NavdataState.USER_EMERGENCY not in pilot.word()
 
 
 def test_the_rest_is_accepted(pilot: Pilot) -> None:

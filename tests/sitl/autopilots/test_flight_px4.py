@@ -15,7 +15,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.config.settings import load as load_settings
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint
@@ -145,7 +145,7 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
         end = await flight.fly()
         await standin
     assert end.failure == ""
-    assert end.outcome is Outcome.LANDED
+    assert end.outcome is FlightOutcome.LANDED
     assert end.landing is not None
     assert end.landing.on_pad
     assert end.landing.speed_m_s < 0.8

@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.config.settings import load as load_settings
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Stack
@@ -18,7 +18,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from sitl.autopilots.follow import DeckUnder, follow
-from sitl.autopilots.pose import Pose, PoseSource
+from sitl.autopilots.pose import AutopilotPose, PoseSource
 from sitl.autopilots.program import free_udp_port
 from sitl.scenario import load
 from sitl.testing.fake_autopilot import FakeAutopilot
@@ -113,12 +113,12 @@ def test_the_truth_is_asked_for_a_few_times() -> None:
 def test_the_pad_lies_where_the_scenarios_start_says() -> None:
     scenario = load("calm")
     turned = Rotation.from_rpy(0.0, 0.0, math.radians(90.0))
-    first = Pose(at(1.0), np.array([50.0, -20.0, -100.0]), np.zeros(3), turned, np.zeros(3), True)
+    first = AutopilotPose(at(1.0), np.array([50.0, -20.0, -100.0]), np.zeros(3), turned, np.zeros(3), True)
     flying = DeckUnder(scenario, 1, first, stands=False)
     assert flying.height_m(first) == pytest.approx(scenario.start.height_m)
     # ahead is east, to the right is south
     ahead, right = scenario.start.pad_forward_m, scenario.start.pad_right_m
-    over = Pose(at(1.0), first.p_ned + np.array([-right, ahead, 0.0]), np.zeros(3), turned, np.zeros(3), True)
+    over = AutopilotPose(at(1.0), first.p_ned + np.array([-right, ahead, 0.0]), np.zeros(3), turned, np.zeros(3), True)
     landing = flying.landing(over, 0.4)
     assert landing.on_pad
     assert landing.lateral_m == pytest.approx(0.0, abs=1e-6)
@@ -166,7 +166,7 @@ async def test_followed_seen_and_landed_in_real_time() -> None:
     async with asyncio.timeout(200), fake.talking_to(f"udpout://{HOST}:{port}"):
         end = await follow(scenario, 1, settings, f"udpin://{HOST}:{port}")
     assert end.failure == ""
-    assert end.outcome is Outcome.LANDED
+    assert end.outcome is FlightOutcome.LANDED
     assert end.by_truth
     assert end.landing is not None
     assert end.landing.lateral_m < 0.15

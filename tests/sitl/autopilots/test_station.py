@@ -11,9 +11,9 @@ import pytest
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode
 from estimator.contracts.time import NS_PER_S, MonoNs
-from sitl.autopilots.station import GroundStation, Task, View
+from sitl.autopilots.station import GroundStation, OperatorView, Task
 
-FAR = View(np.array([3.0, 4.0, 0.0]), np.array([1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]), 0.3, 0.5, 0.05)
+FAR = OperatorView(np.array([3.0, 4.0, 0.0]), np.array([1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]), 0.3, 0.5, 0.05)
 
 
 def spoken(message: Message, component: int = 1, system: int = 1) -> Message:
