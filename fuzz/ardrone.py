@@ -30,7 +30,7 @@ from sitl.ardrone.state import DroneState
 from sitl.ardrone.video import Encoder
 from sitl.autopilots.lock_step import LockStepClock
 from sitl.scenario import load as load_scenario
-from sitl.world import Phase, World
+from sitl.world import VehiclePhase, World
 
 _START = MonoNs(1_000_000_000_000)
 _CHECKSUM_BYTES = 8
@@ -178,7 +178,7 @@ def run_at(data: bytes) -> None:
     """Datagrams of commands at the simulated drone, time between them: obeyed or counted, and its answers can be made."""
     choices = Choices(data)
     drone, now = _drone(), _START
-    phases = tuple(Phase)
+    phases = tuple(VehiclePhase)
     state = DroneState()
     while choices:
         how, datagram = choices.number(1), choices.block()

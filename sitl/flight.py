@@ -37,7 +37,7 @@ from sitl.faults import ServiceKilled
 from sitl.render_worker import RenderWorker
 from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
 from sitl.scenario import Scenario
-from sitl.world import Phase, RenderedFrame, Touchdown, Truth, World
+from sitl.world import RenderedFrame, Touchdown, Truth, VehiclePhase, World
 
 NAVDATA_DELAY_S = 0.004
 COMMAND_DELAY_S = 0.004
@@ -170,7 +170,7 @@ class Flight:
         if self._killed():
             self.world.guidance_phase = None
             self._hold(now)
-            ended = self.world.phase in (Phase.LANDED, Phase.EMERGENCY)
+            ended = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
             return not ended and seconds_between(self.world.started, now) < self._limit_s
         try:
             self._serve(now)

@@ -16,7 +16,7 @@ from companion.guidance.planner import Phase as GuidancePhase
 from companion.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.world import Phase, Touchdown, Truth
+from sitl.world import Touchdown, Truth, VehiclePhase
 
 BLIND_AFTER_S = 1.0
 """Time after the newest true sight that still counts as sight; the last 0.3 m of a landing, without the pad, take less."""
@@ -26,7 +26,7 @@ STAMP_ERROR_MAX_S = 0.5
 """A frame whose stamp is farther from the truth says nothing of where the pad is now."""
 COMMIT_PHASES = frozenset({GuidancePhase.LAND.value})
 """Phases of guidance in which contact is meant."""
-_IN_THE_AIR = (Phase.HOVERING, Phase.FLYING, Phase.LANDING)
+_IN_THE_AIR = (VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,10 +19,10 @@ from drivers.ardrone.navdata import (
     Demo,
     Navdata,
     NavdataState,
+    NavdataTime,
     PhysMeasures,
     PressureRaw,
     RawMeasures,
-    Time,
 )
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
@@ -149,7 +149,7 @@ class NavdataSampler:
 
 def time_us(navdata: Navdata) -> int | None:
     """The drone's own clock at this datagram, microseconds modulo 2048 s."""
-    option = navdata.get(Time)
+    option = navdata.get(NavdataTime)
     return None if option is None else option.time_us
 
 

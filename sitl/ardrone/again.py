@@ -25,7 +25,7 @@ from sitl.ardrone.state import AIRBORNE
 from sitl.faults import ServiceKilled
 from sitl.safety import dangers
 from sitl.scenario import FAULTS, Scenario, load
-from sitl.world import Phase, World
+from sitl.world import VehiclePhase, World
 
 _LOOK_S = 0.1
 
@@ -108,9 +108,9 @@ async def _end(server: ArDroneServer, clock: Clock) -> str:
     while seconds_between(world.started, clock.now()) < world.scenario.duration_limit_s:
         await clock.sleep(_LOOK_S)
         flew = flew or world.phase in AIRBORNE
-        if world.phase is Phase.EMERGENCY:
+        if world.phase is VehiclePhase.EMERGENCY:
             return "emergency"
-        if flew and world.phase is Phase.LANDED:
+        if flew and world.phase is VehiclePhase.LANDED:
             return "landed"
     world.emergency()
     return "time is up"

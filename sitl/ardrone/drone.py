@@ -14,13 +14,13 @@ from sitl.ardrone.config import Configuration
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.navdata_from_world import ALL_OPTIONS, SentFrame, Situation, datagram, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
-from sitl.world import Phase, Stick, World
+from sitl.world import Stick, VehiclePhase, World
 
 TICK_S = 0.005
 """Physics and full navdata, 200 Hz."""
 BATTERY_LOW = 0.2
 """Fraction."""
-_STEERABLE = (Phase.TAKING_OFF, Phase.HOVERING, Phase.FLYING)
+_STEERABLE = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING)
 
 
 class Drone:

@@ -12,7 +12,7 @@ from typing import Any
 from drivers.ardrone import navdata
 from drivers.ardrone.navdata import Navdata
 from sitl.airframe import StickLimits
-from sitl.world import Phase, Readings, Stick
+from sitl.world import Readings, Stick, VehiclePhase
 
 STANDARD_GRAVITY = 9.80665
 TESLA_PER_MILLIGAUSS = 1e-7
@@ -42,7 +42,7 @@ class Situation:
     state: int
     control_state: int
     readings: Readings
-    phase: Phase
+    phase: VehiclePhase
     altitude_m: float
     """The drone's own idea: the last ultrasound echo that came back, upright."""
     time_us: int
@@ -80,7 +80,7 @@ def _demo(s: Situation) -> navdata.Demo:
         theta_mdeg=_mdeg(pitch),
         phi_mdeg=_mdeg(roll),
         psi_mdeg=_mdeg(yaw),
-        altitude_mm=0 if s.phase is Phase.LANDED else round(1e3 * s.altitude_m),
+        altitude_mm=0 if s.phase is VehiclePhase.LANDED else round(1e3 * s.altitude_m),
         vx_mm_s=1e3 * vx,
         vy_mm_s=1e3 * vy,
         # No real drone was ever seen to fill this in.
@@ -201,7 +201,7 @@ def _clip(value: float, low: int, high: int) -> int:
 
 _OPTIONS: dict[int, Callable[[Situation], Any]] = {
     0: _demo,
-    1: lambda s: navdata.Time.of_us(s.time_us),
+    1: lambda s: navdata.NavdataTime.of_us(s.time_us),
     2: _raw_measures,
     3: _phys_measures,
     4: lambda s: navdata.GyrosOffsets(),

@@ -17,7 +17,7 @@ from drivers.ardrone.navdata import ControlState, NavdataState
 from drivers.ardrone.refusal import Refusal
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.config import Answer, Configuration, Ids
-from sitl.world import Phase, Stick
+from sitl.world import Stick, VehiclePhase
 
 LIMIT_KEYS = frozenset(
     f"control:{where}{name}"
@@ -31,19 +31,19 @@ _ALWAYS = (
     | NavdataState.AT_CODEC_ON | NavdataState.NAVDATA_ON | NavdataState.VIDEO_ON | NavdataState.ACQUISITION_ON
 )  # fmt: skip
 
-AIRBORNE = frozenset({Phase.TAKING_OFF, Phase.HOVERING, Phase.FLYING, Phase.LANDING})
-_STEERABLE = frozenset({Phase.TAKING_OFF, Phase.HOVERING, Phase.FLYING})
+AIRBORNE = frozenset({VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING})
+_STEERABLE = frozenset({VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING})
 
 LOST_COM = 8
 """Minor control state of a hovering drone that hears nobody."""
 
 _MAJOR = {
-    Phase.LANDED: ControlState.LANDED,
-    Phase.TAKING_OFF: ControlState.TAKING_OFF,
-    Phase.HOVERING: ControlState.HOVERING,
-    Phase.FLYING: ControlState.FLYING,
-    Phase.LANDING: ControlState.LANDING,
-    Phase.EMERGENCY: ControlState.DEFAULT,
+    VehiclePhase.LANDED: ControlState.LANDED,
+    VehiclePhase.TAKING_OFF: ControlState.TAKING_OFF,
+    VehiclePhase.HOVERING: ControlState.HOVERING,
+    VehiclePhase.FLYING: ControlState.FLYING,
+    VehiclePhase.LANDING: ControlState.LANDING,
+    VehiclePhase.EMERGENCY: ControlState.DEFAULT,
 }
 
 
@@ -103,7 +103,7 @@ class DroneState:
         """Somebody spoke to the drone once, and nobody has for general:com_watchdog seconds."""
         return self._silent
 
-    def take(self, datagram: bytes, now: MonoNs, phase: Phase) -> Iterator[RefAction | Stick]:
+    def take(self, datagram: bytes, now: MonoNs, phase: VehiclePhase) -> Iterator[RefAction | Stick]:
         """One datagram of the AT port. What cannot be read or comes out of order is counted and has no effect."""
         for item in at.decode(datagram):
             if isinstance(item, Refusal):
@@ -119,7 +119,7 @@ class DroneState:
             ids, self._ids = self._ids, None
             yield from self._obey(command, ids, phase)
 
-    def tick(self, now: MonoNs, phase: Phase) -> Iterator[RefAction | Stick]:
+    def tick(self, now: MonoNs, phase: VehiclePhase) -> Iterator[RefAction | Stick]:
         """Let time pass: after general:com_watchdog seconds of silence the drone hovers, after twice that it lands.
 
         A drone nobody ever spoke to stays as it is.
@@ -139,7 +139,7 @@ class DroneState:
             self.counters["landed_for_silence"] += 1
             yield RefAction.LAND
 
-    def word(self, phase: Phase, battery_low: bool, ultrasound_deaf: bool) -> int:
+    def word(self, phase: VehiclePhase, battery_low: bool, ultrasound_deaf: bool) -> int:
         """Navdata's state word."""
         word = _ALWAYS
         for bit, is_on in (
@@ -154,17 +154,17 @@ class DroneState:
             (NavdataState.USER_EMERGENCY, self._user_emergency),
             (NavdataState.ULTRASOUND_DEAF, ultrasound_deaf),
             (NavdataState.COM_WATCHDOG, self._watchdog),
-            (NavdataState.EMERGENCY, phase is Phase.EMERGENCY),
+            (NavdataState.EMERGENCY, phase is VehiclePhase.EMERGENCY),
         ):
             if is_on:
                 word |= bit
         return int(word)
 
-    def control_state(self, phase: Phase) -> int:
+    def control_state(self, phase: VehiclePhase) -> int:
         """The demo option's control state: major in the upper, minor in the lower 16 bits."""
-        return _MAJOR[phase].word | (LOST_COM if self._silent and phase is Phase.HOVERING else 0)
+        return _MAJOR[phase].word | (LOST_COM if self._silent and phase is VehiclePhase.HOVERING else 0)
 
-    def _obey(self, command: at.AtCommand, ids: Ids | None, phase: Phase) -> Iterator[RefAction | Stick]:
+    def _obey(self, command: at.AtCommand, ids: Ids | None, phase: VehiclePhase) -> Iterator[RefAction | Stick]:
         match command:
             case at.Ref():
                 yield from self._refer(command, phase)
@@ -180,7 +180,7 @@ class DroneState:
             case at.ComWdg():
                 self._watchdog = False
             case at.Ftrim():
-                if phase is Phase.LANDED:
+                if phase is VehiclePhase.LANDED:
                     yield RefAction.FLAT_TRIM
                 else:
                     self.counters["ftrim_refused_in_flight"] += 1
@@ -194,16 +194,16 @@ class DroneState:
             case _:
                 assert_never(command)
 
-    def _refer(self, ref: at.Ref, phase: Phase) -> Iterator[RefAction]:
+    def _refer(self, ref: at.Ref, phase: VehiclePhase) -> Iterator[RefAction]:
         pressed = ref.emergency and not self._emergency_asked
         self._emergency_asked = ref.emergency
         if pressed:
-            leaves = phase is Phase.EMERGENCY
+            leaves = phase is VehiclePhase.EMERGENCY
             self._user_emergency = not leaves
             yield RefAction.LEAVE_EMERGENCY if leaves else RefAction.CUT_MOTORS
-        elif ref.take_off and phase is Phase.LANDED:
+        elif ref.take_off and phase is VehiclePhase.LANDED:
             yield RefAction.TAKE_OFF
-        elif ref.take_off and phase is Phase.LANDING:
+        elif ref.take_off and phase is VehiclePhase.LANDING:
             # Assumed, not read anywhere: the wish to fly ends a landing as it begins a flight.
             yield RefAction.STAY_UP
         elif not ref.take_off and phase in _STEERABLE:

@@ -78,7 +78,11 @@ class FakeArDrone:
         options: tuple[Any, ...] = (nd.Demo(self.control.word, 80, 0.0, 0.0, 0.0, 900, self.vx_mm_s, 0.0, 0.0),)
         if not self.state & nd.NavdataState.NAVDATA_DEMO:
             accs, gyros = (0.0, 0.0, -1000.0), (0.0, 0.0, 0.0)
-            options += (nd.Time.of_us(self.clock_us), nd.PhysMeasures(40.0, 0, accs, gyros), nd.Altitude(altitude_raw_mm=900))
+            options += (
+                nd.NavdataTime.of_us(self.clock_us),
+                nd.PhysMeasures(40.0, 0, accs, gyros),
+                nd.Altitude(altitude_raw_mm=900),
+            )
         return nd.encode(nd.Navdata.of(self.state, self.sequence, options))
 
     def tick(self) -> None:

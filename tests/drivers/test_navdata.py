@@ -116,7 +116,7 @@ def test_a_captured_datagram_cut_or_changed_anywhere_is_refused() -> None:
 def test_time_capture_is_milliseconds_just_before_the_datagram() -> None:
     navdata = nd.decode((CAPTURES / "navdata_full_gps.bin").read_bytes())
     assert isinstance(navdata, nd.Navdata)
-    time, vision = navdata.get(nd.Time), navdata.get(nd.Vision)
+    time, vision = navdata.get(nd.NavdataTime), navdata.get(nd.Vision)
     assert time is not None
     assert vision is not None
     assert 0 < time.time_us / 1000 - vision.time_capture_ms < 50
@@ -168,7 +168,7 @@ def test_reasons_of_refusal() -> None:
 
 
 def test_time_wraps_and_control_state() -> None:
-    assert nd.Time.of_us(2049_000_001).time_us == 1_000_001
+    assert nd.NavdataTime.of_us(2049_000_001).time_us == 1_000_001
     flying = nd.Demo(nd.ControlState.LANDING.word | 3, 0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0.0)
     assert nd.Navdata.of(0, 1, (flying,)).control_state is nd.ControlState.LANDING
     strange = nd.Demo(77 << 16, 0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0.0)

@@ -31,7 +31,7 @@ class Ear:
         self.restarts += 1
 
     def hears(self, sequence: int, drone_ms: int | None, heard_ms: int) -> None:
-        options = (DEMO,) if drone_ms is None else (DEMO, nd.Time.of_us(drone_ms * 1000))
+        options = (DEMO,) if drone_ms is None else (DEMO, nd.NavdataTime.of_us(drone_ms * 1000))
         self.channel.take(nd.encode(nd.Navdata.of(0, sequence, options)), MonoNs(heard_ms * 1_000_000))
 
 

@@ -22,7 +22,7 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.scenario import Start, load
-from sitl.world import Phase, World
+from sitl.world import VehiclePhase, World
 
 OPTIONS = ArDroneOptions()
 PERIOD_TICKS = 6
@@ -105,21 +105,21 @@ class Moment:
     height_m: float
     command: Command
     seconds: float
-    ends: Phase = Phase.HOVERING
+    ends: VehiclePhase = VehiclePhase.HOVERING
 
 
 MOMENTS = {
-    "before take-off": Moment(0.0, Hover(), 1.0, Phase.LANDED),
+    "before take-off": Moment(0.0, Hover(), 1.0, VehiclePhase.LANDED),
     "taking off": Moment(0.0, TakeOff(), 0.5),
     "waiting": Moment(2.0, Hover(), 1.0),
     "approach": Moment(3.0, go(0.4), 1.0),
     "descend": Moment(2.2, go(0.1, 0.3), 1.5),
     "last half metre": Moment(0.8, go(0.05, 0.2), 1.5),
     "landing ordered high": Moment(1.8, Land(), 0.5),
-    "landing ordered low": Moment(0.35, Land(), 0.2, Phase.LANDED),
+    "landing ordered low": Moment(0.35, Land(), 0.2, VehiclePhase.LANDED),
     "lost": Moment(1.5, Hover(), 1.0),
     "climb": Moment(1.0, go(0.0, -0.3), 1.0),
-    "after landing": Moment(0.3, Land(), 2.5, Phase.LANDED),
+    "after landing": Moment(0.3, Land(), 2.5, VehiclePhase.LANDED),
 }
 
 
@@ -141,7 +141,7 @@ def test_nothing_we_sent_outlives_us(name: str, silence: str) -> None:
     truth = bench.world.truth()
     assert bench.world.phase is moment.ends, "the drone does not land by itself while the sender holds it"
     assert not any(ref & at.REF_EMERGENCY for ref in bench.refs)
-    if moment.ends is Phase.LANDED:
+    if moment.ends is VehiclePhase.LANDED:
         assert at.REF_BASE | at.REF_TAKE_OFF not in bench.refs[refs:], "the wish to fly would start its motors"
         assert not truth.contacts or truth.contacts[-1].on_pad
         return
@@ -152,7 +152,7 @@ def test_nothing_we_sent_outlives_us(name: str, silence: str) -> None:
         bench.service()
         bench.run(0.2, Hover)
         bench.run(4.0, Land)
-        assert bench.world.phase is Phase.LANDED
+        assert bench.world.phase is VehiclePhase.LANDED
 
 
 def test_a_landing_for_silence_is_called_off_by_whoever_comes_back() -> None:
@@ -160,13 +160,13 @@ def test_a_landing_for_silence_is_called_off_by_whoever_comes_back() -> None:
     bench = Bench(2.5, seed=1)
     bench.run(1.0, lambda: go(0.3))
     bench.run(5.0, service=False, sender=False)
-    assert bench.world.phase is Phase.LANDING
+    assert bench.world.phase is VehiclePhase.LANDING
     height_m = bench.height_m
     assert height_m > 1.0
     bench.service()
     bench.arbiter = CommandArbiter(OPTIONS.hold_s)
     bench.run(2.0, Hover)
-    assert bench.world.phase is Phase.HOVERING
+    assert bench.world.phase is VehiclePhase.HOVERING
     assert bench.height_m > height_m - 0.5
     assert bench.drone.counters["stay_up"] == 1
 
@@ -176,7 +176,7 @@ def test_a_landing_by_a_low_battery_is_left_alone() -> None:
     bench.run(0.5, Hover)
     bench.world.land()  # as the firmware does by itself, or another's remote control
     bench.run(3.0, Hover)
-    assert bench.world.phase in (Phase.LANDING, Phase.LANDED)
+    assert bench.world.phase in (VehiclePhase.LANDING, VehiclePhase.LANDED)
     assert bench.drone.counters["stay_up"] == 0
 
 
@@ -187,4 +187,4 @@ def test_the_sender_gives_up_in_the_end_and_the_drone_lands_by_its_own_rules() -
     quiet = bench.now
     bench.run(8.5, service=False)
     assert seconds_between(quiet, bench.now) > 3.0 + 2 * OPTIONS.com_watchdog_s
-    assert bench.world.phase in (Phase.LANDING, Phase.LANDED)
+    assert bench.world.phase in (VehiclePhase.LANDING, VehiclePhase.LANDED)

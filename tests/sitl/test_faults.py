@@ -46,7 +46,7 @@ from sitl.faults import (
 from sitl.flight import Flight
 from sitl.safety import Grade
 from sitl.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
-from sitl.world import Phase, Readings, Stick, World
+from sitl.world import Readings, Stick, VehiclePhase, World
 
 CALM = Scenario(
     title="bench",
@@ -226,7 +226,7 @@ def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None
     flight, processed = flown(ServiceKilled(at_s=0.5), 3.0)
     assert max(s.stamp.received_at for s in processed.samples) < 510_000_000
     assert not flight._drone.state.silent, "its sender is another process and holds the drone"
-    assert flight.world.phase is Phase.HOVERING
+    assert flight.world.phase is VehiclePhase.HOVERING
     first = flight._pilot
     again, processed = flown(ServiceKilled(at_s=0.5, for_s=0.5), 1.2, renew=True)
     assert again._pilot is not first
@@ -287,7 +287,7 @@ def test_a_height_is_over_the_deck_and_starts_the_fault_in_the_world() -> None:
         at(w, seconds_between(w.started, w.now) + 0.004)
         assert w.now < 10_000_000_000
     assert w.truth().d_body_pad_level[2] == pytest.approx(2.0, abs=0.01)
-    assert w.phase is Phase.FLYING
+    assert w.phase is VehiclePhase.FLYING
     ((fault, began_s),) = w.faults.begun
     assert fault.kind == "flow_blind"
     assert began_s == pytest.approx(seconds_between(w.started, w.at))

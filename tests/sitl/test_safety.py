@@ -12,20 +12,20 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m, outside_commit
-from sitl.world import Phase, Touchdown, Truth
+from sitl.world import Touchdown, Truth, VehiclePhase
 
 START = MonoNs(0)
 SAFE = BlindDescent(0.2, 0.2, 1.4)
 
 
-def truth(at_s: float, height_m: float, deck_up_m: float = 0.0, phase: Phase = Phase.FLYING) -> Truth:
+def truth(at_s: float, height_m: float, deck_up_m: float = 0.0, phase: VehiclePhase = VehiclePhase.FLYING) -> Truth:
     level = Rotation.identity()
     deck, body = np.array([0.0, 0.0, -deck_up_m]), np.array([0.0, 0.0, -deck_up_m - height_m])
     return Truth(after(START, at_s), body, np.zeros(3), level, deck, np.zeros(3), level, phase, None)
 
 
 def contact(surface: Literal["pad", "deck", "water"], lateral_m: float = 0.1, phase: str | None = "land") -> Touchdown:
-    return Touchdown(START, surface, np.zeros(3), lateral_m, 0.0, 0.4, 0.0, Phase.LANDING, True, phase)
+    return Touchdown(START, surface, np.zeros(3), lateral_m, 0.0, 0.4, 0.0, VehiclePhase.LANDING, True, phase)
 
 
 def watched(frames: list[tuple[float, Verdict, bool, float]], heights: list[tuple[float, float]]) -> SightWatch:
@@ -84,7 +84,7 @@ def test_dangers_name_contacts_beside_the_pad_descents_without_sight_and_a_dead_
 
 
 def test_contacts_outside_commit_are_those_with_motors_before_guidance_means_to_land() -> None:
-    still = Touchdown(START, "pad", np.zeros(3), 0.1, 0.0, 0.4, 0.0, Phase.EMERGENCY, False, "descend")
+    still = Touchdown(START, "pad", np.zeros(3), 0.1, 0.0, 0.4, 0.0, VehiclePhase.EMERGENCY, False, "descend")
     assert outside_commit([contact("pad"), contact("pad", phase="descend"), contact("pad", phase=None), still]) == 2
 
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.airframe import StickLimits
-from sitl.world import Phase, Readings, RenderedFrame, Stick, Truth
+from sitl.world import Readings, RenderedFrame, Stick, Truth, VehiclePhase
 
 G = 9.80665
 HOVER_HEIGHT_M = 0.8
 CLIMB_M_S, SINK_M_S = 2.0, 2.0
-STEERABLE = (Phase.HOVERING, Phase.FLYING)
+STEERABLE = (VehiclePhase.HOVERING, VehiclePhase.FLYING)
 
 
 class PointMass:
@@ -24,7 +24,7 @@ class PointMass:
 
     def __init__(self, start: MonoNs, height_m: float = 0.0) -> None:
         self.now = start
-        self.phase = Phase.HOVERING if height_m else Phase.LANDED
+        self.phase = VehiclePhase.HOVERING if height_m else VehiclePhase.LANDED
         self.limits = StickLimits()
         self.faults: set[str] = set()
         self.stamp_error_s = 0.0
@@ -48,27 +48,27 @@ class PointMass:
         self._stick = stick
 
     def take_off(self) -> None:
-        if self.phase is Phase.LANDED:
-            self.phase = Phase.TAKING_OFF
+        if self.phase is VehiclePhase.LANDED:
+            self.phase = VehiclePhase.TAKING_OFF
 
     def land(self) -> None:
-        if self.phase in (Phase.TAKING_OFF, *STEERABLE):
-            self.phase = Phase.LANDING
+        if self.phase in (VehiclePhase.TAKING_OFF, *STEERABLE):
+            self.phase = VehiclePhase.LANDING
 
     def emergency(self) -> None:
-        self.phase = Phase.EMERGENCY
+        self.phase = VehiclePhase.EMERGENCY
 
     def leave_emergency(self) -> None:
-        if self.phase is Phase.EMERGENCY and self.p[2] == 0.0:
-            self.phase = Phase.LANDED
+        if self.phase is VehiclePhase.EMERGENCY and self.p[2] == 0.0:
+            self.phase = VehiclePhase.LANDED
 
     def advance(self, to: MonoNs) -> None:
         dt = seconds_between(self.now, to)
         self.now = to
         stick = self._stick
         if self.phase in STEERABLE:
-            self.phase = Phase.FLYING if stick.progressive else Phase.HOVERING
-        flying = self.phase is Phase.FLYING
+            self.phase = VehiclePhase.FLYING if stick.progressive else VehiclePhase.HOVERING
+        flying = self.phase is VehiclePhase.FLYING
         tilt = self.limits.euler_angle_max_rad
         roll, pitch = (stick.roll * tilt, stick.pitch * tilt) if flying else (0.0, 0.0)
         self.rpy = [roll, pitch, self.rpy[2] + (stick.yaw * self.limits.yaw_rate_max_rad_s * dt if flying else 0.0)]
@@ -77,18 +77,18 @@ class PointMass:
         drag = 0.4 if flying else 3.0
         self.v[:2] += dt * (np.array([c * ahead - s * right, s * ahead + c * right]) - drag * self.v[:2])
         self.v[2] = {
-            Phase.TAKING_OFF: -CLIMB_M_S,
-            Phase.FLYING: -stick.gaz * self.limits.vz_max_m_s,
-            Phase.LANDING: SINK_M_S,
-            Phase.EMERGENCY: self.v[2] + G * dt,
+            VehiclePhase.TAKING_OFF: -CLIMB_M_S,
+            VehiclePhase.FLYING: -stick.gaz * self.limits.vz_max_m_s,
+            VehiclePhase.LANDING: SINK_M_S,
+            VehiclePhase.EMERGENCY: self.v[2] + G * dt,
         }.get(self.phase, 0.0)
         self.p += dt * self.v
-        if self.phase is Phase.TAKING_OFF and -self.p[2] >= HOVER_HEIGHT_M:
-            self.phase = Phase.HOVERING
+        if self.phase is VehiclePhase.TAKING_OFF and -self.p[2] >= HOVER_HEIGHT_M:
+            self.phase = VehiclePhase.HOVERING
         if self.p[2] >= 0.0:
             self.p[2], self.v[:] = 0.0, 0.0
-            if self.phase is Phase.LANDING:
-                self.phase = Phase.LANDED
+            if self.phase is VehiclePhase.LANDING:
+                self.phase = VehiclePhase.LANDED
 
     def readings(self) -> Readings:
         c, s = math.cos(self.rpy[2]), math.sin(self.rpy[2])
@@ -104,7 +104,7 @@ class PointMass:
             temperature_c=43.5,
             magnetometer=np.array([210e-7, -15e-7, 430e-7]),
             battery_fraction=0.5,
-            motors_pwm=(170, 171, 172, 173) if self.phase is not Phase.LANDED else (0, 0, 0, 0),
+            motors_pwm=(170, 171, 172, 173) if self.phase is not VehiclePhase.LANDED else (0, 0, 0, 0),
         )
 
     def render(self) -> RenderedFrame:

@@ -98,7 +98,7 @@ async def test_full_navdata_holds_all_options_and_what_the_sensors_read(peer: Pe
         while peer.waiting():
             full = await peer.on_message()
     assert list(full.options) == list(range(28))
-    demo, time_, phys = full.get(navdata.Demo), full.get(navdata.Time), full.get(navdata.PhysMeasures)
+    demo, time_, phys = full.get(navdata.Demo), full.get(navdata.NavdataTime), full.get(navdata.PhysMeasures)
     altitude, magneto, pwm = full.get(navdata.Altitude), full.get(navdata.Magneto), full.get(navdata.Pwm)
     references, pressure, raw = full.get(navdata.References), full.get(navdata.PressureRaw), full.get(navdata.RawMeasures)
     assert demo is not None
@@ -190,7 +190,7 @@ async def test_silence_makes_it_hover_and_land(peer: Peer, world: PointMass) -> 
     hovering = await peer.until(lambda n: n.control_state is ControlState.HOVERING)
     assert hovering.state & NavdataState.COM_WATCHDOG
     landing = await peer.until(lambda n: n.control_state is ControlState.LANDING)
-    times = [t for n in (flying, hovering, landing) if (t := n.get(navdata.Time)) is not None]
+    times = [t for n in (flying, hovering, landing) if (t := n.get(navdata.NavdataTime)) is not None]
     # By the drone's own clock, and from about its last command on: a busy machine hears and says late.
     since_us, hovered_us, landing_us = (t.time_us for t in times)
     assert 0.4e6 < hovered_us - since_us < 1.4e6

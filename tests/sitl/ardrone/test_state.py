@@ -10,7 +10,7 @@ from drivers.ardrone import at
 from drivers.ardrone.navdata import ControlState, NavdataState
 from estimator.contracts.time import MonoNs
 from sitl.ardrone.state import HOVER, LOST_COM, DroneState, RefAction
-from sitl.world import Phase, Stick
+from sitl.world import Stick, VehiclePhase
 
 FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
 LAND = at.Ref(at.REF_BASE)
@@ -28,14 +28,16 @@ class Pilot:
         self.drone = DroneState()
         self.sequence = 0
 
-    def say(self, *commands: at.AtCommand, phase: Phase = Phase.LANDED, now_s: float = 0.0) -> list[RefAction | Stick]:
+    def say(
+        self, *commands: at.AtCommand, phase: VehiclePhase = VehiclePhase.LANDED, now_s: float = 0.0
+    ) -> list[RefAction | Stick]:
         datagram = b""
         for command in commands:
             self.sequence += 1
             datagram += at.encode(self.sequence, command)
         return list(self.drone.take(datagram, at_s(now_s), phase))
 
-    def word(self, phase: Phase = Phase.LANDED) -> NavdataState:
+    def word(self, phase: VehiclePhase = VehiclePhase.LANDED) -> NavdataState:
         return NavdataState(self.drone.word(phase, battery_low=False, ultrasound_deaf=False))
 
 
@@ -46,19 +48,19 @@ def pilot() -> Pilot:
 
 def test_take_off_is_held_and_landing_is_its_absence(pilot: Pilot) -> None:
     assert pilot.say(FLY) == [RefAction.TAKE_OFF]
-    assert pilot.say(FLY, phase=Phase.TAKING_OFF) == []
-    assert pilot.say(FLY, AHEAD, phase=Phase.HOVERING) == [Stick(0.0, -0.5, 0.0, 0.0, True)]
-    assert pilot.say(AHEAD, phase=Phase.LANDED) == []
-    assert pilot.say(LAND, phase=Phase.FLYING) == [RefAction.LAND]
-    assert pilot.say(LAND, phase=Phase.LANDING) == []
-    assert pilot.say(FLY, phase=Phase.LANDING) == [RefAction.STAY_UP]
+    assert pilot.say(FLY, phase=VehiclePhase.TAKING_OFF) == []
+    assert pilot.say(FLY, AHEAD, phase=VehiclePhase.HOVERING) == [Stick(0.0, -0.5, 0.0, 0.0, True)]
+    assert pilot.say(AHEAD, phase=VehiclePhase.LANDED) == []
+    assert pilot.say(LAND, phase=VehiclePhase.FLYING) == [RefAction.LAND]
+    assert pilot.say(LAND, phase=VehiclePhase.LANDING) == []
+    assert pilot.say(FLY, phase=VehiclePhase.LANDING) == [RefAction.STAY_UP]
     assert pilot.say(at.Ref(1 << 9)) == [RefAction.TAKE_OFF], "some clients leave the base bits out"
 
 
 def test_stick_beyond_its_range_is_held_to_it(pilot: Pilot) -> None:
-    (stick,) = pilot.say(at.Pcmd(1, 3.0, -2.0, 1.5, 0.25), phase=Phase.FLYING)
+    (stick,) = pilot.say(at.Pcmd(1, 3.0, -2.0, 1.5, 0.25), phase=VehiclePhase.FLYING)
     assert stick == Stick(1.0, -1.0, 1.0, 0.25, True)
-    (stick,) = pilot.say(at.PcmdMag(5, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6), phase=Phase.FLYING)
+    (stick,) = pilot.say(at.PcmdMag(5, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6), phase=VehiclePhase.FLYING)
     assert isinstance(stick, Stick)
     assert stick.roll == pytest.approx(0.1)
     assert stick.progressive
@@ -69,55 +71,55 @@ def test_smaller_sequence_numbers_are_ignored_and_one_starts_anew(pilot: Pilot) 
     pilot.sequence = 99
     assert pilot.say(FLY) == [RefAction.TAKE_OFF]
     for late in (50, 100):
-        assert list(drone.take(at.encode(late, FLY), at_s(0.1), Phase.LANDED)) == []
+        assert list(drone.take(at.encode(late, FLY), at_s(0.1), VehiclePhase.LANDED)) == []
     assert drone.counters["at_out_of_order"] == 2
-    assert list(drone.take(at.encode(1, FLY), at_s(0.2), Phase.LANDED)) == [RefAction.TAKE_OFF]
-    assert list(drone.take(at.encode(2, FLY), at_s(0.3), Phase.LANDED)) == [RefAction.TAKE_OFF]
+    assert list(drone.take(at.encode(1, FLY), at_s(0.2), VehiclePhase.LANDED)) == [RefAction.TAKE_OFF]
+    assert list(drone.take(at.encode(2, FLY), at_s(0.3), VehiclePhase.LANDED)) == [RefAction.TAKE_OFF]
 
 
 def test_silence_makes_a_flying_drone_hover_then_land(pilot: Pilot) -> None:
     drone = pilot.drone
     pilot.say(at.ComWdg(), FLY)
     assert NavdataState.COM_WATCHDOG not in pilot.word()
-    pilot.say(AHEAD, phase=Phase.FLYING, now_s=1.0)
-    assert list(drone.tick(at_s(2.9), Phase.FLYING)) == []
-    assert list(drone.tick(at_s(3.0), Phase.FLYING)) == [HOVER]
-    word = pilot.word(Phase.HOVERING)
+    pilot.say(AHEAD, phase=VehiclePhase.FLYING, now_s=1.0)
+    assert list(drone.tick(at_s(2.9), VehiclePhase.FLYING)) == []
+    assert list(drone.tick(at_s(3.0), VehiclePhase.FLYING)) == [HOVER]
+    word = pilot.word(VehiclePhase.HOVERING)
     assert NavdataState.COM_WATCHDOG in word
     assert NavdataState.COMMUNICATION_LOST in word
-    assert drone.control_state(Phase.HOVERING) == ControlState.HOVERING.word | LOST_COM
-    assert list(drone.tick(at_s(4.9), Phase.HOVERING)) == []
-    assert list(drone.tick(at_s(5.0), Phase.HOVERING)) == [RefAction.LAND]
-    assert list(drone.tick(at_s(5.1), Phase.LANDING)) == []
+    assert drone.control_state(VehiclePhase.HOVERING) == ControlState.HOVERING.word | LOST_COM
+    assert list(drone.tick(at_s(4.9), VehiclePhase.HOVERING)) == []
+    assert list(drone.tick(at_s(5.0), VehiclePhase.HOVERING)) == [RefAction.LAND]
+    assert list(drone.tick(at_s(5.1), VehiclePhase.LANDING)) == []
     assert (drone.counters["com_watchdog"], drone.counters["landed_for_silence"]) == (1, 1)
 
 
 def test_a_client_that_comes_back_in_time_keeps_flying_and_clears_the_bit_itself(pilot: Pilot) -> None:
     drone = pilot.drone
     pilot.sequence = 500
-    pilot.say(at.ComWdg(), AHEAD, phase=Phase.FLYING)
-    assert list(drone.tick(at_s(2.5), Phase.FLYING)) == [HOVER]
+    pilot.say(at.ComWdg(), AHEAD, phase=VehiclePhase.FLYING)
+    assert list(drone.tick(at_s(2.5), VehiclePhase.FLYING)) == [HOVER]
     pilot.sequence = 6
-    assert pilot.say(FLY, AHEAD, phase=Phase.HOVERING, now_s=2.6) == [Stick(0.0, -0.5, 0.0, 0.0, True)], (
+    assert pilot.say(FLY, AHEAD, phase=VehiclePhase.HOVERING, now_s=2.6) == [Stick(0.0, -0.5, 0.0, 0.0, True)], (
         "the watchdog resets numbers"
     )
     assert NavdataState.COMMUNICATION_LOST not in pilot.word()
     assert NavdataState.COM_WATCHDOG in pilot.word()
-    pilot.say(at.ComWdg(), phase=Phase.FLYING, now_s=2.7)
+    pilot.say(at.ComWdg(), phase=VehiclePhase.FLYING, now_s=2.7)
     assert NavdataState.COM_WATCHDOG not in pilot.word()
-    assert list(drone.tick(at_s(4.6), Phase.FLYING)) == []
+    assert list(drone.tick(at_s(4.6), VehiclePhase.FLYING)) == []
 
 
 def test_old_numbers_do_not_feed_the_watchdog(pilot: Pilot) -> None:
     pilot.sequence = 1000
-    pilot.say(AHEAD, phase=Phase.FLYING)
-    list(pilot.drone.take(at.encode(10, AHEAD), at_s(1.5), Phase.FLYING))
-    assert list(pilot.drone.tick(at_s(2.0), Phase.FLYING)) == [HOVER]
+    pilot.say(AHEAD, phase=VehiclePhase.FLYING)
+    list(pilot.drone.take(at.encode(10, AHEAD), at_s(1.5), VehiclePhase.FLYING))
+    assert list(pilot.drone.tick(at_s(2.0), VehiclePhase.FLYING)) == [HOVER]
 
 
 def test_nobody_was_ever_there_so_nobody_is_missed(pilot: Pilot) -> None:
     assert NavdataState.COM_WATCHDOG in pilot.word(), "set at first contact"
-    assert list(pilot.drone.tick(at_s(100.0), Phase.HOVERING)) == []
+    assert list(pilot.drone.tick(at_s(100.0), VehiclePhase.HOVERING)) == []
 
 
 def test_bootstrap_and_handshake(pilot: Pilot) -> None:
@@ -162,19 +164,19 @@ def test_limits_are_passed_on_when_they_may_have_changed(pilot: Pilot) -> None:
 
 def test_emergency_is_an_edge_that_toggles(pilot: Pilot) -> None:
     cut = at.Ref(at.REF_BASE | at.REF_EMERGENCY)
-    assert pilot.say(cut, phase=Phase.FLYING) == [RefAction.CUT_MOTORS]
-    assert pilot.say(cut, phase=Phase.EMERGENCY) == []
-    word = pilot.word(Phase.EMERGENCY)
+    assert pilot.say(cut, phase=VehiclePhase.FLYING) == [RefAction.CUT_MOTORS]
+    assert pilot.say(cut, phase=VehiclePhase.EMERGENCY) == []
+    word = pilot.word(VehiclePhase.EMERGENCY)
     assert NavdataState.EMERGENCY in word
     assert NavdataState.USER_EMERGENCY in word
-    assert pilot.say(FLY, phase=Phase.EMERGENCY) == []
-    assert pilot.say(cut, phase=Phase.EMERGENCY) == [RefAction.LEAVE_EMERGENCY]
+    assert pilot.say(FLY, phase=VehiclePhase.EMERGENCY) == []
+    assert pilot.say(cut, phase=VehiclePhase.EMERGENCY) == [RefAction.LEAVE_EMERGENCY]
     assert NavdataState.USER_EMERGENCY not in pilot.word()
 
 
 def test_the_rest_is_accepted(pilot: Pilot) -> None:
     assert pilot.say(at.Ftrim()) == [RefAction.FLAT_TRIM]
-    assert pilot.say(at.Ftrim(), at.Calib(0), at.Anim(16, 15), at.Pmode(2), at.Misc(), phase=Phase.FLYING) == []
+    assert pilot.say(at.Ftrim(), at.Calib(0), at.Anim(16, 15), at.Pmode(2), at.Misc(), phase=VehiclePhase.FLYING) == []
     pilot.say(at.Led(5, 2.5, 7))
     assert (pilot.drone.leds.animation, pilot.drone.leds.frequency_hz, pilot.drone.leds.duration_s) == (5, 2.5, 7.0)
     pilot.say(at.Config("leds:leds_anim", "9,1073741824,3"))
@@ -194,10 +196,10 @@ _FRAGMENT = st.one_of(
 
 
 @settings(deadline=None, max_examples=150)
-@given(st.lists(_FRAGMENT, max_size=8), st.sampled_from(list(Phase)))
-def test_garbage_never_raises_and_the_next_good_command_counts(fragments: list[bytes], phase: Phase) -> None:
+@given(st.lists(_FRAGMENT, max_size=8), st.sampled_from(list(VehiclePhase)))
+def test_garbage_never_raises_and_the_next_good_command_counts(fragments: list[bytes], phase: VehiclePhase) -> None:
     drone = DroneState()
     list(drone.take(b"".join(fragments), at_s(0.0), phase))
     list(drone.tick(at_s(9.0), phase))
-    assert list(drone.take(at.encode(1, FLY), at_s(9.1), Phase.LANDED)) == [RefAction.TAKE_OFF]
+    assert list(drone.take(at.encode(1, FLY), at_s(9.1), VehiclePhase.LANDED)) == [RefAction.TAKE_OFF]
     assert 0 <= drone.word(phase, True, True) < 2**32

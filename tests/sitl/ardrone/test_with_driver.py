@@ -14,7 +14,7 @@ from estimator.contracts.commands import Land, TakeOff, Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs
 from sitl.ardrone.server import ArDroneServer, Ports
-from sitl.world import Phase, World
+from sitl.world import VehiclePhase, World
 from tests.sitl.ardrone.point_mass import PointMass
 
 HOST = "127.0.0.1"
@@ -25,7 +25,7 @@ def options_for(server: ArDroneServer) -> ArDroneOptions:
     return ArDroneOptions(host=HOST, navdata_port=p.navdata, video_port=p.video, at_port=p.at, control_port=p.control)
 
 
-async def reach(world: PointMass, phase: Phase) -> None:
+async def reach(world: PointMass, phase: VehiclePhase) -> None:
     for _ in range(6000):
         if world.phase is phase:
             return
@@ -54,7 +54,7 @@ async def test_it_configures_flies_and_lands_the_drone() -> None:
             assert not config.flag("general:navdata_demo")
             assert world.limits.euler_angle_max_rad == options.loop.euler_angle_max_rad
             drone.command(TakeOff())
-            await reach(world, Phase.HOVERING)
+            await reach(world, VehiclePhase.HOVERING)
             for _ in range(3000):  # as long as a busy machine takes; it comes nowhere near without a loop that closes
                 drone.command(Velocity(np.array([0.5, 0.0, 0.0]), 0.0))
                 await asyncio.sleep(0.02)
@@ -65,7 +65,7 @@ async def test_it_configures_flies_and_lands_the_drone() -> None:
             kinds = {type(await drone.samples.get()) for _ in range(len(drone.samples))}
             assert kinds >= {Imu, Attitude, BodyVelocity, Range, VehicleStatus}
             drone.command(Land())
-            await reach(world, Phase.LANDED)
+            await reach(world, VehiclePhase.LANDED)
         refused = {k: n for k, n in server.drone.state.counters.items() if k.startswith("config_") and k != "config_set"}
         assert refused == {}
         assert server.drone.state.counters["com_watchdog"] <= 3, "50 ms without a command, as a busy machine may have it"
