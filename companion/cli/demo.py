@@ -26,7 +26,7 @@ from companion.cli.version import version
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
 from companion.observer import Observer
-from companion.pilot import Outcome
+from companion.pilot import FlightOutcome
 from companion.report.drawing import require_drawing
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.log_observer import LogObserver

@@ -7,7 +7,7 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 from companion.config.model import Settings
 from companion.config.settings import camera_model
-from companion.runtime.daemon import Link, OpenLink
+from companion.runtime.daemon import OpenLink, VehicleLink
 from drivers.camera.source import VideoSource
 from drivers.camera.video_source import open_camera
 from drivers.camera.video_source_options import CameraOptions, SourceTimeouts, StreamOptions, V4l2Options
