@@ -144,9 +144,9 @@ def fly(seed: int) -> Result:
         cost[type(event).__name__].append(time.process_time() - began)
         outcome = outcomes[0]
         verdicts[outcome.verdict.value] += 1
-        if isinstance(event, Sighting) and outcome.verdict is Verdict.FUSED and outcome.innov is not None and event.seq > 20:
-            low, high = CHI2_NIS[outcome.innov.size]
-            nis.append((outcome.nis / outcome.innov.size, low <= outcome.nis <= high))
+        if isinstance(event, Sighting) and outcome.verdict is Verdict.FUSED and outcome.innovation is not None and event.seq > 20:
+            low, high = CHI2_NIS[outcome.innovation.size]
+            nis.append((outcome.nis / outcome.innovation.size, low <= outcome.nis <= high))
         for name, path in others.items():
             others[name] = path.step(event)[0]
     for name, rows in squares.items():

@@ -82,7 +82,7 @@ async def measure(rate_hz: float) -> None:
                 attitude = pilot.attitude_at(frame.stamp)
                 if attitude is not None:
                     look = await loop.run_in_executor(None, pilot.detect, frame, attitude)
-                    verdict = pilot.on_detection(look)
+                    verdict, _ = pilot.on_detection(look)
                     understood = clock.now()
                     sent = autopilot.links.all[0].counters.bytes_out
                     component.on_frame(SimpleNamespace(verdict=verdict))  # type: ignore[arg-type]

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs
 from estimator.vision.thesis.detection import Detection
@@ -25,6 +26,8 @@ class ProcessedFrame:
     began: MonoNs
     """When vision took it up."""
     done: MonoNs
+    results: tuple[FusionResult, ...] = ()
+    """What each path of the estimator made of the sighting; empty without one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +50,14 @@ class Observer(Protocol):
 
     def on_sample(self, sample: Sample) -> None: ...
 
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        """Take what one path made of one measurement, after the sample or frame that it came from.
+
+        Args:
+            at: the instant at which the service met the measurement.
+        """
+        ...
+
     def on_frame(self, processed: ProcessedFrame) -> None: ...
 
     def on_decision(self, decision: Decision) -> None: ...
@@ -56,6 +67,9 @@ class NullObserver:
     """An observer that does nothing: a base for those that want only some of it."""
 
     def on_sample(self, sample: Sample) -> None:
+        return None
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
         return None
 
     def on_frame(self, processed: ProcessedFrame) -> None:

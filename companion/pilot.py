@@ -19,6 +19,7 @@ from companion.observer import Decision
 from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land
 from estimator.contracts.estimates import Doubt, PathName, RelativeState, Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
@@ -151,8 +152,8 @@ class Pilot:
         doubts = (*(doubt for doubt in believed.doubts if doubt is not Doubt.ELSEWHERE), Doubt.ELSEWHERE)
         return replace(believed, consistent=False, doubts=doubts)
 
-    def on_sample(self, sample: Sample) -> tuple[pipeline.Outcome, ...]:
-        """Take a sample; what became of it, path by path."""
+    def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
+        """Take a sample. Return what became of it, path by path."""
         if isinstance(sample, VehicleStatus):
             self._status = sample
             self._stood = self._stood or (self.outcome is not None and sample.flying is False)
@@ -160,8 +161,8 @@ class Pilot:
                 self._new_flight()
             self._flew = self._flew or sample.flying is True
             return ()
-        self._memory, outcomes = pipeline.step(self._memory, sample)
-        return outcomes
+        self._memory, results = pipeline.step(self._memory, sample)
+        return results
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """At the exposure of a frame, None when no sample covers it."""
@@ -181,12 +182,13 @@ class Pilot:
         seen, self._tracker_memory = track(self._tracker, self._tracker_memory, frame, attitude, believed)
         return seen
 
-    def on_detection(self, seen: Detection) -> Verdict:
-        """Take what was found in a frame; the frame's verdict is the steering path's."""
+    def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:
+        """Take what was found in a frame. Return the frame's verdict, which is the steering path's, and what became of the
+        sighting, path by path."""
         if seen.selected is None:
-            return Verdict.NO_PAD
-        self._memory, outcomes = pipeline.step(self._memory, seen.selected)
-        return outcomes[0].verdict
+            return Verdict.NO_PAD, ()
+        self._memory, results = pipeline.step(self._memory, seen.selected)
+        return results[0].verdict, results
 
     def decide(self, now: MonoNs) -> Decision:
         """One round of guidance. The command is None while the vehicle is left to itself."""

@@ -1,4 +1,4 @@
-"""The ways from sightings and samples to a belief, behind one shape: `step(event) -> path, verdict` and `at(now) -> belief`."""
+"""The ways from sightings and samples to a belief, behind one shape: `step(event) -> path, result` and `at(now) -> belief`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from estimator import dead_reckoning, ekf, filters
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
+from estimator.contracts.fusion import FusionResult, source_of
 from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -21,8 +22,9 @@ class Path(Protocol):
     @property
     def name(self) -> PathName: ...
 
-    def step(self, event: Event) -> tuple[Self, Verdict | None]:
-        """Take one event; the verdict is None for a kind of sample that this path has no use for."""
+    def step(self, event: Event) -> tuple[Self, FusionResult | None]:
+        """Take one event. Return the next path and what became of the event: None for a kind of sample that this path has no use
+        for, else the verdict and, where the path compares a measurement with a prediction, the innovation."""
         ...
 
     def at(self, now: MonoNs) -> RelativeState | None:
@@ -47,15 +49,15 @@ class MedianMeanPath:
     def name(self) -> PathName:
         return "median_mean"
 
-    def step(self, event: Event) -> tuple[Self, Verdict | None]:
+    def step(self, event: Event) -> tuple[Self, FusionResult | None]:
         if not isinstance(event, Sighting):
             return self, None
         memory, out = filters.step(
             self.filter, event.stamp.measured_at, event.d_body_pad_level, event.yaw_rad, event.yaw_ambiguous
         )
         if out is None:
-            return self, Verdict.TOO_OLD
-        return replace(self, filter=memory, newest=out, sighting=event), Verdict.FUSED
+            return self, _uncompared(self.name, event, Verdict.TOO_OLD)
+        return replace(self, filter=memory, newest=out, sighting=event), _uncompared(self.name, event, Verdict.FUSED)
 
     def at(self, now: MonoNs) -> RelativeState | None:
         if self.newest is None or self.sighting is None:
@@ -91,15 +93,16 @@ class DeadReckoningPath:
     def name(self) -> PathName:
         return "dead_reckoning"
 
-    def step(self, event: Event) -> tuple[Self, Verdict | None]:
+    def step(self, event: Event) -> tuple[Self, FusionResult | None]:
         if not isinstance(event, Sighting):
             state, _ = dead_reckoning.step(self.state, event)
             return replace(self, state=state), None
         memory, smooth = filters.smooth(self.filter, event)
         if smooth is None:
-            return self, Verdict.TOO_OLD
+            return self, _uncompared(self.name, event, Verdict.TOO_OLD)
         state, verdict = dead_reckoning.step(self.state, smooth)
-        return replace(self, filter=memory, state=state), verdict
+        result = None if verdict is None else _uncompared(self.name, event, verdict)
+        return replace(self, filter=memory, state=state), result
 
     def at(self, now: MonoNs) -> RelativeState | None:
         return dead_reckoning.at(self.state, now)
@@ -115,11 +118,16 @@ class EkfPath:
     def name(self) -> PathName:
         return "ekf"
 
-    def step(self, event: Event) -> tuple[Self, Verdict | None]:
+    def step(self, event: Event) -> tuple[Self, FusionResult | None]:
         if isinstance(event, VehicleStatus):
             return self, None
-        memory, outcomes = ekf.step(self.filter, event)
-        return replace(self, filter=memory), outcomes[0].verdict
+        memory, results = ekf.step(self.filter, event)
+        return replace(self, filter=memory), results[0]
 
     def at(self, now: MonoNs) -> RelativeState | None:
         return ekf.at(self.filter, now)
+
+
+def _uncompared(path: PathName, event: Event, verdict: Verdict) -> FusionResult:
+    """Return the result of a path that compares no measurement with a prediction."""
+    return FusionResult(path, source_of(event), verdict, event.stamp.measured_at, event.stamp.received_at)

@@ -1,4 +1,4 @@
-"""One door to the estimator: `step(memory, event) -> memory, outcomes`, and `belief(memory, now)`.
+"""One door to the estimator: `step(memory, event) -> memory, results`, and `belief(memory, now)`.
 
 Before any path stands the guard (`estimator.integrity`): what is not fresh, not possible or not about the pad that is followed
 reaches none of them, and ends in a verdict of its own. Several paths can run side by side on the same events; one steers, the
@@ -15,20 +15,11 @@ from msgspec import structs
 from estimator import dead_reckoning, ekf, filters, integrity
 from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
+from estimator.contracts.fusion import FusionResult, source_of
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What one path made of one event."""
-
-    path: PathName
-    kind: str
-    """Class name of the event."""
-    verdict: Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +50,9 @@ def on_frame(memory: Memory, frame: Frame) -> tuple[Memory, Verdict | None]:
     return replace(memory, guard=guard), verdict
 
 
-def step(memory: Memory, event: Event) -> tuple[Memory, tuple[Outcome, ...]]:
-    """Take one event. A sighting ends in one outcome for each path; a sample in one for each path that has a use for it, and in
-    one for each path when it is refused at the door."""
-    kind = type(event).__name__
+def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]]:
+    """Take one event. A sighting ends in one result for each path; a sample in one for each path that has a use for it, and in
+    one for each path when it is refused before the paths."""
     attitude = None
     if isinstance(event, Sighting):
         attitude = attitude_at(memory, event.stamp)
@@ -75,20 +65,22 @@ def step(memory: Memory, event: Event) -> tuple[Memory, tuple[Outcome, ...]]:
         guard, refusal = integrity.admit(memory.guard, event)
         memory = replace(memory, guard=guard)
     if refusal is not None:
-        return memory, tuple(Outcome(path.name, kind, refusal) for path in memory.paths)
+        source, stamp = source_of(event), event.stamp
+        refused = (FusionResult(path.name, source, refusal, stamp.measured_at, stamp.received_at) for path in memory.paths)
+        return memory, tuple(refused)
     if isinstance(event, Attitude):
         memory = replace(memory, attitudes=memory.attitudes.add(event))
     paths: list[Path] = []
-    outcomes: list[Outcome] = []
+    results: list[FusionResult] = []
     for path in memory.paths:
-        stepped, verdict = path.step(event)
+        stepped, result = path.step(event)
         paths.append(stepped)
-        if verdict is not None:
-            outcomes.append(Outcome(path.name, kind, verdict))
+        if result is not None:
+            results.append(result)
     memory = replace(memory, paths=tuple(paths))
-    if isinstance(event, Sighting) and outcomes[0].verdict is Verdict.FUSED:
+    if isinstance(event, Sighting) and results[0].verdict is Verdict.FUSED:
         memory = replace(memory, guard=integrity.fused(memory.guard, event, attitude))
-    return memory, tuple(outcomes)
+    return memory, tuple(results)
 
 
 def steer_by(memory: Memory, name: PathName) -> Memory:

@@ -249,10 +249,14 @@ class Flight:
         self._streamer.on_navdata(navdata, received_at)
         for sample in self._sampler.samples(navdata, _stamp(self._drone.measured_at, received_at)):
             self._streamer.on_sample(sample)
-            for outcome in self._pilot.on_sample(sample):
-                self.health.input(outcome.kind, outcome.verdict)
+            results = self._pilot.on_sample(sample)
+            for result in results:
+                self.health.input(type(sample).__name__, result.verdict)
+                self.health.fusion(result)
             for observer in self._observers:
                 observer.on_sample(sample)
+                for result in results:
+                    observer.on_fusion(sample.stamp.received_at, result)
 
     def _film(self, now: MonoNs) -> None:
         if now < self._due_frame:
@@ -294,12 +298,17 @@ class Flight:
 
     def _conclude(self, processed: ProcessedFrame) -> None:
         if processed.detection is not None:
-            processed = replace(processed, verdict=self._pilot.on_detection(processed.detection))
+            verdict, results = self._pilot.on_detection(processed.detection)
+            processed = replace(processed, verdict=verdict, results=results)
         self.health.frame(processed.verdict)
         self._judge(processed.frame.seq, processed.verdict)
         self.health.delay("exposure_to_belief", seconds_between(processed.frame.stamp.measured_at, processed.done))
+        for result in processed.results:
+            self.health.fusion(result)
         for observer in self._observers:
             observer.on_frame(processed)
+            for result in processed.results:
+                observer.on_fusion(processed.done, result)
 
     def _judge(self, seq: int, verdict: Verdict) -> None:
         view = self._views.pop(seq)

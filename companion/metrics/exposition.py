@@ -64,6 +64,31 @@ def families(health: HealthSnapshot) -> Iterator[Metric]:
             inputs.add_metric([kind, verdict], n)
     yield from (frames, inputs)
 
+    results = CounterMetricFamily(
+        "decklander_fusion",
+        "What became of each measurement on each path of the estimator.",
+        labels=["path", "source", "verdict"],
+    )
+    ratios = GaugeMetricFamily(
+        "decklander_innovation_test_ratio",
+        "NIS over the gate's limit of the newest measurement that was compared with a prediction; above 1 the gate refuses.",
+        labels=["path", "source"],
+    )
+    nis = GaugeMetricFamily(
+        "decklander_normalized_nis_mean",
+        "Recent mean of NIS over the number of components; 1 when the estimator's covariance is honest.",
+        labels=["path", "source"],
+    )
+    for fusion in health.fusion:
+        of = [fusion.path, fusion.source]
+        for verdict, n in fusion.verdicts.items():
+            results.add_metric([*of, verdict], n)
+        if fusion.test_ratio is not None:
+            ratios.add_metric(of, fusion.test_ratio)
+        if fusion.nis_mean is not None:
+            nis.add_metric(of, fusion.nis_mean)
+    yield from (results, ratios, nis)
+
     stages = GaugeMetricFamily(
         "decklander_stage_seconds", "How long a stage takes, quantiles of its newest runs.", labels=["stage", "quantile"]
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,22 +11,24 @@ from companion.mqtt.messages import (
     BeliefReport,
     CommandReport,
     FlowReport,
+    FusionMessage,
     HealthReport,
     MethodReport,
     PartReport,
     SightingMessage,
+    SourceReport,
     StageReport,
     StateMessage,
     Vector3,
     VehicleState,
 )
 from companion.observer import Decision, ProcessedFrame
-from companion.runtime.health import HealthSnapshot
+from companion.runtime.health import FusionState, HealthSnapshot
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import VehicleStatus
-from estimator.contracts.time import seconds_between
+from estimator.contracts.time import MonoNs, seconds_between
 
 
 def state(session: str, decision: Decision, vehicle: VehicleStatus | None) -> StateMessage:
@@ -107,6 +110,34 @@ def _found(of: Sighting | None) -> MethodReport | None:
         cov=tuple(float(c) for c in of.cov.flat),
         confidence=of.confidence,
     )
+
+
+def fusion(session: str, at: MonoNs, states: Sequence[FusionState]) -> FusionMessage:
+    """The newest result of each source on each path."""
+    paths: dict[str, dict[str, SourceReport]] = {}
+    for state in states:
+        paths.setdefault(state.path, {})[state.source] = _source(state)
+    return FusionMessage(session=session, at_ns=at, paths=paths)
+
+
+def _source(of: FusionState) -> SourceReport:
+    newest = of.newest
+    return SourceReport(
+        measured_at_ns=newest.measured_at,
+        verdict=newest.verdict.value,
+        components=newest.components,
+        innovation=_finite(newest.innovation),
+        innovation_var=None if newest.innovation_cov is None else _finite(np.diag(newest.innovation_cov)),
+        nis=newest.nis if math.isfinite(newest.nis) else None,
+        test_ratio=newest.test_ratio if math.isfinite(newest.test_ratio) else None,
+        nis_mean=of.nis_mean,
+        verdicts=dict(of.verdicts),
+    )
+
+
+def _finite(of: F64 | None) -> tuple[float, ...] | None:
+    """Return the numbers; None where there are none or one of them is not finite."""
+    return None if of is None or not np.all(np.isfinite(of)) else tuple(of.tolist())
 
 
 def health(session: str, of: HealthSnapshot) -> HealthReport:

@@ -108,6 +108,34 @@ class SightingMessage(Message, frozen=True, kw_only=True):
     methods: dict[str, MethodReport | None]
 
 
+class SourceReport(Struct, frozen=True, kw_only=True):
+    """What the estimator makes of one source of measurements: the newest result and the counts so far."""
+
+    measured_at_ns: int
+    verdict: str
+    components: tuple[str, ...]
+    """Names of the innovation's components, each with its unit."""
+    innovation: tuple[float, ...] | None
+    """Measured minus predicted; null where nothing was compared."""
+    innovation_var: tuple[float, ...] | None
+    """Variance of each component that the estimator claims."""
+    nis: float | None
+    """Normalized innovation squared."""
+    test_ratio: float | None
+    """NIS over the gate's limit: above 1 the gate refuses."""
+    nis_mean: float | None
+    """Recent mean of NIS over the number of components: 1 when the covariance is honest."""
+    verdicts: dict[str, int]
+    """Measurements so far by verdict."""
+
+
+class FusionMessage(Message, frozen=True, kw_only=True):
+    """What each path of the estimator makes of each source of measurements."""
+
+    paths: dict[str, dict[str, SourceReport]]
+    """By path, then by source."""
+
+
 class PartReport(Struct, frozen=True, kw_only=True):
     up: bool
     age_s: float
@@ -232,6 +260,7 @@ PUBLISHED: dict[str, type[Message]] = {
     "status": StatusMessage,
     "state": StateMessage,
     "sighting": SightingMessage,
+    "fusion": FusionMessage,
     "health": HealthReport,
     "event": EventMessage,
     "operator": OperatorNotice,

@@ -27,6 +27,7 @@ from companion.observer import Decision, ProcessedFrame
 from companion.runtime.health import Health
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -76,6 +77,7 @@ class MqttPart:
         self._decision: Decision | None = None
         self._seen: ProcessedFrame | None = None
         self._vehicle: VehicleStatus | None = None
+        self._results_told = 0
         self._counts: Counter[str] = Counter()
         self._broker_down = False
         self._stopping = False
@@ -86,6 +88,9 @@ class MqttPart:
         if isinstance(sample, VehicleStatus):
             self._vehicle = sample
             self.tell(*self._changes.vehicle(sample))
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        """Do nothing: health counts the results, and the topic `fusion` is made from it."""
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         self._seen = processed
@@ -164,6 +169,7 @@ class MqttPart:
             for leaf, rate_hz, newest in (
                 ("state", s.state_hz, self._newest_state),
                 ("sighting", s.sighting_hz, self._newest_sighting),
+                ("fusion", s.sighting_hz, self._newest_fusion),
                 ("health", s.health_hz, self._newest_health),
             ):
                 if rate_hz > 0:
@@ -189,6 +195,13 @@ class MqttPart:
     def _newest_sighting(self) -> Message | None:
         processed, self._seen = self._seen, None
         return None if processed is None else encoding.sighting(self._session, processed)
+
+    def _newest_fusion(self) -> Message | None:
+        """Return the newest result of each source; None where none came since the last call."""
+        states = self._health.fusion_states()
+        counted = sum(sum(state.verdicts.values()) for state in states)
+        before, self._results_told = self._results_told, counted
+        return None if counted == before else encoding.fusion(self._session, self._health.now(), states)
 
     def _newest_health(self) -> Message:
         return encoding.health(self._session, self._health.snapshot())

@@ -39,6 +39,10 @@ class Topics:
         return self.of("sighting")
 
     @property
+    def fusion(self) -> str:
+        return self.of("fusion")
+
+    @property
     def health(self) -> str:
         return self.of("health")
 

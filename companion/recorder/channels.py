@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import msgspec
 
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
+from estimator.contracts.fusion import Source
 
 IMAGE, ANNOTATIONS, CALIBRATION = "/camera/image", "/camera/annotations", "/camera/calibration"
 DETECTION, DECISION, TRUTH, LINK, HEALTH, LOG, TRANSFORMS = "/detection", "/decision", "/truth", "/link", "/health", "/log", "/tf"
@@ -15,6 +18,10 @@ PATHS = ("median_mean", "dead_reckoning", "ekf")
 
 def belief(path: str) -> str:
     return f"/belief/{path}"
+
+
+def fusion(source: str) -> str:
+    return f"/fusion/{source}"
 
 
 def pose(path: str) -> str:
@@ -35,6 +42,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     **{topic: kind for kind, topic in SAMPLES.items()},
     DETECTION: rec.DetectionRecord,
     **{belief(path): rec.BeliefRecord for path in PATHS},
+    **{fusion(source): rec.FusionRecord for source in get_args(Source)},
     DECISION: rec.DecisionRecord,
     TRUTH: rec.TruthRecord,
     LINK: rec.LinkRecord,

@@ -11,7 +11,8 @@ import numpy as np
 from companion.recorder import records as rec
 from companion.recorder.encode import COMMANDS
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
-from estimator.contracts.estimates import Doubt, Method, PathName, Pose6, RelativeState, Sighting
+from estimator.contracts.estimates import Doubt, Method, PathName, Pose6, RelativeState, Sighting, Verdict
+from estimator.contracts.fusion import FusionResult, Source
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, StampSource
@@ -95,6 +96,29 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
         tuple((d.name, d.value) for d in of.details),
         of.track,
         tuple(_doubt(name) for name in of.doubts),
+    )
+
+
+def fusion(of: rec.FusionRecord) -> FusionResult:
+    """Raises ValueError where names or shapes are not those of a result."""
+    if of.path not in get_args(PathName):
+        raise ValueError(f"no such estimator path: {of.path!r}")
+    if of.source not in get_args(Source):
+        raise ValueError(f"no such source of measurements: {of.source!r}")
+    m = len(of.components)
+    if of.innovation is not None and len(of.innovation) != m:
+        raise ValueError(f"an innovation of {m} components has {m} numbers, got {len(of.innovation)}")
+    return FusionResult(
+        cast(PathName, of.path),
+        cast(Source, of.source),
+        Verdict(of.verdict),
+        MonoNs(of.measured_at_ns),
+        MonoNs(of.received_at_ns),
+        None if of.innovation is None else np.array(of.innovation, dtype=float),
+        None if of.innovation_cov is None else _matrix(of.innovation_cov, m),
+        tuple(of.components),
+        math.nan if of.nis is None else of.nis,
+        math.nan if of.test_ratio is None else of.test_ratio,
     )
 
 

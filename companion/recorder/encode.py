@@ -12,6 +12,7 @@ from companion.recorder import records as rec
 from companion.runtime.health import HealthSnapshot
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.thesis.detection import Detection
@@ -105,6 +106,23 @@ def belief(of: RelativeState) -> rec.BeliefRecord:
     )
 
 
+def fusion(at: MonoNs, of: FusionResult) -> rec.FusionRecord:
+    """Return the record of a result that the service met at `at`. Figures that are not finite are left out."""
+    return rec.FusionRecord(
+        int(at),
+        of.path,
+        of.source,
+        of.verdict.value,
+        int(of.measured_at),
+        int(of.received_at),
+        list(of.components),
+        _finite(of.innovation),
+        _finite(of.innovation_cov),
+        of.nis if math.isfinite(of.nis) else None,
+        of.test_ratio if math.isfinite(of.test_ratio) else None,
+    )
+
+
 def decision(of: Decision) -> rec.DecisionRecord:
     steering = None if of.belief is None else of.belief.path
     if isinstance(of.command, Velocity):
@@ -125,6 +143,14 @@ def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:
         [rec.StageRecord(name, s.count, s.p50_s, s.p99_s) for name, s in of.stages.items()],
         [rec.CounterRecord(part, name, float(n)) for part, counts in of.counters.items() for name, n in counts.items()],
     )
+
+
+def _finite(a: NDArray[np.float64] | None) -> list[float] | None:
+    """Return the numbers row by row; None where there are none or one of them is not finite."""
+    if a is None:
+        return None
+    flat = _flat(a)
+    return flat if all(map(math.isfinite, flat)) else None
 
 
 def _flat(a: NDArray[np.float64]) -> list[float]:

@@ -15,6 +15,7 @@ from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
 from estimator.contracts.estimates import RelativeState
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
@@ -62,6 +63,10 @@ class MessageEncoder:
                     yield channels.TRANSFORMS, t, fox.attitude_transform(self._time(what.stamp.measured_at), what.R_ned_body)
             case (rec.DetectionRecord() as record, ProcessedFrame() | None as processed, Detection() | None as look):
                 yield from self._frame(t, record, processed, look)
+            case FusionResult():
+                yield channels.fusion(what.source), t, encode.fusion(at, what)
+            case rec.FusionRecord():
+                yield channels.fusion(what.source), t, what
             case Decision():
                 yield from self._decision(t, what)
             case rec.TruthRecord():

@@ -82,7 +82,7 @@ class RecordedFrame:
         return Frame(self.stamp, self.record.seq, px, self.record.exposure_s)
 
 
-Event = Sample | RecordedFrame | Decision | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord
+Event = Sample | RecordedFrame | Decision | rec.FusionRecord | rec.TruthRecord | rec.LinkRecord | rec.HealthRecord
 
 
 def instant(event: Event) -> MonoNs:
@@ -92,7 +92,7 @@ def instant(event: Event) -> MonoNs:
             return event.done
         case Decision():
             return event.at
-        case rec.TruthRecord() | rec.LinkRecord() | rec.HealthRecord():
+        case rec.FusionRecord() | rec.TruthRecord() | rec.LinkRecord() | rec.HealthRecord():
             return MonoNs(event.at_ns)
         case _:
             return event.stamp.received_at
@@ -242,6 +242,9 @@ class _Assembly:
                 return self._decision(message)
             case rec.TruthRecord():
                 decode.truth(message)
+                return message
+            case rec.FusionRecord():
+                decode.fusion(message)
                 return message
             case rec.LinkRecord() | rec.HealthRecord():
                 return message

@@ -27,6 +27,8 @@ from companion.recorder.message_encoder import FrameForm, MessageEncoder
 from companion.recorder.storage_policy import StoragePolicy, in_words
 from companion.runtime.health import Health
 from estimator.contracts.errors import Recoverable
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
@@ -202,6 +204,11 @@ class Recorder:
 
     def on_sample(self, sample: Sample) -> None:
         self._give(sample.stamp.received_at, sample)
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        """Record every result but those of IMU samples that were taken: they are compared with nothing and say nothing more."""
+        if result.source != "imu" or result.verdict is not Verdict.FUSED:
+            self._give(at, result)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         self._seen += 1
@@ -385,4 +392,4 @@ class Recorder:
 def _kind(what: object) -> str:
     if isinstance(what, tuple):
         return "detection"
-    return type(what).__name__.removesuffix("Record").lower()
+    return type(what).__name__.removesuffix("Record").removesuffix("Result").lower()

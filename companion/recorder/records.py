@@ -142,6 +142,25 @@ class BeliefRecord(Struct, frozen=True, omit_defaults=True):
     """Names of what spoke against it."""
 
 
+class FusionRecord(Struct, frozen=True, omit_defaults=True):
+    """What one path of the estimator made of one measurement; figures are left out where nothing was compared."""
+
+    at_ns: Instant
+    """When the service met the measurement."""
+    path: str
+    source: str
+    verdict: str
+    measured_at_ns: Instant
+    received_at_ns: Instant
+    components: list[str] = []
+    """Names of the innovation's components, each with its unit."""
+    innovation: list[float] | None = None
+    innovation_cov: list[float] | None = None
+    nis: float | None = None
+    test_ratio: float | None = None
+    """NIS over the gate's limit: above 1 the gate refuses."""
+
+
 class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """One round of guidance; the beliefs it had are the messages of the same instant before it."""
 

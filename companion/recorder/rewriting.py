@@ -16,7 +16,7 @@ from companion.recorder import foxglove as fox
 from companion.recorder.mcap_file import About, Attachment, McapFile
 from companion.recorder.message_encoder import MessageEncoder
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
-from companion.recorder.records import DetectionRecord, HealthRecord, LinkRecord, TruthRecord
+from companion.recorder.records import DetectionRecord, FusionRecord, HealthRecord, LinkRecord, TruthRecord
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method
 from estimator.contracts.samples import VehicleStatus
@@ -93,7 +93,7 @@ def _copy(recording: Recording, file: McapFile, message_encoder: MessageEncoder,
                 form = "png" if event.image.startswith(b"\x89PNG") else "jpeg"
                 file.add(channels.IMAGE, t, fox.compressed_image(exposed_at, event.image, form))
             file.add(channels.DETECTION, t, _without_methods(event.record) if cut.inputs else event.record)
-        elif cut.inputs and not isinstance(event, TruthRecord | LinkRecord | HealthRecord | Decision):
+        elif cut.inputs and not isinstance(event, TruthRecord | FusionRecord | LinkRecord | HealthRecord | Decision):
             record = encode.sample(event)
             file.add(channels.SAMPLES[type(record)], t, record)
         elif cut.inputs and isinstance(event, TruthRecord):
@@ -113,7 +113,7 @@ def _without_methods(record: DetectionRecord) -> DetectionRecord:
 
 def _kept(event: Event, cut: Cut, met: Counter[str]) -> bool:
     match event:
-        case Decision() | LinkRecord() | HealthRecord():
+        case Decision() | FusionRecord() | LinkRecord() | HealthRecord():
             return not cut.inputs
         case TruthRecord() | VehicleStatus():
             return True

@@ -18,9 +18,10 @@ from companion.observer import Decision, Observer, ProcessedFrame
 from companion.pilot import FlightOutcome, Pilot
 from companion.recorder import encode
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
-from companion.recorder.records import HealthRecord, LinkRecord, TruthRecord
+from companion.recorder.records import FusionRecord, HealthRecord, LinkRecord, TruthRecord
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.vision.thesis.detection import Detection
@@ -118,7 +119,7 @@ class Replay:
             case Decision():
                 self._follow_operator(event.phase)
                 self._decide(MonoNs(event.at + self._shift_ns))
-            case TruthRecord() | LinkRecord() | HealthRecord():
+            case FusionRecord() | TruthRecord() | LinkRecord() | HealthRecord():
                 pass
             case _:
                 self._sample(event)
@@ -133,10 +134,13 @@ class Replay:
     def _sample(self, recorded: Sample) -> None:
         sample = replace(recorded, stamp=self._moved(recorded.stamp))
         self.counts.samples += 1
-        for outcome in self._pilot.on_sample(sample):
-            self._hash.update(f"{outcome.path} {outcome.kind} {outcome.verdict.value}".encode())
+        results = self._pilot.on_sample(sample)
+        for result in results:
+            self._hash.update(f"{result.path} {type(sample).__name__} {result.verdict.value}".encode())
         for observer in self._observers:
             observer.on_sample(sample)
+            for result in results:
+                observer.on_fusion(sample.stamp.received_at, result)
 
     def _frame(self, recorded: RecordedFrame) -> None:
         size = self._pilot.camera.width, self._pilot.camera.height
@@ -148,23 +152,29 @@ class Replay:
         attitude = self._pilot.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
         look: Detection | None = None
         verdict = Verdict.NO_ATTITUDE
+        results: tuple[FusionResult, ...] = ()
         if frame is None and not self._sightings and (recorded.record.width, recorded.record.height) != size:
             frame, verdict = _black(recorded), Verdict.FAILED
         elif frame is None:
             self.counts.as_recorded += 1
             look = self._seen_then(recorded)
-            verdict = Verdict(recorded.record.verdict) if look is None else self._pilot.on_detection(look)
+            if look is None:
+                verdict = Verdict(recorded.record.verdict)
+            else:
+                verdict, results = self._pilot.on_detection(look)
             frame = _black(recorded)
         elif (refused := self._pilot.admit(replace(frame, stamp=stamp))) is not None:
             verdict = refused
         elif attitude is not None:
             self.counts.looked += 1
             look = self._pilot.detect(replace(frame, stamp=stamp), attitude)
-            verdict = self._pilot.on_detection(look)
-        processed = ProcessedFrame(replace(frame, stamp=stamp), attitude, look, verdict, began, done)
+            verdict, results = self._pilot.on_detection(look)
+        processed = ProcessedFrame(replace(frame, stamp=stamp), attitude, look, verdict, began, done, results)
         self._hash.update(self._encoder.encode(encode.detection(processed)))
         for observer in self._observers:
             observer.on_frame(processed)
+            for result in results:
+                observer.on_fusion(done, result)
 
     def _seen_then(self, recorded: RecordedFrame) -> Detection | None:
         look = recorded.look()

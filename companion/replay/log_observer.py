@@ -13,6 +13,7 @@ from companion.recorder.reading import Recording
 from companion.recorder.records import TruthRecord
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, LoggedTouchdown, PhaseChange, TruthSample
 from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, seconds_between
@@ -29,6 +30,9 @@ class BeliefLogObserver:
 
     def on_sample(self, sample: Sample) -> None:
         return None
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        self.log.add_result(result)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         log = self.log

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import _vector
 from estimator.contracts.time import MonoNs
@@ -96,6 +97,8 @@ class FlightLog:
     """Every method's, and the selected one under its own method name "selected"."""
     estimates: list[RelativeState] = field(default_factory=list)
     """Of one path or several; `RelativeState.path` tells them apart."""
+    results: list[FusionResult] = field(default_factory=list)
+    """What each path made of each measurement; filled by `add_result`."""
     steering: PathName | None = None
     """The path that was steered by and whose pad is drawn into the video; None for the first one in `estimates`."""
     commands: list[CommandRecord] = field(default_factory=list)
@@ -108,3 +111,8 @@ class FlightLog:
     delay_s: list[float] = field(default_factory=list)
     """From mid-exposure to the command that used the frame, one a frame."""
     touchdown: LoggedTouchdown | None = None
+
+    def add_result(self, result: FusionResult) -> None:
+        """Keep a result. Those of IMU samples that were taken are left out: they are compared with nothing."""
+        if result.source != "imu" or result.verdict is not Verdict.FUSED:
+            self.results.append(result)

@@ -6,7 +6,8 @@ import cv2
 
 from companion.observer import Decision, NullObserver, ProcessedFrame
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
-from estimator.contracts.time import seconds_between
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.time import MonoNs, seconds_between
 
 
 class LogObserver(NullObserver):
@@ -21,6 +22,9 @@ class LogObserver(NullObserver):
         self._decisions_each = decisions_each
         self._keep_images = keep_images
         self._rounds = 0
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        self.log.add_result(result)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         log, frame = self.log, processed.frame

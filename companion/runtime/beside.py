@@ -13,7 +13,9 @@ from typing import Generic, Protocol, TypeVar
 from companion.observer import Decision, ProcessedFrame
 from companion.runtime.containment import report
 from estimator.contracts.errors import BadInput
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs
 
 log = logging.getLogger(__name__)
 
@@ -22,6 +24,8 @@ class Part(Protocol):
     """An observer with a body of its own."""
 
     def on_sample(self, sample: Sample) -> None: ...
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None: ...
 
     def on_frame(self, processed: ProcessedFrame) -> None: ...
 
@@ -71,6 +75,10 @@ class RestartablePart(Generic[Made]):
     def on_sample(self, sample: Sample) -> None:
         if self.now is not None:
             self.now.on_sample(sample)
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        if self.now is not None:
+            self.now.on_fusion(at, result)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         if self.now is not None:

@@ -14,6 +14,7 @@ from typing import ParamSpec, TypeVar
 from companion.observer import Decision, Observer, ProcessedFrame
 from companion.runtime.health import Health
 from estimator.contracts.errors import in_words
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, after
 
@@ -87,12 +88,17 @@ class Audience:
             return CallGuard(f"{name_of(observer)}.{method}", health)
 
         self._samples = [(guard(o, "on_sample"), o.on_sample) for o in observers]
+        self._results = [(guard(o, "on_fusion"), o.on_fusion) for o in observers]
         self._frames = [(guard(o, "on_frame"), o.on_frame) for o in observers]
         self._decisions = [(guard(o, "on_decision"), o.on_decision) for o in observers]
 
     def on_sample(self, sample: Sample) -> None:
         for guard, method in self._samples:
             guard.call(method, sample)
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        for guard, method in self._results:
+            guard.call(method, at, result)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         for guard, method in self._frames:

@@ -27,6 +27,7 @@ from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import seconds_between
@@ -139,9 +140,13 @@ class Daemon:
     async def _read_samples(self, link: VehicleLink) -> None:
         async for sample in link.samples:
             self.health.beat(type(sample).__name__)
-            for outcome in self._pilot.on_sample(sample):
-                self.health.input(outcome.kind, outcome.verdict)
+            results = self._pilot.on_sample(sample)
+            for result in results:
+                self.health.input(type(sample).__name__, result.verdict)
+                self.health.fusion(result)
             self._audience.on_sample(sample)
+            for result in results:
+                self._audience.on_fusion(sample.stamp.received_at, result)
 
     async def _read_frames(self, link: VehicleLink) -> None:
         overtaken = 0
@@ -159,11 +164,15 @@ class Daemon:
             self.health.delay("vision", seconds_between(processed.began, processed.done))
             self.health.delay("exposure_to_belief", seconds_between(frame.stamp.measured_at, processed.done))
             self._audience.on_frame(processed)
+            for result in processed.results:
+                self.health.fusion(result)
+                self._audience.on_fusion(processed.done, result)
 
     async def _process(self, frame: Frame) -> ProcessedFrame:
         began = self._clock.now()
         attitude = await self._attitude_of(frame)
         look: Detection | None = None
+        results: tuple[FusionResult, ...] = ()
         if not self._fits(frame):
             verdict = Verdict.FAILED
         elif (refused := self._pilot.admit(frame)) is not None:
@@ -173,8 +182,8 @@ class Daemon:
         else:
             assert self._tracker is not None
             look = await self._tracker.run(self._pilot.detect, frame, attitude)
-            verdict = self._pilot.on_detection(look)
-        return ProcessedFrame(frame, attitude, look, verdict, began, self._clock.now())
+            verdict, results = self._pilot.on_detection(look)
+        return ProcessedFrame(frame, attitude, look, verdict, began, self._clock.now(), results)
 
     async def _attitude_of(self, frame: Frame) -> Attitude | None:
         """At the exposure; where samples still wait to be heard, they are given a little time to tell it."""

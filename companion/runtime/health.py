@@ -4,14 +4,21 @@ and what became of every frame. Whoever reports it (log, MQTT, Prometheus, MAVLi
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from estimator.contracts.errors import in_words
-from estimator.contracts.estimates import Verdict
+from estimator.contracts.estimates import PathName, Verdict
+from estimator.contracts.fusion import FusionResult, Source
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
+
+NIS_WINDOW = 200
+"""Comparisons of one source that the mean of its NIS is taken over: a second of an attitude at 200 Hz, seven of a camera."""
+NORMALIZED_NIS_MAX = 20.0
+"""A single wild measurement weighs no more than this in that mean."""
 
 
 @dataclass(slots=True)
@@ -78,6 +85,29 @@ class Flow:
         return (len(self._recent) - 1) / max(1e-9, seconds_between(self._recent[0], now))
 
 
+@dataclass(slots=True)
+class FusionTally:
+    """The results of one source on one path of the estimator."""
+
+    verdicts: Counter[Verdict] = field(default_factory=Counter)
+    newest: FusionResult | None = None
+    test_ratio: float | None = None
+    """The test ratio of the newest measurement that was compared with a prediction."""
+    _normalized: deque[float] = field(default_factory=lambda: deque(maxlen=NIS_WINDOW))
+
+    def add(self, result: FusionResult) -> None:
+        self.verdicts[result.verdict] += 1
+        self.newest = result
+        if math.isfinite(result.test_ratio):
+            self.test_ratio = result.test_ratio
+            self._normalized.append(min(result.normalized_nis, NORMALIZED_NIS_MAX))
+
+    @property
+    def nis_mean(self) -> float | None:
+        """The mean of NIS over the number of components for the newest `NIS_WINDOW` comparisons; None before the first."""
+        return sum(self._normalized) / len(self._normalized) if self._normalized else None
+
+
 @dataclass(frozen=True, slots=True)
 class PartState:
     """A supervised part at one instant."""
@@ -111,6 +141,23 @@ class StageState:
 
 
 @dataclass(frozen=True, slots=True)
+class FusionState:
+    """What one path of the estimator makes of one source, at one instant."""
+
+    path: str
+    source: str
+    verdicts: Mapping[str, int]
+    """Measurements by verdict."""
+    newest: FusionResult
+    """The result of the newest measurement."""
+    test_ratio: float | None
+    """The test ratio of the newest measurement that was compared with a prediction; None before the first."""
+    nis_mean: float | None
+    """The recent mean of NIS over the number of components: 1 when the filter's covariance is honest; None before the first
+    comparison."""
+
+
+@dataclass(frozen=True, slots=True)
 class HealthSnapshot:
     """Everything known of the service's health at one instant. Immutable."""
 
@@ -128,6 +175,8 @@ class HealthSnapshot:
     stages: Mapping[str, StageState]
     counters: Mapping[str, Mapping[str, float]]
     """What the parts count for themselves, by part."""
+    fusion: tuple[FusionState, ...] = ()
+    """What the estimator makes of its measurements, by path and source."""
 
 
 class Health:
@@ -141,6 +190,8 @@ class Health:
         """Every frame taken ends here exactly once."""
         self.inputs: dict[str, Counter[Verdict]] = {}
         """Verdicts of the other measurements, by kind."""
+        self.tallies: dict[tuple[PathName, Source], FusionTally] = {}
+        """Results of the estimator by path and source."""
         self.delays: dict[str, Delays] = {}
         self.flows: dict[str, Flow] = {}
 
@@ -175,6 +226,20 @@ class Health:
 
     def input(self, kind: str, verdict: Verdict) -> None:
         self.inputs.setdefault(kind, Counter())[verdict] += 1
+
+    def fusion(self, result: FusionResult) -> None:
+        """Count what one path of the estimator made of one measurement."""
+        self.tallies.setdefault((result.path, result.source), FusionTally()).add(result)
+
+    def fusion_states(self) -> tuple[FusionState, ...]:
+        """Return what the estimator makes of each source now, the paths and sources in order of their names."""
+        return tuple(
+            FusionState(
+                path, source, {v.value: n for v, n in tally.verdicts.items()}, tally.newest, tally.test_ratio, tally.nis_mean
+            )
+            for (path, source), tally in sorted(self.tallies.items())
+            if tally.newest is not None
+        )
 
     def delay(self, stage: str, seconds: float) -> None:
         self.delays.setdefault(stage, Delays()).add(seconds)
@@ -234,6 +299,7 @@ class Health:
             inputs={kind: {v.value: n for v, n in tally.items()} for kind, tally in self.inputs.items()},
             stages=stages,
             counters=self._counted(),
+            fusion=self.fusion_states(),
         )
 
 

@@ -10,6 +10,6 @@ from __future__ import annotations
 from estimator.ekf.filter import Ekf, at, forecast, moving, start, step
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event, Outcome
+from estimator.ekf.propagate import Event
 
-__all__ = ["Ekf", "EkfOptions", "Event", "Forecast", "Outcome", "at", "forecast", "moving", "start", "step"]
+__all__ = ["Ekf", "EkfOptions", "Event", "Forecast", "at", "forecast", "moving", "start", "step"]

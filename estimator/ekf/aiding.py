@@ -7,12 +7,13 @@ import math
 import numpy as np
 
 from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import COMPONENTS, FusionResult
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import UNKNOWN_VAR, Baro, BodyVelocity, Range, VesselReport
 from estimator.ekf import gate, measure, motion
 from estimator.ekf.algebra import nis_of
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event, FilterParams, Outcome, corrected, propagated, propagated_with_covariance
+from estimator.ekf.propagate import Event, FilterParams, corrected, propagated, propagated_with_covariance, result
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -47,7 +48,7 @@ _CORRELATION = (
 )  # fmt: skip
 
 
-def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple[Belief, Outcome]:
+def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple[Belief, FusionResult]:
     """Over the ground, or over the deck: where that is not given, the samples themselves tell, and doubt widens the noise."""
     o = params.options
     b = propagated(b, event.stamp.measured_at, params)
@@ -57,7 +58,7 @@ def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple
     v, cov = event.v_level, event.cov_level
     axes = measure.measured_axes(cov)
     if not axes or (share == 1.0 and b.sighted < 0):
-        return b, Outcome(event, Verdict.GATED)
+        return b, result(event, Verdict.GATED)
     over = motion.peek_velocity(b)
     if share > 0.0:
         over = over - share * measure.v_pad_ned(b.x)
@@ -114,16 +115,16 @@ def _for_the_deck(ground: measure.LinearizedMeasurement, deck: measure.Linearize
     return max(-3.0, min(3.0, 0.5 * (max(misfit_ground, least) - max(misfit_deck, least))))
 
 
-def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, Outcome]:
+def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, FusionResult]:
     b = propagated(b, event.stamp.measured_at, params)
     if b.sighted < 0:
-        return b, Outcome(event, Verdict.GATED)
+        return b, result(event, Verdict.GATED)
     x = motion.peek(b)
     # Beyond the deck's edge there is water.
     away, spread = _foot(b, x)
     row = None if away + 2.0 * spread > params.options.deck_radius_m else measure.distance(x, b.R, event.range_m, event.sigma_m)
     if row is None:
-        return b, Outcome(event, Verdict.GATED)
+        return b, result(event, Verdict.GATED)
     return gather(b, RANGE, event, row.innov, row.R, params)
 
 
@@ -135,17 +136,17 @@ def _foot(b: Belief, x: F64) -> tuple[float, float]:
     return math.hypot(float(foot[0]), float(foot[1])), spread
 
 
-def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, Outcome]:
+def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, FusionResult]:
     b = propagated(b, event.stamp.measured_at, params)
     if b.sighted < 0:
-        return b, Outcome(event, Verdict.GATED)
+        return b, result(event, Verdict.GATED)
     innov = np.array([event.height_m - (motion.peek_height(b) + float(b.x[BARO_OFFSET]))])
     return gather(b, HEIGHT, event, innov, np.array([[event.sigma_m * event.sigma_m]]), params)
 
 
 def gather(
     b: Belief, kind: int, event: Event, innov: F64, R: F64, params: FilterParams, axes: tuple[int, ...] = (), share: float = 0.0
-) -> tuple[Belief, Outcome]:
+) -> tuple[Belief, FusionResult]:
     """Add to what is fused at the end of the aiding period, unless it is implausible.
 
     How uncertain the prediction is changes little within a period, so it is worked out for the first sample of one.
@@ -161,25 +162,27 @@ def gather(
     if so_far is None or so_far.axes != axes or so_far.share != share or _stale(so_far, b.t, o):
         H, doubt = _predicted(b, kind, axes, share)
         if H is None:
-            return b, Outcome(event, Verdict.GATED)
+            return b, result(event, Verdict.GATED)
         spread = H.dot(b.P).dot(H.T) + doubt
         so_far = Gathered(0, b.t, axes, share, H, doubt, spread, np.zeros(innov.size), np.zeros_like(R))
     S = so_far.spread + R
     nis = nis_of(innov, S)
+    components = tuple([COMPONENTS["velocity"][i] for i in axes])
     if nis is None:
-        return b, Outcome(event, Verdict.SINGULAR, innov, S)
-    if nis > gate.nis_max(o.gate_probability, innov.size):
+        return b, result(event, Verdict.SINGULAR, innov, S, components=components)
+    nis_max = gate.nis_max(o.gate_probability, innov.size)
+    if nis > nis_max:
         since = aid.refused if aid.refused >= 0 else b.t
         if (b.t - since) * 1e-9 > _STUCK_S:
             b = _inflated(b, kind, innov)
             since = -1
-        return _with_aid(b, kind, aid._replace(refused=since)), Outcome(event, Verdict.GATED, innov, S, nis)
+        return _with_aid(b, kind, aid._replace(refused=since)), result(event, Verdict.GATED, innov, S, nis, nis_max, components)
     so_far = so_far._replace(n=so_far.n + 1, innov=so_far.innov + innov, R=so_far.R + R)
     b = _with_aid(b, kind, Aid(so_far, aid.fused))
     first = min([other.gathered.since for other in b.aids if other.gathered is not None])
     if (b.t - first) * 1e-9 >= o.aiding_period_s or aid.fused < 0:
         b = aided(b, params)
-    return b, Outcome(event, Verdict.FUSED, innov, S, nis)
+    return b, result(event, Verdict.FUSED, innov, S, nis, nis_max, components)
 
 
 def _stale(gathered: Gathered, t: int, o: EkfOptions) -> bool:
@@ -281,16 +284,19 @@ def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
     return b._replace(P=P)
 
 
-def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[Belief, Outcome]:
+def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[Belief, FusionResult]:
     o = params.options
     b = aided(propagated_with_covariance(b, event.stamp.measured_at, params), params)
     rows = []
+    components: tuple[str, ...] = ()
     if event.v_vessel_ned is not None and event.cov_v_ned is not None:
+        components += COMPONENTS["vessel"][:3]
         rows.append(measure.vessel_velocity(b.x, event.v_vessel_ned, event.cov_v_ned))
     if event.heading_rad is not None and event.sigma_heading_rad is not None:
+        components += COMPONENTS["vessel"][3:]
         rows.append(measure.vessel_heading(b.x, event.heading_rad + o.pad_yaw_in_vessel_rad, event.sigma_heading_rad))
     if not rows:
-        return b, Outcome(event, Verdict.GATED)
+        return b, result(event, Verdict.GATED)
     n = sum(r.innov.size for r in rows)
     R = np.zeros((n, n))
     at = 0
@@ -300,9 +306,10 @@ def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[B
     innov = np.concatenate([r.innov for r in rows])
     fix = params.algebra.correct(b.P, innov, np.concatenate([r.H for r in rows]), R)
     if fix is None:
-        return b, Outcome(event, Verdict.SINGULAR, innov)
-    if fix.nis > gate.nis_max(o.gate_probability, n):
-        return b, Outcome(event, Verdict.GATED, innov, fix.S, fix.nis)
+        return b, result(event, Verdict.SINGULAR, innov, components=components)
+    nis_max = gate.nis_max(o.gate_probability, n)
+    if fix.nis > nis_max:
+        return b, result(event, Verdict.GATED, innov, fix.S, fix.nis, nis_max, components)
     b = corrected(b, fix.dx, fix.P)
     b = b._replace(heading_known=b.heading_known or event.heading_rad is not None)
-    return b, Outcome(event, Verdict.FUSED, innov, fix.S, fix.nis)
+    return b, result(event, Verdict.FUSED, innov, fix.S, fix.nis, nis_max, components)

@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
@@ -19,7 +20,7 @@ from estimator.ekf.algebra import Algebra
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event, FilterParams, Outcome, propagated, propagated_with_covariance
+from estimator.ekf.propagate import Event, FilterParams, propagated, propagated_with_covariance, result
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_ERR,
@@ -72,13 +73,15 @@ def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _
     return Ekf(o, FilterParams(o, motion.ProcessNoise(o), Algebra(N)), History(), limits)
 
 
-def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[Outcome]]:
+def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
     """Take one sample or sighting, late or not, in any order.
 
     Returns:
-        The new memory, and one outcome: FUSED; GATED (implausible, or nothing to compare it with yet); IMPOSSIBLE (an IMU sample
+        The new memory, and one result: FUSED; GATED (implausible, or nothing to compare it with yet); IMPOSSIBLE (an IMU sample
         beyond the limits); FROZEN (one that repeats the one before for too long); TOO_OLD (before the history); TOO_NEW (later
         than anything heard); SINGULAR; NO_ATTITUDE (nothing has told which way is down yet).
+        A measurement that was compared with a prediction has its innovation, the innovation's covariance, NIS and test ratio,
+        whatever the verdict.
     Raises:
         TypeError: an object that is no measurement (a frame, say).
     """
@@ -86,7 +89,7 @@ def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[Outcome]]:
     if ekf.limits is not None and isinstance(event, Imu):
         imu, refusal = sensors.watch(imu, event, ekf.limits, flying=True)
         if refusal is not None:
-            return replace(ekf, imu=imu), [Outcome(event, refusal)]
+            return replace(ekf, imu=imu), [result(event, refusal)]
     history, outcome = put(ekf.history, event, ekf.params)
     return replace(ekf, history=history, imu=imu), [outcome]
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf.process_event import process_event
-from estimator.ekf.propagate import Event, FilterParams, Outcome
+from estimator.ekf.propagate import Event, FilterParams, result
 from estimator.ekf.state import Belief
 
 _RANK = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, VesselReport: 5, Sighting: 6}
@@ -57,7 +58,7 @@ class History(NamedTuple):
         return self.base if self.base is not None and self.base.t <= t else None
 
 
-def put(history: History, event: Event, params: FilterParams) -> tuple[History, Outcome]:
+def put(history: History, event: Event, params: FilterParams) -> tuple[History, FusionResult]:
     """Take one event, late or not.
 
     Raises:
@@ -74,16 +75,16 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
         n = before.n + 1 if before is not None and abs(stamp.received_at - before.received_at) <= leap_ns else 1
         if n < o.leap_count:
             verdict = Verdict.TOO_NEW if stamp.received_at > history.received_at else Verdict.TOO_OLD
-            return history._replace(leapt=Leap(stamp.received_at, n)), Outcome(event, verdict)
+            return history._replace(leapt=Leap(stamp.received_at, n)), result(event, verdict)
         history = history._replace(leapt=None) if stamp.received_at > history.received_at else History()
     elif history.leapt is not None:
         history = history._replace(leapt=None)
     received_at = max(history.received_at, stamp.received_at)
     t = stamp.measured_at
     if t > received_at + round(o.max_ahead_s * 1e9):
-        return history._replace(received_at=received_at), Outcome(event, Verdict.TOO_NEW)
+        return history._replace(received_at=received_at), result(event, Verdict.TOO_NEW)
     if t <= history.forgotten:
-        return history._replace(received_at=received_at), Outcome(event, Verdict.TOO_OLD)
+        return history._replace(received_at=received_at), result(event, Verdict.TOO_OLD)
     key = (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
     nodes = history.nodes
     i = len(nodes)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
+from estimator.contracts.fusion import FusionResult, components_of, source_of
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf import measure, motion, so3
@@ -26,17 +27,31 @@ class FilterParams(NamedTuple):
     algebra: Algebra
 
 
-class Outcome(NamedTuple):
-    """What became of one event. Arrays are None where nothing was compared."""
+def result(
+    event: Event,
+    verdict: Verdict,
+    innov: F64 | None = None,
+    S: F64 | None = None,
+    nis: float = math.nan,
+    nis_max: float = math.nan,
+    components: tuple[str, ...] = (),
+) -> FusionResult:
+    """Return what became of one event.
 
-    event: Event
-    verdict: Verdict
-    innov: F64 | None = None
-    """(m,) measured minus predicted."""
-    S: F64 | None = None
-    """(m, m) what the innovation's covariance ought to be."""
-    nis: float = math.nan
-    """innov' inv(S) innov."""
+    Args:
+        innov: (m,) measured minus predicted, None where nothing was compared.
+        S: (m, m) covariance of the innovation.
+        nis_max: the gate's limit of the NIS.
+        components: names of the m components; by default the first m of the event's source.
+    """
+    source = source_of(event)
+    if innov is not None and not components:
+        components = components_of(source, innov.size)
+    for array in (innov, S):
+        if array is not None:
+            array.setflags(write=False)
+    stamp = event.stamp
+    return FusionResult("ekf", source, verdict, stamp.measured_at, stamp.received_at, innov, S, components, nis, nis / nis_max)
 
 
 def propagated(b: Belief, t: int, params: FilterParams) -> Belief:

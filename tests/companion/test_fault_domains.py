@@ -26,7 +26,9 @@ from companion.runtime.health import Health
 from companion.runtime.notify import Pulse
 from companion.runtime.supervise import Restart
 from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
+from estimator.contracts.time import MonoNs
 from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly
 
 FLOWN_S = 1.0
@@ -66,7 +68,7 @@ ERRORS: dict[str, Callable[[], BaseException]] = {
     "base group": lambda: BaseExceptionGroup("deep", [BaseExceptionGroup("in", [GeneratorExit(), ValueError("c")])]),
     "unspeakable": Unspeakable,
 }
-METHODS = ("on_sample", "on_frame", "on_decision")
+METHODS = ("on_sample", "on_fusion", "on_frame", "on_decision")
 ROLES = (*METHODS, "body", "child", "callback", "ending", "counters")
 
 
@@ -95,6 +97,9 @@ class Failing:
 
     def on_sample(self, sample: Sample) -> None:
         self._called("on_sample")
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        self._called("on_fusion")
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         self._called("on_frame")

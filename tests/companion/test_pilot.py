@@ -65,7 +65,7 @@ class Cockpit:
             measured_at = Stamp(after(self.now, -0.05), self.now, 0.001, "sim")
             cov = np.diag([1e-4, 1e-4, 1e-4, 1e-3])
             sighting = Sighting(measured_at, 1, "selected", self.d, 0.1, False, cov, 0.9)
-            if self.pilot.on_detection(Detection(sighting, "arrow", {})) is Verdict.FUSED:
+            if self.pilot.on_detection(Detection(sighting, "arrow", {}))[0] is Verdict.FUSED:
                 self.seen = measured_at.measured_at
         return self.pilot.decide(self.now).command
 

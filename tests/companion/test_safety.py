@@ -116,7 +116,7 @@ class Loop:
         cov = np.diag([4e-5, 4e-5, 4e-5, 1e-3])
         cov[:3, :3] += 1e-5 * tilt @ tilt.T
         seen = Sighting(stamp, self.ticks, "registration", d, 0.1, False, cov, 0.9)
-        self.verdicts.append(self.pilot.on_detection(Detection(seen, "registration", {})))
+        self.verdicts.append(self.pilot.on_detection(Detection(seen, "registration", {}))[0])
 
     def until(self, done, fault: str = "none", seconds: float = 60.0) -> Decision:
         for _ in range(round(seconds / TICK_S)):

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from estimator import pipeline
 from estimator.contracts.estimates import RelativeState, Sighting, Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Imu
 from estimator.contracts.time import MonoNs, Stamp
@@ -36,8 +37,8 @@ def at_rest(t_s: float) -> list[Event]:
     ]
 
 
-def feed(memory: pipeline.Memory, events: list[Event]) -> tuple[pipeline.Memory, list[pipeline.Outcome]]:
-    outcomes: list[pipeline.Outcome] = []
+def feed(memory: pipeline.Memory, events: list[Event]) -> tuple[pipeline.Memory, list[FusionResult]]:
+    outcomes: list[FusionResult] = []
     for event in events:
         memory, made = pipeline.step(memory, event)
         outcomes.extend(made)

@@ -275,7 +275,7 @@ def test_an_imu_sample_is_held_to_its_limits_where_nothing_before_the_filter_did
     spike = imu(T + 10 * MS, (0.0, 0.02, 0.0), thrown)
     refused, outcomes = step(ekf, spike)
     assert [o.verdict for o in outcomes] == [Verdict.IMPOSSIBLE]
-    assert outcomes[0].event is spike
+    assert (outcomes[0].source, outcomes[0].measured_at) == ("imu", spike.stamp.measured_at)
     assert refused.history is ekf.history
     unchecked, outcomes = step(replace(ekf, limits=None), spike)
     assert outcomes[0].verdict is not Verdict.IMPOSSIBLE

@@ -43,7 +43,7 @@ def told(R: F64, *, t: int = T, cov: F64 | None = None) -> Attitude:
 
 def folded(b: Belief | None, event: Event) -> tuple[Belief, Verdict]:
     after, outcome = process_event(b, event, TOOLS)
-    assert outcome.event is event
+    assert (outcome.measured_at, outcome.received_at) == (event.stamp.measured_at, event.stamp.received_at)
     assert after is not None
     return after, outcome.verdict
 
@@ -233,8 +233,8 @@ def test_an_attitude_is_gathered_with_its_innovation_and_levels_from_now_on() ->
     after, outcome = process_event(b, told(R, t=T, cov=cov), TOOLS)
     assert after is not None
     assert outcome.verdict is Verdict.FUSED
-    assert outcome.innov is not None
-    np.testing.assert_allclose(outcome.innov, np.array([0.02, -0.01, 0.03]) - [*b.x[ATT_BIAS], 0.0], atol=1e-9)
+    assert outcome.innovation is not None
+    np.testing.assert_allclose(outcome.innovation, np.array([0.02, -0.01, 0.03]) - [*b.x[ATT_BIAS], 0.0], atol=1e-9)
     assert after.levelled_by is not None
     np.testing.assert_allclose(after.levelled_by, R)
     np.testing.assert_allclose(after.cov_levelled_by, cov)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
 from estimator.ekf import gate, measure, so3, vision_update
 from estimator.ekf.algebra import Algebra, Correction
-from estimator.ekf.propagate import Outcome
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -81,10 +81,10 @@ def test_a_place_is_fused_by_how_sure_each_side_is() -> None:
     np.testing.assert_allclose(after.x[POS_REL], [0.075, -0.15, 2.075], atol=1e-5)
     np.testing.assert_allclose(after.P[POS_REL, POS_REL], np.eye(3) * 0.0075, atol=1e-5)
     assert outcome.nis == pytest.approx((0.01 + 0.04 + 0.01) / 0.04, rel=1e-4)
-    assert outcome.innov is not None
-    assert outcome.S is not None
-    np.testing.assert_allclose(outcome.innov, [0.1, -0.2, 0.1], atol=1e-9)
-    np.testing.assert_allclose(outcome.S, np.eye(3) * 0.04, atol=1e-5)
+    assert outcome.innovation is not None
+    assert outcome.innovation_cov is not None
+    np.testing.assert_allclose(outcome.innovation, [0.1, -0.2, 0.1], atol=1e-9)
+    np.testing.assert_allclose(outcome.innovation_cov, np.eye(3) * 0.04, atol=1e-5)
     assert (after.agreed, after.sighted) == (11, T)
     assert after.nis_mean == pytest.approx(gate.mean_of(1.2, outcome.nis, 3))
 
@@ -126,22 +126,22 @@ def test_one_that_cannot_be_compared_is_singular_and_changes_nothing_believed() 
     row = sighting((0.1, 0.0, 2.0))
     after, outcome = fuse_sighting(belief(x=under()), row, TOOLS._replace(algebra=_Failing(1)))
     assert outcome.verdict is Verdict.SINGULAR
-    assert outcome.innov is not None
-    np.testing.assert_allclose(outcome.innov, [0.1, 0.0, 0.0], atol=1e-12)
+    assert outcome.innovation is not None
+    np.testing.assert_allclose(outcome.innovation, [0.1, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(after.x, under())
 
     # A heading let go of, and a place given up: the same, each with what it was compared with last.
     turned = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_held_s=0.0, heading_seen=-1)
     after, outcome = fuse_sighting(turned, sighting((0.0, 0.0, 2.0), 3.0), TOOLS._replace(algebra=_Failing(3)))
     assert (outcome.verdict, after.sighted) == (Verdict.SINGULAR, turned.sighted)
-    assert outcome.innov is not None
-    np.testing.assert_allclose(outcome.innov, np.zeros(4), atol=1e-9)
-    doubt = RejectionStreak(9, T - 2 * S, T - 50 * MS, (3.0, 0.0, 0.0), 1e-4)
-    moved = belief(x=under(), P=diagonal(d=0.01), doubt=doubt)
+    assert outcome.innovation is not None
+    np.testing.assert_allclose(outcome.innovation, np.zeros(4), atol=1e-9)
+    streak = RejectionStreak(9, T - 2 * S, T - 50 * MS, (3.0, 0.0, 0.0), 1e-4)
+    moved = belief(x=under(), P=diagonal(d=0.01), rejections=streak)
     after, outcome = fuse_sighting(moved, sighting((3.0, 0.0, 2.0)), TOOLS._replace(algebra=_Failing(2)))
     assert (outcome.verdict, after.sighted) == (Verdict.SINGULAR, moved.sighted)
-    assert outcome.innov is not None
-    np.testing.assert_allclose(outcome.innov, np.zeros(3), atol=1e-9)
+    assert outcome.innovation is not None
+    np.testing.assert_allclose(outcome.innovation, np.zeros(3), atol=1e-9)
 
 
 def test_a_refused_one_is_remembered_by_where_it_showed_the_pad_and_how_well() -> None:
@@ -159,26 +159,26 @@ def test_a_refused_one_is_remembered_by_where_it_showed_the_pad_and_how_well() -
     np.testing.assert_allclose(after.rejections.offset_ned, shown - x[POS_REL], atol=1e-9)
     assert after.rejections.var_m2 == pytest.approx(0.03)
     assert (after.sighted, after.agreed) == (b.sighted, b.agreed)
-    assert outcome.innov is not None
-    assert outcome.S is not None
-    assert outcome.nis == pytest.approx(float(outcome.innov @ np.linalg.inv(outcome.S) @ outcome.innov))
+    assert outcome.innovation is not None
+    assert outcome.innovation_cov is not None
+    assert outcome.nis == pytest.approx(float(outcome.innovation @ np.linalg.inv(outcome.innovation_cov) @ outcome.innovation))
     assert after.nis_mean == pytest.approx(gate.mean_of(b.nis_mean, outcome.nis, 3))
 
 
 def test_a_place_shown_often_enough_is_believed_and_begins_with_a_clean_record() -> None:
-    doubt = RejectionStreak(4, T - 700 * MS, T - 50 * MS, (3.0, 0.0, 0.0), 1e-4)
-    b = belief(x=under(), P=diagonal(d=0.01), doubt=doubt, nis_mean=9.0)
+    streak = RejectionStreak(4, T - 700 * MS, T - 50 * MS, (3.0, 0.0, 0.0), 1e-4)
+    b = belief(x=under(), P=diagonal(d=0.01), rejections=streak, nis_mean=9.0)
     after, outcome = fuse_sighting(b, sighting((3.0, 0.0, 2.0)), TOOLS)
     assert outcome.verdict is Verdict.FUSED
     assert outcome.nis == pytest.approx(0.0, abs=1e-9)
-    assert outcome.S is not None
-    assert outcome.S[0, 0] > 100.0, "it is compared with a belief that knows nothing"
+    assert outcome.innovation_cov is not None
+    assert outcome.innovation_cov[0, 0] > 100.0, "it is compared with a belief that knows nothing"
     np.testing.assert_allclose(
         np.diag(after.P[VESSEL_VEL, VESSEL_VEL]), 4.0, err_msg="another pad's vessel has a velocity of its own"
     )
     np.testing.assert_allclose(after.x[POS_REL], [3.0, 0.0, 2.0], atol=1e-6)
     assert (after.agreed, after.nis_mean, after.rejections, after.sighted) == (1, 1.0, RejectionStreak(), T)
-    few = b._replace(doubt=doubt._replace(n=3))
+    few = b._replace(rejections=streak._replace(n=3))
     assert fuse_sighting(few, sighting((3.0, 0.0, 2.0)), TOOLS)[1].verdict is Verdict.GATED
 
 
@@ -206,7 +206,7 @@ def test_a_heaving_deck_teaches_the_camera_s_place_and_delay_by_a_share(heave_m_
 # The heading
 
 
-def headed(wrong_by: float, **fields: Any) -> tuple[Belief, Belief, Outcome]:
+def headed(wrong_by: float, **fields: Any) -> tuple[Belief, Belief, FusionResult]:
     """A sighting whose place is right and whose heading is off by so much; what was believed, what is, what became of it."""
     b = belief(x=under(), P=diagonal(d=0.01, head=0.01), **fields)
     return b, *fuse_sighting(b, sighting((0.1, 0.0, 2.0), wrong_by), TOOLS)
@@ -235,8 +235,8 @@ def test_a_sighting_that_tells_no_heading_neither_agrees_with_it_nor_contradicts
 def test_a_heading_that_is_contradicted_is_held_as_long_as_it_was_agreed_with_and_the_place_is_fused() -> None:
     b, after, outcome = headed(3.0, heading_held_s=0.5, heading_seen=T - 100 * MS)
     assert outcome.verdict is Verdict.FUSED
-    assert outcome.innov is not None
-    assert outcome.innov.size == 3, "of its place alone"
+    assert outcome.innovation is not None
+    assert outcome.innovation.size == 3, "of its place alone"
     assert after.heading_held_s == pytest.approx(0.4)
     assert after.x[PAD_YAW] == pytest.approx(0.0, abs=1e-6)
     assert after.P[PAD_YAW, PAD_YAW] == pytest.approx(b.P[PAD_YAW, PAD_YAW], rel=1e-3)
@@ -249,9 +249,9 @@ def test_a_heading_contradicted_for_too_long_gives_way(held_s: float) -> None:
     seen_at = T - 100 * MS if held_s else -1
     b, after, outcome = headed(3.0, heading_held_s=held_s, heading_seen=seen_at)
     assert outcome.verdict is Verdict.FUSED
-    assert outcome.innov is not None
-    assert outcome.innov.size == 4
-    np.testing.assert_allclose(outcome.innov, [0.1, 0.0, 0.0, 0.0], atol=1e-9)
+    assert outcome.innovation is not None
+    assert outcome.innovation.size == 4
+    np.testing.assert_allclose(outcome.innovation, [0.1, 0.0, 0.0, 0.0], atol=1e-9)
     assert measure.wrap(float(after.x[PAD_YAW]) + 3.0) == pytest.approx(0.0, abs=1e-6)
     assert after.P[PAD_YAW, PAD_YAW] == pytest.approx(1e-3, rel=0.01)
     assert after.heading_held_s == 0.0
@@ -263,8 +263,8 @@ def test_a_place_that_does_not_fit_either_is_no_word_about_the_heading() -> None
     b = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_held_s=3.0, heading_seen=T - 100 * MS)
     after, outcome = fuse_sighting(b, sighting((2.0, 0.0, 2.0), 3.0), TOOLS)
     assert outcome.verdict is Verdict.GATED
-    assert outcome.innov is not None
-    assert outcome.innov.size == 4
+    assert outcome.innovation is not None
+    assert outcome.innovation.size == 4
     assert after.rejections.n == 1
     assert after.heading_held_s == pytest.approx(3.0)
 
@@ -285,8 +285,8 @@ def test_a_heading_never_known_cannot_be_contradicted() -> None:
     b = belief(x=under(), P=diagonal(d=0.01, head=0.01), heading_known=False, heading_held_s=3.0)
     after, outcome = fuse_sighting(b, sighting((0.0, 0.0, 2.0), 3.0), TOOLS)
     assert outcome.verdict is Verdict.GATED
-    assert outcome.innov is not None
-    assert outcome.innov.size == 4
+    assert outcome.innovation is not None
+    assert outcome.innovation.size == 4
     assert not after.heading_known
 
 
@@ -334,8 +334,8 @@ def test_an_either_or_heading_is_of_use_where_the_heading_is_believed_well_enoug
     for known in (True, False):
         b = belief(x=under(), P=diagonal(d=0.01, head=sigma**2), heading_known=known)
         _, outcome = fuse_sighting(b, sighting((0.0, 0.0, 2.0), 0.1, ambiguous=True), TOOLS)
-        assert outcome.innov is not None
-        assert outcome.innov.size == (4 if used and known else 3)
+        assert outcome.innovation is not None
+        assert outcome.innovation.size == (4 if used and known else 3)
 
 
 # What it is compared with
