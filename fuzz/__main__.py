@@ -112,7 +112,7 @@ def _new(folder: Path, pattern: str, since: float) -> Iterator[Path]:
     return (path for path in sorted(folder.glob(pattern)) if path.stat().st_mtime >= since - 1.0)
 
 
-def run(names: Sequence[str], seconds: float, jobs: int, work: Path, cpu: bool) -> int:
+def run(names: Sequence[str], seconds: float, jobs: int, work: Path, cpu: bool = False) -> int:
     """Run every target, `jobs` at a time, and return the exit code."""
     each = seconds * min(jobs, len(names)) / len(names)
     print(f"{len(names)} targets, {each:.0f} s {'of CPU ' if cpu else ''}each, {jobs} at a time\n{HEAD}", flush=True)
