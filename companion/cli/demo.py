@@ -18,7 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from companion.cli import record_option
+from companion.cli import record_option, report_option
 from companion.cli.machine_load import Load
 from companion.cli.progress import ProgressObserver
 from companion.cli.verdict import Contact, Ending
@@ -74,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.no_report:
         require_drawing("the report", "; or fly without it: --no-report")
     scenario = load_scenario(args.scenario)
+    report_option.prepare_folder(None if args.no_report else args.report)
     return event_loop.run(_demo(args, scenario))
 
 

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
 from companion.runtime import signals
-from estimator.contracts.errors import BadInput, DecklanderError
+from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("companion.cli.demo", "the whole loop on this machine: sea, AR.Drone on real sockets, daemon, landing, report"),
@@ -125,6 +125,10 @@ def _dispatch(argv: list[str]) -> int:
     if asked is None:
         parser.parse_args(argv)
         parser.error(f"say which command: {', '.join(COMMANDS)}")
+    if sys.maxsize < 2**32:
+        raise SetupImpossible(
+            "this is a 32-bit Python; decklander needs a 64-bit operating system and Python (on a Raspberry Pi: arm64)"
+        )
     module = importlib.import_module(COMMANDS[asked][0])
     module.add_parser(subparsers)
     return int(module.run(parser.parse_args(argv)))

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from companion.cli import report_option
 from companion.config.settings import Settings
 from companion.observer import Observer
 from companion.recorder.reading import RecordedFrame, Recording, open_recording
@@ -75,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
         from companion.cli.replay_live import play
 
         return play(args, recording, settings_of(recording, args.config))
+    report_option.prepare_folder(args.report)
     passes = [_pass(args, recording, "as set", settings_of(recording, args.config), args.config is None, args.record)]
     if args.against is not None:
         passes.append(_pass(args, recording, args.against, settings_of(recording, args.against), False, None))

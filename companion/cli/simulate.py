@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from companion.cli import record_option
+from companion.cli import record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.verdict import Contact, Ending, FlightGrade
 from companion.config.model import CameraSettings, PadSettings
@@ -86,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--binary, --param and --keep go with --autopilot")
     if args.report is not None:
         require_drawing("--report")
+    report_option.prepare_folder(args.report)
     scenario = load_scenario(args.scenario)
     settings = load(args.config or "sim")
     if args.config is None:

@@ -12,6 +12,8 @@ from estimator.contracts.fusion import Source
 
 IMAGE, ANNOTATIONS, CALIBRATION = "/camera/image", "/camera/annotations", "/camera/calibration"
 DETECTION, DECISION, TRUTH, LINK, HEALTH, LOG, TRANSFORMS = "/detection", "/decision", "/truth", "/link", "/health", "/log", "/tf"
+FIXED_TRANSFORMS = "/tf_static"
+"""Written once a file. A viewer that seeks takes the newest message of each topic, so nothing else may come on this one."""
 TRUE_POSE = "/pose/truth"
 PATHS = ("median_mean", "dead_reckoning", "ekf")
 
@@ -51,6 +53,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     ANNOTATIONS: fox.ImageAnnotations,
     CALIBRATION: fox.CameraCalibration,
     TRANSFORMS: fox.FrameTransforms,
+    FIXED_TRANSFORMS: fox.FrameTransforms,
     **{pose(path): fox.PoseInFrame for path in (*PATHS, "truth")},
     LOG: fox.Log,
 }

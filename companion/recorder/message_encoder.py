@@ -50,7 +50,7 @@ class MessageEncoder:
         """What does not change, at the head of a file."""
         t = self._time(at)
         yield channels.CALIBRATION, t, fox.calibration(t, self._camera)
-        yield channels.TRANSFORMS, t, fox.fixed_transforms(t, self._camera)
+        yield channels.FIXED_TRANSFORMS, t, fox.fixed_transforms(t, self._camera)
 
     def messages(self, at: MonoNs, what: object) -> Iterator[Message]:
         """Of a sample, a decision, a record, or a frame as (its look record, the frame where its frame is kept, its look)."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 import msgspec
-from mcap.records import Attachment, Channel, Message, Metadata
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 from companion.config.settings import Settings, from_mapping
 from companion.observer import Decision
@@ -188,29 +188,42 @@ class Recording:
 
 
 def open_recording(paths: Sequence[Path]) -> Recording:
-    """The recording in these files, the first one's head read.
+    """Open the recording in these files and read the head of each.
 
     Raises:
-        BadInput: a file cannot be read, is no MCAP file, or holds nothing of ours.
+        BadInput: a file cannot be read, is no MCAP file, holds nothing of ours, or was recorded with the names from before 0.1.0.
     """
     if not paths:
         raise BadInput("no recording named")
     recording = Recording(tuple(paths), {}, {})
     for path in paths:
         ours = False
+        topics: dict[int, str] = {}
         with _opened(path) as stream:
             for record in records(stream, path, {}):
                 if isinstance(record, Metadata):
                     recording.metadata.setdefault(record.name, dict(record.metadata))
                 elif isinstance(record, Attachment):
                     recording.attachments.setdefault(record.name, record.data)
+                elif isinstance(record, Schema) and _OLD_KEY.encode() in record.data:
+                    raise _too_old(path)
                 elif isinstance(record, Channel):
+                    if record.topic == _OLD_TOPIC:
+                        raise _too_old(path)
                     ours = ours or record.topic in channels.TOPICS
-                elif isinstance(record, Message):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message) and topics.get(record.channel_id) not in _FOR_VIEWERS:
                     break
         if not ours:
             raise BadInput(f"{path}: holds no recording of decklander, or is cut before its first message")
     return recording
+
+
+def _too_old(path: Path) -> BadInput:
+    return BadInput(
+        f"{path}: recorded before topics and keys were renamed ({_OLD_TOPIC} is now {channels.DETECTION}, {_OLD_KEY} is now "
+        "measured_at_ns); this version cannot read it, replay it with the version that recorded it"
+    )
 
 
 class _Assembly:
@@ -258,9 +271,17 @@ class _Assembly:
         return Decision(MonoNs(message.at_ns), message.phase, decode.command(message), steering, shadows, message.reason)
 
 
-_FOR_VIEWERS = {channels.ANNOTATIONS, channels.CALIBRATION, channels.TRANSFORMS, channels.LOG, channels.TRUE_POSE} | {
-    channels.pose(path) for path in channels.PATHS
+_FOR_VIEWERS = {
+    channels.ANNOTATIONS,
+    channels.CALIBRATION,
+    channels.TRANSFORMS,
+    channels.FIXED_TRANSFORMS,
+    channels.LOG,
+    channels.TRUE_POSE,
+    *(channels.pose(path) for path in channels.PATHS),
 }
+_OLD_TOPIC, _OLD_KEY = "/look", "taken_ns"
+"""Names of topics and keys before 0.1.0, by which a recording from before is told from a damaged one."""
 
 
 def _opened(path: Path) -> IO[bytes]:

@@ -21,6 +21,7 @@ from companion.observer import Decision, Observer, ProcessedFrame
 from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.containment import Audience
 from companion.runtime.health import Health
+from companion.runtime.missing_inputs import missing_inputs
 from companion.runtime.supervise import Body, Restart, run, uncancelled
 from companion.runtime.worker import Worker
 from drivers.mailbox import Latest, Line
@@ -243,9 +244,11 @@ class Daemon:
             )
             delay = self.health.delays.get("exposure_to_belief")
             p50 = delay.quantile(0.5) if delay is not None else None
-            log.info(
+            missing = missing_inputs(self.health.snapshot())
+            log.log(
+                logging.WARNING if missing else logging.INFO,
                 "%s; frames: %s; exposure to belief %s",
-                self._pilot.phase,
+                ": ".join(filter(None, (self._pilot.phase, ", ".join(missing)))),
                 frames or "none",
                 "unknown" if p50 is None else f"{1e3 * p50:.0f} ms",
             )

@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping
 from companion.observer import Decision, NullObserver
 from companion.runtime.health import Health
 from companion.runtime.liveness import stuck
+from companion.runtime.missing_inputs import missing_inputs
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
@@ -102,7 +103,8 @@ class Pulse(NullObserver):
         self._said_why = ""
         rates = (health.flows.get(kind) for kind in ("Frame", "Imu"))
         frames, samples = (0.0 if flow is None or flow.rate_hz is None else flow.rate_hz for flow in rates)
-        fields = {"STATUS": f"{decision.phase}; {frames:.0f} frames and {samples:.0f} inertial samples a second"}
+        phase = ": ".join(filter(None, (decision.phase, ", ".join(missing_inputs(health)))))
+        fields = {"STATUS": f"{phase}; {frames:.0f} frames and {samples:.0f} inertial samples a second"}
         if self.pings == 0:
             fields["READY"] = "1"
         if self._watched:

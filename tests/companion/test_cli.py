@@ -6,6 +6,7 @@ import argparse
 import re
 import subprocess
 import sys
+import time
 import tomllib
 from importlib import import_module, metadata
 from pathlib import Path
@@ -180,6 +181,28 @@ def test_credentials_are_checked_inside_the_systemd_unit_alone(
     assert cli.main(["config", "check", str(rig)]) == 2
     (tmp_path / "password").write_text("secret\n")
     assert cli.main(["config", "check", str(rig)]) == 0
+
+
+def test_a_32_bit_python_is_refused_with_a_word(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """numpy, OpenCV and PyAV ship no packages for it: what came instead was whichever of their errors was met first."""
+    monkeypatch.setattr(cli.sys, "maxsize", 2**31 - 1)
+    assert cli.main(["config", "check", "sim"]) == 1
+    assert capsys.readouterr().err.startswith("decklander: this is a 32-bit Python; decklander needs a 64-bit operating system")
+
+
+@pytest.mark.parametrize("command", ["demo", "simulate", "replay"])
+def test_a_report_that_cannot_be_written_is_refused_before_the_flight(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder below a file cannot be made, not even by root."""
+    (tmp_path / "file").write_text("")
+    what = {"demo": [], "simulate": ["calm"], "replay": [str(ROOT / "tests/golden/approach.mcap")]}[command]
+    began = time.monotonic()
+    assert cli.main([command, *what, "--report", str(tmp_path / "file/report")]) == 2
+    said = capsys.readouterr()
+    assert said.err == f"decklander: --report {tmp_path / 'file/report'}: Not a directory\n"
+    assert said.out == ""
+    assert time.monotonic() - began < 10.0
 
 
 def test_a_reader_that_went_away_is_no_traceback() -> None:

@@ -212,3 +212,24 @@ async def test_cancelling_it_closes_the_vehicle() -> None:
     with pytest.raises(asyncio.CancelledError):
         await task
     assert vehicle.left_hovering == 1
+
+
+async def test_the_log_names_the_part_that_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
+    vehicle = FakeVehicle()
+    pilot = Pilot(EYES, EstimatorOptions(), Plan.over_the_pad(), Gains())
+    daemon = Daemon(
+        vehicle.open, pilot, CLOCK, restart=Restart(), guidance_rate_hz=50.0, health_period_s=0.05
+    )  # fmt: skip
+
+    def said(text: str) -> bool:
+        return any(text in record.getMessage() and record.levelname == "WARNING" for record in caplog.records)
+
+    with caplog.at_level("INFO", "companion.runtime.daemon"):
+        async with asyncio.TaskGroup() as group:
+            group.create_task(daemon.run())
+            await until(
+                lambda: said("no status from the vehicle yet, no attitude from the vehicle yet, no frames from the camera")
+            )
+            vehicle.say(flying=False)
+            await until(lambda: said("waiting for the vehicle: no frames from the camera yet; frames: none"))
+            daemon.stop()

@@ -88,7 +88,7 @@ async def test_ready_once_then_pings_then_stopping(systemd: Systemd) -> None:
     said = systemd.read()
     assert said[0]["READY"] == "1"
     assert sum("READY" in one for one in said) == 1
-    assert said[0]["STATUS"].startswith("waiting for the vehicle; 0 frames")
+    assert said[0]["STATUS"].startswith("waiting for the vehicle: no status from the vehicle yet, no attitude")
     assert said[-1]["STOPPING"] == "1"
 
 

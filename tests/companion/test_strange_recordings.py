@@ -14,7 +14,7 @@ import lz4.frame
 import pytest
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Message, Metadata
+from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType
 
 from companion.cli.main import main
@@ -142,6 +142,24 @@ def test_lengths_beyond_the_end_of_the_file(tmp_path: Path, capsys: pytest.Captu
     assert ran(capsys, "record", "info", path)[0] == 2
     path.write_bytes(magic + struct.pack("<BQ", Opcode.CHUNK, length) + bytes(80))
     assert ran(capsys, "replay", path)[0] == 2
+
+
+def test_a_recording_from_before_the_names_changed_is_refused_in_one_sentence(
+    records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = [
+        replace(r, topic="/look") if isinstance(r, Channel) and r.topic == "/detection"
+        else replace(r, data=r.data.replace(b"measured_at_ns", b"taken_ns")) if isinstance(r, Schema | Message)
+        else r
+        for r in records
+    ]  # fmt: skip
+    path = tmp_path / "old.mcap"
+    path.write_bytes(written(old))
+    for words in (["replay"], ["record", "info"]):
+        code, err = ran(capsys, *words, path)
+        assert code == 2
+        assert "recorded before topics and keys were renamed" in err
+        assert "replay it with the version that recorded it" in err
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))

@@ -1,0 +1,24 @@
+"""The folder of `--report`, tried before the work that the report is about."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from estimator.contracts.errors import BadInput
+
+
+def prepare_folder(folder: Path | None) -> None:
+    """Create the report's folder and check that files can be written into it; do nothing without a folder.
+
+    Raises:
+        BadInput: the folder cannot be created or written.
+    """
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as why:
+        raise BadInput(f"--report {folder}: {why.strerror or why}") from why
