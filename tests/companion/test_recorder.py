@@ -109,7 +109,7 @@ def test_the_reference_reader_finds_an_indexed_file_whose_messages_keep_their_sc
     assert unseen == {"/sample/vessel", "/link", "/belief/ekf", "/pose/ekf"} | compared, unseen
 
 
-def test_a_player_that_seeks_has_every_transform(flown: tuple[Path, Told]) -> None:
+def test_a_player_that_seeks_has_every_transform(flown: tuple[Path, ObservedCalls]) -> None:
     """A player that jumps shows the newest message of each topic before that instant, and nothing else."""
     with flown[0].open("rb") as stream:
         reader = make_reader(stream)
