@@ -12,7 +12,8 @@ from enum import Enum
 from msgspec import structs
 
 from companion.guidance.lease import NO_LANDING
-from companion.guidance.pid import Gains, Pid, SetPoint, pid_step
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.pid import Pid, SetPoint, pid_step
 from companion.guidance.plan import Plan
 from companion.guidance.planner import Phase, Planner, planner_step
 from companion.observer import Decision
@@ -63,8 +64,7 @@ class Pilot:
         self,
         tracker: TrackerConfig,
         options: EstimatorOptions,
-        plan: Plan,
-        gains: Gains,
+        guidance: GuidanceOptions,
         *,
         automatic: bool = True,
         shadows: Sequence[PathName] = (),
@@ -72,8 +72,7 @@ class Pilot:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
         self._memory = pipeline.start(options, shadows)
-        self._plan = plan
-        self._gains = gains
+        self._plan = Plan.over_the_pad(guidance)
         self._automatic = automatic
         self._status: VehicleStatus | None = None
         self.engage: Callable[[], None] = lambda: None
@@ -138,9 +137,9 @@ class Pilot:
             return str(why)
         return None
 
-    def retune(self, plan: Plan, gains: Gains, *, min_confidence: float, max_delay_s: float) -> None:
+    def retune(self, guidance: GuidanceOptions, *, min_confidence: float, max_delay_s: float) -> None:
         """Other numbers from now on; what is going on goes on."""
-        self._plan, self._gains = plan, gains
+        self._plan = Plan.over_the_pad(guidance)
         options = structs.replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
         self._memory = replace(self._memory, options=options)
 
@@ -231,7 +230,7 @@ class Pilot:
         if phase is Phase.GAVE_UP:
             self._end(FlightOutcome.LAND_TIMEOUT if NO_LANDING in self._planner.reason else FlightOutcome.GAVE_UP)
         if isinstance(aim, SetPoint):
-            self._pid, command = pid_step(self._pid, self._gains, now, belief, aim)
+            self._pid, command = pid_step(self._pid, self._plan.guidance.pid, now, belief, aim, self._plan.guidance.stale_after_s)
             return command
         self._told_to_land = self._told_to_land or isinstance(aim, Land)
         return aim

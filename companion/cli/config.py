@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from companion.config import reference
+from companion.config.effect import without_effect
 from companion.config.referenced_files import check_files
 from companion.config.settings import load, shipped
 from estimator.contracts.errors import BadInput
@@ -53,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
             except BadInput as why:
                 raise BadInput(f"{file}: {why}") from why
             sys.stdout.write(f"{file}: good{not_checked(unchecked)}\n")
+            for line in without_effect(settings):
+                sys.stdout.write(f"{file}: {line}\n")
     elif args.action == "show":
         sys.stdout.write(reference.toml(load(args.file)))
     elif args.action == "schema":

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 
 from companion.cli.config import not_checked
 from companion.config.build_camera import camera_options
+from companion.config.effect import without_effect
 from companion.config.proven import Proven
 from companion.config.referenced_files import check_files
 from companion.config.settings import Settings, load, shipped
@@ -14,6 +16,8 @@ from companion.config.vehicle import AutopilotSettings, BridgeSettings, unsigned
 from companion.pilot import FlightOutcome
 from companion.runtime import event_loop
 from companion.runtime.service import live, log_to_stderr, make_daemon, make_pilot
+
+log = logging.getLogger(__name__)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -61,10 +65,12 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
             f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
             f"mqtt: {_broker(settings)}\n"
             f"metrics: {settings.metrics.endpoint}\n"
-            f"files: found{not_checked(unchecked)}\n"
+            f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in without_effect(settings))
         )
         return 0
     log_to_stderr(settings)
+    for line in without_effect(settings):
+        log.warning(line)
     daemon = make_daemon(settings, pilot, observers=[proven], once=args.once)
     outcome = event_loop.run(live(daemon, pilot))
     if outcome is not None:

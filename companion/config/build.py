@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Literal
 
 from msgspec import structs
 
-from companion.config.model import (
-    HeadingGainsSettings,
-    HorizontalGainsSettings,
-    Settings,
-    VerticalGainsSettings,
-)
+from companion.config.model import Settings
 from companion.config.settings import camera_model, pad_model
 from companion.config.vehicle import ArDroneSettings, AutopilotSettings
-from companion.guidance.pid import AxisGains, Gains
-from companion.guidance.plan import Plan
 from companion.runtime.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import SampleOptions
@@ -89,63 +81,7 @@ def estimator_options(settings: Settings) -> EstimatorOptions:
     return structs.replace(options, ekf=structs.replace(options.ekf, velocity_is_over=over))
 
 
-def gains(settings: Settings) -> Gains:
-    """The position controller."""
-    pid = settings.guidance.pid
-    return Gains(
-        horizontal=_axis(pid.horizontal),
-        vertical=_axis(pid.vertical),
-        heading=_axis(pid.heading),
-        speed_max_m_s=pid.speed_max_m_s,
-        climb_max_m_s=pid.climb_max_m_s,
-        descent_rate_max_m_s=pid.descent_rate_max_m_s,
-        turn_max_rad_s=math.radians(pid.turn_max_deg_s),
-        integral_max_m_s=pid.integral_max_m_s,
-        soft_above_m=pid.soft_above_m,
-        soft_least=pid.soft_least,
-        stale_after_s=settings.guidance.stale_after_s,
-        forget_after_s=pid.forget_after_s,
-    )
-
-
-def plan(settings: Settings) -> Plan:
-    """The way down."""
-    p = settings.guidance.planner
-    over = Plan.over_the_pad(p.approach_height_m, p.final_height_m)
-    approach, final = over.way_points
-    return replace(
-        over,
-        way_points=(replace(approach, reached_m=p.approach_reached_m), replace(final, reached_m=p.final_reached_m)),
-        speed_m_s=p.speed_m_s,
-        slow_within_m=p.slow_radius_m,
-        slow_least=p.slow_floor,
-        lead_m=p.lead_m,
-        heading=p.heading,
-        stale_after_s=settings.guidance.stale_after_s,
-        blind_s=p.blind_s,
-        touchdown_s=p.touchdown_s,
-        climb_after_s=p.climb_after_s,
-        climb_m_s=p.climb_m_s,
-        safe_height_m=p.safe_height_m,
-        give_up_after_s=p.give_up_after_s,
-        sigma_land_m=p.sigma_land_m,
-        try_s=p.try_s,
-        descend_s=p.descend_s,
-        losses_max=p.losses_max,
-        blind_descent_max_m=p.blind_descent_max_m,
-        go_arounds_max=p.go_arounds_max,
-        land_timeout_s=settings.guidance.land_timeout_s,
-        another_pad=p.another_pad,
-        another_pad_s=p.another_pad_s,
-        word_wait_s=p.word_wait_s,
-    )
-
-
 def restart(settings: Settings) -> Restart:
     """How a failed part comes back."""
     s = settings.service
     return Restart(s.restart_first_s, s.restart_factor, s.restart_cap_s, s.restart_healthy_after_s)
-
-
-def _axis(of: HorizontalGainsSettings | VerticalGainsSettings | HeadingGainsSettings) -> AxisGains:
-    return AxisGains(of.kp, of.ki, of.kd)

@@ -37,13 +37,18 @@ def reference() -> str:
     for path, struct in _structs(inspect.type_info(Settings), ()):
         here = [f for f in fields(struct) if not variants(f.type)]
         kind = f" with {struct.tag_field} = {_value(struct.tag)}" if struct.tag_field else ""
-        lines += ["", f"## [{'.'.join(path)}]{kind}", "", " ".join((struct.cls.__doc__ or "").split()), ""]
+        lines += ["", f"## [{'.'.join(path)}]{kind}", "", _meaning(struct), ""]
         if here:
             lines += ["| key | default | range | unit | meaning | source of the default |", "|---|---|---|---|---|---|"]
             lines += [_row(f.encode_name, f) for f in here]
         else:
             lines.pop()
     return "\n".join(lines) + "\n"
+
+
+def _meaning(struct: inspect.StructType) -> str:
+    """Return what the table is about: the docstring of its class up to the errors that it raises."""
+    return " ".join((struct.cls.__doc__ or "").partition("Raises:")[0].split())
 
 
 def _row(name: str, field: inspect.Field) -> str:

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 import configs
+from companion.config.effect import without_retired
 from companion.config.keys import anchored
 from companion.config.model import PadSettings, Settings
 from companion.config.refusal import explain
@@ -62,12 +64,13 @@ def load(name_or_path: str | Path) -> Settings:
     return settings
 
 
-def from_mapping(data: dict[str, Any], where: str) -> Settings:
+def from_mapping(data: Mapping[str, Any], where: str) -> Settings:
     """Settings from what a TOML file holds; `where` names the file in errors.
 
     Raises:
         BadInput: as `load`, but for the camera and pad files, which are not looked at.
     """
+    data = without_retired(data, where)
     try:
         return msgspec.convert(data, Settings, strict=True)
     except msgspec.ValidationError as why:

@@ -53,12 +53,12 @@ class Spent:
 
     def exhausted(self, plan: Plan, now: MonoNs) -> str | None:
         """Return what is used up, as text for the operator, or None while nothing is."""
-        if self.began is not None and seconds_between(self.began, now) > plan.try_s:
-            return f"no landing within {plan.try_s:g} s"
-        if self.descending is not None and seconds_between(self.descending, now) > plan.descend_s:
-            return f"no landing within {plan.descend_s:g} s of descent"
-        if self.losses > plan.losses_max:
+        if self.began is not None and seconds_between(self.began, now) > plan.options.try_s:
+            return f"no landing within {plan.options.try_s:g} s"
+        if self.descending is not None and seconds_between(self.descending, now) > plan.options.descend_s:
+            return f"no landing within {plan.options.descend_s:g} s of descent"
+        if self.losses > plan.options.losses_max:
             return f"the pad was lost {self.losses} times in one descent"
-        if self.blind_descent_m > plan.blind_descent_max_m:
+        if self.blind_descent_m > plan.options.blind_descent_max_m:
             return f"{self.blind_descent_m:.2f} m lower without sight of the pad"
         return None

@@ -47,8 +47,8 @@ def renewed(
         view, so there the time alone ends it; higher up so does losing the pad.
     """
     final = plan.way_points[-1]
-    if seconds_between(lease.since, now) > plan.land_timeout_s:
-        return lease, f"{NO_LANDING} within {plan.land_timeout_s:g} s"
+    if seconds_between(lease.since, now) > plan.guidance.land_timeout_s:
+        return lease, f"{NO_LANDING} within {plan.guidance.land_timeout_s:g} s"
     if estimate is not None and estimate.height_m < -_BELOW_DECK_M:
         return lease, "it came down past the deck"
     if fit is not None:
@@ -59,6 +59,6 @@ def renewed(
             return lease, "it drifted off the pad while landing"
         return lease, None
     blind_below_m = float(final.d_body_pad_level[2]) + final.reached_height_m + _BLIND_MARGIN_M
-    if lease.height_m > blind_below_m and seconds_between(lease.seen, now) > plan.stale_after_s:
+    if lease.height_m > blind_below_m and seconds_between(lease.seen, now) > plan.guidance.stale_after_s:
         return lease, f"the pad was lost at {lease.height_m:.1f} m while landing"
     return lease, None

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from companion.guidance.options import PidOptions
 from estimator.contracts.commands import Command, Hover, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
@@ -40,43 +41,6 @@ class SetPoint:
             raise ValueError(f"SetPoint.yaw_rad must be finite or None, got {self.yaw_rad}")
 
 
-@dataclass(frozen=True, slots=True)
-class AxisGains:
-    """m/s (or rad/s) of command for each m (or rad) of error, m s of its integral, m/s of its rate."""
-
-    kp: float
-    ki: float
-    kd: float
-
-    def __post_init__(self) -> None:
-        if not all(math.isfinite(k) and k >= 0.0 for k in (self.kp, self.ki, self.kd)):
-            raise ValueError(f"gains must be finite and not negative, got {self.kp}, {self.ki}, {self.kd}")
-
-
-@dataclass(frozen=True, slots=True)
-class Gains:
-    """For a vehicle that tilts to follow a velocity command (0.2 s of dead time, then 0.4 s of lag) and is seen 0.15 s late."""
-
-    horizontal: AxisGains = AxisGains(0.9, 0.05, 0.1)
-    vertical: AxisGains = AxisGains(1.0, 0.15, 0.1)
-    heading: AxisGains = AxisGains(0.8, 0.0, 0.0)
-    """`kd` has no effect: the estimate tells no rate of the heading."""
-    speed_max_m_s: float = 1.0
-    """Horizontal speed; the direction is kept."""
-    climb_max_m_s: float = 0.5
-    descent_rate_max_m_s: float = 0.5
-    turn_max_rad_s: float = 0.6
-    integral_max_m_s: float = 0.5
-    """What the integral alone may command on one axis: the pad's own speed and the wind."""
-    soft_above_m: float = 2.5
-    """Set points higher than this soften the horizontal gains by `soft_above_m` / height (thesis code)."""
-    soft_least: float = 0.1
-    stale_after_s: float = 1.0
-    """Age of the newest sighting (or of the estimate itself) beyond which nobody steers by it."""
-    forget_after_s: float = 2.0
-    """Silence after which the integrals start anew; until then they are frozen."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Pid:
     """The controller's memory."""
@@ -98,16 +62,21 @@ def fit_to_steer(estimate: RelativeState | None, now: MonoNs, stale_after_s: flo
     return abs(estimate.age_s(now)) <= stale_after_s and abs(seconds_between(estimate.at, now)) <= stale_after_s
 
 
-def pid_step(state: Pid, gains: Gains, now: MonoNs, estimate: RelativeState | None, set_point: SetPoint) -> tuple[Pid, Command]:
+def pid_step(
+    state: Pid, gains: PidOptions, now: MonoNs, estimate: RelativeState | None, set_point: SetPoint, stale_after_s: float
+) -> tuple[Pid, Command]:
     """One turn of the controller.
 
     Errors are taken in level axes, so no heading is needed to fly; without one (`yaw_rad` None) it does not turn.
     Anti-windup: an axis integrates only while its command is free or the error leads out of the limit.
 
+    Args:
+        stale_after_s: age of the newest sighting, or of the estimate itself, beyond which nobody steers by it.
+
     Returns:
         The new state and `Velocity`, or `Hover` where `fit_to_steer` says no.
     """
-    if estimate is None or not fit_to_steer(estimate, now, gains.stale_after_s):
+    if estimate is None or not fit_to_steer(estimate, now, stale_after_s):
         silent = state.last is not None and seconds_between(state.last, now) > gains.forget_after_s
         return (Pid.start() if silent else state), Hover()
 
@@ -141,7 +110,7 @@ def pid_step(state: Pid, gains: Gains, now: MonoNs, estimate: RelativeState | No
     return replace(state, integral=integral, last=now), Velocity(allowed[:3], float(allowed[3]))
 
 
-def _limited(u: F64, gains: Gains) -> F64:
+def _limited(u: F64, gains: PidOptions) -> F64:
     """(4,) the nearest command within the limits; horizontally the direction is kept."""
     shrink = gains.speed_max_m_s / max(gains.speed_max_m_s, math.hypot(u[0], u[1]))
     return np.array(

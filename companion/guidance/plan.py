@@ -1,13 +1,12 @@
-"""The planner's numbers: way points, speeds, and the limits that end a try."""
+"""The planner's way points, with the options that it flies them by."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from companion.guidance.options import GuidanceOptions, PlannerOptions
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import _vector
 
@@ -34,79 +33,35 @@ class WayPoint:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Way points, speeds, and the budget of every try.
+    """Way points, and guidance's options.
 
     Raises:
-        ValueError: no way point, or a number out of its range.
+        ValueError: no way point.
     """
 
     way_points: tuple[WayPoint, ...]
-    speed_m_s: float = 0.4
-    slow_within_m: float = 1.0
-    slow_least: float = 0.1
-    """Smallest share of the speed, however near the way point."""
-    lead_m: float = 0.8
-    """The set point waits for a drone that is farther behind than this."""
-    heading: Literal["keep", "align"] = "keep"
-    """Turn until the nose points along the arrow, or leave the heading alone."""
-    stale_after_s: float = 0.5
-    """Age of the newest sighting beyond which the pad counts as lost."""
-    blind_s: float = 4.0
-    """Time after the last sight in which it flies on level to the way point by dead reckoning; 0 hovers at once."""
-    blind_sigma_m: float = 1.0
-    """Horizontal 1-sigma of the estimate above which it hovers instead."""
-    climb_after_s: float = 1.5
-    climb_m_s: float = 0.3
-    safe_height_m: float = 2.0
-    give_up_after_s: float = 20.0
-    """Time without sight after which it gives up, summed up until sight has held for `SIGHT_HOLDS_S`."""
-    touchdown_s: float = 0.6
-    """The drone counts as near the last way point only if it will still be there after this at its present velocity."""
-    sigma_land_m: float = 0.15
-    """Horizontal 1-sigma of the estimate above which the drone does not land, however near it believes itself."""
-
-    try_s: float = 120.0
-    """A try, from the first sight to the deck, ends in a go-around after this long."""
-    descend_s: float = 45.0
-    """The same for its last leg alone."""
-    losses_max: int = 8
-    """Losses of sight that one try allows on its last leg."""
-    blind_descent_max_m: float = 0.5
-    """Height lost in one try between a last and a next sight, summed up."""
-    go_arounds_max: int = 3
-    land_timeout_s: float = 6.0
-    """Time after the order to land within which the vehicle must report that it has landed."""
-    another_pad: Literal["operator", "automatic"] = "operator"
-    """Who decides when the pad is suddenly seen in a place that no motion explains: a person; or, once in a flight and only above
-    the safe height, `another_pad_s` of unbroken sight of one pad alone."""
-    another_pad_s: float = 5.0
-    word_wait_s: float = 60.0
-    """How long it waits for that person before it gives up."""
+    guidance: GuidanceOptions = field(default_factory=GuidanceOptions)
 
     def __post_init__(self) -> None:
         if not self.way_points:
             raise ValueError("a plan needs at least one way point")
-        positive = (
-            "speed_m_s", "slow_within_m", "slow_least", "lead_m", "stale_after_s", "climb_m_s", "sigma_land_m", "try_s",
-            "descend_s", "blind_descent_max_m", "land_timeout_s", "another_pad_s", "word_wait_s",
-        )  # fmt: skip
-        for name in positive:
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} must be positive, got {value}")
-        if not (self.blind_s >= 0.0 and self.blind_sigma_m > 0.0 and self.touchdown_s >= 0.0):
-            raise ValueError("blind_s and touchdown_s must not be negative, and blind_sigma_m must be positive")
-        if self.losses_max < 0 or self.go_arounds_max < 0:
-            raise ValueError("losses_max and go_arounds_max must not be negative")
-        if not 0.0 < self.climb_after_s < self.give_up_after_s:
-            raise ValueError("0 < climb_after_s < give_up_after_s must hold")
+
+    @property
+    def options(self) -> PlannerOptions:
+        """The planner's own options."""
+        return self.guidance.planner
 
     @staticmethod
-    def over_the_pad(via_height_m: float = 2.0, final_height_m: float = 0.3, pad_ahead_m: float = 0.0) -> Plan:
-        """The thesis' way points, straight above the pad; or with the pad a little ahead, for a camera mounted at the nose."""
+    def over_the_pad(guidance: GuidanceOptions | None = None) -> Plan:
+        """Return the plan of the thesis: two way points straight above the pad, or with the pad ahead as the options say."""
+        guidance = guidance or GuidanceOptions()
+        o = guidance.planner
+        approach = np.array([o.pad_ahead_m, 0.0, o.approach_height_m])
+        final = np.array([o.pad_ahead_m, 0.0, o.final_height_m])
         return Plan(
             (
-                WayPoint(np.array([pad_ahead_m, 0.0, via_height_m]), reached_m=0.25, reached_height_m=0.25, dwell_s=0.3),
-                WayPoint(np.array([pad_ahead_m, 0.0, final_height_m]), reached_m=0.12, reached_height_m=0.12, dwell_s=0.2),
-            )
+                WayPoint(approach, o.approach_reached_m, o.approach_reached_height_m, o.approach_dwell_s),
+                WayPoint(final, o.final_reached_m, o.final_reached_height_m, o.final_dwell_s),
+            ),
+            guidance,
         )

@@ -11,8 +11,8 @@ made when the pad stays lost low, when the try's budget is used up (`budget.Spen
 one (`lease.Lease`). After `go_arounds_max` of them, or `give_up_after_s` without sight, it hovers and leaves it to the operator.
 
 A pad that is suddenly seen where no motion explains it (`RelativeState.track` counts up) is another pad: climb, and wait for the
-operator, or as `Plan.another_pad` says. It never descends and never begins to land without a fresh, consistent estimate of the
-pad that this approach was begun with.
+operator, or as `PlannerOptions.another_pad` says. It never descends and never begins to land without a fresh, consistent
+estimate of the pad that this approach was begun with.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def planner_step(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeStat
     state = replace(state, since_last_s=since_last_s, last=now)
     if estimate is not None and state.track is not None and estimate.track != state.track and state.question is None:
         state = _asked(state, now, estimate.track)
-    fit = estimate if estimate is not None and fit_to_steer(estimate, now, plan.stale_after_s) else None
+    fit = estimate if estimate is not None and fit_to_steer(estimate, now, plan.guidance.stale_after_s) else None
     if state.question is not None:
         return _questioned(state, state.question, plan, now, fit)
     state = _accounted(state, plan, now, fit)
@@ -152,7 +152,7 @@ def _accounted(state: Planner, plan: Plan, now: MonoNs, fit: RelativeState | Non
     """The round's cost."""
     spent, last_leg = state.spent, state.leg == len(plan.way_points) - 1
     if fit is None:
-        if state.in_sight and (last_leg or state.seen_height_m < plan.safe_height_m - _NEAR_SAFE_M):
+        if state.in_sight and (last_leg or state.seen_height_m < plan.options.safe_height_m - _NEAR_SAFE_M):
             spent = spent.lost()
         if state.seen is not None:
             spent = spent.unseen(state.since_last_s)
@@ -173,8 +173,8 @@ def _with_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState
     near = math.hypot(off[0], off[1]) <= goal.reached_m and abs(off[2]) <= goal.reached_height_m
     last_leg = state.leg == len(plan.way_points) - 1
     if near and last_leg:
-        then = off + plan.touchdown_s * estimate.v_pad_level
-        near = math.hypot(then[0], then[1]) <= goal.reached_m and _sigma_m(estimate) <= plan.sigma_land_m
+        then = off + plan.options.touchdown_s * estimate.v_pad_level
+        near = math.hypot(then[0], then[1]) <= goal.reached_m and _sigma_m(estimate) <= plan.options.sigma_land_m
     since = (now if state.near_since is None else state.near_since) if near else None
     state = replace(state, near_since=since, track=estimate.track)
     if since is not None and seconds_between(since, now) >= goal.dwell_s:
@@ -184,7 +184,7 @@ def _with_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState
         last_leg = state.leg == len(plan.way_points) - 1
     if last_leg:
         state = replace(state, spent=state.spent.descends(now))
-    aim = SetPoint(point, 0.0 if plan.heading == "align" else None, v_body_level)
+    aim = SetPoint(point, 0.0 if plan.options.heading == "align" else None, v_body_level)
     return state, aim, Phase.DESCEND if last_leg else Phase.APPROACH
 
 
@@ -192,11 +192,11 @@ def _without_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeSt
     state = replace(state, point=None, near_since=None)
     if state.seen is None:
         return state, Hover(), Phase.WAITING
-    lost_s, over = seconds_between(state.seen, now), state.spent.without_sight_s > plan.give_up_after_s
-    low = state.seen_height_m < plan.safe_height_m
+    lost_s, over = seconds_between(state.seen, now), state.spent.without_sight_s > plan.options.give_up_after_s
+    low = state.seen_height_m < plan.options.safe_height_m
     if over and not low:
         return _given_up(state, state.reason or "the pad was not found again")
-    if low and (over or lost_s > plan.climb_after_s):
+    if low and (over or lost_s > plan.options.climb_after_s):
         state = _around(state, now, f"the pad was lost at {state.seen_height_m:.1f} m")
         assert state.going_around is not None
         return _going_around(state, state.going_around, plan, now, estimate, None)
@@ -217,29 +217,31 @@ def _around(state: Planner, now: MonoNs, why: str) -> Planner:
 def _going_around(
     state: Planner, climb: GoAround, plan: Plan, now: MonoNs, estimate: RelativeState | None, fit: RelativeState | None
 ) -> tuple[Planner, Aim, Phase]:
-    expected_s = max(0.0, plan.safe_height_m - climb.from_height_m) / plan.climb_m_s
+    expected_s = max(0.0, plan.options.safe_height_m - climb.from_height_m) / plan.options.climb_m_s
     if seconds_between(climb.since, now) > _CLIMB_PATIENCE * expected_s + _CLIMB_PATIENCE_S:
         return _given_up(state, f"{state.reason}, and it did not climb")
     if fit is not None:
-        if fit.height_m >= plan.safe_height_m - _NEAR_SAFE_M:
-            if state.go_arounds > plan.go_arounds_max:
+        if fit.height_m >= plan.options.safe_height_m - _NEAR_SAFE_M:
+            if state.go_arounds > plan.options.go_arounds_max:
                 return _given_up(state, state.reason)
             state = replace(state, going_around=None, spent=Spent().seen(now, 0.0), point=None)
             return _with_sight(state, plan, now, fit)
-        over = np.append(plan.way_points[0].d_body_pad_level[:2], plan.safe_height_m)
+        over = np.append(plan.way_points[0].d_body_pad_level[:2], plan.options.safe_height_m)
         state, v_body_level = _towards(state, over, plan, fit)
         assert state.point is not None
         return state, SetPoint(state.point, None, v_body_level), Phase.GO_AROUND
     state = replace(state, point=None)
     blind_since = max(climb.since, state.seen or climb.since)
-    if seconds_between(blind_since, now) * plan.climb_m_s < plan.safe_height_m - state.seen_height_m:
+    if seconds_between(blind_since, now) * plan.options.climb_m_s < plan.options.safe_height_m - state.seen_height_m:
         v = _level_velocity(state, plan, now, estimate)
-        v[2] = -plan.climb_m_s
+        v[2] = -plan.options.climb_m_s
         return state, Velocity(v, 0.0), Phase.CLIMB
-    if state.go_arounds > plan.go_arounds_max:
+    if state.go_arounds > plan.options.go_arounds_max:
         return _given_up(state, state.reason)
     without_s = state.spent.without_sight_s
-    state = replace(state, going_around=None, spent=replace(Spent(), without_sight_s=without_s), seen_height_m=plan.safe_height_m)
+    state = replace(
+        state, going_around=None, spent=replace(Spent(), without_sight_s=without_s), seen_height_m=plan.options.safe_height_m
+    )
     return state, Hover(), Phase.LOST
 
 
@@ -254,8 +256,8 @@ def _asked(state: Planner, now: MonoNs, track: int) -> Planner:
 def _questioned(
     state: Planner, question: Question, plan: Plan, now: MonoNs, fit: RelativeState | None
 ) -> tuple[Planner, Aim, Phase]:
-    climbed_m = seconds_between(question.since, now) * plan.climb_m_s
-    climbing = climbed_m < plan.safe_height_m - question.from_height_m
+    climbed_m = seconds_between(question.since, now) * plan.options.climb_m_s
+    climbing = climbed_m < plan.options.safe_height_m - question.from_height_m
     track = question.track if fit is None else fit.track
     steady = None
     if fit is not None and track == question.track:
@@ -263,21 +265,21 @@ def _questioned(
     state = replace(state, question=replace(question, track=track, steady_since=steady))
     if fit is not None and steady is not None and not climbing and _may_decide(state, question, plan, fit):
         held_s = seconds_between(steady, now)
-        if held_s >= plan.another_pad_s:
+        if held_s >= plan.options.another_pad_s:
             new = Planner(last=now, questions=state.questions, go_arounds=state.go_arounds, reason=state.reason)
             return _with_sight(_accounted(new, plan, now, fit), plan, now, fit)
-    if seconds_between(question.since, now) > plan.word_wait_s:
+    if seconds_between(question.since, now) > plan.options.word_wait_s:
         return _given_up(state, f"{state.reason}, and nobody said to go on")
     if climbing:
-        return state, Velocity(np.array([0.0, 0.0, -plan.climb_m_s]), 0.0), Phase.ANOTHER_PAD
+        return state, Velocity(np.array([0.0, 0.0, -plan.options.climb_m_s]), 0.0), Phase.ANOTHER_PAD
     return state, Hover(), Phase.ANOTHER_PAD
 
 
 def _may_decide(state: Planner, question: Question, plan: Plan, fit: RelativeState) -> bool:
     """Return whether no person has to agree: the first time, and neither then nor now below the safe height."""
-    if plan.another_pad != "automatic" or state.questions > 1:
+    if plan.options.another_pad != "automatic" or state.questions > 1:
         return False
-    return min(question.from_height_m, fit.height_m) >= plan.safe_height_m - _NEAR_SAFE_M
+    return min(question.from_height_m, fit.height_m) >= plan.options.safe_height_m - _NEAR_SAFE_M
 
 
 def _given_up(state: Planner, why: str) -> tuple[Planner, Aim, Phase]:
@@ -296,13 +298,13 @@ def _towards(state: Planner, goal: F64, plan: Plan, estimate: RelativeState) -> 
 def _level_velocity(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState | None) -> F64:
     """(3,) m/s, level towards the way point for as long as dead reckoning tells where it is; zeros after that."""
     v = np.zeros(3)
-    if state.seen is None or estimate is None or seconds_between(state.seen, now) > plan.blind_s:
+    if state.seen is None or estimate is None or seconds_between(state.seen, now) > plan.options.blind_s:
         return v
     computed_s = abs(seconds_between(estimate.at, now))
-    if not estimate.consistent or computed_s > plan.stale_after_s or _sigma_m(estimate) > plan.blind_sigma_m:
+    if not estimate.consistent or computed_s > plan.guidance.stale_after_s or _sigma_m(estimate) > plan.options.blind_sigma_m:
         return v
     off = estimate.d_body_pad_level[:2] - plan.way_points[state.leg].d_body_pad_level[:2]
-    v[:2] = off * plan.speed_m_s / max(plan.slow_within_m, math.hypot(off[0], off[1]))
+    v[:2] = off * plan.options.speed_m_s / max(plan.options.slow_radius_m, math.hypot(off[0], off[1]))
     return v
 
 
@@ -325,9 +327,9 @@ def _flown_on(point: F64, drone: F64, goal: F64, plan: Plan, dt: float) -> tuple
     """The set point `dt` later on its straight line to the goal, and the velocity (of the body, in level) it moves with."""
     to_go = goal - point
     distance_m = float(np.linalg.norm(to_go))
-    if float(np.linalg.norm(point - drone)) > plan.lead_m:
+    if float(np.linalg.norm(point - drone)) > plan.options.lead_m:
         return point, np.zeros(3)
-    speed = plan.speed_m_s * max(min(1.0, distance_m / plan.slow_within_m), plan.slow_least)
+    speed = plan.options.speed_m_s * max(min(1.0, distance_m / plan.options.slow_radius_m), plan.options.slow_floor)
     if speed * dt >= distance_m:
         return goal, np.zeros(3)
     direction = to_go / distance_m

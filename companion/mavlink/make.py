@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 
-from companion.config import build, build_mavlink
+from companion.config import build_mavlink
 from companion.config.model import Settings
 from companion.config.vehicle import AutopilotSettings
 from companion.mavlink.component import Component, speaking
@@ -81,8 +81,7 @@ class AutopilotPart:
     def _apply(self, settings: Settings) -> None:
         estimator = settings.estimator
         self._pilot.retune(
-            build.plan(settings),
-            build.gains(settings),
+            settings.guidance,
             min_confidence=estimator.min_confidence,
             max_delay_s=estimator.max_delay_s,
         )

@@ -19,7 +19,6 @@ NAMES: dict[str, str] = {
     "PID_V_KD": "guidance.pid.vertical.kd",
     "PID_Y_KP": "guidance.pid.heading.kp",
     "PID_Y_KI": "guidance.pid.heading.ki",
-    "PID_Y_KD": "guidance.pid.heading.kd",
     "PID_SPEED_MAX": "guidance.pid.speed_max_m_s",
     "PID_CLIMB_MAX": "guidance.pid.climb_max_m_s",
     "PID_SINK_MAX": "guidance.pid.descent_rate_max_m_s",

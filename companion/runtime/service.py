@@ -40,8 +40,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
     return Pilot(
         build.tracker(settings),
         build.estimator_options(settings),
-        build.plan(settings),
-        build.gains(settings),
+        settings.guidance,
         automatic=settings.guidance.start == "automatic",
         shadows=shadows,
     )

@@ -11,6 +11,7 @@ from companion.guidance.plan import Plan
 from estimator.contracts.time import MonoNs
 
 PLAN = Plan.over_the_pad()
+LIMITS = PLAN.options
 
 
 def at(seconds: float) -> MonoNs:
@@ -60,9 +61,19 @@ def test_the_last_leg_is_begun_once_in_a_try() -> None:
 @pytest.mark.parametrize(
     ("allowed", "used_up", "now_s", "why"),
     [
-        (Spent(began=at(1.0)), Spent(began=at(0.999)), 1.0 + PLAN.try_s, "no landing within 120 s"),
-        (Spent(descending=at(1.0)), Spent(descending=at(0.999)), 1.0 + PLAN.descend_s, "no landing within 45 s of descent"),
-        (Spent(losses=PLAN.losses_max), Spent(losses=PLAN.losses_max + 1), 0.0, "the pad was lost 9 times in one descent"),
+        (Spent(began=at(1.0)), Spent(began=at(0.999)), 1.0 + LIMITS.try_s, "no landing within 120 s"),
+        (
+            Spent(descending=at(1.0)),
+            Spent(descending=at(0.999)),
+            1.0 + LIMITS.descend_s,
+            "no landing within 45 s of descent",
+        ),
+        (
+            Spent(losses=LIMITS.losses_max),
+            Spent(losses=LIMITS.losses_max + 1),
+            0.0,
+            "the pad was lost 9 times in one descent",
+        ),
         (Spent(blind_descent_m=0.5), Spent(blind_descent_m=0.51), 0.0, "0.51 m lower without sight of the pad"),
     ],
     ids=["time", "time of the last leg", "losses", "height"],

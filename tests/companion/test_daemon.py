@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from companion.config.settings import camera_model, load, pad_model
-from companion.guidance.pid import Gains
-from companion.guidance.plan import Plan
+from companion.guidance.options import GuidanceOptions
 from companion.observer import Decision, NullObserver, ProcessedFrame
 from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.daemon import Daemon, VehicleLink
@@ -86,7 +85,7 @@ class Diary(NullObserver):
 def daemon_of(
     open_link: Callable[[], AbstractAsyncContextManager[VehicleLink]], *, once: bool = False, diary: NullObserver | None = None
 ) -> Daemon:
-    pilot = Pilot(EYES, EstimatorOptions(), Plan.over_the_pad(), Gains())
+    pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
     return Daemon(
         open_link,
         pilot,

@@ -9,8 +9,9 @@ from companion.guidance.lease import NO_LANDING, Lease, renewed
 from companion.guidance.plan import Plan, WayPoint
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
+from tests.companion.plans import planned
 
-PLAN = Plan.over_the_pad(3.0, 0.5)
+PLAN = planned(approach_height_m=3.0, final_height_m=0.5)
 FINAL = PLAN.way_points[-1]
 
 
@@ -29,8 +30,8 @@ def ends(now_s: float, estimate: RelativeState | None, fit: RelativeState | None
 
 def test_it_ends_by_time() -> None:
     low = belief(0.1)
-    assert ends(PLAN.land_timeout_s - 0.01, low, low) is None
-    assert NO_LANDING in str(ends(PLAN.land_timeout_s + 0.01, low, low))
+    assert ends(PLAN.guidance.land_timeout_s - 0.01, low, low) is None
+    assert NO_LANDING in str(ends(PLAN.guidance.land_timeout_s + 0.01, low, low))
 
 
 def test_it_ends_by_height() -> None:
@@ -48,8 +49,8 @@ def test_it_ends_where_the_pad_is_not_below() -> None:
 
 def test_it_ends_without_sight_above_the_blind_height_alone() -> None:
     blind_m = float(FINAL.d_body_pad_level[2]) + FINAL.reached_height_m + 0.1
-    late_s = PLAN.stale_after_s + 0.01
-    assert ends(PLAN.stale_after_s - 0.01, None, None, height_m=blind_m + 0.01) is None
+    late_s = PLAN.guidance.stale_after_s + 0.01
+    assert ends(PLAN.guidance.stale_after_s - 0.01, None, None, height_m=blind_m + 0.01) is None
     assert "was lost" in str(ends(late_s, None, None, height_m=blind_m + 0.01))
     assert ends(late_s, None, None, height_m=blind_m - 0.01) is None
 
@@ -61,12 +62,12 @@ def test_sight_renews_it() -> None:
 
 
 def test_what_lies_on_an_edge_goes_on() -> None:
-    assert ends(PLAN.land_timeout_s, belief(0.1), belief(0.1)) is None
+    assert ends(PLAN.guidance.land_timeout_s, belief(0.1), belief(0.1)) is None
     assert ends(0.1, belief(-0.6), None, height_m=0.1) is None
     assert ends(0.1, belief(1.4), belief(1.4)) is None
     blind_m = float(FINAL.d_body_pad_level[2]) + FINAL.reached_height_m + 0.1
-    assert ends(PLAN.stale_after_s, None, None, height_m=blind_m + 0.1) is None
-    assert ends(PLAN.stale_after_s + 1.0, None, None, height_m=blind_m) is None
+    assert ends(PLAN.guidance.stale_after_s, None, None, height_m=blind_m + 0.1) is None
+    assert ends(PLAN.guidance.stale_after_s + 1.0, None, None, height_m=blind_m) is None
     limit_m = FINAL.reached_m + 0.3
     assert ends(0.1, belief(0.5, limit_m), belief(0.5, limit_m)) is None
 

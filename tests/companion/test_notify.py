@@ -11,8 +11,7 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from companion.guidance.pid import Gains
-from companion.guidance.plan import Plan
+from companion.guidance.options import GuidanceOptions
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.settings import MetricsSettings
 from companion.observer import NullObserver, Observer
@@ -76,7 +75,7 @@ def watched(
 
 
 def pilot_of() -> Pilot:
-    return Pilot(EYES, EstimatorOptions(), Plan.over_the_pad(), Gains())
+    return Pilot(EYES, EstimatorOptions(), GuidanceOptions())
 
 
 async def test_ready_once_then_pings_then_stopping(systemd: Systemd) -> None:

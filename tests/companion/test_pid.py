@@ -1,18 +1,21 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 
-from companion.guidance.pid import AxisGains, Gains, Pid, SetPoint, fit_to_steer, pid_step
+from companion.guidance.options import GuidanceOptions, HeadingGains, HorizontalGains, PidOptions, VerticalGains
+from companion.guidance.pid import Pid, SetPoint, fit_to_steer, pid_step
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import MonoNs
 
-P_ONLY = Gains(AxisGains(1.0, 0.0, 0.0), AxisGains(1.0, 0.0, 0.0), AxisGains(1.0, 0.0, 0.0))
+STALE_S = GuidanceOptions().stale_after_s
+TURN_MAX_RAD_S = math.radians(34.4)
+P_ONLY = PidOptions(HorizontalGains(1.0, 0.0, 0.0), VerticalGains(1.0, 0.0, 0.0), HeadingGains(1.0, 0.0))
 
 
 def ns(seconds: float) -> MonoNs:
@@ -30,47 +33,47 @@ def above(height, yaw=None, v=(0, 0, 0)):
 
 def test_flies_towards_where_the_set_point_wants_it():
     """Pad ahead and to starboard, drone too high: forward, right, down."""
-    _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [0.5, 0.2, 2.3]), above(2.0))
+    _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [0.5, 0.2, 2.3]), above(2.0), STALE_S)
     np.testing.assert_allclose(u.v_level, [0.5, 0.2, 0.3])
     assert u.yaw_rate_rad_s == 0.0
 
 
 def test_limits_hold_and_keep_the_horizontal_direction():
-    _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [30, 40, 9]), above(2.0))
+    _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [30, 40, 9]), above(2.0), STALE_S)
     np.testing.assert_allclose(u.v_level, [0.6, 0.8, 0.5])
-    _, u = pid_step(Pid.start(), replace(P_ONLY, climb_max_m_s=0.3), ns(1), estimate(1, [0, 0, 0.5]), above(2.0))
+    _, u = pid_step(Pid.start(), structs.replace(P_ONLY, climb_max_m_s=0.3), ns(1), estimate(1, [0, 0, 0.5]), above(2.0), STALE_S)
     assert u.v_level[2] == pytest.approx(-0.3)
 
 
 def test_gains_soften_with_height_as_in_the_thesis():
     for height, want in ((2.5, 1.0), (5.0, 0.5), (100.0, 0.1)):
-        _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [0.4, 0, height + 0.2]), above(height))
+        _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [0.4, 0, height + 0.2]), above(height), STALE_S)
         np.testing.assert_allclose(u.v_level, [0.4 * want, 0, 0.2])
 
 
 def test_the_derivative_acts_on_the_measurement_per_second():
-    gains = Gains(AxisGains(0.0, 0.0, 0.5), AxisGains(0.0, 0.0, 0.5), AxisGains(0.0, 0.0, 0.0))
-    state, u = pid_step(Pid.start(), gains, ns(1), estimate(1, [1, 0, 2], v=[-0.4, 0, 0.2]), above(2.0))
+    gains = PidOptions(HorizontalGains(0.0, 0.0, 0.5), VerticalGains(0.0, 0.0, 0.5), HeadingGains(0.0, 0.0))
+    state, u = pid_step(Pid.start(), gains, ns(1), estimate(1, [1, 0, 2], v=[-0.4, 0, 0.2]), above(2.0), STALE_S)
     np.testing.assert_allclose(u.v_level, [-0.2, 0, 0.1])
-    _, kicked = pid_step(state, gains, ns(1.01), estimate(1.01, [1, 0, 2], v=[-0.4, 0, 0.2]), above(1.0))
+    _, kicked = pid_step(state, gains, ns(1.01), estimate(1.01, [1, 0, 2], v=[-0.4, 0, 0.2]), above(1.0), STALE_S)
     np.testing.assert_allclose(kicked.v_level, u.v_level)
 
 
 @pytest.mark.parametrize("rate_hz", [10, 50, 100])
 def test_the_integral_is_per_second_whatever_the_rate(rate_hz):
-    gains = Gains(AxisGains(0.0, 0.1, 0.0), AxisGains(0.0, 0.0, 0.0), AxisGains(0.0, 0.0, 0.0))
+    gains = PidOptions(HorizontalGains(0.0, 0.1, 0.0), VerticalGains(0.0, 0.0, 0.0), HeadingGains(0.0, 0.0))
     state = Pid.start()
     for i in range(2 * rate_hz + 1):
-        state, u = pid_step(state, gains, ns(i / rate_hz), estimate(i / rate_hz, [1, 0, 2]), above(2.0))
+        state, u = pid_step(state, gains, ns(i / rate_hz), estimate(i / rate_hz, [1, 0, 2]), above(2.0), STALE_S)
     assert u.v_level[0] == pytest.approx(0.2, rel=0.06)
 
 
 def test_no_wind_up_behind_a_limit():
     state = Pid.start()
     for i in range(500):
-        state, _ = pid_step(state, Gains(), ns(i * 0.02), estimate(i * 0.02, [20, 0, 9]), above(2.0))
+        state, _ = pid_step(state, PidOptions(), ns(i * 0.02), estimate(i * 0.02, [20, 0, 9]), above(2.0), STALE_S)
     np.testing.assert_array_equal(state.integral, 0.0)
-    _, back = pid_step(state, Gains(), ns(10), estimate(10, [-0.1, 0, 1.9]), above(2.0))
+    _, back = pid_step(state, PidOptions(), ns(10), estimate(10, [-0.1, 0, 1.9]), above(2.0), STALE_S)
     assert back.v_level[0] < 0
     assert back.v_level[2] < 0
 
@@ -78,23 +81,23 @@ def test_no_wind_up_behind_a_limit():
 def test_the_integral_is_bounded():
     state = Pid.start()
     for i in range(20000):
-        state, _ = pid_step(state, Gains(), ns(i * 0.02), estimate(i * 0.02, [0.1, 0.1, 2.2]), above(2.0))
-    ki = np.array([Gains().horizontal.ki] * 2 + [Gains().vertical.ki])
-    np.testing.assert_allclose((state.integral[:3] * ki)[:2], Gains().integral_max_m_s)
+        state, _ = pid_step(state, PidOptions(), ns(i * 0.02), estimate(i * 0.02, [0.1, 0.1, 2.2]), above(2.0), STALE_S)
+    ki = np.array([PidOptions().horizontal.ki] * 2 + [PidOptions().vertical.ki])
+    np.testing.assert_allclose((state.integral[:3] * ki)[:2], PidOptions().integral_max_m_s)
     assert (state.integral[:3] * ki)[
         2
-    ] <= Gains().descent_rate_max_m_s - 0.2 + 0.01  # with the proportional part it fills the limit
+    ] <= PidOptions().descent_rate_max_m_s - 0.2 + 0.01  # with the proportional part it fills the limit
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-10, 10))
 def test_heading_turns_the_short_way(yaw, wanted):
-    _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [0, 0, 2], yaw=yaw), above(2.0, yaw=wanted))
+    _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [0, 0, 2], yaw=yaw), above(2.0, yaw=wanted), STALE_S)
     error = wrap_pi(wanted - yaw)
-    assert u.yaw_rate_rad_s == pytest.approx(np.clip(error, -0.6, 0.6), abs=1e-9)
+    assert u.yaw_rate_rad_s == pytest.approx(np.clip(error, -TURN_MAX_RAD_S, TURN_MAX_RAD_S), abs=1e-9)
 
 
 def test_no_heading_no_turning():
-    _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [1, 0, 2], yaw=None), above(2.0, yaw=1.0))
+    _, u = pid_step(Pid.start(), P_ONLY, ns(1), estimate(1, [1, 0, 2], yaw=None), above(2.0, yaw=1.0), STALE_S)
     assert u.yaw_rate_rad_s == 0.0
     assert u.v_level[0] == pytest.approx(1.0)
 
@@ -114,28 +117,28 @@ def test_no_heading_no_turning():
 def test_what_is_not_fit_to_steer_by_means_hover_with_frozen_integrals(seen):
     state = Pid(integral=np.array([1.0, 2.0, 3.0, 0.0]), last=ns(4.9))
     assert not fit_to_steer(seen, ns(5), 1.0)
-    after, u = pid_step(state, Gains(), ns(5), seen, above(2.0))
+    after, u = pid_step(state, PidOptions(), ns(5), seen, above(2.0), STALE_S)
     assert isinstance(u, Hover)
     assert after is state
 
 
 def test_after_long_silence_the_integrals_start_anew():
     state = Pid(integral=np.ones(4), last=ns(0))
-    after, _ = pid_step(state, Gains(), ns(3), None, above(2.0))
+    after, _ = pid_step(state, PidOptions(), ns(3), None, above(2.0), STALE_S)
     np.testing.assert_array_equal(after.integral, 0.0)
-    back, _ = pid_step(state, Gains(), ns(3), estimate(3, [0, 0, 2]), above(2.0))
+    back, _ = pid_step(state, PidOptions(), ns(3), estimate(3, [0, 0, 2]), above(2.0), STALE_S)
     np.testing.assert_array_equal(back.integral, 0.0)
 
 
 def fly(d0, pad_v=(0.0, 0.0, 0.0), wind=(0.0, 0.0, 0.0), gains=None, seconds=30.0, lag_s=0.3, delay_s=0.15):
     """A vehicle that follows its command with a first-order lag, off by `wind`; the controller sees it `delay_s` late."""
-    gains = gains or Gains()
+    gains = gains or PidOptions()
     dt, state, v, d = 0.02, Pid.start(), np.zeros(3), np.array(d0, float)
     seen = [(d.copy(), np.array(pad_v) - v)] * (round(delay_s / dt) + 1)
     track = []
     for i in range(round(seconds / dt)):
         d_seen, v_seen = seen.pop(0)
-        state, u = pid_step(state, gains, ns(i * dt), estimate(i * dt, d_seen, v_seen, age=delay_s), above(2.0))
+        state, u = pid_step(state, gains, ns(i * dt), estimate(i * dt, d_seen, v_seen, age=delay_s), above(2.0), STALE_S)
         assert isinstance(u, Velocity)
         v = v + (u.v_level + np.array(wind) - v) * dt / lag_s
         d = d + (np.array(pad_v) - v) * dt
@@ -166,5 +169,5 @@ def test_stable_over_the_vehicles_and_delays_to_expect(lag_s, delay_s):
 
 @pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf])
 def test_gains_that_make_no_sense_are_refused(bad):
-    with pytest.raises(ValueError, match="gains"):
-        AxisGains(1.0, bad, 0.0)
+    with pytest.raises(ValueError, match="Gains"):
+        HorizontalGains(1.0, bad, 0.0)

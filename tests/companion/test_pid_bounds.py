@@ -7,18 +7,32 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
-from companion.guidance.pid import AxisGains, Gains, Pid, SetPoint, fit_to_steer, pid_step
+from companion.guidance.options import GuidanceOptions, HeadingGains, HorizontalGains, PidOptions, VerticalGains
+from companion.guidance.pid import Pid, SetPoint, fit_to_steer, pid_step
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 
 NOW = 100.0
-NONE = AxisGains(0.0, 0.0, 0.0)
-FREE = Gains(NONE, NONE, AxisGains(0.0, 0.0, 0.0), 100.0, 100.0, 100.0, 100.0, 100.0, 1000.0)
+STALE_S = GuidanceOptions().stale_after_s
+FREE = PidOptions(
+    HorizontalGains(0.0, 0.0, 0.0),
+    VerticalGains(0.0, 0.0, 0.0),
+    HeadingGains(0.0, 0.0),
+    100.0,
+    100.0,
+    100.0,
+    math.degrees(100.0),
+    100.0,
+    1000.0,
+)
 """No gains, and no limit that a test comes near."""
-INTEGRAL = replace(FREE, horizontal=AxisGains(0.0, 1.0, 0.0), vertical=AxisGains(0.0, 1.0, 0.0), heading=AxisGains(0.0, 1.0, 0.0))
+INTEGRAL = structs.replace(
+    FREE, horizontal=HorizontalGains(0.0, 1.0, 0.0), vertical=VerticalGains(0.0, 1.0, 0.0), heading=HeadingGains(0.0, 1.0)
+)
 
 
 def at(seconds: float) -> MonoNs:
@@ -38,9 +52,9 @@ def above(height_m: float, yaw_rad: float | None = 0.0) -> SetPoint:
     return SetPoint(np.array([0.0, 0.0, height_m]), yaw_rad)
 
 
-def cycle(gains: Gains, estimate: RelativeState, to: SetPoint, state: Pid | None = None) -> tuple[Pid, list[float]]:
+def cycle(gains: PidOptions, estimate: RelativeState, to: SetPoint, state: Pid | None = None) -> tuple[Pid, list[float]]:
     """The new memory; the command forward, right, down, and its rate of turn."""
-    after, command = pid_step(Pid.start() if state is None else state, gains, at(NOW), estimate, to)
+    after, command = pid_step(Pid.start() if state is None else state, gains, at(NOW), estimate, to, STALE_S)
     assert isinstance(command, Velocity)
     return after, [*command.v_level.tolist(), command.yaw_rate_rad_s]
 
@@ -66,15 +80,20 @@ def test_a_set_point_that_is_no_place_is_refused(d: F64, yaw_rad: float | None, 
 
 @pytest.mark.parametrize("gains", [(-1e-9, 1.0, 1.0), (1.0, -1e-9, 1.0), (1.0, 1.0, -1e-9), (math.nan, 1.0, 1.0)])
 def test_gains_may_be_zero_and_not_less(gains: tuple[float, float, float]) -> None:
-    AxisGains(0.0, 0.0, 0.0)
-    with pytest.raises(ValueError, match="gains"):
-        AxisGains(*gains)
+    HorizontalGains(0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="Gains"):
+        HorizontalGains(*gains)
 
 
 def test_by_default_it_commands_what_the_vehicles_were_tuned_with() -> None:
     """For each metre or radian of error, for each metre second of its integral, for each metre per second of drift."""
-    gains = replace(
-        Gains(), speed_max_m_s=9.0, climb_max_m_s=9.0, descent_rate_max_m_s=9.0, turn_max_rad_s=9.0, integral_max_m_s=9.0
+    gains = structs.replace(
+        PidOptions(),
+        speed_max_m_s=9.0,
+        climb_max_m_s=9.0,
+        descent_rate_max_m_s=9.0,
+        turn_max_deg_s=math.degrees(9.0),
+        integral_max_m_s=9.0,
     )
     assert cycle(gains, belief((1.0, 0.0, 2.0)), above(1.0, 1.0))[1] == pytest.approx([0.9, 0.0, 1.0, 0.8])
     assert cycle(gains, belief((0.0, 1.0, 1.0)), above(1.0))[1] == pytest.approx([0.0, 0.9, 0.0, 0.0])
@@ -85,24 +104,33 @@ def test_by_default_it_commands_what_the_vehicles_were_tuned_with() -> None:
 
 
 def test_by_default_it_keeps_within_what_people_near_it_can_follow() -> None:
-    fast = AxisGains(10.0, 0.0, 0.0)
-    gains = replace(Gains(), horizontal=fast, vertical=fast, heading=AxisGains(10.0, 0.0, 0.0))
-    assert cycle(gains, belief((3.0, -4.0, 9.0)), above(1.0, 1.0))[1] == pytest.approx([0.6, -0.8, 0.5, 0.6])
-    assert cycle(gains, belief((-3.0, 4.0, 0.1)), above(1.0, -1.0))[1] == pytest.approx([-0.6, 0.8, -0.5, -0.6])
-    state, _ = cycle(Gains(), belief((0.0, 0.0, 1.0)), above(1.0), Pid(np.array([99.0, -99.0, 99.0, 99.0]), at(NOW)))
+    gains = structs.replace(
+        PidOptions(),
+        horizontal=HorizontalGains(10.0, 0.0, 0.0),
+        vertical=VerticalGains(10.0, 0.0, 0.0),
+        heading=HeadingGains(10.0, 0.0),
+    )
+    assert cycle(gains, belief((3.0, -4.0, 9.0)), above(1.0, 1.0))[1] == pytest.approx([0.6, -0.8, 0.5, math.radians(34.4)])
+    assert cycle(gains, belief((-3.0, 4.0, 0.1)), above(1.0, -1.0))[1] == pytest.approx([-0.6, 0.8, -0.5, -math.radians(34.4)])
+    state, _ = cycle(PidOptions(), belief((0.0, 0.0, 1.0)), above(1.0), Pid(np.array([99.0, -99.0, 99.0, 99.0]), at(NOW)))
     assert state.integral == pytest.approx([0.5 / 0.05, -0.5 / 0.05, 0.5 / 0.15, 0.0])
 
 
 def test_a_command_within_the_limits_is_left_alone() -> None:
-    gains = Gains(AxisGains(1.0, 0.0, 0.0), AxisGains(1.0, 0.0, 0.0), AxisGains(1.0, 0.0, 0.0))
+    gains = PidOptions(HorizontalGains(1.0, 0.0, 0.0), VerticalGains(1.0, 0.0, 0.0), HeadingGains(1.0, 0.0))
     assert cycle(gains, belief((0.3, -0.4, 1.5)), above(1.0, 0.6))[1] == pytest.approx([0.3, -0.4, 0.5, 0.6])
     assert cycle(gains, belief((0.0, 0.0, 1.0)), above(1.0))[1] == [0.0, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(("height_m", "share"), [(2.4, 1.0), (2.5, 1.0), (5.0, 0.5), (25.0, 0.1), (50.0, 0.1)])
 def test_high_up_every_horizontal_gain_is_softer_and_no_other(height_m: float, share: float) -> None:
-    each = AxisGains(1.0, 1.0, 1.0)
-    gains = replace(FREE, horizontal=each, vertical=each, heading=AxisGains(1.0, 1.0, 0.0), soft_above_m=2.5)
+    gains = structs.replace(
+        FREE,
+        horizontal=HorizontalGains(1.0, 1.0, 1.0),
+        vertical=VerticalGains(1.0, 1.0, 1.0),
+        heading=HeadingGains(1.0, 1.0),
+        soft_above_m=2.5,
+    )
     for d, v, integral in (
         ((0.1, 0.1, 0.1), (0.0, 0.0, 0.0), 0.0),
         ((0.0, 0.0, 0.0), (0.1, 0.1, 0.1), 0.0),
@@ -128,13 +156,13 @@ def test_the_first_cycle_integrates_nothing() -> None:
 @pytest.mark.parametrize(("silent_s", "kept"), [(2.0, True), (2.001, False)])
 def test_integrals_are_forgotten_after_two_seconds_of_silence_and_no_sooner(silent_s: float, kept: bool) -> None:
     before = Pid(np.full(4, 0.25), at(NOW - silent_s))
-    hovering, command = pid_step(before, Gains(), at(NOW), None, above(1.0))
+    hovering, command = pid_step(before, PidOptions(), at(NOW), None, above(1.0), STALE_S)
     assert command == Hover()
     assert np.all(hovering.integral == (0.25 if kept else 0.0))
     assert hovering.last == (before.last if kept else None)
     steering, _ = cycle(INTEGRAL, belief((0.0, 0.0, 1.0)), above(1.0), before)
     assert steering.integral.tolist() == [0.25 if kept else 0.0] * 4
-    assert pid_step(Pid(np.ones(4)), Gains(), at(NOW), None, above(1.0))[0].integral.tolist() == [1.0] * 4
+    assert pid_step(Pid(np.ones(4)), PidOptions(), at(NOW), None, above(1.0), STALE_S)[0].integral.tolist() == [1.0] * 4
 
 
 @pytest.mark.parametrize("age", ["age_s", "computed_s"])
@@ -142,19 +170,19 @@ def test_an_estimate_is_steered_by_up_to_its_age_on_either_side_of_now(age: str)
     for sign in (1.0, -1.0):
         for age_s, fit in ((1.0, True), (1.001, False)):
             seen = belief((0.0, 0.0, 1.0), **{age: sign * age_s})  # type: ignore[arg-type]
-            assert fit_to_steer(seen, at(NOW), Gains().stale_after_s) is fit
-            assert isinstance(pid_step(Pid.start(), Gains(), at(NOW), seen, above(1.0))[1], Velocity) is fit
+            assert fit_to_steer(seen, at(NOW), STALE_S) is fit
+            assert isinstance(pid_step(Pid.start(), PidOptions(), at(NOW), seen, above(1.0), STALE_S)[1], Velocity) is fit
     assert not fit_to_steer(replace(belief((0.0, 0.0, 1.0)), consistent=False), at(NOW), 1.0)
 
 
 @pytest.mark.parametrize(("seen", "wanted", "turns"), [(None, 1.0, False), (0.5, None, False), (0.5, 1.0, True)])
 def test_it_turns_where_both_headings_are_known(seen: float | None, wanted: float | None, turns: bool) -> None:
-    _, command = cycle(Gains(), belief((0.0, 0.0, 1.0), yaw_rad=seen), above(1.0, wanted))
+    _, command = cycle(PidOptions(), belief((0.0, 0.0, 1.0), yaw_rad=seen), above(1.0, wanted))
     assert command[3] == pytest.approx(0.4 if turns else 0.0)
 
 
 def test_an_axis_at_its_limit_integrates_only_what_leads_out_of_it() -> None:
-    gains = replace(FREE, vertical=AxisGains(1.0, 1.0, 0.0), descent_rate_max_m_s=0.5, climb_max_m_s=0.5)
+    gains = structs.replace(FREE, vertical=VerticalGains(1.0, 1.0, 0.0), descent_rate_max_m_s=0.5, climb_max_m_s=0.5)
     for height_m, integral, after in (
         (2.0, 0.0, 0.0),
         (1.25, 0.0, 0.025),
@@ -173,6 +201,6 @@ def test_an_axis_without_an_integral_gain_keeps_none() -> None:
 
 def test_a_set_point_that_flies_takes_the_drone_along_and_damps_only_what_differs_from_it() -> None:
     flying = SetPoint(np.array([0.0, 0.0, 1.0]), 0.0, np.array([0.25, -0.5, 0.125]))
-    gains = replace(FREE, horizontal=AxisGains(0.0, 0.0, 1.0), vertical=AxisGains(0.0, 0.0, 1.0))
+    gains = structs.replace(FREE, horizontal=HorizontalGains(0.0, 0.0, 1.0), vertical=VerticalGains(0.0, 0.0, 1.0))
     assert cycle(gains, belief((0.0, 0.0, 1.0), (-0.25, 0.5, -0.125)), flying)[1] == [0.25, -0.5, 0.125, 0.0]
     assert cycle(gains, belief((0.0, 0.0, 1.0)), flying)[1] == [0.5, -1.0, 0.25, 0.0]

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config.settings import camera_model, load, pad_model
-from companion.guidance.pid import Gains
-from companion.guidance.plan import Plan
+from companion.guidance.options import GuidanceOptions
 from companion.pilot import FlightOutcome, Pilot
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict
@@ -33,7 +32,7 @@ class Cockpit:
 
     def __init__(self, *, automatic: bool = True, path: str = "dead_reckoning") -> None:
         options = EstimatorOptions(path=path)  # type: ignore[arg-type]
-        self.pilot = Pilot(EYES, options, Plan.over_the_pad(), Gains(), automatic=automatic)
+        self.pilot = Pilot(EYES, options, GuidanceOptions(), automatic=automatic)
         self.now = MonoNs(0)
         self.d = np.array([0.3, -0.2, 3.0])
         self.flying: bool | None = True

@@ -6,13 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.guidance.pid import Gains, Pid, SetPoint, fit_to_steer, pid_step
+from companion.guidance.options import PidOptions
+from companion.guidance.pid import Pid, SetPoint, fit_to_steer, pid_step
 from companion.guidance.plan import Plan, WayPoint
 from companion.guidance.planner import Phase, Planner, planner_step
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import MonoNs
+from tests.companion.plans import changed
 
 DT = 0.05
 
@@ -42,7 +44,7 @@ def fly(d0, plan, seconds, sight=lambda t, d: True, yaw_rate=0.0, pad_v=(0.0, 0.
         rows.append((t, d.copy(), aim, phase))
         command = aim
         if isinstance(aim, SetPoint):
-            pid, command = pid_step(pid, Gains(), ns(t), seen, aim)
+            pid, command = pid_step(pid, PidOptions(), ns(t), seen, aim, 0.5)
         if isinstance(command, Land) and lands:
             break
         wanted = command.v_level if isinstance(command, Velocity) else np.zeros(3)
@@ -164,7 +166,7 @@ def test_a_pad_lost_for_good_is_given_up_at_a_safe_height():
 def test_a_pad_never_seen_from_near_is_not_tried_for_ever():
     rows = fly([0.0, 0.0, 3.0], Plan.over_the_pad(), 200, sight=lambda t, d: d[2] > 1.0)
     phases = [p for i, (*_, p) in enumerate(rows) if i == 0 or rows[i - 1][3] != p]
-    assert phases.count(Phase.CLIMB) == Plan.over_the_pad().go_arounds_max + 1
+    assert phases.count(Phase.CLIMB) == Plan.over_the_pad().options.go_arounds_max + 1
     assert phases[-1] is Phase.GAVE_UP
     assert rows[-1][1][2] == pytest.approx(2.0, abs=0.25)
 
@@ -186,7 +188,7 @@ def test_a_turning_drone_keeps_to_the_line_over_the_pad():
 
 def test_heading_is_kept_or_aligned():
     for heading, want in (("keep", None), ("align", 0.0)):
-        plan = Plan(Plan.over_the_pad().way_points, heading=heading)
+        plan = changed(Plan.over_the_pad(), heading=heading)
         _, aim, _ = planner_step(Planner.start(), plan, ns(0), estimate(0, [1, 1, 4], yaw=1.0))
         assert aim.yaw_rad == want
 
@@ -200,16 +202,16 @@ def test_a_landing_that_is_not_reported_is_taken_back_and_after_the_last_try_it_
     plan = Plan.over_the_pad()
     rows = fly([0.0, 0.0, 2.5], plan, 300, sight=lambda t, d: d[2] > 0.25, lands=False)
     phases = phases_of(rows)
-    assert phases.count(Phase.LAND) == plan.go_arounds_max + 1
+    assert phases.count(Phase.LAND) == plan.options.go_arounds_max + 1
     lands = [t for t, _, aim, _ in rows if isinstance(aim, Land)]
     longest = 0.0
     for i, t in enumerate(lands):
         begun = t if i == 0 or t - lands[i - 1] > 2 * DT else begun  # noqa: F821
         longest = max(longest, t - begun)
-    assert longest <= plan.land_timeout_s + 2 * DT
+    assert longest <= plan.guidance.land_timeout_s + 2 * DT
     assert phases[-1] is Phase.GAVE_UP
     assert min(d[2] for _, d, *_ in rows) > -1.0
-    assert rows[-1][1][2] == pytest.approx(plan.safe_height_m, abs=0.3)
+    assert rows[-1][1][2] == pytest.approx(plan.options.safe_height_m, abs=0.3)
 
 
 @pytest.mark.parametrize(
@@ -249,7 +251,7 @@ def test_losses_that_come_and_go_end_in_a_go_around_and_the_tries_are_bounded():
     plan = Plan.over_the_pad()
     rows = fly([0.0, 0.0, 2.2], plan, 400, sight=lambda t, d: d[2] > 1.2 or (t % 2.0) < 0.1)
     phases = phases_of(rows)
-    assert phases.count(Phase.GO_AROUND) + phases.count(Phase.CLIMB) >= plan.go_arounds_max
+    assert phases.count(Phase.GO_AROUND) + phases.count(Phase.CLIMB) >= plan.options.go_arounds_max
     assert phases[-1] is Phase.GAVE_UP
     assert rows[-1][1][2] > 1.2
 
@@ -258,7 +260,7 @@ def test_hovering_low_for_ever_ends_in_a_go_around():
     """Held 0.4 m aside at 0.19 m it can neither land nor is anything lost."""
     plan, planner, t, seen = Plan.over_the_pad(), Planner.start(), 0.0, []
     for d in ([0, 0, 2.0], [0.4, 0, 0.5]):
-        for _ in range(round((plan.descend_s + 5.0) / 0.1) if d[0] else 20):
+        for _ in range(round((plan.options.descend_s + 5.0) / 0.1) if d[0] else 20):
             t += 0.1
             planner, _, phase = planner_step(planner, plan, ns(t), estimate(t, d))
             seen.append(phase)
@@ -275,7 +277,7 @@ def test_height_lost_without_sight_ends_the_try():
         height -= 0.02 if blind else 0.0
         planner, _, _ = planner_step(planner, plan, ns(t), None if blind else estimate(t, [0.02, 0, height]))
     assert "lower without sight" in planner.reason
-    assert 1.9 - height <= plan.blind_descent_max_m + 0.25
+    assert 1.9 - height <= plan.options.blind_descent_max_m + 0.25
 
 
 def test_another_pad_is_not_flown_to_but_asked_about_from_higher_up():
@@ -285,14 +287,14 @@ def test_another_pad_is_not_flown_to_but_asked_about_from_higher_up():
     assert asked[0][0] == pytest.approx(6, abs=2 * DT)
     for _, _, aim in asked:
         assert isinstance(aim, Hover) or aim.v_level[2] < 0.0
-    assert asked[-1][1][2] == pytest.approx(plan.safe_height_m, abs=0.4)
+    assert asked[-1][1][2] == pytest.approx(plan.options.safe_height_m, abs=0.4)
     assert rows[-1][3] is Phase.GAVE_UP
-    assert asked[-1][0] - asked[0][0] == pytest.approx(plan.word_wait_s, abs=0.2)
+    assert asked[-1][0] - asked[0][0] == pytest.approx(plan.options.word_wait_s, abs=0.2)
 
 
 @pytest.mark.parametrize(("jump_at", "lands"), [(2.0, True), (12.0, False)], ids=["high up", "below the safe height"])
 def test_on_its_own_it_takes_another_pad_only_where_set_so_only_high_up_and_only_once(jump_at, lands):
-    plan = replace(Plan.over_the_pad(), another_pad="automatic")
+    plan = changed(Plan.over_the_pad(), another_pad="automatic")
     rows = fly([0.5, 0.0, 3.5], plan, 120, track=lambda t: 1 if t < jump_at else 2)
     assert (rows[-1][3] is Phase.LAND) == lands
     twice = fly([0.5, 0.0, 3.5], plan, 200, track=lambda t: 1 if t < 2 else 2 if t < 9 else 3)
@@ -300,7 +302,7 @@ def test_on_its_own_it_takes_another_pad_only_where_set_so_only_high_up_and_only
 
 
 def test_on_its_own_it_waits_for_unbroken_sight_of_one_pad():
-    plan = replace(Plan.over_the_pad(), another_pad="automatic")
+    plan = changed(Plan.over_the_pad(), another_pad="automatic")
     rows = fly([0.5, 0.0, 3.5], plan, 40, track=lambda t: 1 if t < 2 else 2, sight=lambda t, d: t < 2 or (t % 4.0) < 3.0)
     assert phases_of(rows)[-1] is Phase.ANOTHER_PAD
 
@@ -340,8 +342,8 @@ def test_it_never_sinks_nor_begins_to_land_without_a_fresh_consistent_estimate(h
         planner, aim, phase = planner_step(planner, plan, ns(t), seen)
         command = aim
         if isinstance(aim, SetPoint):
-            pid, command = pid_step(pid, Gains(), ns(t), seen, aim)
-        fit = fit_to_steer(seen, ns(t), plan.stale_after_s)
+            pid, command = pid_step(pid, PidOptions(), ns(t), seen, aim, 0.5)
+        fit = fit_to_steer(seen, ns(t), plan.guidance.stale_after_s)
         lands = isinstance(command, Land)
         if fit and flown is None:
             flown = seen.track
@@ -354,7 +356,7 @@ def test_it_never_sinks_nor_begins_to_land_without_a_fresh_consistent_estimate(h
             assert not lands
         if lands:
             landed_at = t if landed_at is None else landed_at
-            assert t - landed_at <= plan.land_timeout_s + 1e-6
+            assert t - landed_at <= plan.guidance.land_timeout_s + 1e-6
         else:
             landed_at = None
         assert lands == (phase is Phase.LAND)
@@ -373,8 +375,8 @@ def test_the_property_above_does_see_landings():
     "make",
     [
         lambda: Plan(()),
-        lambda: Plan(Plan.over_the_pad().way_points, speed_m_s=0.0),
-        lambda: Plan(Plan.over_the_pad().way_points, climb_after_s=30.0),
+        lambda: changed(Plan.over_the_pad(), speed_m_s=0.0),
+        lambda: changed(Plan.over_the_pad(), climb_after_s=30.0),
         lambda: WayPoint(np.array([0, 0, -1.0]), 0.1, 0.1, 0.1),
         lambda: WayPoint(np.array([0, 0, 1.0]), 0.0, 0.1, 0.1),
     ],
@@ -402,8 +404,10 @@ def test_without_sight_it_flies_level_towards_the_pad_for_a_while():
     assert isinstance(aim, Velocity)
     assert aim.v_level[0] > 0 > aim.v_level[1]
     assert aim.v_level[2] == 0.0
-    assert math.hypot(*aim.v_level[:2]) <= plan.speed_m_s + 1e-9
-    _, aim, phase = planner_step(planner, plan, ns(plan.blind_s + 0.1), blind(plan.blind_s + 0.1, [1.5, -0.5, 4.0]))
+    assert math.hypot(*aim.v_level[:2]) <= plan.options.speed_m_s + 1e-9
+    _, aim, phase = planner_step(
+        planner, plan, ns(plan.options.blind_s + 0.1), blind(plan.options.blind_s + 0.1, [1.5, -0.5, 4.0])
+    )
     assert (aim, phase) == (Hover(), Phase.LOST)
 
 
@@ -425,7 +429,7 @@ def test_without_sight_it_hovers_where_dead_reckoning_does_not_tell(bad):
 def test_it_does_not_land_while_it_drifts_away():
     plan = Plan.over_the_pad()
     over = WayPoint(np.array([0, 0, 0.3]), reached_m=0.12, reached_height_m=0.12, dwell_s=0.2)
-    plan = Plan((over,), touchdown_s=plan.touchdown_s)
+    plan = Plan((over,), plan.guidance)
     for speed, phase in ((0.0, Phase.LAND), (0.5, Phase.DESCEND)):
         planner = Planner.start()
         for i in range(20):

@@ -17,11 +17,12 @@ from companion.guidance.planner import Aim, GoAround, Phase, Planner, Question, 
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
+from tests.companion.plans import changed, planned
 
 PLAN = Plan.over_the_pad()
-AUTOMATIC = replace(PLAN, another_pad="automatic")
+AUTOMATIC = changed(PLAN, another_pad="automatic")
 NOW = 100.0
-SAFE_M, NEARLY_SAFE_M = PLAN.safe_height_m, PLAN.safe_height_m - 0.25
+SAFE_M, NEARLY_SAFE_M = PLAN.options.safe_height_m, PLAN.options.safe_height_m - 0.25
 
 
 def at(seconds: float) -> MonoNs:
@@ -106,7 +107,7 @@ def test_a_way_point_is_reached_when_it_has_been_near_for_its_time() -> None:
 
 @pytest.mark.parametrize(("heading", "yaw_rad"), [("align", 0.0), ("keep", None)])
 def test_the_heading_is_asked_for_where_the_plan_says_so(heading: Any, yaw_rad: float | None) -> None:
-    aim = cycle(flying(), belief(3.0), replace(PLAN, heading=heading))[1]
+    aim = cycle(flying(), belief(3.0), changed(PLAN, heading=heading))[1]
     assert isinstance(aim, SetPoint)
     assert aim.yaw_rad == yaw_rad
 
@@ -150,7 +151,7 @@ def test_a_pad_lost_low_is_sought_from_higher_up_after_a_while(for_s: float, hei
     assert (state.point, state.near_since) == (None, None)
     if phase is Phase.CLIMB:
         assert isinstance(aim, Velocity)
-        assert aim.v_level.tolist() == [0.0, 0.0, -PLAN.climb_m_s]
+        assert aim.v_level.tolist() == [0.0, 0.0, -PLAN.options.climb_m_s]
         assert "lost at 2.0 m" in state.reason
 
 
@@ -185,14 +186,14 @@ def test_a_go_around_ends_at_the_safe_height_in_a_new_try_or_for_good(go_arounds
     assert isinstance(aim, SetPoint)
     assert aim.yaw_rad is None
     state, aim, phase = cycle(climbing, belief(NEARLY_SAFE_M))
-    if go_arounds > PLAN.go_arounds_max:
+    if go_arounds > PLAN.options.go_arounds_max:
         assert (aim, phase, state.reason) == (Hover(), Phase.GAVE_UP, "why")
     else:
         assert (phase, state.going_around, state.spent) == (Phase.APPROACH, None, Spent(began=at(NOW)))
 
 
 def test_a_go_around_climbs_over_the_first_way_point() -> None:
-    plan = Plan.over_the_pad(pad_ahead_m=0.4)
+    plan = planned(pad_ahead_m=0.4)
     climbing = flying(0.1, going_around=GoAround(at(NOW - 1.0), 1.0), go_arounds=1, point=np.array([0.4, 0.0, 1.0]))
     _, aim, _ = cycle(climbing, belief(1.0, (0.4, 0.0)), plan)
     assert isinstance(aim, SetPoint)
@@ -209,9 +210,9 @@ def test_without_sight_it_climbs_for_as_long_as_it_lacks_height(since_s: float, 
     if min(since_s, seen_s) < 2.0:
         assert phase is Phase.CLIMB
         assert isinstance(aim, Velocity)
-        assert aim.v_level.tolist() == [0.0, 0.0, -PLAN.climb_m_s]
+        assert aim.v_level.tolist() == [0.0, 0.0, -PLAN.options.climb_m_s]
         assert aim.yaw_rate_rad_s == 0.0
-    elif go_arounds > PLAN.go_arounds_max:
+    elif go_arounds > PLAN.options.go_arounds_max:
         assert (aim, phase) == (Hover(), Phase.GAVE_UP)
     else:
         assert (aim, phase, after.going_around, after.seen_height_m) == (Hover(), Phase.LOST, None, SAFE_M)
@@ -219,7 +220,7 @@ def test_without_sight_it_climbs_for_as_long_as_it_lacks_height(since_s: float, 
 
 
 def test_a_climb_without_sight_ends_when_the_height_that_lacked_is_made_up() -> None:
-    plan = replace(PLAN, climb_m_s=0.5)
+    plan = changed(PLAN, climb_m_s=0.5)
     state = lost(8.0, 1.5, going_around=GoAround(at(NOW - 1.0), 1.5), go_arounds=1)
     assert cycle(state, None, plan)[1:] == (Hover(), Phase.LOST)
     assert cycle(asked(1.0, 1.5), None, plan)[1:] == (Hover(), Phase.ANOTHER_PAD)
@@ -262,7 +263,7 @@ def test_dead_reckoning_flies_level_for_as_long_as_it_tells_something(
 
 
 def test_dead_reckoning_flies_to_the_way_point_it_was_about() -> None:
-    plan = Plan.over_the_pad(pad_ahead_m=0.3)
+    plan = planned(pad_ahead_m=0.3)
     _, aim, _ = cycle(lost(1.0), belief(4.0, (0.5, 0.1), age_s=1.0), plan)
     assert isinstance(aim, Velocity)
     assert aim.v_level == pytest.approx([0.08, 0.04, 0.0])
@@ -286,7 +287,7 @@ def test_the_set_point_flies_and_slows_down_near_its_way_point(
 
 @pytest.mark.parametrize(("within_m", "set_point_m_s", "blind_m_s"), [(0.25, 0.4, 0.4), (0.5, 0.4, 0.4), (2.0, 0.1, 0.1)])
 def test_it_slows_down_within_the_distance_that_the_plan_names(within_m: float, set_point_m_s: float, blind_m_s: float) -> None:
-    plan = replace(PLAN, slow_within_m=within_m)
+    plan = changed(PLAN, slow_radius_m=within_m)
     _, aim, _ = cycle(flying(0.1, point=np.array([0.0, 0.0, 2.5]), yaw_rad=0.0), belief(2.5), plan)
     assert isinstance(aim, SetPoint)
     assert aim.v_body_level == pytest.approx([0.0, 0.0, set_point_m_s])
@@ -296,7 +297,7 @@ def test_it_slows_down_within_the_distance_that_the_plan_names(within_m: float, 
 
 
 def test_a_set_point_that_arrives_in_this_cycle_stands_still() -> None:
-    plan = replace(PLAN, speed_m_s=0.5, slow_least=0.5)
+    plan = changed(PLAN, speed_m_s=0.5, slow_floor=0.5)
     _, aim, _ = cycle(flying(0.125, point=np.array([0.0, 0.0, 2.03125]), yaw_rad=0.0), belief(2.03125), plan)
     assert isinstance(aim, SetPoint)
     assert aim.d_body_pad_level.tolist() == [0.0, 0.0, 2.0]
@@ -306,7 +307,7 @@ def test_a_set_point_that_arrives_in_this_cycle_stands_still() -> None:
 @pytest.mark.parametrize(("behind_m", "waits"), [(0.74, False), (0.75, False), (0.76, True)])
 def test_the_set_point_waits_for_a_drone_that_is_too_far_behind(behind_m: float, waits: bool) -> None:
     point = np.array([0.0, 0.0, 4.0])
-    _, aim, _ = cycle(flying(0.1, point=point, yaw_rad=0.0), belief(4.0 + behind_m), replace(PLAN, lead_m=0.75))
+    _, aim, _ = cycle(flying(0.1, point=point, yaw_rad=0.0), belief(4.0 + behind_m), changed(PLAN, lead_m=0.75))
     assert isinstance(aim, SetPoint)
     assert bool(aim.d_body_pad_level[2] == 4.0) is waits
     assert np.any(aim.v_body_level != 0.0) != waits
@@ -343,7 +344,7 @@ def test_another_pad_ends_whatever_was_under_way() -> None:
     state, aim, phase = cycle(before, belief(1.0, track=2))
     assert phase is Phase.ANOTHER_PAD
     assert isinstance(aim, Velocity)
-    assert aim.v_level.tolist() == [0.0, 0.0, -PLAN.climb_m_s]
+    assert aim.v_level.tolist() == [0.0, 0.0, -PLAN.options.climb_m_s]
     assert aim.yaw_rate_rad_s == 0.0
     assert (state.leg, state.point, state.near_since, state.landing, state.going_around) == (0, None, None, None, None)
     assert (state.questions, state.in_sight, state.question) == (1, False, Question(at(NOW), 1.1, 2, at(NOW)))

@@ -18,7 +18,7 @@ from companion.config.build_camera import camera_options
 from companion.config.refusal import walk
 from companion.config.settings import Settings, from_mapping
 from companion.config.vehicle import ArDroneSettings, AutopilotSettings, BridgeSettings
-from companion.guidance.pid import Gains
+from companion.guidance.options import GuidanceOptions
 from companion.guidance.plan import Plan
 from companion.mavlink.component import ComponentOptions
 from companion.mavlink.outputs import OutputOptions
@@ -48,8 +48,8 @@ def parts(settings: Settings) -> list[object]:
     return [
         plain(part)
         for part in (
-            *vehicle(settings), build.tracker(settings), build.estimator_options(settings), build.gains(settings),
-            build.plan(settings), build.restart(settings), settings.camera.source, *cameras(settings),
+            *vehicle(settings), build.tracker(settings), build.estimator_options(settings), settings.guidance,
+            Plan.over_the_pad(settings.guidance), build.restart(settings), settings.camera.source, *cameras(settings),
         )
     ]  # fmt: skip
 
@@ -135,10 +135,7 @@ def test_every_key_reaches_a_part(kind: str, path: str, field: inspect.Field) ->
 
 def test_defaults_are_those_of_the_parts() -> None:
     settings = from_mapping(MINIMAL, "default")
-    gains = dataclasses.replace(build.gains(settings), stale_after_s=Gains().stale_after_s)
-    assert math.isclose(gains.turn_max_rad_s, Gains().turn_max_rad_s, rel_tol=0.01)
-    assert dataclasses.replace(gains, turn_max_rad_s=Gains().turn_max_rad_s) == Gains()
-    assert plain(build.plan(settings)) == plain(Plan.over_the_pad())
+    assert settings.guidance == GuidanceOptions()
     assert settings.estimator == EstimatorOptions()
     assert build.restart(settings) == Restart()
     link = build.ardrone_options(settings)
@@ -153,7 +150,7 @@ def test_degrees_in_the_file_are_radians_inside() -> None:
     settings = from_mapping(data, "degrees")
     assert math.isclose(build.ardrone_options(settings).loop.euler_angle_max_rad, math.pi / 10)
     assert math.isclose(build.ardrone_options(settings).loop.yaw_rate_max_rad_s, math.pi / 2)
-    assert math.isclose(build.gains(settings).turn_max_rad_s, math.pi / 4)
+    assert math.isclose(settings.guidance.pid.turn_max_rad_s, math.pi / 4)
 
 
 def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config.settings import camera_model, load, pad_model
-from companion.guidance.pid import Gains, fit_to_steer
+from companion.guidance.pid import fit_to_steer
 from companion.guidance.plan import Plan
 from companion.observer import Decision
 from companion.pilot import Pilot
@@ -50,7 +50,7 @@ class Loop:
     lowest_m: float = math.inf
 
     def __post_init__(self) -> None:
-        self.pilot = Pilot(EYES, EstimatorOptions(path=self.path), self.plan, Gains())
+        self.pilot = Pilot(EYES, EstimatorOptions(path=self.path), self.plan.guidance)
         self.rng = np.random.default_rng(7)
         self.now = MonoNs(10**12)
         self.ticks = 0
@@ -150,7 +150,7 @@ def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estima
         for _ in range(ticks):
             decision = loop.tick(fault)
             belief = decision.belief
-            fit = belief is not None and fit_to_steer(belief, decision.at, PLAN.stale_after_s)
+            fit = belief is not None and fit_to_steer(belief, decision.at, PLAN.guidance.stale_after_s)
             if fit and flown is None:
                 flown = belief.track
             lands = isinstance(decision.command, Land)
@@ -159,9 +159,9 @@ def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estima
                 assert not belief.doubts
                 assert belief.track == flown
             landing_s = landing_s + TICK_S if lands else 0.0
-            assert landing_s <= PLAN.land_timeout_s + 2 * TICK_S
+            assert landing_s <= PLAN.guidance.land_timeout_s + 2 * TICK_S
             around += loop.pilot.phase in ("go-around", "climb") and before not in ("go-around", "climb")
-            assert around <= 2 * (PLAN.go_arounds_max + 1)
+            assert around <= 2 * (PLAN.options.go_arounds_max + 1)
             before = loop.pilot.phase
             if loop.ticks == pause_at:
                 loop.pilot.pause()
@@ -188,7 +188,7 @@ def test_a_camera_that_freezes_is_refused_told_and_not_descended_by() -> None:
     assert loop.verdicts[-1] is Verdict.REPEATED
     assert loop.lowest_m > 1.2
     loop.until(lambda decision: decision.phase == "gave up", "camera frozen")
-    assert loop.d[2] == pytest.approx(PLAN.safe_height_m, abs=0.4)
+    assert loop.d[2] == pytest.approx(PLAN.options.safe_height_m, abs=0.4)
 
 
 @pytest.mark.parametrize("path", ["dead_reckoning", "median_mean", "ekf"])
@@ -199,7 +199,7 @@ def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: Pa
     assert loop.verdicts.count(Verdict.ELSEWHERE) > 10
     for _ in range(400):
         assert not descends(loop.tick("aside"))
-    assert loop.d[2] == pytest.approx(PLAN.safe_height_m, abs=0.4)
+    assert loop.d[2] == pytest.approx(PLAN.options.safe_height_m, abs=0.4)
     assert abs(loop.d[1]) < 0.5
     told = loop.pilot.belief(loop.now)
     assert told is not None

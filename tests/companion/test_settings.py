@@ -333,7 +333,7 @@ def test_broken_toml_is_refused_with_its_place(tmp_path: Path) -> None:
 
 def test_the_schema_lists_every_key_with_its_unit() -> None:
     schema = json.loads(reference.schema())
-    planner = schema["$defs"]["PlannerSettings"]
+    planner = schema["$defs"]["PlannerOptions"]
     assert planner["properties"]["speed_m_s"]["x-unit"] == "m/s"
     assert planner["additionalProperties"] is False
     assert schema["$defs"]["Settings"]["required"] == ["vehicle", "camera", "pad"]

@@ -10,8 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from companion.guidance.pid import Gains
-from companion.guidance.planner import Plan
+from companion.guidance.options import GuidanceOptions
 from companion.pilot import Pilot
 from companion.runtime.daemon import Daemon, VehicleLink
 from drivers.mailbox import Latest, Line
@@ -68,7 +67,7 @@ class SeeingPilot(Pilot):
 
     def __init__(self, vehicle: FakeFlight) -> None:
         options = EstimatorOptions(path="dead_reckoning")
-        super().__init__(EYES, options, Plan.over_the_pad(), Gains())
+        super().__init__(EYES, options, GuidanceOptions())
         self._truth = vehicle
 
     def detect(self, frame: Frame, attitude: Attitude) -> Detection:

@@ -1,0 +1,128 @@
+"""Keys that are set and change nothing: because another key switches their part off, or because they are retired."""
+
+from __future__ import annotations
+
+import copy
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from companion.config.model import Settings
+from companion.config.refusal import walk
+from companion.config.vehicle import ArDroneSettings
+
+log = logging.getLogger(__name__)
+
+RETIRED = {"guidance.pid.heading.kd": (0.0, "the estimate tells no rate of the heading")}
+"""Keys that older files and recordings hold: the default of then, and why they are gone. They are read and left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    keys: str
+    """One key, several with commas between, or a table with a dot at its end."""
+    idle: Callable[[Settings], bool]
+    why: str
+    but: str = ""
+    """Keys of the table that do have an effect."""
+
+
+_RULES = (
+    _Rule("mqtt.", lambda s: s.mqtt.transport == "off", 'mqtt.transport is "off"', "mqtt.transport"),
+    _Rule("mqtt.ca_file,mqtt.certificate_file,mqtt.key_file", lambda s: s.mqtt.transport == "tcp", 'mqtt.transport is "tcp"'),
+    _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),
+    _Rule("metrics.", lambda s: s.metrics.endpoint == "off", 'metrics.endpoint is "off"', "metrics.endpoint"),
+    _Rule("bridge.", lambda s: not s.bridge.links.strip(), "bridge.links is empty"),
+    _Rule("bridge.signing_time_file", lambda s: not s.bridge.signing_key_file, "bridge.signing_key_file is empty"),
+    _Rule(
+        "vehicle.signing_time_file",
+        lambda s: not isinstance(s.vehicle, ArDroneSettings) and not s.vehicle.signing_key_file,
+        "vehicle.signing_key_file is empty",
+    ),
+    _Rule(
+        "vehicle.range_rate_hz",
+        lambda s: not isinstance(s.vehicle, ArDroneSettings) and s.vehicle.ranges == "off",
+        'vehicle.ranges is "off"',
+    ),
+    _Rule(
+        "vehicle.descent_rate_m_s",
+        lambda s: not isinstance(s.vehicle, ArDroneSettings) and s.vehicle.landing == "mode",
+        'vehicle.landing is "mode"',
+    ),
+    _Rule("camera.format,camera.rate_hz,camera.controls", lambda s: s.camera.source != "v4l2", 'camera.source is not "v4l2"'),
+    _Rule(
+        "camera.latency_s,camera.latency_sigma_s,camera.exposure_s,camera.silence_s",
+        lambda s: s.camera.source == "vehicle",
+        'camera.source is "vehicle", whose own keys say this',
+    ),
+    _Rule(
+        "estimator.ekf.min_confidence",
+        lambda s: s.estimator.ekf.min_confidence <= s.estimator.min_confidence,
+        "it does not exceed estimator.min_confidence, which refuses before",
+    ),
+    _Rule(
+        "estimator.dead_reckoning.calibration_samples,estimator.dead_reckoning.calibration_velocity_max_m_s,"
+        "estimator.dead_reckoning.calibration_acceleration_max_m_s2",
+        lambda s: s.estimator.dead_reckoning.calibration_s == 0.0,
+        "estimator.dead_reckoning.calibration_s is 0",
+    ),
+    _Rule(
+        "estimator.dead_reckoning.history_s",
+        lambda s: s.estimator.dead_reckoning.history_s < s.estimator.max_delay_s,
+        "it is shorter than estimator.max_delay_s, which is taken instead",
+    ),
+    _Rule(
+        "guidance.planner.another_pad_s",
+        lambda s: s.guidance.planner.another_pad == "operator",
+        'guidance.planner.another_pad is "operator"',
+    ),
+    _Rule("recorder.jpeg_quality", lambda s: s.recorder.frames != "jpeg", 'recorder.frames is not "jpeg"'),
+    _Rule("recorder.frames_each", lambda s: s.recorder.frames == "none", 'recorder.frames is "none"'),
+)
+
+
+def without_effect(settings: Settings) -> tuple[str, ...]:
+    """Return a line for every cause that leaves keys without effect; keys at their default are left out."""
+    kind = "ardrone" if isinstance(settings.vehicle, ArDroneSettings) else "mavlink"
+    changed = {path for path, field in walk(Settings, kind) if not field.required and _value(settings, path) != field.default}
+    changed.discard("vehicle.kind")
+    lines = []
+    for rule in _RULES:
+        if rule.keys.endswith("."):
+            idle = {path for path in changed if path.startswith(rule.keys)} - {rule.but}
+        else:
+            idle = changed.intersection(rule.keys.split(","))
+        if idle and rule.idle(settings):
+            changed -= idle
+            lines.append(f"{', '.join(sorted(idle))}: without effect, as {rule.why}")
+    return tuple(lines)
+
+
+def without_retired(data: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+    """Return what a settings file holds without keys that are retired; log those that had another value than their default."""
+    for path, (default, why) in RETIRED.items():
+        *tables, last = path.split(".")
+        table: Any = data
+        for name in tables:
+            table = table.get(name) if isinstance(table, Mapping) else None
+        if not isinstance(table, Mapping) or last not in table:
+            continue
+        if table[last] != default:
+            log.warning("%s: %s is retired and left out: %s", where, path, why)
+        kept = copy.deepcopy(dict(data))
+        inner = kept
+        for name in tables:
+            inner = inner[name]
+        del inner[last]
+        data = kept
+    return data
+
+
+def _value(settings: Settings, path: str) -> object:
+    value: object = settings
+    for name in path.split("."):
+        if name == "kind":
+            return None
+        value = getattr(value, name)
+    return value

@@ -1,0 +1,71 @@
+"""Keys that change nothing are told; keys that are gone are read."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.cli.main import main
+from companion.config.effect import without_effect
+from companion.config.settings import from_mapping, load, shipped
+
+ARDRONE: dict[str, Any] = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
+AUTOPILOT: dict[str, Any] = ARDRONE | {"vehicle": {"kind": "mavlink", "links": "udpin://127.0.0.1:14550"}}
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (ARDRONE, ()),
+        (ARDRONE | {"mqtt": {"transport": "tls", "host": "broker"}}, ()),
+        (
+            ARDRONE | {"mqtt": {"host": "broker", "drone": "deck"}},
+            ('mqtt.drone, mqtt.host: without effect, as mqtt.transport is "off"',),
+        ),
+        (ARDRONE | {"mqtt": {"host": "127.0.0.1"}}, ()),
+        (ARDRONE | {"bridge": {"system_id": 7}}, ("bridge.system_id: without effect, as bridge.links is empty",)),
+        (ARDRONE | {"metrics": {"port": 1}}, ('metrics.port: without effect, as metrics.endpoint is "off"',)),
+        (
+            AUTOPILOT | {"vehicle": AUTOPILOT["vehicle"] | {"ranges": "off", "range_rate_hz": 5.0}},
+            ('vehicle.range_rate_hz: without effect, as vehicle.ranges is "off"',),
+        ),
+        (
+            ARDRONE | {"estimator": {"ekf": {"min_confidence": 0.1}}},
+            (
+                "estimator.ekf.min_confidence: without effect, as it does not exceed estimator.min_confidence, "
+                "which refuses before",
+            ),
+        ),
+    ],
+)
+def test_a_key_without_effect_is_told_with_the_cause(data: dict[str, Any], said: tuple[str, ...]) -> None:
+    assert without_effect(from_mapping(data, "x")) == said
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_no_shipped_profile_sets_a_key_without_effect(name: str) -> None:
+    assert without_effect(load(name)) == ()
+
+
+def test_check_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text('vehicle.kind = "ardrone"\ncamera.file = "sim"\npad.file = "thesis"\nmqtt.host = "broker"\n')
+    assert main(["config", "check", str(file)]) == 0
+    assert capsys.readouterr().out == f'{file}: good\n{file}: mqtt.host: without effect, as mqtt.transport is "off"\n'
+    assert main(["run", "--check", "--config", str(file)]) == 0
+    assert 'mqtt.host: without effect, as mqtt.transport is "off"' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("kd", "told"), [(0.0, 0), (0.3, 1)])
+def test_a_retired_key_is_read_and_told_only_where_it_meant_something(
+    kd: float, told: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = ARDRONE | {"guidance": {"pid": {"heading": {"kp": 0.5, "kd": kd}}}}
+    with caplog.at_level(logging.WARNING):
+        settings = from_mapping(data, "old.toml")
+    assert settings.guidance.pid.heading.kp == 0.5
+    assert len([r for r in caplog.messages if "guidance.pid.heading.kd is retired" in r]) == told
+    assert data["guidance"]["pid"]["heading"]["kd"] == kd
