@@ -19,6 +19,7 @@ from companion.config import build, build_camera, build_mavlink, reference
 from companion.config.model import Settings
 from companion.config.settings import SHIPPED, from_mapping, read_toml, shipped
 from companion.config.vehicle import ArDroneSettings
+from companion.guidance.plan import Plan
 from companion.print_pad.drawing import pad_drawing
 from companion.print_pad.sheets import sheets
 from companion.runtime.notify import Manager, watchdog_interval_s
@@ -144,8 +145,7 @@ def run_settings(data: bytes) -> None:
 
 def _options(settings: Settings) -> None:
     """What `run` makes of settings before it opens anything."""
-    build.plan(settings)
-    build.gains(settings)
+    Plan.over_the_pad(settings.guidance)
     build.restart(settings)
     build.estimator_options(settings)
     build_camera.controls(settings.camera.controls)

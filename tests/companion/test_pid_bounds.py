@@ -170,8 +170,8 @@ def test_an_estimate_is_steered_by_up_to_its_age_on_either_side_of_now(age: str)
     for sign in (1.0, -1.0):
         for age_s, fit in ((1.0, True), (1.001, False)):
             seen = belief((0.0, 0.0, 1.0), **{age: sign * age_s})  # type: ignore[arg-type]
-            assert fit_to_steer(seen, at(NOW), STALE_S) is fit
-            assert isinstance(pid_step(Pid.start(), PidOptions(), at(NOW), seen, above(1.0), STALE_S)[1], Velocity) is fit
+            assert fit_to_steer(seen, at(NOW), 1.0) is fit
+            assert isinstance(pid_step(Pid.start(), PidOptions(), at(NOW), seen, above(1.0), 1.0)[1], Velocity) is fit
     assert not fit_to_steer(replace(belief((0.0, 0.0, 1.0)), consistent=False), at(NOW), 1.0)
 
 
