@@ -215,7 +215,7 @@ async def test_cancelling_it_closes_the_vehicle() -> None:
 
 async def test_the_log_names_the_part_that_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
     vehicle = FakeVehicle()
-    pilot = Pilot(EYES, EstimatorOptions(), Plan.over_the_pad(), Gains())
+    pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
     daemon = Daemon(
         vehicle.open, pilot, CLOCK, restart=Restart(), guidance_rate_hz=50.0, health_period_s=0.05
     )  # fmt: skip
