@@ -9,9 +9,11 @@ from pathlib import Path
 
 from companion.report.figures import ErrorRow, Series, TimingRow, all_series, error_rows, timing_rows
 from companion.report.flight_log import FlightLog
+from companion.report.innovations import InnovationSeries, innovation_series
 from companion.report.palette import colour
 from companion.report.video import video_from_log
 from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Verdict
 
 PAGE = "index.html"
 VIDEO = "flight.mp4"
@@ -63,6 +65,7 @@ def render(log: FlightLog, video: str | None) -> str:
             _trajectory(log, series),
             _estimates(log, series),
             _frames(log),
+            _innovations(log),
             _commands(log),
             _times(log),
         )
@@ -187,6 +190,38 @@ def _frames(log: FlightLog) -> str:
         f"<h2>What became of the frames</h2><figure>{plots.verdicts(log)}<figcaption>{total} frames, each with exactly one "
         "verdict.</figcaption></figure>"
     )
+
+
+def _innovations(log: FlightLog) -> str:
+    from companion.report import plots
+
+    series = innovation_series(log)
+    if not series:
+        return '<h2>Innovations</h2><p class="note">No results of the estimator were recorded.</p>'
+    rows = "".join(map(_innovation_row, series))
+    parts = [
+        '<h2>What became of the measurements</h2><div class="wide"><table><thead><tr><th>path and source</th>'
+        "<th>measurements</th><th>fused</th><th>refused</th><th>of which</th><th>NIS mean</th><th>test ratio<br>95 %</th></tr>"
+        f"</thead><tbody>{rows}</tbody></table></div>"
+        '<p class="note">NIS mean: of what was fused, over the number of components; 1 when the covariance is honest. '
+        "Test ratio: NIS over the gate's limit; above 1 is refused. Samples of the IMU count where they were refused.</p>"
+    ]
+    for s in series:
+        if len(s.t_s):
+            parts.append(
+                f"<h2>Innovations, {escape(s.name)}</h2><figure>{plots.innovations(log, s)}<figcaption>Measured minus predicted. "
+                "Blue: fused; orange: refused, at the edge where it lies beyond. Bands: one and three sigma as the filter claims "
+                "them. Below: NIS, expected at the dashed line, refused above the orange one.</figcaption></figure>"
+            )
+    return "\n".join(parts)
+
+
+def _innovation_row(s: InnovationSeries) -> str:
+    total, fused = s.verdicts.total(), s.verdicts[Verdict.FUSED]
+    refused = ", ".join(f"{n} {v.value.replace('_', ' ')}" for v, n in s.verdicts.most_common() if v is not Verdict.FUSED)
+    figures = ("-" if math.isnan(x) else f"{x:.2f}" for x in (s.nis_mean, s.test_ratio_p95))
+    cells = [escape(s.name), str(total), str(fused), str(total - fused), refused or "-", *figures]
+    return "<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>"
 
 
 def _commands(log: FlightLog) -> str:

@@ -14,9 +14,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
+from numpy.typing import NDArray
 
 from companion.report.figures import Series, body_over_pad
 from companion.report.flight_log import FlightLog
+from companion.report.innovations import InnovationSeries
 from companion.report.palette import MARKERS, OTHER, colour
 from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
 from estimator.contracts.geometry import F64
@@ -27,6 +29,9 @@ _INK, _FAINT = "#010203", "#040506"
 """Stand-ins for the page's own colours."""
 _MANY_POINTS = 400
 """More markers than this are drawn as one path of round dots: a browser is slow with many small shapes."""
+_BINS = 300
+"""Spans of time that a plot of many thousand points is thinned to; the extremes of each are kept."""
+_FUSED, _REFUSED = "#1f86c9", "#d55e00"
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "decklander",
@@ -130,6 +135,94 @@ def errors(log: FlightLog, series: Sequence[Series]) -> str:
     return _svg(draw, 9.6, 7.2, "errors")
 
 
+def innovations(log: FlightLog, of: InnovationSeries) -> str:
+    """Draw each component of one source's innovations with the sigma that the filter claimed, and their NIS below them."""
+    columns = min(3, len(of.components))
+    rows = math.ceil(len(of.components) / columns)
+
+    def draw(figure: Figure) -> None:
+        grid = figure.add_gridspec(rows + 1, columns)
+        for k, name in enumerate(of.components):
+            ax = figure.add_subplot(grid[k // columns, k % columns])
+            _innovation(ax, of, k)
+            quantity, unit = _quantity_and_unit(name)
+            ax.set_title(f"{quantity}, {unit}", loc="left", fontsize=9)
+        _nis(figure.add_subplot(grid[rows, :]), of)
+        for ax in figure.axes:
+            low, high = float(of.t_s[0]), float(of.t_s[-1])
+            ax.set_xlim(low - 0.01 * (high - low) - 0.1, high + 0.01 * (high - low) + 0.1)
+        figure.axes[-1].set_xlabel("time, s")
+
+    return _svg(draw, 9.6, 2.0 * (rows + 1) + 0.2, f"innovations-{of.path}-{of.source}")
+
+
+def _innovation(ax: Axes, of: InnovationSeries, k: int) -> None:
+    y, sigma, fused = of.innovation[:, k], of.sigma[:, k], of.fused & np.isfinite(of.innovation[:, k])
+    t_band, band = _thinned_median(of.t_s[fused], sigma[fused])
+    for width, alpha in ((3.0, 0.12), (1.0, 0.22)):
+        ax.fill_between(t_band, -width * band, width * band, color=_FUSED, alpha=alpha, linewidth=0)
+    kept = _extremes(y[fused])
+    _dots(ax, of.t_s[fused][kept], y[fused][kept], color=_FUSED)
+    reach = (
+        [np.quantile(np.abs(y[fused]), 0.995), 3.0 * np.median(sigma[fused])] if fused.any() else [float(np.nanmax(np.abs(y)))]
+    )
+    limit = 1.15 * max(float(max(reach)), 1e-9)
+    refused = ~of.fused & np.isfinite(y)
+    shown = np.clip(y[refused], -limit, limit)
+    kept = _extremes(shown)
+    _dots(ax, of.t_s[refused][kept], shown[kept], color=_REFUSED)
+    ax.axhline(0.0, color=_FAINT, linewidth=0.8)
+    ax.set_ylim(-1.05 * limit, 1.05 * limit)
+
+
+def _nis(ax: Axes, of: InnovationSeries) -> None:
+    ax.set_yscale("log")
+    gate = of.normalized_nis / of.test_ratio
+    for chosen, ink in ((of.fused, _FUSED), (~of.fused, _REFUSED)):
+        value = np.clip(of.normalized_nis[chosen], 1e-3, 1e3)
+        kept = _extremes(value)
+        _dots(ax, of.t_s[chosen][kept], value[kept], color=ink)
+    t_gate, limit = _thinned_median(of.t_s, gate)
+    ax.plot(t_gate, limit, color=_REFUSED, linewidth=1.2)
+    ax.axhline(1.0, color=_INK, linewidth=0.8, linestyle=(0, (4, 3)))
+    ax.set_title("NIS over the number of components", loc="left", fontsize=9)
+
+
+def _quantity_and_unit(component: str) -> tuple[str, str]:
+    """Split the name of a component, as in x_m and down_m_s."""
+    for ending, unit in (("_m_s", "m/s"), ("_rad", "rad"), ("_m", "m")):
+        if component.endswith(ending):
+            return component.removesuffix(ending).replace("_", " "), unit
+    return component, ""
+
+
+def _extremes(y: F64) -> NDArray[np.intp]:
+    """Return the indices of the least and greatest value of each of `_BINS` spans of time, all indices where there are few."""
+    if len(y) <= 2 * _BINS:
+        return np.arange(len(y))
+    kept: list[int] = []
+    for part in np.array_split(np.arange(len(y)), _BINS):
+        kept += sorted({int(part[np.argmin(y[part])]), int(part[np.argmax(y[part])])})
+    return np.array(kept, dtype=np.intp)
+
+
+def _thinned_median(t_s: F64, y: F64) -> tuple[F64, F64]:
+    """Return at most `_BINS` times and the medians of the values around them."""
+    parts = [part for part in np.array_split(np.arange(len(y)), min(_BINS, max(1, len(y)))) if len(part)]
+    return np.array([np.mean(t_s[part]) for part in parts]), np.array([np.nanmedian(y[part]) for part in parts])
+
+
+def _dots(ax: Axes, t_s: F64, y: F64, **ink: Any) -> None:
+    """Draw many dots as one path of strokes that are too short to see: one of no length at all is left out of the drawing."""
+    if not len(t_s):
+        return
+    dots = np.stack([np.repeat(t_s, 3), np.repeat(y, 3)])
+    dots[0, 1::3] += 1e-4 * max(1.0, float(np.ptp(t_s)))
+    dots[:, 2::3] = np.nan
+    (line,) = ax.plot(*dots, linewidth=2.4, solid_capstyle="round", **ink)
+    line.get_path().should_simplify = False
+
+
 def commands(log: FlightLog) -> str:
     """What the vehicle was told: velocities and turn rate; hovering and landing as bands."""
     t = np.array([seconds_between(log.started, c.at) for c in log.commands])
@@ -209,12 +302,7 @@ def _plot(ax: Axes, s: Series, y: F64, wraps: bool) -> None:
     if len(y) <= _MANY_POINTS:
         ax.plot(s.t_s, y, MARKERS.get(s.name, "."), markersize=2.6, markeredgewidth=0.6, **ink)
         return
-    dots = np.stack([np.repeat(s.t_s, 3), np.repeat(y, 3)])
-    # a dot is a stroke too short to see: one of no length at all is left out of the drawing
-    dots[0, 1::3] += 1e-4 * max(1.0, float(np.ptp(s.t_s)))
-    dots[:, 2::3] = np.nan
-    (line,) = ax.plot(*dots, linewidth=2.4, solid_capstyle="round", **ink)
-    line.get_path().should_simplify = False
+    _dots(ax, s.t_s, y, **ink)
 
 
 def _fit(ax: Axes, leading: Sequence[F64]) -> None:
