@@ -1,7 +1,7 @@
-"""`decklander detect`: the pad in images and videos, one line or one JSON object a frame.
+"""`decklander detect`: find the pad in images, videos and recordings; print one line or one JSON object per frame.
 
-What was asked for is checked before any work: paths, camera, pad, attitudes. A file that turns out not to be an image is
-named on stderr, the others are still done, and the exit code is 2.
+Paths, camera, pad and attitudes are checked before any frame is searched. A file that cannot be decoded is named on stderr, the
+others are still searched, and the exit code is 2.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.config.settings import find_file, read_toml
+from companion.recorder.reading import RecordedFrame, open_recording
 from drivers.camera import images
 from drivers.camera.videos import open_video
 from estimator.contracts.errors import BadInput
@@ -38,6 +39,7 @@ from estimator.vision.tracker import TrackerConfig, TrackerMemory, together, tra
 U8 = NDArray[np.uint8]
 
 PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm"}
+RECORDINGS = {".mcap"}
 VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".h264", ".264", ".m4v", ".ts"}
 METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "registration")
 
@@ -47,67 +49,86 @@ _INK = {"ellipse": (255, 200, 0), "arrow": (0, 0, 255), "corners": (255, 0, 255)
 
 @dataclass(frozen=True, slots=True)
 class _Tilt:
+    """Roll and pitch of the body from a table, degrees."""
+
     roll_deg: float
     pitch_deg: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Image:
+    """One image to search."""
+
     source: str
     index: int
+    """Number of the frame in its video or recording, from 0."""
     px: U8
+    """(height, width, 3) BGR."""
+    attitude: Attitude | None = None
+    """Attitude at the exposure, where a recording holds it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Model:
+    """The camera that took a file's images, and the pad to look for in them."""
+
+    camera: Camera
+    camera_source: str
+    """Where the camera comes from, for messages."""
+    pad: Pad
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """`decklander detect`."""
+    """Add `decklander detect` to the parser."""
     p = subparsers.add_parser(
         "detect",
-        help="find the pad in images or a video",
-        description="Find the pad in images or a video. Exit code 1 when no frame shows it.",
-        epilog="The position is that of the pad from the body, forward, right, down, in a frame that keeps the body's heading "
-        "but not its tilt; the heading is the body's against the arrow, clockwise from above positive.",
+        help="find the pad in images, videos or recordings",
+        description="Find the pad in images, videos or recordings. Exit code 1 if no frame shows it.",
+        epilog="Positions are from the body to the pad: forward, right, down, metres, in a frame with the body's heading and no "
+        "tilt. Headings are the body's against the pad's arrow, clockwise seen from above, degrees.",
     )
-    p.add_argument("paths", nargs="+", metavar="PATH", help="an image, a video, or a folder of them")
+    p.add_argument("paths", nargs="+", metavar="PATH", help="image, video, recording (MCAP), or a folder of them")
     p.add_argument(
-        "--camera", required=True, metavar="FILE", help="camera file, or the name of a shipped one (sim, ardrone2_bottom)"
+        "--camera",
+        metavar="FILE",
+        help="camera file, or the name of a shipped one (sim, ardrone2_bottom); a recording needs none (default: its own)",
     )
     p.add_argument(
-        "--pad", default="thesis", metavar="FILE", help="pad file, or the name of a shipped one (default: %(default)s)"
+        "--pad",
+        metavar="FILE",
+        help="pad file, or the name of a shipped one (default: thesis; for a recording its own)",
     )
     p.add_argument(
         "--attitude",
         metavar="FILE",
-        help="CSV with header source,roll_deg,pitch_deg; source is the image's path or file name, of a video's frame with "
-        "#INDEX after it. A frame without a row counts as level, at the price of a wide covariance",
+        help="read attitudes from a CSV file with the header source,roll_deg,pitch_deg; source is the path or name of an image, "
+        "or NAME#INDEX for a frame of a video. A frame without attitude is taken as level, with a wide covariance",
     )
     p.add_argument(
         "--attitude-sigma-deg",
         type=_positive,
         default=0.5,
         metavar="DEG",
-        help="one standard deviation of them (default: %(default)s)",
+        help="standard deviation of these attitudes (default: %(default)s)",
     )
     p.add_argument(
         "--colours",
         choices=["auto", *COLOUR_SETS],
         default="auto",
-        help="limits of the paints' colours; auto takes each frame's most confident set (default: %(default)s)",
+        help="colour limits to use; auto takes the most confident ones for each frame (default: %(default)s)",
     )
-    p.add_argument("--annotate", metavar="DIR", help="write each frame as PNG with what was seen drawn in")
-    p.add_argument("--json", action="store_true", help="print JSON Lines")
+    p.add_argument("--annotate", metavar="DIR", help="write each frame with its detections drawn in as PNG into this folder")
+    p.add_argument("--json", action="store_true", help="print JSON Lines, one object per frame")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Look at every frame. 0 when one shows the pad, 1 when none does, 2 when a file was no image.
+    """Search every frame; return 0 if one shows the pad, 1 if none does, 2 if a file cannot be read.
 
     Raises:
         BadInput: a path, the camera, the pad or the attitudes are wrong, or an image is not of the camera's size.
     """
     files = _files(args.paths)
-    camera_file = find_file(args.camera, "cameras", Path(), "--camera")
-    camera = Camera.from_mapping(read_toml(camera_file), str(camera_file))
-    pad_file = find_file(args.pad, "pads", Path(), "--pad")
-    pad = Pad.from_mapping(read_toml(pad_file), str(pad_file))
+    models = {file: _model(args, file) for file in files}
     tilts = _attitudes(Path(args.attitude), files) if args.attitude is not None else {}
     sets = list(COLOUR_SETS.values()) if args.colours == "auto" else [COLOUR_SETS[args.colours]]
     album = _album(args.annotate)
@@ -116,8 +137,9 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.write(_HEADER)
     for file in files:
         try:
-            for image in _images(file, camera, camera_file):
-                attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg))
+            camera, pad = models[file].camera, models[file].pad
+            for image in _images(file, models[file]):
+                attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude
                 frame = Frame(_STAMP, image.index, image.px)
                 began = time.perf_counter()
                 seen, colours = _best(frame, attitude, camera, pad, sets)
@@ -137,6 +159,25 @@ def run(args: argparse.Namespace) -> int:
     if unreadable:
         return 2
     return 0 if found else 1
+
+
+def _model(args: argparse.Namespace, file: Path) -> _Model:
+    recording = open_recording([file]) if file.suffix.lower() in RECORDINGS else None
+    camera = pad = None
+    camera_source = str(file)
+    if args.camera is not None:
+        path = find_file(args.camera, "cameras", Path(), "--camera")
+        camera, camera_source = Camera.from_mapping(read_toml(path), str(path)), str(path)
+    elif recording is not None:
+        camera = recording.camera()
+    if camera is None:
+        raise BadInput(f"{file}: does not say which camera took it: give --camera FILE")
+    if args.pad is None and recording is not None:
+        pad = recording.pad()
+    if pad is None:
+        path = find_file(args.pad or "thesis", "pads", Path(), "--pad")
+        pad = Pad.from_mapping(read_toml(path), str(path))
+    return _Model(camera, camera_source, pad)
 
 
 class _NoImageError(Exception):
@@ -159,9 +200,9 @@ def _files(paths: Sequence[str]) -> list[Path]:
         path = Path(text)
         try:
             if path.is_dir():
-                inside = sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in PICTURES | VIDEOS)
+                inside = sorted(p for p in path.iterdir() if p.is_file() and p.suffix.lower() in PICTURES | VIDEOS | RECORDINGS)
                 if not inside:
-                    raise BadInput(f"{text}: no image or video in this folder")
+                    raise BadInput(f"{text}: no image, video or recording in this folder")
                 files += inside
             elif path.is_file():
                 files.append(path)
@@ -172,14 +213,17 @@ def _files(paths: Sequence[str]) -> list[Path]:
     return files
 
 
-def _images(file: Path, camera: Camera, camera_file: Path) -> Iterator[_Image]:
-    size = camera.width, camera.height
+def _images(file: Path, model: _Model) -> Iterator[_Image]:
+    size = model.camera.width, model.camera.height
+    if file.suffix.lower() in RECORDINGS:
+        yield from _recorded(file, model)
+        return
     if file.suffix.lower() not in VIDEOS:
         try:
             data = images.load(file)
             claimed = images.claimed_size(data)
             if claimed is not None and size not in (claimed, claimed[::-1]):
-                raise _wrong_size(str(file), claimed, camera, camera_file)
+                raise _wrong_size(str(file), claimed, model)
             yield _Image(str(file), 0, images.decode(data, size, turned=True))
             return
         except OSError as why:
@@ -192,19 +236,39 @@ def _images(file: Path, camera: Camera, camera_file: Path) -> Iterator[_Image]:
         with open_video(str(file), size) as container:
             for frame in container.decode(video=0):
                 if (frame.width, frame.height) != size:
-                    raise _wrong_size(str(file), (frame.width, frame.height), camera, camera_file)
+                    raise _wrong_size(str(file), (frame.width, frame.height), model)
                 yield _Image(str(file), index, np.asarray(frame.to_ndarray(format="bgr24"), np.uint8))
                 index += 1
     except images.ImageRefused as why:
-        raise BadInput(f"{file}: {why} ({camera_file})") from why
+        raise BadInput(f"{file}: {why} ({model.camera_source})") from why
     except (av.FFmpegError, OSError, IndexError) as why:
         raise _NoImageError(f"{file}: neither an image nor a video that can be read (stopped at frame {index})") from why
     if index == 0:
         raise _NoImageError(f"{file}: a video without frames")
 
 
-def _wrong_size(source: str, size: tuple[int, int], camera: Camera, camera_file: Path) -> BadInput:
-    return BadInput(f"{source}: {size[0]}x{size[1]} px, but {camera_file} is of a camera of {camera.width}x{camera.height} px")
+def _recorded(file: Path, model: _Model) -> Iterator[_Image]:
+    recording, index, kept = open_recording([file]), 0, 0
+    for event in recording.events():
+        if not isinstance(event, RecordedFrame):
+            continue
+        size = event.record.width, event.record.height
+        if size != (model.camera.width, model.camera.height):
+            raise _wrong_size(str(file), size, model)
+        frame = event.frame(size)
+        if frame is not None:
+            kept += 1
+            yield _Image(str(file), index, frame.px, event.attitude)
+        index += 1
+    if not kept:
+        raise _NoImageError(f"{file}: the recording holds {index} frames, but none of their images")
+
+
+def _wrong_size(source: str, size: tuple[int, int], model: _Model) -> BadInput:
+    camera = model.camera
+    return BadInput(
+        f"{source}: {size[0]}x{size[1]} px, but {model.camera_source} is of a camera of {camera.width}x{camera.height} px"
+    )
 
 
 def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, _Tilt]:
@@ -304,7 +368,7 @@ _HEADER = (
 
 def _line(image: _Image, seen: Detection, elapsed_ms: float) -> str:
     name = Path(image.source).name
-    name = name if image.index == 0 and Path(image.source).suffix.lower() not in VIDEOS else f"{name}#{image.index}"
+    name = name if image.index == 0 and Path(image.source).suffix.lower() not in VIDEOS | RECORDINGS else f"{name}#{image.index}"
     if seen.selected is None:
         return f"{name:<28} {'nothing':<12} {'':>49} {'':>5} {elapsed_ms:6.1f}\n"
     s = seen.selected

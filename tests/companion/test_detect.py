@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
+from companion.recorder.reading import RecordedFrame, open_recording
 from estimator.vision.pad import Pad
 from sitl.testing.pad_images import PadPlacement, image
 from tests.estimator.vision.conftest import shipped_camera, shipped_pad
@@ -60,6 +61,30 @@ def test_one_object_a_frame_with_the_promised_keys(album: Path, capsys: pytest.C
     assert b["methods"]["corners"]["yaw_ambiguous"] is True  # type: ignore[index]
     assert (c["d_body_pad_level_m"], c["yaw_deg"], c["cov"], c["method"], c["confidence"]) == (None, None, None, None, 0.0)
     assert set(c["methods"].values()) == {None}  # type: ignore[attr-defined]
+
+
+def test_a_recording_brings_its_camera_its_pad_and_its_attitudes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    golden = Path(__file__).parents[1] / "golden/frames.mcap"
+    kept = [e for e in open_recording([golden]).events() if isinstance(e, RecordedFrame) and e.image is not None]
+    assert detect(golden, "--colours", "simulator", "--json") == 0
+    found = records(capsys)
+    assert len(found) == len(kept) > 3
+    assert all(r["found"] for r in found)
+    first, d = kept[0].record.selected, found[0]["d_body_pad_level_m"]
+    assert first is not None
+    assert d == pytest.approx(first.d_body_pad_level, abs=0.03)
+    assert detect(golden, "--camera", "sim", "--annotate", tmp_path / "seen", "--colours", "simulator") == 0
+    assert (tmp_path / "seen/frames_00000.png").is_file()
+    bare = tmp_path / "bare.mcap"
+    assert cli.main(["record", "cut", str(golden), "--no-frames", "--output", str(bare)]) == 0
+    capsys.readouterr()
+    assert detect(bare) == 2
+    assert "but none of their images" in capsys.readouterr().err
+
+
+def test_images_need_a_camera(album: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert detect(album) == 2
+    assert "does not say which camera took it: give --camera FILE" in capsys.readouterr().err
 
 
 def test_attitudes_take_the_tilt_out(album: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -137,7 +162,7 @@ def test_a_broken_image_is_named_and_the_others_are_done(album: Path, tmp_path: 
         (["{album}/a.png", "--camera", "ardrone2_bottom", "--pad", "gone"], "gone"),
         (["{album}/a.png", "--camera", "{bad}"], "'cx'"),
         (["{album}/a.png", "--camera", "{small}"], "640x360 px"),
-        (["{empty}", "--camera", "sim"], "no image or video"),
+        (["{empty}", "--camera", "sim"], "no image, video or recording"),
         (["{album}/notes.txt", "--camera", "sim"], "notes.txt"),
         (["{album}/a.png", "--camera", "sim", "--attitude", "gone.csv"], "gone.csv"),
         (["{album}/a.png", "--camera", "sim", "--attitude", "{headless}"], "source,roll_deg,pitch_deg"),
