@@ -30,7 +30,7 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.scenario import load as load_scenario
 from sitl.testing.mosquitto import MOSQUITTO, Broker, free_port, make_certificates
 from sitl.testing.mqtt_service import decision, event, running, until
-from tests.companion.mqtt.test_words import seen
+from sitl.testing.processed_frames import seen
 
 SCENARIO = "demo"
 FLOWN_S = 12.0

@@ -44,7 +44,7 @@ from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
 from sitl.light import FLAT, Sensor  # noqa: E402
 from sitl.testing.pad_images import STAMP  # noqa: E402
 from sitl.testing.pad_views import PLAIN, RenderedView, Stage  # noqa: E402
-from tests.estimator.vision.conftest import shipped_camera, shipped_pad  # noqa: E402
+from sitl.testing.shipped import shipped_camera, shipped_pad  # noqa: E402
 
 U8 = NDArray[np.uint8]
 T = TypeVar("T")

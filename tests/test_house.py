@@ -315,3 +315,17 @@ def test_every_dependency_is_pinned_by_version_and_hash() -> None:
         pinned = dict(re.findall(r"^([a-z0-9._-]+)==(\S+) \\\n    --hash=sha256:[0-9a-f]{64}", text, re.MULTILINE))
         assert len(pinned) == sum(not line.startswith((" ", "#")) for line in text.splitlines() if line)
         assert set(map(bare_name, requirements)) <= set(pinned)
+
+
+def test_benches_and_tests_do_not_import_each_other() -> None:
+    """What both need lives in sitl/testing; only tests/benches, the tests of the benches themselves, import them."""
+    root = Path(__file__).parents[1]
+    for folder, other in (("tests", "benches"), ("benches", "tests")):
+        for path in sorted((root / folder).rglob("*.py")):
+            if path.parent == root / "tests/benches":
+                continue
+            for node in ast.walk(ast.parse(path.read_text())):
+                names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+                if isinstance(node, ast.ImportFrom) and node.module:
+                    names = [node.module]
+                assert not [name for name in names if name.split(".")[0] == other], path

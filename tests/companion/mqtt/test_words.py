@@ -6,11 +6,9 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import msgspec
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,15 +20,13 @@ from companion.mqtt.events import Changes
 from companion.mqtt.messages import PUBLISHED, decode
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.topics import Topics, split
-from companion.observer import ProcessedFrame
 from companion.runtime.health import Health
 from estimator.contracts.commands import Hover, Land, TakeOff
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, Stamp
-from estimator.vision.thesis.detection import Detection
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.time import MonoNs
 from sitl.testing.mqtt_service import RUN, SESSION, FakeOperator, decision, status
+from sitl.testing.processed_frames import seen
 
 ROOT = Path(__file__).parents[3]
 NOW = MonoNs(5_000_000_000)
@@ -119,15 +115,6 @@ def test_any_bytes_are_a_command_or_a_refusal(payload: bytes) -> None:
     assert isinstance(decode("reply", messages.encode(handled.reply)), messages.CommandReply)
     for leaf in PUBLISHED:
         decode(leaf, payload)
-
-
-def seen(at: MonoNs, found: bool) -> ProcessedFrame:
-    stamp = Stamp(MonoNs(at - 30_000_000), at, 0.001, "sim")
-    frame = Frame(stamp, 7, np.zeros((4, 6, 3), np.uint8))
-    cov = np.diag([0.1, 0.2, 0.3, 0.4])
-    one = Sighting(stamp, 7, "selected", np.array([1.0, 2.0, 3.0]), 0.5, True, cov, 0.9) if found else None
-    look = Detection(one, "ellipse" if found else None, MappingProxyType({"ellipse": one, "arrow": None}))
-    return ProcessedFrame(frame, None, look, Verdict.FUSED if found else Verdict.NO_PAD, at, MonoNs(at + 5_000_000))
 
 
 def test_a_frame_reads_back_as_what_was_seen() -> None:

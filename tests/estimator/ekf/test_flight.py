@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benches import estimator_flight as bench
+from sitl.testing import mocap_flight
 
-pytestmark = pytest.mark.skipif(not bench.FOLDER.is_dir(), reason="the recorded flight with motion capture is not here")
+pytestmark = pytest.mark.skipif(not mocap_flight.FOLDER.is_dir(), reason="the recorded flight with motion capture is not here")
 
 
 def test_a_gap_of_three_seconds_and_the_return() -> None:
-    flight = bench.load()
+    flight = mocap_flight.load()
     begin, end = 24.0, 27.0
     # Every fifth sample of 200 a second is enough to see whether it works.
     thinned = replace(flight, samples=tuple(s for k, s in enumerate(flight.samples) if k // 4 % 4 == 0))
-    path = bench.EkfPath()
-    t, error, nees = bench.run(thinned, path, bench.sightings(flight, 10.0, [(begin, end)]), 30.0)
+    path = mocap_flight.EkfPath()
+    t, error, nees = mocap_flight.run(thinned, path, mocap_flight.sightings(flight, 10.0, [(begin, end)]), 30.0)
     before, after = (t > 18.0) & (t < begin), t > end + 0.5
     assert np.sqrt(np.mean(np.sum(error[before] ** 2, axis=1))) < 0.05
     assert float(np.linalg.norm(error[np.searchsorted(t, end), :2])) < 0.30
@@ -31,9 +31,9 @@ def test_a_gap_of_three_seconds_and_the_return() -> None:
 
 def test_the_velocity_scale_of_the_real_drone_is_found() -> None:
     """Motion capture has 0.83-0.87 for the share of the true velocity that this drone tells."""
-    flight = bench.load()
-    path = bench.EkfPath()
-    bench.run(flight, path, bench.sightings(flight, 5.0, []), 24.0)
+    flight = mocap_flight.load()
+    path = mocap_flight.EkfPath()
+    mocap_flight.run(flight, path, mocap_flight.sightings(flight, 5.0, []), 24.0)
     belief = path.memory.belief
     assert belief is not None
     assert 0.75 < belief.x[15] < 1.0

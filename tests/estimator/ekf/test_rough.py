@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from benches import estimator_faults
-from benches.estimator_faults import BEGIN_S, SCENE, suffered
-from benches.estimator_rough import CHI2_7, Score, fly
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.samples import BodyVelocity, Imu
 from estimator.contracts.time import MonoNs
 from estimator.ekf import Ekf, at, moving, start, step
 from estimator.ekf.state import TURN_RATE, VEL
-from sitl.testing import voyage_truth
+from sitl.testing import voyage_faults, voyage_truth
+from sitl.testing.voyage_faults import BEGIN_S, SCENE, suffered
+from sitl.testing.voyage_score import CHI2_7, Score, fly
 from sitl.testing.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
 
 QUICK = VoyageScene(duration_s=20.0, imu_hz=50.0, sighting_hz=10.0, range_hz=5.0, gaps=1)
@@ -49,7 +48,7 @@ def test_the_rate_of_a_turn_is_learned_and_goes_on_out_of_sight() -> None:
     assert max(gap) < 0.3
 
 
-@pytest.mark.parametrize("name", sorted(set(estimator_faults.FAULTS) - {"nothing", "no inertial data", "inertial data frozen"}))
+@pytest.mark.parametrize("name", sorted(set(voyage_faults.FAULTS) - {"nothing", "no inertial data", "inertial data frozen"}))
 def test_a_fault_leaves_no_scar_after_a_second(name: str) -> None:
     s, end = suffered(name, replace(SCENE, duration_s=16.5, imu_hz=50.0, sighting_hz=10.0))
     t, error, sigma = np.array(s.t), np.array(s.error_m), np.array(s.sigma_m)
@@ -127,7 +126,7 @@ def test_without_sightings_a_velocity_confirms_and_inertial_data_alone_do_not() 
 def test_one_stamp_far_ahead_is_refused_and_time_that_leaps_is_followed() -> None:
     ekf, received_at = followed(replace(QUICK, duration_s=9.0), 8.0)
     rest = [e for e in received_at if e.stamp.received_at > ns(8.0)]
-    for by in (estimator_faults.HOUR_NS, -10_000_000_000):
+    for by in (voyage_faults.HOUR_NS, -10_000_000_000):
         stamp = replace(
             rest[0].stamp, measured_at=MonoNs(rest[0].stamp.measured_at + by), received_at=MonoNs(rest[0].stamp.received_at + by)
         )
@@ -195,7 +194,7 @@ def test_a_heading_that_stays_turned_round_is_believed_in_the_end() -> None:
     ekf, believed_at = start(OPTIONS), math.inf
     for event in received_at:
         if isinstance(event, Sighting) and event.stamp.measured_at > ns(4.0):
-            event = estimator_faults.FAULTS["heading turned round"]().spoil(event)[0]
+            event = voyage_faults.FAULTS["heading turned round"]().spoil(event)[0]
         ekf, _ = step(ekf, event)
         state = at(ekf, event.stamp.received_at) if isinstance(event, Sighting) else None
         if state is not None and state.yaw_rad is not None and event.stamp.measured_at > ns(4.0):

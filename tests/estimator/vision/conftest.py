@@ -2,23 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
-
 import pytest
 
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-
-CONFIGS = Path(__file__).parents[3] / "configs"
-
-
-def shipped_pad(name: str) -> Pad:
-    return Pad.from_mapping(tomllib.loads((CONFIGS / "pads" / f"{name}.toml").read_text()))
-
-
-def shipped_camera(name: str) -> Camera:
-    return Camera.from_mapping(tomllib.loads((CONFIGS / "cameras" / f"{name}.toml").read_text()))
+from sitl.testing.shipped import shipped_camera, shipped_pad
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.register.state import RegistrationState
 from sitl.testing.pad_images import _paint
-from tests.estimator.vision.conftest import shipped_camera, shipped_pad
+from sitl.testing.shipped import shipped_camera, shipped_pad
 
 PADS = [shipped_pad("thesis"), shipped_pad("printed")]
 

@@ -18,7 +18,7 @@ from estimator.vision.thesis.detection import detect
 from estimator.vision.thesis.ellipse import Ellipse, fit_ellipse
 from estimator.vision.thesis.segmentation import SIMULATOR
 from sitl.testing.pad_images import PadPlacement, errors, image, project
-from tests.estimator.vision.conftest import shipped_pad
+from sitl.testing.shipped import shipped_pad
 
 
 @settings(deadline=None, max_examples=60)

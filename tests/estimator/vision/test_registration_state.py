@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from estimator.contracts.geometry import Rotation
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.register.state import RegistrationState
-from tests.estimator.vision.conftest import shipped_camera
+from sitl.testing.shipped import shipped_camera
 
 CHANGE = st.lists(st.floats(-60.0, 60.0), min_size=3, max_size=3)
 
