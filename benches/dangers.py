@@ -22,9 +22,9 @@ import msgspec
 
 from companion.cli.simulate import ending_of
 from companion.cli.soak_parts import without_thesis_methods
+from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
-from companion.runtime.service import make_pilot
 from companion.runtime.signals import Stopped, install
 from estimator.contracts.errors import BadInput
 from sitl.flight import Flight

@@ -27,9 +27,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benches.processes import Daemon, Truth, Wire, drone
+from companion.config.build_pilot import make_pilot
 from companion.config.settings import load
-from companion.observer import Decision, NullObserver
-from companion.runtime.service import live, make_daemon, make_pilot
+from companion.runtime.observer import Decision, NullObserver
+from companion.runtime.service import live, make_daemon
 
 ALONE_S = 3.0
 """The drone is watched this long before a new daemon is started."""

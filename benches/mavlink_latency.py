@@ -13,11 +13,11 @@ from types import SimpleNamespace
 import numpy as np
 
 import companion.config.settings as settings_of
+from companion.config.build_pilot import make_pilot
 from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.outputs import OutputOptions
 from companion.mavlink.pilot_operator import PilotTower
-from companion.observer import Decision
-from companion.runtime.service import make_pilot
+from companion.runtime.observer import Decision
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
 from drivers.mavlink.endpoint import parse_endpoint

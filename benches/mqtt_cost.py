@@ -20,11 +20,12 @@ from typing import Any
 
 import msgspec
 
+from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load
 from companion.mqtt.settings import MqttSettings
-from companion.observer import NullObserver, Observer
-from companion.runtime.service import make_daemon, make_pilot
+from companion.runtime.observer import NullObserver, Observer
+from companion.runtime.service import make_daemon
 from drivers.clock import SystemClock
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.scenario import load as load_scenario

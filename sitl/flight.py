@@ -16,9 +16,9 @@ import numpy as np
 
 from companion.config.build import ardrone_options
 from companion.config.model import Settings
-from companion.observer import Observer, ProcessedFrame
-from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.health import Health
+from companion.runtime.observer import Observer, ProcessedFrame
+from companion.runtime.pilot import FlightOutcome, Pilot
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.command_streamer import CommandStreamer

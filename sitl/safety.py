@@ -13,7 +13,7 @@ from enum import Enum
 from typing import Literal
 
 from companion.guidance.planner import Phase as GuidancePhase
-from companion.pilot import FlightOutcome
+from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.world import Touchdown, Truth, VehiclePhase

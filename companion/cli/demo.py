@@ -23,17 +23,18 @@ from companion.cli.machine_load import Load
 from companion.cli.progress import ProgressObserver
 from companion.cli.verdict import Contact, Ending
 from companion.cli.version import version
+from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
-from companion.observer import Observer
-from companion.pilot import FlightOutcome
 from companion.report.drawing import require_drawing
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.log_observer import LogObserver
 from companion.report.page import PAGE, write_report
 from companion.runtime import event_loop
 from companion.runtime.health import Health
-from companion.runtime.service import live, make_daemon, make_pilot
+from companion.runtime.observer import Observer
+from companion.runtime.pilot import FlightOutcome
+from companion.runtime.service import live, make_daemon
 from companion.runtime.signals import check, ending_signal
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable

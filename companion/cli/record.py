@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from companion.config.settings import Settings, camera_model, load, shipped
-from companion.observer import ProcessedFrame
 from companion.recorder.reading import RecordedFrame, Recording, instant, open_recording
 from companion.recorder.rewriting import Cut, rewrite
 from companion.recorder.setup import about, recorder_to_file
+from companion.runtime.observer import ProcessedFrame
 from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict

@@ -14,7 +14,6 @@ from typing import Any
 
 from companion.cli import report_option
 from companion.config.settings import Settings
-from companion.observer import Observer
 from companion.recorder.reading import RecordedFrame, Recording, open_recording
 from companion.recorder.records import TruthRecord
 from companion.recorder.setup import about, recorder_to_file
@@ -25,6 +24,7 @@ from companion.report.drawing import require_drawing
 from companion.report.figures import ErrorRow, all_series, error_rows
 from companion.report.flight_log import FlightLog
 from companion.report.page import PAGE, write_report
+from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, seconds_between
 

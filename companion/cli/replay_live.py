@@ -12,12 +12,12 @@ from companion.config.settings import Settings
 from companion.mavlink import operator
 from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.outputs import OutputOptions
-from companion.observer import Decision, NullObserver, Observer
-from companion.pilot import Pilot
 from companion.recorder.reading import Recording
 from companion.replay.engine import Replay
 from companion.replay.pilots import pilot_of
 from companion.runtime import event_loop
+from companion.runtime.observer import Decision, NullObserver, Observer
+from companion.runtime.pilot import Pilot
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
 from drivers.mavlink.endpoint import parse_endpoint

@@ -8,14 +8,15 @@ import sys
 
 from companion.cli.config import not_checked
 from companion.config.build_camera import camera_options
+from companion.config.build_pilot import make_pilot
 from companion.config.effect import without_effect
 from companion.config.proven import Proven
 from companion.config.referenced_files import check_files
 from companion.config.settings import Settings, load, shipped
 from companion.config.vehicle import AutopilotSettings, BridgeSettings, unsigned
-from companion.pilot import FlightOutcome
 from companion.runtime import event_loop
-from companion.runtime.service import live, log_to_stderr, make_daemon, make_pilot
+from companion.runtime.pilot import FlightOutcome
+from companion.runtime.service import live, log_to_stderr, make_daemon
 
 log = logging.getLogger(__name__)
 

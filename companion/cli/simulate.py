@@ -16,14 +16,14 @@ import msgspec
 from companion.cli import record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.verdict import Contact, Ending, FlightGrade
+from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings
 from companion.config.settings import load, shipped
-from companion.observer import Observer
 from companion.report.drawing import require_drawing
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.log_observer import LogObserver
 from companion.report.page import PAGE, write_report
-from companion.runtime.service import make_pilot
+from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs

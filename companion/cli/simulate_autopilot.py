@@ -20,8 +20,8 @@ from companion.cli.progress import ProgressObserver
 from companion.cli.verdict import Contact, Ending
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load
-from companion.observer import Observer
 from companion.runtime import event_loop
+from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd

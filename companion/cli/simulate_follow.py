@@ -8,8 +8,8 @@ import sys
 
 from companion.cli.progress import ProgressObserver
 from companion.cli.simulate_autopilot import ending_of, refuse_faults, rig
-from companion.observer import Observer
 from companion.runtime import event_loop
+from companion.runtime.observer import Observer
 from drivers.mavlink.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from sitl.autopilots.follow import follow

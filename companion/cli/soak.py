@@ -22,13 +22,14 @@ from companion.cli.soak_flights import Class, Flown, Outcomes, real, virtual
 from companion.cli.soak_judge import Findings, Reading, findings, read
 from companion.cli.soak_parts import cpu_at, start_time_s, without_thesis_methods
 from companion.cli.soak_plot import plot
+from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
-from companion.pilot import Pilot
 from companion.report.drawing import require_drawing
 from companion.runtime import event_loop
 from companion.runtime.health import Health
-from companion.runtime.service import make_daemon, make_pilot
+from companion.runtime.pilot import Pilot
+from companion.runtime.service import make_daemon
 from companion.runtime.signals import Stopped
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable

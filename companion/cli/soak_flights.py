@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Any
 
 from companion.cli.machine_load import Load
-from companion.pilot import FlightOutcome
+from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from sitl.flight import FlightResult
 from sitl.safety import Grade, grade

@@ -17,9 +17,9 @@ from itertools import chain
 import msgspec
 
 from companion.config import build
+from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
 from companion.runtime.daemon import Daemon, VehicleLink
-from companion.runtime.service import make_pilot
 from drivers.ardrone import at
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.samples import NavdataSampler

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from companion.cli.machine_load import Load
-from companion.pilot import FlightOutcome
 from companion.report.flight_log import FlightLog, LoggedTouchdown
+from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 

@@ -11,10 +11,10 @@ from companion.config import build
 from companion.config.build_camera import camera_options, with_camera
 from companion.config.model import Settings
 from companion.config.vehicle import AutopilotSettings
-from companion.observer import Observer
-from companion.pilot import Pilot
 from companion.runtime.daemon import OpenLink, VehicleLink
 from companion.runtime.health import Health
+from companion.runtime.observer import Observer
+from companion.runtime.pilot import Pilot
 from companion.runtime.supervise import Body
 from drivers.ardrone.link import open_ardrone
 from estimator.contracts.ports import Clock

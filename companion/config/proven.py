@@ -17,7 +17,7 @@ from pathlib import Path
 
 from companion.config import reference
 from companion.config.model import Settings
-from companion.observer import NullObserver, ProcessedFrame
+from companion.runtime.observer import NullObserver, ProcessedFrame
 from estimator.contracts.errors import BadInput, DecklanderError, Recoverable, in_words
 
 log = logging.getLogger(__name__)

@@ -16,7 +16,7 @@ import numpy as np
 
 from companion.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED, Offered
 from companion.mavlink.refusals import Refusals
-from companion.observer import NullObserver
+from companion.runtime.observer import NullObserver
 from drivers.mavlink.access import Source
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage

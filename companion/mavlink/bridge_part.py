@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 
 from companion.mavlink.bridge import VehicleBridge
 from companion.mavlink.refusals import link_counters
-from companion.observer import NullObserver
+from companion.runtime.observer import NullObserver
 from drivers.mavlink.access import AccessOptions, Named
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import LinkOptions, Links, Tap, open_links

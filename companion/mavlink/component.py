@@ -28,8 +28,8 @@ from companion.mavlink.parameters import ParameterServer, Store
 from companion.mavlink.refusals import Refusals
 from companion.mavlink.status_texts import MavSeverity, StatusTexts
 from companion.mavlink.target_track import TargetTrack
-from companion.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.health import Health
+from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from drivers.beside import running_beside
 from drivers.mavlink.access import Standing
 from drivers.mavlink.autopilot import Autopilot

@@ -13,9 +13,9 @@ from companion.mavlink.deck_way import DeckWay
 from companion.mavlink.pilot_operator import PilotTower
 from companion.mavlink.refusals import link_counters
 from companion.mavlink.tunables import Tunables
-from companion.pilot import Pilot
 from companion.runtime.daemon import VehicleLink
 from companion.runtime.health import Health
+from companion.runtime.pilot import Pilot
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.links import Links, Tap
 from estimator.contracts.ports import Clock

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from companion.mavlink.operator import LandingProgress
 from companion.mqtt.operator import PilotOperator
-from companion.pilot import FlightOutcome, Pilot
+from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.estimates import PathName, RelativeState
 
 

@@ -22,8 +22,8 @@ from companion.mqtt.messages import (
     Vector3,
     VehicleState,
 )
-from companion.observer import Decision, ProcessedFrame
 from companion.runtime.health import FusionState, HealthSnapshot
+from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64

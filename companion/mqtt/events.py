@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from companion.observer import Decision, ProcessedFrame
 from companion.runtime.health import HealthSnapshot
+from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 

@@ -17,8 +17,8 @@ from companion.mqtt.part import MqttPart
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.spool import Spool
 from companion.mqtt.topics import Topics
-from companion.pilot import Pilot
 from companion.runtime.health import Health
+from companion.runtime.pilot import Pilot
 from estimator.contracts.ports import Clock
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from companion.pilot import FlightOutcome, Pilot
+from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.estimates import PathName
 
 

@@ -23,8 +23,8 @@ from companion.mqtt.messages import Message, OperatorNotice, StatusMessage, enco
 from companion.mqtt.outbox import Outbox
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.topics import Topics
-from companion.observer import Decision, ProcessedFrame
 from companion.runtime.health import Health
+from companion.runtime.observer import Decision, ProcessedFrame
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.fusion import FusionResult

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.observer import Decision, ProcessedFrame
 from companion.recorder import records as rec
 from companion.runtime.health import HealthSnapshot
+from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult

@@ -10,10 +10,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from companion.observer import Decision, ProcessedFrame
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
+from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport

@@ -13,11 +13,11 @@ import msgspec
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 from companion.config.settings import Settings, from_mapping
-from companion.observer import Decision
 from companion.recorder import channels, decode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
 from companion.recorder.container import records
+from companion.runtime.observer import Decision
 from drivers.camera import images
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState, Verdict

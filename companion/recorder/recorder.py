@@ -19,13 +19,13 @@ from enum import Enum
 from types import TracebackType
 from typing import Literal, ParamSpec
 
-from companion.observer import Decision, ProcessedFrame
 from companion.recorder import encode
 from companion.recorder import records as rec
 from companion.recorder.mcap_file import About, McapFile
 from companion.recorder.message_encoder import FrameForm, MessageEncoder
 from companion.recorder.storage_policy import StoragePolicy, in_words
 from companion.runtime.health import Health
+from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
@@ -94,7 +94,7 @@ class _Item:
 
 
 class Recorder:
-    """An observer (`companion.observer`). A context manager: its thread lives inside.
+    """An observer (`companion.runtime.observer`). A context manager: its thread lives inside.
 
     Args:
         about: what every file says of itself.

@@ -10,13 +10,13 @@ from typing import get_args
 
 import msgspec
 
-from companion.observer import Decision
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
 from companion.recorder.mcap_file import About, Attachment, McapFile
 from companion.recorder.message_encoder import MessageEncoder
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
 from companion.recorder.records import DetectionRecord, FusionRecord, HealthRecord, LinkRecord, TruthRecord
+from companion.runtime.observer import Decision
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method
 from estimator.contracts.samples import VehicleStatus

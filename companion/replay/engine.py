@@ -14,11 +14,11 @@ import msgspec
 import numpy as np
 
 from companion.guidance.planner import Phase
-from companion.observer import Decision, Observer, ProcessedFrame
-from companion.pilot import FlightOutcome, Pilot
 from companion.recorder import encode
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
 from companion.recorder.records import FusionRecord, HealthRecord, LinkRecord, TruthRecord
+from companion.runtime.observer import Decision, Observer, ProcessedFrame
+from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult

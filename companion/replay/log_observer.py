@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.observer import Decision, ProcessedFrame
 from companion.recorder.reading import Recording
 from companion.recorder.records import TruthRecord
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, LoggedTouchdown, PhaseChange, TruthSample
+from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import wrap_pi

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import cv2
 
-from companion.observer import Decision, NullObserver, ProcessedFrame
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, PhaseChange
+from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.time import MonoNs, seconds_between
 

@@ -10,8 +10,8 @@ import logging
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from companion.observer import Decision, ProcessedFrame
 from companion.runtime.containment import report
+from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.errors import BadInput
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import ParamSpec, TypeVar
 
-from companion.observer import Decision, Observer, ProcessedFrame
 from companion.runtime.health import Health
+from companion.runtime.observer import Decision, Observer, ProcessedFrame
 from estimator.contracts.errors import in_words
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample

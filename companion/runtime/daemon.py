@@ -17,11 +17,11 @@ from typing import Protocol
 
 import cv2
 
-from companion.observer import Decision, Observer, ProcessedFrame
-from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.containment import Audience
 from companion.runtime.health import Health
 from companion.runtime.missing_inputs import missing_inputs
+from companion.runtime.observer import Decision, Observer, ProcessedFrame
+from companion.runtime.pilot import FlightOutcome, Pilot
 from companion.runtime.supervise import Body, Restart, run, uncancelled
 from companion.runtime.worker import Worker
 from drivers.mailbox import Latest, Line

@@ -14,10 +14,10 @@ import os
 import socket
 from collections.abc import Callable, Mapping
 
-from companion.observer import Decision, NullObserver
 from companion.runtime.health import Health
 from companion.runtime.liveness import stuck
 from companion.runtime.missing_inputs import missing_inputs
+from companion.runtime.observer import Decision, NullObserver
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between

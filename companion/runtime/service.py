@@ -12,38 +12,22 @@ from companion.config import build
 from companion.config.build_vehicle import vehicle_parts
 from companion.config.model import Settings
 from companion.config.vehicle import AutopilotSettings
-from companion.observer import Observer
-from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
 from companion.runtime.event_loop import heeded
 from companion.runtime.health import Health
 from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
+from companion.runtime.observer import Observer
+from companion.runtime.pilot import FlightOutcome, Pilot
 from companion.runtime.supervise import Body
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import PathName
 from estimator.contracts.ports import Clock
 
 log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
     from drivers.mavlink.links import Tap
-
-
-def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
-    """Eyes, estimator and guidance as set; `shadows` are paths that run along to be compared.
-
-    Raises:
-        BadInput: the camera or pad file is missing or has a fault.
-    """
-    return Pilot(
-        build.tracker(settings),
-        build.estimator_options(settings),
-        settings.guidance,
-        automatic=settings.guidance.start == "automatic",
-        shadows=shadows,
-    )
 
 
 def make_daemon(

@@ -12,10 +12,10 @@ from companion.config import build
 from companion.config.build_vehicle import vehicle_parts
 from companion.config.model import CameraSettings, Settings
 from companion.config.vehicle import AutopilotSettings
-from companion.observer import Observer
-from companion.pilot import Pilot
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.health import Health
+from companion.runtime.observer import Observer
+from companion.runtime.pilot import Pilot
 from drivers.mavlink.autopilot import Autopilot
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame

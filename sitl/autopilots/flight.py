@@ -20,11 +20,11 @@ import cv2
 import msgspec
 import numpy as np
 
+from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
-from companion.observer import Observer
-from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.health import Health
-from companion.runtime.service import make_pilot
+from companion.runtime.observer import Observer
+from companion.runtime.pilot import FlightOutcome, Pilot
 from drivers.mavlink.access import AccessOptions
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links

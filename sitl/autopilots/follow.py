@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
-from companion.observer import Observer
-from companion.pilot import FlightOutcome
 from companion.runtime.health import Health
-from companion.runtime.service import make_pilot
+from companion.runtime.observer import Observer
+from companion.runtime.pilot import FlightOutcome
 from drivers.clock import SystemClock
 from drivers.mavlink.links import ReceivedMessage
 from estimator.contracts.geometry import F64, Rotation, wrap_pi

@@ -20,8 +20,8 @@ from companion.mqtt.part import MqttPart
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.spool import Spool
 from companion.mqtt.topics import Topics
-from companion.observer import Decision
 from companion.runtime.health import Health
+from companion.runtime.observer import Decision
 from companion.runtime.supervise import Restart, run
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Command, Velocity

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import msgspec
 
+from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings
 from companion.config.settings import Settings, load
-from companion.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.recorder.recorder import Recorder
 from companion.recorder.records import TruthRecord
 from companion.recorder.setup import about, recorder_to_file
-from companion.runtime.service import make_pilot
+from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
 from estimator.contracts.samples import Sample
 from sitl.flight import Flight
 from sitl.scenario import load as load_scenario

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from companion.config.settings import camera_model
-from companion.observer import ProcessedFrame
 from companion.recorder.mcap_file import About
 from companion.recorder.reading import open_recording
+from companion.runtime.observer import ProcessedFrame
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame, Imu, Sample
 from estimator.contracts.time import MonoNs, Stamp

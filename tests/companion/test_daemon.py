@@ -9,9 +9,9 @@ import pytest
 
 from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.options import GuidanceOptions
-from companion.observer import Decision, NullObserver, ProcessedFrame
-from companion.pilot import FlightOutcome, Pilot
 from companion.runtime.daemon import Daemon, VehicleLink
+from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.runtime.pilot import FlightOutcome, Pilot
 from companion.runtime.supervise import Restart
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line

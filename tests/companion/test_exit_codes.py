@@ -17,6 +17,7 @@ import pytest
 
 from companion.cli import main as cli
 from companion.cli import run as run_command
+from companion.config.build_pilot import make_pilot
 from companion.config.proven import Proven
 from companion.config.settings import load
 from companion.mqtt.spool import Spool
@@ -142,7 +143,7 @@ def test_a_manager_that_is_not_understood_does_not_keep_the_service_down(
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "manager"))
         monkeypatch.setenv(variable, value)
         settings = load("sim")
-        service.make_daemon(settings, service.make_pilot(settings))
+        service.make_daemon(settings, make_pilot(settings))
     assert "the service manager hears nothing" in caplog.text
 
 

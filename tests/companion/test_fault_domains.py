@@ -18,12 +18,12 @@ from companion.config.settings import load
 from companion.mavlink.bridge_part import BridgePart
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.mqtt.part import MqttPart
-from companion.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.recorder.recorder import Recorder
 from companion.runtime import event_loop, service
 from companion.runtime.daemon import Daemon
 from companion.runtime.health import Health
 from companion.runtime.notify import Pulse
+from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.runtime.supervise import Restart
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.fusion import FusionResult

@@ -13,9 +13,9 @@ import pytest
 from companion.cli import demo
 from companion.cli.machine_load import GUIDANCE_LATE_MAX_S, Load
 from companion.cli.verdict import Ending
-from companion.pilot import FlightOutcome
 from companion.runtime.daemon import Daemon
 from companion.runtime.health import Health
+from companion.runtime.pilot import FlightOutcome
 from companion.runtime.supervise import Restart
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict

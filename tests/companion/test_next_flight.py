@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from companion.config.build_pilot import make_pilot
 from companion.config.settings import load
-from companion.pilot import FlightOutcome
-from companion.runtime.service import make_pilot
+from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.commands import Hover
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp

@@ -14,12 +14,12 @@ import pytest
 from companion.guidance.options import GuidanceOptions
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.settings import MetricsSettings
-from companion.observer import NullObserver, Observer
-from companion.pilot import Pilot
 from companion.runtime.daemon import Daemon
 from companion.runtime.health import Health
 from companion.runtime.liveness import LivenessLimits, stuck
 from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
+from companion.runtime.observer import NullObserver, Observer
+from companion.runtime.pilot import Pilot
 from companion.runtime.supervise import Restart
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.options import GuidanceOptions
-from companion.pilot import FlightOutcome, Pilot
+from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.geometry import Rotation

@@ -9,9 +9,9 @@ import cv2
 import pytest
 
 from companion.cli import main as cli
-from companion.observer import Decision
 from companion.recorder.reading import RecordedFrame, open_recording
 from companion.recorder.records import TruthRecord
+from companion.runtime.observer import Decision
 from estimator.contracts.samples import Attitude, Imu
 from sitl.testing.recorded_flight import record_to
 

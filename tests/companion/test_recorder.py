@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from companion.observer import Decision
 from companion.recorder import channels
 from companion.recorder.channels import TOPICS
 from companion.recorder.reading import RecordedFrame, open_recording
 from companion.recorder.recorder import Options, Recorder, RecorderState
 from companion.recorder.records import TruthRecord
 from companion.recorder.storage_policy import Folder, SingleFile
+from companion.runtime.observer import Decision
 from estimator.contracts.errors import BadInput
 from estimator.contracts.fusion import COMPONENTS
 from estimator.contracts.samples import Imu

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.pid import fit_to_steer
 from companion.guidance.plan import Plan
-from companion.observer import Decision
-from companion.pilot import Pilot
+from companion.runtime.observer import Decision
+from companion.runtime.pilot import Pilot
 from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import Doubt, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation

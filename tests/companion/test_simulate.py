@@ -11,7 +11,7 @@ import pytest
 
 from companion.cli import main as cli
 from companion.cli.verdict import Contact, Ending, FlightGrade
-from companion.pilot import FlightOutcome
+from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
 from tests.sitl.near import NEAR

@@ -14,7 +14,7 @@ from companion.cli.machine_load import Load
 from companion.cli.soak_flights import Class, Flown, Outcomes, by_fault, real
 from companion.cli.soak_judge import Reading
 from companion.cli.soak_plot import plot
-from companion.pilot import FlightOutcome
+from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from tests.sitl.near import NEAR
@@ -112,7 +112,7 @@ def test_a_virtual_soak_names_the_flight_that_failed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A bug of the service in flight does not end the soak: it fails that flight, by name."""
-    from companion.pilot import Pilot
+    from companion.runtime.pilot import Pilot
 
     near = tmp_path / "near.toml"
     near.write_text(NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 3.0"))

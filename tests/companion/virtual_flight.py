@@ -11,8 +11,8 @@ from types import MappingProxyType
 import numpy as np
 
 from companion.guidance.options import GuidanceOptions
-from companion.pilot import Pilot
 from companion.runtime.daemon import Daemon, VehicleLink
+from companion.runtime.pilot import Pilot
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.estimates import Sighting

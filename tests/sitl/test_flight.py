@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.config.build_pilot import make_pilot
 from companion.config.settings import load
-from companion.observer import Decision, NullObserver, ProcessedFrame
-from companion.pilot import FlightOutcome
-from companion.runtime.service import make_pilot
+from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.estimates import Verdict
 from sitl.faults import KINDS, LensCovered

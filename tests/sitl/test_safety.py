@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from companion.pilot import FlightOutcome
+from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after

@@ -15,7 +15,7 @@ from companion.config.model import Settings
 from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.outputs import OutputOptions
 from companion.mavlink.tunables import Tunables
-from companion.observer import Decision
+from companion.runtime.observer import Decision
 from drivers.clock import SystemClock
 from drivers.mavlink.access import Named
 from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot

@@ -10,8 +10,8 @@ import pytest
 
 from companion.mavlink.component import Component, ComponentOptions
 from companion.mavlink.outputs import OutputOptions
-from companion.observer import Decision
 from companion.runtime.health import Health
+from companion.runtime.observer import Decision
 from drivers.mavlink.containment import Containment
 from drivers.mavlink.dialect import Message
 from estimator.contracts.errors import Recoverable

@@ -11,12 +11,12 @@ import numpy as np
 
 import companion.config.settings as settings_of
 from companion.config import build
+from companion.config.build_pilot import make_pilot
 from companion.config.vehicle import AutopilotSettings
 from companion.mavlink.make import AutopilotPart
-from companion.pilot import FlightOutcome
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.health import Health
-from companion.runtime.service import make_pilot
+from companion.runtime.pilot import FlightOutcome
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
 from sitl.autopilots.lock_step import LockStepClock

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from companion.config.build_pilot import make_pilot
 from companion.config.settings import load
 from companion.mqtt.operator import PilotOperator
-from companion.pilot import FlightOutcome, Pilot
-from companion.runtime.service import make_pilot
+from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs
 from sitl.testing.mqtt_service import status

@@ -20,8 +20,8 @@ from companion.mqtt.messages import EventMessage, StatusMessage
 from companion.mqtt.topics import Topics
 from companion.mqtt.watch_model import DRONES, WatchModel
 from companion.mqtt.watch_view import line, screen
-from companion.observer import Decision
 from companion.runtime.health import Health
+from companion.runtime.observer import Decision
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict

@@ -15,7 +15,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.config.settings import load as load_settings
-from companion.pilot import FlightOutcome
+from companion.runtime.pilot import FlightOutcome
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint

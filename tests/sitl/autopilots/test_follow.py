@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from companion.config.settings import load as load_settings
-from companion.pilot import FlightOutcome
+from companion.runtime.pilot import FlightOutcome
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Stack

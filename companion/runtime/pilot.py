@@ -16,7 +16,7 @@ from companion.guidance.options import GuidanceOptions
 from companion.guidance.pid import Pid, SetPoint, pid_step
 from companion.guidance.plan import Plan
 from companion.guidance.planner import Phase, Planner, planner_step
-from companion.observer import Decision
+from companion.runtime.observer import Decision
 from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land
 from estimator.contracts.estimates import Doubt, PathName, RelativeState, Verdict
