@@ -10,13 +10,15 @@ from estimator.contracts.errors import BadInput
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--squares", default="7x10", metavar="CxR", help="squares across and down (default: %(default)s)")
+    parser.add_argument(
+        "--squares", default="7x10", metavar="CxR", help="number of squares across and down (default: %(default)s)"
+    )
     parser.add_argument(
         "--square-mm",
         type=float,
         default=25.0,
         metavar="MM",
-        help="side of a square, as measured on the print (default: %(default)s)",
+        help="side of a square as measured on the print (default: %(default)s)",
     )
     parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a ChArUco marker (default: 0.72 of a square)")
 

@@ -27,24 +27,32 @@ from estimator.contracts.geometry import Rotation, Transform
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """`decklander calibrate`."""
-    outer = subparsers.add_parser("calibrate", help="measure a camera", description="Measure a camera.")
+    outer = subparsers.add_parser("calibrate", help="calibrate a camera", description="Calibrate a camera.")
     p = outer.add_subparsers(dest="action", metavar="WHAT", required=True).add_parser(
         "camera",
-        help="intrinsics and distortion from images of a printed board",
-        description="Intrinsics and distortion from images of a printed board (print one: decklander pad --board charuco). "
-        "The result is graded: good; fair, when its numbers hold but parts of the image or of the tilts were not covered; poor. "
-        "Exit code 1 when it is worse than --accept allows; then no file is written and what the images lack is listed.",
+        help="measure intrinsics and distortion with a printed board",
+        description="Measure intrinsics and distortion with images of a printed board (decklander pad --board charuco). "
+        "The result "
+        "is graded: good; fair, if the numbers hold but parts of the image or of the tilts are not covered; poor. If the "
+        "grade is "
+        "worse than --accept, write no file, list what the images lack, and return exit code 1.",
     )
     p.add_argument("paths", nargs="*", metavar="PATH", help="images, folders of images, or videos")
-    p.add_argument("--device", metavar="NAME", help="a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
-    p.add_argument("--size", metavar="WxH", help="image of the live V4L2 camera")
-    p.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="its images a second (default: %(default)s)")
-    p.add_argument("--format", default="auto", choices=["auto", *FORMATS], help="its pixel format (default: %(default)s)")
+    p.add_argument("--device", metavar="NAME", help="use a live camera instead: a V4L2 name or path, or an address (rtsp://...)")
+    p.add_argument("--size", metavar="WxH", help="frame size of the live V4L2 camera")
+    p.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="frame rate of the live camera (default: %(default)s)")
     p.add_argument(
-        "--seconds", type=float, default=120.0, metavar="S", help="look at it no longer than this (default: %(default)s)"
+        "--format", default="auto", choices=["auto", *FORMATS], help="pixel format of the live camera (default: %(default)s)"
     )
     p.add_argument(
-        "--board", default="charuco", choices=["charuco", "chessboard"], help="what was printed (default: %(default)s)"
+        "--seconds",
+        type=float,
+        default=120.0,
+        metavar="S",
+        help="stop the live camera after this many seconds (default: %(default)s)",
+    )
+    p.add_argument(
+        "--board", default="charuco", choices=["charuco", "chessboard"], help="kind of the printed board (default: %(default)s)"
     )
     board_option.add(p)
     p.add_argument("--out", required=True, metavar="FILE", help="camera file to write")
@@ -52,12 +60,20 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--accept",
         default="good",
         choices=assess.GRADES,
-        help="write a camera of this grade or a better one (default: %(default)s)",
+        help="write the camera file if the grade is this or better (default: %(default)s)",
     )
-    p.add_argument("--figures", metavar="DIR", help="where to put coverage.png and residuals.png")
-    p.add_argument("--position-m", default="0,0,0", metavar="F,R,D", help="camera in the body: forward, right, down")
+    p.add_argument("--figures", metavar="DIR", help="write coverage.png and residuals.png into this folder")
     p.add_argument(
-        "--rpy-deg", default="0,0,90", metavar="R,P,Y", help="its mount; 0,0,90 looks down, nose at the image's top (default)"
+        "--position-m",
+        default="0,0,0",
+        metavar="F,R,D",
+        help="position of the camera in the body: forward, right, down (default: 0,0,0)",
+    )
+    p.add_argument(
+        "--rpy-deg",
+        default="0,0,90",
+        metavar="R,P,Y",
+        help="mount of the camera: roll, pitch, yaw; 0,0,90 looks down with the nose at the image's top (default: 0,0,90)",
     )
     p.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -55,17 +55,22 @@ _KEEP_EACH = 4
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "demo",
-        help="the whole loop on this machine",
-        description="A simulated AR.Drone over a simulated sea, in a process of its own, is flown by the daemon through UDP and "
-        "TCP sockets down onto a ship's pad. Exit code 0 when it landed on the pad, 1 when not; "
-        "a machine that was too slow for it is named, with the figure.",
+        help="land a simulated drone on this machine and write a report",
+        description="Land a simulated AR.Drone on a ship's pad in real time. The drone and the sea run in a process of "
+        "their own; "
+        "the landing service flies the drone through UDP and TCP sockets. Exit code 0 if it landed on the pad, else 1. If the "
+        "machine is too slow to fly in real time, the last line says so, with figures.",
     )
     names = ", ".join(shipped("scenarios"))
-    parser.add_argument("--scenario", default="demo", metavar="FILE", help=f"what to fly (default demo; shipped: {names})")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of everything that is drawn by chance (default 1)")
-    parser.add_argument("--report", type=Path, default=Path("report"), metavar="DIR", help="where the report goes")
-    parser.add_argument("--no-report", action="store_true", help="fly, and write nothing")
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the progress")
+    parser.add_argument(
+        "--scenario", default="demo", metavar="FILE", help=f"scenario file, or the name of a shipped one ({names}; default: demo)"
+    )
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of all random numbers (default: 1)")
+    parser.add_argument(
+        "--report", type=Path, default=Path("report"), metavar="DIR", help="write the report into this folder (default: report)"
+    )
+    parser.add_argument("--no-report", action="store_true", help="write no report")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of progress")
     record_option.add_arguments(parser)
 
 

@@ -32,10 +32,12 @@ from estimator.contracts.errors import BadInput
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "doctor",
-        help="why nothing happens: reads autopilot, links and files and names every known trap with its cure",
-        description="Reads firmware, parameters, message rates, links, camera and broker, and names every known trap with its "
-        "cure. It sets no parameter and flies nothing; it asks for message streams. Stop the daemon first where it holds the "
-        "serial port. Exit code 0: nothing found, or advice only; 1: something was.",
+        help="diagnose the setup: autopilot, links, camera, broker",
+        description="Diagnose the setup: read firmware, parameters, message rates, links, camera and broker, and print "
+        "each known "
+        "fault with its fix. The command sets no parameter and flies nothing; it requests message streams. Stop the "
+        "service first "
+        "if it holds the serial port. Exit code 0 if nothing was found, or advice only; else 1.",
     )
     parser.add_argument(
         "--link",
@@ -47,16 +49,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--config",
         metavar="FILE",
-        help="settings file, or the name of a shipped rig: its files are examined too, and its links where no --link is given",
+        help="settings file, or the name of a shipped vehicle profile: check its files too, and its links unless --link is given",
     )
-    parser.add_argument("--broker", metavar="HOST:PORT", help="MQTT broker that should be there")
-    parser.add_argument("--system", type=int, metavar="N", help="system id of the autopilot that is meant")
-    parser.add_argument("--signing-key", metavar="FILE", help="key file (or credential:NAME) where the links are signed")
-    parser.add_argument("--seconds", type=float, default=4.0, help="how long to listen for each question (default 4)")
-    parser.add_argument("--still-pad", action="store_true", help="the pad does not move: leave out what matters on a ship only")
-    parser.add_argument("--snapshot", metavar="FILE", help="examine a frame that was saved, not this machine; - for stdin")
-    parser.add_argument("--save", metavar="FILE", help="save what was found out, to examine it elsewhere")
-    parser.add_argument("--json", action="store_true", help="one JSON object a finding")
+    parser.add_argument("--broker", metavar="HOST:PORT", help="check this MQTT broker")
+    parser.add_argument("--system", type=int, metavar="N", help="system id of the autopilot to examine")
+    parser.add_argument("--signing-key", metavar="FILE", help="key file (or credential:NAME) of signed links")
+    parser.add_argument("--seconds", type=float, default=4.0, metavar="S", help="listen this long for each answer (default: 4)")
+    parser.add_argument("--still-pad", action="store_true", help="skip the checks that matter on a moving ship only")
+    parser.add_argument("--snapshot", metavar="FILE", help="examine a saved snapshot instead of this machine; - for stdin")
+    parser.add_argument("--save", metavar="FILE", help="save the snapshot into this file, to examine it elsewhere")
+    parser.add_argument("--json", action="store_true", help="print JSON Lines, one object per finding")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -20,30 +20,32 @@ from estimator.contracts.errors import BadInput
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "keys",
-        help="make, show, install and remove the key that MAVLink is signed with",
-        description="Make and install the key that MAVLink messages are signed with (docs/mavlink.md). Exit code 0: done, and "
-        "seen to be so; 1: the autopilot was not seen to do it; 2: wrong use.",
+        help="make, show, install and remove MAVLink signing keys",
+        description="Make, show, install and remove MAVLink signing keys (docs/mavlink.md). Exit code 0 if the autopilot "
+        "was seen to take the change, 1 if not.",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    make = actions.add_parser("make", help="write a new key of 32 random bytes that only you can read; never over a file")
-    make.add_argument("file", metavar="FILE")
-    show = actions.add_parser("show", help="print a key's fingerprint, never the key")
+    make = actions.add_parser("make", help="write a new key of 32 random bytes, readable by you alone; never overwrite a file")
+    make.add_argument("file", metavar="FILE", help="key file to write")
+    show = actions.add_parser("show", help="print the fingerprint of a key, never the key")
     show.add_argument("file", metavar="FILE", help="key file: 32 bytes, 64 hexadecimal digits, or a line 'passphrase: ...'")
-    install = actions.add_parser("install", help="give the autopilot on a link this key (SETUP_SIGNING)")
+    install = actions.add_parser("install", help="install a key on the autopilot of a link (SETUP_SIGNING)")
     install.add_argument("file", metavar="FILE", help="key file")
-    remove = actions.add_parser("remove", help="let the autopilot on a link sign no more")
+    remove = actions.add_parser("remove", help="remove the key from the autopilot of a link")
     for action in (install, remove):
         action.add_argument(
             "--link",
             required=True,
             metavar="URL",
-            help="serial:///dev/NAME:BAUD (best: the key crosses the link in clear), udpin://ADDRESS:PORT, udpout://HOST:PORT, "
-            "tcp://HOST:PORT",
+            help="MAVLink link: serial:///dev/NAME:BAUD (best, since the key crosses the link in clear), "
+            "udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT",
         )
-        action.add_argument("--current", metavar="FILE", help="the key that the autopilot has now, where it has one")
-        action.add_argument("--system", type=int, metavar="N", help="system id of the autopilot that is meant")
-        action.add_argument("--seconds", type=float, default=5.0, help="how long to listen for it (default 5)")
-        action.add_argument("--yes", action="store_true", help="do not ask")
+        action.add_argument("--current", metavar="FILE", help="key that the autopilot has now, if any")
+        action.add_argument("--system", type=int, metavar="N", help="system id of the autopilot")
+        action.add_argument(
+            "--seconds", type=float, default=5.0, metavar="S", help="listen this long for the autopilot (default: 5)"
+        )
+        action.add_argument("--yes", action="store_true", help="do not ask for confirmation")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -21,19 +21,19 @@ from companion.runtime import signals
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("companion.cli.demo", "the whole loop on this machine: sea, AR.Drone on real sockets, daemon, landing, report"),
-    "run": ("companion.cli.run", "the daemon"),
-    "detect": ("companion.cli.detect", "find the pad in images or a video"),
-    "simulate": ("companion.cli.simulate", "one simulated flight"),
-    "soak": ("companion.cli.soak", "flights in a row for hours, and what grows"),
-    "replay": ("companion.cli.replay", "a recording through the estimator again"),
-    "record": ("companion.cli.record", "look into recordings, mend them, make them from others'"),
-    "watch": ("companion.cli.watch", "drones live in the terminal, over MQTT"),
-    "calibrate": ("companion.cli.calibrate", "a camera file from frames of a printed board"),
-    "pad": ("companion.cli.pad", "print the pad or a calibration board true to scale"),
-    "doctor": ("companion.cli.doctor", "why nothing happens: names every known trap of autopilot and links with its cure"),
-    "keys": ("companion.cli.keys", "make, show, install and remove the key that MAVLink is signed with"),
-    "config": ("companion.cli.config", "check settings, show them, or explain them"),
+    "demo": ("companion.cli.demo", "land a simulated drone on this machine and write a report"),
+    "run": ("companion.cli.run", "run the landing service"),
+    "detect": ("companion.cli.detect", "find the pad in images, videos or recordings"),
+    "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
+    "soak": ("companion.cli.soak", "fly repeated landings and watch for leaks"),
+    "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
+    "record": ("companion.cli.record", "inspect, cut, repair and import recordings"),
+    "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
+    "calibrate": ("companion.cli.calibrate", "calibrate a camera"),
+    "pad": ("companion.cli.pad", "print the pad or a calibration board to scale"),
+    "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
+    "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys"),
+    "config": ("companion.cli.config", "check, show or explain settings"),
 }
 """Name to (module, help in one line)."""
 
@@ -110,7 +110,7 @@ def _run(argv: list[str]) -> int:
 
 
 def _dispatch(argv: list[str]) -> int:
-    parser = Parser(prog="decklander", description="Lands a quadcopter on a small helipad on a moving ship.", allow_abbrev=False)
+    parser = Parser(prog="decklander", description="Land a quadcopter on a small helipad on a moving ship.", allow_abbrev=False)
     parser.add_argument("--version", action=_Version)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     asked = next((word for word in argv if not word.startswith("-")), None)

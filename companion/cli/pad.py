@@ -20,18 +20,22 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """`decklander pad`."""
     p = subparsers.add_parser(
         "pad",
-        help="print the pad or a calibration board true to scale",
-        description="Print the pad or a calibration board true to scale. Print at 100 % and measure the ruler on each sheet; cut "
-        "at the marks, which lie in the middle of each overlap, and butt the sheets.",
+        help="print the pad or a calibration board to scale",
+        description="Print the pad or a calibration board to scale. Print at 100 % and measure the ruler on each sheet. Cut at "
+        "the marks, which lie in the middle of each overlap, and join the sheets edge to edge.",
     )
-    p.add_argument("pad", nargs="?", default="thesis", metavar="PAD", help="pad file, or a shipped one (default: %(default)s)")
-    p.add_argument("--out", required=True, metavar="FILE", help=".pdf (all sheets) or .svg (one file a sheet)")
     p.add_argument(
-        "--paper", default="a4", choices=[*PAPERS, "full"], help="full is one sheet as large as it takes (default: a4)"
+        "pad", nargs="?", default="thesis", metavar="PAD", help="pad file, or the name of a shipped one (default: %(default)s)"
     )
-    p.add_argument("--margin-mm", type=float, default=10.0, metavar="MM", help="that the printer cannot reach (default: 10)")
-    p.add_argument("--overlap-mm", type=float, default=10.0, metavar="MM", help="of neighbouring sheets (default: 10)")
-    p.add_argument("--board", choices=["charuco", "chessboard"], help="a calibration board instead of the pad")
+    p.add_argument("--out", required=True, metavar="FILE", help="file to write: .pdf (all sheets) or .svg (one file per sheet)")
+    p.add_argument(
+        "--paper", default="a4", choices=[*PAPERS, "full"], help="paper size; full is one sheet as large as needed (default: a4)"
+    )
+    p.add_argument(
+        "--margin-mm", type=float, default=10.0, metavar="MM", help="margin that the printer cannot reach (default: 10)"
+    )
+    p.add_argument("--overlap-mm", type=float, default=10.0, metavar="MM", help="overlap of neighbouring sheets (default: 10)")
+    p.add_argument("--board", choices=["charuco", "chessboard"], help="print a calibration board instead of the pad")
     board_option.add(p)
 
 

@@ -27,39 +27,42 @@ from estimator.contracts.time import MonoNs, Stamp
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "record",
-        help="look into recordings, mend them, make them from others'",
-        description="Look into recordings, mend and shorten them, and make them of what others recorded. (The service records by "
-        "itself where [recorder] is enabled; simulate and demo do with --record.)",
+        help="inspect, cut, repair and import recordings",
+        description="Inspect, cut, repair and import recordings. The service makes recordings if [recorder] is enabled; simulate "
+        "and demo make them with --record.",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    info = actions.add_parser("info", help="say what is in a recording", description="Say what is in a recording.")
-    info.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    info = actions.add_parser("info", help="show the contents of a recording", description="Show the contents of a recording.")
+    info.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recording, or the files of one in order")
     info.add_argument("--json", action="store_true", help="print one JSON object")
     mend = actions.add_parser(
         "cut",
-        help="write a part of a recording, or a mended one",
-        description="Write a part of a recording, complete and indexed.",
+        help="write a part of a recording, or repair one",
+        description="Write a part of a recording, or all that can be read of a damaged one, complete and indexed.",
     )
-    mend.add_argument("files", nargs="+", type=Path, metavar="FILE")
-    mend.add_argument("--output", required=True, type=Path, metavar="FILE")
-    mend.add_argument("--from", dest="from_s", type=float, default=0.0, metavar="S", help="seconds after its beginning")
-    mend.add_argument("--to", dest="to_s", type=float, metavar="S", help="seconds after its beginning")
-    mend.add_argument("--inputs", action="store_true", help="only samples, frames and truth, not what was concluded from them")
-    mend.add_argument("--samples-each", type=int, default=1, metavar="N", help="keep each n-th sample of a kind")
-    mend.add_argument("--frames-each", type=int, default=1, metavar="N", help="keep each n-th frame")
-    mend.add_argument("--no-frames", action="store_true", help="keep what was seen, not the frames")
+    mend.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recording, or the files of one in order")
+    mend.add_argument("--output", required=True, type=Path, metavar="FILE", help="recording to write")
+    mend.add_argument(
+        "--from", dest="from_s", type=float, default=0.0, metavar="S", help="start this many seconds after the beginning"
+    )
+    mend.add_argument("--to", dest="to_s", type=float, metavar="S", help="stop this many seconds after the beginning")
+    mend.add_argument("--inputs", action="store_true", help="keep samples, frames and truth, drop everything computed from them")
+    mend.add_argument("--samples-each", type=int, default=1, metavar="N", help="keep every n-th sample of each kind")
+    mend.add_argument("--frames-each", type=int, default=1, metavar="N", help="keep every n-th frame")
+    mend.add_argument("--no-frames", action="store_true", help="drop the images, keep the detections")
     foreign = actions.add_parser(
         "import",
-        help="make a recording of what others recorded",
-        description="Make a recording of videos, attitude tables (CSV: time_s,roll_deg,pitch_deg[,yaw_deg]), PX4 ulogs, "
-        "ArduPilot dataflash logs, and AR.Drone captures (PaVE video, navdata). Each source begins at 0 of its own clock; "
-        "SOURCE@SECONDS puts it that much later.",
+        help="import videos, tables and logs of other tools",
+        description="Import videos, attitude tables (CSV: time_s,roll_deg,pitch_deg[,yaw_deg]), PX4 ulogs, "
+        "ArduPilot dataflash logs, and AR.Drone captures (PaVE video, navdata) into one recording. Each source begins at "
+        "0 of its "
+        "own clock; SOURCE@SECONDS shifts it by that much.",
     )
-    foreign.add_argument("sources", nargs="+", metavar="SOURCE[@SECONDS]")
+    foreign.add_argument("sources", nargs="+", metavar="SOURCE[@SECONDS]", help="file to import")
     foreign.add_argument(
-        "--config", required=True, metavar="FILE", help=f"settings with its camera and pad ({', '.join(shipped())})"
+        "--config", required=True, metavar="FILE", help=f"settings file with the camera and pad ({', '.join(shipped())})"
     )
-    foreign.add_argument("--output", required=True, type=Path, metavar="FILE")
+    foreign.add_argument("--output", required=True, type=Path, metavar="FILE", help="recording to write")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -20,9 +20,14 @@ from sitl.world import Touchdown, Truth
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--record", type=Path, metavar="FILE", help="record the flight there (MCAP; see docs/recordings.md)")
     parser.add_argument(
-        "--record-frames", choices=("jpeg", "png", "none"), default="jpeg", help="how its frames are kept (default jpeg)"
+        "--record", type=Path, metavar="FILE", help="record the flight into this file (MCAP; see docs/recordings.md)"
+    )
+    parser.add_argument(
+        "--record-frames",
+        choices=("jpeg", "png", "none"),
+        default="jpeg",
+        help="encode recorded frames like this (default: jpeg)",
     )
 
 

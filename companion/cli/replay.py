@@ -32,22 +32,29 @@ from estimator.contracts.time import MonoNs, seconds_between
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "replay",
-        help="a recording through the estimator again",
-        description="Feed what a recording heard through vision, estimator and guidance again, on its own clock: the same "
-        "recording and settings give the same outputs to the bit. Every path runs; errors are against the truth that a "
-        "simulated flight's recording holds.",
+        help="replay a recording through vision and estimator",
+        description="Replay a recording through vision, estimator and guidance, on its own clock. The same recording and "
+        "settings "
+        "give the same outputs to the bit. Every estimator path runs. Recordings of simulated flights hold the truth; errors are "
+        "measured minus true.",
     )
-    parser.add_argument("recording", nargs="+", type=Path, metavar="RECORDING", help="an MCAP file, or the parts of one in order")
-    parser.add_argument("--sightings", action="store_true", help="take what vision saw then instead of looking again")
-    parser.add_argument("--path", choices=available_paths(), help="which path steers (default: as in the settings)")
-    parser.add_argument("--config", metavar="FILE", help="settings to replay with (default: the recording's own)")
-    parser.add_argument("--against", metavar="SETTINGS", help="replay with these too, and say what changed")
-    parser.add_argument("--compare", type=Path, metavar="OTHER", help="compare with the beliefs that this recording holds")
-    parser.add_argument("--record", type=Path, metavar="FILE", help="record what the replay concluded, for --compare")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write a report there")
-    parser.add_argument("--realtime", action="store_true", help="at the pace of the recording")
     parser.add_argument(
-        "--mavlink", metavar="URL", action="append", help="with --realtime: speak to an autopilot or a ground station"
+        "recording", nargs="+", type=Path, metavar="RECORDING", help="MCAP file, or the files of one recording in order"
+    )
+    parser.add_argument(
+        "--sightings", action="store_true", help="use the recorded detections instead of searching the frames again"
+    )
+    parser.add_argument(
+        "--path", choices=available_paths(), help="steer by this estimator path (default: the one of the settings)"
+    )
+    parser.add_argument("--config", metavar="FILE", help="settings file to replay with (default: the recording's own settings)")
+    parser.add_argument("--against", metavar="SETTINGS", help="replay with these settings too, and print the differences")
+    parser.add_argument("--compare", type=Path, metavar="OTHER", help="compare with the estimates in this recording")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="record the estimates of the replay, for --compare")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
+    parser.add_argument("--realtime", action="store_true", help="replay at the pace of the recording")
+    parser.add_argument(
+        "--mavlink", metavar="URL", action="append", help="send the outputs to an autopilot or ground station (needs --realtime)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

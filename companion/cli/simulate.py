@@ -42,31 +42,34 @@ TRUTH_EACH = 4
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "simulate",
-        help="one simulated flight",
-        description="Fly one scenario in virtual time, without sockets: same scenario, seed and settings, same flight "
-        "to the bit. Exit code 0 when it landed on the pad safely, or refused to where the scenario expects that; else 1.",
+        help="simulate one flight in virtual time",
+        description="Simulate one flight in virtual time, without sockets. The same scenario, seed and settings give the same "
+        "flight to the bit. Exit code 0 if it landed on the pad safely, or refused as the scenario expects; else 1.",
     )
     parser.add_argument(
         "scenario",
-        help=f"a scenario file, or a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for one with a fault)",
+        help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those "
+        "with a fault)",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that is drawn by chance (default 0)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of all random numbers (default: 0)")
     parser.add_argument(
-        "--config", metavar="FILE", help="settings to fly with; without it the rig `sim` with the scenario's own camera and pad"
+        "--config", metavar="FILE", help="settings file to fly with (default: the profile sim with the scenario's camera and pad)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write the flight's report there")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
     record_option.add_arguments(parser)
-    beside = parser.add_argument_group("a real autopilot program (docs/sitl.md)")
-    beside.add_argument("--autopilot", choices=("arducopter", "px4"), help="fly this program, our sea and vehicle its physics")
-    beside.add_argument("--binary", metavar="PATH", help="the program")
+    beside = parser.add_argument_group("real autopilots (docs/sitl.md)")
     beside.add_argument(
-        "--follow", metavar="URL", help="take the pose of a vehicle that another simulator flies; our deck, camera and daemon"
+        "--autopilot", choices=("arducopter", "px4"), help="fly this autopilot program over the simulated sea and vehicle"
+    )
+    beside.add_argument("--binary", metavar="PATH", help="path of the autopilot program")
+    beside.add_argument(
+        "--follow", metavar="URL", help="follow a vehicle that another simulator flies, with the deck and camera of this one"
     )
     beside.add_argument(
-        "--param", action="append", default=[], metavar="NAME=VALUE", help="a parameter of the program's; may be given again"
+        "--param", action="append", default=[], metavar="NAME=VALUE", help="set a parameter of the autopilot; may be repeated"
     )
-    beside.add_argument("--keep", type=Path, metavar="DIR", help="keep what the program wrote: its logs, its output")
+    beside.add_argument("--keep", type=Path, metavar="DIR", help="keep the logs and output of the autopilot in this folder")
 
 
 def run(args: argparse.Namespace) -> int:

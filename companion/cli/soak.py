@@ -51,35 +51,38 @@ _DECIDED_S = 2
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = subparsers.add_parser(
         "soak",
-        help="flights in a row for hours",
-        description="Land again and again, each flight over a sea of its own and with a fault of its own, and judge: each flight "
-        "is on the pad, refused rightly, failed, or spoilt by a machine that is too slow; and nothing may grow that the process "
-        "takes. In real time the daemon flies the simulated drone through sockets; --virtual flies without them, as fast as this "
-        "machine can. Exit code 1 when flights failed, or most were spoilt, or memory grew by 1 % after warm-up, or descriptors, "
-        "threads or tasks by one. Ctrl-C ends it early and says what there is.",
+        help="fly repeated landings and watch for leaks",
+        description="Fly repeated landings and watch for leaks. Each flight has its own seed and its own fault, and is "
+        "graded: on "
+        "the pad, refused rightly, failed, or not judged because the machine was too slow. Without --virtual the landing service "
+        "flies the simulated drone through sockets in real time. Exit code 1 if more flights failed than --failed-max allows, if "
+        "most could not be judged, or if memory grew by 1 % or descriptors, threads or tasks by one after warm-up. Ctrl-C stops "
+        "the run and prints the results so far.",
     )
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--hours", type=float, default=1.0, metavar="H", help="how long; with --virtual, of flight (default 1)")
-    length.add_argument("--flights", type=int, metavar="N", help="with --virtual: this many flights instead")
-    parser.add_argument("--virtual", action="store_true", help="in virtual time, without sockets")
-    parser.add_argument("--no-faults", action="store_true", help="let nothing go wrong")
+    length.add_argument(
+        "--hours", type=float, default=1.0, metavar="H", help="hours to run; with --virtual hours of flight time (default: 1)"
+    )
+    length.add_argument("--flights", type=int, metavar="N", help="fly this many flights instead (needs --virtual)")
+    parser.add_argument("--virtual", action="store_true", help="fly in virtual time, without sockets")
+    parser.add_argument("--no-faults", action="store_true", help="fly without faults")
     parser.add_argument(
         "--scenario",
         default="demo",
         metavar="FILE",
-        help=f"what to fly (default demo; shipped: {', '.join(shipped('scenarios'))})",
+        help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; default: demo)",
     )
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the first flight; each further one is the next (1)")
-    parser.add_argument("--config", metavar="FILE", help="settings to fly with; without it the rig `sim`")
     parser.add_argument(
-        "--no-cpu", action="store_true", help=f"leave out CPU at {FRAME_RATES_HZ} frames a second, and start time"
+        "--seed", type=int, default=1, metavar="N", help="seed of the first flight; each flight adds 1 (default: 1)"
     )
-    parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="so many flights may fail (default 0)")
+    parser.add_argument("--config", metavar="FILE", help="settings file to fly with (default: the profile sim)")
+    parser.add_argument("--no-cpu", action="store_true", help="skip the measurements of start time and CPU load")
+    parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights (default: 0)")
     parser.add_argument(
-        "--all-methods", action="store_true", help="with --virtual: the thesis' methods of vision too, three times the CPU"
+        "--all-methods", action="store_true", help="run the thesis' vision methods too, at three times the CPU (needs --virtual)"
     )
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw memory, counts and outcomes over time (png, svg, pdf)")
-    parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading there, one JSON object a line")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="plot memory, counts and outcomes over time (png, svg, pdf)")
+    parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON into this file")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
 
 
