@@ -21,11 +21,21 @@ from estimator.ekf.state import (
     BARO_OFFSET,
     HEIGHT,
     PAD_YAW,
+    POS_DOWN,
+    POS_EAST,
+    POS_NORTH,
     POS_REL,
     RANGE,
+    SWAY_EAST,
+    SWAY_NORTH,
     SWAY_PER_HEAVE,
+    VEL,
+    VEL_EAST,
+    VEL_NORTH,
     VEL_SCALE,
     VELOCITY,
+    VESSEL_EAST,
+    VESSEL_NORTH,
     VESSEL_VEL,
     WAVES,
     Aid,
@@ -131,8 +141,8 @@ def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, F
 def _foot(b: Belief, x: F64) -> tuple[float, float]:
     """How far from the pad's centre the body's down axis meets the deck, and how well that is known; m."""
     c = b.R[:, 2]
-    foot = x[POS_REL] - c * float(x[5] / max(c[2], 0.3))
-    spread = math.sqrt(max(float(b.P[3, 3] + b.P[4, 4]) / 2.0, 0.0))
+    foot = x[POS_REL] - c * float(x[POS_DOWN] / max(c[2], 0.3))
+    spread = math.sqrt(max(float(b.P[POS_NORTH, POS_NORTH] + b.P[POS_EAST, POS_EAST]) / 2.0, 0.0))
     return math.hypot(float(foot[0]), float(foot[1])), spread
 
 
@@ -263,11 +273,11 @@ def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
         g = np.zeros(N)
         g[ATT_ERR] = b.R.T[:, 2]
         g[PAD_YAW] = 1.0
-        for part in (np.arange(3, 6), np.arange(6, 9), *WAVES[:3].T):
+        for part in (POS_REL, VEL, *WAVES[:3].T):
             x, y, _ = b.x[part]
             g[part] = (-y, x, 0.0)
-        g[VESSEL_VEL] = (-b.x[17], b.x[16])
-        g[SWAY_PER_HEAVE] = (-b.x[53], b.x[52])
+        g[VESSEL_VEL] = (-b.x[VESSEL_EAST], b.x[VESSEL_NORTH])
+        g[SWAY_PER_HEAVE] = (-b.x[SWAY_EAST], b.x[SWAY_NORTH])
         angle = float(innov.dot(b.R.T[:, 2]))
         P += np.outer(g, g) * angle**2
         size = min(float(innov.dot(innov)), 0.1)
@@ -276,7 +286,7 @@ def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
     elif kind == VELOCITY:
         # Body and vessel drift together.
         g = np.zeros((N, 2))
-        g[6, 0] = g[16, 0] = g[7, 1] = g[17, 1] = 1.0
+        g[VEL_NORTH, 0] = g[VESSEL_NORTH, 0] = g[VEL_EAST, 1] = g[VESSEL_EAST, 1] = 1.0
         P += g.dot(g.T) * float(innov[:2].dot(innov[:2]))
         P[VEL_SCALE, VEL_SCALE] += 0.01
     elif kind == HEIGHT:

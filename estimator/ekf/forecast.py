@@ -18,6 +18,8 @@ from estimator.ekf.state import (
     DECK_RATE,
     DECK_TRIM,
     POS_REL,
+    SWAY_EAST,
+    SWAY_NORTH,
     SWAY_PER_HEAVE,
     TURN_RATE,
     VEL,
@@ -98,7 +100,7 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
         ned[:2] += sway * change[2]
         J[np.arange(3), DECK_RATE[:3]] = by_rate[:3, 0]
         J[:2, DECK_RATE[2]] += sway * by_rate[2, 0]
-        J[[0, 1], [52, 53]] = change[2]
+        J[[0, 1], [SWAY_NORTH, SWAY_EAST]] = change[2]
         curving = QUARTER.dot(u) * (0.5 * T * T)
         J[:2, TURN_RATE] = curving
         J = Z.dot(J)

@@ -25,12 +25,18 @@ from estimator.ekf.state import (
     DECK_TRIM,
     GYRO_BIAS,
     PAD_YAW,
+    POS_AXES,
+    POS_DOWN,
     POS_REL,
     RANGE_OFFSET,
+    SWAY_EAST,
+    SWAY_NORTH,
     SWAY_PER_HEAVE,
     TURN_RATE,
     VEL,
     VEL_SCALE,
+    VESSEL_EAST,
+    VESSEL_NORTH,
     VESSEL_VEL,
     YAW_RATE,
     Belief,
@@ -38,7 +44,7 @@ from estimator.ekf.state import (
 )
 
 _I3 = np.eye(3)
-_D3 = np.arange(3, 6)
+_POS = np.array(POS_AXES)
 _DOWN = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros((0, N))
 _ROLL, _PITCH = int(DECK_DISP[3]), int(DECK_DISP[4])
@@ -102,10 +108,10 @@ def v_pad_ned(x: F64) -> F64:
 def by_v_pad_ned(x: F64) -> F64:
     """(3, N) Jacobian of `v_pad_ned`."""
     J = np.zeros((3, N))
-    J[[0, 1], [16, 17]] = 1.0
+    J[[0, 1], [VESSEL_NORTH, VESSEL_EAST]] = 1.0
     J[[0, 1, 2], DECK_RATE[:3]] = 1.0
     J[:2, DECK_RATE[2]] = x[SWAY_PER_HEAVE]
-    J[[0, 1], [52, 53]] = x[DECK_RATE[2]]
+    J[[0, 1], [SWAY_NORTH, SWAY_EAST]] = x[DECK_RATE[2]]
     return J
 
 
@@ -145,7 +151,7 @@ def sighting(
     d_b = R.T.dot(x[POS_REL])
     late = float(x[CAMERA_DELAY])
     turning = so3.cross_matrix(w - x[GYRO_BIAS])
-    v_b = R.T.dot(np.array([x[16], x[17], 0.0]) - x[VEL])
+    v_b = R.T.dot(np.array([x[VESSEL_NORTH], x[VESSEL_EAST], 0.0]) - x[VEL])
     rates = v_b - turning.dot(d_b)
     shown = d_b + late * rates
     jl = so3.left_jacobian(x[CAMERA_MOUNT])
@@ -231,11 +237,11 @@ def aligned(b: Belief) -> tuple[F64, F64]:
     rate_ned[:2] += sway * rate[2]
     x[POS_REL] -= late * rate_ned
     T = np.eye(N)
-    T[DECK_DISP, DECK_RATE] = T[_D3, DECK_RATE[:3]] = -late
-    T[_D3[:2], DECK_RATE[2]] = -late * sway
-    T[_D3[:2], [52, 53]] = -late * rate[2]
+    T[DECK_DISP, DECK_RATE] = T[_POS, DECK_RATE[:3]] = -late
+    T[_POS[:2], DECK_RATE[2]] = -late * sway
+    T[_POS[:2], [SWAY_NORTH, SWAY_EAST]] = -late * rate[2]
     T[DECK_DISP, CAMERA_DELAY] = -rate
-    T[_D3, CAMERA_DELAY] = -rate_ned
+    T[_POS, CAMERA_DELAY] = -rate_ned
     return x, T
 
 
@@ -286,7 +292,7 @@ def attitude(x: F64, R: F64, seen: F64, cov_body: F64) -> LinearizedMeasurement:
 def attitude_innov(x: F64, R: F64, seen: F64) -> F64:
     """(3,) of `attitude`."""
     innov = so3.log(R.T.dot(seen))
-    innov[:2] -= x[ATT_BIAS[0] : ATT_BIAS[1] + 1]
+    innov[:2] -= x[ATT_BIAS]
     return innov
 
 
@@ -353,7 +359,7 @@ def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> LinearizedMeasur
 
 def height(x: F64, height_m: float, sigma_m: float) -> LinearizedMeasurement:
     """Barometric height: over the pad's mean level, plus an offset of its own."""
-    below = x[5] - x[DECK_DISP[2]]
+    below = x[POS_DOWN] - x[DECK_DISP[2]]
     return LinearizedMeasurement(
         np.array([height_m - (below + x[BARO_OFFSET])]), BY_HEIGHT, np.array([[sigma_m * sigma_m]]), _NONE
     )

@@ -19,6 +19,7 @@ from estimator.ekf.options import EkfOptions
 from estimator.ekf.oscillator import transition
 from estimator.ekf.state import (
     ACCEL_BIAS,
+    ATT_AXES,
     ATT_BIAS,
     ATT_ERR,
     BARO_OFFSET,
@@ -30,11 +31,21 @@ from estimator.ekf.state import (
     GRAVITY_M_S2,
     GYRO_BIAS,
     PAD_YAW,
+    POS_AXES,
+    POS_DOWN,
+    POS_EAST,
+    POS_HORIZONTAL,
+    POS_NORTH,
     POS_REL,
     RANGE_OFFSET,
+    SWAY_EAST,
+    SWAY_NORTH,
     SWAY_PER_HEAVE,
     TURN_RATE,
     VEL,
+    VEL_AXES,
+    VEL_DOWN,
+    VEL_NORTH,
     VEL_SCALE,
     VESSEL_VEL,
     WAVE_YAW,
@@ -46,20 +57,19 @@ from estimator.ekf.state import (
 
 _I3 = np.eye(3)
 _IN = np.eye(N)
-_D3 = np.arange(3, 6)
+_POS = np.array(POS_AXES)
 _SHORT_SHARE = 0.002
 """Of a direction's energy, in waves too short for the learned oscillators: these leave next to nothing above twice their own
 frequency, a sea does not. It enters as white acceleration, the drive of a single oscillator with that energy."""
 _SEA = slice(int(WAVES[0, 0]), int(WAVES[-1, -1]) + 1)
 # Places in a flattened (N, N) matrix: assigning by one list of them takes a third of the time of assigning by two.
 _BLOCKS = (WAVES[:, :, None] * N + WAVES[:, None, :]).ravel()
-_D_BY_WAVES = (_D3[:, None] * N + WAVES[:3]).ravel()
-_WAVES_BY_D = (WAVES[:3] * N + _D3[:, None]).ravel()
-_D_BY_V, _V_BY_D = slice(3 * N + 6, 6 * N, N + 1), slice(6 * N + 3, 9 * N, N + 1)
+_POS_BY_WAVES = (_POS[:, None] * N + WAVES[:3]).ravel()
+_WAVES_BY_POS = (WAVES[:3] * N + _POS[:, None]).ravel()
+_POS_BY_VEL = slice(POS_NORTH * N + VEL_NORTH, (POS_DOWN + 1) * N, N + 1)
+_VEL_BY_POS = slice(VEL_NORTH * N + POS_NORTH, (VEL_DOWN + 1) * N, N + 1)
 _FIRST = np.array([1.0, 0.0, 0.0, 0.0])
 _ZERO3, _ZERO33 = np.zeros(3), np.zeros((3, 3))
-_DH = slice(3, 5)
-"""North and east of `D`."""
 _HEAVE = slice(int(WAVES[2, 0]), int(WAVES[2, 3]) + 1)
 _YAW = np.array([WAVE_YAW, YAW_RATE])
 _YAW_DAMPING = 0.5
@@ -164,7 +174,7 @@ def _linear(process_noise: ProcessNoise, T: float, coast_s: float, summary: byte
     F[POS_REL, VEL] = -T * _I3
     flat = F.reshape(-1)
     flat[_BLOCKS] = A.ravel()
-    flat[_D_BY_WAVES] = (A[:3, 0] - _FIRST).ravel()
+    flat[_POS_BY_WAVES] = (A[:3, 0] - _FIRST).ravel()
     F[_YAW[:, None], _YAW] = A_yaw
     F[PAD_YAW, _YAW] = A_yaw[0] - _FIRST[:2]
     F[PAD_YAW, TURN_RATE] = T
@@ -184,8 +194,8 @@ def _linear(process_noise: ProcessNoise, T: float, coast_s: float, summary: byte
     flat = Q.reshape(-1)
     flat[:: N + 1] = q
     flat[_BLOCKS] = q_waves.ravel()
-    flat[_D_BY_WAVES] = flat[_WAVES_BY_D] = q_waves[:3, 0].ravel()
-    flat[_D_BY_V] = flat[_V_BY_D] = -0.5 * T * force
+    flat[_POS_BY_WAVES] = flat[_WAVES_BY_POS] = q_waves[:3, 0].ravel()
+    flat[_POS_BY_VEL] = flat[_VEL_BY_POS] = -0.5 * T * force
     Q[_YAW[:, None], _YAW] = q_yaw
     Q[PAD_YAW, _YAW] = Q[_YAW, PAD_YAW] = q_yaw[0]
     Q[PAD_YAW, TURN_RATE] = Q[TURN_RATE, PAD_YAW] = 0.5 * T * q[TURN_RATE]
@@ -244,7 +254,7 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
     moved[:2] += turn.reach.dot(u) + coupling * heaved
     x[POS_REL] += moved
     x[VEL] += b.dv
-    x[8] += GRAVITY_M_S2 * T
+    x[VEL_DOWN] += GRAVITY_M_S2 * T
     x[_YAW] = same.A_yaw.dot(b.x[_YAW])
     x[PAD_YAW] += rate * T + float(x[WAVE_YAW] - b.x[WAVE_YAW])
     # Downwards the accelerometer's bias stays in: what is learned of it in flight would be a jerk of the deck.
@@ -268,30 +278,30 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
     F[POS_REL, ATT_ERR] = dp_R
     F[POS_REL, GYRO_BIAS] = (-T / 3.0) * dp_R
     F[POS_REL, ACCEL_BIAS] = (0.5 * T) * b.turned
-    F[_DH, VESSEL_VEL] = turn.reach
+    F[POS_HORIZONTAL, VESSEL_VEL] = turn.reach
     F[VESSEL_VEL, VESSEL_VEL] = F[SWAY_PER_HEAVE, SWAY_PER_HEAVE] = turn.by
     F[VESSEL_VEL, TURN_RATE] = T * QUARTER.dot(x[VESSEL_VEL])
     F[SWAY_PER_HEAVE, TURN_RATE] = T * QUARTER.dot(x[SWAY_PER_HEAVE])
-    F[_DH, TURN_RATE] = (0.5 * T * T) * QUARTER.dot(u)
-    F[_DH, _HEAVE] += coupling[:, None] * (same.A[2, 0] - _FIRST)
-    F[3, 52] = F[4, 53] = heaved
+    F[POS_HORIZONTAL, TURN_RATE] = (0.5 * T * T) * QUARTER.dot(u)
+    F[POS_HORIZONTAL, _HEAVE] += coupling[:, None] * (same.A[2, 0] - _FIRST)
+    F[POS_NORTH, SWAY_NORTH] = F[POS_EAST, SWAY_EAST] = heaved
     Q = same.Q.copy()
     push = Q[_HEAVE, _HEAVE][0]
-    Q[_DH, _HEAVE] += coupling[:, None] * push
-    Q[_HEAVE, _DH] = Q[_DH, _HEAVE].T
-    Q[_DH, 5] += coupling * push[0]
-    Q[5, _DH] = Q[_DH, 5]
-    Q[_DH, _DH] += coupling[:, None] * coupling * push[0]
+    Q[POS_HORIZONTAL, _HEAVE] += coupling[:, None] * push
+    Q[_HEAVE, POS_HORIZONTAL] = Q[POS_HORIZONTAL, _HEAVE].T
+    Q[POS_HORIZONTAL, POS_DOWN] += coupling * push[0]
+    Q[POS_DOWN, POS_HORIZONTAL] = Q[POS_HORIZONTAL, POS_DOWN]
+    Q[POS_HORIZONTAL, POS_HORIZONTAL] += coupling[:, None] * coupling * push[0]
 
     if b.jolt_var_m2_s2 > 0.0 or b.jolt_var_rad2 > 0.0:
         # As if all of it had come at the beginning: the place suffers most then.
         flat, jolt = Q.reshape(-1), b.jolt_var_m2_s2
-        for i in range(3):
-            Q[i, i] += b.jolt_var_rad2
-            Q[6 + i, 6 + i] += jolt
-            Q[3 + i, 3 + i] += jolt * T * T
-        flat[_D_BY_V] -= jolt * T
-        flat[_V_BY_D] -= jolt * T
+        for att, pos, vel in zip(ATT_AXES, POS_AXES, VEL_AXES, strict=True):
+            Q[att, att] += b.jolt_var_rad2
+            Q[vel, vel] += jolt
+            Q[pos, pos] += jolt * T * T
+        flat[_POS_BY_VEL] -= jolt * T
+        flat[_VEL_BY_POS] -= jolt * T
 
     R = so3.orthonormalised(b.R)
     belief = b._replace(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v,
@@ -313,7 +323,7 @@ def peek(b: Belief) -> F64:
     x[POS_REL] += drift
     x[DECK_DISP] += b.x[DECK_RATE] * T
     x[VEL] += b.dv
-    x[8] += GRAVITY_M_S2 * T
+    x[VEL_DOWN] += GRAVITY_M_S2 * T
     x[PAD_YAW] += (b.x[YAW_RATE] + b.x[TURN_RATE]) * T
     return x
 
@@ -329,4 +339,4 @@ def peek_height(b: Belief) -> float:
     """Of `peek`, how far below the body the pad's mean level is, m."""
     T = (b.t - b.t_cov) * 1e-9
     x = b.x
-    return float(x[5] - x[DECK_DISP[2]] - x[8] * T - b.dp[2]) - 0.5 * GRAVITY_M_S2 * T * T
+    return float(x[POS_DOWN] - x[DECK_DISP[2]] - x[VEL_DOWN] * T - b.dp[2]) - 0.5 * GRAVITY_M_S2 * T * T

@@ -15,6 +15,7 @@ from estimator.ekf.aiding import fuse_baro, fuse_range, fuse_velocity, fuse_vess
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.propagate import Event, FilterParams, forgotten, propagated, propagated_with_covariance, result
 from estimator.ekf.state import (
+    ATT_AXES,
     ATT_BIAS,
     ATT_ERR,
     ATTITUDE,
@@ -135,7 +136,7 @@ def _attitude(b: Belief, event: Attitude, params: FilterParams) -> tuple[Belief,
         b = _correlated(_turned_to(propagated_with_covariance(b, t, params), event.R_ned_body.matrix, o), o)
         return _levelled(b, event), result(event, Verdict.FUSED)
     b = propagated(b, t, params)
-    if max(b.P[0, 0], b.P[1, 1], b.P[2, 2]) > _DIVERGED_VAR:
+    if max(b.P[i, i] for i in ATT_AXES) > _DIVERGED_VAR:
         b = _correlated(_set_attitude(propagated_with_covariance(b, t, params), event.R_ned_body.matrix, o), o)
         return _levelled(b, event), result(event, Verdict.FUSED)
     innov = measure.attitude_innov(b.x, b.R, event.R_ned_body.matrix)

@@ -16,11 +16,19 @@ G_NED = np.array([0.0, 0.0, GRAVITY_M_S2])
 G_NED.setflags(write=False)
 
 ATT_ERR = slice(0, 3)
-"""Attitude error, rad, in `body`: `R_true = R @ exp(x[TH])`. The nominal is `Belief.R`, so `x[TH]` is always zero."""
+"""Attitude error, rad, in `body`: `R_true = R @ exp(x[ATT_ERR])`. The nominal is `Belief.R`, so `x[ATT_ERR]` is always zero."""
+ATT_AXES = range(3)
+"""Indices of the components of `ATT_ERR`."""
 POS_REL = slice(3, 6)
 """d_body_pad_ned, m."""
+POS_NORTH, POS_EAST, POS_DOWN = POS_AXES = range(3, 6)
+"""Indices of the components of `POS_REL`."""
+POS_HORIZONTAL = slice(POS_NORTH, POS_DOWN)
+"""North and east of `POS_REL`."""
 VEL = slice(6, 9)
 """v_body_ned, m/s over the ground."""
+VEL_NORTH, VEL_EAST, VEL_DOWN = VEL_AXES = range(6, 9)
+"""Indices of the components of `VEL`."""
 GYRO_BIAS = slice(9, 12)
 """Gyro bias, rad/s, in `body`: measured minus true."""
 ACCEL_BIAS = slice(12, 15)
@@ -29,6 +37,8 @@ VEL_SCALE = 15
 """Measured over true horizontal velocity."""
 VESSEL_VEL = slice(16, 18)
 """The vessel's steady velocity, north and east, m/s."""
+VESSEL_NORTH, VESSEL_EAST = 16, 17
+"""Indices of the components of `VESSEL_VEL`."""
 WAVES = 18 + np.arange(20).reshape(5, 4)
 """(5, 4) places of [displacement, rate, force, its rate] of the pad north, east, down (m) and the deck's roll, pitch (rad)."""
 DECK_DISP, DECK_RATE = WAVES[:, 0], WAVES[:, 1]
@@ -41,7 +51,7 @@ DECK_TRIM = np.arange(40, 42)
 CAMERA_DELAY = 42
 """s: sightings show the world this much later than their stamps say."""
 CAMERA_MOUNT = slice(43, 46)
-"""Rotation vector, rad, in `body`: the camera stands `exp(x[MOUNT])` away from where its file says."""
+"""Rotation vector, rad, in `body`: the camera is rotated by `exp(x[CAMERA_MOUNT])` from the mounting in its file."""
 BARO_OFFSET = 46
 """Height shown by the barometer less height over the pad's mean level, m."""
 ATT_BIAS = np.arange(47, 49)
@@ -49,13 +59,16 @@ ATT_BIAS = np.arange(47, 49)
 RANGE_OFFSET = 49
 """Constant error of the range sensor, m: measured minus true. Where it sits, and the air's temperature."""
 WAVE_YAW = 50
-"""Yaw on waves, part of `HEAD`, rad."""
+"""Yaw on waves, rad; a part of `PAD_YAW`."""
 TURN_RATE = 51
 """Steady rate at which the vessel turns, rad/s clockwise from above. Its velocity turns with it (coordinated turn)."""
 SWAY_PER_HEAVE = slice(52, 54)
 """Metres the pad moves north and east in phase with each metre that it moves down: a pad away from the centre of motion does so
 when the deck rolls or pitches."""
+SWAY_NORTH, SWAY_EAST = 52, 53
+"""Indices of the components of `SWAY_PER_HEAVE`."""
 N = 54
+"""Number of states."""
 
 LOST_VAR_M2 = 1e4
 """Of the pad's place before the first sighting."""

@@ -18,6 +18,7 @@ from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
     PAD_YAW,
+    POS_AXES,
     POS_REL,
     SWAY_PER_HEAVE,
     TURN_RATE,
@@ -148,7 +149,7 @@ def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> B
     seen = measure.seen_from_body(event, measure.levelling(b.R, b.levelled_by))
     x[POS_REL] = b.R.dot(so3.exp(x[CAMERA_MOUNT]).dot(seen))
     P[POS_REL, :] = P[:, POS_REL] = 0.0
-    P[[3, 4, 5], [3, 4, 5]] = 1e2 + float(seen.dot(seen))
+    P[POS_AXES, POS_AXES] = 1e2 + float(seen.dot(seen))
     if reset:
         gone = np.r_[VESSEL_VEL, SWAY_PER_HEAVE, TURN_RATE, WAVES[:3].ravel()]
         P[gone, :] = P[:, gone] = 0.0

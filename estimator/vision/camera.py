@@ -1,4 +1,4 @@
-"""Pinhole camera with Brown-Conrady distortion and its place on the body."""
+"""Pinhole camera with Brown-Conrady distortion, and its mounting on the body."""
 
 from __future__ import annotations
 
@@ -22,9 +22,14 @@ _MOUNT_MAX_M = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """Intrinsics in pixels ((0, 0) is the centre of the top-left pixel), distortion [k1, k2, p1, p2, k3], mount `T_body_cam`.
+    """Intrinsics, distortion and mounting of a camera.
+
+    The intrinsics are in pixels; (0, 0) is the centre of the top-left pixel. The mounting is `T_body_cam`.
 
     Source: Brown, Close-range camera calibration, 1971; the parameter order is OpenCV's.
+
+    Raises:
+        ValueError: a number is out of range, or `distortion` does not hold five finite numbers.
     """
 
     width: int
@@ -34,11 +39,11 @@ class Camera:
     cx: float
     cy: float
     distortion: F64
-    """(5,) k1, k2, p1, p2, k3."""
+    """The (5,) distortion coefficients k1, k2, p1, p2, k3."""
     T_body_cam: Transform
     distorted: bool = field(init=False)
     _focal: F64 = field(init=False, repr=False)
-    """(2,) fx, fy, and (2,) cx, cy: made once, as pixels come in small lots."""
+    """The (2,) arrays (fx, fy) and (cx, cy). They are made once because pixels come in small batches."""
     _centre: F64 = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -65,10 +70,10 @@ class Camera:
 
     @staticmethod
     def from_mapping(data: Mapping[str, Any], where: str = "camera") -> Camera:
-        """From the keys of a camera file (configs/cameras/*.toml).
+        """Build a camera from the keys of a camera file (configs/cameras/*.toml).
 
         Raises:
-            BadInput: a key missing, unknown, of the wrong type or out of range; the text names `where` and the key.
+            BadInput: a key is missing, unknown, of the wrong type or out of range; the text names `where` and the key.
         """
         if unknown := sorted(set(data) - _KEYS):
             raise BadInput(f"{where}: unknown key {unknown[0]!r}; known are {', '.join(sorted(_KEYS))}")
@@ -102,11 +107,11 @@ class Camera:
 
     @property
     def K(self) -> F64:
-        """(3, 3) px, zero skew."""
+        """The (3, 3) intrinsic matrix, px, without skew."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def distort(self, xy: F64) -> F64:
-        """(N, 2) ideal image-plane coordinates (x/z, y/z) to distorted ones."""
+        """Map (N, 2) ideal image-plane coordinates (x/z, y/z) to distorted ones."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = xy[:, 0], xy[:, 1]
         r2 = x * x + y * y
@@ -116,7 +121,7 @@ class Camera:
         )
 
     def project(self, p_cam: F64) -> F64:
-        """(N, 3) m in `cam` to (N, 2) px. Points at or behind the lens (z <= 1 mm) come back as nan."""
+        """Project (N, 3) points in `cam`, m, to (N, 2) px. Points at or behind the lens (z <= 1 mm) give nan."""
         p = np.asarray(p_cam, dtype=float)
         z = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
         xy: F64 = p[:, :2] / z[:, None]
@@ -127,9 +132,10 @@ class Camera:
         return xy
 
     def rays(self, uv_px: F64) -> F64:
-        """(N, 2) px to (N, 2) ideal image-plane coordinates (x/z, y/z); the inverse of `project` by Newton's method.
+        """Map (N, 2) px to (N, 2) ideal image-plane coordinates (x/z, y/z).
 
-        Converges to 1e-9 wherever the distortion is one-to-one, which a calibrated lens is over its own frame.
+        This is the inverse of `project`, solved by Newton's method. It converges to 1e-9 wherever the distortion is one-to-one,
+        which holds for a calibrated lens over its own frame.
         """
         target: F64 = (np.asarray(uv_px, dtype=float) - self._centre) / self._focal
         if not self.distorted:

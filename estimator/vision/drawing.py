@@ -1,10 +1,10 @@
-"""The pad's drawing for measuring: its edges as points with normals, and the share of paint a blurred pixel sees.
+"""The pad's drawing for measuring: its edges as points with normals, and the coverage of each paint in a blurred pixel.
 
-A pixel of a blurred frame sees each paint with a weight: the drawing's region convolved with the point spread. Across a
-straight edge that is the normal distribution's integral; at the corners of the H it is a product of two, because an isotropic
-Gaussian parts into its axes. A circle's edge moves inward as it is blurred. For the heat equation in polar coordinates the
-drift is 1/r, whose characteristics are r0^2 = r^2 + sigma^2, so a circle of radius R is seen at r with
-Phi((R - sqrt(r^2 + sigma^2)) / sigma): the shift that makes small discs look smaller is part of the model.
+A pixel of a blurred frame mixes the paints; the weight of a paint is its region convolved with the point spread function. Across
+a straight edge that is the normal distribution's integral. At the corners of the H it is a product of two, because an isotropic
+Gaussian separates into its axes. A circle's edge moves inward as it is blurred. For the heat equation in polar coordinates the
+drift is 1/r, whose characteristics are r0^2 = r^2 + sigma^2, so the coverage of a circle of radius R at radius r is Phi((R -
+sqrt(r^2 + sigma^2)) / sigma). The model thereby includes the shift that makes small discs look smaller.
 """
 
 from __future__ import annotations
@@ -26,39 +26,41 @@ _A, _B = math.sqrt(2.0 / math.pi), 0.044715 * math.sqrt(2.0 / math.pi)
 
 
 class EdgeKind(IntEnum):
-    """Which two paints meet at an edge: inside before outside."""
+    """Kinds of edges, by the paints that meet: the paint inside is named first."""
 
     DISC = 0
-    """Disc and whatever lies round the pad, or disc and rim where there is one."""
+    """Between the disc and the surroundings, or between the disc and its rim if it has one."""
     RING = 1
-    """Ring and disc, both sides of the stroke."""
+    """Between the ring and the disc, on both sides of the ring."""
     ARROW = 2
-    """Arrowhead beyond the ring, and disc."""
+    """Between the disc and the part of the arrowhead beyond the ring."""
     H = 3
-    """H and disc."""
+    """Between the H and the disc."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """Points on every edge of the drawing, neighbours in a piece in order, pieces of a kind together."""
+    """Points on every edge of the drawing. Neighbours of a piece are in order, and the pieces of one kind are contiguous."""
 
     at_m: F64
-    """(M, 2) m."""
+    """Positions of the points, (M, 2) m."""
     normal: F64
-    """(M, 2) unit, out of the paint inside."""
+    """Unit normals, (M, 2), pointing out of the inner paint."""
     kind: NDArray[np.intp]
-    """(M,) `EdgeKind`, ascending."""
+    """The `EdgeKind` of each point, (M,), ascending."""
     piece: NDArray[np.intp]
-    """(M,) ascending: disc, ring inside, ring outside, the arrow's two sides, the H's twelve."""
+    """Index of the piece of each point, (M,), ascending: disc, ring inside, ring outside, the arrow's two sides, the H's
+    twelve.
+    """
     spacing_m: F64
-    """(M,) distance between neighbours."""
+    """Distance between neighbours, (M,)."""
 
 
 @lru_cache(maxsize=8)
 def edges_of(pad: Pad) -> Edges:
-    """The edges of a pad's drawing, made once.
+    """Return the edges of a pad's drawing; the result is cached.
 
-    The ring near the arrowhead is left out: there its outer edge is no edge.
+    The ring near the arrowhead is left out, because its outer edge is covered there.
     """
     pieces: list[tuple[EdgeKind, F64, F64]] = []
     clear = math.atan2(1.25 * pad.arrow_half_base_m, pad.ring_inner_m)
@@ -78,7 +80,8 @@ def edges_of(pad: Pad) -> Edges:
     for i in range(12):
         a_, b_ = corners[i], corners[(i + 1) % 12]
         along = (b_ - a_) / np.linalg.norm(b_ - a_)
-        # The corners run clockwise seen from above with z into the deck: x to y. Outside lies to the left of the way.
+        # The corners run clockwise seen from above with z into the deck, from x to y, so outside is to the left of the direction
+        # of travel.
         pieces.append((EdgeKind.H, *_along(a_, b_, np.array([along[1], -along[0]]))))
     order = [EdgeKind.DISC, EdgeKind.RING, EdgeKind.ARROW, EdgeKind.H]
     pieces.sort(key=lambda p: order.index(p[0]))
@@ -94,7 +97,7 @@ def edges_of(pad: Pad) -> Edges:
 
 
 def _until_circle(start: F64, end: F64, radius: float) -> F64:
-    """Where the way from outside the circle meets it; `end` if it does not."""
+    """Return where the segment from outside the circle meets it; `end` if it does not."""
     way = end - start
     a, b, c = way @ way, start @ way, start @ start - radius**2
     disc = b * b - a * c
@@ -117,19 +120,23 @@ def _along(a: F64, b: F64, normal: F64) -> tuple[F64, F64]:
 
 
 F32 = NDArray[np.floating[Any]]
-"""Computed in single precision throughout; the type says only that it is floating, which is what numpy's own types can follow."""
+"""An array that is computed in single precision throughout. The type says only "floating", because numpy's own stubs follow no
+more.
+"""
 Share = tuple[F32, F32]
-"""(N,) share of a paint, and (5, N) its change with x, y (1/m) and the blur's xx, xy, yy (1/m^2)."""
+"""Coverage of a paint, (N,), and its derivatives (5, N) by x, y (1/m) and by the blur's xx, xy, yy (1/m^2)."""
 
 
 Phi = tuple[F32, F32, F32]
-"""Normal integral of d / sigma, and its derivatives by d and by sigma squared."""
+"""The normal integral of d / sigma, and its derivatives by d and by sigma squared."""
 Asked = tuple[F32, F32]
-"""d and 1 / sigma of normal integrals, of one shape."""
+"""Arguments d and 1 / sigma of normal integrals, of one shape."""
 
 
 def _phi(d: F32, per: F32) -> Phi:
-    """Normal integral of d / sigma and its derivatives by d and by sigma squared, good to 3e-4 and smooth; `per` is 1 / sigma.
+    """Return the normal integral of d / sigma and its derivatives by d and by sigma squared; `per` is 1 / sigma.
+
+    The approximation is good to 3e-4 and smooth.
 
     Source: the tanh form of Page, Approximations to the cumulative normal function, Applied Statistics 26(1), 1977.
     """
@@ -155,7 +162,10 @@ def _phi(d: F32, per: F32) -> Phi:
 
 
 def _phi_at_once(*asked: Asked) -> list[Phi]:
-    """The normal integrals of several shapes by one evaluation: on short arrays most of the time goes into the calls."""
+    """Return the normal integrals of arguments of several shapes from one evaluation.
+
+    On short arrays most of the time goes into the calls.
+    """
     value, slope, by_var = _phi(np.concatenate([d.ravel() for d, _ in asked]), np.concatenate([per.ravel() for _, per in asked]))
     out: list[Phi] = []
     end = 0
@@ -168,22 +178,22 @@ def _phi_at_once(*asked: Asked) -> list[Phi]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """Points as circles about the centre see them."""
+    """Points of the pad's plane, prepared for the coverage of circles about the centre."""
 
     x: F32
     y: F32
     seen: F32
-    """(N,) radius at which a blurred circle through the point would be drawn."""
+    """Effective radius sqrt(r^2 + sigma^2) of each point, (N,): a circle of this radius has its blurred edge at the point."""
     per: F32
-    """(N,) one over it."""
+    """Inverse of `seen`, (N,)."""
     per_sigma: F32
-    """(N,) of the blur along the radius."""
+    """Inverse standard deviation of the blur along the radius, (N,)."""
     m_cc: F32
     m_cs: F32
     m_ss: F32
 
     def change(self, c_d: F32, c_v: F32, out: F32 | None = None) -> F32:
-        """(5, ..., N) of shares (..., N) whose changes with distance and variance are given."""
+        """Return the (5, ..., N) derivatives of coverages (..., N) from their derivatives by distance and variance."""
         if out is None:
             out = np.empty((5, *c_d.shape), np.float32)
         c_x = c_d * self.per
@@ -197,7 +207,7 @@ class _Round:
         return out
 
     def part(self, part: slice) -> _Round:
-        """Some of the points."""
+        """Return a subset of the points."""
         return _Round(
             self.x[part], self.y[part], self.seen[part], self.per[part], self.per_sigma[part],
             self.m_cc[part], self.m_cs[part], self.m_ss[part],
@@ -206,23 +216,26 @@ class _Round:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blurred:
-    """Points of the pad plane seen through a Gaussian blur."""
+    """Points of the pad plane under a Gaussian blur."""
 
     pad: Pad
     x: F32
-    """(N,) m."""
+    """Coordinate of the points, (N,) m."""
     y: F32
     blur_m2: tuple[float, float, float]
-    """xx, xy, yy of the blur's covariance where `scale2` is 1."""
+    """The elements xx, xy, yy of the blur's covariance at a `scale2` of 1."""
     scale2: F32
-    """(N,) factor on the covariance at each point: the square of its depth against the reference."""
+    """Factor on the covariance at each point, (N,): the squared ratio of its depth to the reference depth."""
 
     def part(self, part: slice) -> Blurred:
-        """Some of the points."""
+        """Return a subset of the points."""
         return Blurred(self.pad, self.x[part], self.y[part], self.blur_m2, self.scale2[part])
 
     def circles(self, *radii_m: float | F32) -> list[Share]:
-        """The share inside each of some circles about the centre; radii all for all points, or all (N,) for each its own."""
+        """Return the coverage inside each of several circles about the centre.
+
+        The radii are either one for all points each, or (N,) arrays with one radius per point.
+        """
         round_ = self._round()
         radii = np.array(radii_m, np.float32)
         c, c_d, c_v = _phi((radii[:, None] if radii.ndim == 1 else radii) - round_.seen, round_.per_sigma)
@@ -231,13 +244,13 @@ class Blurred:
         return [(c[i], d[i]) for i in range(len(radii_m))]
 
     def edge_shares(self, disc: slice, ring: slice, arrow: slice, h: slice) -> tuple[F32, F32, F32]:
-        """What is inside the edges that points belong to: the disc's paint, ring, ring and arrowhead, H.
+        """Return the coverage inside the edge that each point belongs to: disc, ring, ring with arrowhead, or H.
 
         Args:
-            disc, ring, arrow, h: which of the points, one after the other in this order.
+            disc, ring, arrow, h: slices of the points of each kind, contiguous and in this order.
 
         Returns:
-            (N,) shares, (5, N) their changes, and of the points at the arrowhead its own share.
+            The (N,) coverages, their (5, N) derivatives, and the coverage of the arrowhead alone at the arrow's points.
         """
         pad, n = self.pad, len(self.x)
         round_ = self.part(slice(0, arrow.stop))._round()
@@ -268,14 +281,14 @@ class Blurred:
         return value, d, head
 
     def arrow(self, beyond: Share) -> Share:
-        """The arrowhead's part beyond the ring. `beyond` is the share inside the ring's outer edge.
+        """Return the coverage of the arrowhead beyond the ring; `beyond` is the coverage inside the ring's outer edge.
 
-        Holds where the blur is small against the arrowhead.
+        This holds where the blur is small compared with the arrowhead.
         """
         return self._arrow_of(_phi(*self._arrow_asks()), beyond)
 
     def h(self) -> Share:
-        """The H."""
+        """Return the coverage of the H."""
         value, d = np.empty(len(self.x), np.float32), np.empty((5, len(self.x)), np.float32)
         self._h_of(_phi(*self._h_asks()), value, d)
         return value, d
@@ -300,7 +313,7 @@ class Blurred:
         return _Round(x, y, seen, 1.0 / seen, 1.0 / np.sqrt(along, out=along), m_cc, m_cs, m_ss)
 
     def _arrow_asks(self) -> Asked:
-        """(3, N): port side, starboard side, base."""
+        """Return (3, N) arguments of the normal integrals: port side, starboard side, base."""
         pad, x, y = self.pad, self.x, self.y
         xx, xy, yy = self.blur_m2
         cu, cv, base = _arrow_lines(pad)
@@ -334,7 +347,10 @@ class Blurred:
         return both * out, d * out - both * d_ring
 
     def _h_asks(self) -> Asked:
-        """(8, N): for either side along x of legs and bar and along y of the H and the gap between its legs."""
+        """Return (8, N) arguments of the normal integrals, for both sides of each interval.
+
+        The intervals are legs and bar along x, and the H and the gap between its legs along y.
+        """
         n = len(self.x)
         per = 1.0 / np.sqrt(self.scale2)
         d, per8 = np.empty((8, n), np.float32), np.empty((8, n), np.float32)
@@ -348,7 +364,7 @@ class Blurred:
         return d, per8
 
     def _h_of(self, phi: Phi, value: F32, d: F32) -> None:
-        """Fills (N,) share and (5, N) changes."""
+        """Write the (N,) coverage of the H to `value` and its (5, N) derivatives to `d`."""
         a, a_d, a_v = phi
         m = self.scale2
         (legs, bar, wide, gap), (legs_d, bar_d, wide_d, gap_d) = a[:4] + a[4:] - 1.0, a_d[4:] - a_d[:4]
@@ -362,10 +378,11 @@ class Blurred:
         np.add(legs * (wide_v - gap_v), bar * gap_v, out=d[4])
 
     def arrow_small(self) -> Share:
-        """The arrowhead's part beyond the ring where the blur is not small against it: a sum of strips along the arrow.
+        """Return the coverage of the arrowhead beyond the ring where the blur is not small compared with it: a sum of strips
+        along x.
 
-        A product of blurred sides holds while each is blurred by itself. Strips between an arc and a slanted side are exact in
-        the limit of many; the steps that a few leave are far finer than the blur.
+        A product of blurred sides is valid only while each side is blurred separately. Strips between an arc and a slanted side
+        are exact in the limit of many; a few leave steps far finer than the blur.
         """
         pad, x, y, m = self.pad, self.x, self.y, self.scale2
         xx, _, yy = self.blur_m2
@@ -397,7 +414,8 @@ def _arrow_lines(pad: Pad) -> tuple[float, float, float]:
     slant = math.hypot(pad.arrow_half_base_m, pad.arrow_depth_m)
     base = pad.arrow_tip_m - pad.arrow_depth_m
     if math.hypot(base, pad.arrow_half_base_m) <= pad.ring_outer_m:
-        # The ring hides the base, and a blurred base would eat into the part beyond it: cut where the ring hides all.
+        # The ring hides the base, and a blurred base would reduce the part beyond the ring. The base is cut where the ring covers
+        # it all.
         base = 0.5 * pad.arrow_tip_m
     return pad.arrow_half_base_m / slant, pad.arrow_depth_m / slant, base
 

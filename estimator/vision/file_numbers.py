@@ -1,4 +1,4 @@
-"""Numbers as a TOML file may hold them: of any size, and of any other type."""
+"""Check and show numbers from a TOML file, which may be of any size or of another type altogether."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _LONGEST = 80
 
 
 def finite(value: object) -> float | None:
-    """The value as a float; None for what is no number, not finite, or an integer too large for a float."""
+    """Return the value as a float; None if it is not a number, not finite, or an integer too large for a float."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
@@ -19,9 +19,9 @@ def finite(value: object) -> float | None:
 
 
 def shown(value: object) -> str:
-    """The value for an error's text, in one line of bounded length."""
+    """Return the value as one line of bounded length for an error's text."""
     try:
         text = repr(value)
-    except ValueError:  # Python writes out no integer of more than 4300 digits
+    except ValueError:  # Python refuses to write out an integer of more than 4300 digits.
         return "a number of thousands of digits"
     return text if len(text) <= _LONGEST else text[:_LONGEST] + "..."

@@ -1,12 +1,13 @@
-"""Several methods looked at one frame: which of them agree, and what they say together.
+"""Fuse the results of several detection methods on one frame, and reject the methods that disagree.
 
-Agreement: each cue in turn is taken for true and the others are held against it; the cue with the most confidence behind it wins
-and those it does not agree with are outliers (RANSAC with every hypothesis tried, Fischler & Bolles 1981).
+Agreement: each cue in turn is the hypothesis, and the other cues vote for it with their confidence if they agree with it. The
+hypothesis with the most votes wins, and the cues that disagree with it are outliers (RANSAC with every hypothesis tried, Fischler
+& Bolles 1981).
 
-Fusion: all cues come from the same pixels and the same attitude, so their errors are correlated in ways nobody knows. Covariance
+Fusion: all cues come from the same pixels and the same attitude, so their errors have an unknown correlation. Covariance
 intersection (Julier & Uhlmann, A non-divergent estimation algorithm in the presence of unknown correlations, ACC 1997) is
-consistent whatever the correlation; the weights are Niehsen's (Information fusion based on fast covariance intersection, 2002),
-taken on the information so that a cue that comes or goes moves the result no further than its own share.
+consistent for any correlation. The weights are Niehsen's (Information fusion based on fast covariance intersection, 2002). They
+apply to the information, so that a cue that appears or vanishes moves the result by its own weight at most.
 """
 
 from __future__ import annotations
@@ -21,30 +22,31 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Sighting
 from estimator.contracts.geometry import F64, wrap_pi
 
 _AGREE_XYZ = 16.27
-"""Chi-square, 3 degrees of freedom, 99.9 %."""
+"""Chi-square limit, 3 degrees of freedom, 99.9 %."""
 _AGREE_YAW = 10.83
-"""Chi-square, 1 degree of freedom, 99.9 %."""
+"""Chi-square limit, 1 degree of freedom, 99.9 %."""
 _COARSE = 0.003
-"""Of the distance: one standard deviation of what worn paint, shade and a deck not quite level do to the thesis' methods beyond
-what they say. Less than a few of it is no reason to doubt the pad."""
+"""One standard deviation, as a fraction of the distance, of the error that worn paint, shade and a tilted deck add to the thesis'
+methods beyond their own covariance. A disagreement of a few of these is no reason to reject a cue.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fused:
-    """What the cues say together."""
+    """The result of fusing the cues of one frame."""
 
     sighting: Sighting
-    """`method` is "fused"; `pose6` is that of the most certain cue that has one."""
+    """The fused sighting. Its `method` is "fused"; its `pose6` comes from the most certain cue that has one."""
     agreeing: tuple[str, ...]
-    """Methods that took part."""
+    """Names of the methods that took part."""
     outliers: tuple[str, ...]
-    """Methods that disagreed and were left out."""
+    """Names of the methods that disagreed and were left out."""
 
 
 def fuse(cues: Iterable[Sighting]) -> Fused | None:
-    """One sighting from those of one frame; None from none.
+    """Fuse the sightings of one frame into one; return None if there are none with a positive confidence.
 
-    The confidence is that of the most confident cue that took part, times the share of all confidence that agreed.
+    The confidence is that of the most confident cue that took part, times the fraction of all confidence that agreed.
     """
     seen = [cue for cue in cues if cue.confidence > 0.0]
     if not seen:
@@ -63,7 +65,7 @@ def fuse(cues: Iterable[Sighting]) -> Fused | None:
 
 
 def agree(a: Sighting, b: Sighting) -> bool:
-    """Whether two cues can both be right, as far as their covariances say."""
+    """Return whether two cues can both be right according to their covariances."""
     if a is b:
         return True
     apart = a.d_body_pad_level - b.d_body_pad_level
@@ -80,12 +82,12 @@ def agree(a: Sighting, b: Sighting) -> bool:
 
 
 def _size(cue: Sighting) -> float:
-    """Of its uncertainty in place, m."""
+    """Return the standard deviation of the cue's position, m: the root of the trace of its covariance."""
     return math.sqrt(float(np.trace(cue.cov[:3, :3])))
 
 
 def _intersected(cues: list[Sighting], confidence: float) -> Sighting:
-    """Covariance intersection of cues that agree, the most certain first."""
+    """Return the covariance intersection of cues that agree; the most certain cue comes first."""
     first = cues[0]
     sure = next((cue for cue in cues if cue.yaw_rad is not None and not cue.yaw_ambiguous), None)
     source = sure or next((cue for cue in cues if cue.yaw_rad is not None), None)
@@ -116,7 +118,7 @@ def _intersected(cues: list[Sighting], confidence: float) -> Sighting:
 
 
 def _information(cue: Sighting) -> F64:
-    """(4, 4) inverse covariance; next to nothing about a heading it does not tell."""
+    """Return the (4, 4) inverse covariance, with almost no information about a heading that the cue does not give."""
     return np.asarray(np.linalg.inv(cue.cov if cue.yaw_rad is not None else _with_unknown_yaw(cue.cov)))
 
 
@@ -128,7 +130,10 @@ def _with_unknown_yaw(cov: F64) -> F64:
 
 
 def _turn_from(cue: Sighting, reference_rad: float) -> float:
-    """The cue's heading less the reference, on the branch nearest to it where the cue leaves the branch open."""
+    """Return the cue's heading minus the reference, rad.
+
+    For a cue that is ambiguous by 180 degrees this takes the branch nearest to the reference.
+    """
     if cue.yaw_rad is None:
         return 0.0
     turned = wrap_pi(cue.yaw_rad - reference_rad)

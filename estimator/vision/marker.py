@@ -1,8 +1,8 @@
-"""Square markers (AprilTag, ArUco) for people who have them instead of the painted pad: the same sighting, by `cv2.aruco`.
+"""Detect square markers (AprilTag, ArUco) with `cv2.aruco`, as an alternative to the painted pad, and return the same sighting.
 
-Several markers of any sizes may lie on one deck, a small one inside a large one for the last metres: all that are seen are solved
-together. The pose minimises the corners' distance in the frame and, weakly, the tilt of a deck that is taken as level; of the
-two poses a single square allows, the better by both is kept.
+Several markers of any sizes may lie on one deck, for example a small one inside a large one for the last metres. All visible
+markers are solved together. The pose minimises the reprojection error of the corners and, weakly, the tilt of a deck that is
+assumed level. A single square allows two poses; the one with the lower total cost is kept.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from estimator.vision.pose import SIGMA_DECK_RAD, Orientation
 
 _FAMILIES = {name.removeprefix("DICT_").lower(): getattr(cv2.aruco, name) for name in dir(cv2.aruco) if name.startswith("DICT_")}
 SIGMA_CORNER_PX = 0.25
-"""Of a refined corner: what `cv2.cornerSubPix` leaves at good contrast, noise and discretisation together."""
+"""Standard deviation of a corner that `cv2.cornerSubPix` refined at good contrast: noise and discretisation together."""
 _LEAST_SIDE_PX = 8.0
 _LARGEST_RMS_PX = 2.0
 _STEPS = 12
@@ -35,19 +35,19 @@ _STEPS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marker:
-    """One square on the deck."""
+    """One square marker on the deck."""
 
     family: str
     id: int
     size_m: float
-    """Of the black square's side."""
+    """Side of the black square."""
     centre_m: tuple[float, float]
-    """Where its centre lies: along the pad's x axis and to starboard of it."""
+    """Position of the marker's centre: along the pad's x axis, and to starboard of it."""
     yaw_rad: float
-    """How its upright direction is turned from the pad's x axis, clockwise from above."""
+    """Rotation of the marker's upright direction from the pad's x axis, clockwise from above."""
 
     def corners(self) -> F64:
-        """(4, 3) m in `pad`: top left, top right, bottom right, bottom left as the marker is read."""
+        """Return (4, 3) m in `pad`: the marker's top left, top right, bottom right and bottom left corners."""
         h = self.size_m / 2
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         xy = np.array([(h, -h), (h, h), (-h, h), (-h, -h)]) @ np.array([[c, s], [-s, c]]) + self.centre_m
@@ -56,18 +56,20 @@ class Marker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerBoard:
-    """All markers of one landing place; its origin is where to land."""
+    """All markers of one landing place. Its origin is the point to land on."""
 
     name: str
     markers: tuple[Marker, ...]
 
     @staticmethod
     def from_mapping(data: Mapping[str, Any], where: str = "markers") -> MarkerBoard:
-        """From a file with `name` and a list `marker` of tables: `family`, `id`, `size_m`, and, unless it lies in the middle and
-        points along the pad's x axis, `centre_m` and `yaw_deg`.
+        """Build a board from a file's `name` and its list `marker` of tables.
+
+        Each table holds `family`, `id` and `size_m`. It also holds `centre_m` and `yaw_deg` unless the marker lies in the middle
+        and points along the pad's x axis.
 
         Raises:
-            BadInput: a key missing, unknown, of the wrong type or out of range; the text names `where` and the key.
+            BadInput: a key is missing, unknown, of the wrong type or out of range; the text names `where` and the key.
         """
         if unknown := sorted(set(data) - {"name", "marker"}):
             raise BadInput(f"{where}: unknown key {unknown[0]!r}; known are marker, name")
@@ -117,11 +119,12 @@ def _marker(data: object, where: str) -> Marker:
 def find_markers(
     frame: Frame, attitude: Attitude | None, camera: Camera, board: MarkerBoard, *, sigma_deck_rad: float = SIGMA_DECK_RAD
 ) -> Sighting | None:
-    """The landing place by its markers; None when none of them shows.
+    """Detect the landing place by its markers; return None if no marker is visible or the fit is poor.
 
     Args:
-        attitude: at the frame's exposure; None takes the vehicle as level, which the covariance shows.
-        sigma_deck_rad: one standard deviation of the deck's roll and pitch, which is taken as level.
+        attitude: the vehicle's attitude at the exposure. With None the vehicle is assumed level, and the covariance grows
+            accordingly.
+        sigma_deck_rad: one standard deviation of the roll and pitch of the deck, which is assumed level.
 
     Raises:
         ValueError: the frame is not of the camera's size.
@@ -146,7 +149,7 @@ def find_markers(
 
 
 def _seen(gray: NDArray[np.uint8], board: MarkerBoard) -> tuple[F64, F64]:
-    """(4 n, 2) px of all corners found and (4 n, 3) m of their places; the largest marker first."""
+    """Return (4 n, 2) px of all detected corners and their (4 n, 3) m places on the deck; the largest marker comes first."""
     found: list[tuple[float, F64, F64]] = []
     for family in sorted({m.family for m in board.markers}):
         corners, ids, _ = _detector(family).detectMarkers(gray)
@@ -165,7 +168,9 @@ def _seen(gray: NDArray[np.uint8], board: MarkerBoard) -> tuple[F64, F64]:
 
 
 def _solve(uv_px: F64, places: F64, camera: Camera, R_level_cam: F64, sigma_tilt: float) -> tuple[PadPose, F64, float] | None:
-    """Pose, its (6, 6) covariance (turn of the pad and move, both written in `cam`) and the residuals' rms in px."""
+    """Return the pose, its (6, 6) covariance (rotation of the pad, then translation, both in `cam`) and the residuals' rms in
+    px.
+    """
     rays = camera.rays(uv_px)
     ok, rvecs, tvecs, _ = cv2.solvePnPGeneric(places, rays[:, None, :], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     if not ok:
@@ -204,7 +209,10 @@ def _turn(rotvec: NDArray[Any]) -> F64:
 
 
 def _jacobians(p: F64, t: F64, R: F64, down: F64, sigma_ray: float, sigma_tilt: float) -> tuple[F64, F64]:
-    """Of rays over sigma (2 n, 6) and of the tilt over sigma (3, 6) by a turn of the pad about its centre and a move in `cam`."""
+    """Return the Jacobians of the rays over sigma (2 n, 6) and of the tilt over sigma (3, 6).
+
+    The columns are a rotation of the pad about its centre and a translation, both in `cam`.
+    """
     x, y, z = p.T
     zero = np.zeros_like(x)
     D = np.stack([np.stack([1 / z, zero, -x / z**2], axis=1), np.stack([zero, 1 / z, -y / z**2], axis=1)], axis=1) / sigma_ray
@@ -215,7 +223,7 @@ def _jacobians(p: F64, t: F64, R: F64, down: F64, sigma_ray: float, sigma_tilt: 
     turn[:, 2, 0], turn[:, 2, 1] = arm[:, 1], -arm[:, 0]
     J = np.concatenate([D @ turn, D], axis=2).reshape(-1, 6)
     n = R[:, 2]
-    # (w x n) x down = n (w . down) - w (n . down)
+    # The derivative follows from (w x n) x down = n (w . down) - w (n . down).
     Jt = np.zeros((3, 6))
     Jt[:, :3] = (np.outer(n, down) - np.eye(3) * float(n @ down)) / sigma_tilt
     return J, Jt
@@ -235,7 +243,7 @@ def _sighting(
     R_level_cam = R_level_body @ camera.T_body_cam.R.matrix
     d = R_level_body @ (camera.T_body_cam.R.matrix @ pose.t_cam_pad + camera.T_body_cam.t)
     R_level_pad = R_level_cam @ pose.R_cam_pad.matrix
-    # Moves and turns carried over to `level`, and what an error of roll and pitch turns with them.
+    # Map translation and rotation to `level`, and add the effect of an error of the vehicle's roll and pitch on both.
     A = np.zeros((6, 6))
     A[:3, 3:] = A[3:, :3] = R_level_cam
     h = 1e-5
@@ -248,7 +256,7 @@ def _sighting(
     cov6 = 0.5 * (cov6 + cov6.T)
     x = R_level_pad[:, 0]
     yaw = -math.atan2(x[1], x[0])
-    # Heading by a small turn w of the pad: the arrow's direction moves by w x x.
+    # A small rotation w of the pad moves the arrow's direction x by w x x; this is its effect on the heading.
     flat = x[0] ** 2 + x[1] ** 2
     by_turn = np.array([x[0] * x[2], x[1] * x[2], -flat]) / flat
     to4 = np.zeros((4, 6))

@@ -1,4 +1,4 @@
-"""The drawing of the pad, in metres from its centre: x along the arrow, y to starboard of it, z into the deck."""
+"""The pad's drawing, in metres from its centre: x along the arrow, y to starboard of it, z into the deck."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from estimator.contracts.geometry import F64
 from estimator.vision.file_numbers import finite, shown
 
 LARGEST_M = 20.0
-"""Radius of a disc, at most: its edges are points a few millimetres apart."""
+"""Largest radius of a disc. The limit bounds memory: the disc's edges are sampled every few millimetres."""
 
 
 @dataclass(frozen=True, slots=True)
 class Colours:
-    """Nominal paint, sRGB 0..255. A starting point for frames and colour limits, never trusted by itself."""
+    """Nominal colours of the paints, sRGB 0..255.
+
+    They are a starting point for rendered frames and colour limits. Detection never relies on them alone.
+    """
 
     disc: tuple[int, int, int]
     ring: tuple[int, int, int]
@@ -29,29 +32,29 @@ class Colours:
 
 @dataclass(frozen=True, slots=True)
 class Pad:
-    """Disc, ring, arrowhead and H. All lengths in metres.
+    """The drawing of the pad: disc, ring, arrowhead and H. All lengths are in metres.
 
     Raises:
-        ValueError: a length that is not positive, or shapes that do not fit into one another.
+        ValueError: a length is not positive, or the shapes do not fit into one another.
     """
 
     name: str
     disc_radius_m: float
     rim_width_m: float
-    """Of a differently coloured rim inside the disc's edge; 0 for none."""
+    """Width of a differently coloured rim inside the disc's edge; 0 for none."""
     ring_inner_m: float
     ring_outer_m: float
     arrow_tip_m: float
-    """Distance of the arrowhead's apex from the centre; the apex is a right angle pointing outward."""
+    """Distance of the arrowhead's apex from the centre. The apex points outward."""
     arrow_depth_m: float
     arrow_half_base_m: float
     h_length_m: float
-    """Of the legs, along the arrow."""
+    """Length of the H's legs, along the arrow."""
     h_width_m: float
-    """Overall, across the arrow, outer edge to outer edge."""
+    """Overall width of the H across the arrow, from outer edge to outer edge."""
     leg_width_m: float
     bar_width_m: float
-    """Of the cross-bar, along the arrow."""
+    """Width of the cross-bar, along the arrow."""
     colours: Colours
 
     def __post_init__(self) -> None:
@@ -71,10 +74,10 @@ class Pad:
 
     @staticmethod
     def from_mapping(data: Mapping[str, Any], where: str = "pad") -> Pad:
-        """From the keys of a pad file (configs/pads/*.toml).
+        """Build a pad from the keys of a pad file (configs/pads/*.toml).
 
         Raises:
-            BadInput: a key missing, unknown, of the wrong type or out of range; the text names `where` and the key.
+            BadInput: a key is missing, unknown, of the wrong type or out of range; the text names `where` and the key.
         """
         names = {f.name for f in fields(Pad)}
         if unknown := sorted(set(data) - names):
@@ -99,16 +102,16 @@ class Pad:
 
     @property
     def ring_radius_m(self) -> float:
-        """Of the ring's centre-line."""
+        """Radius of the ring's centre-line."""
         return (self.ring_inner_m + self.ring_outer_m) / 2
 
     @property
     def bar_length_m(self) -> float:
-        """Of the cross-bar between the legs, across the arrow."""
+        """Length of the cross-bar between the legs, across the arrow."""
         return self.h_width_m - 2 * self.leg_width_m
 
     def h_corners(self) -> F64:
-        """(12, 3) m: the H's outline, clockwise seen from above, starting at the fore outer corner of the port leg."""
+        """Return (12, 3) m: the H's outline, clockwise seen from above, starting at the fore outer corner of the port leg."""
         length, outer, bar = self.h_length_m / 2, self.h_width_m / 2, self.bar_width_m / 2
         inner = outer - self.leg_width_m
         xy = [
@@ -118,12 +121,12 @@ class Pad:
         return np.array([(x, y, 0.0) for x, y in xy])
 
     def arrowhead(self) -> F64:
-        """(3, 3) m: apex, starboard base corner, port base corner."""
+        """Return (3, 3) m: the arrowhead's apex, starboard base corner and port base corner."""
         base = self.arrow_tip_m - self.arrow_depth_m
         return np.array([(self.arrow_tip_m, 0.0, 0.0), (base, self.arrow_half_base_m, 0.0), (base, -self.arrow_half_base_m, 0.0)])
 
     def circle(self, radius_m: float, n: int = 72) -> F64:
-        """(n, 3) m: points of a circle about the centre, clockwise seen from above, starting at the arrow."""
+        """Return (n, 3) m: points of a circle about the centre, clockwise seen from above, starting at the arrow."""
         a = np.linspace(0.0, math.tau, n, endpoint=False)
         return np.stack([radius_m * np.cos(a), radius_m * np.sin(a), np.zeros(n)], axis=1)
 

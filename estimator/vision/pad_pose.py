@@ -1,4 +1,4 @@
-"""Where the pad is in the camera's own coordinates: what acquisition hands over and registration starts from."""
+"""The pose of the pad in camera coordinates: the result of acquisition and the start of registration."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from estimator.contracts.geometry import F64, Rotation
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PadPose:
-    """The pad in `cam`: `p_cam = R_cam_pad @ p_pad + t_cam_pad`.
+    """The pose of the pad in `cam`: `p_cam = R_cam_pad @ p_pad + t_cam_pad`.
 
     Raises:
-        ValueError: a place that is not a finite (3,) vector.
+        ValueError: `t_cam_pad` is not a finite (3,) vector.
     """
 
     R_cam_pad: Rotation
     t_cam_pad: F64
-    """(3,) m, the pad's centre."""
+    """The pad's centre in `cam`, (3,) m."""
 
     def __post_init__(self) -> None:
         t = np.array(self.t_cam_pad, dtype=float)
@@ -30,13 +30,13 @@ class PadPose:
 
     @property
     def range_m(self) -> float:
-        """Distance from the lens to the pad's centre."""
+        """Distance from the lens to the pad's centre, metres."""
         return float(np.linalg.norm(self.t_cam_pad))
 
     def points(self, p_pad: F64) -> F64:
-        """(N, 3) m in `pad` to (N, 3) m in `cam`."""
+        """Transform (N, 3) points from `pad` to `cam`, m."""
         return np.asarray(p_pad @ self.R_cam_pad.matrix.T + self.t_cam_pad)
 
     def turned(self, yaw_rad: float) -> PadPose:
-        """The same place, the drawing turned about the pad's own z axis."""
+        """Return the pose at the same position with the drawing turned about the pad's own z axis by `yaw_rad`."""
         return PadPose(self.R_cam_pad @ Rotation.from_rpy(0.0, 0.0, yaw_rad), self.t_cam_pad)

@@ -1,9 +1,9 @@
-"""The pose from image points of known places on the pad, when the orientation of camera and pad plane is known.
+"""Solve the pad's pose from image points of known places on it, given the orientations of camera and pad plane.
 
-The thesis' pose from one image point and one image length (section 4.1.6), put right: the rays of the points are turned into
-the level frame, cut with the pad's plane at an unknown depth, and a similarity (shift, turn, scale) lays the drawing on them; the
-scale is the length that fixes the depth. In that plane a tilted frame of the pad is no longer distorted, so neither tilt nor
-the camera's place on the body is neglected.
+This corrects the thesis' pose from one image point and one image length (section 4.1.6). The rays of the points are rotated into
+the level frame and intersected with the pad's plane at an unknown depth. A similarity (shift, rotation, scale) fits the drawing
+to the intersections, and its scale gives the depth. In that plane a tilted image of the pad is undistorted, so neither the tilt
+nor the camera's position on the body is neglected.
 """
 
 from __future__ import annotations
@@ -19,32 +19,36 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
 
 SIGMA_LEVEL_ASSUMED_RAD = math.radians(5.0)
-"""Roll and pitch of a vehicle nobody measured: what a multicopter reaches against a breeze. It costs 9 cm a metre of height."""
+"""Standard deviation of roll and pitch of a vehicle without a measured attitude: what a multicopter reaches against a breeze. It
+costs 9 cm per metre of height.
+"""
 SIGMA_DECK_RAD = math.radians(2.0)
-"""Roll and pitch of a deck taken as level: a supply vessel's in a slight sea (data: waves/FACTS.md gives 1..4 degrees)."""
+"""Standard deviation of roll and pitch of a deck that is assumed level: a supply vessel's in a slight sea (data: waves/FACTS.md
+gives 1..4 degrees).
+"""
 _MIN_DOWN = 0.2
-"""Cosine of the flattest ray cut with the deck: 78 degrees off the vertical."""
+"""Cosine of the flattest ray that is intersected with the deck: 78 degrees off the vertical."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Orientation:
-    """How camera and pad plane stand in `level`, and how well that is known."""
+    """The orientations of camera and pad plane in `level`, and their uncertainty."""
 
     roll_rad: float
     pitch_rad: float
     cov_tilt: F64
-    """(2, 2) rad^2 of roll and pitch."""
+    """Covariance of roll and pitch, (2, 2) rad^2."""
     sigma_deck_rad: float
     measured: bool
-    """False when the vehicle is merely assumed level."""
+    """False if the vehicle is merely assumed level."""
 
     @staticmethod
     def of(attitude: Attitude | None, sigma_deck_rad: float = SIGMA_DECK_RAD) -> Orientation:
-        """From the attitude at the exposure; without one the vehicle is taken as level, at the price of a wide covariance."""
+        """Return the orientation from the attitude at the exposure; without one assume a level vehicle with a wide covariance."""
         if attitude is None:
             return Orientation(0.0, 0.0, np.eye(2) * SIGMA_LEVEL_ASSUMED_RAD**2, sigma_deck_rad, False)
         roll, pitch, _ = attitude.R_ned_body.rpy_rad
-        # Euler-angle kinematics: how a small turn written in `body` moves roll and pitch. Fossen 2011, eq. 2.28.
+        # Euler-angle kinematics: the effect of a small rotation in `body` on roll and pitch. Fossen 2011, eq. 2.28.
         t = math.tan(max(-1.4, min(1.4, pitch)))
         J = np.array([[1.0, math.sin(roll) * t, math.cos(roll) * t], [0.0, math.cos(roll), -math.sin(roll)]])
         return Orientation(roll, pitch, J @ attitude.cov_body @ J.T, sigma_deck_rad, True)
@@ -56,7 +60,7 @@ class Orientation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientedCamera:
-    """A camera in a known orientation: brings pixels to the level plane at unit depth below the camera and back."""
+    """A camera in a known orientation. It maps pixels to the level plane at unit depth below the camera, and back."""
 
     camera: Camera
     orientation: Orientation
@@ -67,32 +71,32 @@ class OrientedCamera:
         object.__setattr__(self, "R_level_cam", R)
 
     def plane(self, uv_px: F64) -> F64:
-        """(N, 2) px to (N, 2) forward and right over down; nan where the ray does not go down."""
+        """Map (N, 2) px to (N, 2) forward and right over down; nan where the ray does not point down."""
         r = _homogeneous(self.camera.rays(uv_px)) @ self.R_level_cam.T
         down = np.where(r[:, 2] > _MIN_DOWN * np.linalg.norm(r, axis=1), r[:, 2], np.nan)
         return np.asarray(r[:, :2] / down[:, None])
 
     def pixels(self, plane: F64) -> F64:
-        """(N, 2) forward and right over down to (N, 2) px; nan behind the lens."""
+        """Map (N, 2) forward and right over down to (N, 2) px; nan behind the lens."""
         return self.camera.project(_homogeneous(np.asarray(plane, dtype=float)) @ self.R_level_cam)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """Image points of known places on the pad, and the ways in which they may be wrong."""
+    """Image points of known places on the pad, and the modes of their errors."""
 
     uv_px: F64
-    """(P, 2)."""
+    """Image points, (P, 2)."""
     pad_xy_m: F64
-    """(P, 2) their places on the pad: forward along the arrow, to starboard."""
+    """Places of the points on the pad, (P, 2): forward along the arrow, and to starboard."""
     modes_px: F64
-    """(M, P, 2) independent errors, each one standard deviation large; together they are the points' covariance."""
+    """Independent error modes, (M, P, 2), each one standard deviation large. Together they give the points' covariance."""
     yaw_known: bool = True
     yaw_ambiguous: bool = False
 
 
 def point_modes(sigma_px: F64) -> F64:
-    """(P,) px of points that err independently, alike in both axes, to the (2P, P, 2) modes of `Marks`."""
+    """Convert (P,) px sigmas of independent isotropic errors to the (2P, P, 2) modes of `Marks`."""
     n = len(sigma_px)
     modes = np.zeros((2 * n, n, 2))
     i = np.arange(n)
@@ -103,19 +107,20 @@ def point_modes(sigma_px: F64) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fix:
-    """A pose and how sure it is."""
+    """A pose and its covariance."""
 
     d_body_pad_level: F64
     yaw_rad: float
     cov: F64
-    """(4, 4) of [forward, right, down, yaw]."""
+    """Covariance of [forward, right, down, yaw], (4, 4)."""
 
 
 def solve(marks: Marks, view: OrientedCamera) -> Fix | None:
-    """The pose of the pad, or None when the points give none (a ray that misses the deck, all points in one place).
+    """Solve the pose of the pad; return None if the points do not determine one.
 
-    The covariance is the sum over all modes (image points, roll and pitch, tilt of the deck) of what each moves the result by, to
-    second order, taken at plus and minus one standard deviation.
+    The points fail if a ray misses the deck or all points coincide. The covariance is the sum over all error modes (image points,
+    roll and pitch, tilt of the deck) of each mode's effect on the result, to second order, evaluated at plus and minus one
+    standard deviation.
     """
     camera, orientation = view.camera, view.orientation
     modes = marks.modes_px
@@ -151,13 +156,14 @@ def solve(marks: Marks, view: OrientedCamera) -> Fix | None:
     first, second = 0.5 * (plus - minus), 0.5 * (plus + minus) - out[0]
     for part in (first, second):
         part[:, 3] = np.remainder(part[:, 3] + math.pi, math.tau) - math.pi
-    # A Gaussian error e moves f by first * e + second * e^2, and e^4 is 3 in the mean: tilt shortens the height only in this way.
+    # A Gaussian error e moves f by first * e + second * e^2, and the mean of e^4 is 3. Tilt shortens the height only through the
+    # second-order term.
     cov = first.T @ first + 3.0 * (second.T @ second)
     return Fix(out[0, :3], wrap_pi(float(out[0, 3])), 0.5 * (cov + cov.T))
 
 
 def sighting(frame: Frame, method: Method, marks: Marks, fix: Fix, confidence: float, features: tuple[Feature, ...]) -> Sighting:
-    """The fix as the sample that leaves vision; a heading that the marks do not show is None and has no information."""
+    """Convert a fix to a sighting. A heading that the marks do not show becomes None and carries no information."""
     cov = fix.cov.copy()
     yaw: float | None = fix.yaw_rad
     if not marks.yaw_known:
@@ -174,7 +180,7 @@ def sighting(frame: Frame, method: Method, marks: Marks, fix: Fix, confidence: f
 
 
 def _similarity(rays: F64, R_level_body: F64, R_level_deck: F64, pad_xy: F64, camera: Camera) -> F64:
-    """(n, P, 3) rays, (n, 3, 3) orientations to (n, 4) forward, right, down, yaw; nan where there is none."""
+    """Map (n, P, 3) rays and (n, 3, 3) orientations to (n, 4) forward, right, down, yaw; nan where no similarity exists."""
     R_deck_cam = R_level_deck.transpose(0, 2, 1) @ R_level_body @ camera.T_body_cam.R.matrix
     r = rays @ R_deck_cam.transpose(0, 2, 1)
     down = np.where(r[:, :, 2] > _MIN_DOWN * np.linalg.norm(r, axis=2), r[:, :, 2], np.nan)
@@ -196,13 +202,13 @@ def _similarity(rays: F64, R_level_body: F64, R_level_deck: F64, pad_xy: F64, ca
 
 
 def _modes_of(cov: F64) -> F64:
-    """Rows that square up to the covariance; works for a singular one too."""
+    """Return rows whose outer products sum to the covariance. A singular covariance is allowed."""
     values, vectors = np.linalg.eigh(cov)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T)
 
 
 def _roll_pitch(roll: F64, pitch: F64) -> F64:
-    """(n, 3, 3) Ry(pitch) Rx(roll)."""
+    """Return the (n, 3, 3) rotations Ry(pitch) Rx(roll)."""
     cr, sr, cp, sp, zero = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.zeros_like(roll)
     rows = [[cp, sp * sr, sp * cr], [zero, cr, -sr], [-sp, cp * sr, cp * cr]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -1,9 +1,10 @@
-"""The eyes of a flight: follow the pad where it is expected, else search the whole frame; then say what all methods say.
+"""Track the pad in the frames of a flight: follow it where the filter expects it, else search the whole frame.
 
-Tracking starts `registration` from the filter's belief at the exposure. Where there is none, or the drawing does not fit there,
-acquisition searches the whole frame and registration refines what it finds. Either way the whole drawing is judged where it was
-laid, together with how well its edges agree, and that judgement is the sighting's confidence. Where one of the thesis' methods is
-alone with what it says, the drawing is laid there too: a green disc is no pad, and where it is one, registration starts from it.
+Tracking starts `registration` from the filter's belief at the exposure. If there is no belief, or the drawing does not fit there,
+acquisition searches the whole frame and registration refines its candidates. In both cases the classifier of `fit_verification`
+scores the whole drawing and the agreement of its edges at the registered pose, and that score is the sighting's confidence. If
+one of the thesis' methods reports a pose on its own, the drawing is verified there too, because a green disc is not yet a pad; if
+it fits, registration starts from it.
 """
 
 from __future__ import annotations
@@ -35,42 +36,45 @@ from estimator.vision.thesis.detection import Detection, detect
 from estimator.vision.thesis.segmentation import ColourSet
 
 SpeaksFor = Literal["fused", "registration", "thesis"]
-"""What steers: all methods fused; registration alone; or the thesis' three with its selection by priority."""
+"""Which methods form the sighting: all of them fused, registration alone, or the thesis' three with its selection by priority."""
 
 _CLOSE, _ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
 _CLOSE_PX = 1.0
-"""Standard deviation of the believed place in the frame, up to which registration starts right from it."""
+"""Largest standard deviation of the believed position in the frame at which registration starts directly from it."""
 _CANDIDATES = 2
-"""Of acquisition that are registered."""
+"""Number of candidates of acquisition that are registered."""
 _WORTH_A_TRY = 0.05
 _HEADING_PX = 28.0
-"""Radius of the disc, at least, in the frame that a heading is looked for in."""
+"""Smallest radius of the disc in the frame that a heading is searched in."""
 _FITS = 0.5
-"""Confidence below which a tracked pose is thrown away for a new search."""
+"""Confidence below which a tracked pose is dropped for a new search."""
 _EXPECTED_SIGMAS = 3.0
-"""Of the belief's place: what acquisition finds so near to it is where the pad was expected."""
+"""Standard deviations of the believed position within which a candidate of acquisition counts as expected."""
 _REACH_OF_DISC, _REACH_OF_HEIGHT = 0.6, 0.04
-"""Of the disc's radius and of the height: how far off the pad may be, two standard deviations, for tracking to be tried.
+"""Reach of tracking, as fractions of the disc's radius and of the height. Tracking is tried if two standard deviations of the
+believed position lie within the sum.
 
-Much of a belief's doubt is about the attitude and does not show in the frame; a start too far off costs a search, no more."""
+Much of the belief's uncertainty comes from the attitude and does not show in the frame. A start that is too far off only costs a
+search.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerConfig:
-    """What vision knows beforehand."""
+    """The fixed inputs of vision."""
 
     camera: Camera
     pad: Pad
     colours: ColourSet
-    """For the thesis' methods."""
+    """Colour classes of the thesis' methods."""
     speaks: SpeaksFor = "fused"
     sigma_deck_rad: float = SIGMA_DECK_RAD
-    """Of the deck's roll and pitch."""
+    """Standard deviation of the deck's roll and pitch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerMemory:
-    """What vision learned so far."""
+    """What vision has learned so far."""
 
     paint: PaintMemory = FRESH
 
@@ -84,11 +88,11 @@ class _Registered:
 def track(
     tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude | None, belief: RelativeState | None = None
 ) -> tuple[Detection, TrackerMemory]:
-    """Look at one frame. Pure.
+    """Detect the pad in one frame and return the detection and the new memory. This function is pure.
 
     Args:
-        attitude: at the exposure; None takes the vehicle as level, which the covariance shows.
-        belief: about the pad at the exposure; None, or one without a heading, means a search of the whole frame.
+        attitude: the attitude at the exposure. With None the vehicle is assumed level, and the covariance grows accordingly.
+        belief: the belief about the pad at the exposure. With None, or without a heading, the whole frame is searched.
 
     Raises:
         ValueError: the frame is not of the camera's size.
@@ -111,7 +115,7 @@ def track(
 
 
 def together(thesis: Detection, registered: Sighting | None) -> Detection:
-    """The thesis' methods and registration as one look, which says what they say fused."""
+    """Combine the thesis' methods and registration into one detection whose sighting is their fusion."""
     methods: dict[Method, Sighting | None] = {**thesis.methods, "registration": registered}
     fused = fuse(s for s in methods.values() if s is not None)
     if fused is None:
@@ -120,7 +124,7 @@ def together(thesis: Detection, registered: Sighting | None) -> Detection:
 
 
 def expected(belief: RelativeState, attitude: Attitude, camera: Camera) -> PadPose | None:
-    """Where the belief puts the pad in the camera, the deck taken as level; None without a heading."""
+    """Return the pose in camera coordinates that the belief predicts for a level deck; None if it has no heading."""
     if belief.yaw_rad is None:
         return None
     return _in_camera(belief.d_body_pad_level, belief.yaw_rad, attitude.R_ned_body.without_heading(), camera)
@@ -171,8 +175,11 @@ def _verify_cues(
     thesis: Detection,
     best: _Registered | None,
 ) -> tuple[Detection, _Registered | None]:
-    """The thesis' methods, no surer than the whole drawing laid where they say, unless a sure registration says the same; and the
-    best registration, theirs included."""
+    """Verify the cues of the thesis' methods, and return them with the best registration.
+
+    A cue's confidence is limited to that of the drawing registered at the cue's pose, unless it agrees with a confident
+    registration. The returned registration is the best of the given one and those started from cues.
+    """
     orientation = Orientation.of(attitude, tracker.sigma_deck_rad)
     sure = best.sighting if best is not None and best.sighting.confidence >= _FITS else None
     methods: dict[Method, Sighting | None] = dict(thesis.methods)
@@ -189,7 +196,7 @@ def _verify_cues(
 
 
 def _verified(tracker: TrackerConfig, pyramid: Pyramid, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
-    """The drawing laid where a method says the pad is; by the heading that fits best where it says none."""
+    """Align the drawing at a cue's pose. A cue without a heading is aligned at the heading that fits best."""
     flat = _in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, tracker.camera)
     if flat.t_cam_pad[2] < 0.05:
         return None
@@ -204,7 +211,7 @@ def _verified(tracker: TrackerConfig, pyramid: Pyramid, cue: Sighting, orientati
 
 
 def _better(a: _Registered | None, b: _Registered | None) -> _Registered | None:
-    """The surer one, the first where they are alike."""
+    """Return the more confident registration; the first if they are equal."""
     return b if a is None or (b is not None and b.sighting.confidence > a.sighting.confidence) else a
 
 
@@ -218,7 +225,7 @@ def _register_from(
     options: RegistrationOptions,
     prior_log_odds: float = 0.0,
 ) -> _Registered | None:
-    """Register from a start and judge the drawing where it came to lie, given what speaks for the place beside the frame."""
+    """Register from a start pose and verify the drawing at the result, with a prior for that place."""
     found = register(frame.px, tracker.camera, tracker.pad, start, orientation, options)
     if found is None:
         return None
@@ -232,12 +239,12 @@ def _register_from(
 
 
 def _near_enough(belief: RelativeState, sigma_m: float, pad: Pad) -> bool:
-    """Whether the belief is sharp enough to start from."""
+    """Return whether the belief is certain enough to start tracking from."""
     sigma_yaw = math.sqrt(float(belief.cov[6, 6]))
     reach_m = _REACH_OF_DISC * pad.disc_radius_m + _REACH_OF_HEIGHT * belief.height_m
     return 2.0 * sigma_m < reach_m and sigma_yaw < 0.3
 
 
 def _sigma_m(belief: RelativeState) -> float:
-    """Standard deviation of the pad's place along its worst direction."""
+    """Return the standard deviation of the pad's position along its worst direction, metres."""
     return math.sqrt(float(np.linalg.eigvalsh(belief.cov[:3, :3])[-1]))
