@@ -166,7 +166,7 @@ async def _drone(scenario: str, seed: int, truth: Path) -> AsyncIterator[_Child]
         except TimeoutError as why:
             raise Recoverable(f"the simulated drone did not start within {_READY_S:.0f} s") from why
         if not line:
-            raise Recoverable("the simulated drone ended before it was ready; what it said stands above")
+            raise Recoverable("the simulated drone ended before it was ready; see its output above")
         drone = _Child(json.loads(line)["ports"])
         yield drone
     finally:

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     found = diagnose(snapshot)
     if args.json:
         for finding in found:
-            sys.stdout.write(json.dumps(asdict(finding) | {"gravity": finding.severity.name.lower()}) + "\n")
+            sys.stdout.write(json.dumps(asdict(finding) | {"severity": finding.severity.name.lower()}) + "\n")
     else:
         sys.stdout.write(_page(snapshot, found))
     return 1 if any(f.severity is not Severity.ADVICE for f in found) else 0
@@ -135,6 +135,6 @@ def _page(snapshot: Snapshot, found: tuple[Finding, ...]) -> str:
         lines.append(
             f"clock: round trip {1e3 * snapshot.sync.round_trip_s:.1f} ms, {'locked' if snapshot.sync.locked else 'not locked'}"
         )
-    lines += [f"{f.severity.name.lower()}: {f.what} [{f.rule}]\n    cure: {f.fix}" for f in found]
-    lines.append(f"{len(found)} of {len(RULES)} known traps found" if found else f"none of {len(RULES)} known traps found")
+    lines += [f"{f.severity.name.lower()}: {f.what} [{f.rule}]\n    fix: {f.fix}" for f in found]
+    lines.append(f"{len(found)} of {len(RULES)} known faults found" if found else f"none of {len(RULES)} known faults found")
     return "\n".join(lines) + "\n"

@@ -71,7 +71,7 @@ def _make(path: Path) -> int:
         with open(file, "wb") as out:
             out.write(key.secret)
     except FileExistsError:
-        raise BadInput(f"{path}: there is a file already, and a key that is overwritten is gone; choose another name") from None
+        raise BadInput(f"{path}: there is a file already, and an overwritten key is lost; choose another name") from None
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
     sys.stdout.write(
@@ -92,7 +92,9 @@ async def _set_up(args: argparse.Namespace, endpoint: Endpoint, current: Signing
         return 1
     await send_key(endpoint, current, met, key, clock)
     if await observe(endpoint, key, met, clock, args.seconds):
-        sys.stdout.write("done: it signs with this key now\n" if key is not None else "done: it signs no more\n")
+        sys.stdout.write(
+            "done: the autopilot signs with this key now\n" if key is not None else "done: the autopilot no longer signs\n"
+        )
         return 0
     sys.stdout.write(
         f"it was not seen to {'sign with this key' if key is not None else 'stop signing'} within {args.seconds:g} s: either its "
@@ -119,7 +121,7 @@ def _meaning(endpoint: Endpoint, met: Met, current: SigningKey | None, key: Sign
 
 def _confirmed() -> bool:
     if not sys.stdin.isatty():
-        raise BadInput("nobody is there to confirm this; add --yes where it is meant")
+        raise BadInput("no terminal to confirm this on; add --yes if you mean it")
     sys.stdout.write("Go on? [y/N] ")
     sys.stdout.flush()
     return sys.stdin.readline().strip().lower() in ("y", "yes")

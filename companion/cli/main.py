@@ -124,7 +124,7 @@ def _dispatch(argv: list[str]) -> int:
             subparsers.add_parser(name, help=summary)
     if asked is None:
         parser.parse_args(argv)
-        parser.error(f"say which command: {', '.join(COMMANDS)}")
+        parser.error(f"a command is needed: {', '.join(COMMANDS)}")
     if sys.maxsize < 2**32:
         raise SetupImpossible(
             "this is a 32-bit Python; decklander needs a 64-bit operating system and Python (on a Raspberry Pi: arm64)"

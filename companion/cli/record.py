@@ -101,7 +101,7 @@ def _described(recording: Recording, seconds: float, images: int, verdicts: Coun
     out.append(f"holds {', '.join(recording.attachments) or 'no settings'}")
     out.append(f"{seconds:.1f} s, {images} frames; frames: " + (", ".join(f"{k} {n}" for k, n in verdicts.items()) or "none"))
     out += [f"{n:8d}  {topic}" for topic, n in sorted(recording.counts.items())]
-    out += [f"{n:8d}  {topic} not understood by this version" for topic, n in sorted(recording.skipped.items())]
+    out += [f"{n:8d}  {topic} that this version cannot read" for topic, n in sorted(recording.skipped.items())]
     return out
 
 

@@ -52,7 +52,7 @@ def recording(
     with recorder_to_file(args.record, camera_model(settings), described, frames=args.record_frames, live=live) as recorder:
         yield recorder
     if recorder.why or recorder.faults:
-        sys.stderr.write(f"the recording is not whole: {recorder.why or 'a fault of the recorder'}\n")
+        sys.stderr.write(f"the recording is incomplete: {recorder.why or 'a fault of the recorder'}\n")
 
 
 def truth_record(truth: Truth) -> TruthRecord:

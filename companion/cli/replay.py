@@ -153,7 +153,7 @@ def _finished(recording: Recording, done: Pass, compared: dict[str, list[Differe
     log, counts = done.log_observer.log, done.replay.counts
     log.outcome = "unfinished" if done.replay.outcome is None else done.replay.outcome.value
     log.facts += [("recording", recording.name), ("settings", done.name), ("outputs", done.replay.digest[:16])]
-    log.facts += [("frames looked at again", str(counts.looked)), ("frames as recorded", str(counts.as_recorded))]
+    log.facts += [("frames searched again", str(counts.looked)), ("frames as recorded", str(counts.as_recorded))]
     for name, found in compared.items():
         log.facts += [(f"{d.path} against {name}", f"{_mm(d.d_median_m)} median, {_mm(d.d_max_m)} at most") for d in found]
     return log
@@ -164,12 +164,12 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
     for path, why in recording.cut.items():
         out.append(f"{path} is cut short ({why}): replayed up to there")
     for topic, n in recording.skipped.items():
-        out.append(f"{n} messages of {topic} are not understood by this version and were left out")
+        out.append(f"{n} messages of {topic} cannot be read by this version and were left out")
     for done in passes:
         c, pace = done.replay.counts, done.flown_s / max(1e-9, done.wall_s)
         out += [
             f"{done.name}: {done.flown_s:.1f} s in {done.wall_s:.1f} s ({pace:.1f} x real time), {c.samples} samples, {c.frames} "
-            f"frames ({c.looked} looked at again, {c.as_recorded} as recorded), {c.decisions} rounds of guidance",
+            f"frames ({c.looked} searched again, {c.as_recorded} as recorded), {c.decisions} guidance cycles",
             f"outputs: sha256 {done.replay.digest}",
         ]
         rows = done.errors()
@@ -179,7 +179,7 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
             )
         out += [_row(row) for row in rows]
         if not rows:
-            out.append("no truth was recorded, so there are no errors to show")
+            out.append("no truth was recorded: no errors to show")
     for name, found in compared.items():
         out += [_difference(name, d) for d in found]
     return out

@@ -25,7 +25,7 @@ from drivers.mavlink.links import LinkOptions
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.time import MonoNs, seconds_between
 
-_REFUSAL = "this is a replay: it listens to no commands"
+_REFUSAL = "this is a replay: it takes no commands"
 _LEAD_S = 0.05
 """From the beginning of the replay to its first event."""
 

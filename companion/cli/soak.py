@@ -213,7 +213,7 @@ async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) ->
         async with asyncio.timeout(60.0):
             first = await child.stdout.readline()
         if not first:
-            raise Recoverable("the simulated drone ended before it was ready; what it said stands above")
+            raise Recoverable("the simulated drone ended before it was ready; see its output above")
         ports = {f"{name}_port": port for name, port in json.loads(first)["ports"].items()}
         settings = msgspec.structs.replace(settings, vehicle=msgspec.structs.replace(settings.vehicle, **ports))
         pilot = make_pilot(settings)
@@ -231,7 +231,7 @@ async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) ->
             listening.cancel()
             daemon.stop()
         if ended_early:
-            raise Recoverable("the simulated drone ended; what it said stands above")
+            raise Recoverable("the simulated drone ended; see its output above")
     finally:
         tally.flown_s = time.monotonic() - tally.began
         child.stdin.close()
@@ -283,7 +283,7 @@ def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: 
     endings = ", ".join(f"{n} {name}" for name, n in sorted(tally.endings.items()))
     lines = [f"{tally.flights} flights in {tally.flown_s / 3600:.2f} h: {endings}", *tally.outcomes.in_words()]
     if found is None:
-        lines.append("too short to say what grows")
+        lines.append("too short to measure growth")
     else:
         m = found.memory_mib
         lines.append(
@@ -294,11 +294,9 @@ def _say(args: argparse.Namespace, tally: Tally, found: Findings | None, extra: 
                 lines.append(f"{name:<10} {trend.first:g} to {trend.last:g} (most {trend.most:g})")
         lines.append(f"CPU        {found.cpu_share:.0%} of a core" + (", as fast as it goes" if args.virtual else ""))
     if "start_s" in extra:
-        lines.append(f"start      {extra['start_s']:.2f} s from the command to the first round of guidance")
+        lines.append(f"start      {extra['start_s']:.2f} s from the command to the first guidance cycle")
         for rate, cpu in extra["cpu_share"].items():
-            lines.append(
-                f"CPU        {cpu['share']:.0%} of a core at {rate} frames a second, {cpu['seen']:.0%} of them looked at"
-            )
+            lines.append(f"CPU        {cpu['share']:.0%} of a core at {rate} frames a second, {cpu['seen']:.0%} of them searched")
     lines += [f"FAULT: {fault}" for fault in tally.outcomes.faults(args.failed_max)]
     lines += [f"FAULT: {fault}" for fault in found.faults] if found is not None else []
     sys.stdout.write("\n".join(lines) + "\n")

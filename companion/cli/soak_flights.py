@@ -93,7 +93,7 @@ class Outcomes:
         if failed > failed_max:
             said.append(f"{failed} of {len(self.flights)} flights failed" + (f", more than {failed_max}" if failed_max else ""))
         if starved > STARVED_MAX * len(self.flights):
-            said.append(f"this machine was too slow for {starved} of {len(self.flights)} flights: nothing is shown by them")
+            said.append(f"this machine was too slow for {starved} of {len(self.flights)} flights, so the run shows nothing")
         return said
 
     def as_json(self) -> dict[str, Any]:

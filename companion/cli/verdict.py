@@ -143,7 +143,7 @@ class Ending:
             if j.grade == "failed" and not j.unsafe:
                 lines.append(f"failed: {j.because}")
         if self.load is not None and not self.good and (slow := self.load.starved()) is not None:
-            lines.append(f"this machine was too slow to fly in real time, so this shows nothing: {slow}")
+            lines.append(f"this machine was too slow to fly in real time; the result means nothing: {slow}")
         return "\n".join(lines)
 
     def facts(self) -> list[tuple[str, str]]:
@@ -186,5 +186,5 @@ def _plain(c: Contact) -> dict[str, Any]:
 def _in_words(c: Contact) -> str:
     return (
         f"{_WHERE[c.surface]}: {100 * c.lateral_m:.1f} cm from its centre, "
-        f"sinking at {c.vertical_speed_m_s:.2f} m/s, sliding at {c.lateral_speed_m_s:.2f} m/s"
+        f"descending at {c.vertical_speed_m_s:.2f} m/s, sliding at {c.lateral_speed_m_s:.2f} m/s"
     )

@@ -1,1 +1,1 @@
-"""Why nothing happens: a frame of the whole set-up, and rules that name every known trap with its cure."""
+"""Why nothing happens: a frame of the whole set-up, and rules that name every known fault with its fix."""

@@ -241,7 +241,7 @@ class MqttPart:
                     pass
                 await connection.publish_message(self._topics.status, encode(self._status("stopped")), qos=1, retain=True)
         except* (TimeoutError, aiomqtt.MqttError) as group:
-            log.info("the broker did not take our farewell: %s", in_words(group))
+            log.info("the broker did not acknowledge the disconnect: %s", in_words(group))
 
     def _log_stopped(self) -> None:
         if not self._stopping:

@@ -347,7 +347,7 @@ class Recorder:
         self._file.flush()
         self._began = self._flushed = self._synced = at
         if self._state is RecorderState.BLOCKED:
-            log.warning("recorder: records again, in %s", self._file.path)
+            log.warning("recorder: recording again, into %s", self._file.path)
         self._state, self.why, self._rest_s = RecorderState.RECORDING, "", self._options.retry_s
         self._storage_policy.tidy(self._file.path)
 

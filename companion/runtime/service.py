@@ -88,7 +88,7 @@ def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:
     try:
         interval_s, manager = watchdog_interval_s(), Manager.of()
     except BadInput as why:
-        log.error("%s; the service manager hears nothing", why)
+        log.error("%s; the service manager is not notified", why)
         return None
     if manager is None:
         return None

@@ -90,7 +90,10 @@ class ControlChannel:
             self._tries = 0
             return
         self._counters.config_mismatches += len(wrong)
-        _log.warning("ardrone reads back otherwise than asked for: %s", ", ".join(f"{k} = {read_back[k]}" for k in wrong))
+        _log.warning(
+            "the AR.Drone reads back other values than it was configured with: %s",
+            ", ".join(f"{k} = {read_back[k]}" for k in wrong),
+        )
         if self._tries < _TRIES:
             self._tries += 1
             self._setup.again()

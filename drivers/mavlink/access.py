@@ -158,7 +158,7 @@ class Access:
         elif not stranger.told and seconds_between(stranger.since, now) >= _STRANGE_AFTER_S:
             stranger.told = True
             _log.warning(
-                "MAVLink: system %d, component %d at %s:%d is a stranger or uses another's ids: it is told nothing and may not "
+                "MAVLink: system %d, component %d at %s:%d is unknown or uses another's ids: it gets no messages and may not "
                 "command; name its system in `operators`, or sign the link (decklander keys)",
                 *ids,
                 *peer,

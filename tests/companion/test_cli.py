@@ -112,7 +112,7 @@ def test_a_bug_of_ours_is_not_hidden(command: SimpleNamespace) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "say which command"),
+        ([], "a command is needed"),
         (["demi"], "did you mean 'demo'?"),
         (["zzz"], "known are demo, run"),
         (["--nonsense"], "--nonsense"),

@@ -144,7 +144,7 @@ def test_a_manager_that_is_not_understood_does_not_keep_the_service_down(
         monkeypatch.setenv(variable, value)
         settings = load("sim")
         service.make_daemon(settings, make_pilot(settings))
-    assert "the service manager hears nothing" in caplog.text
+    assert "the service manager is not notified" in caplog.text
 
 
 def test_the_unit_starts_again_after_everything_else() -> None:

@@ -113,14 +113,14 @@ async def test_a_key_is_installed_seen_to_be_in_force_and_removed(tmp_path: Path
         said = capsys.readouterr().out
         assert "ArduPilot, system 1" in said
         assert load_key(str(path)).fingerprint in said
-        assert "it signs with this key now" in said
+        assert "the autopilot signs with this key now" in said
         assert "IN CLEAR" not in said, "loopback"
         assert await keys("install", "--link", url, "--seconds", "1", "--yes", str(second)) == 1
         assert "--current" in capsys.readouterr().out
         assert await keys("install", "--link", url, "--current", str(path), "--yes", str(second)) == 0
         assert await keys("remove", "--link", url, "--current", str(second), "--yes") == 0
         assert autopilot.measured_at[-1] == bytes(32)
-        assert "it signs no more" in capsys.readouterr().out
+        assert "the autopilot no longer signs" in capsys.readouterr().out
 
 
 async def test_nothing_is_sent_without_a_yes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

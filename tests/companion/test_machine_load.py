@@ -38,7 +38,7 @@ def ended(outcome: FlightOutcome | None, late_s: float = 0.0, said: bytes | None
 def test_a_demo_that_gave_up_on_a_machine_too_slow_says_so_with_the_figure() -> None:
     late = ended(FlightOutcome.GAVE_UP, 0.085)
     assert late.in_words().splitlines()[-1] == (
-        "this machine was too slow to fly in real time, so this shows nothing: "
+        "this machine was too slow to fly in real time; the result means nothing: "
         "half of the guidance cycles came 85 ms late or later"
     )
     assert late.as_json()["machine_too_slow"] == "half of the guidance cycles came 85 ms late or later"
@@ -60,7 +60,7 @@ def test_a_demo_that_failed_on_a_machine_that_kept_up_blames_no_machine() -> Non
 )
 def test_what_the_simulated_drone_says_of_its_own_time_is_told(changed: dict[str, Any], figure: str) -> None:
     said = b'{"event":"ready"}\nno JSON\n' + json.dumps(SAID | changed).encode()
-    assert ended(None, said=said).in_words().endswith(f"this shows nothing: {figure}")
+    assert ended(None, said=said).in_words().endswith(f"the result means nothing: {figure}")
 
 
 def test_a_landing_on_the_pad_is_not_talked_down() -> None:

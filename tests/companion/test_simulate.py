@@ -38,8 +38,8 @@ def test_every_contact_and_what_was_unsafe_is_told() -> None:
     assert (told["landed_on_pad"], told["in_water"], told["contacts_outside_commit"]) == (True, False, 1)
     assert (told["refused"], told["grade"], told["faults"]) == (None, "failed", [{"kind": "frames_frozen", "at_s": 6.2}])
     assert ENDING.in_words().splitlines() == [
-        "landed after 15.2 s, on the pad: 8.1 cm from its centre, sinking at 0.41 m/s, sliding at 0.02 m/s",
-        "before that, at 9.0 s, on deck, off the pad: 48.0 cm from its centre, sinking at 0.56 m/s, sliding at 0.05 m/s "
+        "landed after 15.2 s, on the pad: 8.1 cm from its centre, descending at 0.41 m/s, sliding at 0.02 m/s",
+        "before that, at 9.0 s, on deck, off the pad: 48.0 cm from its centre, descending at 0.56 m/s, sliding at 0.05 m/s "
         "(guidance: descend)",
         "fault: frames_frozen from 6.2 s on",
         "UNSAFE: touched the deck 0.48 m from the pad's centre",

@@ -77,7 +77,7 @@ def test_a_few_seconds_of_the_real_thing_fly_and_end_cleanly(capsys: pytest.Capt
     descriptors = len(os.listdir("/proc/self/fd"))
     assert cli.main(["soak", "--hours", "0.001", "--scenario", "calm", "--no-cpu", "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
-    assert said["findings"] is None, "too short to say what grows"
+    assert said["findings"] is None, "too short to measure growth"
     assert said["flown_s"] >= 3.0
     assert len(os.listdir("/proc/self/fd")) <= descriptors
 

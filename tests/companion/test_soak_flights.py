@@ -86,7 +86,7 @@ def test_failed_flights_and_a_starved_soak_are_faults() -> None:
     assert "  seed 7, faults/b: failed: why" in bad.in_words()
     assert bad.as_json()["classes"] == {"on_pad": 1, "refused_rightly": 1, "failed": 1, "starved": 1}
     slow = Outcomes([flown(Class.STARVED), flown(Class.STARVED), flown(Class.ON_PAD)])
-    assert slow.faults(0) == ["this machine was too slow for 2 of 3 flights: nothing is shown by them"]
+    assert slow.faults(0) == ["this machine was too slow for 2 of 3 flights, so the run shows nothing"]
     assert by_fault(bad.flights) == {"faults/b": Counter(dict.fromkeys(Class, 1))}
 
 

@@ -150,7 +150,7 @@ def test_the_command_on_a_saved_image(tmp_path: Path, capsys: pytest.CaptureFixt
     code, out = run(capsys, "--snapshot", str(path))
     assert code == 1
     assert "error: PLND_ENABLED and PLND_TYPE are set" in out
-    assert "cure: reboot the autopilot" in out
+    assert "fix: reboot the autopilot" in out
     assert "ArduPilot 4.5.7, system 1" in out
     code, out = run(capsys, "--snapshot", str(path), "--json")
     assert json.loads(out)["rule"] == "plnd-not-rebooted"
