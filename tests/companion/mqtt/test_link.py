@@ -14,7 +14,9 @@ import msgspec
 import pytest
 
 from companion.mqtt.connection import BrokerEndpoint, Connection
-from companion.mqtt.messages import CommandReply, HealthReport, StateMessage, StatusMessage, decode
+from companion.mqtt.messages import CommandReply, FusionMessage, HealthReport, StateMessage, StatusMessage, decode
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import FusionResult
 from sitl.testing.mosquitto import Broker, on_message
 from sitl.testing.mqtt_service import RUN, decision, running, status, until
 
@@ -32,10 +34,19 @@ async def test_what_is_said_arrives_and_the_status_is_there_for_late_comers(brok
                 rig.part.on_sample(status(rig.clock.now()))
                 rig.part.on_decision(decision(rig.clock.now()))
                 leaf = message.topic.removeprefix(TREE)
+                if leaf == "health" and "fusion" not in received_at:
+                    at = rig.clock.now()
+                    rig.health.fusion(FusionResult("ekf", "sighting", Verdict.NO_ATTITUDE, at, at))
                 received_at[leaf] = decode(leaf, message.payload)
                 assert received_at[leaf] is not None, message
-                if {"status", "state", "health", "event"} <= received_at.keys():
+                if {"status", "state", "health", "event", "fusion"} <= received_at.keys():
                     break
+            told = rig.health.fusion_states()[0].verdicts["no_attitude"]
+            await asyncio.sleep(3.5 / settings.sighting_hz)
+            assert rig.count("fusion_sent") <= told, "what is not new is not said again"
+    fusion = received_at["fusion"]
+    assert isinstance(fusion, FusionMessage)
+    assert fusion.paths["ekf"]["sighting"].verdict == "no_attitude"
     assert isinstance(received_at["status"], StatusMessage)
     assert (received_at["status"].online, received_at["status"].reason, received_at["status"].version) == (True, "up", "1.2.3")
     state = received_at["state"]

@@ -1,0 +1,239 @@
+"""The estimator's results on their way out: health, recording, MQTT, metrics and report say what the estimator said.
+
+Why: a figure that changes or gets lost between filter and observer is worse than none.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from companion.observer import NullObserver
+from prometheus_client.parser import text_string_to_metric_families
+
+from companion.config.settings import camera_model
+from companion.metrics.exposition import text
+from companion.mqtt import encode as mqtt_encode
+from companion.mqtt import messages
+from companion.recorder import channels, decode, encode
+from companion.recorder.reading import open_recording
+from companion.recorder.recorder import Options, Recorder
+from companion.recorder.records import FusionRecord
+from companion.recorder.rewriting import Cut, rewrite
+from companion.recorder.setup import about
+from companion.recorder.storage_policy import SingleFile
+from companion.replay.engine import Replay
+from companion.replay.pilots import pilot_of
+from companion.report.flight_log import FlightLog
+from companion.report.innovations import innovation_series
+from companion.report.page import render
+from companion.runtime.health import NIS_WINDOW, Health
+from companion.runtime.service import make_pilot
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import COMPONENTS, FusionResult, Source
+from estimator.contracts.time import MonoNs
+from sitl.flight import Flight
+from sitl.scenario import load as load_scenario
+from sitl.testing.recorded_flight import sim_settings
+from tests.companion.recorder_parts import ABOUT, CAMERA
+from tests.companion.test_report import PAD
+
+T = 5_000_000_000
+
+
+class Clock:
+    def now(self) -> MonoNs:
+        return MonoNs(T)
+
+    async def sleep(self, seconds: float) -> None: ...
+
+
+def result(
+    source: Source = "sighting", verdict: Verdict = Verdict.FUSED, *, nis: float = 2.0, test_ratio: float = 0.1, at: int = T
+) -> FusionResult:
+    """A result whose numbers are all different."""
+    components = COMPONENTS[source]
+    m = len(components)
+    cov = 0.01 * np.diag(np.arange(1.0, m + 1)) + 0.001
+    received_at = MonoNs(at + 50_000_000)
+    if math.isnan(nis):
+        return FusionResult("ekf", source, verdict, MonoNs(at), received_at)
+    return FusionResult(
+        "ekf", source, verdict, MonoNs(at), received_at, 0.1 * np.arange(1.0, m + 1), cov, components, nis, test_ratio
+    )
+
+
+def same(a: FusionResult, b: FusionResult) -> bool:
+    plain = ("path", "source", "verdict", "measured_at", "received_at", "components")
+    return (
+        all(getattr(a, name) == getattr(b, name) for name in plain)
+        and np.array_equal(np.array([a.nis, a.test_ratio]), np.array([b.nis, b.test_ratio]), equal_nan=True)
+        and np.array_equal(np.atleast_1d(a.innovation), np.atleast_1d(b.innovation))  # type: ignore[arg-type]
+        and np.array_equal(np.atleast_1d(a.innovation_cov), np.atleast_1d(b.innovation_cov))  # type: ignore[arg-type]
+    )
+
+
+@pytest.mark.parametrize("source", COMPONENTS)
+@pytest.mark.parametrize("nis", [2.0, math.nan])
+def test_a_recorded_result_reads_back_to_the_bit(source: Source, nis: float) -> None:
+    if not COMPONENTS[source] and not math.isnan(nis):
+        return
+    told = result(source, Verdict.GATED, nis=nis)
+    wire = msgspec.json.encode(encode.fusion(MonoNs(T + 1), told))
+    read = msgspec.json.decode(wire, type=FusionRecord)
+    assert read.at_ns == T + 1
+    assert same(decode.fusion(read), told)
+    assert b"null" not in wire, "viewers know no null"
+
+
+def test_figures_that_are_not_finite_are_left_out() -> None:
+    told = FusionResult(
+        "ekf", "range", Verdict.SINGULAR, MonoNs(T), MonoNs(T), np.array([1.0]), np.array([[np.inf]]), ("range_m",)
+    )
+    record = encode.fusion(MonoNs(T), told)
+    assert (record.innovation, record.innovation_cov, record.nis, record.test_ratio) == ([1.0], None, None, None)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"path": "gps"}, {"source": "sonar"}, {"verdict": "maybe"}, {"innovation": [1.0]}, {"innovation_cov": [1.0, 2.0, 3.0]}],
+)
+def test_a_damaged_record_is_refused(wrong: dict[str, object]) -> None:
+    record = msgspec.structs.replace(encode.fusion(MonoNs(T), result()), **wrong)
+    with pytest.raises(ValueError, match=r".+"):
+        decode.fusion(record)
+
+
+def test_every_result_is_recorded_but_those_of_imu_samples_that_were_taken(tmp_path: Path) -> None:
+    told = [
+        result(),
+        result("imu", nis=math.nan),
+        result("imu", Verdict.IMPOSSIBLE, nis=math.nan),
+        result("attitude", Verdict.GATED, test_ratio=1.5),
+    ]
+    path = tmp_path / "flight.mcap"
+    with Recorder(SingleFile(path), CAMERA, ABOUT, Options(frames="none", when_full="wait")) as recorder:
+        for i, one in enumerate(told):
+            recorder.on_fusion(MonoNs(T + i), one)
+    recording = open_recording([path])
+    read = [event for event in recording.events() if isinstance(event, FusionRecord)]
+    assert [r.at_ns - T for r in read] == [0, 2, 3]
+    assert all(same(decode.fusion(a), told[a.at_ns - T]) for a in read)
+    assert recording.counts[channels.fusion("imu")] == 1
+    assert not recording.skipped
+
+
+class Results(NullObserver):
+    """Every result that an observer was told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[MonoNs, FusionResult]] = []
+
+    def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
+        self.told.append((at, result))
+
+
+def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
+    settings = sim_settings()
+    settings = msgspec.structs.replace(settings, estimator=msgspec.structs.replace(settings.estimator, path="ekf"))
+    flown, again, path = Results(), Results(), tmp_path / "flown.mcap"
+    lossless = Options(frames="none", when_full="wait")
+    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), lossless) as recorder:
+        flight = Flight(load_scenario("demo"), 1, settings, make_pilot(settings), observers=[flown, recorder])
+        for _ in range(150):
+            flight.step()
+    recording = open_recording([path])
+    Replay(recording, pilot_of(recording, settings, None, own_camera=False, alone=True), sightings=True, observers=[again]).run()
+    assert {r.source for _, r in flown.told} >= {"sighting", "attitude", "velocity", "baro", "imu"}
+    assert len(again.told) == len(flown.told)
+    assert all(a[0] == b[0] and same(a[1], b[1]) for a, b in zip(again.told, flown.told, strict=True))
+    recorded = [decode.fusion(e) for e in recording.events() if isinstance(e, FusionRecord)]
+    expected = [r for _, r in flown.told if r.source != "imu" or r.verdict is not Verdict.FUSED]
+    assert len(recorded) == len(expected) > 200
+    assert all(same(a, b) for a, b in zip(recorded, expected, strict=True))
+    for cut, left in ((Cut(), len(expected)), (Cut(inputs=True), 0)):
+        part = tmp_path / "part.mcap"
+        rewrite(recording, part, cut)
+        found = [decode.fusion(e) for e in open_recording([part]).events() if isinstance(e, FusionRecord)]
+        assert len(found) == left, "what was concluded from the inputs is none of them"
+        assert all(same(a, b) for a, b in zip(found, expected, strict=False))
+    for (_, source), tally in flight.health.tallies.items():
+        assert tally.verdicts.total() == sum(r.source == source for _, r in flown.told), source
+
+
+def health_with(*results: FusionResult) -> Health:
+    health = Health(Clock())
+    for one in results:
+        health.fusion(one)
+    return health
+
+
+def test_health_keeps_the_newest_result_the_last_comparison_and_a_recent_mean() -> None:
+    health = health_with(*[result("range", nis=1e9, test_ratio=7.0)] * NIS_WINDOW)
+    health.fusion(result("range", nis=1.0, test_ratio=0.25))
+    health.fusion(result("range", Verdict.GATED, nis=math.nan))
+    (state,) = health.snapshot().fusion
+    assert (state.path, state.source, state.test_ratio) == ("ekf", "range", 0.25)
+    assert state.verdicts == {"fused": NIS_WINDOW + 1, "gated": 1}
+    assert state.newest.verdict is Verdict.GATED
+    assert state.nis_mean == pytest.approx((20.0 * (NIS_WINDOW - 1) + 1.0) / NIS_WINDOW), "one wild one weighs no more than 20"
+    for _ in range(NIS_WINDOW):
+        health.fusion(result("range", nis=1.0))
+    assert health.fusion_states()[0].nis_mean == 1.0
+
+
+def test_metrics_show_counts_by_verdict_the_last_test_ratio_and_the_mean_of_nis() -> None:
+    health = health_with(result(), result(verdict=Verdict.GATED, nis=8.0, test_ratio=1.25), result("imu", nis=math.nan))
+    page = text(health.snapshot()).decode()
+    found = {(s.name, *s.labels.values()): s.value for f in text_string_to_metric_families(page) for s in f.samples}
+    assert found["decklander_fusion_total", "ekf", "sighting", "fused"] == 1
+    assert found["decklander_fusion_total", "ekf", "sighting", "gated"] == 1
+    assert found["decklander_fusion_total", "ekf", "imu", "fused"] == 1
+    assert found["decklander_innovation_test_ratio", "ekf", "sighting"] == 1.25
+    assert found["decklander_normalized_nis_mean", "ekf", "sighting"] == (2.0 / 4 + 8.0 / 4) / 2
+    assert ("decklander_innovation_test_ratio", "ekf", "imu") not in found
+
+
+def test_the_message_over_mqtt_reads_back() -> None:
+    health = health_with(result(), result("imu", nis=math.nan))
+    said = mqtt_encode.fusion("0123456789ab", MonoNs(T), health.fusion_states())
+    wire = messages.encode(said)
+    assert messages.decode("fusion", wire) == said
+    sighting, imu = (said.paths["ekf"][source] for source in ("sighting", "imu"))
+    assert sighting.components == COMPONENTS["sighting"]
+    assert sighting.innovation == pytest.approx((0.1, 0.2, 0.3, 0.4))
+    assert sighting.innovation_var == pytest.approx((0.011, 0.021, 0.031, 0.041))
+    assert (sighting.nis, sighting.test_ratio, sighting.nis_mean, sighting.verdicts) == (2.0, 0.1, 0.5, {"fused": 1})
+    assert (imu.innovation, imu.nis, imu.test_ratio, imu.nis_mean) == (None, None, None, None)
+    assert json.loads(wire)["paths"]["ekf"]["imu"]["test_ratio"] is None
+
+
+def test_the_report_draws_each_source_and_counts_what_was_refused() -> None:
+    log = FlightLog("results", MonoNs(T), PAD, CAMERA)
+    for i in range(50):
+        log.add_result(result(at=T + i * 40_000_000))
+        log.add_result(result("imu", nis=math.nan))
+    for i in range(1500):
+        log.add_result(result("range", Verdict.GATED if i % 10 == 0 else Verdict.FUSED, nis=1.0, at=T + i * 1_000_000))
+    log.add_result(result("baro", Verdict.GATED, nis=math.nan))
+    series = {s.source: s for s in innovation_series(log)}
+    assert list(series) == ["sighting", "range", "baro"]
+    np.testing.assert_allclose(series["sighting"].innovation, np.tile([0.1, 0.2, 0.3, 0.4], (50, 1)))
+    np.testing.assert_allclose(series["sighting"].sigma[0] ** 2, [0.011, 0.021, 0.031, 0.041])
+    np.testing.assert_allclose(series["sighting"].t_s[[0, -1]], [0.0, 49 * 0.04])
+    assert (series["sighting"].nis_mean, series["range"].test_ratio_p95) == (0.5, 0.1)
+    page = render(log, None)
+    assert (
+        "<tr><td>ekf: range</td><td>1500</td><td>1350</td><td>150</td><td>150 gated</td><td>1.00</td><td>0.10</td></tr>" in page
+    )
+    assert "<tr><td>ekf: baro</td><td>1</td><td>0</td><td>1</td><td>1 gated</td><td>-</td><td>-</td></tr>" in page
+    assert page.count("Innovations, ekf: ") == 2, "nothing of the barometer was compared"
+    assert len(page) < 1_500_000, "thousands of points are thinned"
+
+
+def test_an_empty_log_says_that_there_are_no_results() -> None:
+    assert "No results of the estimator were recorded." in render(FlightLog("empty", MonoNs(T), PAD, CAMERA), None)

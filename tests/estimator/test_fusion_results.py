@@ -1,0 +1,145 @@
+"""What leaves the estimator of each measurement: innovation, its covariance, NIS, test ratio and verdict, by source.
+
+Why: a filter that is tuned wrong, or a sensor that drifts, shows in these figures long before it shows in a landing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator import pipeline
+from estimator.contracts.estimates import PathName, Pose6, Sighting, Verdict
+from estimator.contracts.fusion import COMPONENTS, POSE_COMPONENTS, FusionResult, source_of
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.ekf import gate
+from estimator.ekf.options import EkfOptions
+from estimator.options import EstimatorOptions
+from estimator.paths import Event
+
+D = np.array([0.1, -0.05, 2.0])
+EVERY_PATH = EstimatorOptions(path="ekf")
+SHADOWS: tuple[PathName, ...] = ("median_mean", "dead_reckoning")
+
+
+def stamp(t_s: float, delay_s: float = 0.0) -> Stamp:
+    return Stamp(MonoNs(round(t_s * 1e9)), MonoNs(round((t_s + delay_s) * 1e9)), 0.001, "sim")
+
+
+def sighting(t_s: float, *, aside_m: float = 0.0, yaw_rad: float | None = 0.3, pose6: Pose6 | None = None) -> Sighting:
+    cov = np.diag([1e-4, 1e-4, 4e-4, 1e-4])
+    d = D + np.array([0.0, aside_m, 0.0])
+    return Sighting(stamp(t_s, 0.05), round(t_s * 30), "selected", d, yaw_rad, False, cov, 0.9, pose6)
+
+
+def sensed(i: int) -> list[Event]:
+    """The samples of a body that hovers, with the noise that a sensor has."""
+    rng, t_s = np.random.default_rng(i), i / 100
+    at = stamp(t_s)
+    return [
+        Imu(at, rng.normal(0, 1e-3, 3), np.array([0.0, 0.0, -9.80665]) + rng.normal(0, 0.02, 3)),
+        Attitude(at, Rotation.from_rpy(*rng.normal(0, 1e-3, 3)), 1e-4 * np.eye(3)),
+        BodyVelocity(at, rng.normal(0, 0.02, 3), np.diag([0.01, 0.01, UNKNOWN_VAR])),
+    ]
+
+
+@pytest.fixture(scope="module")
+def hovering() -> tuple[pipeline.Memory, list[FusionResult]]:
+    """A second of flight, and every result of it."""
+    memory, results = pipeline.start(EVERY_PATH, shadows=SHADOWS), list[FusionResult]()
+    for i in range(101):
+        events = sensed(i)
+        if i % 5 == 4:
+            events.append(sighting(i / 100 - 0.05))
+        for event in events:
+            memory, made = pipeline.step(memory, event)
+            results += made
+    return memory, results
+
+
+def ekf_result(memory: pipeline.Memory, event: Event) -> FusionResult:
+    _, results = pipeline.step(memory, event)
+    return next(r for r in results if r.path == "ekf")
+
+
+def test_every_comparison_carries_figures_that_agree_with_one_another(
+    hovering: tuple[pipeline.Memory, list[FusionResult]],
+) -> None:
+    compared = [r for r in hovering[1] if r.path == "ekf" and r.source in ("sighting", "attitude", "velocity")]
+    compared = [r for r in compared if r.innovation is not None]
+    assert {r.source for r in compared} == {"sighting", "attitude", "velocity"}
+    for r in compared:
+        assert r.innovation is not None
+        assert r.innovation_cov is not None
+        m = len(r.components)
+        assert (r.innovation.shape, r.innovation_cov.shape) == ((m,), (m, m))
+        assert r.nis == pytest.approx(float(r.innovation @ np.linalg.solve(r.innovation_cov, r.innovation)), rel=1e-6)
+        assert r.test_ratio == pytest.approx(r.nis / gate.nis_max(EkfOptions().gate_probability, m))
+        assert r.normalized_nis == pytest.approx(r.nis / m)
+        assert (r.test_ratio > 1.0) == (r.verdict is Verdict.GATED)
+        with pytest.raises(ValueError, match="read-only"):
+            r.innovation[0] = 1.0
+
+
+def test_the_innovation_is_measured_minus_predicted_and_beyond_the_gate_it_is_refused(
+    hovering: tuple[pipeline.Memory, list[FusionResult]],
+) -> None:
+    good, bad = (ekf_result(hovering[0], sighting(1.0, aside_m=aside)) for aside in (0.01, 0.3))
+    assert (good.verdict, bad.verdict) == (Verdict.FUSED, Verdict.GATED)
+    assert good.innovation is not None
+    assert bad.innovation is not None
+    assert (good.components, bad.components) == (("x_m", "y_m", "z_m", "yaw_rad"),) * 2
+    np.testing.assert_allclose(bad.innovation - good.innovation, [0.0, 0.29, 0.0, 0.0], atol=2e-3)
+    assert bad.test_ratio > 1.0 > good.test_ratio
+    assert (bad.measured_at, bad.received_at) == (stamp(1.0).measured_at, stamp(1.0, 0.05).received_at)
+
+
+@pytest.mark.parametrize(
+    ("event", "components"),
+    [
+        (BodyVelocity(stamp(1.01), np.zeros(3), 0.01 * np.eye(3)), COMPONENTS["velocity"]),
+        (BodyVelocity(stamp(1.01), np.zeros(3), np.diag([0.01, 0.01, UNKNOWN_VAR])), ("forward_m_s", "right_m_s")),
+        (BodyVelocity(stamp(1.01), np.zeros(3), np.diag([UNKNOWN_VAR, UNKNOWN_VAR, 0.01])), ("down_m_s",)),
+        (Attitude(stamp(1.01), Rotation.identity(), 1e-4 * np.eye(3)), COMPONENTS["attitude"]),
+        (Range(stamp(1.01), 2.0, 0.05), COMPONENTS["range"]),
+        (Baro(stamp(1.01), 2.0, 0.3), COMPONENTS["baro"]),
+        (VesselReport(stamp(1.01), np.zeros(3), 0.01 * np.eye(3), 0.0, 0.1), COMPONENTS["vessel"]),
+        (VesselReport(stamp(1.01), None, None, -0.3, 0.1), ("heading_rad",)),
+        (sighting(1.01, yaw_rad=None), ("x_m", "y_m", "z_m")),
+        (sighting(1.01, pose6=Pose6(D, Rotation.from_rpy(0.0, 0.0, -0.3), 1e-4 * np.eye(6))), POSE_COMPONENTS),
+    ],
+)
+def test_each_source_names_what_it_compared(
+    hovering: tuple[pipeline.Memory, list[FusionResult]], event: Event, components: tuple[str, ...]
+) -> None:
+    result = ekf_result(hovering[0], event)
+    assert (result.source, result.components) == (source_of(event), components)
+    assert result.verdict is Verdict.FUSED
+    assert math.isfinite(result.test_ratio)
+
+
+def test_what_is_compared_with_nothing_has_a_verdict_alone(hovering: tuple[pipeline.Memory, list[FusionResult]]) -> None:
+    memory, results = hovering
+    imu = [r for r in results if r.source == "imu"]
+    other = [r for r in results if r.path in ("median_mean", "dead_reckoning")]
+    early = ekf_result(pipeline.start(EVERY_PATH, shadows=SHADOWS), Range(stamp(1.0), 2.0, 0.05))
+    refused = pipeline.step(memory, Imu(stamp(1.01), np.zeros(3), np.array([0.0, 0.0, -1e4])))[1]
+    late = pipeline.step(memory, sighting(-1.0))[1]
+    assert {(r.path, r.verdict) for r in refused} == {
+        (path, Verdict.IMPOSSIBLE) for path in ("ekf", "median_mean", "dead_reckoning")
+    }
+    assert {r.source for r in other} == {"sighting"}
+    for r in (*imu, *other, early, *refused, *late):
+        assert (r.innovation, r.innovation_cov, r.components) == (None, None, ())
+        assert math.isnan(r.nis)
+        assert math.isnan(r.test_ratio)
+        assert math.isnan(r.normalized_nis)
+
+
+def test_only_a_measurement_has_a_source() -> None:
+    with pytest.raises(TypeError, match="not str"):
+        source_of("a word")  # type: ignore[arg-type]
