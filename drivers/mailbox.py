@@ -9,6 +9,9 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
+SAMPLE_QUEUE_ITEMS = 4096
+"""Samples kept for a slow reader before the oldest are dropped, where nothing else is said: two seconds and more."""
+
 
 class Latest(Generic[T]):
     """One slot: a newer item replaces an unread one, and the replacement is counted. One reader.

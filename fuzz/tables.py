@@ -18,11 +18,11 @@ import numpy as np
 from companion.config import build, build_camera, build_mavlink, reference
 from companion.config.model import Settings
 from companion.config.settings import SHIPPED, from_mapping, read_toml, shipped
-from companion.config.vehicle import ArDroneSettings
 from companion.guidance.plan import Plan
 from companion.print_pad.drawing import pad_drawing
 from companion.print_pad.sheets import sheets
 from companion.runtime.notify import Manager, watchdog_interval_s
+from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.signing import load_key
 from estimator.contracts.errors import BadInput
 from estimator.vision.camera import Camera
@@ -149,7 +149,7 @@ def _options(settings: Settings) -> None:
     build.restart(settings)
     build.estimator_options(settings)
     build_camera.controls(settings.camera.controls)
-    if isinstance(settings.vehicle, ArDroneSettings):
+    if isinstance(settings.vehicle, ArDroneOptions):
         build.ardrone_options(settings)
     else:
         said = build_mavlink.component_options(settings.vehicle, 0.39, settings.guidance.stale_after_s)

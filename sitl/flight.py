@@ -231,7 +231,7 @@ class Flight:
         now = self._clock.t
         self._pilot = pilot
         self._streamer = CommandStreamer(self._options, Counters())
-        self._sampler = NavdataSampler(self._options.samples)
+        self._sampler = NavdataSampler(self._options)
         self._due_guidance = self._due_frame = self._due_command = now
         self._on_the_way.clear()
         self._looking = None

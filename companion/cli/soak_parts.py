@@ -108,7 +108,7 @@ class _Reel:
             self._navdata.append(drone.navdata())
             if (tick + 1) * TICK_S * rate_hz >= len(self._images):
                 self._images.append(world.render())
-        self._sampler = NavdataSampler(build.ardrone_options(settings).samples)
+        self._sampler = NavdataSampler(build.ardrone_options(settings))
         self.frames: Latest[Frame] = Latest()
         self.samples: Line[Sample] = Line(settings.service.sample_queue_items)
 

@@ -9,11 +9,9 @@ from msgspec import structs
 
 from companion.config.model import Settings
 from companion.config.settings import camera_model, pad_model
-from companion.config.vehicle import ArDroneSettings, AutopilotSettings
+from companion.config.vehicle import AutopilotSettings
 from companion.runtime.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.samples import SampleOptions
-from drivers.ardrone.velocity_loop import LoopOptions
 from estimator.contracts.errors import BadInput
 from estimator.options import EstimatorOptions
 from estimator.vision.thesis.segmentation import COLOUR_SETS
@@ -27,35 +25,9 @@ def ardrone_options(settings: Settings) -> ArDroneOptions:
         BadInput: the vehicle is another one.
     """
     v = settings.vehicle
-    if not isinstance(v, ArDroneSettings):
+    if not isinstance(v, ArDroneOptions):
         raise BadInput('vehicle.kind must be "ardrone" here')
-    return ArDroneOptions(
-        host=v.host,
-        navdata_port=v.navdata_port,
-        video_port=v.video_port,
-        at_port=v.at_port,
-        control_port=v.control_port,
-        loop=LoopOptions(
-            euler_angle_max_rad=math.radians(v.euler_angle_max_deg),
-            vz_max_m_s=v.vz_max_m_s,
-            yaw_rate_max_rad_s=math.radians(v.yaw_rate_max_deg_s),
-            gain_1_s=v.velocity_gain_1_s,
-            integral_1_s2=v.velocity_integral_1_s2,
-            lead=v.velocity_lead,
-        ),
-        samples=SampleOptions(velocity_scale=v.velocity_scale),
-        altitude_max_m=v.altitude_max_m,
-        com_watchdog_s=v.com_watchdog_s,
-        hold_s=v.hold_s,
-        hold_com_watchdog_s=v.hold_com_watchdog_s,
-        command_period_s=v.command_period_s,
-        command_timeout_s=v.command_timeout_s,
-        navdata_silence_s=v.navdata_silence_s,
-        video_silence_s=v.video_silence_s,
-        video_delay_s=v.video_delay_s,
-        exposure_s=v.exposure_s,
-        sample_line=settings.service.sample_queue_items,
-    )
+    return v
 
 
 def tracker(settings: Settings) -> TrackerConfig:

@@ -67,7 +67,7 @@ def vehicle_parts(
 def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None) -> VehicleParts:
     options = build.ardrone_options(settings)
     if not settings.bridge.links:
-        return VehicleParts(lambda: open_ardrone(options, clock))
+        return VehicleParts(lambda: open_ardrone(options, clock, settings.service.sample_queue_items))
     from companion.config.build_mavlink import links
     from companion.mavlink.bridge_part import BridgePart
     from drivers.mavlink.access import parse_operators
@@ -84,6 +84,6 @@ def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap
     health.counters("bridge", bridge.counted)
 
     def open_link() -> AbstractAsyncContextManager[VehicleLink]:
-        return bridge.beside(open_ardrone(options, clock))
+        return bridge.beside(open_ardrone(options, clock, settings.service.sample_queue_items))
 
     return VehicleParts(open_link, (bridge,), {"bridge": bridge.run})

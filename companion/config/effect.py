@@ -10,7 +10,7 @@ from typing import Any
 
 from companion.config.model import Settings
 from companion.config.refusal import walk
-from companion.config.vehicle import ArDroneSettings
+from drivers.ardrone.options import ArDroneOptions
 
 log = logging.getLogger(__name__)
 
@@ -37,17 +37,17 @@ _RULES = (
     _Rule("bridge.signing_time_file", lambda s: not s.bridge.signing_key_file, "bridge.signing_key_file is empty"),
     _Rule(
         "vehicle.signing_time_file",
-        lambda s: not isinstance(s.vehicle, ArDroneSettings) and not s.vehicle.signing_key_file,
+        lambda s: not isinstance(s.vehicle, ArDroneOptions) and not s.vehicle.signing_key_file,
         "vehicle.signing_key_file is empty",
     ),
     _Rule(
         "vehicle.range_rate_hz",
-        lambda s: not isinstance(s.vehicle, ArDroneSettings) and s.vehicle.ranges == "off",
+        lambda s: not isinstance(s.vehicle, ArDroneOptions) and s.vehicle.ranges == "off",
         'vehicle.ranges is "off"',
     ),
     _Rule(
         "vehicle.descent_rate_m_s",
-        lambda s: not isinstance(s.vehicle, ArDroneSettings) and s.vehicle.landing == "mode",
+        lambda s: not isinstance(s.vehicle, ArDroneOptions) and s.vehicle.landing == "mode",
         'vehicle.landing is "mode"',
     ),
     _Rule("camera.format,camera.rate_hz,camera.controls", lambda s: s.camera.source != "v4l2", 'camera.source is not "v4l2"'),
@@ -84,7 +84,7 @@ _RULES = (
 
 def without_effect(settings: Settings) -> tuple[str, ...]:
     """Return a line for every cause that leaves keys without effect; keys at their default are left out."""
-    kind = "ardrone" if isinstance(settings.vehicle, ArDroneSettings) else "mavlink"
+    kind = "ardrone" if isinstance(settings.vehicle, ArDroneOptions) else "mavlink"
     changed = {path for path, field in walk(Settings, kind) if not field.required and _value(settings, path) != field.default}
     changed.discard("vehicle.kind")
     lines = []

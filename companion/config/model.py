@@ -13,10 +13,12 @@ from msgspec import Struct
 
 from companion.config.camera import CameraSettings as CameraSettings
 from companion.config.recorder import RecorderSettings
-from companion.config.vehicle import ArDroneSettings, AutopilotSettings, BridgeSettings
+from companion.config.vehicle import AutopilotSettings, BridgeSettings
 from companion.guidance.options import GuidanceOptions
 from companion.metrics.settings import MetricsSettings
 from companion.mqtt.settings import MqttSettings
+from drivers.ardrone.options import ArDroneOptions
+from drivers.mailbox import SAMPLE_QUEUE_ITEMS
 from estimator.contracts.keys import choice, number, text
 from estimator.options import EstimatorOptions
 
@@ -55,7 +57,7 @@ class ServiceSettings(Struct, frozen=True, forbid_unknown_fields=True):
     )
     sample_queue_items: Annotated[
         int, number("inertial samples that may wait; the oldest is dropped and counted", "samples", 16, 100_000)
-    ] = 4096
+    ] = SAMPLE_QUEUE_ITEMS
     restart_first_s: Annotated[float, number("rest of a failed part before its first restart", "s", 0.01, 60.0)] = 0.2
     restart_factor: Annotated[float, number("how much longer each further rest is", "1", 1.0, 10.0)] = 2.0
     restart_cap_s: Annotated[float, number("longest rest", "s", 0.01, 600.0)] = 5.0
@@ -74,7 +76,7 @@ class ServiceSettings(Struct, frozen=True, forbid_unknown_fields=True):
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """Everything a person can set. `companion.config.settings.load` reads one from a file."""
 
-    vehicle: ArDroneSettings | AutopilotSettings
+    vehicle: ArDroneOptions | AutopilotSettings
     camera: CameraSettings
     pad: PadSettings
     vision: VisionSettings = VisionSettings()

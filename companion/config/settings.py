@@ -21,7 +21,7 @@ from companion.config.effect import without_retired
 from companion.config.keys import anchored
 from companion.config.model import PadSettings, Settings
 from companion.config.refusal import explain
-from companion.config.vehicle import ArDroneSettings
+from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -49,7 +49,7 @@ def load(name_or_path: str | Path) -> Settings:
     pad = _reference(settings.pad.file, "pads", path, "pad.file")
     found = msgspec.structs.replace(settings.camera, file=camera)
     settings = msgspec.structs.replace(settings, camera=found, pad=PadSettings(pad))
-    signing = [] if isinstance(settings.vehicle, ArDroneSettings) else ["signing_key_file", "signing_time_file"]
+    signing = [] if isinstance(settings.vehicle, ArDroneOptions) else ["signing_key_file", "signing_time_file"]
     settings = msgspec.structs.replace(
         settings,
         vehicle=anchored(settings.vehicle, path.parent, signing),

@@ -13,8 +13,8 @@ from companion.config import secret_files
 from companion.config.build_camera import camera_options
 from companion.config.model import Settings
 from companion.config.settings import camera_model, pad_model
-from companion.config.vehicle import ArDroneSettings
 from companion.doctor.snapshot import ServiceSnapshot
+from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.video_source import open_camera
 from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.ports import Clock
@@ -55,7 +55,7 @@ async def _of_rig(settings: Settings, clock: Clock, seconds: float, timeout_s: f
         return structs.replace(snapshot, camera_fault=str(why))
     snapshot = structs.replace(snapshot, camera_size=(model.width, model.height))
     vehicle = settings.vehicle
-    if isinstance(vehicle, ArDroneSettings):
+    if isinstance(vehicle, ArDroneOptions):
         fault = await _unreachable(vehicle.host, vehicle.control_port, timeout_s)
         snapshot = structs.replace(snapshot, drone=f"{vehicle.host}:{vehicle.control_port}", drone_fault=fault)
     scraped = await _scrape(settings, timeout_s)

@@ -174,7 +174,7 @@ class CommandStreamer:
         attitude = self._attitude
         recent = attitude is not None and seconds_between(attitude.stamp.measured_at, now) <= self._o.velocity_timeout_s
         a_level = acceleration_of(attitude.R_ned_body) if attitude is not None and recent else None
-        self._loop, sticks = step(self._loop, motion.velocity, measured.v_level, a_level, dt_s, self._o.loop)
+        self._loop, sticks = step(self._loop, motion.velocity, measured.v_level, a_level, dt_s, self._o)
         self._stepped = now
         return Pcmd(PCMD_PROGRESSIVE, sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw)
 

@@ -15,7 +15,7 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.setup import Setup
 from drivers.ardrone.video_channel import VideoChannel
 from drivers.beside import running_beside
-from drivers.mailbox import Latest, Line
+from drivers.mailbox import SAMPLE_QUEUE_ITEMS, Latest, Line
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable, in_words
@@ -27,14 +27,14 @@ from estimator.contracts.time import MonoNs
 class ArDrone:
     """What a person can do with an open link: read `frames` and `samples`, give a `command`. See `open_ardrone`."""
 
-    def __init__(self, options: ArDroneOptions, clock: Clock) -> None:
+    def __init__(self, options: ArDroneOptions, clock: Clock, sample_queue_items: int = SAMPLE_QUEUE_ITEMS) -> None:
         self._clock = clock
         self._open = True
         self._released = False
         self.counters = Counters()
         self.frames: Latest[Frame] = Latest()
         """Of the bottom camera, newest only."""
-        self.samples: Line[Sample] = Line(options.sample_line)
+        self.samples: Line[Sample] = Line(sample_queue_items)
         self.down: dict[str, str] = {}
         """Channels waiting to be started again, each with the reason."""
         self._streamer = CommandStreamer(options, self.counters)
@@ -114,15 +114,20 @@ class ArDrone:
 
 
 @asynccontextmanager
-async def open_ardrone(options: ArDroneOptions, clock: Clock) -> AsyncIterator[ArDrone]:
+async def open_ardrone(
+    options: ArDroneOptions, clock: Clock, sample_queue_items: int = SAMPLE_QUEUE_ITEMS
+) -> AsyncIterator[ArDrone]:
     """Open the link and keep it open; it does not wait for the drone (see `ArDrone.ready`).
 
     A channel the outside world breaks is started again alone, with back-off, and counted. An error of ours ends all of it as an
     `ExceptionGroup`. On leaving, however that comes about, the drone is told to hover, or to go on with a commanded landing.
     After an error or a cancellation without `ArDrone.release` the sender stays for `hold_s` and holds a flying drone for a
     successor.
+
+    Args:
+        sample_queue_items: samples that may wait for a slow reader; the oldest are dropped.
     """
-    drone = ArDrone(options, clock)
+    drone = ArDrone(options, clock, sample_queue_items)
     back_off = BackOff(options.restart_first_s, options.restart_most_s, healthy_after_s=options.restart_most_s)
     # Without commands a flying drone lands by itself, so that socket is never left closed for long.
     fast_most_s = min(options.restart_most_s, 8 * options.command_period_s)

@@ -44,7 +44,7 @@ class NavdataChannel:
         self._counters = counters
         self._received = received
         self._restarted = restarted
-        self._sampler = NavdataSampler(options.samples)
+        self._sampler = NavdataSampler(options)
         self._map = ClockMap(
             ClockMapOptions(
                 wrap_ns=2048 * 1_000_000_000,

@@ -3,94 +3,188 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from typing import Annotated
+
+from msgspec import Struct
 
 from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
-from drivers.ardrone.samples import SampleOptions
-from drivers.ardrone.velocity_loop import LoopOptions
+from estimator.contracts.keys import check_ranges, number, text
 
 
-@dataclass(frozen=True, slots=True)
-class ArDroneOptions:
-    """Where the drone is, what it is asked to be, and how patient the link is.
+class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="ardrone"):
+    """The vehicle: a Parrot AR.Drone 2.0, or the simulated one, which speaks the same protocol.
 
     Raises:
-        ValueError: a number out of range.
+        ValueError: a number outside its range, or text that cannot be read.
     """
 
-    host: str = "192.168.1.1"
-    navdata_port: int = 5554
-    video_port: int = 5555
-    at_port: int = 5556
-    control_port: int = 5559
-
-    loop: LoopOptions = field(default_factory=LoopOptions)
-    """The velocity loop; its limits are also sent to the drone as its configuration."""
-    samples: SampleOptions = field(default_factory=SampleOptions)
-
-    ids: tuple[str, str, str] | None = ("dec1a4de", "dec1a4d1", "dec1a4d0")
-    """Session, user and application of the drone's multiple configurations, eight hexadecimal digits each; None to use none."""
-    altitude_max_m: float = 20.0
-    com_watchdog_s: int = 2
-    """How long the drone flies on with the last command it heard before it hovers, and then hovers before it lands by itself."""
-    hold_s: float = 60.0
-    """How long the sender holds a flying drone in hover after the service died, for a new service to take over."""
-    hold_com_watchdog_s: int = 60
-    """The drone's `com_watchdog_s` while it is held so: its last command is hover, and the longer it waits the better."""
-    settings: Mapping[str, str] = field(default_factory=dict)
-    """Further configuration keys, sent last."""
-
-    command_period_s: float = 0.03
-    command_timeout_s: float = 0.12
-    """A velocity command older than this is flown as hover, by the sender too when the service says nothing more."""
-    landing_timeout_s: float = 0.5
-    """A landing that guidance has not repeated for this long is called off, if it is not about to end."""
-    velocity_timeout_s: float = 0.25
-    """A velocity command is flown as hover without a measured velocity younger than this."""
-    take_off_timeout_s: float = 8.0
-    """A take-off that has not happened after this is given up, lest the drone starts at some later time."""
-
-    navdata_silence_s: float = 1.0
-    """Without navdata for this long the stream is asked for again."""
-    reopen_after_s: float = 3.0
-    """Without navdata for this long its socket and the command socket are opened anew."""
-    video_silence_s: float = 2.0
-    connect_timeout_s: float = 2.0
-    config_timeout_s: float = 2.0
-    """For one configuration key to be acknowledged."""
-    restart_first_s: float = 0.1
-    restart_most_s: float = 5.0
-    """Back-off of a channel that failed: doubled from the first to the most."""
-
-    navdata_delay_s: float = 0.002
-    navdata_delay_sigma_s: float = 0.001
-    """Least time from the drone's measurement to hearing of it."""
-    video_delay_s: float = 0.04
-    video_delay_sigma_s: float = 0.01
-    """Least time from mid-exposure to the first byte of its frame: half the exposure, read-out, encoder, radio."""
-    arrival_sigma_s: float = 0.02
-    """Of stamps in demo mode, which has no clock."""
-    exposure_s: float = 0.0
-    """How long the shutter is open, handed on with each frame; 0 for not known."""
-    video_settle_s: float = 0.3
-    """Frames heard up to this long after the bottom camera was selected may still be of the other camera."""
-    sample_line: int = 4096
-    """Samples kept for a slow reader before the oldest are dropped; two seconds and more."""
+    host: Annotated[str, text("name or address of the drone", 253, "address of every AR.Drone")] = "192.168.1.1"
+    navdata_port: Annotated[int, number("where navdata is asked for (UDP)", "port", 1, 65535)] = 5554
+    video_port: Annotated[int, number("where video comes from (TCP)", "port", 1, 65535)] = 5555
+    at_port: Annotated[int, number("where AT commands go (UDP)", "port", 1, 65535)] = 5556
+    control_port: Annotated[int, number("where the configuration is read (TCP)", "port", 1, 65535)] = 5559
+    command_period_s: Annotated[
+        float,
+        number("how often a command is repeated; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary"),
+    ] = 0.03
+    command_timeout_s: Annotated[
+        float, number("a velocity command older than this is flown as hover", "s", 0.05, 0.5, "six commands of guidance")
+    ] = 0.12
+    hold_s: Annotated[
+        float,
+        number("after this service died, how long its sender holds the flying drone in hover for a new one", "s", 0.0, 600.0),
+    ] = 60.0
+    com_watchdog_s: Annotated[
+        int,
+        number(
+            "how long the drone flies on with the last command it heard before it hovers, and then hovers before it lands",
+            "s",
+            1,
+            60,
+            "firmware default",
+        ),
+    ] = 2
+    hold_com_watchdog_s: Annotated[
+        int, number("the same while the sender holds the drone without a service", "s", 1, 60, "the longest there is")
+    ] = 60
+    navdata_silence_s: Annotated[
+        float, number("without navdata for this long the stream is asked for again", "s", 0.02, 10.0, "Parrot SDK 2.0.1")
+    ] = 1.0
+    video_silence_s: Annotated[float, number("without video for this long its connection is opened again", "s", 0.2, 30.0)] = 2.0
+    video_delay_s: Annotated[
+        float,
+        number("least time from mid-exposure to the first byte of the frame", "s", 0.0, 0.5, "assumed until it is calibrated"),
+    ] = 0.04
+    exposure_s: Annotated[float, number("how long the shutter is open; 0 when not known", "s", 0.0, 0.1)] = 0.0
+    altitude_max_m: Annotated[float, number("height over the take-off point that the drone never exceeds", "m", 1.0, 100.0)] = (
+        20.0
+    )
+    euler_angle_max_deg: Annotated[
+        float,
+        number("largest tilt the drone may take; full stick asks for this much", "deg", 1.0, 30.0, "firmware default 0.21 rad"),
+    ] = 12.0
+    vz_max_m_s: Annotated[float, number("largest climb and descent rate", "m/s", 0.2, 2.0, "firmware default 700 mm/s")] = 0.7
+    yaw_rate_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 40.0, 350.0, "firmware default")] = 100.0
+    velocity_gain_1_s: Annotated[
+        float, number("acceleration asked for, for each m/s of error in velocity", "1/s", 0.0, 10.0, "tuned in simulation")
+    ] = 1.8
+    velocity_integral_1_s2: Annotated[
+        float,
+        number("the same for each metre of that error summed up: holds against wind", "1/s^2", 0.0, 10.0, "tuned in simulation"),
+    ] = 0.4
+    velocity_lead: Annotated[
+        float,
+        number(
+            "share of the tilt still lacking that is asked for on top, as tilt follows late", "1", 0.0, 5.0, "tuned in simulation"
+        ),
+    ] = 1.2
+    velocity_scale: Annotated[
+        float,
+        number(
+            "the speed that navdata reports over the true one; readings are divided by it",
+            "1",
+            0.3,
+            2.0,
+            "a recorded AR.Drone 2.0 flight under motion capture",
+        ),
+    ] = 0.83
+    velocity_integral_max_m_s2: Annotated[float, number("largest acceleration that this sum may ask for", "m/s^2", 0.0, 20.0)] = (
+        2.5
+    )
+    velocity_drag_1_s: Annotated[
+        float,
+        number(
+            "deceleration for each m/s of speed through the air",
+            "1/s",
+            0.0,
+            10.0,
+            "a recorded AR.Drone 2.0 flight under motion capture",
+        ),
+    ] = 0.43
+    sigma_velocity_m_s: Annotated[float, number("one standard deviation of a measured velocity at rest", "m/s", 0.001, 10.0)] = (
+        0.03
+    )
+    sigma_velocity_fraction: Annotated[
+        float, number("and by this share of the speed: what is left of the scale", "1", 0.001, 10.0)
+    ] = 0.2 / 3.0
+    sigma_tilt_rad: Annotated[float, number("one standard deviation of measured roll and pitch", "rad", 1e-4, 1.0)] = (
+        math.radians(0.5)
+    )
+    sigma_yaw_rad: Annotated[float, number("one standard deviation of the measured heading", "rad", 1e-4, 3.2)] = math.radians(
+        3.0
+    )
+    sigma_range_m: Annotated[float, number("one standard deviation of the ultrasound at the ground", "m", 0.001, 10.0)] = 0.02
+    sigma_range_fraction: Annotated[float, number("and by this share of the distance", "1", 0.0001, 1.0)] = 0.02
+    sigma_baro_m: Annotated[float, number("one standard deviation of the barometer", "m", 0.001, 100.0)] = 0.7
+    landing_timeout_s: Annotated[
+        float,
+        number(
+            "a landing that guidance has not repeated for this long is called off, if it is not about to end", "s", 0.05, 10.0
+        ),
+    ] = 0.5
+    velocity_timeout_s: Annotated[
+        float, number("a velocity command is flown as hover without a measured velocity younger than this", "s", 0.02, 10.0)
+    ] = 0.25
+    take_off_timeout_s: Annotated[float, number("a take-off that has not happened after this is given up", "s", 0.5, 60.0)] = 8.0
+    reopen_after_s: Annotated[
+        float, number("without navdata for this long its socket and the command socket are opened again", "s", 0.05, 60.0)
+    ] = 3.0
+    connect_timeout_s: Annotated[float, number("how long a connection may take", "s", 0.05, 60.0)] = 2.0
+    config_timeout_s: Annotated[
+        float, number("how long the drone may take to acknowledge one configuration key", "s", 0.05, 60.0)
+    ] = 2.0
+    restart_first_s: Annotated[float, number("first rest of a channel that failed", "s", 0.001, 60.0)] = 0.1
+    restart_most_s: Annotated[float, number("longest rest; each is twice the one before", "s", 0.001, 600.0)] = 5.0
+    navdata_delay_s: Annotated[float, number("least time from a measurement to the arrival of its navdata", "s", 0.0, 0.5)] = (
+        0.002
+    )
+    navdata_delay_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.5)] = 0.001
+    video_delay_sigma_s: Annotated[float, number("one standard deviation of video_delay_s", "s", 0.0, 0.5)] = 0.01
+    arrival_sigma_s: Annotated[
+        float, number("one standard deviation of times in demo mode, which has no clock", "s", 0.0001, 1.0)
+    ] = 0.02
+    video_settle_s: Annotated[
+        float,
+        number(
+            "frames up to this long after the bottom camera was selected may be of the other one, and are dropped", "s", 0.0, 10.0
+        ),
+    ] = 0.3
+    configuration_ids: Annotated[
+        str,
+        text(
+            "session, user and application of the drone's multiple configurations, eight lower-case hexadecimal digits each, "
+            "with commas between; empty to use none",
+            26,
+            shortest=0,
+        ),
+    ] = "dec1a4de,dec1a4d1,dec1a4d0"
+    further_configuration: Annotated[
+        str, text("further configuration of the drone, sent last, as section:name=value with commas between", 4096, shortest=0)
+    ] = ""
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if f.name.endswith("_port") and not 1 <= value <= 65535:
-                raise ValueError(f"{f.name} must lie in 1..65535, got {value!r}")
-            if f.name.endswith("_s"):
-                zero_ok = "delay" in f.name or f.name in ("exposure_s", "video_settle_s", "hold_s")
-                if not math.isfinite(value) or value < 0 or (value == 0 and not zero_ok):
-                    raise ValueError(f"{f.name} must be positive seconds, got {value!r}")
-        if not 0 < self.altitude_max_m <= 100 or self.sample_line < 1:
-            raise ValueError(f"altitude_max_m must lie in (0, 100] and sample_line be positive, got {self!r}")
-        if self.ids is not None and any(len(i) != 8 or not set(i) <= set("0123456789abcdef") for i in self.ids):
-            raise ValueError(f"ids must be three times eight lower-case hexadecimal digits, got {self.ids!r}")
+        check_ranges(self)
+        ids = self.ids
+        if ids is not None and (len(ids) != 3 or any(len(i) != 8 or not set(i) <= set("0123456789abcdef") for i in ids)):
+            raise ValueError(
+                f"configuration_ids must be three times eight lower-case hexadecimal digits, got {self.configuration_ids!r}"
+            )
+        self.configuration()
+
+    @property
+    def euler_angle_max_rad(self) -> float:
+        """The largest tilt, rad."""
+        return math.radians(self.euler_angle_max_deg)
+
+    @property
+    def yaw_rate_max_rad_s(self) -> float:
+        """The largest turn rate, rad/s."""
+        return math.radians(self.yaw_rate_max_deg_s)
+
+    @property
+    def ids(self) -> tuple[str, ...] | None:
+        """Session, user and application of the drone's multiple configurations; None to use none."""
+        return tuple(part.strip() for part in self.configuration_ids.split(",")) if self.configuration_ids else None
 
     def configuration(self) -> dict[str, str]:
         """Every key the drone is asked for, in the order of sending; full navdata first, since it ends the drone's bootstrap."""
@@ -104,10 +198,14 @@ class ArDroneOptions:
         wanted["video:video_channel"] = "1"
         wanted["general:com_watchdog"] = str(self.com_watchdog_s)
         wanted["control:altitude_max"] = str(round(self.altitude_max_m * 1000))
-        wanted["control:euler_angle_max"] = f"{self.loop.euler_angle_max_rad:.6f}"
-        wanted["control:control_vz_max"] = str(round(self.loop.vz_max_m_s * 1000))
-        wanted["control:control_yaw"] = f"{self.loop.yaw_rate_max_rad_s:.6f}"
-        wanted.update(self.settings)
+        wanted["control:euler_angle_max"] = f"{self.euler_angle_max_rad:.6f}"
+        wanted["control:control_vz_max"] = str(round(self.vz_max_m_s * 1000))
+        wanted["control:control_yaw"] = f"{self.yaw_rate_max_rad_s:.6f}"
+        for part in self.further_configuration.split(",") if self.further_configuration.strip() else ():
+            name, equals, value = (piece.strip() for piece in part.partition("="))
+            if not (name and equals and value):
+                raise ValueError(f"further_configuration: {part.strip()!r} is not section:name=value")
+            wanted[name] = value
         return wanted
 
     def timeouts(self, seconds: int) -> list[AtCommand]:

@@ -8,7 +8,6 @@ velocity reads 0.75 to 0.88 of the truth with a lag of 20 ms and 0.014 m/s of no
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from drivers.ardrone.navdata import (
     PressureRaw,
     RawMeasures,
 )
+from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
@@ -43,37 +43,12 @@ _MODES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class SampleOptions:
-    """How far each reading is trusted.
-
-    Raises:
-        ValueError: a number that is not positive.
-    """
-
-    velocity_scale: float | None = None
-    """Reported velocity over true velocity; None passes the report on and lets the covariance hold the doubt."""
-    sigma_tilt_rad: float = math.radians(0.5)
-    sigma_yaw_rad: float = math.radians(3.0)
-    sigma_velocity_m_s: float = 0.03
-    sigma_velocity_fraction: float = 0.2
-    """Of the speed, without `velocity_scale`; a third of it with one."""
-    sigma_range_m: float = 0.02
-    sigma_range_fraction: float = 0.02
-    """Of the distance."""
-    sigma_baro_m: float = 0.7
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be a positive number, got {value!r}")
+DEFAULT = ArDroneOptions()
+AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
+"""Velocities are taken as the drone reports them, and the covariance holds the doubt about their scale."""
 
 
-DEFAULT = SampleOptions()
-
-
-def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: SampleOptions = DEFAULT) -> list[Sample]:
+def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: ArDroneOptions = DEFAULT) -> list[Sample]:
     """Every sample the datagram holds, all with the same stamp; readings that are absent or not finite are left out.
 
     Returns:
@@ -121,7 +96,7 @@ class NavdataSampler:
     200 datagrams a second). A range, height or status is given out when its source changed, or after `repeat_s`.
     """
 
-    def __init__(self, options: SampleOptions = DEFAULT, repeat_s: float = 0.1) -> None:
+    def __init__(self, options: ArDroneOptions = DEFAULT, repeat_s: float = 0.1) -> None:
         self._options = options
         self._repeat_s = repeat_s
         self._given: dict[type[Any], tuple[Any, MonoNs]] = {}
@@ -164,12 +139,10 @@ def _imu(navdata: Navdata, stamp: Stamp) -> Imu | None:
     return Imu(stamp, np.radians(measures.phys_gyros_deg_s), np.array(measures.phys_accs_mg) * (1e-3 * G_M_S2))
 
 
-def _velocity(demo: Demo, stamp: Stamp, options: SampleOptions) -> BodyVelocity:
-    scale = options.velocity_scale or 1.0
-    v = np.array([demo.vx_mm_s, demo.vy_mm_s, 0.0]) * (1e-3 / scale)
-    fraction = options.sigma_velocity_fraction / (3.0 if options.velocity_scale else 1.0)
+def _velocity(demo: Demo, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity:
+    v = np.array([demo.vx_mm_s, demo.vy_mm_s, 0.0]) * (1e-3 / options.velocity_scale)
     speed = min(float(np.hypot(v[0], v[1])), 1e6)
-    var = options.sigma_velocity_m_s**2 + (fraction * speed) ** 2
+    var = options.sigma_velocity_m_s**2 + (options.sigma_velocity_fraction * speed) ** 2
     return BodyVelocity(stamp, v, np.diag([var, var, UNKNOWN_VAR]))
 
 

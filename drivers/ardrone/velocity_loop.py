@@ -2,7 +2,7 @@
 
 The drone takes roll and pitch as fractions of a tilt angle, so a velocity needs a loop here: a PI controller on the measured
 velocity with the drag of the wanted speed fed forward, solved for the tilt that gives that acceleration, limited as a vector.
-The tilt follows its command late; asking for more than the tilt still lacks (`lead`) makes up for part of that lateness.
+The tilt follows its command late; asking for more than the tilt still lacks (`velocity_lead`) makes up for part of that lateness.
 Climb and turn rates are closed by the drone itself and only scaled.
 
 The default drag, 0.43 1/s, is the regression of acceleration on tilt and speed in a flight under motion capture.
@@ -15,44 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64, Rotation
 
 _G_M_S2 = 9.80665
-
-
-@dataclass(frozen=True, slots=True)
-class LoopOptions:
-    """Gains and the limits the drone was configured with.
-
-    Raises:
-        ValueError: a limit that is not positive, or a negative gain.
-    """
-
-    euler_angle_max_rad: float = 0.25
-    """Tilt of a full stick."""
-    vz_max_m_s: float = 0.7
-    """Climb rate of a full stick."""
-    yaw_rate_max_rad_s: float = math.radians(100.0)
-    """Turn rate of a full stick."""
-    gain_1_s: float = 1.8
-    """Acceleration per metre a second of error."""
-    integral_1_s2: float = 0.4
-    """Acceleration per metre of error summed up: holds against wind."""
-    integral_max_m_s2: float = 2.5
-    lead: float = 1.2
-    """How much of the acceleration that the present tilt does not give yet is asked for on top; 0 for none."""
-    drag_1_s: float = 0.43
-    """Deceleration per metre a second of speed through the air."""
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            limit = name.endswith(("max_rad", "max_m_s", "max_rad_s"))
-            if not math.isfinite(value) or value < 0 or (limit and value == 0):
-                raise ValueError(f"{name} must be {'positive' if limit else 'zero or more'}, got {value!r}")
-        if self.euler_angle_max_rad >= math.pi / 3:
-            raise ValueError(f"euler_angle_max_rad must be below 60 degrees, got {self.euler_angle_max_rad!r}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +50,7 @@ def acceleration_of(R_ned_body: Rotation) -> F64:
 
 
 def step(
-    state: LoopState, wanted: Velocity, v_level: F64, a_level: F64 | None, dt_s: float, options: LoopOptions
+    state: LoopState, wanted: Velocity, v_level: F64, a_level: F64 | None, dt_s: float, options: ArDroneOptions
 ) -> tuple[LoopState, Sticks]:
     """One period of the loop.
 
@@ -96,14 +63,14 @@ def step(
     """
     error = np.asarray(wanted.v_level[:2] - v_level[:2])
     integral = np.array([state.forward_m_s2, state.right_m_s2])
-    pushed = _within(integral + options.integral_1_s2 * max(0.0, dt_s) * error, options.integral_max_m_s2)
-    feed_forward = options.gain_1_s * error + options.drag_1_s * wanted.v_level[:2]
+    pushed = _within(integral + options.velocity_integral_1_s2 * max(0.0, dt_s) * error, options.velocity_integral_max_m_s2)
+    feed_forward = options.velocity_gain_1_s * error + options.velocity_drag_1_s * wanted.v_level[:2]
     most_m_s2 = _G_M_S2 * math.tan(options.euler_angle_max_rad)
     if float(np.hypot(*(feed_forward + pushed))) <= most_m_s2 or float(error @ (feed_forward + integral)) <= 0.0:
         integral = pushed
     accelerate = _within(feed_forward + integral, most_m_s2)
     if a_level is not None:
-        accelerate = _within(accelerate + options.lead * (accelerate - a_level), most_m_s2)
+        accelerate = _within(accelerate + options.velocity_lead * (accelerate - a_level), most_m_s2)
     size = float(np.hypot(accelerate[0], accelerate[1]))
     tilt = math.atan2(size, _G_M_S2) / options.euler_angle_max_rad
     forward, right = accelerate / size * tilt if size > 0 else (0.0, 0.0)

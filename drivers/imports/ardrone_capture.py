@@ -8,7 +8,7 @@ from pathlib import Path
 
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.pave import PaveParser
-from drivers.ardrone.samples import NavdataSampler, time_us
+from drivers.ardrone.samples import AS_REPORTED, NavdataSampler, time_us
 from drivers.ardrone.video import VideoDecoder
 from drivers.imports.stamps import FRAME_DELAY_S, stamp
 from estimator.contracts.errors import BadInput
@@ -49,7 +49,7 @@ def samples(path: Path) -> list[Sample]:
     Raises:
         BadInput: the file cannot be read, or no datagram in it is whole.
     """
-    sampler, out, whole = NavdataSampler(), list[Sample](), 0
+    sampler, out, whole = NavdataSampler(AS_REPORTED), list[Sample](), 0
     newest_us: int | None = None
     at_ns = 0
     for datagram in datagrams(_bytes(path)):

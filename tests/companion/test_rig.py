@@ -17,7 +17,7 @@ from companion.config import build, build_mavlink
 from companion.config.build_camera import camera_options
 from companion.config.refusal import walk
 from companion.config.settings import Settings, from_mapping
-from companion.config.vehicle import ArDroneSettings, AutopilotSettings, BridgeSettings
+from companion.config.vehicle import AutopilotSettings, BridgeSettings
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.plan import Plan
 from companion.mavlink.component import ComponentOptions
@@ -31,7 +31,7 @@ from estimator.options import EstimatorOptions
 
 READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
-    "service.log_level", "service.health_period_s", "bridge.links", "bridge.system_id", "bridge.operators",
+    "service.log_level", "service.health_period_s", "service.sample_queue_items", "bridge.links", "bridge.system_id", "bridge.operators",
     *(f"{table}.signing_{what}_file" for table in ("vehicle", "bridge") for what in ("key", "time")),
 }  # fmt: skip
 TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.")
@@ -56,7 +56,7 @@ def parts(settings: Settings) -> list[object]:
 
 def vehicle(settings: Settings) -> list[object]:
     v = settings.vehicle
-    if isinstance(v, ArDroneSettings):
+    if isinstance(v, ArDroneOptions):
         return [build.ardrone_options(settings)]
     return [
         build_mavlink.autopilot_options(v, settings.service.sample_queue_items, ()),
@@ -93,6 +93,10 @@ def other(field: inspect.Field, path: str) -> object:
         return "pad"
     if path == "camera.file":
         return "photos"
+    if path == "vehicle.configuration_ids":
+        return "00000001,00000002,00000003"
+    if path == "vehicle.further_configuration":
+        return "general:ardrone_name=deck"
     if path == "vehicle.links":
         return "udpin://127.0.0.1:0, serial:///dev/ttyAMA0:57600"
     if path == "vehicle.operators":
@@ -138,9 +142,7 @@ def test_defaults_are_those_of_the_parts() -> None:
     assert settings.guidance == GuidanceOptions()
     assert settings.estimator == EstimatorOptions()
     assert build.restart(settings) == Restart()
-    link = build.ardrone_options(settings)
-    same = {"loop", "samples"}
-    assert dataclasses.replace(link, **{name: getattr(ArDroneOptions(), name) for name in same}) == ArDroneOptions()
+    assert settings.vehicle == ArDroneOptions()
 
 
 def test_degrees_in_the_file_are_radians_inside() -> None:
@@ -148,8 +150,8 @@ def test_degrees_in_the_file_are_radians_inside() -> None:
     data["vehicle"].update(euler_angle_max_deg=18.0, yaw_rate_max_deg_s=90.0)
     data["guidance"]["pid"]["turn_max_deg_s"] = 45.0
     settings = from_mapping(data, "degrees")
-    assert math.isclose(build.ardrone_options(settings).loop.euler_angle_max_rad, math.pi / 10)
-    assert math.isclose(build.ardrone_options(settings).loop.yaw_rate_max_rad_s, math.pi / 2)
+    assert math.isclose(build.ardrone_options(settings).euler_angle_max_rad, math.pi / 10)
+    assert math.isclose(build.ardrone_options(settings).yaw_rate_max_rad_s, math.pi / 2)
     assert math.isclose(settings.guidance.pid.turn_max_rad_s, math.pi / 4)
 
 

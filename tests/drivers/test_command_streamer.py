@@ -127,7 +127,7 @@ def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> 
     assert sticks.flags == at.PCMD_PROGRESSIVE
     assert sticks.pitch < 0 < sticks.roll < -sticks.pitch
     assert sticks.gaz == pytest.approx(0.5)
-    assert sticks.yaw == pytest.approx(0.5 / cockpit.options.loop.yaw_rate_max_rad_s)
+    assert sticks.yaw == pytest.approx(0.5 / cockpit.options.yaw_rate_max_rad_s)
     cockpit.streamer.take(Hover(), ms(2))
     assert cockpit.sends(3) == [FLY, HOVER]
 

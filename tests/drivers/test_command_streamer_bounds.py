@@ -239,7 +239,7 @@ def test_the_first_step_of_the_loop_takes_no_time_and_other_samples_say_nothing_
     cockpit.measures(0, 0.1)
     cockpit.streamer.on_sample(Baro(Stamp(ms(0), ms(0), 0.001, "synced"), 1.0, 0.5))
     cockpit.streamer.take(FORWARD, ms(0))
-    _, wanted = step(RESET, FORWARD, np.array([0.1, 0.0, 0.0]), None, 0.0, cockpit.options.loop)
+    _, wanted = step(RESET, FORWARD, np.array([0.1, 0.0, 0.0]), None, 0.0, cockpit.options)
     sticks = cockpit.sticks(0)
     assert (sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw) == (wanted.roll, wanted.pitch, wanted.gaz, wanted.yaw)
 

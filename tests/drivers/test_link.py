@@ -47,10 +47,10 @@ async def steer(drone: ArDrone, fake: FakeArDrone) -> None:
 
 async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key() -> None:
     fake = FakeArDrone()
-    async with linked(fake, settings={"general:ardrone_name": "test"}) as drone:
+    async with linked(fake, further_configuration="general:ardrone_name=test") as drone:
         await until(lambda: drone.ready)
         await until(lambda: bool(drone.configuration))
-        assert fake.configured_in_order == [*ArDroneOptions(settings={"general:ardrone_name": "test"}).configuration()]
+        assert fake.configured_in_order == [*ArDroneOptions(further_configuration="general:ardrone_name=test").configuration()]
         assert fake.configuration["general:navdata_demo"] == "FALSE"
         assert fake.configuration["video:video_channel"] == "1"
         assert drone.configuration == fake.configuration
@@ -70,7 +70,7 @@ async def test_setup_brings_the_drone_out_of_bootstrap_key_by_key() -> None:
 
 async def test_without_ids_no_ids_are_sent() -> None:
     fake = FakeArDrone()
-    async with linked(fake, ids=None) as drone:
+    async with linked(fake, configuration_ids="") as drone:
         await until(lambda: drone.ready)
     assert fake.of(at.ConfigIds) == []
     assert not any(key.startswith("custom:") for key in fake.configured_in_order)
@@ -358,4 +358,4 @@ def test_options_refuse_nonsense() -> None:
     with pytest.raises(ValueError, match="command_period_s"):
         ArDroneOptions(command_period_s=0.0)
     with pytest.raises(ValueError, match="hexadecimal"):
-        ArDroneOptions(ids=("x", "y", "z"))
+        ArDroneOptions(configuration_ids="x,y,z")

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from drivers.ardrone import navdata as nd
+from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.samples import (
+    AS_REPORTED,
     NavdataSampler,
-    SampleOptions,
     height_of_pressure_m,
     pressure_of_height_pa,
     samples_from_navdata,
@@ -72,7 +73,7 @@ def test_units_and_signs_of_everything_in_flight() -> None:
         nd.PressureRaw(0, 0, 400, 101325),
         state=nd.NavdataState.FLYING,
     )
-    samples = samples_from_navdata(navdata, STAMP)
+    samples = samples_from_navdata(navdata, STAMP, AS_REPORTED)
     np.testing.assert_allclose(the(Imu, samples).f_body, [0.980665, 1.96133, -9.80665])
     np.testing.assert_allclose(the(Imu, samples).w_body, np.radians([10.0, -20.0, 30.0]))
     np.testing.assert_allclose(the(Attitude, samples).R_ned_body.rpy_rad, np.radians([-3.0, 2.0, 90.0]), atol=1e-9)
@@ -86,9 +87,9 @@ def test_units_and_signs_of_everything_in_flight() -> None:
     assert all(s.stamp is STAMP for s in samples)
 
 
-def test_velocity_scale_is_corrected_only_on_request() -> None:
-    plain = the(BodyVelocity, samples_from_navdata(of(DEMO), STAMP))
-    scaled = the(BodyVelocity, samples_from_navdata(of(DEMO), STAMP, SampleOptions(velocity_scale=0.8)))
+def test_velocity_scale_is_corrected_unless_velocities_are_taken_as_reported() -> None:
+    plain = the(BodyVelocity, samples_from_navdata(of(DEMO), STAMP, AS_REPORTED))
+    scaled = the(BodyVelocity, samples_from_navdata(of(DEMO), STAMP, ArDroneOptions(velocity_scale=0.8)))
     np.testing.assert_allclose(scaled.v_level[:2], plain.v_level[:2] / 0.8)
     speed = float(np.hypot(*plain.v_level[:2]))
     assert math.sqrt(plain.cov_level[0, 0]) >= 0.2 * speed, "an under-reading of a fifth must lie within a sigma"
@@ -152,4 +153,4 @@ def test_pressure_and_height_are_inverses(height_m: float) -> None:
 
 def test_options_refuse_nonsense() -> None:
     with pytest.raises(ValueError, match="velocity_scale"):
-        SampleOptions(velocity_scale=0.0)
+        ArDroneOptions(velocity_scale=0.0)

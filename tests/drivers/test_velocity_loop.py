@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.ardrone.velocity_loop import RESET, LoopOptions, LoopState, Sticks, step
+from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.velocity_loop import RESET, LoopState, Sticks, step
 from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64
 
-OPTIONS = LoopOptions()
+OPTIONS = ArDroneOptions()
 STILL = np.zeros(3)
 
 
@@ -85,7 +86,7 @@ def test_sticks_stay_inside_and_tilt_keeps_its_direction(
         state, s = step(state, wanted(vx, vy, vz, 50.0), np.array([mx, my, 0.0]), None, dt_s, OPTIONS)
         assert math.hypot(s.roll, s.pitch) <= 1.0 + 1e-9
         assert max(abs(s.gaz), abs(s.yaw)) <= 1.0
-        assert math.hypot(state.forward_m_s2, state.right_m_s2) <= OPTIONS.integral_max_m_s2 + 1e-9
+        assert math.hypot(state.forward_m_s2, state.right_m_s2) <= OPTIONS.velocity_integral_max_m_s2 + 1e-9
     first = sticks(wanted(vx, vy), np.array([mx, my, 0.0]))
     push = OPTIONS.gain_1_s * np.array([vx - mx, vy - my]) + OPTIONS.drag_1_s * np.array([vx, vy])
     assert -first.pitch * push[1] == pytest.approx(first.roll * push[0], abs=1e-6)
@@ -101,8 +102,8 @@ def test_the_integral_does_not_wind_up_at_the_limit() -> None:
 
 def test_options_refuse_nonsense() -> None:
     with pytest.raises(ValueError, match="vz_max_m_s"):
-        LoopOptions(vz_max_m_s=0.0)
+        ArDroneOptions(vz_max_m_s=0.0)
     with pytest.raises(ValueError, match="gain_1_s"):
-        LoopOptions(gain_1_s=-1.0)
-    with pytest.raises(ValueError, match="60 degrees"):
-        LoopOptions(euler_angle_max_rad=1.2)
+        ArDroneOptions(velocity_gain_1_s=-1.0)
+    with pytest.raises(ValueError, match="euler_angle_max_deg"):
+        ArDroneOptions(euler_angle_max_deg=61.0)

@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from companion.config.settings import load
-from companion.config.vehicle import ArDroneSettings, endpoints
+from companion.config.vehicle import endpoints
 from companion.metrics.exposition import families
 from companion.metrics.settings import MetricsSettings
 from companion.runtime.health import Health
+from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
 from tests.packaging.image import stages
@@ -78,7 +79,7 @@ def test_the_rig_of_compose_fits_its_services() -> None:
     rig = load(COMPOSE / "decklander.toml")
     text = (ROOT / "compose.yaml").read_text()
     services = set(re.findall(r"^  (\w+):$", text, re.MULTILINE))
-    assert isinstance(rig.vehicle, ArDroneSettings)
+    assert isinstance(rig.vehicle, ArDroneOptions)
     (bridge,) = endpoints(rig.bridge.links)
     assert f":{bridge.port}/udp" in text
     assert {rig.vehicle.host, rig.mqtt.host} <= services

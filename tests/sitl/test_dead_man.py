@@ -51,7 +51,7 @@ class Bench:
 
     def service(self) -> None:
         """A new process of the service knows nothing."""
-        self.streamer, self.sampler = CommandStreamer(OPTIONS, Counters()), NavdataSampler(OPTIONS.samples)
+        self.streamer, self.sampler = CommandStreamer(OPTIONS, Counters()), NavdataSampler(OPTIONS)
 
     @property
     def now(self) -> MonoNs:
