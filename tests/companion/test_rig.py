@@ -31,7 +31,8 @@ from estimator.options import EstimatorOptions
 
 READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
-    "service.log_level", "service.health_period_s", "service.sample_queue_items", "bridge.links", "bridge.system_id", "bridge.operators",
+    "service.log_level", "service.health_period_s", "service.sample_queue_items",
+    "bridge.links", "bridge.system_id", "bridge.operators",
     *(f"{table}.signing_{what}_file" for table in ("vehicle", "bridge") for what in ("key", "time")),
 }  # fmt: skip
 TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.")

@@ -88,7 +88,7 @@ def test_sticks_stay_inside_and_tilt_keeps_its_direction(
         assert max(abs(s.gaz), abs(s.yaw)) <= 1.0
         assert math.hypot(state.forward_m_s2, state.right_m_s2) <= OPTIONS.velocity_integral_max_m_s2 + 1e-9
     first = sticks(wanted(vx, vy), np.array([mx, my, 0.0]))
-    push = OPTIONS.gain_1_s * np.array([vx - mx, vy - my]) + OPTIONS.drag_1_s * np.array([vx, vy])
+    push = OPTIONS.velocity_gain_1_s * np.array([vx - mx, vy - my]) + OPTIONS.velocity_drag_1_s * np.array([vx, vy])
     assert -first.pitch * push[1] == pytest.approx(first.roll * push[0], abs=1e-6)
 
 
