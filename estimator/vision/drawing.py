@@ -410,7 +410,7 @@ class Blurred:
 
 @lru_cache(maxsize=8)
 def _arrow_lines(pad: Pad) -> tuple[float, float, float]:
-    """Unit normal of the arrowhead's sides, along the arrow and across, and where its base lies."""
+    """Return the unit normal of the arrowhead's sides, along the arrow and across it, and the x of its base."""
     slant = math.hypot(pad.arrow_half_base_m, pad.arrow_depth_m)
     base = pad.arrow_tip_m - pad.arrow_depth_m
     if math.hypot(base, pad.arrow_half_base_m) <= pad.ring_outer_m:
@@ -422,14 +422,14 @@ def _arrow_lines(pad: Pad) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=8)
 def _h_halves(pad: Pad) -> F32:
-    """(4, 1) half lengths of legs and bar along the arrow, half widths of the H and of the gap between its legs."""
+    """Return (4, 1): half lengths of legs and bar along the arrow, half widths of the H and of the gap between its legs."""
     half_w = pad.h_width_m / 2
     return np.array([pad.h_length_m / 2, pad.bar_width_m / 2, half_w, half_w - pad.leg_width_m], np.float32)[:, None]
 
 
 @lru_cache(maxsize=8)
 def _strips(pad: Pad, n: int = 6) -> tuple[F32, F32, F32]:
-    """(n + 1,) borders in y, and (n,) beginning and end in x of the strips that make up the arrowhead beyond the ring."""
+    """Return the strips of the arrowhead beyond the ring: (n + 1,) borders in y, and (n,) beginnings and ends in x."""
     slope = pad.arrow_half_base_m / pad.arrow_depth_m
     base = pad.arrow_tip_m - pad.arrow_depth_m
 

@@ -171,7 +171,7 @@ def sighting(frame: Frame, method: Method, marks: Marks, fix: Fix, confidence: f
         cov[3, :] = cov[:, 3] = 0.0
         cov[3, 3] = UNKNOWN_YAW_VAR
     elif marks.yaw_ambiguous and yaw is not None:
-        # Of the two headings the one nearer to the arrow is named, as the thesis does: (-90, 90] degrees.
+        # The thesis names the one of the two headings that lies nearer to the arrow, in (-90, 90] degrees; so does this.
         yaw = yaw if -math.pi / 2 < yaw <= math.pi / 2 else wrap_pi(yaw + math.pi)
     return Sighting(
         frame.stamp, frame.seq, method, fix.d_body_pad_level, yaw, marks.yaw_known and marks.yaw_ambiguous,

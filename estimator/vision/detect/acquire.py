@@ -1,4 +1,4 @@
-"""Find the pad in a whole frame without knowing where it is: guesses from coarse to fine, each judged by the whole drawing."""
+"""Find the pad in a whole frame without a prior: hypotheses from coarse to fine, each verified with the whole drawing."""
 
 from __future__ import annotations
 
@@ -26,51 +26,52 @@ from estimator.vision.pad_pose import PadPose
 U8 = NDArray[np.uint8]
 
 SURE, ENOUGH = 0.9, 0.5
-"""Confidence at which no further hypotheses are tried, and at which no further kinds of them are."""
+"""Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
 _MOST_LAID = 16
-"""Hypotheses of one frame that the drawing is laid on before the search is given up."""
+"""Largest number of hypotheses of one frame that the drawing is aligned at before the search is given up."""
 _ALIGNED, _ALIGNED_FREE, _ALIGNED_FAR = 2, 3, 6
-"""Best hypotheses of one kind that the drawing is laid on: usually, with the tilt unknown, and from afar, where a hypothesis says
-little by itself and laying costs little."""
+"""Numbers of the best hypotheses of one kind that the drawing is aligned at: usually, with the tilt unknown, and from afar. From
+afar a hypothesis by itself is weak evidence and an alignment is cheap.
+"""
 _LEAST_GUESS = 0.04
-"""Of the variance explained at a guess: what explains less has not been the pad in 900 frames."""
+"""Smallest fraction of the variance that a guess must explain. No guess with less was the pad in 900 frames."""
 _TRIES = 2
-"""Guesses tried for each that may be laid: most strangers are told at the first step and cost little."""
+"""Guesses tried for each candidate that may be kept. Most false candidates are refused at the first step and cost little."""
 _SMALL_PX = 28.0
-"""Radius of a disc, in pixels of the coarse frame, below which the whole frame is sampled instead."""
+"""Radius of a disc, in pixels of the coarse frame, below which the full-size frame is sampled instead."""
 _STEPS, _STEPS_FREE = 4, 8
-"""Of alignment, with the tilt known and without."""
+"""Gauss-Newton steps of alignment, with the tilt known and unknown."""
 _ARROW_SEEN = 0.3
-"""Evidence of the arrowhead that settles the heading."""
+"""Support of the arrowhead at which the heading is unambiguous."""
 COARSE_WIDTH_PX = 160
-"""About what the first pass looks at: in it the pad is 5 px in radius from 7 m with the sim camera."""
+"""Approximate width of the frame in the first pass. At this width the pad has a radius of 5 px from 7 m with the sim camera."""
 _PLAIN = 0.5
-"""Of the variance explained at a guess, from which on no further patches are looked at."""
+"""Fraction of the variance explained by a guess at which no further regions are searched."""
 _LEAST_FACING = math.cos(math.radians(38.0))
-"""Of the pad's normal along the camera's axis when nobody knows the tilt: 25 degrees of it and some of error."""
+"""Smallest cosine between the pad's normal and the camera's axis when the tilt is unknown: 25 degrees of tilt plus an error."""
 _SPECK_RADII = (0.95, 1.5)
-"""Of a speck: it is the disc, or what of it lies within the ring."""
+"""Factors from a blob's radius to the disc's: the blob is the disc, or the part of it inside the ring."""
 _COVERED_ARC_RAD = 4.6
-"""Of a disc's outline: less of it is the outline of a disc half covered."""
+"""Arc of a disc's outline below which the disc is taken to be half covered."""
 _HALVES = 6
-"""Most prominent specks that are also taken for half a disc."""
+"""Number of the most prominent blobs that are also tried as half a disc."""
 _NEAR_SHARE = 0.10
-"""Of the frame in the disc's colour, from which on the letter is looked for before specks are."""
+"""Fraction of the frame in the disc's colour above which the H is searched before blobs are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PadCandidate:
-    """Where the pad may be."""
+    """A hypothesis for the pad's pose, aligned and verified."""
 
     pose: PadPose
     score: float
-    """0..1, calibrated: how probable it is that this is the pad and `pose` good enough to register from."""
+    """Calibrated probability, 0..1, that this is the pad and that `pose` is good enough to start registration."""
     yaw_ambiguous: bool
-    """The arrowhead does not show: the heading may as well be 180 degrees away."""
+    """True if the arrowhead does not show: the heading may be 180 degrees off."""
     in_view: float
-    """Share of the disc inside the frame."""
+    """Fraction of the disc inside the frame."""
     features: F64
-    """What the score was made of (`verification.FEATURES`)."""
+    """Inputs of the classifier that gave the score (`verification.FEATURES`)."""
     aligned: AlignedTemplate
 
 
@@ -78,11 +79,13 @@ class PadCandidate:
 class _Guess:
     flat: PadPose
     turn_rad: float
-    """By which the pad is to be turned about its own z axis against `flat`."""
+    """Angle by which the pad is to be turned about its own z axis relative to `flat`."""
     score: float
     tilt_known: bool
     side: F64 | None = None
-    """(2,) of unit length, x and y of the turned pad: the half that is to be looked at, where the other is covered."""
+    """Unit direction, (2,), in x and y of the turned pad: only the half of the disc on this side is used, as the other is
+    covered.
+    """
 
 
 def acquire(
@@ -94,14 +97,14 @@ def acquire(
     *,
     sure: float = SURE,
 ) -> list[PadCandidate]:
-    """Candidates for the pad, best first; none where nothing resembles it.
+    """Search a frame for the pad and return the candidates, best first; the list is empty if nothing resembles the pad.
 
     Args:
         px: (H, W, 3) BGR of the camera's size.
-        R_level_body: roll and pitch of the body at the exposure; None when the vehicle does not say, at the price of time and
-            of some reach.
-        memory: of the paints, to begin with the likeliest colours; nothing depends on it.
-        sure: confidence at which no further hypotheses are tried; over 1 to see them all.
+        R_level_body: roll and pitch of the body at the exposure. None if the vehicle does not report them, which costs time
+            and some range.
+        memory: learned paints. They only order the search, so that the likeliest colours come first; no result depends on them.
+        sure: confidence at which no further hypotheses are tried; a value over 1 gives all candidates.
 
     Raises:
         ValueError: the frame is not of the camera's size.
@@ -124,7 +127,7 @@ def acquire(
 def _stages(
     pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane, memory: PaintMemory
 ) -> Iterator[Iterator[tuple[list[_Guess], int]]]:
-    """Guesses of one kind after the other, the quick and likely ones first; and how many of them to lay the drawing on."""
+    """Yield guesses of one kind after the other, quick and likely kinds first, with the number of them to align."""
     level = max(1, round(math.log2(camera.width / COARSE_WIDTH_PX)))
     most = _ALIGNED if plane.known else _ALIGNED_FREE
     image = coarse(pyramid[level], 1 << level, pad)
@@ -142,7 +145,7 @@ def _stages(
 def _align(
     guesses: list[_Guess], tried: list[PadCandidate], most: int, pyramid: Pyramid, camera: Camera, pad: Pad, sure: float
 ) -> list[PadCandidate]:
-    """The drawing laid on the best guesses of a stage, unless it was laid there before."""
+    """Align the drawing at the best guesses of a stage, except where it was aligned before."""
     out: list[PadCandidate] = []
     aligned = 0
     for guess in sorted(guesses, key=lambda g: -g.score):
@@ -164,7 +167,7 @@ def _align(
 def align_at(
     pose: PadPose, tilt_known: bool, pyramid: Pyramid, camera: Camera, pad: Pad, side: F64 | None = None
 ) -> PadCandidate | None:
-    """The drawing laid on the frame from one rough pose, and judged; None where it does not fit at all.
+    """Align the drawing from one rough pose and verify it; return None if it does not fit at all.
 
     Args:
         side: as for `align`.
@@ -189,9 +192,9 @@ def align_at(
 def _from_discs(
     image: Coarse, memory: PaintMemory, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane
 ) -> Iterator[list[_Guess]]:
-    """From circles in the outlines of patches of the disc's colour: its own edge, or the ring's inner or outer one.
+    """Yield guesses from circles in the outlines of regions in the disc's colour; one list for each colour limit.
 
-    One list of guesses for each limit that the patches are cut at.
+    A circle may be the disc's own edge, or the ring's inner or outer edge.
     """
     least = 1.2 * image.step / camera.fx
     edges = (disc_edge_m(pad), pad.ring_inner_m, pad.ring_outer_m)
@@ -235,7 +238,7 @@ def _guess(
 
 
 def _tilted(outline_px: F64, places: F64, circle: Circle, camera: Camera, least: float) -> list[tuple[Plane, Circle]]:
-    """The two planes in which the outline, an ellipse, is the frame of a circle; with the circles."""
+    """Return the two planes in which the outline, an ellipse, is the projection of a circle; with the circles."""
     ok = np.isfinite(places).all(axis=1)
     xy = places[ok]
     d = np.hypot(xy[:, 0] - circle.centre[0], xy[:, 1] - circle.centre[1])
@@ -257,11 +260,11 @@ def _tilted(outline_px: F64, places: F64, circle: Circle, camera: Camera, least:
 
 
 def circle_normals(centre: F64, half_axes: F64, angle_rad: float) -> list[F64]:
-    """The normals (3,) in `cam`, pointing away from the lens, of the planes in which a circle looks like this ellipse.
+    """Return the (3,) normals in `cam`, away from the lens, of the planes in which a circle projects to this ellipse.
 
     Args:
-        centre: (2,) of the ellipse at unit depth.
-        half_axes: (2,) its half axes there, the first at `angle_rad` from the x axis.
+        centre: (2,) centre of the ellipse at unit depth.
+        half_axes: (2,) half axes there; the first lies at `angle_rad` from the x axis.
 
     Source: Kanatani and Liu, 3D interpretation of conics and orthogonality, CVGIP 58 (1993), eq. 19.
     """
@@ -282,12 +285,14 @@ def circle_normals(centre: F64, half_axes: F64, angle_rad: float) -> list[F64]:
 
 
 def _from_strokes(pyramid: Pyramid, level: int, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:
-    """From the letter's strokes, near enough for a stroke to be a few pixels wide in the coarse frame."""
+    """Return guesses from the H's strokes. The camera must be near enough for a stroke to be a few pixels wide in the coarse
+    frame.
+    """
     return [_Guess(f.pose, 0.0, f.score, plane.known) for f in h_markings(pyramid[level], 1 << level, camera, pad, plane)]
 
 
 def _from_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:
-    """From specks of the disc's colour in the whole frame at full size: the pad from afar."""
+    """Return guesses from blobs of the disc's colour in the frame at full size: the pad from afar."""
     image = coarse(pyramid[0], 1, pad)
     out: list[_Guess] = []
     for rank, blob in enumerate(blobs(image)):
@@ -303,13 +308,13 @@ def _from_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> lis
         half = _half(blob, image, pyramid, camera, pad, plane) if rank < _HALVES else None
         if half is not None:
             out.append(half)
-    # A few pixels of drawing say little of themselves, and prominence says little of the drawing: the best of both come first.
+    # A few pixels of drawing are weak evidence, and so is prominence alone. The best guesses by either criterion come first.
     by_drawing = {id(g): k for k, g in enumerate(sorted(out, key=lambda g: -g.score))}
     return [replace(g, score=1.0 / (1 + min(k, by_drawing[id(g)]))) for k, g in enumerate(out)]
 
 
 def _half(blob: Blob, image: Coarse, pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> _Guess | None:
-    """From the arc in a speck's outline, where what is left of the disc beside something in front of it makes half a circle."""
+    """Return a guess from the arc in a blob's outline, if the visible part of a partly covered disc is half a circle."""
     places = plane.places(camera, blob.outline_px)
     found = circles(places, 1.2 / camera.fx, tolerance_of(plane), 1)
     side = _side(found[0], places) if found else None
@@ -320,7 +325,7 @@ def _half(blob: Blob, image: Coarse, pyramid: Pyramid, camera: Camera, pad: Pad,
 
 
 def _side(circle: Circle, places: F64) -> F64 | None:
-    """(2,) of unit length, from the circle's centre towards the outline on it, where half of the circle has none."""
+    """Return the (2,) unit direction from the circle's centre to its visible outline if half of the outline is missing."""
     if circle.arc_rad > _COVERED_ARC_RAD:
         return None
     from_centre = places[np.isfinite(places).all(axis=1)] - circle.centre
@@ -333,7 +338,7 @@ def _side(circle: Circle, places: F64) -> F64 | None:
 
 
 def _near(a: PadPose, b: PadPose) -> bool:
-    """The same place within a fifth of a disc."""
+    """Return whether two poses are the same place to within a fifth of a disc."""
     return bool(np.linalg.norm(a.t_cam_pad - b.t_cam_pad) < 0.05 * b.t_cam_pad[2]) and bool(
         np.linalg.norm((a.t_cam_pad / a.t_cam_pad[2] - b.t_cam_pad / b.t_cam_pad[2])[:2]) * b.t_cam_pad[2] < 0.03
     )

@@ -1,10 +1,10 @@
-"""Lay the whole drawing on the frame: pose and paints together, by Gauss-Newton on the pixels themselves.
+"""Align the whole drawing with the frame: estimate pose and paints together, by Gauss-Newton on the pixels (dense alignment).
 
-The frame near the pad is modelled as a mixture of four paints (H, orange, disc, surroundings) in shares that the drawing gives
-for every pixel; light adds up linearly, so for a given pose the paints follow by linear least squares, whatever the light. The
-pose then moves along the model's slope (Lucas and Kanade 1981, as compositional alignment with the drawing as template and
-Cauchy weights for what hides or outshines it). This brings a rough hypothesis within reach of edge-based registration and leaves
-behind what the judge needs.
+The frame near the pad is modelled as a mixture of four paints (H, orange, disc, surroundings). The drawing gives the coverage of
+each paint in every pixel. Light is additive, so for a given pose the paints follow by linear least squares under any
+illumination. The pose then follows the model's gradient (Lucas and Kanade 1981, as compositional alignment with the drawing as
+template, and with Cauchy weights against occlusion and glare). The result is near enough for edge-based registration to start,
+and it holds the inputs of the confidence classifier.
 """
 
 from __future__ import annotations
@@ -30,31 +30,34 @@ U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 
 _SAMPLES, _APPROACH_SAMPLES, _STANDING_SAMPLES = 700, 1000, 2600
-"""At most, in the disc's box: while the pose moves in a search, on the way to a registration, and to judge it by."""
+"""Largest numbers of samples in the disc's bounding box: during a search, on the way to a registration, and for verification."""
 _LOG_BLURS = np.log(np.array(BLURS_M))
 _LEAST_SAMPLES = 40
 _FEW = 350
-"""Samples below which a step costs so little that twice as many are made: far away a start may be a fifth off."""
+"""Number of samples below which a step is so cheap that twice as many are made. From afar a start may be off by a fifth."""
 _LEVELS = 5
 _ARROW_SAMPLES = 5
-"""Pixels of the chosen level along the arrowhead, where the frame has as many."""
+"""Pixels of the chosen pyramid level along the arrowhead, if the frame has as many."""
 _AT_REST = 0.12
-"""Samples that a step moves the drawing by when it is good enough to start a registration from."""
+"""Step, in samples, below which the pose is good enough to start a registration."""
 _NOISE = 0.02
-"""Of full scale: what the model leaves unexplained even where it is right (wear, noise, ripples)."""
+"""Residual, as a fraction of full scale, that the model leaves even where it is right (wear, noise, ripples)."""
 SIGMA_TILT_RAD = math.radians(3.0)
-"""Of a deck under a vehicle of measured attitude."""
+"""Standard deviation of the tilt between the deck and a vehicle of measured attitude."""
 SIGMA_TILT_FREE_RAD = math.radians(15.0)
-"""Where nothing is known of either."""
+"""Standard deviation of the tilt if neither attitude is known."""
 _LENS_BLUR_PX = 0.7
 _LEAST_AT_START, _LEAST_HALFWAY, _LEAST_AT_END = 0.10, 0.15, 0.40
-"""Of the variation about the pad that the drawing must explain where a search lays it, after half of the steps, and where it
-comes to rest: of 290 pads that were found 2 % had less than 0.12 at first and 0.55 at last, of 2200 strangers 40 % and 65 %."""
+"""Fractions of the variation about the pad that the drawing must explain at the start of a search, after half of the steps, and
+at the end. Of 290 pads that were found 2 % had less than 0.12 at the start and 0.55 at the end; of 2200 false candidates 40 % and
+65 %.
+"""
 _FAR_PX, _LEAST_FAR_AT_START, _LEAST_FAR_HALFWAY, _LEAST_FAR_AT_END = 16.0, 0.05, 0.12, 0.25
-"""The same of a disc of up to so many pixels' radius, of which something in front of it can leave as little."""
+"""The same limits for a disc with a radius up to `_FAR_PX`, in pixels. An occluder can leave as little of it."""
 _SOUND, _SPREAD, _SPREAD_SHARP = 0.25, 2.0, 1.6
-"""Share of the samples that are surely neither hidden nor outshone, and what makes their largest residual a usual one: while the
-pose moves, and once it stands, when what does not fit any more is something else."""
+"""Fraction of the samples that are certainly neither occluded nor overexposed, and the factors from their largest residual to a
+usual one: while the pose moves, and at the final pose, where a sample that still does not fit shows something else.
+"""
 
 
 def _linear_light() -> F32:
@@ -67,7 +70,7 @@ _ROOT = np.sqrt(_LINEAR)
 
 
 class Pyramid:
-    """One frame at full, half, quarter ... size, made as they are asked for."""
+    """One frame at full, half, quarter ... size; each level is computed on demand."""
 
     def __init__(self, px: U8) -> None:
         self._levels = [px]
@@ -78,12 +81,12 @@ class Pyramid:
         return self._levels[level]
 
     def size(self, level: int) -> tuple[int, int]:
-        """Columns and rows."""
+        """Return the columns and rows of a level."""
         h, w = self._levels[0].shape[:2]
         return max(1, w >> level), max(1, h >> level)
 
     def cut(self, level: int, left: int, top: int, right: int, below: int) -> U8:
-        """Part of a level, of which no more is made than that where it is a small one."""
+        """Return part of a level. If the part is small, only that part of the level is computed."""
         made = len(self._levels) - 1
         w, h = self.size(level)
         if level <= made or 2 * (right - left) * (below - top) > w * h:
@@ -97,57 +100,57 @@ class Pyramid:
 
 def _halved(px: U8) -> U8:
     w, h = max(1, px.shape[1] // 2), max(1, px.shape[0] // 2)
-    # An odd row or column left over would stretch the rest.
+    # An odd row or column left over would stretch the result.
     return np.asarray(cv2.resize(px[: 2 * h, : 2 * w], (w, h), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlignedTemplate:
-    """The drawing as laid on one frame."""
+    """The drawing as aligned with one frame."""
 
     pose: PadPose
     paints: F64
-    """(4, 3) linear light, 0..1, blue, green, red of H, orange, disc, surroundings."""
+    """Linear light of H, orange, disc and surroundings, (4, 3), 0..1, in blue, green, red."""
     light: F32
-    """(n, 3) of the samples."""
+    """Linear light of the samples, (n, 3)."""
     share: F32
-    """(n, 4) of each paint in each sample."""
+    """Coverage of each sample by each paint, (n, 4)."""
     xy_m: F32
-    """(n, 2) places of the samples on the pad."""
+    """Positions of the samples on the pad, (n, 2) m."""
     weight: F32
-    """(n,) 0..1: small where something hides or outshines the drawing."""
+    """Weights of the samples, (n,), 0..1: small where something occludes or outshines the drawing."""
     sample_m: float
-    """Side of a sample on the pad."""
+    """Side of a sample on the pad, m."""
     in_view: float
-    """Share of the disc's area inside the frame."""
+    """Fraction of the disc's area inside the frame."""
     tilt_sigmas: float
-    """How far the pose tilted away from its start, in standard deviations of what was known."""
+    """Tilt of the pose relative to its start, in standard deviations of the prior."""
     local: Local
     arrow: tuple[ArrowPlace, ArrowPlace]
-    """Where the arrowhead should be, and where it would be with the drawing turned by half."""
+    """Support for the arrowhead at its place, and at the place where it would be with the drawing turned by 180 degrees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Local:
-    """The square root of light less its mean in the neighbourhood of every sample, which takes glare and shadows out."""
+    """The square root of light minus its mean in each sample's neighbourhood, which removes glare and shadows."""
 
     paints: F64
-    """(4, 3), known up to a value common to all four."""
+    """Paints in this measure, (4, 3), known up to a value common to all four."""
     light: F32
-    """(n, 3)."""
+    """Light of the samples in this measure, (n, 3)."""
     share: F32
-    """(n, 4)."""
+    """Coverage of each sample by each paint minus its mean in the neighbourhood, (n, 4)."""
     weight: F32
-    """(n,)."""
+    """Weights of the samples, (n,)."""
 
 
 class _Samples(NamedTuple):
     rays: F32
-    """(3, n)."""
+    """Rays of the samples, (3, n)."""
     light: F32
-    """(3, n)."""
+    """Linear light, (3, n)."""
     local: F32
-    """(3, n) square root of light, less its mean in the neighbourhood."""
+    """Square root of light minus its mean in the neighbourhood, (3, n)."""
     side_m: float
 
 
@@ -162,16 +165,16 @@ def align(
     local: bool = False,
     side: F64 | None = None,
 ) -> AlignedTemplate | None:
-    """Lay the drawing on the frame from a rough pose.
+    """Align the drawing with the frame from a rough pose.
 
     Args:
-        sigma_tilt_rad: how well the start pose's normal is known.
-        steps: of Gauss-Newton; the first half on a drawing blurred twice as much. With 0 the pose stays as it is.
-        local: move by the light less its mean in the neighbourhood, for glare and shadows; a bit less reach.
-        side: (2,) of unit length, x and y on the pad: move by the half of the disc that lies there, the other being covered.
+        sigma_tilt_rad: standard deviation of the tilt of the start pose's normal.
+        steps: number of Gauss-Newton steps; the first half uses a drawing blurred twice as much. With 0 the pose is unchanged.
+        local: use the light minus its mean in the neighbourhood, against glare and shadows; the reach is a little shorter.
+        side: (2,) unit direction in x and y of the pad: use only the half of the disc on this side, because the other is covered.
 
     Returns:
-        None where too little of the pad is in view, or where the pose runs away.
+        The aligned template; None if too little of the pad is in view, or if the pose diverges.
     """
     tilt_sigmas = 0.0
     if steps > 0:
@@ -205,7 +208,10 @@ def align(
 
 
 def approach(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, sigma_tilt_rad: float, steps: int = 6) -> PadPose | None:
-    """`align` without what the judge needs: a pose that edge-based registration can start from, out of a rough one."""
+    """Return a pose that edge-based registration can start from, given a rough one.
+
+    This is `align` without the inputs of the classifier.
+    """
     moved = _move(pyramid, camera, pad, pose, sigma_tilt_rad, steps, False, _APPROACH_SAMPLES)
     return None if moved is None else moved[0]
 
@@ -221,7 +227,7 @@ def _move(
     most: int,
     side: F64 | None = None,
 ) -> tuple[PadPose, float] | None:
-    """The pose after some steps, and its tilt away from the start in sigmas."""
+    """Return the pose after some steps, and its tilt away from the start in standard deviations."""
     samples = _gather(pyramid, camera, pad, pose, most)
     if samples is None:
         return None
@@ -270,27 +276,27 @@ def _move(
 
 
 def _blur_of(samples: _Samples, t: F64, camera: Camera) -> int:
-    """Which of the drawing's blurs is the samples'."""
+    """Return the index of the drawing's blur that is nearest to that of the samples."""
     blur = math.hypot(0.29 * samples.side_m, _LENS_BLUR_PX * float(t[2]) / camera.fx)
     return int(np.abs(_LOG_BLURS - math.log(blur)).argmin())
 
 
 @lru_cache(maxsize=8)
 def _box(pad: Pad) -> F64:
-    """(24, 3) m, a circle that what is sampled lies in."""
+    """Return (24, 3) m: a circle that encloses all samples."""
     return pad.circle(1.15 * pad.disc_radius_m, 24)
 
 
 @lru_cache(maxsize=16)
 def _grid(camera: Camera, k: int, width: int, height: int) -> F32:
-    """(3, height, width) x/z, y/z and 1 of the middles of the pixels of a frame `k` times smaller, made once."""
+    """Return (3, height, width): x/z, y/z and 1 at the pixel centres of a frame `k` times smaller; the result is cached."""
     u, v = np.meshgrid((np.arange(width) + 0.5) * k - 0.5, (np.arange(height) + 0.5) * k - 0.5)
     rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).T.reshape(2, height, width)
     return np.concatenate([rays, np.ones((1, height, width))]).astype(np.float32)
 
 
 def _gather(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, most: int) -> _Samples | None:
-    """The pixels about the disc, from the level of the pyramid that has neither too many nor too few of them there."""
+    """Sample the pixels about the disc from the pyramid level that has a suitable number of them there."""
     if pose.t_cam_pad[2] < 0.02:
         return None
     edge = pose.points(_box(pad))
@@ -321,26 +327,26 @@ def _gather(pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, most: int
 
 
 def _channels(image: NDArray[Any]) -> F32:
-    """(h, w, c) to (c, h * w): channel by channel, numpy's loops are long."""
+    """Reshape (h, w, c) to (c, h * w): with the channels outermost numpy's inner loops are long."""
     return np.ascontiguousarray(image.reshape(-1, image.shape[2]).T, dtype=np.float32)
 
 
 class _Model(NamedTuple):
-    """The samples that lie on or near the disc, for one pose."""
+    """The samples on or near the disc for one pose."""
 
     light: F32
-    """(3, n)."""
+    """Light of the samples, (3, n)."""
     share: F32
-    """(4, n)."""
+    """Coverage of each sample by each paint, (4, n)."""
     slope_x: F32
-    """(4, n); empty where it is not asked for."""
+    """Derivative of the coverage by x, (4, n) 1/m; empty if it is not requested."""
     slope_y: F32
     xy: F32
-    """(2, n)."""
+    """Positions of the samples on the pad, (2, n) m."""
     ab: F32
-    """(2, n) of the rays in `pad`, over their depth."""
+    """Rays of the samples in `pad` over their depth, (2, n)."""
     used: NDArray[np.intp]
-    """(n,) which of all samples these are."""
+    """Indices of these samples among all samples, (n,)."""
 
 
 def _model(drawing: Maps, samples: _Samples, light: F32, R: F64, t: F64, pad: Pad, slopes: bool = True) -> _Model | None:
@@ -360,7 +366,7 @@ def _model(drawing: Maps, samples: _Samples, light: F32, R: F64, t: F64, pad: Pa
 
 
 def _sampled(layers: F32, drawing: Maps, xy: F32) -> F32:
-    """(c, n) layers of the maps at (2, n) places on the pad; their rows run with x."""
+    """Return (c, n) layers of the maps at (2, n) positions on the pad. The maps' rows run along x."""
     at = np.empty((1, xy.shape[1], 2), np.float32)
     np.multiply(xy[1], drawing.per_m, out=at[0, :, 0])
     np.multiply(xy[0], drawing.per_m, out=at[0, :, 1])
@@ -369,9 +375,11 @@ def _sampled(layers: F32, drawing: Maps, xy: F32) -> F32:
 
 
 def _paint(light: F32, share: F32, weight: F32, standing: bool = False) -> tuple[F32, F32, F32, float]:
-    """Paints (4, 3) by weighted least squares, new weights, residuals (3, n) and their spread; from the weights before.
+    """Fit the paints (4, 3) by iteratively reweighted least squares; return them, the weights, the residuals (3, n) and their
+    spread.
 
-    While the pose moves the weights are Cauchy's; once it stands, Geman and McClure's, which let go of what does not fit.
+    While the pose moves the weights are Cauchy's. At the final pose (`standing`) they are Geman and McClure's, which drop
+    outliers completely.
     """
     n = light.shape[1]
     both = np.concatenate([share, light])
@@ -396,14 +404,14 @@ def _paint(light: F32, share: F32, weight: F32, standing: bool = False) -> tuple
 
 
 def _explained(light: F32, residual: F32, weight: F32) -> float:
-    """Share of the light's weighted variance that the model explains."""
+    """Return the fraction of the light's weighted variance that the model explains."""
     apart = light - (light @ weight / float(weight.sum()))[:, None]
     total = float((apart * apart @ weight).sum())
     return 1.0 - float((residual * residual @ weight).sum()) / max(total, 1e-12)
 
 
 def _normal(paints: F32, weight: F32, residual: F32, spread: float, model: _Model) -> tuple[F64, F64]:
-    """Normal matrix and gradient of a small (move, turn) in `pad`."""
+    """Return the normal matrix and the gradient of a small (translation, rotation) in `pad`."""
     gx, gy = paints.T @ model.slope_x, paints.T @ model.slope_y
     x, y = model.xy
     J = np.empty((6, *gx.shape), np.float32)
@@ -419,7 +427,7 @@ def _normal(paints: F32, weight: F32, residual: F32, spread: float, model: _Mode
 
 
 def _solved(N: F64, g: F64, tilt: F64, sigma_tilt: float) -> F64:
-    """The step, with what is known of the tilt put in."""
+    """Solve for the step, including the prior on the tilt."""
     M = N.copy()
     M[3, 3] += sigma_tilt**-2
     M[4, 4] += sigma_tilt**-2

@@ -1,8 +1,8 @@
-"""The arrowhead looked at closely, where it should be and where it would be with the drawing turned by half.
+"""Measure the support for the arrowhead, at its place and where it would be with the drawing turned by 180 degrees.
 
-It is small: what suffices for disc, ring and letter shows it in a sample or two. Here the two places alone are sampled finely.
-The light is projected on the way from disc to ring paint and explained by an even slope, the ring, and an arrowhead of unknown
-strength.
+The arrowhead is small: the sampling that suffices for disc, ring and H covers it with one or two samples. Here the two places
+alone are sampled finely. The light is projected on the line from disc paint to ring paint, and fitted with a linear slope, the
+ring, and an arrowhead of unknown strength.
 """
 
 from __future__ import annotations
@@ -26,31 +26,33 @@ F32 = NDArray[np.float32]
 _PITCH_M = 0.008
 _MARGIN_M = 0.02
 _CLEAR_VAR = 0.05
-"""Of the projected light (disc 0, ring 1), from which on something else lies there."""
+"""Residual variance of the projected light (disc 0, ring 1) that halves, roughly, the trust that nothing else lies there."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArrowPlace:
-    """What is seen at one of the two places."""
+    """The measurements at one of the two places."""
 
     found: float
-    """0..1: strength of the arrowhead there times how much of the variation it explains."""
+    """Strength of the arrowhead there times the fraction of the variation it explains, 0..1."""
     seen: float
-    """Share of the place inside the frame, and 0 where pixels are too coarse to tell."""
+    """Fraction of the place inside the frame; 0 if the pixels are too coarse."""
     clear: float
-    """0..1: nothing but disc, ring and perhaps an arrowhead lies there."""
+    """How surely only disc, ring and perhaps an arrowhead lie there, 0..1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
     xy_m: F32
-    """(n, 2) of the fore place."""
+    """Positions of the samples at the fore place, (n, 2) m."""
     arrow: F32
-    """(n,) share of the arrowhead."""
+    """Coverage of each sample by the arrowhead, (n,)."""
     others: F64
-    """(n, 4) even, slopes, ring."""
+    """The other regressors, (n, 4): constant, two slopes, ring."""
     own: tuple[F64, F64]
-    """(n, 4) orthogonal columns of `others`, and (n,) what they leave of the arrowhead, where all of the place is in view."""
+    """Orthogonal columns of `others`, (n, 4), and the part of the arrowhead orthogonal to them, (n,); for a place fully in
+    view.
+    """
 
 
 @lru_cache(maxsize=16)
@@ -77,12 +79,12 @@ def _left(others: F64, arrow: F64) -> tuple[F64, F64]:
 def arrow_places(
     image: NDArray[np.uint8], step: int, lut: F32, camera: Camera, pad: Pad, pose: PadPose, root_paints: F64
 ) -> tuple[ArrowPlace, ArrowPlace]:
-    """Fore and aft.
+    """Return the support at the fore place and at the aft place.
 
     Args:
-        frame: `step` times smaller than the camera's.
+        image: the frame, `step` times smaller than the camera's.
         lut: (256,) square root of light of a pixel's value.
-        root_paints: (4, 3) of the laid drawing, square root of light, known up to a value common to all four.
+        root_paints: (4, 3) paints of the aligned drawing, square root of light, known up to a value common to all four.
     """
     nothing = ArrowPlace(0.0, 0.0, 0.0)
     way = root_paints[ORANGE] - root_paints[DISC]
@@ -107,7 +109,8 @@ def arrow_places(
             continue
         at = np.fmax(uv, -1e4).astype(np.float32)[None]
         v = cv2.LUT(sampled(image, at), lut)[0] @ (way / length)
-        # Even light, slope and ring taken out of both, what is left of one is measured by the other (Frisch and Waugh 1933).
+        # Constant, slope and ring are projected out of light and arrowhead; the remainders give the strength (Frisch and Waugh
+        # 1933).
         if whole:
             Q, T = design.own
         else:

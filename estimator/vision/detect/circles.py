@@ -1,7 +1,7 @@
-"""Circles on the deck through the outlines of patches, with anything else in the outline left out.
+"""Fit circles on the deck to the outlines of regions, robust against anything else in the outline.
 
-Rays are cut with a plane that stands as the pad is thought to stand; in it a tilted pad is a circle again. Where nothing is known
-of the tilt the plane faces the camera, and the tolerance covers what 25 degrees do to a circle.
+Rays are intersected with a plane parallel to the assumed pad, in which a tilted pad is a circle again. If the tilt is unknown the
+plane faces the camera, and the tolerance covers the distortion of a circle by 25 degrees of tilt.
 """
 
 from __future__ import annotations
@@ -19,69 +19,69 @@ _POINTS = 90
 _MIN_POINTS = 7
 _MIN_ARC_RAD = 0.9
 _SPREADS = (1 / 3, 1 / 4, 1 / 6, 1 / 9)
-"""Distances along the outline between the three points of a trial circle, in shares of it."""
+"""Distances along the outline between the three points of a trial circle, as fractions of its length."""
 _TRIALS = 30
 _TOLERANCE, _TOLERANCE_FREE = 0.025, 0.06
-"""Of the radius, with the tilt known and without."""
+"""Tolerances as fractions of the radius, with the tilt known and unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A plane at unit distance from the lens that the pad is thought to be parallel to."""
+    """A plane at unit distance from the lens, assumed parallel to the pad."""
 
     R_cam_plane: F64
-    """(3, 3), its z axis the plane's normal, away from the lens."""
+    """Rotation (3, 3) whose z axis is the plane's normal, away from the lens."""
     known: bool
-    """False when it merely faces the camera."""
+    """False if the plane merely faces the camera."""
 
     @staticmethod
     def of(camera: Camera, R_level_body: Rotation | None) -> Plane:
-        """A level deck under a vehicle of known roll and pitch, or straight ahead of the lens."""
+        """Return the plane of a level deck under a vehicle of known roll and pitch, or one facing the lens."""
         if R_level_body is None:
             return Plane(np.eye(3), False)
         return Plane(camera.T_body_cam.R.matrix.T @ R_level_body.matrix.T, True)
 
     @staticmethod
     def facing(normal_cam: F64) -> Plane:
-        """The plane with this unit normal, turned as little as possible from the camera's axes."""
+        """Return the plane with this unit normal, turned as little as possible from the camera's axes."""
         axis = np.cross([0.0, 0.0, 1.0], normal_cam)
         s, c = float(np.linalg.norm(axis)), float(normal_cam[2])
         turn = axis * (math.atan2(s, c) / s) if s > 1e-9 else np.zeros(3)
         return Plane(Rotation.from_rotvec(turn).matrix, True)
 
     def places(self, camera: Camera, uv_px: F64) -> F64:
-        """(N, 2) px to (N, 2) places on it; nan where the ray misses it."""
+        """Map (N, 2) px to (N, 2) positions on the plane; nan where the ray misses it."""
         xy = camera.rays(uv_px)
         p = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ self.R_cam_plane
         return np.asarray(p[:, :2] / np.where(p[:, 2] > 0.15, p[:, 2], np.nan)[:, None])
 
     def pose(self, centre: F64, radius: float, radius_m: float) -> PadPose:
-        """The pad of which a circle of `radius_m` is seen as this circle."""
+        """Return the pose of a pad whose circle of `radius_m` appears as this circle."""
         depth = radius_m / radius
         return PadPose(Rotation(self.R_cam_plane), self.R_cam_plane @ np.array([centre[0] * depth, centre[1] * depth, depth]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circle:
-    """In a plane at unit distance."""
+    """A circle in a plane at unit distance."""
 
     centre: F64
     radius: float
     share: float
-    """Of the outline's points that lie on it."""
+    """Fraction of the outline's points that lie on the circle."""
     arc_rad: float
-    """Of the circle that they cover."""
+    """Arc of the circle that these points cover."""
     on: np.ndarray[tuple[int], np.dtype[np.bool_]]
-    """Which of the points it was fitted to."""
+    """Mask of the points that the circle was fitted to."""
 
 
 def circles(places: F64, least_radius: float, tolerance: float, most: int = 2) -> list[Circle]:
-    """The circles with the most outline on them, at most `most`, by trial of three points each.
+    """Return the circles with the most outline points, at most `most`, by RANSAC-like trials of three points each.
 
     Args:
         places: (N, 2) in order along the outline.
-        least_radius: smaller ones are noise.
-        tolerance: of the radius.
+        least_radius: smaller circles are taken for noise.
+        tolerance: as a fraction of the radius.
     """
     places = places[np.isfinite(places).all(axis=1)]
     if len(places) > _POINTS:
@@ -108,7 +108,7 @@ def _best(places: F64, least_radius: float, tolerance: float) -> Circle | None:
     gap = np.repeat([max(1, round(s * n)) for s in _SPREADS], _TRIALS)
     a, b, c = places[i], places[(i + gap) % n], places[(i + 2 * gap) % n]
     centres, radii = _through(a, b, c)
-    # The least arc's chord is 0.87 radii: what is larger than the outline allows is a straight line.
+    # The shortest arc's chord is 0.87 radii. A radius larger than the outline allows means a straight line.
     largest = 1.2 * float(np.hypot(*(places.max(axis=0) - places.min(axis=0))))
     ok = np.isfinite(radii) & (radii > least_radius) & (radii < largest)
     if not ok.any():
@@ -139,7 +139,7 @@ def _best(places: F64, least_radius: float, tolerance: float) -> Circle | None:
 
 
 def _through(a: F64, b: F64, c: F64) -> tuple[F64, F64]:
-    """Circles through three points each: (N, 2) centres and (N,) radii, nan for points in a line."""
+    """Return the circles through three points each: (N, 2) centres and (N,) radii; nan for collinear points."""
     p, q = b - a, c - a
     cross = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     pp, qq = (p * p).sum(axis=1), (q * q).sum(axis=1)
@@ -149,7 +149,7 @@ def _through(a: F64, b: F64, c: F64) -> tuple[F64, F64]:
 
 
 def _fit(p: F64) -> tuple[F64, float]:
-    """Least squares on the circle's equation (Kasa, A circle fitting procedure and its error analysis, 1976)."""
+    """Fit a circle by least squares on its equation (Kasa, A circle fitting procedure and its error analysis, 1976)."""
     mean = p.mean(axis=0)
     x, y = (p - mean).T
     z = x * x + y * y
@@ -163,5 +163,5 @@ def _fit(p: F64) -> tuple[F64, float]:
 
 
 def tolerance_of(plane: Plane) -> float:
-    """Of the radius, for outlines cut with this plane."""
+    """Return the tolerance, as a fraction of the radius, for outlines intersected with this plane."""
     return _TOLERANCE if plane.known else _TOLERANCE_FREE

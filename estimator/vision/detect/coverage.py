@@ -1,7 +1,7 @@
-"""Something in front of the pad: which half of the disc to believe first when the paints are told from the frame.
+"""Handle an occluder: choose the half of the disc to trust first when the paints are estimated from the frame.
 
-What covers a half and has its own light pulls every paint towards it, and then nothing fits. Told from the other half alone the
-paints are the pad's, and what covers the rest stands out against them.
+An occluder that covers a half and has its own light biases every paint, and then nothing fits. The other half alone gives the
+pad's paints, and the occluder shows as residuals against them.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from estimator.vision.pad_pose import PadPose
 
 _SECTORS = 8
 _ENOUGH = 650
-"""Samples that tell."""
+"""Number of samples that suffice for the choice."""
 _MUCH = 0.4
-"""Of the whole's unexplained share of the light's variation: a half that leaves less of its own is taken first."""
+"""A half is trusted first if its unexplained fraction of the light's variation is below this multiple of the whole's."""
 
 
 def uncovered(light: F32, share: F32, xy_m: F32) -> F32:
-    """(n,) weights to begin with: 1, or little on one half where the other is explained much better alone.
+    """Return (n,) initial weights: 1, or a small value on one half if the other half alone is explained much better.
 
     Args:
-        light: (n, 3).
-        share: (n, 4) of the paints.
-        xy_m: (n, 2) on the pad.
+        light: (n, 3) light of the samples.
+        share: (n, 4) coverage of the samples by the paints.
+        xy_m: (n, 2) positions on the pad.
     """
     even = np.ones(len(light), np.float32)
     some = slice(None, None, max(1, len(light) // _ENOUGH))
@@ -53,20 +53,20 @@ def _sector(xy_m: F32) -> NDArray[np.intp]:
 
 
 def on_side(rays: F32, pose: PadPose, side: F64) -> NDArray[np.intp]:
-    """Which of the rays (3, n) meet the pad's plane beyond its centre in a direction (2,) on it."""
+    """Return the indices of the rays (3, n) that meet the pad's plane beyond its centre in a direction (2,) on it."""
     across = pose.R_cam_pad.matrix[:, :2] @ side
     normal = pose.R_cam_pad.matrix[:, 2]
     t = pose.t_cam_pad
-    # A ray's place on the pad is r (n t) / (n r) less t; both sides are multiplied by n r, which is positive.
+    # A ray's position on the pad is r (n t) / (n r) - t. Both sides are multiplied by n r, which is positive.
     over = (across * float(normal @ t) - normal * float(across @ t)).astype(np.float32) @ rays
     return np.nonzero(over > 0.0)[0]
 
 
 def _unexplained(products: F64) -> F64:
-    """(m,) share of the light's variation that paints by least squares leave; 1 where there are few samples.
+    """Return the (m,) fraction of the light's variation that least-squares paints leave; 1 if there are few samples.
 
     Args:
-        products: (m, 8, 8) sums of products of paints' shares (4), light (3) and one.
+        products: (m, 8, 8) sums of products of coverage (4), light (3) and one.
     """
     n = products[:, 7, 7]
     A = products[:, :4, :4] + 1e-4 * np.maximum(n, 1.0)[:, None, None] * np.eye(4)

@@ -1,8 +1,8 @@
-"""The whole drawing at all headings at once: how much of a candidate's frame the paints' places explain.
+"""Correlate the drawing at all headings at once: how much of a candidate's image the positions of the paints explain.
 
-The frame is sampled in cells around the candidate's centre. For a heading every cell belongs to one paint; the share of the
-variance that lies between the paints (one-way analysis of variance) is the score. Sums over turned shapes are correlations along
-the angle, done for all headings by FFT.
+The frame is sampled in polar cells around the candidate's centre. For a given heading every cell belongs to one paint. The score
+is the fraction of the variance between the paints (one-way analysis of variance). Sums over rotated shapes are correlations along
+the angle, and an FFT computes them for all headings.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from estimator.vision.pad_pose import PadPose
 U8 = NDArray[np.uint8]
 
 _LEAST = 1e-3
-"""Area of a paint in view below which nothing is said of it, of the whole."""
+"""Area of a paint in view, as a fraction of the whole, below which the paint is ignored."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """What the drawing says of a candidate at its best heading."""
+    """The best heading of the drawing at a candidate, and its score."""
 
     turn_rad: float
-    """By which the candidate's pose is to be turned about its own z axis."""
+    """Angle by which the candidate's pose is to be turned about its own z axis."""
     score: float
-    """0..1, share of the variance explained, less where a paint is on the wrong side of another."""
+    """Fraction of the variance explained, 0..1, reduced if a paint lies on the wrong side of another."""
     arrow: float
-    """Advantage over the heading 180 degrees away, as a share of the variance."""
+    """Advantage over the heading 180 degrees away, as a fraction of the variance."""
     in_view: float
-    """Share of the disc's area inside the frame."""
+    """Fraction of the disc's area inside the frame."""
 
 
 def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F64 | None = None) -> Heading | None:
-    """The best heading of the drawing at a place, or None where hardly any of it is in view.
+    """Return the best heading of the drawing at a pose; None if hardly any of it is in view.
 
     Args:
         px: the frame, `step` times smaller than the camera's.
-        side: (2,) of unit length, x and y of `pose`: the half of the disc that is to be looked at, where the other is covered.
+        side: (2,) unit direction in x and y of `pose`: only this half of the disc is used, because the other is covered.
     """
     drawing = polar_drawing(pad)
     uv = ((camera.project(drawing.xy_m @ pose.R_cam_pad.matrix[:, :2].T + pose.t_cam_pad) + 0.5) / step - 0.5).astype(np.float32)
@@ -59,14 +59,14 @@ def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F6
     in_view = float(weight.sum()) / total
     if in_view < 0.02:
         return None
-    # Places behind the lens are nan, which remap would turn into any pixel; they count for nothing.
+    # Points behind the lens are nan, which remap would turn into arbitrary pixels. Their weight is zero.
     at = np.fmax(uv, np.float32(-1e4)).reshape(*shape, 2)
     seen_px = sampled(px, np.asarray(at, np.float32)).transpose(2, 0, 1)
     values = np.empty((4, *shape), np.float32)
     values[0] = weight
     np.multiply(seen_px, weight * np.float32(1 / 255.0), out=values[1:])
     spectra = np.fft.rfft(values, axis=2)
-    # Sums of weight and of weighted blue, green, red under H and arrowhead at every heading.
+    # These are sums of the weight and of the weighted blue, green, red under H and arrowhead at every heading.
     products = np.stack([(spectra * turning).sum(axis=1) for turning in drawing.turning])
     sums = np.fft.irfft(products, n=ANGLES, axis=2)
     whole = values.sum(axis=(1, 2))

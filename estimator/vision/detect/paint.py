@@ -1,8 +1,8 @@
-"""Colour classes that learn: what the pad's paints look like under the light of the day.
+"""Learn the colours of the pad's paints under the present light.
 
-The drawing, laid on a frame and believed, says of every pixel which paint it shows. Memory goes in and memory comes out; it
-moves slowly, fades when the pad is not found, and below a certain trust it is as if nothing had been learned. Acquisition takes
-from it where to part disc from surroundings; without it, it tries several places.
+An aligned and trusted drawing tells for every pixel which paint it shows. The memory is an input and an output; it moves slowly,
+fades while the pad is not found, and is ignored below a certain trust. Acquisition takes the limit between disc and surroundings
+from it; without it, acquisition tries several limits.
 """
 
 from __future__ import annotations
@@ -17,41 +17,41 @@ from estimator.vision.detect.template import AROUND, DISC
 from estimator.vision.pad import Pad
 
 LEARNED_AT = 0.9
-"""Confidence a frame needs to teach anything."""
+"""Confidence that a frame needs to update the memory."""
 RATE = 0.05
-"""Of one frame in the memory: half of what is known is newer than 14 frames."""
+"""Weight of one frame in the memory: half of the memory is newer than 14 frames."""
 FADING = 0.08
-"""Of the trust lost with each frame without the pad: from full trust to none in 28 frames."""
+"""Fraction of the trust lost with each frame without the pad: full trust is lost in 28 frames."""
 TRUSTED = 0.10
-"""Trust from which on the memory is used: three confident frames."""
+"""Trust above which the memory is used: three confident frames."""
 _FLOOR = 0.01
-"""Of full scale: light below it is noise."""
+"""Light, as a fraction of full scale, below which there is only noise."""
 _BROAD = 1.0
-"""Variance, in natural logarithms squared, of a paint that nothing is known of: a factor e either way."""
+"""Variance, in natural logarithms squared, of a paint that nothing is known about: a factor e either way."""
 _PURE, _ENOUGH = 0.85, 6
 _FARTHEST = 3.0
-"""Standard deviations a paint may move in one frame's opinion; more is taken for that much."""
+"""Limit, in standard deviations, on the change of a paint that one frame may cause; a larger change is clipped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaintMemory:
-    """Mean and variance of the logarithm of each paint's light, and how far to trust them."""
+    """Mean and variance of the logarithm of each paint's light, and their trust."""
 
     mean: F64
-    """(4, 3) of H, orange, disc, surroundings in blue, green, red: log1p(light / floor)."""
+    """Mean of log1p(light / floor), (4, 3): of H, orange, disc, surroundings in blue, green, red."""
     var: F64
-    """(4, 3)."""
+    """Variance of the same, (4, 3)."""
     trust: float
-    """0..1."""
+    """Trust in the memory, 0..1."""
 
     @property
     def trusted(self) -> bool:
         return self.trust >= TRUSTED
 
     def dominance(self, pad: Pad) -> tuple[float, float] | None:
-        """By how much the disc's dominant channel exceeds the others on the disc and around it, in natural logarithms.
+        """Return the excess of the disc's dominant channel over the others, on the disc and around it, in natural logarithms.
 
-        None while the memory is not trusted, or where the two are not apart by two standard deviations.
+        Return None if the memory is not trusted, or if the two values are not two standard deviations apart.
         """
         if not self.trusted:
             return None
@@ -63,11 +63,11 @@ class PaintMemory:
 
 
 FRESH = PaintMemory(np.zeros((4, 3)), np.full((4, 3), _BROAD), 0.0)
-"""Nothing learned."""
+"""The memory before any learning."""
 
 
 def learn(memory: PaintMemory, aligned: AlignedTemplate, confidence: float) -> PaintMemory:
-    """The memory after a frame in which the drawing was laid with this confidence; unchanged by a doubtful one."""
+    """Return the memory after a frame in which the drawing was aligned with this confidence; a doubtful frame changes nothing."""
     if confidence < LEARNED_AT:
         return memory
     light = np.log1p(np.maximum(aligned.light, 0.0) / _FLOOR)
@@ -89,7 +89,7 @@ def learn(memory: PaintMemory, aligned: AlignedTemplate, confidence: float) -> P
 
 
 def missed(memory: PaintMemory) -> PaintMemory:
-    """The memory after a frame without the pad: less trusted, broader, at last as fresh as before all learning."""
+    """Return the memory after a frame without the pad: less trusted and broader, and in the end equal to `FRESH`."""
     trust = memory.trust * (1.0 - FADING)
     if trust < 0.5 * TRUSTED:
         return FRESH

@@ -1,8 +1,8 @@
-"""One coarse pass over the pixels: where something has more of the disc's own colour than what lies around it.
+"""Scan the frame once, coarsely, for regions with more of the disc's own colour than their surroundings.
 
-The measure is the logarithm of the disc's dominant channel less that of the stronger of the other two. Light that is brighter,
-warmer or out of balance shifts it by the same amount all over the frame, so limits are taken relative to the frame's middle
-value and no colour is trusted by itself.
+The measure is the logarithm of the disc's dominant channel minus that of the stronger of the other two. A change of brightness,
+colour temperature or white balance shifts it by the same amount all over the frame. Limits are therefore relative to the frame's
+median, and no absolute colour is trusted.
 """
 
 from __future__ import annotations
@@ -20,27 +20,31 @@ from estimator.vision.pad import Pad
 U8 = NDArray[np.uint8]
 
 _FLOOR = 0.01
-"""Of full scale: light below it is noise (12 of 8000 electrons read noise, twice averaged, is a sixth of it)."""
+"""Light, as a fraction of full scale, below which there is only noise (12 of 8000 electrons read noise, twice averaged, is a
+sixth of it).
+"""
 _MIDDLE = 80
 """Value of `excess` where the channels are equal."""
 _NAT = 255.0 / float(np.log1p(1.0 / _FLOOR))
 """Steps of `excess` for a factor e."""
 _CAST = 0.5 * _NAT
-"""How far the light alone may shift the measure: 3000 K, or a white balance 20 % off in two channels."""
+"""Largest shift of the measure by the light alone: 3000 K, or a white balance 20 % off in two channels."""
 _WEAK, _STRONG = 0.28 * _NAT, 0.9 * _NAT
 _LEAST_CONTRAST = 0.4
-"""Of the measure, in natural logarithms, between a patch and what surrounds it: 99 of 100 discs have 0.56 or more, in any light;
-noise has less."""
+"""Smallest contrast of the measure, in natural logarithms, between a region and its surroundings: 99 of 100 discs have 0.56 or
+more in any light; noise has less.
+"""
 _MIN_AREA = 9
 _KEPT = 6
 _SIDE_PX, _BESIDE_PX = 9, 18
-"""Side of the four patches that a speck is compared with, and how far their middles lie from it: clear of a disc of 13 px radius,
-beyond which the coarse frame shows it well."""
+"""Side of the four patches that a blob is compared with, and the distance of their centres from it. They are clear of a disc of
+13 px radius; a larger disc shows well in the coarse frame.
+"""
 _SPECKS = 12
 _SPECK = 0.18 * _NAT
 _SPECK_AREA = 12
 _LONGEST = 2.6
-"""Length of a speck to its width: 2 of half a disc."""
+"""Largest ratio of a blob's length to its width: half a disc has 2."""
 _CLOSE = np.ones((3, 3), np.uint8)
 
 
@@ -55,40 +59,41 @@ _LOG = _log_light()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coarse:
-    """The frame made small, and the measure on it."""
+    """The frame at reduced size, with the colour measure."""
 
     px: U8
-    """(h, w, 3) BGR."""
+    """The reduced frame, (h, w, 3) BGR."""
     step: int
-    """Pixels of the frame to one of these."""
+    """Pixels of the frame per pixel of the reduced one."""
     excess: U8
-    """(h, w) the disc's dominant channel over the others, logarithmic, `_MIDDLE` where equal."""
+    """The disc's dominant channel over the others, (h, w), logarithmic, `_MIDDLE` where they are equal."""
     usual: float
-    """The middle value of `excess`, no further from `_MIDDLE` than light alone can shift it."""
+    """Median of `excess`, limited to the range around `_MIDDLE` that light alone can shift it by."""
 
     def to_full(self, uv: F64) -> F64:
-        """(N, 2) px of the small frame to px of the whole one."""
+        """Map (N, 2) px of the reduced frame to px of the full one."""
         return np.asarray((uv + 0.5) * self.step - 0.5)
 
     def share(self) -> float:
-        """Of the frame that stands out by the low limit."""
+        """Return the fraction of the frame above the low limit."""
         return cv2.countNonZero(cv2.threshold(self.excess, self.usual + _WEAK, 255, cv2.THRESH_BINARY)[1]) / self.excess.size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscRegion:
-    """One connected patch of it."""
+    """A connected region in the disc's colour."""
 
     outline_px: F64
-    """(N, 2) px of the whole frame, along the patch's outer border, moved out by half a small pixel; what runs along the
-    frame's edge is left out."""
+    """Points on the region's outer border, (N, 2) px of the full frame, moved outward by half a reduced pixel; points along the
+    frame's edge are left out.
+    """
     cut: bool
-    """It reaches the frame's edge."""
+    """True if the region reaches the frame's edge."""
     weight: float
 
 
 def coarse(small: U8, step: int, pad: Pad) -> Coarse:
-    """The measure on a frame that is `step` times smaller than the camera's."""
+    """Compute the measure on a frame that is `step` times smaller than the camera's."""
     main = 2 - int(np.argmax(pad.colours.disc))
     channels = cv2.split(cv2.LUT(small, _LOG))
     others = cv2.max(channels[(main + 1) % 3], channels[(main + 2) % 3])
@@ -98,10 +103,10 @@ def coarse(small: U8, step: int, pad: Pad) -> Coarse:
 
 
 def limits(image: Coarse, learned: tuple[float, float] | None = None) -> list[float]:
-    """Values of the measure to cut at, likeliest first: between the frame's two kinds, low, and high.
+    """Return limits of the measure, likeliest first: between the two classes of the frame (Otsu), low, and high.
 
     Args:
-        learned: the measure on the disc and around it in natural logarithms, where it was learned; between them is tried first.
+        learned: the learned measure on the disc and around it, in natural logarithms; the limit between them comes first.
     """
     low, high = image.usual + _WEAK, image.usual + _STRONG
     otsu, _ = cv2.threshold(image.excess, 0, 255, cv2.THRESH_OTSU)
@@ -114,7 +119,7 @@ def limits(image: Coarse, learned: tuple[float, float] | None = None) -> list[fl
 
 
 def disc_regions(image: Coarse, limit: float) -> list[DiscRegion]:
-    """Patches above a limit, most prominent first."""
+    """Return the regions above a limit, most prominent first."""
     excess = image.excess
     rows, cols = excess.shape
     mask = cv2.threshold(excess, limit, 255, cv2.THRESH_BINARY)[1]
@@ -126,7 +131,7 @@ def disc_regions(image: Coarse, limit: float) -> list[DiscRegion]:
     fit = (area >= _MIN_AREA) & (area > 0.15 * box) & ((longest <= 3.2 * shortest) | cut) & (shortest >= 3)
     indices = np.nonzero(fit)[0]
     if len(indices) > 2 * _KEPT:
-        # Area says little from afar; contrast decides among the largest.
+        # Area is weak evidence from afar; contrast decides among the largest.
         indices = indices[np.argsort(-area[indices], kind="stable")[: 2 * _KEPT]]
     out = []
     for i in indices:
@@ -151,20 +156,22 @@ def disc_regions(image: Coarse, limit: float) -> list[DiscRegion]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blob:
-    """A small round patch."""
+    """A small round connected component."""
 
     centre_px: F64
     radius_px: float
     contrast: float
-    """Of the measure against what lies around, in natural logarithms."""
+    """Contrast of the measure with the surroundings, in natural logarithms."""
     outline_px: F64
-    """(N, 2) along its outer border."""
+    """Points along its outer border, (N, 2) px of the full frame."""
 
 
 def blobs(image: Coarse) -> list[Blob]:
-    """Small patches that stand out from what lies right around them, most prominent first; for the frame at full size."""
+    """Return small components that stand out from their immediate surroundings, most prominent first; for the frame at full
+    size.
+    """
     excess = image.excess
-    # Of what lies to the four sides the greenest counts: the rim of a deck at sea stands out on one side, a stripe on two.
+    # The highest of the four sides counts: the edge of a deck at sea stands out on one side only, a stripe on two.
     side = cv2.copyMakeBorder(
         cv2.blur(excess, (_SIDE_PX, _SIDE_PX)), _BESIDE_PX, _BESIDE_PX, _BESIDE_PX, _BESIDE_PX, cv2.BORDER_REPLICATE
     )
@@ -173,9 +180,9 @@ def blobs(image: Coarse) -> list[Blob]:
     around = cv2.max(
         cv2.max(side[b : b + h, :w], side[b : b + h, e : e + w]), cv2.max(side[:h, b : b + w], side[e : e + h, b : b + w])
     )
-    # Smoothed a little: from afar the disc is a few pixels and noise is one.
+    # Light smoothing, because from afar the disc is a few pixels and noise is one.
     over = cv2.subtract(cv2.blur(excess, (3, 3)), around)
-    # Ring and letter, mixed with the disc, part it into slivers that closing joins again.
+    # Ring and H, mixed with the disc, split it into slivers; closing joins them again.
     mask = cv2.morphologyEx(cv2.threshold(over, _SPECK, 255, cv2.THRESH_BINARY)[1], cv2.MORPH_CLOSE, _CLOSE)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     w, h, area = stats[1:, 2], stats[1:, 3], stats[1:, 4]
@@ -206,7 +213,7 @@ def blobs(image: Coarse) -> list[Blob]:
 
 
 def _moved_out(contour: F64) -> F64:
-    """A border through the outermost pixels' centres to their outer sides: half a pixel along the outward normal."""
+    """Move a border from the centres of the outermost pixels to their outer sides: half a pixel along the outward normal."""
     ahead = np.roll(contour, -2, axis=0) - np.roll(contour, 2, axis=0)
     area2 = float(np.sum(contour[:, 0] * np.roll(contour[:, 1], -1) - contour[:, 1] * np.roll(contour[:, 0], -1)))
     normal = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1) * (1.0 if area2 > 0 else -1.0)

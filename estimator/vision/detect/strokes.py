@@ -1,8 +1,8 @@
-"""The letter H from its strokes, for when the disc's outline is out of the frame or hidden.
+"""Find the H marking from its strokes, if the disc's outline is out of the frame or occluded.
 
-In a plane parallel to the pad the letter has two directions at right angles and strokes of one width. The directions come from
-the gradients (four times their angles agree), the width from the commonest run of white along either direction; with both known,
-correlation with the letter at one size and two headings places it. All on a frame a quarter the size.
+In a plane parallel to the pad the H has two perpendicular directions and strokes of one width. The directions follow from the
+gradients (four times their angles agree), and the width from the commonest run of white along either direction. With both known,
+correlation with the H at one size and two headings gives its position. All of this runs on a frame a quarter the size.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 
 _STROKE_PX = 5.0
-"""Width of a stroke in the frame that is correlated."""
+"""Width of a stroke in the image that is correlated."""
 _MARGIN_M = 0.035
-"""Of disc round the letter that counts as background."""
+"""Width of the disc around the H that counts as background."""
 _LEAST_WIDTH = 4
-"""Px of a stroke; thinner ones are not told from noise."""
+"""Smallest width of a stroke, px; thinner ones cannot be separated from noise."""
 _LEAST_SHARE = 0.22
-"""Of the letter that must be in view."""
+"""Smallest fraction of the H that must be in view."""
 _LEAST_SCORE = 0.55
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HMarking:
-    """Where the H may lie; its heading is known up to 180 degrees."""
+    """A possible position of the H; its heading is known up to 180 degrees."""
 
     pose: PadPose
     score: float
-    """-1..1: mean of the mask under the letter less that round it, halved."""
+    """Mean of the mask on the H minus the mean around it, halved, -1..1."""
 
 
 def h_markings(px: U8, step: int, camera: Camera, pad: Pad, plane: Plane, most: int = 3) -> list[HMarking]:
-    """The likeliest places of the H, best first.
+    """Return the likeliest positions of the H, best first.
 
     Args:
         px: the frame, `step` times smaller than the camera's.
@@ -69,7 +69,7 @@ def h_markings(px: U8, step: int, camera: Camera, pad: Pad, plane: Plane, most: 
 
 
 def _direction(least: U8) -> float | None:
-    """Angle in the frame, modulo 90 degrees, that most of the strong gradients have."""
+    """Return the angle in the frame, modulo 90 degrees, that most strong gradients have; None if there are few."""
     gx = cv2.Sobel(least, cv2.CV_32F, 1, 0)
     gy = cv2.Sobel(least, cv2.CV_32F, 0, 1)
     z2 = (gx + 1j * gy) ** 2
@@ -82,7 +82,7 @@ def _direction(least: U8) -> float | None:
 
 
 def _places(mask: F32, angle: float, step: int, camera: Camera, pad: Pad, plane: Plane) -> list[HMarking]:
-    """Letters in a mask of +1 and -1."""
+    """Return the H markings in a mask of +1 and -1."""
     h, w = mask.shape
     f = camera.fx / step
     K = np.array(
@@ -92,7 +92,7 @@ def _places(mask: F32, angle: float, step: int, camera: Camera, pad: Pad, plane:
     at = plane.places(camera, (centre[None] + 0.5) * step - 0.5)[0]
     if not np.isfinite(at).all():
         return []
-    # The direction seen in the frame, carried over to the plane at the frame's centre.
+    # Transfer the direction in the frame to the plane at the frame's centre.
     ends = np.array([centre, centre + 4.0 * np.array([math.cos(angle), math.sin(angle)])])
     p = plane.places(camera, (ends + 0.5) * step - 0.5)
     turn = math.atan2(p[1, 1] - p[0, 1], p[1, 0] - p[0, 0])
@@ -112,7 +112,7 @@ def _places(mask: F32, angle: float, step: int, camera: Camera, pad: Pad, plane:
         small = np.asarray(cv2.resize(upright, (n, n), interpolation=cv2.INTER_AREA if k < 1 else cv2.INTER_LINEAR), np.float32)
         k = n / size
         for score, u, v, across in _correlate(small, pad):
-            # From the small upright frame to the plane, and to metres by the stroke's width.
+            # Map from the small upright image to the plane, and to metres by the stroke's width.
             x, y = (u + 0.5) / k - 0.5, (v + 0.5) / k - 0.5
             place = (from_upright @ np.array([x, y, 1.0]))[:2]
             depth = pad.leg_width_m * f / width
@@ -124,7 +124,7 @@ def _places(mask: F32, angle: float, step: int, camera: Camera, pad: Pad, plane:
 
 
 def _stroke_widths(upright: F32) -> list[float]:
-    """The commonest lengths of runs of white between black along rows and columns, at most two."""
+    """Return the commonest lengths of runs of white between black along rows and columns, at most two."""
     counts = np.zeros(max(upright.shape) + 2)
     for m in (upright, upright.T):
         padded = np.zeros((m.shape[0], m.shape[1] + 2), np.float32)
@@ -152,7 +152,7 @@ def _stroke_widths(upright: F32) -> list[float]:
 
 
 def _correlate(small: F32, pad: Pad) -> list[tuple[float, float, float, bool]]:
-    """(score, u, v, legs upright) of the best places for the letter's two headings."""
+    """Return (score, u, v, legs across) of the best positions for the H's two headings."""
     k = _STROKE_PX / pad.leg_width_m
     half_long, half_wide = pad.h_length_m / 2 * k, pad.h_width_m / 2 * k
     leg, bar, margin = pad.leg_width_m * k, pad.bar_width_m / 2 * k, _MARGIN_M * k
@@ -162,7 +162,7 @@ def _correlate(small: F32, pad: Pad) -> list[tuple[float, float, float, bool]]:
     rows, cols = small.shape
 
     def box(integral: F32, u0: float, u1: float, v0: float, v1: float) -> F32:
-        """Sum over this box around every pixel of `small`."""
+        """Return the sum over this box around every pixel of `small`."""
         a, b, c, d = (reach + round(x + 0.5) for x in (v0, v1, u0, u1))
         return np.asarray(
             integral[b : b + rows, d : d + cols] - integral[a : a + rows, d : d + cols]

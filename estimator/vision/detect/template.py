@@ -1,4 +1,4 @@
-"""The drawing as numbers: which paint covers which place, once around the centre by angle and once as maps at several blurs."""
+"""The drawing as arrays: coverage by each paint in polar cells around the centre, and as maps at several blurs."""
 
 from __future__ import annotations
 
@@ -21,28 +21,29 @@ _NO_SECOND_MAP = np.empty(0, np.float32)
 ANGLES = 48
 _RADII = 18
 _FINE = 4
-"""Sub-samples a polar cell and axis: coverage to about 2 %."""
+"""Sub-samples per polar cell and axis: coverage to about 2 %."""
 _STEP_M = 0.004
-"""Between places of the maps: a quarter of the ring's width or so."""
+"""Distance between samples of the maps: about a quarter of the ring's width."""
 BLURS_M = (0.005, 0.010, 0.020, 0.040, 0.080)
-"""Standard deviations of the maps' blur; the middle of a frame element from 0.7 m to 40 m away."""
+"""Standard deviations of the maps' blur. They match pixels from 0.7 m to 40 m away."""
 LOCAL_M = 0.06
-"""Standard deviation of the neighbourhood that a place is compared with where the light is uneven: wider than the strokes,
-narrower than glare and shadows."""
+"""Standard deviation of the neighbourhood that a point is compared with where the light is uneven: wider than the strokes,
+narrower than glare and shadows.
+"""
 REACH = 1.22
-"""How far the maps reach, in radii of the disc."""
+"""Extent of the maps, in radii of the disc."""
 
 H, ORANGE, DISC, AROUND = 0, 1, 2, 3
-"""Order of the paints in maps and tables: the letter, ring and arrowhead, the disc, whatever lies around it."""
+"""Order of the paints in maps and tables: the H, ring and arrowhead, the disc, the surroundings."""
 
 
 def disc_edge_m(pad: Pad) -> float:
-    """Radius at which the disc's own paint ends: at the rim where there is one."""
+    """Return the radius at which the disc's own paint ends: at the rim if there is one."""
     return pad.disc_radius_m - pad.rim_width_m
 
 
 def paints_at(xy_m: F64, pad: Pad) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Masks of H, ring, arrowhead and disc (disjoint) at (N, 2) places on the pad, m."""
+    """Return disjoint masks of H, ring, arrowhead and disc at (N, 2) positions on the pad, m."""
     x, y = xy_m[:, 0], xy_m[:, 1]
     r = np.hypot(x, y)
     half = pad.h_width_m / 2
@@ -58,23 +59,23 @@ def paints_at(xy_m: F64, pad: Pad) -> tuple[NDArray[np.bool_], NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolarDrawing:
-    """Cells around the centre, (radii, angles), and their share of each paint; an arrow at angle 0."""
+    """Polar cells around the centre, (radii, angles), and their coverage by each paint; the arrow is at angle 0."""
 
     xy_m: F64
-    """(radii * angles, 2)."""
+    """Positions of the cells' centres, (radii * angles, 2) m."""
     area: F32
-    """(radii, 1) of a cell, relative."""
+    """Relative area of a cell, (radii, 1)."""
     area_inside: F32
-    """(radii, 1) the same within the disc's paint, 0 around it."""
+    """The same within the disc's paint, (radii, 1); 0 around it."""
     ring: F32
-    """(radii, 1) share of ring."""
+    """Coverage by the ring, (radii, 1)."""
     turning: NDArray[np.complex64]
-    """(2, radii, angles // 2 + 1): conjugate spectra of the shares of H and arrowhead."""
+    """Conjugate spectra of the coverage by H and arrowhead, (2, radii, angles // 2 + 1)."""
 
 
 @lru_cache(maxsize=8)
 def polar_drawing(pad: Pad) -> PolarDrawing:
-    """See `PolarDrawing`; the outermost tenth of the radii lies around the disc."""
+    """Return the `PolarDrawing` of a pad. The outermost tenth of the radii lies around the disc."""
     outer = 1.12 * pad.disc_radius_m
     r = (np.arange(_RADII) + 0.5) / _RADII * outer
     a = np.arange(ANGLES) * math.tau / ANGLES
@@ -101,20 +102,24 @@ def polar_drawing(pad: Pad) -> PolarDrawing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Maps:
-    """Share of each paint over the pad's plane, blurred, and its slope."""
+    """Coverage by each paint over the pad's plane, blurred, and its gradient."""
 
     layers: F32
-    """(n, n, 12) shares of H, orange, disc, around, their slopes along x (1/m) and those along y; row by x, column by y."""
+    """Coverage by H, orange, disc and surroundings, then its derivatives along x (1/m), then along y: (n, n, 12), row by x,
+    column by y.
+    """
     share: F32
-    """(n, n, 4) the shares again, by themselves: a third of the memory to walk through where slopes are not wanted."""
+    """The coverage alone, (n, n, 4): a third of the memory to read if no gradients are needed."""
     per_m: float
     centre: float
-    """Index of the pad's centre, rows and columns alike."""
+    """Index of the pad's centre, in rows and columns."""
 
 
 @lru_cache(maxsize=16)
 def maps(pad: Pad, local: bool = False) -> tuple[Maps, ...]:
-    """One `Maps` for each of `BLURS_M`; `local` ones hold shares less their mean in the neighbourhood (`LOCAL_M`)."""
+    """Return one `Maps` for each of `BLURS_M`. With `local` they hold coverage minus its mean in the neighbourhood
+    (`LOCAL_M`).
+    """
     half = math.ceil(REACH * pad.disc_radius_m / _STEP_M)
     n = 2 * half + 1
     fine = (np.arange(3 * n) - (3 * n - 1) / 2) * _STEP_M / 3
@@ -133,9 +138,10 @@ def maps(pad: Pad, local: bool = False) -> tuple[Maps, ...]:
 
 
 def sampled(image: NDArray[Any], at: F32) -> NDArray[Any]:
-    """The frame (h, w, c) at fractional places (n, m, 2), column first, bilinear; what lies outside continues the edge.
+    """Sample an image (h, w, c) at fractional positions (n, m, 2), column first, bilinear; outside the image the edge is
+    repeated.
 
-    A single row of places takes half the time of a single column.
+    A single row of positions takes half the time of a single column.
     """
     return cv2.remap(image, at, _NO_SECOND_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 

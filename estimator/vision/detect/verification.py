@@ -1,9 +1,9 @@
-"""Is this the pad? Features of a laid drawing and the confidence that a logistic model makes of them.
+"""Verify the hypothesis that an aligned drawing is the pad: features, and the confidence that a logistic model gives them.
 
-Each part of the drawing (letter, ring, disc's edge, arrowhead) is asked by itself how well its shape correlates with the frame
-just there, so that no part lends its evidence to another; the paints are asked whether they stand to one another as the drawing's
-do. Both are free of the light: correlation knows no gain, and the orange's place between disc and white is the same under any
-light that is not burnt out.
+For each part of the drawing (H, ring, disc's edge, arrowhead) a feature says how well its shape correlates with the frame at that
+place alone, so that no part adds evidence to another. Further features compare the relations between the paints with the
+drawing's. Both are independent of the light: correlation is free of the gain, and the orange's place between disc and white is
+the same under any light that does not saturate.
 """
 
 from __future__ import annotations
@@ -27,28 +27,30 @@ FEATURES = (
     "no_letter", "no_ring", "no_edge", "ring_lags", "flanks",
     "arrow", "no_arrow", "whole", "inliers", "white", "orange_place", "orange_odd", "disc_place", "size", "in_view", "tilt",
 )  # fmt: skip
-"""Names of the model's inputs, in order. A part counts by its better half of the directions from the centre, so that what
-hides one side of the pad does not count against it, and by all directions (`_all`)."""
+"""Names of the model's inputs, in order. A part counts by the better half of the directions from the centre, so that an occluder
+on one side of the pad does not count against it, and by all directions (`_all`).
+"""
 
 CLAIM_ACROSS_M, CLAIM_ACROSS_PX = 0.04, 0.5
 CLAIM_RANGE, CLAIM_RANGE_PX = 0.08, 0.5
 CLAIM_YAW_RAD, CLAIM_YAW_PX_RAD = math.radians(8.0), math.radians(100.0)
-"""What a confident pose claims: its centre within 4 cm and half a pixel across the line of sight, its range within 8 % and what
-half a pixel of the disc's radius makes of it, its heading within 8 degrees and 100 degrees over that radius in pixels."""
+"""The claim of a confident pose: its centre is within 4 cm and half a pixel across the line of sight, its range within 8 % and
+the effect of half a pixel of the disc's radius, and its heading within 8 degrees and 100 degrees over that radius in pixels.
+"""
 
 _NOISE = 0.012
-"""Of the square root of light, full scale 1: residuals that a right drawing leaves anyway (noise, wear, ripples)."""
+"""Residual in the square root of light, full scale 1, that a right drawing leaves anyway (noise, wear, ripples)."""
 _ENOUGH = 4.0
-"""Gains beyond this say more of the blur than of the pad."""
+"""Largest gain that counts: a larger one depends more on the blur than on the pad."""
 _SECTORS = 8
 _TELLING = 5.0
-"""A part of the drawing of which a fifth is in view and does not show is as good as missing."""
+"""Factor on the visible fraction of a part: a part of which a fifth is in view and that does not show counts as missing."""
 _ONE_EMPTY = 0.4
-"""What one place without an arrowhead says while the other is out of view, of what two say."""
+"""Weight of one place without an arrowhead while the other is out of view, relative to two."""
 
 
 def keeps_claim(pose: PadPose, truth: PadPose, camera: Camera, pad: Pad, yaw_ambiguous: bool) -> bool:
-    """Whether a pose is as near to the true one as confidence is about."""
+    """Return whether a pose is as near to the true one as the confidence claims."""
     away = float(truth.t_cam_pad[2])
     radius_px = camera.fx * pad.disc_radius_m / away
     d = pose.t_cam_pad - truth.t_cam_pad
@@ -66,9 +68,9 @@ def keeps_claim(pose: PadPose, truth: PadPose, camera: Camera, pad: Pad, yaw_amb
 
 
 def features(aligned: AlignedTemplate, pad: Pad) -> F64:
-    """(len(FEATURES),) inputs of the model, each of order one."""
+    """Return the (len(FEATURES),) inputs of the model, each of order one."""
     local = aligned.local
-    # Channel by channel: numpy's loops are long.
+    # With the channels outermost numpy's inner loops are long.
     xy, light, share = aligned.xy_m.T, local.light.T, local.share.T
     paints = local.paints.astype(np.float32)
     residual = light - paints.T @ share
@@ -156,58 +158,60 @@ _COEFFICIENTS = np.array(
         0.147,
     ]
 )
-"""In the order of `FEATURES`. Fitted by `python -m benches.verification_fit --frames 3000` (6130 candidates)."""
+"""Weights in the order of `FEATURES`. Fitted by `python -m benches.verification_fit --frames 3000` (6130 candidates)."""
 
 
 TRACKED_LOG_ODDS = 3.0
-"""For `confidence`, of a drawing laid where the filter expects the pad: right twenty times as often as a guess out of nowhere."""
+"""Prior for `confidence` of a drawing aligned where the filter expects the pad: right twenty times as often as a guess without
+prior.
+"""
 
 
 ALONE_LOG_ODDS = -2.5
-"""For `confidence`, times `alone`, of a candidate of acquisition: an H on something green may be of any size."""
+"""Prior for `confidence`, times `alone`, of a candidate of acquisition: an H on something green may be of any size."""
 
 
 def alone(values: F64) -> float:
-    """0..1: how much of what is in view is letter, with neither ring nor edge beside it."""
+    """Return 0..1: to what degree only the H is in view, with neither ring nor edge beside it."""
     h_marking = float(values[FEATURES.index("letter")])
     return min(1.0, float(values[FEATURES.index("letter_alone")]) / h_marking) if h_marking > 0.1 else 0.0
 
 
 def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
-    """0..1 of the features of a laid drawing.
+    """Return the confidence, 0..1, from the features of an aligned drawing.
 
     Args:
-        prior_log_odds: what speaks for it beside the frame; 0 for a candidate of acquisition.
+        prior_log_odds: log-odds from evidence other than the frame; 0 for a candidate of acquisition.
     """
     z = log_odds(values) + prior_log_odds
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, z))))
 
 
 def log_odds(values: F64) -> float:
-    """The logarithm of the odds that `confidence` makes a probability of."""
+    """Return the log-odds that `confidence` converts to a probability."""
     return float(values @ _COEFFICIENTS)
 
 
 def arrow_support(aligned: AlignedTemplate) -> float:
-    """-1..1: an orange arrowhead where it should be (1), or where it would be with the drawing turned by half (-1).
+    """Return -1..1: 1 for an orange arrowhead at its place, -1 for one where it would be with the drawing turned by 180 degrees.
 
-    0 where neither, both or nothing of the kind is in view.
+    The value is 0 if neither, both or nothing of the kind is in view.
     """
     fore, aft = aligned.arrow
     return fore.found * fore.seen - aft.found * aft.seen
 
 
 def _empty(aligned: AlignedTemplate) -> float:
-    """0..1: how surely the places where an arrowhead could be are in view, clear, and without one."""
+    """Return 0..1: how surely the possible places of an arrowhead are in view, clear, and without one."""
     fore, aft = (place.seen * place.clear for place in aligned.arrow)
     none = 1.0 - max(place.found for place in aligned.arrow)
     return none * max(fore * aft, _ONE_EMPTY * max(fore, aft))
 
 
 def _flanks(aligned: AlignedTemplate, residual: F32, r: F32, pad: Pad) -> float:
-    """0..1: how much ring paint there is just inside or outside of the ring, where the model has none: a ring too wide.
+    """Return 0..1: the excess of ring paint just inside or outside of the ring, which indicates a ring that is too wide.
 
-    A ring that is merely aside has as much too little on its other flank.
+    A ring that is merely displaced has a deficit of the same size on its other flank.
     """
     way = (aligned.local.paints[ORANGE] - aligned.local.paints[DISC]).astype(np.float32)
     length = float(way @ way)
@@ -226,18 +230,18 @@ def _flanks(aligned: AlignedTemplate, residual: F32, r: F32, pad: Pad) -> float:
 
 
 def _some(gain: float) -> float:
-    """0..1: from afar a part can gain little, and any gain counts."""
+    """Return 0..1, saturating quickly: from afar a part can gain little, and any gain counts."""
     return max(0.0, gain) / (max(0.0, gain) + 0.4)
 
 
 def _gains(squared: F32, along: F32, share: F32, way: F32, sector: NDArray[np.intp]) -> tuple[float, float]:
-    """`_gain` by direction from the centre: mean of the better half of the directions in view, and of all of them.
+    """Return `_gain` by direction from the centre: the mean of the better half of the directions in view, and of all of them.
 
     Args:
-        squared: (n,) length of the residuals of the whole drawing, squared.
+        squared: (n,) squared residuals of the whole drawing.
         along: (n,) the residuals times `way`.
-        share: (n,) of the part's paint.
-        way: (3,) by which a sample wholly of that paint changes when the part is taken off.
+        share: (n,) coverage by the part's paint.
+        way: (3,) change of a sample fully covered by that paint if the part is removed.
     """
     if len(squared) < 6:
         return 0.0, 0.0
@@ -258,12 +262,12 @@ def _gains(squared: F32, along: F32, share: F32, way: F32, sector: NDArray[np.in
 
 
 def _gain(squared: F32, nothing: F32, weight: F32) -> float:
-    """What the drawing gains: the logarithm of the residuals' squares without it over those with it.
+    """Return the drawing's gain: the logarithm of the squared residuals without it over those with it.
 
     Args:
-        squared: (n,) with it.
-        nothing: (n,) without it: of the light itself.
-        weight: (n,).
+        squared: (n,) squared residuals with the drawing.
+        nothing: (n,) squared residuals without it: the light itself.
+        weight: (n,) weights of the samples.
     """
     if len(squared) < 6:
         return 0.0
@@ -272,7 +276,7 @@ def _gain(squared: F32, nothing: F32, weight: F32) -> float:
 
 
 def _orange_place(white: F64, orange: F64, green: F64, pad: Pad) -> float:
-    """How far the orange lies from its nominal place on the way from disc to white, mean over the channels; 0 as it should be."""
+    """Return the distance of the orange from its nominal place between disc and white, mean over the channels; 0 is nominal."""
     span = np.maximum(white - green, 0.04)
     place = np.clip((orange - green) / span, -0.5, 1.5)
     return float(np.abs(place - _nominal_place(pad)).mean())
@@ -290,7 +294,7 @@ def _linear(rgb: tuple[int, int, int]) -> F64:
 
 
 def _disc_place(white: F64, green: F64, pad: Pad) -> float:
-    """How much more of its dominant channel the disc returns than of the others, measured against white, as a logarithm."""
+    """Return the logarithm of the disc's excess in its dominant channel over the others, measured against white."""
     main = 2 - int(np.argmax(pad.colours.disc))
     ratio = (np.maximum(green, 0.0) + 0.01) / (np.maximum(white, 0.0) + 0.01)
     return _clip(math.log(ratio[main] / max(ratio[(main + 1) % 3], ratio[(main + 2) % 3])), -1.0, 2.0)
