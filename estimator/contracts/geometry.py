@@ -31,6 +31,28 @@ def skew(v: ArrayLike) -> F64:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def rpy_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> F64:
+    """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3). `Rotation.from_rpy` is the checked form.
+
+    Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.31.
+    """
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def orthonormalised(m: F64) -> F64:
+    """Return (3, 3) after one Newton step towards the nearest rotation, which stops drift over long products (Higham 1986)."""
+    return np.asarray(0.5 * m.dot(3.0 * np.eye(3) - m.T.dot(m)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Rotation:
     """A proper rotation matrix, checked once. `R_a_b @ v_b` gives v_a for (3,) and (N, 3) arrays alike.
@@ -66,18 +88,7 @@ class Rotation:
 
         Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.31.
         """
-        cr, sr = math.cos(roll_rad), math.sin(roll_rad)
-        cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
-        cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
-        return Rotation(
-            np.array(
-                [
-                    [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-                    [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-                    [-sp, cp * sr, cp * cr],
-                ]
-            )
-        )
+        return Rotation(rpy_matrix(roll_rad, pitch_rad, yaw_rad))
 
     @staticmethod
     def from_rotvec(rotvec_rad: ArrayLike) -> Rotation:
@@ -163,7 +174,7 @@ class Rotation:
     def __matmul__(self, other: F64) -> F64: ...
     def __matmul__(self, other: Rotation | F64) -> Rotation | F64:
         if isinstance(other, Rotation):
-            return Rotation(_orthonormalised(self.matrix @ other.matrix))
+            return Rotation(orthonormalised(self.matrix @ other.matrix))
         return np.asarray(other @ self.matrix.T)
 
     def rotate_cov(self, cov_b: F64) -> F64:
@@ -173,11 +184,6 @@ class Rotation:
     def angle_to(self, other: Rotation) -> float:
         """Angle in radians of the rotation between the two."""
         return float(np.linalg.norm((self.inv @ other).rotvec_rad))
-
-
-def _orthonormalised(m: F64) -> F64:
-    """One Newton step towards the nearest rotation: stops drift over long products (Higham 1986)."""
-    return np.asarray(0.5 * m @ (3.0 * np.eye(3) - m.T @ m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

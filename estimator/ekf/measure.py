@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.estimates import Sighting
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, rpy_matrix, skew
 from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.ekf import so3
 from estimator.ekf.state import (
@@ -91,7 +91,7 @@ class PadAttitude(NamedTuple):
 def deck(x: F64) -> PadAttitude:
     """From heading, list, and the oscillators of roll and pitch."""
     roll, pitch, yaw = float(x[_ROLL] + x[DECK_TRIM[0]]), float(x[_PITCH] + x[DECK_TRIM[1]]), float(x[PAD_YAW])
-    R = so3.from_rpy(roll, pitch, yaw)
+    R = rpy_matrix(roll, pitch, yaw)
     c, s = math.cos(yaw), math.sin(yaw)
     cp = math.cos(pitch)
     axes = np.array([[c * cp, -s, 0.0], [s * cp, c, 0.0], [-math.sin(pitch), 0.0, 1.0]])
@@ -150,7 +150,7 @@ def sighting(
     E = so3.exp(-x[CAMERA_MOUNT])
     d_b = R.T.dot(x[POS_REL])
     late = float(x[CAMERA_DELAY])
-    turning = so3.cross_matrix(w - x[GYRO_BIAS])
+    turning = skew(w - x[GYRO_BIAS])
     v_b = R.T.dot(np.array([x[VESSEL_NORTH], x[VESSEL_EAST], 0.0]) - x[VEL])
     rates = v_b - turning.dot(d_b)
     shown = d_b + late * rates
@@ -167,9 +167,9 @@ def sighting(
     H = np.zeros((m, N))
     innov = np.zeros(m)
     ER = E.dot(R.T)
-    arm = so3.cross_matrix(d_b)
+    arm = skew(d_b)
     by_rate = np.zeros((3, N))
-    by_rate[:, ATT_ERR] = E.dot(so3.cross_matrix(v_b) - turning.dot(arm))
+    by_rate[:, ATT_ERR] = E.dot(skew(v_b) - turning.dot(arm))
     by_rate[:, POS_REL] = -E.dot(turning).dot(R.T)
     by_rate[:, VEL] = -ER
     by_rate[:, VESSEL_VEL] = ER[:, :2]
@@ -177,14 +177,14 @@ def sighting(
     H[:3, ATT_ERR] = E.dot(arm)
     H[:3, POS_REL] = ER
     H[:3] += late * by_rate
-    H[:3, CAMERA_MOUNT] = E.dot(so3.cross_matrix(shown)).dot(jl)
+    H[:3, CAMERA_MOUNT] = E.dot(skew(shown)).dot(jl)
     H[:3, CAMERA_DELAY] = E.dot(rates)
     # How an error of the levelling attitude, about body axes, moves what vision reports: by its tilt, never by its heading.
     tilt = A - np.outer(_DOWN, so3.heading_row(A).dot(A))
     J = np.zeros((m, 3))
     d_level = s.d_body_pad_level if whole is None else whole.d_body_pad_level
     cov = s.cov[:m, :m] if whole is None else whole.cov[:m, :m]
-    J[:3] = -so3.cross_matrix(d_level).dot(tilt)
+    J[:3] = -skew(d_level).dot(tilt)
     innov[:3] = A.T.dot(d_level) - E.dot(shown)
     turn = np.eye(m)
     turn[:3, :3] = A.T
@@ -347,9 +347,9 @@ def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> LinearizedMeasur
     r = float(n.dot(x[POS_REL])) / cosine
     H = np.zeros((1, N))
     H[0, POS_REL] = n / cosine
-    H[0, ATT_ERR] = (r / cosine) * n.dot(R).dot(so3.cross_matrix(_DOWN))
+    H[0, ATT_ERR] = (r / cosine) * n.dot(R).dot(skew(_DOWN))
     reach = (x[POS_REL] - r * c) / cosine
-    by_axis = so3.cross_matrix(n).dot(reach).dot(pad.axes)
+    by_axis = skew(n).dot(reach).dot(pad.axes)
     H[0, _ROLL] = H[0, DECK_TRIM[0]] = by_axis[0]
     H[0, _PITCH] = H[0, DECK_TRIM[1]] = by_axis[1]
     H[0, PAD_YAW] = by_axis[2]

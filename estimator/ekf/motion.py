@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, orthonormalised, skew
 from estimator.ekf import so3
 from estimator.ekf.algebra import Algebra
 from estimator.ekf.deck_motion_bank import carrying
@@ -268,8 +268,8 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
 
     F = same.F.copy()
     back = b.R.T.dot(b.R_cov)
-    dv_R = so3.cross_matrix(b.dv).dot(b.R_cov)
-    dp_R = so3.cross_matrix(b.dp).dot(b.R_cov)
+    dv_R = skew(b.dv).dot(b.R_cov)
+    dp_R = skew(b.dp).dot(b.R_cov)
     F[ATT_ERR, ATT_ERR] = back
     F[ATT_ERR, GYRO_BIAS] = (-0.5 * T) * (_I3 + back)
     F[VEL, ATT_ERR] = -dv_R
@@ -303,7 +303,7 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
         flat[_POS_BY_VEL] -= jolt * T
         flat[_VEL_BY_POS] -= jolt * T
 
-    R = so3.orthonormalised(b.R)
+    R = orthonormalised(b.R)
     belief = b._replace(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v,
         ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + process_noise.psd_coast * b.coast_s,
         jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,

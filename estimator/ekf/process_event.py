@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf import deck_motion_bank, measure, motion, so3
 from estimator.ekf.aiding import fuse_baro, fuse_range, fuse_velocity, fuse_vessel, gather
@@ -74,7 +74,7 @@ def _first(event: Event, params: FilterParams) -> tuple[Belief | None, FusionRes
         size = float(np.linalg.norm(f))
         if abs(size - _FORCE_AT_REST) < 0.5 * _FORCE_AT_REST:
             x, y, z = f.tolist()
-            R = so3.from_rpy(math.atan2(-y, -z), math.atan2(x, math.hypot(y, z)), 0.0)
+            R = rpy_matrix(math.atan2(-y, -z), math.atan2(x, math.hypot(y, z)), 0.0)
             b = initial(o, t, R, _FELT_TILT_RAD, math.radians(2.0), deck_motion_bank.unknown())
             return b._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=f), result(event, Verdict.FUSED)
     return None, result(event, Verdict.NO_ATTITUDE)

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, components_of, source_of
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, skew
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf import measure, motion, so3
 from estimator.ekf.algebra import Algebra, Correction
@@ -101,7 +101,7 @@ def corrected(b: Belief, dx: F64, P: F64) -> Belief:
     turn = so3.exp(dx[ATT_ERR])
     R = b.R.dot(turn)
     # The error is now small about the new attitude: its axes turn by half the step (Sola 2017, eq. 287).
-    G = np.eye(3) - 0.5 * so3.cross_matrix(dx[ATT_ERR])
+    G = np.eye(3) - 0.5 * skew(dx[ATT_ERR])
     P = P.copy()
     P[ATT_ERR, :] = G.dot(P[ATT_ERR, :])
     P[:, ATT_ERR] = P[:, ATT_ERR].dot(G.T)

@@ -6,13 +6,7 @@ import math
 
 import numpy as np
 
-from estimator.contracts.geometry import F64
-
-
-def cross_matrix(v: F64) -> F64:
-    """(3, 3): `cross_matrix(a) @ b == np.cross(a, b)`."""
-    x, y, z = v.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+from estimator.contracts.geometry import F64, skew
 
 
 def exp(v: F64) -> F64:
@@ -59,25 +53,11 @@ def left_jacobian(v: F64) -> F64:
     """
     x, y, z = v.tolist()
     t2 = x * x + y * y + z * z
-    k = cross_matrix(v)
+    k = skew(v)
     if t2 < 1e-6:
         return np.asarray(np.eye(3) + 0.5 * k + (k @ k) / 6.0)
     t = math.sqrt(t2)
     return np.asarray(np.eye(3) + (1.0 - math.cos(t)) / t2 * k + (t - math.sin(t)) / (t2 * t) * (k @ k))
-
-
-def from_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> F64:
-    """(3, 3): Rz(yaw) Ry(pitch) Rx(roll)."""
-    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
-    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
-    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
 
 
 def heading(m: F64) -> float:
@@ -96,8 +76,3 @@ def about_down(angle_rad: float) -> F64:
     """(3, 3): Rz(angle)."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def orthonormalised(m: F64) -> F64:
-    """One Newton step towards the nearest rotation (Higham 1986)."""
-    return np.asarray(0.5 * m.dot(3.0 * np.eye(3) - m.T.dot(m)))

@@ -25,6 +25,7 @@ from estimator.vision.detect.coverage import on_side, uncovered
 from estimator.vision.detect.template import BLURS_M, LOCAL_M, REACH, Maps, maps, sampled
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+from estimator.vision.srgb import LINEAR_LIGHT
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
@@ -60,12 +61,7 @@ usual one: while the pose moves, and at the final pose, where a sample that stil
 """
 
 
-def _linear_light() -> F32:
-    v = np.arange(256) / 255.0
-    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4).astype(np.float32)
-
-
-_LINEAR = _linear_light()
+_LINEAR = LINEAR_LIGHT.astype(np.float32)
 _ROOT = np.sqrt(_LINEAR)
 
 

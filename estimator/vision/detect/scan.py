@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from estimator.vision.pad import Pad
+from estimator.vision.srgb import LINEAR_LIGHT
 
 U8 = NDArray[np.uint8]
 
@@ -49,9 +50,7 @@ _CLOSE = np.ones((3, 3), np.uint8)
 
 
 def _log_light() -> U8:
-    v = np.arange(256) / 255.0
-    linear = np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
-    return np.rint(np.log1p(linear / _FLOOR) * _NAT).astype(np.uint8)
+    return np.rint(np.log1p(LINEAR_LIGHT / _FLOOR) * _NAT).astype(np.uint8)
 
 
 _LOG = _log_light()

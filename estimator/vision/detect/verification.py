@@ -20,6 +20,7 @@ from estimator.vision.detect.alignment import F32, AlignedTemplate
 from estimator.vision.detect.template import AROUND, DISC, ORANGE, H, disc_edge_m
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+from estimator.vision.srgb import linear_light
 
 FEATURES = (
     "one", "letter", "ring", "edge", "letter_all", "ring_all", "edge_all",
@@ -284,13 +285,8 @@ def _orange_place(white: F64, orange: F64, green: F64, pad: Pad) -> float:
 
 @lru_cache(maxsize=8)
 def _nominal_place(pad: Pad) -> F64:
-    white, orange, green = (np.sqrt(_linear(rgb)) for rgb in (pad.colours.h, pad.colours.ring, pad.colours.disc))
+    white, orange, green = (np.sqrt(linear_light(rgb[::-1])) for rgb in (pad.colours.h, pad.colours.ring, pad.colours.disc))
     return np.asarray((orange - green) / (white - green))
-
-
-def _linear(rgb: tuple[int, int, int]) -> F64:
-    v = np.array(rgb[::-1]) / 255.0
-    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
 
 
 def _disc_place(white: F64, green: F64, pad: Pad) -> float:

@@ -20,6 +20,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.drawing import F32, Blurred
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
+from estimator.vision.srgb import LINEAR_LIGHT
 
 U8 = NDArray[np.uint8]
 N_POSE = 6
@@ -152,8 +153,5 @@ def pixel_rays(camera: Camera, u: NDArray[np.intp], v: NDArray[np.intp]) -> F64:
 
 @lru_cache(maxsize=2)
 def light_table(gamma: bool) -> F64:
-    """(256,) linear light 0..1 of a pixel's value: sRGB, or the value itself. Source: IEC 61966-2-1."""
-    v = np.arange(256) / 255.0
-    if not gamma:
-        return np.asarray(v)
-    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
+    """Return the linear light, (256,) 0..1, of a pixel's value: of sRGB, or the value itself without gamma."""
+    return LINEAR_LIGHT if gamma else np.asarray(np.arange(256) / 255.0)

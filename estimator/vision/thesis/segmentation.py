@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.vision.srgb import LINEAR_LIGHT
 from estimator.vision.thesis.blob import U8, Masks, choose_blob
 
 F32 = NDArray[np.float32]
@@ -30,14 +31,7 @@ _PLAIN = 0.7
 """Plausibility from which on the limits proper are taken to do."""
 _MIN_CONTRAST = 5.0
 """Of 255, in linear light: less between two paints is noise."""
-
-
-def _linear_from_srgb() -> F32:
-    v = np.arange(256) / 255.0
-    return np.asarray(255.0 * np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4), np.float32)
-
-
-_LINEAR = _linear_from_srgb()
+_LINEAR = np.asarray(255.0 * LINEAR_LIGHT, np.float32)
 """Light behind each of the 256 values: a lens and a sensor add up light, and the tone curve comes last. Measured in the values
 themselves, the edge between dark and bright paint lies a fifth of a pixel off. Source: IEC 61966-2-1."""
 

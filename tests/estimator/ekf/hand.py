@@ -6,10 +6,10 @@ import numpy as np
 from msgspec import structs
 
 from estimator.contracts.estimates import Pose6, Sighting
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.ekf import EkfOptions, deck_motion_bank, motion, so3
+from estimator.ekf import EkfOptions, deck_motion_bank, motion
 from estimator.ekf.algebra import Algebra
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, PAD_YAW, POS_REL, VEL, Belief, N, initial
@@ -20,7 +20,7 @@ MS = 1_000_000
 S = 1_000_000_000
 T = 500 * S
 LEVEL = np.eye(3)
-TILTED = so3.from_rpy(0.1, -0.15, 0.8)
+TILTED = rpy_matrix(0.1, -0.15, 0.8)
 
 
 def params(**changed: object) -> FilterParams:

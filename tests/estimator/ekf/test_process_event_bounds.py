@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VesselReport
 from estimator.ekf import measure, so3
 from estimator.ekf.process_event import process_event
@@ -67,7 +67,7 @@ def test_nothing_begins_without_a_way_down() -> None:
 @pytest.mark.parametrize("size", [0.501, 1.0, 1.499])
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.3, -0.2), (-0.4, 0.5), (0.0, math.pi / 2), (3.0, -0.1)])
 def test_an_accelerometer_shows_which_way_is_down_and_points_the_world_ahead(size: float, roll: float, pitch: float) -> None:
-    R = so3.from_rpy(roll, pitch, 0.0)
+    R = rpy_matrix(roll, pitch, 0.0)
     b, verdict = folded(None, imu(T, (0.1, -0.2, 0.3), size * R.T @ REST))
     assert verdict is Verdict.FUSED
     np.testing.assert_allclose(b.R, R, atol=1e-7)
@@ -248,7 +248,7 @@ def test_an_attitude_known_to_less_than_twenty_degrees_is_replaced_outright(axis
     P = correlated()
     P[axis, axis] = var
     b = belief(TILTED, x=state(), P=P, aids=(belief().aids[0]._replace(fused=T),) * 4)
-    R = so3.from_rpy(-0.2, 0.3, -1.0)
+    R = rpy_matrix(-0.2, 0.3, -1.0)
     cov = np.diag([0.01, 0.02, 0.03])
     after, verdict = folded(b, told(R, cov=cov))
     if not astray:
@@ -293,7 +293,7 @@ def test_an_attitude_taken_outright_or_a_north_told_first_is_one_of_now() -> Non
 def test_north_told_first_turns_every_direction_of_the_world_and_what_is_known_of_it() -> None:
     x = state()
     b = belief(TILTED, x=x, heading_is_given=False, ins_p=np.array([1.0, 2.0, 3.0]), ins_v=np.array([4.0, -5.0, 6.0]))
-    R = so3.from_rpy(-0.05, 0.1, 2.0)
+    R = rpy_matrix(-0.05, 0.1, 2.0)
     after, verdict = folded(b, told(R))
     assert verdict is Verdict.FUSED
     Z = so3.about_down(2.0 - 0.8)

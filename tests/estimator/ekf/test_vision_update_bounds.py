@@ -11,7 +11,7 @@ import pytest
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.ekf import gate, measure, so3, vision_update
 from estimator.ekf.algebra import Algebra, Correction
 from estimator.ekf.state import (
@@ -309,7 +309,7 @@ def test_a_heading_is_known_once_a_sighting_tells_it_without_an_either_or() -> N
 @pytest.mark.parametrize("told", ["heading", "whole", "nothing"])
 def test_a_heading_given_up_is_the_one_shown_and_owes_nothing_to_the_old(told: str) -> None:
     b = belief(TILTED, x=state(), heading_held_s=-0.2)
-    R = so3.from_rpy(0.03, -0.05, 0.4)
+    R = rpy_matrix(0.03, -0.05, 0.4)
     pose6 = whole((1.0, 0.0, 2.0), R) if told == "whole" else None
     seen = sighting((1.0, 0.0, 2.0), 1.1 if told == "heading" else None, pose6=pose6)
     after = vision_update._headed_anew(b, seen)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.geometry import F64
+from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.ekf import deck_motion_bank, so3, vision_update
 from estimator.ekf.propagate import FilterParams
 from estimator.ekf.state import CAMERA_DELAY, CAMERA_MOUNT, VEL, Belief
@@ -86,7 +86,7 @@ def test_the_sea_is_shown_north_east_down_and_the_noise_along_them(monkeypatch: 
 
 def test_the_sea_is_shown_roll_and_pitch_of_a_pad_seen_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     look = Detection(monkeypatch)
-    R_level_pad = so3.from_rpy(0.2, -0.3, 1.0)
+    R_level_pad = rpy_matrix(0.2, -0.3, 1.0)
     A = np.random.default_rng(5).normal(size=(6, 6))
     cov = 1e-4 * A @ A.T
     x = under()
@@ -98,14 +98,14 @@ def test_the_sea_is_shown_roll_and_pitch_of_a_pad_seen_whole(monkeypatch: pytest
     np.testing.assert_allclose(y[3:], [0.2, -0.3], atol=1e-12)
     np.testing.assert_allclose(var[3:], np.diag(R_level_pad.T @ cov[3:, 3:] @ R_level_pad)[:2], atol=1e-12)
     mounted = TILTED @ so3.exp(x[CAMERA_MOUNT]) @ TILTED.T @ so3.about_down(0.8) @ R_level_pad
-    np.testing.assert_allclose(so3.from_rpy(y_mounted[3], y_mounted[4], so3.heading(mounted)), mounted, atol=1e-12)
+    np.testing.assert_allclose(rpy_matrix(y_mounted[3], y_mounted[4], so3.heading(mounted)), mounted, atol=1e-12)
 
 
 @pytest.mark.parametrize("up", [1.0, -1.0])
 def test_a_pad_on_its_edge_has_a_pitch_however_its_rotation_was_rounded(monkeypatch: pytest.MonkeyPatch, up: float) -> None:
     look = Detection(monkeypatch)
     stretched = (1.0 + 1e-9) * LEVEL
-    seen = sighting((0.0, 0.0, 2.0), 0.0, pose6=whole((0.0, 0.0, 2.0), so3.from_rpy(0.0, up * math.pi / 2, 0.0)))
+    seen = sighting((0.0, 0.0, 2.0), 0.0, pose6=whole((0.0, 0.0, 2.0), rpy_matrix(0.0, up * math.pi / 2, 0.0)))
     show(belief(stretched, x=under(), P=diagonal(d=0.01), sea=learned(t=T - S)), seen)
     assert look.shown[0][1][4] == pytest.approx(up * math.pi / 2)
 

@@ -1,0 +1,19 @@
+"""Linear light from sRGB. Source: IEC 61966-2-1."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from estimator.contracts.geometry import F64
+
+
+def linear_light(values: ArrayLike) -> F64:
+    """Return the linear light, 0..1, of sRGB values 0..255 of any shape."""
+    v = np.asarray(values) / 255.0
+    return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
+
+
+LINEAR_LIGHT = linear_light(np.arange(256))
+"""(256,) linear light 0..1 of each value of a pixel."""
+LINEAR_LIGHT.setflags(write=False)
