@@ -1,1 +1,80 @@
-"""Pure estimation: values in, values out. No sockets, files, clocks, asyncio or logging."""
+"""Pad detection and relative navigation as a library: values in, values out. Reference: docs/api.md.
+
+There are no sockets, files, clocks, asyncio or logging in this package. `import estimator` loads nothing else: a name's module is
+imported when the name is first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from estimator.contracts.errors import BadInput
+    from estimator.contracts.estimates import Doubt, RelativeState, Sighting, Verdict
+    from estimator.contracts.geometry import Rotation, Transform
+    from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport
+    from estimator.contracts.time import MonoNs, Stamp
+    from estimator.options import EstimatorOptions
+    from estimator.pad_tracker import PadTracker
+    from estimator.relative_estimator import RelativeEstimator
+    from estimator.vision.camera import Camera
+    from estimator.vision.pad import Pad
+    from estimator.vision.thesis.detection import Detection
+
+__all__ = [
+    "Attitude",
+    "BadInput",
+    "Baro",
+    "BodyVelocity",
+    "Camera",
+    "Detection",
+    "Doubt",
+    "EstimatorOptions",
+    "Imu",
+    "MonoNs",
+    "Pad",
+    "PadTracker",
+    "Range",
+    "RelativeEstimator",
+    "RelativeState",
+    "Rotation",
+    "Sighting",
+    "Stamp",
+    "Transform",
+    "VehicleStatus",
+    "Verdict",
+    "VesselReport",
+]
+
+_HOMES = {
+    "contracts.errors": ("BadInput",),
+    "contracts.estimates": ("Doubt", "RelativeState", "Sighting", "Verdict"),
+    "contracts.geometry": ("Rotation", "Transform"),
+    "contracts.samples": ("Attitude", "Baro", "BodyVelocity", "Imu", "Range", "VehicleStatus", "VesselReport"),
+    "contracts.time": ("MonoNs", "Stamp"),
+    "options": ("EstimatorOptions",),
+    "pad_tracker": ("PadTracker",),
+    "relative_estimator": ("RelativeEstimator",),
+    "vision.camera": ("Camera",),
+    "vision.pad": ("Pad",),
+    "vision.thesis.detection": ("Detection",),
+}
+_HOME_OF = {name: f"{__name__}.{home}" for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    """Import the module of a public name when the name is first used (PEP 562).
+
+    Raises:
+        AttributeError: the name is not public.
+    """
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

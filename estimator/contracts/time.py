@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, NewType
 
@@ -44,6 +45,20 @@ class Stamp:
             raise ValueError(f"a stamp's sigma must lie in [0, 1) s, got {self.sigma_s}")
         if self.measured_at > self.received_at + round(5 * NS_PER_S * self.sigma_s):
             raise ValueError(f"a sample cannot be heard before it is taken: {self}")
+
+    @staticmethod
+    def from_seconds(
+        measured_s: float, received_s: float | None = None, *, sigma_s: float = 0.0, source: StampSource = "hw"
+    ) -> Stamp:
+        """Return the stamp of instants given in seconds of the monotonic clock; without `received_s` the sample has no delay.
+
+        Raises:
+            ValueError: as for the class; nan or an infinite number of seconds.
+        """
+        received_s = measured_s if received_s is None else received_s
+        if not (math.isfinite(measured_s) and math.isfinite(received_s)):
+            raise ValueError(f"a stamp needs finite seconds, got {measured_s!r} and {received_s!r}")
+        return Stamp(MonoNs(round(measured_s * NS_PER_S)), MonoNs(round(received_s * NS_PER_S)), sigma_s, source)
 
     @property
     def delay_s(self) -> float:

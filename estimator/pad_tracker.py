@@ -1,0 +1,96 @@
+"""Find the pad in one image after another: `estimator.vision.tracker` with its memory kept in an object."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.estimates import RelativeState, Sighting
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.camera import Camera
+from estimator.vision.pad import Pad
+from estimator.vision.pose import SIGMA_DECK_RAD
+from estimator.vision.thesis.detection import Detection
+from estimator.vision.thesis.segmentation import COLOUR_SETS
+from estimator.vision.tracker import SpeaksFor, TrackerConfig, TrackerMemory, track
+
+_NO_STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
+
+
+class PadTracker:
+    """Find the pad in the images of one camera. The tracker learns the colours of the paint as it goes.
+
+    Args:
+        camera: intrinsics and mount of the camera.
+        pad: the drawing of the pad, in metres.
+        method: "fused" combines all methods by covariance, "registration" aligns the drawing alone, "thesis" takes the three
+            older methods alone.
+        colours: the colour limits of the thesis' methods: "simulator", "indoor" or "outdoor".
+        min_confidence: a find with less confidence (0..1) counts as none.
+        sigma_deck_rad: one standard deviation of the deck's roll and pitch, rad.
+
+    Raises:
+        ValueError: there are no such colours, or `min_confidence` is outside 0..1.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        pad: Pad,
+        *,
+        method: SpeaksFor = "fused",
+        colours: str = "indoor",
+        min_confidence: float = 0.2,
+        sigma_deck_rad: float = SIGMA_DECK_RAD,
+    ) -> None:
+        if colours not in COLOUR_SETS:
+            raise ValueError(f"there are no colours {colours!r}; known are {', '.join(COLOUR_SETS)}")
+        if not 0.0 <= min_confidence <= 1.0:
+            raise ValueError(f"min_confidence must lie in 0..1, got {min_confidence!r}")
+        self._config = TrackerConfig(camera, pad, COLOUR_SETS[colours], method, sigma_deck_rad)
+        self._memory = TrackerMemory()
+        self._min_confidence = min_confidence
+        self._seq = 0
+        self._detection: Detection | None = None
+
+    @property
+    def detection(self) -> Detection | None:
+        """What every method found in the newest image, at any confidence; None before the first image."""
+        return self._detection
+
+    def track(
+        self,
+        image: NDArray[Any],
+        *,
+        stamp: Stamp | None = None,
+        attitude: Attitude | None = None,
+        expected: RelativeState | None = None,
+    ) -> Sighting | None:
+        """Find the pad in one image.
+
+        Args:
+            image: (H, W, 3) uint8, BGR as OpenCV reads it. The caller must not write to it during the call.
+            stamp: the instant of the exposure; the sighting carries it. Needed only where sightings go into an estimator.
+            attitude: the vehicle's attitude at the exposure. None takes the vehicle as level, and the covariance grows to match.
+            expected: where the pad is believed to be at the exposure, from `RelativeEstimator.at`. The search then begins there,
+                which is faster; it is used only together with `attitude`. None searches the whole image.
+
+        Returns:
+            The pad's position from the body's origin in `level` (m forward, right, down), the heading, their covariance and the
+            confidence; None when the pad is not found.
+
+        Raises:
+            ValueError: the image is no (H, W, 3) uint8 array, or not of the camera's size.
+        """
+        camera = self._config.camera
+        pixels = np.asarray(image)[...]  # a view: Frame makes its array read-only, and the caller's stays writable
+        if pixels.shape[:2] != (camera.height, camera.width):
+            raise ValueError(f"the camera's images are {camera.width}x{camera.height} px, got an array of shape {pixels.shape}")
+        frame = Frame(stamp or _NO_STAMP, self._seq, pixels)
+        self._seq += 1
+        self._detection, self._memory = track(self._config, self._memory, frame, attitude, expected)
+        found = self._detection.selected
+        return None if found is None or found.confidence < self._min_confidence else found

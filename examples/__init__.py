@@ -1,0 +1,1 @@
+"""Small programs that use Decklander as a library; tests/test_examples.py runs each."""

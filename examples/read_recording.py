@@ -1,0 +1,20 @@
+"""Read a recording: how far off every fused sighting and decision saw the pad. `python -m examples.read_recording FILE.mcap`"""
+
+import sys
+from collections import Counter
+from pathlib import Path
+
+from companion.observer import Decision
+from companion.recorder.reading import RecordedFrame, instant, open_recording
+
+recording = open_recording([Path(sys.argv[1])])
+verdicts: Counter[str] = Counter()
+start = None
+for event in recording.events():
+    start = instant(event) if start is None else start
+    if isinstance(event, RecordedFrame):
+        verdicts[event.record.verdict] += 1
+    elif isinstance(event, Decision) and event.belief is not None:
+        belief = event.belief
+        print(f"{(event.at - start) * 1e-9:6.2f} s {event.phase}: {belief.height_m:.2f} m up, {belief.lateral_m:.2f} m off")
+print(f"frames: {dict(verdicts)}")

@@ -1,0 +1,198 @@
+"""The library's public surface: what it exports, what that costs, what docs/api.md says of it, and what the two objects do."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import estimator
+from estimator import (
+    Attitude,
+    Baro,
+    BodyVelocity,
+    Camera,
+    Imu,
+    MonoNs,
+    Pad,
+    PadTracker,
+    Range,
+    RelativeEstimator,
+    Rotation,
+    Sighting,
+    Stamp,
+    VehicleStatus,
+    Verdict,
+    VesselReport,
+)
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_page_documents_every_public_name_and_no_other() -> None:
+    page = (ROOT / "docs/api.md").read_text()
+    assert sorted(re.findall(r"^### `(\w+)`$", page, re.MULTILINE)) == sorted(estimator.__all__)
+
+
+def test_every_public_name_can_be_had_and_is_documented_where_it_is_made() -> None:
+    for name in estimator.__all__:
+        value = getattr(estimator, name)
+        assert value.__name__ == name
+        assert name == "MonoNs" or value.__doc__
+    assert set(estimator.__all__) <= set(dir(estimator))
+    with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
+        _ = estimator.Nothing
+
+
+def test_importing_the_library_loads_nothing() -> None:
+    code = "import sys, estimator; print([m for m in ('numpy', 'cv2', 'msgspec', 'asyncio') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_tracker_and_estimator_need_no_asyncio_and_nothing_of_the_service() -> None:
+    code = (
+        "import sys; from estimator import PadTracker, RelativeEstimator; RelativeEstimator();"
+        "print(sorted({m.partition('.')[0] for m in sys.modules} & {'asyncio', 'companion', 'drivers', 'sitl'}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_every_shipped_package_says_that_it_is_typed() -> None:
+    assert [p for p in ("companion", "drivers", "estimator", "sitl") if not (ROOT / p / "py.typed").is_file()] == []
+
+
+CAMERA = Camera.from_mapping(tomllib.loads((ROOT / "configs/cameras/sim.toml").read_text()))
+PAD = Pad.from_mapping(tomllib.loads((ROOT / "configs/pads/thesis.toml").read_text()))
+LEVEL = Rotation.from_rpy(0.0, 0.0, 0.0)
+
+
+def shipped_image() -> NDArray[np.uint8]:
+    image = cv2.imread(str(ROOT / "configs/examples/pad.jpg"))
+    assert image is not None
+    return image.astype(np.uint8)
+
+
+def attitude(t: float) -> Attitude:
+    return Attitude(Stamp.from_seconds(t), LEVEL, np.eye(3) * 1e-4)
+
+
+def sighting(t: float, down: float = 3.0, confidence: float = 1.0, received: float | None = None) -> Sighting:
+    cov = np.diag([1e-4, 1e-4, 1e-4, 1e-4])
+    return Sighting(Stamp.from_seconds(t, received), 0, "fused", np.array([0.5, 0.2, down]), 0.1, False, cov, confidence)
+
+
+def hovering(seconds: float = 1.0) -> RelativeEstimator:
+    """An estimator that has hovered over a pad at rest, IMU at 100 Hz and sightings at 20 Hz."""
+    filter = RelativeEstimator()
+    for i in range(round(seconds * 100)):
+        t = 1.0 + i / 100
+        turning = np.array([0.0, 0.0, 1e-6 * (i % 7)])  # a reading that never changes by one bit counts as frozen
+        filter.on_attitude(attitude(t))
+        assert filter.on_imu(Imu(Stamp.from_seconds(t), turning, np.array([0.0, 0.0, -9.81]))) is Verdict.FUSED
+        if i % 5 == 0:
+            filter.on_sighting(sighting(t))
+    return filter
+
+
+def test_the_tracker_finds_the_pad_and_leaves_the_image_to_its_owner() -> None:
+    image, tracker = shipped_image(), PadTracker(CAMERA, PAD, colours="simulator")
+    assert tracker.detection is None
+    stamp = Stamp.from_seconds(3.0, 3.1, sigma_s=0.002)
+    first, second = tracker.track(image, stamp=stamp), tracker.track(image)
+    assert first is not None
+    assert second is not None
+    assert (first.stamp, first.seq, second.seq) == (stamp, 0, 1)
+    assert np.abs(first.d_body_pad_level - second.d_body_pad_level).max() < 0.005
+    assert tracker.detection is not None
+    assert tracker.detection.methods["registration"] is not None
+    assert image.flags.writeable
+
+
+def test_the_tracker_begins_where_the_pad_is_expected() -> None:
+    image, tracker = shipped_image(), PadTracker(CAMERA, PAD, colours="simulator", method="registration")
+    stamp = Stamp.from_seconds(1.0)
+    searched = tracker.track(image, stamp=stamp, attitude=attitude(1.0))
+    assert searched is not None
+    filter = RelativeEstimator()
+    filter.on_attitude(attitude(1.0))
+    assert filter.on_sighting(searched) is Verdict.FUSED
+    followed = tracker.track(image, stamp=stamp, attitude=filter.attitude_at(stamp), expected=filter.state)
+    assert followed is not None
+    assert np.abs(followed.d_body_pad_level - searched.d_body_pad_level).max() < 0.005
+
+
+def test_the_tracker_says_none_where_there_is_no_pad_or_too_little_confidence() -> None:
+    tracker = PadTracker(CAMERA, PAD, colours="simulator")
+    assert tracker.track(np.zeros((360, 640, 3), np.uint8)) is None
+    assert PadTracker(CAMERA, PAD, colours="simulator", min_confidence=1.0).track(shipped_image() // 2 + 60) is None
+
+
+@pytest.mark.parametrize("image", [np.zeros((480, 640, 3), np.uint8), np.zeros((360, 640), np.uint8), np.zeros((360, 640, 3))])
+def test_the_tracker_refuses_what_is_no_image_of_the_camera(image: NDArray[np.generic]) -> None:
+    with pytest.raises(ValueError, match=r"640x360 px|uint8 BGR"):
+        PadTracker(CAMERA, PAD).track(image)
+
+
+def test_the_tracker_refuses_unknown_colours_and_impossible_confidences() -> None:
+    with pytest.raises(ValueError, match=r"no colours 'pink'; known are simulator, indoor, outdoor"):
+        PadTracker(CAMERA, PAD, colours="pink")
+    with pytest.raises(ValueError, match="min_confidence must lie in"):
+        PadTracker(CAMERA, PAD, min_confidence=1.5)
+
+
+def test_the_estimator_knows_nothing_before_it_saw_a_pad() -> None:
+    filter = RelativeEstimator()
+    assert filter.state is None
+    assert filter.on_sighting(sighting(0.9)) is Verdict.NO_ATTITUDE
+    filter.on_attitude(attitude(1.0))
+    assert filter.at(MonoNs(1_000_000_000)) is None
+
+
+def test_the_estimator_carries_the_pad_on_between_sightings() -> None:
+    filter = hovering()
+    state = filter.state
+    assert state is not None
+    assert state.at == 1_990_000_000
+    assert np.abs(state.d_body_pad_level - [0.5, 0.2, 3.0]).max() < 0.02
+    later = filter.at(MonoNs(2_200_000_000))
+    assert later is not None
+    assert later.cov[0, 0] > state.cov[0, 0]
+
+
+def test_the_estimator_takes_late_sightings_and_says_why_it_refuses_others() -> None:
+    filter = hovering()
+    assert filter.on_sighting(sighting(1.9, received=2.0)) is Verdict.FUSED
+    before = filter.at(MonoNs(2_000_000_000))
+    assert filter.on_sighting(sighting(1.2, received=2.0)) is Verdict.TOO_OLD
+    assert filter.on_sighting(sighting(1.99, confidence=0.1)) is Verdict.GATED
+    assert filter.on_imu(Imu(Stamp.from_seconds(2.0), np.full(3, 1e3), np.zeros(3))) is Verdict.IMPOSSIBLE
+    after = filter.at(MonoNs(2_000_000_000))
+    assert before is not None
+    assert after is not None
+    assert np.array_equal(before.d_body_pad_level, after.d_body_pad_level)
+
+
+def test_the_estimator_takes_every_kind_of_sample() -> None:
+    filter, stamp = hovering(), Stamp.from_seconds(2.0)
+    assert filter.on_velocity(BodyVelocity(stamp, np.zeros(3), np.eye(3) * 0.01)) is Verdict.FUSED
+    assert filter.on_range(Range(stamp, 3.0, 0.02)) is not None
+    assert filter.on_baro(Baro(stamp, 12.0, 0.3)) is not None
+    assert filter.on_vessel(VesselReport(stamp, np.zeros(3), np.eye(3) * 0.01, None, None)) is Verdict.FUSED
+    assert filter.on_status(VehicleStatus(stamp, True, "flying", 0.8, False, True)) is None
+
+
+def test_a_stamp_is_made_of_seconds() -> None:
+    stamp = Stamp.from_seconds(1.5, 1.6, sigma_s=0.01)
+    assert (stamp.measured_at, stamp.received_at, stamp.sigma_s, stamp.source) == (1_500_000_000, 1_600_000_000, 0.01, "hw")
+    assert Stamp.from_seconds(2.0).delay_s == 0.0
+    with pytest.raises(ValueError, match="finite seconds"):
+        Stamp.from_seconds(float("nan"))

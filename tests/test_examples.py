@@ -1,0 +1,87 @@
+"""The programs in examples/ run as they are shipped, and their data is what the repository's script makes."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+
+from companion.cli.main import main
+from examples import make_data
+from sitl.testing.recorded_flight import record_to
+
+ROOT = Path(__file__).parents[1]
+DATA = ROOT / "configs/examples"
+LARGEST_BYTES = 150_000
+
+
+def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-m", f"examples.{name}", *arguments],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
+
+
+def test_the_pad_is_found_in_the_shipped_image() -> None:
+    done = run("find_pad")
+    assert done.returncode == 0, done.stderr
+    found = re.match(r"pad ([\d.]+) m ahead, ([\d.]+) m to the right, ([\d.]+) m below; confidence 1.00", done.stdout)
+    assert found is not None, done.stdout
+    assert 3.5 < float(found[3]) < 4.0
+
+
+def test_an_image_without_a_pad_ends_with_exit_code_1(tmp_path: Path) -> None:
+    black = cv2.imread(str(DATA / "pad.jpg"))
+    assert black is not None
+    cv2.imwrite(str(tmp_path / "black.png"), black * 0)
+    done = run("find_pad", str(tmp_path / "black.png"))
+    assert done.returncode == 1
+    assert done.stderr == "no pad in the image\n"
+
+
+def test_the_csv_file_is_fused_to_within_the_attitude_s_error() -> None:
+    done = run("fuse_csv")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) == 21
+    median = re.fullmatch(r"median error (\d+) mm", lines[-1])
+    # The simulated drone's own attitude is off by one to two degrees, which is 0.07 to 0.14 m from 4 m above the pad.
+    assert median is not None
+    assert int(median[1]) < 150
+
+
+def test_a_controller_of_one_s_own_lands_on_the_pad() -> None:
+    done = run("own_controller")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.startswith("landed on the pad after ")
+
+
+def test_a_recording_is_read(tmp_path: Path) -> None:
+    record_to(tmp_path / "flight.mcap", seconds=1.0)
+    done = run("read_recording", str(tmp_path / "flight.mcap"))
+    assert done.returncode == 0, done.stderr
+    *decisions, frames = done.stdout.splitlines()
+    assert len(decisions) > 10
+    assert all(re.fullmatch(r" *[\d.]+ s [a-z ]+: [\d.]+ m up, [\d.]+ m off", line) for line in decisions), decisions[0]
+    assert re.fullmatch(r"frames: \{'fused': \d+.*\}", frames)
+
+
+def test_detect_finds_the_pad_in_the_shipped_image(capsys: object) -> None:
+    arguments = ["detect", str(DATA / "pad.jpg"), "--camera", "sim", "--attitude", str(DATA / "attitude.csv")]
+    assert main(arguments) == 0
+
+
+def test_the_data_is_small_and_the_script_s_columns_are_the_file_s() -> None:
+    sizes = {path.name: path.stat().st_size for path in DATA.iterdir() if path.is_file()}
+    assert set(sizes) == {"attitude.csv", "landing.csv", "pad.jpg"}
+    assert max(sizes.values()) < LARGEST_BYTES
+    assert (DATA / "landing.csv").read_text().splitlines()[0] == ",".join(make_data.HEADER)
