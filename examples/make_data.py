@@ -11,9 +11,9 @@ import math
 from pathlib import Path
 
 import cv2
+from companion.observer import NullObserver, ProcessedFrame
 
 from companion.config.settings import load
-from companion.observer import NullObserver, ProcessedFrame
 from companion.runtime.service import make_pilot
 from estimator import Attitude, Imu, Sighting
 from estimator.contracts.samples import Sample

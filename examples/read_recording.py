@@ -5,6 +5,7 @@ from collections import Counter
 from pathlib import Path
 
 from companion.observer import Decision
+
 from companion.recorder.reading import RecordedFrame, instant, open_recording
 
 recording = open_recording([Path(sys.argv[1])])
