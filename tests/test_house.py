@@ -283,7 +283,7 @@ def test_what_is_imported_is_declared() -> None:
             drawn = report if str(path.relative_to(ROOT)) in DRAWINGS else set()
             declared = runtime | drawn if shipped else dev | extra(top)
             tops = {name.partition(".")[0] for name in imports(ast.parse(path.read_text()))}
-            ours = {*PACKAGES, "configs", "tests", "benches", "fuzz", "mutants", "supply"}
+            ours = {*PACKAGES, "configs", "examples", "tests", "benches", "fuzz", "mutants", "supply"}
             undeclared |= {(str(path.relative_to(ROOT)), top) for top in tops - sys.stdlib_module_names - declared - ours}
     assert undeclared == set()
 
