@@ -1,4 +1,4 @@
-"""The options that name a calibration board, the same where it is printed and where it is used."""
+"""Options that describe a calibration board, shared by the command that prints it and the one that uses it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def board(args: argparse.Namespace, kind: str) -> Board:
-    """The board that was asked for.
+    """Return the board that the options describe.
 
     Raises:
         BadInput: no such board.

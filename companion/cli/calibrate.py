@@ -1,4 +1,4 @@
-"""`decklander calibrate camera`: a camera file from images of a printed board, its grade, and what the images lack."""
+"""`decklander calibrate camera`: write a camera file from images of a printed board, grade it, and list what the images lack."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from estimator.contracts.geometry import Rotation, Transform
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """`decklander calibrate`."""
+    """Add `decklander calibrate` to the parser."""
     outer = subparsers.add_parser("calibrate", help="calibrate a camera", description="Calibrate a camera.")
     p = outer.add_subparsers(dest="action", metavar="WHAT", required=True).add_parser(
         "camera",
@@ -79,7 +79,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when a camera file was written, 1 when the set is too poor.
+    """Calibrate; return 0 if a camera file was written, 1 if the grade is worse than accepted.
 
     Raises:
         BadInput: an argument, an image or the board is wrong.

@@ -1,4 +1,4 @@
-"""`decklander demo`: the simulated drone in a process of its own, the daemon in this one, real sockets and real H.264 between."""
+"""`decklander demo`: run the simulated drone in a child process and the service in this one, with sockets and H.264 between."""
 
 from __future__ import annotations
 
@@ -47,12 +47,13 @@ from sitl.scenario import load as load_scenario
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
 _READY_S = 30.0
 _SETTLE_S = 0.5
-"""After the landing, so that the record shows the drone standing."""
+"""Seconds to go on after the landing, so that the recording shows the drone on the ground."""
 _KEEP_EACH = 4
-"""Truth comes at 100 Hz; the report needs a quarter of it."""
+"""Every fourth sample of the truth is kept: it comes at 100 Hz, and the report needs 25 Hz."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander demo` to the parser."""
     parser = subparsers.add_parser(
         "demo",
         help="land a simulated drone on this machine and write a report",
@@ -75,6 +76,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
     if not args.no_report:
@@ -90,7 +92,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
         truth_path = Path(folder) / "truth.jsonl"
         async with AsyncExitStack() as drone:
             child = await drone.enter_async_context(_drone(args.scenario, args.seed, truth_path))
-            settings = _rig(scenario, child.ports)
+            settings = _profile(scenario, child.ports)
             pilot = make_pilot(settings, shadows=SHADOWS)
             log = FlightLog(scenario.title, clock.now(), pilot.pad, pilot.camera, steering=settings.estimator.path)
             progress = None if args.json else ProgressObserver()
@@ -132,15 +134,15 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
 
 @dataclass(slots=True)
 class _Child:
-    """The simulated drone's process, by what it says."""
+    """What the simulated drone's process reports."""
 
     ports: dict[str, int]
     frames_sent: int = 0
-    """Known when it has ended, as what follows."""
+    """Number of frames that it sent; known after it has ended, like the next field."""
     stood_still_s: float = 0.0
 
     def ended(self, said: bytes) -> None:
-        """Take its last words; one that was killed has none."""
+        """Read its last output; a process that was killed leaves none."""
         for line in said.splitlines():
             with suppress(ValueError):
                 words = json.loads(line)
@@ -150,7 +152,7 @@ class _Child:
 
 @asynccontextmanager
 async def _drone(scenario: str, seed: int, truth: Path) -> AsyncIterator[_Child]:
-    """The simulated drone as a child process. It ends with us, even if we are killed: its standard input closes."""
+    """Run the simulated drone as a child. It ends with this process, even if killed, since its standard input closes."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
     child = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "sitl.ardrone.serve", scenario, f"--seed={seed}", f"--truth={truth}", *ports),
@@ -175,8 +177,8 @@ async def _drone(scenario: str, seed: int, truth: Path) -> AsyncIterator[_Child]
     drone.ended(said)
 
 
-def _rig(scenario: Scenario, ports: dict[str, int]) -> Settings:
-    """The shipped rig `sim`, at these ports, with the camera and pad of the scenario."""
+def _profile(scenario: Scenario, ports: dict[str, int]) -> Settings:
+    """Return the shipped profile `sim` with these ports and the camera and pad of the scenario."""
     settings = load("sim")
     vehicle = msgspec.structs.replace(settings.vehicle, **{f"{name}_port": port for name, port in ports.items()})
     service = msgspec.structs.replace(settings.service, health_period_s=0.0)

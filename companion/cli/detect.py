@@ -181,7 +181,7 @@ def _model(args: argparse.Namespace, file: Path) -> _Model:
 
 
 class _NoImageError(Exception):
-    """One file cannot be decoded; the text names it."""
+    """A file cannot be decoded; the text names it."""
 
 
 def _positive(text: str) -> float:
@@ -272,7 +272,7 @@ def _wrong_size(source: str, size: tuple[int, int], model: _Model) -> BadInput:
 
 
 def _attitudes(path: Path, files: Sequence[Path]) -> dict[str, _Tilt]:
-    """Tilt by source, as written in the file."""
+    """Return the tilts of an attitude file, by source."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as text:
             rows = list(csv.reader(text))
@@ -324,7 +324,7 @@ def _attitude(tilts: Mapping[str, _Tilt], image: _Image, sigma_rad: float) -> At
 
 
 def _best(frame: Frame, attitude: Attitude | None, camera: Camera, pad: Pad, sets: Sequence[ColourSet]) -> tuple[Detection, str]:
-    """All methods fused, the thesis' with the colour set that gives the most confident result; and that set."""
+    """Return the fused detection of all methods, and the name of the colour set with the most confident result."""
     looks = [(detect(frame, attitude, camera, pad, colours), colours.name) for colours in sets]
     thesis, colours = max(looks, key=lambda pair: -1.0 if pair[0].selected is None else pair[0].selected.confidence)
     registered, _ = track(TrackerConfig(camera, pad, sets[0], "registration"), TrackerMemory(), frame, attitude)
@@ -332,7 +332,7 @@ def _best(frame: Frame, attitude: Attitude | None, camera: Camera, pad: Pad, set
 
 
 def _record(image: _Image, seen: Detection, colours: str, elapsed_ms: float) -> dict[str, object]:
-    """One JSON object: the keys of DESIGN.md section 4, and which colour limits it came from."""
+    """Return the JSON object of one frame, with the name of the colour set that was used."""
     names = list(dict.fromkeys((*METHODS, *seen.methods)))
     return {
         "source": image.source,
@@ -396,7 +396,7 @@ def _write(path: Path, px: U8) -> None:
 
 
 def _drawn(image: _Image, seen: Detection, camera: Camera) -> U8:
-    """Twice as large, with every method's features and the figures below."""
+    """Return the image at twice its size, with the features of every method drawn in and their figures below."""
     scale = 2 if camera.width <= 1000 else 1
     h, w = camera.height * scale, camera.width * scale
     canvas = np.zeros((h + 44, w, 3), np.uint8)

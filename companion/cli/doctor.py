@@ -1,4 +1,4 @@
-"""`decklander doctor`: why nothing happens, and what to do."""
+"""`decklander doctor`: diagnose the setup and print the fix for each fault."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from estimator.contracts.errors import BadInput
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander doctor` to the parser."""
     parser = subparsers.add_parser(
         "doctor",
         help="diagnose the setup: autopilot, links, camera, broker",
@@ -62,6 +63,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
     snapshot = _saved(args.snapshot) if args.snapshot else event_loop.run(_examined(args))
     snapshot = msgspec.structs.replace(snapshot, moving_pad=snapshot.moving_pad and not args.still_pad)
@@ -104,7 +106,7 @@ async def _examined(args: argparse.Namespace) -> Snapshot:
 
 
 def _options(args: argparse.Namespace, settings: Settings | None) -> AutopilotOptions | None:
-    """Of the links that are given, else of those in the settings; None where there is no link."""
+    """Return options for the given links, or for those of the settings; None if there is no link."""
     if not args.link:
         vehicle = None if settings is None else settings.vehicle
         return autopilot_options(vehicle, 4096, ()) if isinstance(vehicle, AutopilotSettings) else None

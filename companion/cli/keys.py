@@ -1,4 +1,4 @@
-"""`decklander keys`: make a signing key, look at it, give it to an autopilot, take it away again."""
+"""`decklander keys`: make and show MAVLink signing keys, install them on an autopilot and remove them."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from estimator.contracts.errors import BadInput
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander keys` to the parser."""
     parser = subparsers.add_parser(
         "keys",
         help="make, show, install and remove MAVLink signing keys",
@@ -49,6 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
     logging.basicConfig(level=logging.ERROR)  # what a link does is told by the result
     if args.action == "make":
         return _make(Path(args.file))

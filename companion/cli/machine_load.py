@@ -1,4 +1,4 @@
-"""Whether the machine, and not the product, is to blame for how a flight in real time ended."""
+"""Decide whether a flight in real time failed because the machine was too slow."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from estimator.contracts.estimates import Verdict
 
 STOOD_STILL_MAX_S = 1.0
 FILMED_MIN, REPLACED_MAX, NO_ATTITUDE_MAX = 0.5, 0.4, 0.15
-"""Shares of a flight's frames: rendered by the simulator of those it should, overtaken before vision came to them, without an
-attitude because the samples came late."""
+"""Limits on shares of a flight's frames: rendered in time, replaced before vision processed them, without an attitude since the
+samples came late."""
 GUIDANCE_LATE_MAX_S = 0.02
-"""Median delay of the guidance cycle; it is one period of the shipped settings, so that guidance runs at half its rate."""
+"""Limit on the median delay of guidance cycles: one period of the shipped settings, at which guidance runs at half its rate."""
 _FRAMES_HZ = 30.0
 
 
@@ -22,13 +22,13 @@ class Load:
 
     duration_s: float
     frames_sent: int
-    """Rendered and sent by the simulated drone."""
+    """Number of frames that the simulated drone rendered and sent."""
     stood_still_s: float
-    """Time in which the simulated drone could not move."""
+    """Time in which the simulator did not advance, seconds."""
     frames: Counter[Verdict]
-    """What the daemon made of the frames it received."""
+    """Number of received frames by verdict."""
     guidance_late_s: float | None = None
-    """Median of what guidance cycles came late, seconds; None where it was not measured."""
+    """Median lateness of the guidance cycles, seconds; None if it was not measured."""
 
     def starved(self) -> str | None:
         """Return what shows that the machine was too slow, or None if it kept up."""

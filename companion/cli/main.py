@@ -1,4 +1,4 @@
-"""The command `decklander`: finds the subcommand, runs it, and turns what went wrong into one line and an exit code.
+"""The command `decklander`: find the subcommand, run it, and turn errors into one line on stderr and an exit code.
 
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
 of our output went away; 143 ended by SIGTERM, with what was begun cleared away (`companion.runtime.signals` says how).
@@ -35,20 +35,20 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys"),
     "config": ("companion.cli.config", "check, show or explain settings"),
 }
-"""Name to (module, help in one line)."""
+"""Module and one line of help for each command."""
 
 DONE, FAILED, WRONG, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """A parser that reports an error in one line."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(WRONG, f"{self.prog}: {_one_line(message)} (see {self.prog} --help)\n")
 
 
 class _Version(argparse.Action):
-    """Looks the version up only when it is asked for."""
+    """An action that looks up the version only if `--version` is given."""
 
     def __init__(self, option_strings: Sequence[str], dest: str) -> None:
         super().__init__(option_strings, dest, nargs=0, help="print the version and exit")

@@ -1,4 +1,4 @@
-"""`decklander pad`: the pad, or a calibration board, on paper and true to scale."""
+"""`decklander pad`: print the pad or a calibration board to scale."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from estimator.vision.pad import Pad
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """`decklander pad`."""
+    """Add `decklander pad` to the parser."""
     p = subparsers.add_parser(
         "pad",
         help="print the pad or a calibration board to scale",
@@ -40,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when the files were written.
+    """Write the sheets; return 0.
 
     Raises:
         BadInput: the pad, the board, the paper or the file's name is wrong.

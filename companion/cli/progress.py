@@ -1,4 +1,4 @@
-"""A flight's progress on the terminal: one line that renews itself there, a line a second elsewhere."""
+"""Show the progress of a flight: one line that is redrawn on a terminal, a line per second elsewhere."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 
 class ProgressObserver(NullObserver):
-    """Height, lateral distance, phase, frame rate and delay, as the daemon itself believes them.
+    """An observer that shows the service's estimate of height and lateral distance, its phase, frame rate and delay.
 
     Args:
         period_s: between two lines where the output is no terminal.
@@ -46,7 +46,7 @@ class ProgressObserver(NullObserver):
         self._out.flush()
 
     def close(self) -> None:
-        """Leave the terminal on a fresh line."""
+        """End the current line of the terminal."""
         self._end_line()
 
     def _end_line(self) -> None:

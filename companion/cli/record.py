@@ -1,4 +1,4 @@
-"""`decklander record`: what is in a recording, a cut one made whole again, and what others recorded made into one of ours."""
+"""`decklander record`: inspect, cut, repair and import recordings."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from estimator.contracts.time import MonoNs, Stamp
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander record` to the parser."""
     parser = subparsers.add_parser(
         "record",
         help="inspect, cut, repair and import recordings",
@@ -66,6 +67,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
     if args.action == "info":
         return _info(args)
     if args.action == "cut":
@@ -125,7 +127,7 @@ class _Source:
     offset_ns: int
 
     def data(self, size: tuple[int, int]) -> Iterator[Sample | Frame]:
-        """What it holds, in order, on the common clock; `size` is the camera's, px."""
+        """Yield the data of the source in order, on the common clock; `size` is the camera's (width, height), px."""
         for datum in self._own(size):
             s = datum.stamp
             moved = Stamp(MonoNs(s.measured_at + self.offset_ns), MonoNs(s.received_at + self.offset_ns), s.sigma_s, s.source)

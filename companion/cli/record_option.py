@@ -1,4 +1,4 @@
-"""`--record FILE` of the commands that fly: one flight into one recording, with the truth that the simulator knows."""
+"""`--record FILE` of the commands that fly: record one flight, with the truth of the simulator."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def recording(
     args: argparse.Namespace, settings: Settings, flight: Mapping[str, str], *, live: bool
 ) -> Iterator[Recorder | None]:
-    """The recorder that was asked for, None where none was. `live` flights are placed in wall time and never wait.
+    """Open the recorder, or yield None without `--record`. A `live` flight is placed in wall time and never waits for the disk.
 
     Raises:
         BadInput: the file cannot be made.
@@ -56,14 +56,14 @@ def recording(
 
 
 def truth_record(truth: Truth) -> TruthRecord:
-    """Of the simulator's own truth."""
+    """Return the record of the simulator's truth."""
     touchdown = None if truth.touchdown is None else _contact(truth.touchdown)
     d, v = truth.d_body_pad_level.tolist(), truth.v_pad_level.tolist()
     return TruthRecord(int(truth.at), d, v, truth.yaw_rad, truth.phase.name.lower(), touchdown)
 
 
 def truth_from_log(record: Mapping[str, Any]) -> TruthRecord:
-    """Of one line of the simulated drone's truth log (`sitl.ardrone.truth_log`)."""
+    """Return the record of one line of the simulated drone's truth log (`sitl.ardrone.truth_log`)."""
     touched = record["touchdown"]
     touchdown = None if touched is None else ContactRecord(touched["at"], *(touched[n] for n in _CONTACT))
     yaw = math.remainder(record["yaw_rad"], math.tau)

@@ -1,4 +1,4 @@
-"""`decklander replay`: a recording through the estimator again."""
+"""`decklander replay`: replay a recording through vision, estimator and guidance."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander replay` to the parser."""
     parser = subparsers.add_parser(
         "replay",
         help="replay a recording through vision and estimator",
@@ -61,7 +62,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 @dataclass(slots=True)
 class Pass:
-    """One replay and what it left."""
+    """One replay and its results."""
 
     name: str
     log_observer: BeliefLogObserver
@@ -74,6 +75,7 @@ class Pass:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
     if args.report is not None:
         require_drawing("--report")
     recording = open_recording(args.recording)
@@ -132,7 +134,7 @@ def _pass(args: argparse.Namespace, recording: Recording, name: str, settings: S
 def _feed(
     replay: Replay, log_observer: BeliefLogObserver, images: bool, truth_to: Sequence[Callable[[TruthRecord], None]]
 ) -> float:
-    """To the end; the recording's length in seconds."""
+    """Run the replay to its end; return the length of the recording, seconds."""
     first = last = MonoNs(0)
     image: bytes | None = None
     for at, event in replay.steps():

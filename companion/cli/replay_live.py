@@ -1,4 +1,4 @@
-"""`decklander replay --realtime`: a recording played at its own pace, to whoever listens on MAVLink as if it happened now."""
+"""`decklander replay --realtime`: replay a recording at its own pace and send the outputs over MAVLink."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _REFUSAL = "this is a replay: it takes no commands"
 _LEAD_S = 0.05
-"""From the beginning of the replay to its first event."""
+"""Seconds from the beginning of the replay to its first event."""
 
 
 class _Deaf:
-    """The operator of a replay."""
+    """An operator that refuses every command."""
 
     def begin(self) -> str | None:
         return _REFUSAL
@@ -53,7 +53,7 @@ class _Deaf:
 
 
 class _Newest(NullObserver):
-    """The newest belief that guidance had."""
+    """An observer that keeps the newest estimate of guidance."""
 
     belief: RelativeState | None = None
 
@@ -61,12 +61,12 @@ class _Newest(NullObserver):
         self.belief = decision.belief
 
     def at(self, now: MonoNs) -> RelativeState | None:
-        """As decided: at most one round of guidance old."""
+        """Return the newest estimate, at most one guidance cycle old."""
         return self.belief
 
 
 def play(args: argparse.Namespace, recording: Recording, settings: Settings) -> int:
-    """To the end of the recording; exit code 0.
+    """Replay to the end of the recording; return exit code 0.
 
     Raises:
         BadInput: a MAVLink address that is none.
@@ -105,7 +105,7 @@ async def _paced(
     observers: list[Observer],
     clock: SystemClock,
 ) -> float:
-    """Feed it at its own pace; the most that it fell behind, in seconds."""
+    """Replay at the pace of the recording; return the largest delay, seconds."""
     first = _first_instant(recording, pilot)
     start = clock.now()
     shift_ns = start - first + round(_LEAD_S * 1e9)

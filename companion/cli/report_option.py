@@ -1,4 +1,4 @@
-"""The folder of `--report`, tried before the work that the report is about."""
+"""Check the folder of `--report` before the flight that the report is about."""
 
 from __future__ import annotations
 

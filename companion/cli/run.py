@@ -22,6 +22,7 @@ log = logging.getLogger(__name__)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander run` to the parser."""
     parser = subparsers.add_parser(
         "run",
         help="run the landing service",

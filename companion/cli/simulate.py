@@ -1,4 +1,4 @@
-"""`decklander simulate`: one flight in virtual time."""
+"""`decklander simulate`: simulate one flight in virtual time."""
 
 from __future__ import annotations
 
@@ -34,12 +34,13 @@ from sitl.scenario import FAULTS, Scenario
 from sitl.scenario import load as load_scenario
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
-"""Paths that run along for the report's comparison."""
+"""Estimator paths that run beside the steering one, for the comparison in the report."""
 TRUTH_EACH = 4
-"""Steps of 5 ms between two samples of truth in the report."""
+"""Number of 5 ms steps between two samples of the truth in the report."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander simulate` to the parser."""
     parser = subparsers.add_parser(
         "simulate",
         help="simulate one flight in virtual time",
@@ -73,6 +74,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
     if args.follow is not None:
@@ -144,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
-    """How a flight in virtual time ended, with the simulator's judgement."""
+    """Return how a flight in virtual time ended, with the simulator's grade."""
     contacts = tuple(
         Contact(
             t.at,

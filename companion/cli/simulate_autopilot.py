@@ -1,4 +1,4 @@
-"""`decklander simulate SCENARIO --autopilot ...`: one flight of a real autopilot program on our physics."""
+"""`decklander simulate SCENARIO --autopilot ...`: fly one scenario with a real autopilot program on the simulator's physics."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from sitl.scenario import load as load_scenario
 
 
 def run(args: argparse.Namespace) -> int:
-    """The flight that the arguments ask for."""
+    """Fly the scenario; return 0 if it landed on the pad, else 1."""
     if args.report is not None or args.record is not None:
         raise BadInput("--report and --record do not go with --autopilot; --keep DIR keeps the program's own logs")
     binary = executable(args.binary, args.autopilot)
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def refuse_faults(name: str, scenario: Scenario) -> None:
-    """Faults are the simulated AR.Drone's: flown without them a scenario would seem to be survived.
+    """Refuse a scenario with faults, which only the simulated AR.Drone can have.
 
     Raises:
         BadInput: the scenario has some.
@@ -73,7 +73,7 @@ def refuse_faults(name: str, scenario: Scenario) -> None:
 
 
 def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:
-    """Of `NAME=VALUE`.
+    """Parse parameters from `NAME=VALUE`.
 
     Raises:
         BadInput: one that is not of that form.
@@ -92,7 +92,7 @@ def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:
 
 
 def rig(scenario: Scenario, config: str | None) -> Settings:
-    """The settings asked for, or the rig `sim` with the camera and pad of the scenario."""
+    """Return the given settings, or the profile `sim` with the camera and pad of the scenario."""
     settings = load(config or "sim")
     if config is not None:
         return settings
@@ -101,7 +101,7 @@ def rig(scenario: Scenario, config: str | None) -> Settings:
 
 
 def ending_of(scenario: str, seed: int, end: FlightEnd | FollowEnd) -> Ending:
-    """How it ended, as `simulate` tells it."""
+    """Return how the flight ended, in the form that `simulate` prints."""
     contacts: tuple[Contact, ...] = ()
     if end.landing is not None:
         t = end.landing
@@ -112,7 +112,7 @@ def ending_of(scenario: str, seed: int, end: FlightEnd | FollowEnd) -> Ending:
 
 @contextmanager
 def _folder(keep: Path | None) -> Iterator[Path]:
-    """A fresh folder for the program; what it wrote is kept where that is asked for."""
+    """Provide an empty folder for the program, and copy it to `keep` at the end if given."""
     if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
         raise BadInput(f"--keep: {str(keep)!r} is there already and is not an empty folder")
     with tempfile.TemporaryDirectory(prefix="decklander-") as name:

@@ -1,4 +1,4 @@
-"""`decklander simulate SCENARIO --follow URL`: our deck and camera under a vehicle that another simulator flies."""
+"""`decklander simulate SCENARIO --follow URL`: simulate deck and camera for a vehicle that another simulator flies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sitl.scenario import load as load_scenario
 
 
 def run(args: argparse.Namespace) -> int:
-    """Until the landing has ended."""
+    """Follow the vehicle until the landing has ended; return 0 if it landed on the pad, else 1."""
     if args.report is not None or args.record is not None:
         raise BadInput("--report and --record do not go with --follow")
     parse_endpoint(args.follow)

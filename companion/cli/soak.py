@@ -1,4 +1,4 @@
-"""`decklander soak`: flights in a row for hours, what each was worth, and what they leave behind in memory and descriptors."""
+"""`decklander soak`: fly repeated landings for hours, grade each, and watch memory, descriptors, threads and tasks for leaks."""
 
 from __future__ import annotations
 
@@ -40,15 +40,16 @@ from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 
 WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
-"""Of the whole soak; textures, caches and the allocator's arenas are filled by then."""
+"""Warm-up as a share of the run, and its limit: textures, caches and the allocator's arenas are filled by then."""
 FRAME_RATES_HZ = (30, 60)
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
 _DECIDED_S = 2
-"""Time in which the pilot learns that a flight has ended; the next flight begins later."""
+"""Seconds in which the pilot learns that a flight has ended; the next flight begins later."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander soak` to the parser."""
     parser = subparsers.add_parser(
         "soak",
         help="fly repeated landings and watch for leaks",
@@ -88,7 +89,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 @dataclass(slots=True)
 class Tally:
-    """The flights so far and the readings between them."""
+    """The flights and the resource readings so far."""
 
     began: float = field(default_factory=time.monotonic)
     endings: Counter[str] = field(default_factory=Counter)
@@ -96,7 +97,7 @@ class Tally:
     flown_s: float = 0.0
     readings: list[Reading] = field(default_factory=list)
     file: FileIO | None = None
-    """Each reading goes there at once, past any buffer: a soak that is cut keeps what it has seen."""
+    """File for the readings, written without a buffer: a run that is killed keeps its readings."""
     _said: float = 0.0
 
     @property
@@ -105,16 +106,16 @@ class Tally:
 
     @property
     def on_pad(self) -> int:
-        """How many flights landed on the pad."""
+        """Number of flights that landed on the pad."""
         return self.outcomes.count(Class.ON_PAD)
 
     def flown(self, ending: str, flight: Flown) -> None:
-        """Take a flight that has ended."""
+        """Add a flight that has ended."""
         self.endings[ending] += 1
         self.outcomes.flights.append(flight)
 
     def take(self, tasks: int | None, quiet: bool) -> None:
-        """A reading, and each minute a line about it."""
+        """Take a reading of the process, and print a line about it every minute."""
         reading = read(time.monotonic() - self.began, self.flights, tasks)
         self.readings.append(reading)
         if self.file is not None:
@@ -133,6 +134,7 @@ class Tally:
 
 
 def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
     if not 0.001 <= args.hours <= 1000:
@@ -144,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
     if args.all_methods and not args.virtual:
         raise BadInput("--all-methods needs --virtual; in real time the settings say which methods run")
     scenario = load_scenario(args.scenario)
-    settings = _rig(args, scenario)
+    settings = _profile(args, scenario)
     if args.plot is not None:
         require_drawing("--plot")
         _writable("--plot", args.plot)
@@ -173,7 +175,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if found is not None and not found.faults and not tally.outcomes.faults(args.failed_max) else 1
 
 
-def _rig(args: argparse.Namespace, scenario: Scenario) -> Settings:
+def _profile(args: argparse.Namespace, scenario: Scenario) -> Settings:
     settings = load(args.config or "sim")
     if args.config is None:
         own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
@@ -260,7 +262,7 @@ async def _read(tally: Tally, quiet: bool) -> None:
 
 
 def _writable(option: str, path: Path) -> None:
-    """Say before the first flight that a file cannot be written."""
+    """Check before the first flight that a file can be written."""
     try:
         path.open("ab").close()
     except OSError as why:

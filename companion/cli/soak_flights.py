@@ -1,4 +1,4 @@
-"""What each flight of a soak was worth, and whether the machine, not the product, is to blame."""
+"""Grade the flights of a soak, and tell failures from flights that the machine was too slow for."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sitl.flight import FlightResult
 from sitl.safety import Grade, grade
 
 STARVED_MAX = 0.5
-"""Share of the flights that a machine may spoil before the soak itself says nothing."""
+"""Share of the flights that may go unjudged before the run itself means nothing."""
 
 
 class Class(Enum):
@@ -41,12 +41,12 @@ class Flown:
     duration_s: float
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {**asdict(self), "worth": self.worth.value}
 
 
 def virtual(at_s: float, seed: int, title: str, result: FlightResult) -> Flown:
-    """A flight in virtual time, which no machine is too slow for."""
+    """Return the result of a flight in virtual time, for which no machine is too slow."""
     return Flown(at_s, seed, title, Class(result.grade.value), result.because, result.duration_s)
 
 
@@ -57,7 +57,7 @@ def real(
     frames: Counter[Verdict],
     guidance_late_s: float | None = None,
 ) -> Flown:
-    """A flight in real time.
+    """Return the result of a flight in real time.
 
     Args:
         said: the line of `sitl.ardrone.again` about it.
@@ -83,11 +83,11 @@ class Outcomes:
     flights: list[Flown] = field(default_factory=list)
 
     def count(self, worth: Class) -> int:
-        """How many flights are of one class."""
+        """Return the number of flights of one class."""
         return sum(flight.worth is worth for flight in self.flights)
 
     def faults(self, failed_max: int) -> list[str]:
-        """Why the flights make the soak fail, in words; empty when they do not."""
+        """Return why the flights make the run fail; empty if they do not."""
         said = []
         failed, starved = self.count(Class.FAILED), self.count(Class.STARVED)
         if failed > failed_max:
@@ -97,12 +97,12 @@ class Outcomes:
         return said
 
     def as_json(self) -> dict[str, Any]:
-        """Counts by class, and every flight."""
+        """Return the counts by class, and every flight."""
         counts = {worth.name.lower(): self.count(worth) for worth in Class}
         return {"classes": counts, "outcomes": [flight.as_json() for flight in self.flights]}
 
     def in_words(self) -> list[str]:
-        """A line of counts, and one for each flight that did not end as it should."""
+        """Return a line of counts, and a line for each flight that failed or was not judged."""
         counts = ", ".join(f"{n} {worth.value}" for worth in Class if (n := self.count(worth)))
         lines = [f"outcomes   {counts or 'none'}"]
         for flight in self.flights:
@@ -117,7 +117,7 @@ def fault_of(title: str) -> str:
 
 
 def by_fault(flights: Sequence[Flown]) -> dict[str, Counter[Class]]:
-    """Outcomes of each fault."""
+    """Return the number of flights of each class, by fault."""
     out: dict[str, Counter[Class]] = {}
     for flight in flights:
         out.setdefault(fault_of(flight.title), Counter())[flight.worth] += 1

@@ -1,4 +1,4 @@
-"""What a process takes of its machine over hours, and whether that grows. Reads /proc: Linux alone."""
+"""Measure the resources of this process over hours, and decide whether they grow. Reads /proc, so it needs Linux."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ import numpy as np
 from estimator.contracts.errors import SetupImpossible
 
 GROWTH_MAX = 0.01
-"""Share by which memory may have grown after warm-up."""
+"""Share by which memory may grow after warm-up."""
 _PAGE = resource.getpagesize()
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """This process at one instant."""
+    """The resources of this process at one instant."""
 
     at_s: float
-    """Since the start, of wall time."""
+    """Wall time since the start, seconds."""
     flights: int
     memory_mib: float
-    """Resident."""
+    """Resident memory, MiB."""
     descriptors: int
     threads: int
     tasks: int | None
-    """Of asyncio; None where there is no loop."""
+    """Number of asyncio tasks; None without a loop."""
     cpu_s: float
-    """Spent so far, user and system, all threads."""
+    """CPU time so far, user and system, all threads, seconds."""
 
 
 def read(at_s: float, flights: int, tasks: int | None) -> Reading:
-    """A reading now.
+    """Take a reading now.
 
     Raises:
         SetupImpossible: there is no /proc.
@@ -64,29 +64,29 @@ class Trend:
 
     @property
     def growth(self) -> float:
-        """Share of `first` by which `last` is more; negative when it shrank."""
+        """Return the growth from `first` to `last` as a share of `first`; negative if it shrank."""
         return self.last / self.first - 1.0 if self.first else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What the readings say."""
+    """Trends of the readings after warm-up."""
 
     duration_s: float
     warm_up_s: float
     flights: int
     readings: int
-    """After warm-up."""
+    """Number of readings after warm-up."""
     memory_mib: Trend
     descriptors: Trend
     threads: Trend
     tasks: Trend | None
     cpu_share: float
-    """Of one core, after warm-up."""
+    """CPU load after warm-up, in shares of one core."""
 
     @property
     def faults(self) -> list[str]:
-        """What grew that must not, in words."""
+        """Return what grew and must not, in words."""
         said = []
         if self.memory_mib.growth >= GROWTH_MAX:
             first, last = self.memory_mib.first, self.memory_mib.last
@@ -102,7 +102,7 @@ class Findings:
 
 
 def findings(readings: Sequence[Reading], warm_up_s: float) -> Findings | None:
-    """None while fewer than eight readings are past the warm-up."""
+    """Return the trends; None while fewer than eight readings are past the warm-up."""
     after = [r for r in readings if r.at_s >= warm_up_s]
     if len(after) < 8:
         return None

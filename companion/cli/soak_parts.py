@@ -1,4 +1,4 @@
-"""Two measurements of the daemon besides its endurance: how soon it is ready, and what it costs at a rate of frames."""
+"""Measure how soon the service is ready, and its CPU load at a frame rate."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ from sitl.world import RenderedFrame, World
 
 _READY_S = 60.0
 _FILM_S = 2.0
-"""Of hovering, shown forward and backward again and again, so that nothing ever jumps."""
+"""Seconds of hovering that are played forward and backward in turn, so that nothing jumps."""
 _DELAY_S = 0.05
 _SIGMA_S = 0.002
 
 
 def start_time_s(config: str) -> float:
-    """Seconds from the command `decklander run` to READY=1, which its first round of guidance says.
+    """Return the seconds from starting `decklander run` to READY=1, which the first guidance cycle sends.
 
     Raises:
         Recoverable: it ended, or was not ready in a minute.
@@ -75,24 +75,24 @@ def start_time_s(config: str) -> float:
 
 
 def without_thesis_methods(settings: Settings) -> Settings:
-    """The same settings with registration as the only method of vision: a third of the CPU, the same eyes for guidance."""
+    """Return the settings with registration as the only vision method: a third of the CPU, the same estimate for guidance."""
     return msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="registration"))
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a rate of frames costs."""
+    """CPU load and delay at a frame rate."""
 
     share: float
-    """CPU time of the whole process over wall time: shares of one core."""
+    """CPU time of the process over wall time, in shares of one core."""
     seen: float
-    """Share of the frames that were looked at; the others were overtaken by newer ones."""
+    """Share of the frames that vision processed; newer ones replaced the others."""
     belief_p50_s: float | None
-    """From the arrival of a frame to the belief, median."""
+    """Median time from the arrival of a frame to the estimate, seconds."""
 
 
 class _Reel:
-    """A vehicle that hovers over the pad, filmed beforehand."""
+    """A vehicle that hovers over the pad, with frames rendered beforehand."""
 
     def __init__(self, rate_hz: int, scenario: Scenario, settings: Settings, clock: SystemClock) -> None:
         world = World(scenario, 1)
@@ -150,7 +150,7 @@ class _Reel:
 
 
 async def cpu_at(rate_hz: int, scenario: Scenario, settings: Settings, duration_s: float = 15.0) -> Cost:
-    """The daemon for `duration_s` with so many frames a second, the decoding of video left out."""
+    """Run the service for `duration_s` at this frame rate and measure its load, without video decoding."""
     clock = SystemClock()
     reel = _Reel(rate_hz, scenario, settings, clock)
     daemon = Daemon(
@@ -178,7 +178,7 @@ async def cpu_at(rate_hz: int, scenario: Scenario, settings: Settings, duration_
 
 
 def _back_and_forth(n: int, length: int) -> int:
-    """0, 1, ..., length - 1, length - 2, ..., 0, 1, ..."""
+    """Return the n-th item of 0, 1, ..., length - 1, length - 2, ..., 0, 1, ..."""
     if length < 2:
         return 0
     n %= 2 * (length - 1)

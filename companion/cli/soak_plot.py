@@ -1,4 +1,4 @@
-"""A soak as a frame: what the process took over time, and what each flight was worth."""
+"""Plot a soak: the resources of the process over time, and the outcome of each flight."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _COLOURS = {Class.ON_PAD: "#2a9d3a", Class.REFUSED_RIGHTLY: "#3a6fb0", Class.FAI
 
 
 def plot(path: Path, readings: Sequence[Reading], flights: Sequence[Flown]) -> None:
-    """Write the frame; its ending says which kind of file (png, svg, pdf).
+    """Write the plot; the suffix of the path selects the format (png, svg, pdf).
 
     Raises:
         BadInput: the file cannot be written.

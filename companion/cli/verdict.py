@@ -1,4 +1,4 @@
-"""How a simulated flight ended, for people, for machines and for its report."""
+"""How a simulated flight ended, as text, as JSON and for its report."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _WHERE = {"pad": "on the pad", "deck": "on deck, off the pad", "water": "in the 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A contact after flight, as only the simulator knows it."""
+    """A contact with a surface after flight, from the simulator's truth."""
 
     at: MonoNs
     surface: str
-    """pad, deck or water."""
+    """Surface that was touched: pad, deck or water."""
     lateral_m: float
     yaw_rad: float
     vertical_speed_m_s: float
@@ -37,53 +37,53 @@ class Contact:
 
     @property
     def on_pad(self) -> bool:
-        """Whether it is on the pad."""
+        """Whether the contact is on the pad."""
         return self.surface == "pad"
 
 
 @dataclass(frozen=True, slots=True)
 class FlightGrade:
-    """What a simulator that sees the whole flight says of it."""
+    """The simulator's grade of a whole flight."""
 
     grade: str
-    """on pad, refused rightly or failed."""
+    """Grade: on pad, refused rightly or failed."""
     because: str
     unsafe: tuple[str, ...]
     refused: str | None
-    """Why it gave up."""
+    """Why the pilot gave up; None if it did not."""
     contacts_outside_commit: int
     lowest_blind_m: float | None
     """Lowest height over the deck in its deepest descent without true sight of the pad; None where there was none."""
     faults: tuple[tuple[str, float], ...]
-    """The faults that began, and when in seconds after the start."""
+    """Faults that began: kind, and seconds after the start."""
     expect: str
     cpu_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How it ended."""
+    """How a flight ended."""
 
     scenario: str
     seed: int
     outcome: FlightOutcome | None
-    """As the pilot saw it; None when the time ran out."""
+    """Outcome in the pilot's eyes; None if time ran out."""
     contacts: tuple[Contact, ...]
     duration_s: float
     frames: Counter[Verdict]
     started: MonoNs = _ZERO
     judged: FlightGrade | None = None
     load: Load | None = None
-    """How well the machine kept up; None where the flight does not depend on it."""
+    """How well the machine kept up; None for a flight in virtual time."""
 
     @property
     def contact(self) -> Contact | None:
-        """The one that it landed with: the newest."""
+        """The newest contact, with which it landed; None without one."""
         return self.contacts[-1] if self.contacts else None
 
     @property
     def on_pad(self) -> bool:
-        """The goal: the pilot says landed, and the simulator says on the pad."""
+        """Whether the pilot reports a landing and the simulator's contact is on the pad."""
         return self.outcome is FlightOutcome.LANDED and self.contact is not None and self.contact.on_pad
 
     @property
@@ -93,11 +93,11 @@ class Ending:
 
     @property
     def word(self) -> str:
-        """The outcome, or that time ran out."""
+        """The outcome in words, or that time ran out."""
         return "time ran out" if self.outcome is None else self.outcome.value
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; lengths in m, speeds in m/s, angles in degrees, times in s."""
+        """Return plain values; lengths in m, speeds in m/s, angles in degrees, times in s."""
         out: dict[str, Any] = {
             "scenario": self.scenario,
             "seed": self.seed,
@@ -126,7 +126,7 @@ class Ending:
         return out
 
     def in_words(self) -> str:
-        """Some lines: how it ended, every further contact, what was unsafe, and whether a machine too slow is to blame."""
+        """Return lines that say how it ended, name each further contact and unsafe act, and say if the machine was too slow."""
         lines = [f"{self.word} after {self.duration_s:.1f} s, without touching anything"]
         if self.contact is not None:
             lines = [f"{self.word} after {self.duration_s:.1f} s, {_in_words(self.contact)}"]
@@ -147,7 +147,7 @@ class Ending:
         return "\n".join(lines)
 
     def facts(self) -> list[tuple[str, str]]:
-        """What the simulator knows besides, for the report's list of facts."""
+        """Return the simulator's facts for the report."""
         out = [(f"contact at {seconds_between(self.started, c.at):.1f} s", _in_words(c)) for c in self.contacts]
         if self.judged is not None:
             out += [("fault", f"{kind} from {at_s:.1f} s on") for kind, at_s in self.judged.faults]
@@ -155,7 +155,7 @@ class Ending:
         return out
 
     def write_into(self, log: FlightLog) -> None:
-        """Outcome, touchdown and verdicts for the report."""
+        """Write outcome, touchdown and verdicts into the log of the report."""
         log.outcome = self.word
         log.verdicts = Counter(self.frames)
         if self.contact is not None:

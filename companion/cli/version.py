@@ -1,10 +1,10 @@
-"""Which decklander this is."""
+"""The version of the installed distribution."""
 
 from __future__ import annotations
 
 
 def version() -> str:
-    """The installed distribution's version, "(not installed)" when run from a bare checkout."""
+    """Return the version of the installed distribution, or "(not installed)" in a bare checkout."""
     from importlib import metadata
 
     try:

@@ -26,6 +26,7 @@ _CLEAR, _HOME, _TO_END, _BELOW, _HIDE, _SHOW = "\x1b[2J", "\x1b[H", "\x1b[K", "\
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander watch` to the parser."""
     parser = subparsers.add_parser(
         "watch",
         help="watch drones live in the terminal, over MQTT",
