@@ -232,3 +232,12 @@ def test_files_in_the_commands_exist() -> None:
         for path in re.findall(r"(?<![\w/.-])((?:configs|requirements)/[\w./-]+\w)", page.read_text())
     }
     assert sorted((page, path) for page, path in named if not (ROOT / path).exists()) == []
+
+
+def test_topics_of_recordings_in_the_page_are_written() -> None:
+    source = (ROOT / "companion/recorder/channels.py").read_text()
+    first = {topic for topic in re.findall(r'"/(\w+)', source)}
+    short = set(re.findall(r'"/sample/(\w+)"', source)) | {"imu"}
+    named = set(re.findall(r"`/(\w+)", (ROOT / "docs/recordings.md").read_text()))
+    assert sorted(named - first - short) == []
+    assert len(named) > 10
