@@ -236,8 +236,24 @@ def test_files_in_the_commands_exist() -> None:
 
 def test_topics_of_recordings_in_the_page_are_written() -> None:
     source = (ROOT / "companion/recorder/channels.py").read_text()
-    first = {topic for topic in re.findall(r'"/(\w+)', source)}
+    first = set(re.findall(r'"/(\w+)', source))
     short = set(re.findall(r'"/sample/(\w+)"', source)) | {"imu"}
     named = set(re.findall(r"`/(\w+)", (ROOT / "docs/recordings.md").read_text()))
     assert sorted(named - first - short) == []
     assert len(named) > 10
+
+
+def test_modules_listed_beside_a_folder_exist() -> None:
+    """A listing is a block whose lines begin with a folder, then names of its modules, then what they are for."""
+    wrong, seen = [], 0
+    block = (ROOT / "docs/mavlink.md").read_text().split("## In the code\n\n")[1].split("\n\n")[0]
+    folder = ""
+    for line in block.splitlines():
+        found = re.match(r" {4}([\w/]+/)? +(\w[\w*, ]*?),?(?: {2,}.*)?$", line)
+        assert found is not None, line
+        folder = found[1] or folder
+        for name in found[2].split(", "):
+            seen += 1
+            wrong += [] if any(ROOT.glob(f"{folder}{name}.py")) else [f"{folder}{name}"]
+    assert wrong == []
+    assert seen > 20
