@@ -21,7 +21,7 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 from estimator.paths import DeadReckoningPath, MedianMeanPath
-from sitl.testing.mocap_flight import DELAY_S, FLYING_S, FOLDER, EkfPath, Event, Recording, load, run, sightings
+from sitl.testing.mocap_flight import DELAY_S, FLYING_S, FOLDER, Event, MocapFilter, MocapRecording, load, run, sightings
 
 PULLED_S = 34.0
 """From here on something pulls the drone aside: accelerometer and motion capture agree on up to 9 degrees of roll, of which its
@@ -41,14 +41,14 @@ class OtherPath:
         return self.path.at(now)
 
 
-PATHS: dict[str, Callable[[], EkfPath | OtherPath]] = {
-    "ekf": EkfPath,
+PATHS: dict[str, Callable[[], MocapFilter | OtherPath]] = {
+    "ekf": MocapFilter,
     "dead_reckoning": lambda: OtherPath(DeadReckoningPath()),
     "median_mean": lambda: OtherPath(MedianMeanPath()),
 }
 
 
-def gaps(flight: Recording, name: str, begin_s: Sequence[float], lengths_s: Sequence[float], rate_hz: float = 10.0) -> F64:
+def gaps(flight: MocapRecording, name: str, begin_s: Sequence[float], lengths_s: Sequence[float], rate_hz: float = 10.0) -> F64:
     """(lengths, 3) m: error at the end of a gap, horizontal and vertical, and horizontal 0.5 s later; rms over the gaps."""
     rows = []
     for length in lengths_s:
@@ -64,12 +64,12 @@ def gaps(flight: Recording, name: str, begin_s: Sequence[float], lengths_s: Sequ
     return np.array(rows)
 
 
-def cold_starts(flight: Recording, begin_s: Sequence[float], after_s: float = 5.0) -> F64:
+def cold_starts(flight: MocapRecording, begin_s: Sequence[float], after_s: float = 5.0) -> F64:
     """Start the filter in flight; return (starts, 3): error and 1-sigma of the place (m), probability of a moving pad."""
     events = sorted([*flight.samples, *sightings(flight, 10.0, [])], key=lambda e: e.stamp.received_at)
     rows = []
     for begin in begin_s:
-        path, end = EkfPath(), begin + after_s
+        path, end = MocapFilter(), begin + after_s
         for event in events:
             if event.stamp.measured_at * 1e-9 >= begin and event.stamp.received_at * 1e-9 <= end:
                 path.step(event)

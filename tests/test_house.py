@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -157,6 +157,20 @@ def detached_tasks(source: str) -> list[int]:
     ]
 
 
+def public_classes(source: str) -> list[str]:
+    """Return the names of the public classes that the module defines at its top level."""
+    return [node.name for node in ast.parse(source).body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
+
+
+def ambiguous(defined: Iterable[tuple[str, list[str]]]) -> dict[str, list[str]]:
+    """Return the class names that more than one module defines, with those modules."""
+    homes: dict[str, list[str]] = {}
+    for module, names in defined:
+        for name in names:
+            homes.setdefault(name, []).append(module)
+    return {name: modules for name, modules in homes.items() if len(modules) > 1}
+
+
 @pytest.mark.parametrize(
     ("module", "source", "wrong"),
     [
@@ -205,6 +219,15 @@ async def f(given: asyncio.TaskGroup):
     assert detached_tasks(tasks) == [4, 9, 10]
     assert MACHINE[0].search("at /" + "work/main")
     assert MACHINE[1].search("--extra-index" + "-url")
+
+
+def test_the_rule_for_names_catches_an_offender() -> None:
+    assert public_classes("class A: ...\nclass _B: ...\ndef f():\n    class C: ...") == ["A"]
+    assert ambiguous([("x", ["A", "B"]), ("y", ["B"])]) == {"B": ["x", "y"]}
+
+
+def test_one_class_name_means_one_thing() -> None:
+    assert ambiguous((name_of(p), public_classes(p.read_text())) for p in modules()) == {}
 
 
 def test_imports_run_one_way() -> None:

@@ -35,7 +35,7 @@ Event = Imu | Attitude | BodyVelocity | Range | Sighting
 
 
 @dataclass(frozen=True)
-class Recording:
+class MocapRecording:
     """The flight. Times in s of its own clock; `ned` is the motion capture's floor, x as it has it, the pad's arrow along it."""
 
     samples: tuple[Event, ...]
@@ -74,7 +74,7 @@ def stamp(measured_at_s: float, received_at_s: float | None = None) -> Stamp:
     )
 
 
-def load(folder: Path = FOLDER) -> Recording:
+def load(folder: Path = FOLDER) -> MocapRecording:
     """Read the three tables (forward-left-up, as recorded) and turn them into samples (forward-right-down)."""
     nav, imu, mocap = (
         np.genfromtxt(folder / name, delimiter=",", names=True) for name in ("navdata.csv", "imu.csv", "optitrack.csv")
@@ -119,7 +119,7 @@ def load(folder: Path = FOLDER) -> Recording:
             if height[k] != last_height:
                 out.append(Range(s, float(height[k]), 0.03))
         last_height = height[k]
-    return Recording(tuple(out), tm, p, captured, t, told_rpy, pad)
+    return MocapRecording(tuple(out), tm, p, captured, t, told_rpy, pad)
 
 
 def smooth(x: F64) -> F64:
@@ -132,7 +132,7 @@ def captured_rpy(quats: F64, sits: Rotation) -> F64:
     return np.unwrap(np.array([(Rotation.from_quat(q) @ sits).rpy_rad for q in quats]), axis=0)
 
 
-def sightings(flight: Recording, rate_hz: float, blind: Sequence[tuple[float, float]], seed: int = 0) -> list[Sighting]:
+def sightings(flight: MocapRecording, rate_hz: float, blind: Sequence[tuple[float, float]], seed: int = 0) -> list[Sighting]:
     """Looks at the pad while flying, heard late, none while `blind`."""
     rng = np.random.default_rng(seed)
     out = []
@@ -170,7 +170,7 @@ class FollowingPath(Protocol):
     def at(self, now: MonoNs) -> RelativeState | None: ...
 
 
-class EkfPath:
+class MocapFilter:
     """The filter behind the shape of the other paths."""
 
     def __init__(self) -> None:
@@ -183,7 +183,7 @@ class EkfPath:
         return ekf.at(self.memory, now)
 
 
-def run(flight: Recording, path: FollowingPath, seen: Sequence[Sighting], until_s: float) -> tuple[F64, F64, F64]:
+def run(flight: MocapRecording, path: FollowingPath, seen: Sequence[Sighting], until_s: float) -> tuple[F64, F64, F64]:
     """(n,) times, (n, 3) errors of the place, (n,) NEES of it, every 50 ms while flying; nan where there is no belief."""
     events = sorted([*flight.samples, *seen], key=lambda e: e.stamp.received_at)
     times, errors, nees = [], [], []

@@ -22,7 +22,7 @@ HOUR_NS = 3_600_000_000_000
 
 
 @dataclass(frozen=True)
-class Fault:
+class VoyageFault:
     """Something that happens to a stream for some seconds."""
 
     spoil: Callable[[Event], Sequence[Event]]
@@ -62,27 +62,27 @@ def frozen() -> Callable[[Event], Sequence[Event]]:
     return spoil
 
 
-FAULTS: dict[str, Callable[[], Fault]] = {
-    "nothing": lambda: Fault(lambda e: [e], 0.0),
-    "accelerometer 1e4": lambda: Fault(_imu(f=1e4), 0.015),
-    "accelerometer 500": lambda: Fault(_imu(f=500.0), 0.015),
-    "accelerometer 45": lambda: Fault(_imu(f=45.0), 0.015),
-    "accelerometer 75": lambda: Fault(_imu(f=75.0), 0.015),
-    "gyro 300": lambda: Fault(_imu(w=300.0), 0.015),
-    "gyro 12": lambda: Fault(_imu(w=12.0), 0.015),
-    "gyro 34": lambda: Fault(_imu(w=34.0), 0.015),
-    "attitude 40 degrees": lambda: Fault(_turned, 0.3),
-    "velocity 30 m/s": lambda: Fault(
+FAULTS: dict[str, Callable[[], VoyageFault]] = {
+    "nothing": lambda: VoyageFault(lambda e: [e], 0.0),
+    "accelerometer 1e4": lambda: VoyageFault(_imu(f=1e4), 0.015),
+    "accelerometer 500": lambda: VoyageFault(_imu(f=500.0), 0.015),
+    "accelerometer 45": lambda: VoyageFault(_imu(f=45.0), 0.015),
+    "accelerometer 75": lambda: VoyageFault(_imu(f=75.0), 0.015),
+    "gyro 300": lambda: VoyageFault(_imu(w=300.0), 0.015),
+    "gyro 12": lambda: VoyageFault(_imu(w=12.0), 0.015),
+    "gyro 34": lambda: VoyageFault(_imu(w=34.0), 0.015),
+    "attitude 40 degrees": lambda: VoyageFault(_turned, 0.3),
+    "velocity 30 m/s": lambda: VoyageFault(
         lambda e: [replace(e, v_level=e.v_level + 30.0 * AHEAD)] if isinstance(e, BodyVelocity) else [e], 0.4
     ),
-    "range 0": lambda: Fault(lambda e: [replace(e, range_m=0.0)] if isinstance(e, Range) else [e], 0.5),
-    "sightings 2 m aside": lambda: Fault(
+    "range 0": lambda: VoyageFault(lambda e: [replace(e, range_m=0.0)] if isinstance(e, Range) else [e], 0.5),
+    "sightings 2 m aside": lambda: VoyageFault(
         lambda e: [replace(e, d_body_pad_level=e.d_body_pad_level + 2.0 * AHEAD)] if isinstance(e, Sighting) else [e], 0.4
     ),
-    "heading turned round": lambda: Fault(_opposite, 2.0),
-    "an hour ahead": lambda: Fault(_ahead, 0.005),
-    "no inertial data": lambda: Fault(lambda e: [] if isinstance(e, Imu) else [e], 4.9),
-    "inertial data frozen": lambda: Fault(frozen(), 4.9),
+    "heading turned round": lambda: VoyageFault(_opposite, 2.0),
+    "an hour ahead": lambda: VoyageFault(_ahead, 0.005),
+    "no inertial data": lambda: VoyageFault(lambda e: [] if isinstance(e, Imu) else [e], 4.9),
+    "inertial data frozen": lambda: VoyageFault(frozen(), 4.9),
 }
 """Each fault by its name."""
 

@@ -17,7 +17,7 @@ def test_a_gap_of_three_seconds_and_the_return() -> None:
     begin, end = 24.0, 27.0
     # Every fifth sample of 200 a second is enough to see whether it works.
     thinned = replace(flight, samples=tuple(s for k, s in enumerate(flight.samples) if k // 4 % 4 == 0))
-    path = mocap_flight.EkfPath()
+    path = mocap_flight.MocapFilter()
     t, error, nees = mocap_flight.run(thinned, path, mocap_flight.sightings(flight, 10.0, [(begin, end)]), 30.0)
     before, after = (t > 18.0) & (t < begin), t > end + 0.5
     assert np.sqrt(np.mean(np.sum(error[before] ** 2, axis=1))) < 0.05
@@ -32,7 +32,7 @@ def test_a_gap_of_three_seconds_and_the_return() -> None:
 def test_the_velocity_scale_of_the_real_drone_is_found() -> None:
     """Motion capture has 0.83-0.87 for the share of the true velocity that this drone tells."""
     flight = mocap_flight.load()
-    path = mocap_flight.EkfPath()
+    path = mocap_flight.MocapFilter()
     mocap_flight.run(flight, path, mocap_flight.sightings(flight, 5.0, []), 24.0)
     belief = path.memory.belief
     assert belief is not None
