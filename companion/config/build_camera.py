@@ -37,7 +37,7 @@ def camera_options(settings: Settings) -> CameraOptions | None:
             latency_s=c.latency_s,
             sigma_s=c.latency_sigma_s,
             exposure_s=c.exposure_s,
-            timeouts=SourceTimeouts(silence_s=c.silence_s),
+            timeouts=SourceTimeouts(c.silence_s, c.reconnect_first_s, c.reconnect_most_s),
         )
     return V4l2Options(
         c.device,
@@ -49,7 +49,7 @@ def camera_options(settings: Settings) -> CameraOptions | None:
         latency_s=c.latency_s,
         latency_sigma_s=c.latency_sigma_s,
         exposure_s=c.exposure_s,
-        timeouts=SourceTimeouts(silence_s=c.silence_s),
+        timeouts=SourceTimeouts(c.silence_s, c.reconnect_first_s, c.reconnect_most_s),
     )
 
 

@@ -56,6 +56,8 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("how long the shutter is open, 0 when not known; a time that v4l2 itself tells goes before", "s", 0.0, 0.5)
     ] = 0.0
     silence_s: Annotated[float, number("without a frame for this long the camera is opened anew", "s", 0.1, 30.0)] = 2.0
+    reconnect_first_s: Annotated[float, number("rest before a lost camera is opened again", "s", 0.01, 60.0)] = 0.2
+    reconnect_most_s: Annotated[float, number("longest rest; each is twice the one before", "s", 0.01, 60.0)] = 2.0
 
     def fault(self) -> str | None:
         """What does not go together, in one line; None when all does."""
@@ -63,4 +65,9 @@ class CameraSettings(Struct, frozen=True, forbid_unknown_fields=True):
             return f'device must be given with source "{self.source}"'
         if self.source == "vehicle" and self.device:
             return f'device {self.device!r} is given, so source must be "v4l2" or "stream"'
+        if self.reconnect_most_s < self.reconnect_first_s:
+            return (
+                f"reconnect_most_s ({self.reconnect_most_s:g} s) must not be shorter than reconnect_first_s "
+                f"({self.reconnect_first_s:g} s)"
+            )
         return None

@@ -49,11 +49,6 @@ def vector(value: str) -> tuple[float, ...] | None:
     return tuple(n for n in numbers if n is not None) if None not in numbers else None
 
 
-def format_boolean(value: bool) -> str:
-    """TRUE or FALSE."""
-    return "TRUE" if value else "FALSE"
-
-
 def format_vector(values: Iterable[float]) -> str:
     """`{ a b c }` with the eight digits the drone writes."""
     return "{ " + " ".join(f"{value:.7e}" for value in values) + " }"

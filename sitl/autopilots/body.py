@@ -88,12 +88,6 @@ class Body:
         """Since the start."""
         return self._tick * self.step_s
 
-    @property
-    def hover_share(self) -> float:
-        """Share of its largest thrust that carries the vehicle in still air."""
-        f = self._vehicle.airframe
-        return f.mass_kg * 9.80665 / f.thrust_max_n
-
     def step(self, motors: Motors) -> None:
         """Advance by one step under these motor commands."""
         self._tick += 1

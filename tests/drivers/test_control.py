@@ -51,4 +51,4 @@ def test_values() -> None:
     assert control.vector("1 2") is None
     assert control.vector("{ 1 x }") is None
     assert control.vector(control.format_vector((1.5, -2.0))) == (1.5, -2.0)
-    assert control.boolean(control.format_boolean(False)) is False
+    assert control.boolean("FALSE") is False
