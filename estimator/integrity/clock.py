@@ -1,7 +1,7 @@
-"""Stamps: arrivals that run ahead of or behind all others, and delays that leave their stream's own median.
+"""Check stamps: arrivals that differ from all others, and delays that leave their stream's own median.
 
-There is no clock here. All arrivals are stamped by one host, so the newest that was confirmed is the time; one that lies more
-than `clock_step_max_s` away is refused and becomes the time only when others confirm it, as after a real pause.
+This module reads no clock. One host stamps all arrivals, so the newest confirmed arrival is the time. An arrival that is more
+than `clock_step_max_s` away is refused, and becomes the time only after others confirm it, as after a real pause.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _FIRST_FEW = 8
 
 
 class _Rival(NamedTuple):
-    """A time that arrivals tell and the rest do not confirm yet."""
+    """A time that some arrivals report and the others do not confirm yet."""
 
     first: int
     last: int
@@ -34,14 +34,14 @@ class _Delay(NamedTuple):
     median_s: float
     n: int = 1
     off_since: int | None = None
-    """ns, arrival of the first of an unbroken row that lies elsewhere."""
+    """Arrival, ns, of the first of an unbroken series of samples with another delay."""
 
 
 class ClockWatch(NamedTuple):
     """The arrivals and delays so far."""
 
     now: int | None = None
-    """ns, the newest arrival that was confirmed."""
+    """The newest confirmed arrival, ns."""
     rival: _Rival | None = None
     delays: Mapping[str, _Delay] = MappingProxyType({})
 
@@ -52,7 +52,7 @@ class ClockWatch(NamedTuple):
 
 
 def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float) -> tuple[ClockWatch, Verdict | None]:
-    """Take an arrival; TOO_NEW or TOO_OLD when it is alone with its time."""
+    """Process an arrival; return TOO_NEW or TOO_OLD if no other arrival confirms its time."""
     received_at, now = stamp.received_at, state.now
     if now is None:
         return state._replace(now=received_at), None
@@ -74,14 +74,14 @@ def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float)
 def watch_delay(
     state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float, settle_s: float
 ) -> tuple[ClockWatch, Verdict | None]:
-    """Take a delay; TOO_NEW or TOO_OLD when it lies far from its stream's running median and not for long yet."""
+    """Process a delay; return TOO_NEW or TOO_OLD if it is far from its stream's running median and has not been so for long."""
     d = stamp.delay_s
     delay = state.delays.get(kind)
     verdict = None
     if delay is None:
         delay = _Delay(d)
     elif abs(d - delay.median_s) <= step_max_s:
-        # A median by small steps: one outlier moves it no further than any other sample.
+        # The median moves in small steps, so that an outlier has no more effect than any other sample.
         step = max(_MEDIAN_STEP_S, abs(d - delay.median_s) / (delay.n + 1) if delay.n < _FIRST_FEW else 0.0)
         delay = _Delay(delay.median_s + max(-step, min(step, d - delay.median_s)), delay.n + 1)
     elif delay.n < _FIRST_FEW:

@@ -1,8 +1,7 @@
-"""Frames that repeat: the same pixels under a new stamp tell nothing new of the world.
+"""Detect repeated frames: the same pixels under a new stamp carry no new information.
 
-A sensor's noise makes every true frame differ from every other one, so the test is equality to the bit over a subsample of the
-raw pixels. It covers a driver that hands out one buffer again, a ring of buffers, and a codec that repeats a frame without
-residual.
+A sensor's noise makes every genuine frame different from every other, so the test is bit equality over a subsample of the raw
+pixels. It covers a driver that returns one buffer again, a ring of buffers, and a codec that repeats a frame without residual.
 """
 
 from __future__ import annotations
@@ -14,18 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 _EVERY = 16
-"""One row in so many is looked at: 23 of 360, 44 kB, 0.04 ms."""
+"""Distance of the rows that are compared: 23 of 360, 44 kB, 0.04 ms."""
 _KEPT = 16
-"""Frames whose digest is kept: longer than the buffer ring of a capture driver."""
+"""Number of frames whose digest is kept: more than the buffer ring of a capture driver holds."""
 _FROZEN_RUN = 3
 
 
 class FrameWatch(NamedTuple):
-    """Digests of the newest frames that differed, and how many have repeated one of them since."""
+    """Digests of the newest distinct frames, and the number of repeats since."""
 
     digests: tuple[int, ...] = ()
     run: int = 0
-    """Repeats in a row."""
+    """Number of repeats in a row."""
 
     @property
     def frozen(self) -> bool:
@@ -33,12 +32,12 @@ class FrameWatch(NamedTuple):
 
 
 def digest(px: NDArray[np.uint8]) -> int:
-    """A check sum over rows of an image (H, W, 3), spread over its height."""
+    """Return a checksum over rows of an image (H, W, 3), spread over its height."""
     return zlib.crc32(np.ascontiguousarray(px[_EVERY // 2 :: _EVERY]).data)
 
 
 def watch(state: FrameWatch, px: NDArray[np.uint8]) -> tuple[FrameWatch, bool]:
-    """Take one frame; whether it repeats one of the last few."""
+    """Process one frame; return whether it repeats one of the last few."""
     this = digest(px)
     if this in state.digests:
         return FrameWatch(state.digests, state.run + 1), True

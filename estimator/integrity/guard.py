@@ -1,4 +1,4 @@
-"""The guard: one memory of all the watches, and one verdict for each input that is not let through."""
+"""The guard: it holds the state of all checks, and gives one verdict for each refused input."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from estimator.integrity import clock, frames, heights, sensors, tracks, view
 from estimator.integrity.options import IntegrityOptions
 
 _OLD_NS = 1_000_000_000
-"""A doubt about a stream that has fallen silent altogether says nothing more; its silence does."""
+"""Age after which a doubt about a silent stream is dropped, because the silence itself is reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class IntegrityGuard:
-    """Everything the watches remember. Immutable."""
+    """The state of all checks. Immutable."""
 
     options: IntegrityOptions = field(default_factory=IntegrityOptions)
     clock: clock.ClockWatch = field(default_factory=clock.ClockWatch)
@@ -30,11 +30,11 @@ class IntegrityGuard:
     tracks: tracks.Tracks = field(default_factory=tracks.Tracks)
     heights: heights.HeightWatch = field(default_factory=heights.HeightWatch)
     flying: bool = True
-    """True until the vehicle reports that it is in the air."""
+    """False only after the vehicle reported that it is on the ground."""
 
 
 def admit(guard: IntegrityGuard, event: Sample) -> tuple[IntegrityGuard, Verdict | None]:
-    """Take one sample; None when it may go to the estimator."""
+    """Check one sample; return None if it may go to the estimator."""
     o, kind = guard.options, type(event).__name__
     watch, verdict = clock.watch_arrival(guard.clock, kind, event.stamp, o.clock_step_max_s)
     if verdict is None:
@@ -55,7 +55,7 @@ def admit(guard: IntegrityGuard, event: Sample) -> tuple[IntegrityGuard, Verdict
 
 
 def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:
-    """Take one frame before anything is looked for in it; REPEATED when its pixels were there before."""
+    """Check one frame before detection; return REPEATED if its pixels were received before."""
     watch, repeated = frames.watch(guard.frames, frame.px)
     return replace(guard, frames=watch), Verdict.REPEATED if repeated else None
 
@@ -63,14 +63,14 @@ def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Ve
 def admit_sighting(
     guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None, belief: RelativeState | None
 ) -> tuple[IntegrityGuard, Verdict | None]:
-    """Take one sighting.
+    """Check one sighting.
 
     Args:
-        attitude: at its exposure.
+        attitude: attitude at its exposure.
         belief: the steering estimate at its exposure, before the sighting.
 
     Returns:
-        TOO_OLD or TOO_NEW (its stamp), FROZEN (the view), ELSEWHERE (another pad), or None.
+        The new guard, and TOO_OLD or TOO_NEW (its stamp), FROZEN (the view), ELSEWHERE (another pad), or None.
     """
     o = guard.options
     watch, verdict = clock.watch_arrival(guard.clock, "Sighting", sighting.stamp, o.clock_step_max_s)
@@ -89,7 +89,7 @@ def admit_sighting(
 
 
 def fused(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None) -> IntegrityGuard:
-    """The steering estimator took a sighting that was let through."""
+    """Record that the steering estimator fused a sighting that had passed."""
     guard = replace(guard, tracks=tracks.fused(guard.tracks, _place(sighting, attitude)))
     if attitude is None:
         return guard

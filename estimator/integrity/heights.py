@@ -1,7 +1,7 @@
-"""Other heights against the camera's: a range sensor over the pad, and a barometer's change against the change that was seen.
+"""Compare other heights with the camera's: a range sensor over the pad, and the change of the barometric height.
 
-A range counts only where the sighting puts the deck around the pad below the body: beyond the edge there is water, and the
-difference says nothing. Where the camera claims the pad below and there is none (another place, a wrong focal length), it does.
+A range counts only if the sighting puts the deck around the pad below the body; beyond the edge there is water, and the
+difference means nothing. If the camera reports the pad below and there is none (another place, a wrong focal length), it counts.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ from estimator.integrity.options import IntegrityOptions
 
 _FRESH_S = 0.3
 _NEAREST_M = 0.35
-"""An ultrasound hears nothing nearer than 0.2 m."""
+"""Smallest height for the comparison: an ultrasonic sensor measures nothing nearer than 0.2 m."""
 _UPRIGHT = 0.85
 _EDGE_M = 0.1
 _PAUSE_S = 0.3
-"""No more than this counts for the time between two ranges."""
+"""Longest time between two ranges that counts."""
 _SPAN_S = 10.0
 _AGREES_S = 2.0
 _BARO_LAG = 0.1
-"""Share by which a new difference moves the mean: a barometer's noise is half a metre."""
+"""Weight of a new difference in the mean: a barometer's noise is half a metre."""
 
 
 class HeightWatch(NamedTuple):
     """The comparison of the other heights with the camera's so far."""
 
     seen_at: int = 0
-    """ns, the newest sighting; 0 none."""
+    """Instant of the newest sighting, ns; 0 if none."""
     d_level: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """m, of it."""
+    """Position of the pad in that sighting, m."""
     down_level: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """The body's down axis at that instant."""
     range_at: int = 0
     against_s: float = 0.0
-    """Time for which ranges have contradicted the camera, s; agreement counts it down."""
+    """Time for which ranges have contradicted the camera, s; agreement reduces it."""
     contradicted: bool = False
     agreed_at: int = -1
-    """ns, when a range last agreed; -1 never."""
+    """Instant when a range last agreed, ns; -1 if never."""
     rise: tuple[tuple[int, float], ...] = ()
-    """Instant (ns) and height by barometer less height by camera, m, smoothed; one a second."""
+    """Instants (ns) and smoothed barometric height minus camera height, m; one entry per second."""
     rise_now: float = math.nan
     seen_height: tuple[tuple[int, float], ...] = ()
     baro_contradicted: bool = False
@@ -54,14 +54,14 @@ class HeightWatch(NamedTuple):
 
 
 def saw(state: HeightWatch, sighting: Sighting, R_ned_body: Rotation) -> HeightWatch:
-    """A sighting that the estimator took."""
+    """Record a sighting that the estimator fused."""
     x, y, z = sighting.d_body_pad_level.tolist()
     cx, cy, cz = R_ned_body.without_heading().matrix[:, 2].tolist()
     return state._replace(seen_at=sighting.stamp.measured_at, d_level=(x, y, z), down_level=(cx, cy, cz))
 
 
 def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch:
-    """A range: compared with the newest sighting where that is fresh and has the pad below."""
+    """Compare a range with the newest sighting if that is fresh and has the pad below."""
     t = event.stamp.measured_at
     if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
         return state._replace(range_at=t)
@@ -73,9 +73,9 @@ def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch
     foot = math.hypot(x - cx * along, y - cy * along)
     tolerance = o.range_tolerance_m + o.range_tolerance_share * z
     if foot > o.deck_radius_m - _EDGE_M:
-        # Not certainly over the deck. What was said before stands until it is.
+        # The beam is not certainly over the deck, so the previous result holds until it is.
         return state._replace(range_at=t)
-    # A cone hears whatever is nearest, which lies between the axis and the perpendicular.
+    # A cone measures the nearest surface, which lies between the axis and the perpendicular.
     off = max(event.range_m - along, z - event.range_m, 0.0)
     dt = min(max(0.0, (t - state.range_at) * 1e-9), _PAUSE_S)
     agrees = off <= tolerance + 2.0 * event.sigma_m
@@ -85,7 +85,7 @@ def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch
 
 
 def weighed(state: HeightWatch, event: Baro, o: IntegrityOptions) -> HeightWatch:
-    """A barometer's height: its difference to the camera's must not run away while the pad is seen."""
+    """Compare a barometric height with the camera's: the difference must not drift while the pad is visible."""
     t = event.stamp.measured_at
     if state.seen_at == 0 or abs(t - state.seen_at) > _FRESH_S * 1e9:
         return state

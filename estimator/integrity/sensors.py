@@ -1,4 +1,4 @@
-"""Readings of the vehicle's sensors: beyond what the vehicle can do, a step that it cannot make, or not one bit of change."""
+"""Check readings of the vehicle's sensors for impossible values, impossible steps, and bit-identical repetition."""
 
 from __future__ import annotations
 
@@ -14,45 +14,44 @@ from estimator.integrity.options import IntegrityOptions
 Reading = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport
 
 _STEP_OVER_S = 0.1
-"""A step is allowed what the vehicle can do within this, however long ago the reading before was: limits that grow without end
-would let any spike in."""
+"""Longest time over which a step's limit grows. Without this bound, any spike would pass after a long pause."""
 _UNMEASURED_VAR = 1e3
-"""A velocity component with more was not measured."""
+"""Variance above which a velocity component was not measured."""
 
 
 class Repeat(NamedTuple):
-    """The newest reading, to the bit."""
+    """The newest reading, for the bitwise comparison."""
 
     value: bytes | float
     since: int
-    """ns, when it was first read."""
+    """Instant when it was first read, ns."""
 
 
 class Plausible(NamedTuple):
-    """The newest reading that was let through."""
+    """The newest reading that passed."""
 
     numbers: tuple[float, ...]
     """The numbers that `_step` compares."""
     at: int
-    """ns, when it was measured."""
+    """Instant of the measurement, ns."""
 
 
 class SensorWatch(NamedTuple):
-    """One stream of readings."""
+    """The state of one stream of readings."""
 
     repeat: Repeat | None = None
     frozen: bool = False
-    """The newest reading was refused because it repeats."""
+    """True if the newest reading was refused as a repetition."""
     plausible: Plausible | None = None
     refused_since: int | None = None
-    """ns, the first of an unbroken row of steps that were refused."""
+    """Instant of the first of an unbroken series of refused steps, ns."""
 
 
 def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool) -> tuple[SensorWatch, Verdict | None]:
-    """Take one reading.
+    """Check one reading.
 
     Returns:
-        The new state; IMPOSSIBLE, FROZEN (in flight only: on the ground an estimate of velocity rests at zero), or None.
+        The new state, and IMPOSSIBLE, FROZEN, or None. FROZEN applies in flight only; on the ground a velocity stays zero.
     """
     t = event.stamp.measured_at
     value, frozen_s = _bits(event, o)
@@ -74,7 +73,7 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
 
 
 def _bits(event: Reading, o: IntegrityOptions) -> tuple[bytes | float, float]:
-    """What has to change, and how soon; for ever where nothing has to."""
+    """Return the value that must change, and the longest time without a change; infinity if it need not."""
     match event:
         case Imu():
             return event.w_body.tobytes() + event.f_body.tobytes(), o.imu_frozen_s

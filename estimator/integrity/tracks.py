@@ -1,9 +1,9 @@
-"""Associates a sighting with the pad that is being tracked, or with another one.
+"""Associate a sighting with the tracked pad, or with another one.
 
-A sighting belongs to the track when motion explains its place: it lies where the belief expects the pad (the IMU at full rate is
-in that), or right beside the sighting before it. Anything else is a candidate with its own short history. The track is never
-moved to a candidate: after `adopt_s` in which one candidate alone was seen the track ends, and a new one with a higher number
-begins. Who steers sees the number change.
+A sighting belongs to the track if motion explains its position: it is where the belief expects the pad (this includes the IMU at
+full rate), or close to the previous sighting. Anything else is a candidate with its own short history. The track never moves to a
+candidate. After `adopt_s` with one candidate alone in view the track ends, and a new one with a higher number begins; the
+consumers of the estimate see the number change.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BESIDE_S = 0.1
 _SPEED_M_S, _ACCELERATION_M_S2 = 1.0, 6.0
 """Allowed difference of two sightings of one pad per second between them, for the vehicle's velocity and tilt over the deck."""
 _BELIEF_SIGMAS, _BELIEF_MAX_M, _BELIEF_DOWN_MAX_M = 3.0, 0.4, 1.5
-"""A belief that has grown vague explains no more than this, sideways and in height. Height has a watch of its own."""
+"""Limits on the distance that an uncertain belief may explain, sideways and in height. Height has a check of its own."""
 _SEEN_SIGMAS, _SEEN_MAX_M = 4.0, 0.3
 _ALIVE_S = 1.0
 _MOST = 4
@@ -32,14 +32,14 @@ class Place(NamedTuple):
     t: int
     """ns."""
     d: tuple[float, float, float]
-    """m; down is third."""
+    """Position, m; down is third."""
     sigma_m: float
     """Standard deviation of one horizontal component, m."""
     sigma_down_m: float
 
 
 class TrackCandidate(NamedTuple):
-    """Another place in which a pad is seen."""
+    """Another position at which a pad is detected."""
 
     first: int
     """ns."""
@@ -51,28 +51,28 @@ class TrackCandidate(NamedTuple):
 
 
 class Tracks(NamedTuple):
-    """The track and its rivals."""
+    """The track and its rival candidates."""
 
     number: int = 0
-    """0 before the first sighting."""
+    """Number of the track; 0 before the first sighting."""
     n: int = 0
-    """Sightings of this track."""
+    """Number of sightings of this track."""
     last: Place | None = None
     candidates: tuple[TrackCandidate, ...] = ()
 
     def disputed(self, now: int) -> bool:
-        """Return whether a pad was seen elsewhere more than by accident within the last second."""
+        """Return whether a pad was repeatedly detected elsewhere within the last second."""
         return any(c.n >= _SEEN_AT_LEAST and now - c.last.t <= _ALIVE_S * 1e9 for c in self.candidates)
 
 
 def judge(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityOptions) -> tuple[Tracks, bool]:
-    """Take one sighting.
+    """Process one sighting.
 
     Args:
-        expected: the belief's place at that instant with its uncertainty; None without one.
+        expected: the belief's position at that instant with its uncertainty; None without a belief.
 
     Returns:
-        The new tracks, and whether the sighting is about the track. `fused` says later whether the estimator took it.
+        The new tracks, and whether the sighting belongs to the track. `fused` later reports that the estimator fused it.
     """
     last = tracks.last
     if last is None:
@@ -88,7 +88,7 @@ def judge(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityOptio
     candidates = _with(tracks.candidates, known, seen, expected)
     chosen = candidates[-1]
     if tracks.n < _ESTABLISHED:
-        # Nobody has flown by the track yet; whichever is seen more is the pad.
+        # No one has flown by the track yet, so the candidate with more sightings becomes the pad.
         if chosen.n > max(tracks.n, _SEEN_AT_LEAST):
             return Tracks(tracks.number, chosen.n, seen), True
     elif _adopted(tracks, chosen, candidates, o):
@@ -97,7 +97,7 @@ def judge(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityOptio
 
 
 def fused(tracks: Tracks, seen: Place) -> Tracks:
-    """The estimator took the sighting: the next one is compared with it."""
+    """Record that the estimator fused the sighting: the next one is compared with it."""
     last = tracks.last if tracks.last is not None and tracks.last.t > seen.t else seen
     alive = tuple(c for c in tracks.candidates if seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9)
     return tracks._replace(n=tracks.n + 1, last=last, candidates=alive)
@@ -117,7 +117,7 @@ def _joins(c: TrackCandidate, seen: Place, o: IntegrityOptions) -> bool:
 def _with(
     candidates: tuple[TrackCandidate, ...], known: TrackCandidate | None, seen: Place, expected: Place | None
 ) -> tuple[TrackCandidate, ...]:
-    """The candidates with one more look, which joins `known` or begins another."""
+    """Return the candidates with one more sighting, which joins `known` or begins another candidate."""
     then = (math.inf, math.inf) if expected is None else (expected.sigma_m, expected.sigma_down_m)
     chosen = TrackCandidate(seen.t, 1, seen, then) if known is None else known._replace(n=known.n + 1, last=seen)
     others = [c for c in candidates if c is not known and seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9]
@@ -149,5 +149,5 @@ def _as_expected(expected: Place, seen: Place, o: IntegrityOptions) -> bool:
 
 
 def _apart(a: Place, b: Place) -> tuple[float, float]:
-    """Metres between two places, sideways and down."""
+    """Return the distance of two positions sideways and down, m."""
     return math.dist(a.d[:2], b.d[:2]), abs(a.d[2] - b.d[2])

@@ -1,7 +1,7 @@
-"""A pad that keeps its place in the image while the body turns is no pad below: the frame is frozen, whatever noise lies on it.
+"""Detect a frozen view: a pad that keeps its place in the image while the body turns is not below, whatever noise is added.
 
-Turning alone moves everything in the image, at any distance, by the same angle. So the bearing of the pad in the body is compared
-with what the vehicle's own attitude says that turning alone did to it.
+A rotation moves everything in the image by the same angle, at any distance. So the pad's bearing in the body is compared with the
+effect of the rotation alone, as computed from the vehicle's own attitude.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class ViewWatch(NamedTuple):
     """Bearings of the last half second."""
 
     looks: tuple[tuple[int, F64, F64], ...] = ()
-    """Instant (ns); bearing of the pad in `body` (3,), unit; the level frame's axes in `body` (3, 3)."""
+    """Instants (ns); bearing of the pad in `body`, (3,), unit; the level frame's axes in `body`, (3, 3)."""
     frozen: bool = False
 
 
 def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: IntegrityOptions) -> ViewWatch:
-    """Take one sighting and the attitude at its exposure."""
+    """Process one sighting and the attitude at its exposure."""
     t = sighting.stamp.measured_at
     distance_m = float(np.linalg.norm(sighting.d_body_pad_level))
     if distance_m < 1e-6:
@@ -53,5 +53,5 @@ def _stands_still(looks: tuple[tuple[int, F64, F64], ...], o: IntegrityOptions) 
 
 
 def _spread(directions: F64) -> float:
-    """Root of the mean squared distance from the mean, rad."""
+    """Return the root of the mean squared distance from the mean, rad."""
     return math.sqrt(float(np.mean(np.sum((directions - directions.mean(axis=0)) ** 2, axis=1))))

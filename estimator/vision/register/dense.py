@@ -1,7 +1,7 @@
-"""Registration of a small frame of the pad: every pixel of it against the whole drawing, all paints at once.
+"""Dense registration of a small image of the pad: every pixel is fitted with the whole drawing and all paints at once.
 
-For the distant pad, whose edges lie so close that they merge in the blur, and on a reduced frame for the nearer one, to get
-from a rough start to within a pixel.
+It serves a distant pad, whose edges are so close that they merge in the blur. On a reduced frame it also brings a rough start for
+a nearer pad to within a pixel.
 """
 
 from __future__ import annotations
@@ -22,31 +22,32 @@ from estimator.vision.register.glare import CLIPPED, GlareBlob, find
 from estimator.vision.register.state import N_STATE, U8, Footprint, RegistrationState, light_table
 
 _DARK = 0.01
-"""Light at which a sensor's noise in the dark, read-out and rounding, equals the noise of the light: variance goes as light plus
-this. Pixel values with even noise come to about the same, by the tone curve's slope. The scale is told by pixels brighter than
-a tenth of the brightest: darker ones are cut off at zero and look quieter than they are."""
+"""Light at which a sensor's noise in the dark, read-out and rounding, equals the noise of the light: the variance is proportional
+to light plus this. Pixel values with uniform noise give about the same, by the tone curve's slope. Only pixels brighter than a
+tenth of the brightest set the scale, because darker ones are clipped at zero and look quieter than they are.
+"""
 _GLARE_DOUBTED = 5e-4
-"""Variance of light over light that the paints leave at first, from which on a reflection is looked for."""
+"""Initial residual variance of light over light above which a reflection is searched for."""
 TUKEY = 4.7
 """Cut-off in standard deviations: 95 % efficient under Gaussian noise. Source: Holland & Welsch 1977."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """Pixels to explain."""
+    """The pixels to fit."""
 
     rays: F64
-    """(N, 2)."""
+    """Rays of the pixels, (N, 2)."""
     light: F64
-    """(3, N) BGR linear light, smoothed."""
+    """Smoothed linear light, (3, N) BGR."""
     grid: tuple[int, int]
-    """Rows and columns they were taken from."""
+    """Rows and columns of the grid that the pixels were taken from."""
     reduced: int
-    """Pixels of the frame along a side of one of these."""
+    """Side of a pixel in pixels of the full frame."""
     slope: F64
-    """(2, N) place in the patch, -1..1: light may change evenly across it."""
+    """Position in the patch, (2, N), -1..1: light may change linearly across it."""
     at: NDArray[np.intp]
-    """(N,) where in the grid the pixels are: those far outside the disc are no business of the pad's and left out."""
+    """Indices of the pixels in the grid, (N,). Those far outside the disc are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,43 +55,43 @@ class DenseFit:
     """One linearisation."""
 
     H: F64
-    """(9, 9) information, paints eliminated."""
+    """Information matrix with the paints eliminated, (9, 9)."""
     g: F64
-    """(9,)."""
+    """Gradient, (9,)."""
     paints: F64
-    """(K, 3) BGR light: surroundings, slope in u and v, then contrasts of disc, ring, H (and rim)."""
+    """Light of the paints, (K, 3) BGR: surroundings, slope in u and v, then contrasts of disc, ring, H (and rim)."""
     cov_paints: F64
-    """(K, 3) variances; nan before the last linearisation."""
+    """Variances of the paints, (K, 3); nan before the last linearisation."""
     model: F64
-    """(3, N) the light that pose and paints explain."""
+    """Light that pose and paints explain, (3, N)."""
     steep2: F64
-    """(3, N) squared change of that light for one pixel's way across the steepest edge."""
+    """Squared change of that light over one pixel across the steepest edge, (3, N)."""
     noise: float
-    """Variance of light over light (and `_DARK`), robust."""
+    """Robust variance of light over light (and `_DARK`)."""
     weight: F64
-    """(3, N) robust weight 0..1."""
+    """Robust weight, (3, N), 0..1."""
     scores: F64
-    """(9, N) the gradient's summands."""
+    """Summands of the gradient, (9, N)."""
     meat: F64
-    """(9, 9) covariance of the gradient, from residuals."""
+    """Covariance of the gradient from the residuals, (9, 9)."""
     values: F64
-    """(K, N) what each paint coefficient multiplies."""
+    """Regressor of each paint coefficient, (K, N)."""
     spot: GlareBlob | None
-    """A reflection of the sun, where the residuals asked for one."""
+    """A reflection of the sun, if the residuals indicate one."""
     glare: F64
-    """(3, N) light that it adds."""
+    """Light that the reflection adds, (3, N)."""
 
 
 def patch(
     px: U8, camera: Camera, pad: Pad, state: RegistrationState, margin_px: float, max_pixels: int, gamma: bool, exact: bool
 ) -> tuple[Patch, RegistrationState] | None:
-    """The part of the frame that holds the pad as the state has it, reduced by a whole factor to about `max_pixels`.
+    """Cut out the part of the frame that holds the pad, reduced by a whole factor to about `max_pixels`.
 
     Args:
-        margin_px: round the disc, in pixels of the reduced frame.
-        exact: light is added up as light; otherwise pixel values are, which is faster.
+        margin_px: margin around the disc, in pixels of the reduced frame.
+        exact: average linear light; otherwise average pixel values, which is faster.
     Returns:
-        The pixels, and the state with the blur in their units, or None when too little of the pad is in view.
+        The pixels, and the state with the blur in their units; None if too little of the pad is in view.
     """
     rim = pad.circle(pad.disc_radius_m, 24) @ state.R.T + state.t
     front = rim[:, 2] > 0.02
@@ -138,16 +139,16 @@ def patch(
 
 
 def median(a: F64) -> float:
-    """The upper median; a fraction of numpy's overhead on small arrays."""
+    """Return the upper median, with a fraction of numpy's overhead on small arrays."""
     k = len(a) // 2
     return float(np.partition(a, k)[k])
 
 
 def smooth(image: NDArray[Any]) -> F64:
-    """(H, W, C) through (1, 2, 1) / 4 in both directions: variance half a pixel squared.
+    """Filter (H, W, C) with (1, 2, 1) / 4 in both directions: the variance is half a pixel squared.
 
-    What is left of the frame's finest detail after that looks like a Gaussian blur whatever the lens, the pixel and the colour
-    filter's interpolation made of it; without it their real shape, which nobody knows, pulls at thin strokes.
+    After this filter the remaining fine detail resembles a Gaussian blur for any lens, pixel and colour filter interpolation.
+    Without it their true shape, which is unknown, biases thin strokes.
     """
     kernel = np.array([0.25, 0.5, 0.25])
     return np.asarray(cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=float)
@@ -155,11 +156,13 @@ def smooth(image: NDArray[Any]) -> F64:
 
 SMOOTHING_PX2 = 0.5
 NOISE_LEFT = (0.25**2 + 0.5**2 + 0.25**2) ** 2
-"""Share of independent noise's variance that smoothing leaves."""
+"""Fraction of independent noise's variance that remains after smoothing."""
 
 
 def basis(fp: Footprint, cut: Patch) -> tuple[F64, F64]:
-    """(K, N) what each paint coefficient multiplies, and (K - 3, 5, N) the change of those that depend on the pose."""
+    """Return the (K, N) regressors of the paint coefficients, and the (K - 3, 5, N) derivatives of those that depend on the
+    pose.
+    """
     b = fp.places
     pad = b.pad
     if pad.rim_width_m:
@@ -184,12 +187,12 @@ def basis(fp: Footprint, cut: Patch) -> tuple[F64, F64]:
 def fit(
     state: RegistrationState, cut: Patch, pad: Pad, last: DenseFit | None, edge_sigma_px: float, final: bool = False
 ) -> DenseFit:
-    """One linearisation.
+    """Compute one linearisation.
 
     Args:
-        last: the one before, whose light and steepness say how large residuals may be; None at first, when no pixel is doubted.
-        edge_sigma_px: how well the model predicts where an edge lies in the frame.
-        final: work out `WholeFit.meat` too.
+        last: the previous linearisation; its light and gradients set the scale of the residuals. None gives full weight.
+        edge_sigma_px: standard deviation of the model's prediction of an edge's place in the frame.
+        final: also compute `DenseFit.meat`.
     """
     fp = state.footprint(cut.rays, pad)
     painted, changes = basis(fp, cut)
@@ -247,10 +250,11 @@ def fit(
     if final:
         cov = np.linalg.inv(M).diagonal(axis1=1, axis2=2).T[:K]
         for c in range(3):
-            # Weights have a fixed shape, so that no wrong start can talk itself into it; the covariance has the noise as it is.
+            # The weights have a fixed shape, so that a wrong start cannot adapt them to itself; the covariance uses the actual
+            # noise.
             seen = _noise_of_paints(r[c], painted, inside[c], float(spent[c])) / NOISE_LEFT
             projected = Jw[:, c] - out[c].T @ (values * w[c])
-            # Smoothing shares noise between neighbours; its transpose, which is itself, brings the sums back to pixels.
+            # Smoothing shares noise between neighbours; its transpose, which is itself, maps the sums back to pixels.
             spread = np.zeros((cut.grid[0] * cut.grid[1], N_STATE))
             spread[cut.at] = projected.T
             alone = smooth(spread.reshape(*cut.grid, N_STATE)).reshape(-1, N_STATE)[cut.at].T
@@ -263,7 +267,7 @@ def fit(
 
 
 def _paints(values: F64, w: F64, y: F64) -> tuple[F64, F64]:
-    """(3, K, K) normal matrices and (3, K) solutions of each channel's weighted least squares."""
+    """Return the (3, K, K) normal matrices and the (3, K) solutions of each channel's weighted least squares."""
     K, n = values.shape
     vw = values * w[:, None]
     M = vw @ values.T + 1e-7 * n * np.eye(K) * w.mean(axis=1)[:, None, None]
@@ -271,15 +275,15 @@ def _paints(values: F64, w: F64, y: F64) -> tuple[F64, F64]:
 
 
 def _each(rows: F64, of: NDArray[np.bool_]) -> list[F64]:
-    """The chosen values of each row."""
+    """Return the chosen values of each row."""
     return [row[chosen] for row, chosen in zip(rows, of, strict=True)]
 
 
 def _noise_of_paints(r: F64, values: F64, inside: NDArray[np.bool_], grow: float) -> F64:
-    """(N,) variance of light from residuals: each paint has its own, and a pixel the mean by what it sees.
+    """Return the (N,) variance of light, from residuals: each paint has its own, and a pixel the mean over its paints.
 
     Args:
-        grow: for what the fit has taken out of the residuals.
+        grow: factor for the degrees of freedom that the fit has removed from the residuals.
     """
     paints = np.clip(values[3:], 0.0, 1.0)
     disc, orange, white = paints[:3]
@@ -288,15 +292,15 @@ def _noise_of_paints(r: F64, values: F64, inside: NDArray[np.bool_], grow: float
     q = np.where(inside, r * r, 0.0) * grow
     total = shares @ inside
     var = (shares @ q) / np.maximum(total, 1.0)
-    # A paint hardly in view borrows the mean.
+    # A paint that is hardly in view takes the mean variance.
     var = np.where(total > 4.0, var, float(q.sum()) / max(1.0, float(inside.sum())))
     return np.asarray(np.maximum(var @ shares, 1e-10))
 
 
 def arrow_amplitudes(state: RegistrationState, cut: Patch, pad: Pad, fit: DenseFit) -> tuple[float, float, float] | None:
-    """How much of an arrowhead is where it should be, how much opposite, and sigma of either; 1 is a whole one.
+    """Return the amplitude of the arrowhead at its place, at the opposite place, and the sigma of either; 1 is a whole arrowhead.
 
-    None when the ring's paint does not differ from the disc's, or no arrowhead would be in view.
+    Return None if the ring's paint does not differ from the disc's, or if no arrowhead would be in view.
     """
     contrast = fit.paints[4]
     mix = contrast / (np.maximum(fit.paints[[0, 3]].sum(axis=0), 0.0) + 0.02)
@@ -309,7 +313,7 @@ def arrow_amplitudes(state: RegistrationState, cut: Patch, pad: Pad, fit: DenseF
     here = b.arrow_small()[0]
     there = Blurred(pad, -b.x, -b.y, b.blur_m2, b.scale2).arrow_small()[0]
     field, ring = fit.values[3], fit.values[4] - here
-    # Beyond the ring the H is of no concern; the surroundings are.
+    # Beyond the ring the H has no effect; the surroundings do.
     r = np.hypot(b.x, b.y)
     w = ((r > pad.ring_inner_m) & (field > 0.98)).astype(float)
     if float(w @ here) < 0.1 and float(w @ there) < 0.1:

@@ -1,4 +1,4 @@
-"""What the frame says about each kind of edge where the drawing was registered."""
+"""Measure the support of the frame for each kind of edge at the registered pose."""
 
 from __future__ import annotations
 
@@ -20,30 +20,32 @@ from estimator.vision.register.state import light_table
 
 _SNR_SEEN = 5.0
 _LIKENESS_SEEN = 0.4
-"""White balance off by 20 % and light of 3000 K leave white against green and orange against green above 0.8."""
+"""Limit on the likeness: with the white balance off by 20 % and light of 3000 K, white against green and orange against green
+stay above 0.8.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeSupport:
-    """What the frame says about one kind of edge."""
+    """The support of the frame for one kind of edge."""
 
     contrast_bgr: F64
-    """(3,) linear light inside less outside."""
+    """Linear light inside minus outside, (3,) BGR."""
     snr: float
-    """Contrast over its standard deviation, best channel mix."""
+    """Contrast over its standard deviation, for the best channel mix."""
     in_view: float
-    """Share of these edges within the frame, 0..1."""
+    """Fraction of these edges within the frame, 0..1."""
     inliers: float
-    """Share of those in view that agree with the drawing, 0..1."""
+    """Fraction of those in view that agree with the drawing, 0..1."""
     likeness: float = 1.0
-    """Cosine between the contrast and that of the pad file's paints; 1 for the disc, whose surroundings nobody knows."""
+    """Cosine between the contrast and that of the pad file's paints; 1 for the disc, whose surroundings are unknown."""
 
     @property
     def seen(self) -> bool:
         return self.snr > _SNR_SEEN and self.inliers > 0.5 and self.in_view > 0.0 and self.likeness > _LIKENESS_SEEN
 
     def beside(self, kind: EdgeKind, pad: Pad) -> EdgeSupport:
-        """The same with its likeness to the paints of the pad file."""
+        """Return a copy with the likeness to the paints of the pad file."""
         nominal = _contrasts(pad).get(kind)
         size = math.sqrt(float(self.contrast_bgr @ self.contrast_bgr))
         like = 1.0 if nominal is None or size < 1e-6 else float(nominal @ self.contrast_bgr) / size
@@ -53,11 +55,11 @@ class EdgeSupport:
 def profile_support(
     fit: profiles_.ProfileFit, measured_at: Profiles, mix: profiles_.Channels, noise: F64
 ) -> tuple[dict[EdgeKind, EdgeSupport], float]:
-    """Of every kind, and the share of all pixels that agree."""
+    """Return the support of every kind of edge from profiles, and the fraction of all pixels that agree."""
     out: dict[EdgeKind, EdgeSupport] = {}
     pixels, agree = np.add.reduceat(np.stack([measured_at.usable, fit.weight]), measured_at.starts, axis=1)
     enough = pixels > 8
-    # Tukey's weights are 0.9 in the mean of Gaussian noise.
+    # The mean of Tukey's weights under Gaussian noise is 0.9.
     counted, agreed = (np.stack([pixels * enough, agree * enough]) @ measured_at.of_kind).tolist()
     for kind, var in zip(EdgeKind, noise.mean(axis=1).tolist(), strict=True):
         in_view = float(measured_at.in_view[kind])
@@ -71,7 +73,7 @@ def profile_support(
 
 
 def dense_support(fit: dense.DenseFit, arrow: tuple[float, float, float] | None) -> tuple[dict[EdgeKind, EdgeSupport], float]:
-    """The same from the whole disc; `arrow` as of `arrow_amplitudes`."""
+    """Return the same from a dense fit; `arrow` is the result of `arrow_amplitudes`."""
     weight = fit.weight.mean(axis=0)
     out: dict[EdgeKind, EdgeSupport] = {}
     for kind, row in ((EdgeKind.DISC, 3), (EdgeKind.RING, 4), (EdgeKind.H, 5)):
@@ -89,14 +91,14 @@ def dense_support(fit: dense.DenseFit, arrow: tuple[float, float, float] | None)
 
 
 def arrow_support(amplitude: float, sigma: float, contrast: F64, in_view: float) -> EdgeSupport:
-    """Of an arrowhead of this strength, 1 as it should be."""
+    """Return the support of an arrowhead with this amplitude; 1 is nominal."""
     agree = min(1.0, max(0.0, 1.0 - abs(amplitude - 1.0)))
     return EdgeSupport(contrast * amplitude, max(0.0, amplitude) / max(sigma, 1e-6), in_view, agree)
 
 
 @lru_cache(maxsize=8)
 def _contrasts(pad: Pad) -> Mapping[EdgeKind, F64]:
-    """(3,) BGR way from the disc's paint to those of the pad file, of length 1."""
+    """Return the (3,) BGR unit vectors from the disc's paint to the others of the pad file."""
     table, paints = light_table(True), pad.colours
     ways = {kind: table[list(rgb[::-1])] - table[list(paints.disc[::-1])] for kind, rgb in (
         (EdgeKind.RING, paints.ring), (EdgeKind.ARROW, paints.ring), (EdgeKind.H, paints.h),

@@ -1,7 +1,7 @@
-"""Is what registration found the pad? The judge's opinion of the drawing where it came to lie, and how well its edges agree.
+"""Verify that a registration found the pad: the classifier of the aligned drawing, and the agreement of the drawing's edges.
 
-A helipad of other proportions passes for the pad while the drawing lies on it roughly; once the letter fits to a fraction of a
-pixel, its ring or the disc's edge does not.
+A helipad of other proportions resembles the pad while the drawing is aligned roughly. Once the H fits to a fraction of a pixel,
+its ring or the disc's edge does not.
 """
 
 from __future__ import annotations
@@ -22,45 +22,49 @@ EVIDENCE = (
     "one", "drawn", "inliers", "disc_off", "ring_off", "letter_off", "ring_unseen", "letter_unseen", "whole", "whole_inliers",
     "rms", "visible", "whole_drawn", "whole_disc", "whole_orange",
 )  # fmt: skip
-"""Names of the model's inputs, in order. The last three are of a distant pad, of which contrasts say more than shapes do."""
+"""Names of the model's inputs, in order. The last three apply to a distant pad, where contrasts tell more than shapes."""
 
 SET = ("no_ring", "disc_unseen", "painted", "no_disc", "letter_odd")
-"""What comes after those; its coefficients are set and not fitted."""
+"""Further inputs, after those of `EVIDENCE`. Their coefficients are set by hand and not fitted."""
 
 _TELLING = 5.0
-"""A kind of edge of which a fifth is in view counts as fully in view."""
+"""Factor on the visible fraction: a kind of edge of which a fifth is in view counts as fully in view."""
 
 _HARDLY = 5.0
-"""Contrast over its standard deviation."""
+"""Contrast over its standard deviation below which an edge hardly shows."""
 _RING_GAINS, _HALF_A_RING = (1.6, 2.2), 0.4
-"""What the better half of a ring gains, from where on it counts and where it is as good as seen; and what is left of the doubt
-where a quarter of it agrees."""
+"""Gains of the better half of a ring between which it counts as increasingly visible, and the remaining weight of the missing
+ring if a quarter of it agrees.
+"""
 _PLAIN_DISC = 0.1
-"""Contrast of the disc to its surroundings over the letter's to the disc: 0.15 on a grey deck, less on a dark one."""
+"""Contrast of the disc to its surroundings over the H's to the disc: 0.15 on a grey deck, less on a dark one."""
 _LETTER_OVER_RING = (0.6, 3.0)
-"""Contrast of the letter over the ring's: 1 to 2.4 on pads in nearly all lights; glare on green that passes for a letter has a
-tenth of it, or four times as much."""
+"""Contrast of the H over the ring's: 1 to 2.4 on pads in nearly all lights. Glare on green that resembles an H has a tenth of it,
+or four times as much.
+"""
 _NO_RING, _DISC_UNSEEN, _PAINTED, _NO_DISC, _LETTER_ODD = -3.0, -1.5, 1.5, -4.0, -4.0
-"""Log odds, since too few of the fit's strangers look like the pad for a fit to weigh these. `no_ring`: a ring out of view, or
-that does not show or is not of the ring's paint, where no track told of it before: an H on something green may be of any size.
-`disc_unseen`: the edge of a nearby disc is in view and has no contrast. `painted`: ring and letter of a distant pad show in their
-paints; a helipad's ring on green is off by half of the way from disc to letter and more. `no_disc`: a distant disc that does not
-stand out of its surroundings; none of 177 right registrations of whole discs had one and 90 of 223 without a pad.
-`letter_odd`: a distant letter that shows much less or more than a ring beside it lets expect; four of 300 sure and right
-registrations had one, two of half-covered pads."""
+"""Log-odds, set by hand because too few of the fit's false candidates look like the pad. `no_ring`: the ring is out of view, does
+not show, or is not of the ring's paint, and no track confirmed it before; an H on something green may be of any size.
+`disc_unseen`: the edge of a nearby disc is in view and has no contrast. `painted`: ring and H of a distant pad show in their
+paints; a helipad's ring on green is off by half of the distance from disc to H and more. `no_disc`: a distant disc does not stand
+out from its surroundings; none of 177 right registrations of whole discs had this, and 90 of 223 without a pad. `letter_odd`: a
+distant H shows much less or more than the ring beside it implies; four of 300 confident and right registrations had this, two of
+them of half-covered pads.
+"""
 
 _COEFFICIENTS = np.array(
     [0.167, 2.068, 1.423, 0.878, 0.000, 0.000, 0.760, 1.500, -0.107, 1.009, 0.000, -0.560, -0.542, 0.337, 1.462]
 )
-"""In the order of `EVIDENCE`. Fitted by `python -m benches.verification_fit --registered --frames 2400`: 2526 registrations.
-`letter_unseen` is set and not fitted: glare on a green disc with a ring leaves open whether it has a letter."""
+"""Weights in the order of `EVIDENCE`. Fitted by `python -m benches.verification_fit --registered --frames 2400`: 2526
+registrations. The weight of `letter_unseen` is set and not fitted: glare on a green disc with a ring may hide the H.
+"""
 
 
 def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
-    """(len(EVIDENCE) + len(SET),) inputs of the model, each of order one.
+    """Return the (len(EVIDENCE) + len(SET),) inputs of the model, each of order one.
 
     Args:
-        laid: the drawing at the registered pose.
+        aligned: the drawing aligned at the registered pose.
     """
     values = verification.features(aligned, pad)
     drawn = verification.log_odds(values)
@@ -79,12 +83,14 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
 
 
 def _clear(found: Registration, kind: EdgeKind) -> float:
-    """-1..1: how clearly one kind of edge shows; 0 at five standard deviations."""
+    """Return -1..1: how clearly one kind of edge shows; 0 at five standard deviations."""
     return max(-1.0, min(1.0, 0.5 * math.log(max(found.edges[kind].snr, 1e-3) / 5.0)))
 
 
 def _orange_off(found: Registration, pad: Pad) -> float:
-    """0..1: how far the ring's light lies from its place between the disc's and the letter's, which is the same in any light."""
+    """Return 0..1: the distance of the ring's light from its place between the disc's and the H's, which no illumination
+    changes.
+    """
     ring, h_marking = (found.edges[kind].contrast_bgr for kind in (EdgeKind.RING, EdgeKind.H))
     table = light_table(True)
     of_ring, of_letter, of_disc = (table[list(rgb[::-1])] for rgb in (pad.colours.ring, pad.colours.h, pad.colours.disc))
@@ -94,7 +100,10 @@ def _orange_off(found: Registration, pad: Pad) -> float:
 
 
 def _no_ring(values: F64, found: Registration) -> float:
-    """0..1: how surely no ring is seen; less where enough of it is in view, half of that clearly, and the rest may be covered."""
+    """Return 0..1: how surely there is no ring.
+
+    The value is lower if enough of the ring is in view and half of that is clear, because the rest may be covered.
+    """
     ring = found.edges[EdgeKind.RING]
     if ring.seen:
         return 0.0
@@ -107,28 +116,28 @@ def _no_ring(values: F64, found: Registration) -> float:
 
 
 def _painted(found: Registration, pad: Pad) -> float:
-    """0..1: ring and letter show, the ring in its own paint."""
+    """Return 0..1: to what degree ring and H show, with the ring in its own paint."""
     if not (found.edges[EdgeKind.RING].seen and found.edges[EdgeKind.H].seen):
         return 0.0
     return max(0.0, 1.0 - 2.0 * _orange_off(found, pad))
 
 
 def _faint(found: Registration) -> float:
-    """0..1: how surely the disc stands out less than a third as much as paint of its kind does."""
+    """Return 0..1: how surely the disc's contrast is less than a third of that of its kind of paint."""
     disc, h_marking = (float(np.linalg.norm(found.edges[kind].contrast_bgr)) for kind in (EdgeKind.DISC, EdgeKind.H))
     less = math.log(_PLAIN_DISC * max(h_marking, 1e-3) / max(disc, 1e-6))
     return min(1.0, max(0.0, 2.0 * (less - 0.5)))
 
 
 def _h_marking_odd(found: Registration) -> float:
-    """0..1: how surely the letter shows less or more than a ring beside it lets expect."""
+    """Return 0..1: how surely the H shows less or more than the ring beside it implies."""
     ring, h_marking = (max(float(np.linalg.norm(found.edges[kind].contrast_bgr)), 1e-6) for kind in (EdgeKind.RING, EdgeKind.H))
     low, high = _LETTER_OVER_RING
     return min(1.0, 2.0 * max(0.0, math.log(low * ring / h_marking), math.log(h_marking / (high * ring))))
 
 
 def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
-    """0..1 of the evidence of a registration; `prior_log_odds` as for `verification.confidence`."""
+    """Return the confidence, 0..1, of a registration from its inputs; `prior_log_odds` is as for `verification.confidence`."""
     no_ring, disc_unseen, painted, no_disc, letter_odd = values[len(EVIDENCE) :].tolist()
     z = float(values[: len(EVIDENCE)] @ _COEFFICIENTS) + prior_log_odds
     z += _DISC_UNSEEN * disc_unseen + _PAINTED * painted + _NO_DISC * no_disc + _LETTER_ODD * letter_odd

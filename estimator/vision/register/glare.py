@@ -1,7 +1,7 @@
-"""A reflection of the sun on the distant pad: light that is added to it, flat in the middle and soft at the rim.
+"""Model a reflection of the sun on the distant pad: added light, flat in the middle and soft at the rim.
 
-What it adds is modelled beside the paints, so that it pulls at no edge: where it is and how wide is found among a few places by
-how much of the residuals it explains, and followed from one linearisation to the next by its slopes.
+The added light is estimated together with the paints, so that it biases no edge. Its position and width are chosen from a few
+candidates by the fraction of the residuals they explain, and then follow its gradients from one linearisation to the next.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from estimator.vision.drawing import F32
 from estimator.vision.pad import Pad
 
 _RADII = (0.35, 0.6, 0.9)
-"""Of the disc's radius: half of the light is there."""
+"""Radii within which half of the light lies, as fractions of the disc's radius."""
 _LEAST_GAIN = 0.35
-"""Of the residuals' squares that a reflection has to explain."""
+"""Smallest fraction of the squared residuals that a reflection has to explain."""
 _MOST_MOVED = 0.15
-"""Of the disc's radius, by one linearisation."""
+"""Largest move in one linearisation, as a fraction of the disc's radius."""
 CLIPPED = 0.9
-"""Light over which a sensor's pixel, smoothed, may hold less than there was."""
+"""Light above which a sensor's smoothed pixel may be clipped."""
 COLUMNS = 4
 
 
 @dataclass(frozen=True, slots=True)
 class GlareBlob:
-    """On the pad, m."""
+    """Position and width of a reflection on the pad, m."""
 
     x: float
     y: float
     radius: float
 
     def columns(self, x: F32, y: F32) -> F64:
-        """(4, N) its light at places (N,), 1 in the middle, and the change of it with x, y and the radius, a metre each."""
+        """Return (4, N): its light at (N,) positions, 1 in the middle, and the derivatives by x, y and the radius, per metre."""
         dx, dy = x - self.x, y - self.y
         q = (dx * dx + dy * dy) / self.radius**2
         light = np.exp(-math.log(2.0) * q * q)
@@ -44,7 +44,7 @@ class GlareBlob:
         return np.array([light, steep * dx, steep * dy, steep * q * self.radius], float)
 
     def moved(self, amplitudes: F64, pad: Pad) -> GlareBlob:
-        """Followed, by the (4,) amplitudes of its columns."""
+        """Return the reflection moved by the (4,) amplitudes of its columns."""
         if not amplitudes[0] > 0.0:
             return self
         limit = _MOST_MOVED * pad.disc_radius_m
@@ -62,12 +62,12 @@ def _tried(pad: Pad) -> tuple[GlareBlob, ...]:
 
 
 def find(x: F32, y: F32, residual: F64, weight: F64, values: F64, pad: Pad) -> GlareBlob | None:
-    """The reflection that explains most of the residuals, or None where none explains much.
+    """Return the reflection that explains most of the residuals; None if none explains enough.
 
     Args:
-        x, y: (N,) places on the pad, m.
-        residual, weight: (3, N) of the light that the paints do not explain.
-        values: (K, N) of the paints, which explain some of a reflection's light themselves.
+        x, y: (N,) positions on the pad, m.
+        residual, weight: (3, N) residual light of the paints, and its weight.
+        values: (K, N) regressors of the paints, which explain some of a reflection's light themselves.
     """
     w = weight.mean(axis=0)
     total = float((w * residual * residual).sum())

@@ -1,7 +1,8 @@
-"""Registration of a large frame of the pad: short profiles of whole pixels across the edges, paints found anew along them.
+"""Registration of a large image of the pad: short profiles of whole pixels across the edges, with the paints estimated along
+them.
 
-Profiles that follow one another along an edge form a group with its own two light levels, so neither uneven light nor the
-surroundings' pattern pulls an edge aside.
+Consecutive profiles along an edge form a group with its own two light levels, so neither uneven light nor the pattern of the
+surroundings biases an edge.
 """
 
 from __future__ import annotations
@@ -22,29 +23,29 @@ from estimator.vision.register.state import N_STATE, Footprint, RegistrationStat
 
 _STILL_OFF_PX = 0.1
 _CONTRAST_RATIO = (0.4, 2.5)
-"""Contrast of a group against its kind's median: what shade, sun and wear can do to paint, and a stranger's edge cannot."""
+"""Limits on a group's contrast relative to its kind's median: shade, sun and wear stay within them, a foreign edge does not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channels:
-    """For each kind the sum of colour channels that tells its two paints apart best."""
+    """For each kind of edge, the weighted sum of colour channels that separates its two paints best."""
 
     mix: F64
-    """(KINDS, 3): of light; contrast 1 between the paints."""
+    """Channel weights, (KINDS, 3); the contrast between the paints is 1."""
     contrast: F64
-    """(KINDS, 3) BGR light, inside less outside."""
+    """Light inside minus outside, (KINDS, 3) BGR."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shares:
-    """What pixels see where a state puts them."""
+    """Coverage of the pixels by the paint inside their edge, at a given state."""
 
     share: F64
-    """(N,) of the paint inside."""
+    """Coverage by the paint inside, (N,)."""
     J: F64
-    """(9, N) its change with the state."""
+    """Derivative of the coverage by the state, (9, N)."""
     per_px: F64
-    """(N,) its change as the edge moves outward by one px."""
+    """Change of the coverage as the edge moves outward by one px, (N,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,48 +53,48 @@ class ProfileFit:
     """One linearisation."""
 
     H: F64
-    """(9, 9) information, light levels eliminated."""
+    """Information matrix with the light levels eliminated, (9, 9)."""
     g: F64
-    """(9,)."""
+    """Gradient, (9,)."""
     residual: F64
-    """(N,) mixed light less the model's."""
+    """Mixed light minus the model's, (N,)."""
     per_var: F64
-    """(N,) one over the variance that was taken for it."""
+    """Inverse of the variance assumed for the residual, (N,)."""
     w: F64
-    """(N,) what a pixel counts: the same times its robust weight, 0 where it does not count."""
+    """Weight of a pixel, (N,): `per_var` times its robust weight; 0 if it does not count."""
     shares: Shares
     J: F64
-    """(9, N) change of the model with the state, light levels held."""
+    """Derivative of the model by the state at constant light levels, (9, N)."""
     Jw: F64
-    """(9, N) the same, weighted."""
+    """The same, weighted, (9, N)."""
     sums: F64
-    """(2, 9, G) sums of weighted changes, and of them times share, over each group."""
+    """Sums of weighted derivatives, and of them times coverage, over each group, (2, 9, G)."""
     levels: F64
-    """(2, 9, G) change of a group's light outside and contrast that makes up best for a change of the state."""
+    """Change of a group's outside light and contrast that best compensates a change of the state, (2, 9, G)."""
     inverse: tuple[F64, F64, F64]
-    """(G,) the elements of the covariance of a group's light outside and contrast."""
+    """Elements of the covariance of a group's outside light and contrast, (G,) each."""
     weight: F64
-    """(N,) robust weight 0..1, of usable pixels in accepted groups."""
+    """Robust weight, (N,), 0..1, of usable pixels in accepted groups."""
     contrast: F64
-    """(G,) of each group in units of its kind's."""
+    """Contrast of each group in units of its kind's, (G,)."""
     accepted: NDArray[np.bool_]
-    """(G,)."""
+    """Mask of the groups that count, (G,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shifts:
-    """What each group's edge says of its own place."""
+    """The displacement of each group's edge."""
 
     px: F64
-    """(G,) by which it lies outside of where the fit has it."""
+    """Distance by which the edge lies outside of its fitted place, (G,)."""
     information: F64
-    """(G,) px^-2."""
+    """Information on that distance, (G,) px^-2."""
     pull: F64
-    """(9, G) how a shift of a group by one px pulls at the gradient."""
+    """Effect on the gradient of a shift of a group by one px, (9, G)."""
 
 
 def shares(state: RegistrationState, profiles: Profiles, pad: Pad, fp: Footprint | None = None) -> Shares:
-    """See `Shares`; `fp` where it has been worked out already."""
+    """Return the coverage at a state; `fp` is the footprint, if already computed."""
     if fp is None:
         fp = state.footprint(profiles.rays, pad)
     value, d, _ = fp.places.edge_shares(*profiles.kind_parts)
@@ -106,7 +107,7 @@ def shares(state: RegistrationState, profiles: Profiles, pad: Pad, fp: Footprint
 
 
 def channels(profiles: Profiles, share: F64) -> Channels:
-    """The mix of colours of each kind, from all its pixels together."""
+    """Return the mix of colours of each kind, from all its pixels together."""
     w = profiles.usable
     rows = np.empty((9, len(w)))
     rows[0] = w
@@ -124,18 +125,18 @@ def channels(profiles: Profiles, share: F64) -> Channels:
     contrast = np.where(good, c, 0.0).T
     mix = np.where(good, per_var / np.maximum(norm, 1e-6), 0.0).T
     if good[EdgeKind.RING]:
-        # Arrowhead and ring are one paint; where no arrowhead is, none must be made out of the ring.
+        # Arrowhead and ring have one paint. Where there is no arrowhead, a mix of its own would make one out of the ring.
         contrast[EdgeKind.ARROW], mix[EdgeKind.ARROW] = contrast[EdgeKind.RING], mix[EdgeKind.RING]
     return Channels(mix, contrast)
 
 
 def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Shares) -> ProfileFit:
-    """One linearisation.
+    """Compute one linearisation.
 
     Args:
         mixed: (N,) light through `Channels.mix`.
-        noise: (KINDS, 2) variance outside and inside; None at first.
-        seen: of the state.
+        noise: (KINDS, 2) variance outside and inside; None in the first round.
+        seen: coverage at the state.
     """
     s = seen.share
     starts, group = profiles.starts, profiles.group
@@ -170,7 +171,7 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Shares) -> Prof
             per_var = (1.0 / _noise(r, s, profiles.usable, profiles).max(axis=1)).take(profiles.kind)
             w = profiles.usable * per_var
         else:
-            # The state may still be off by a little: what that makes of an edge is no outlier.
+            # The state may still be slightly off; the residuals that this causes at an edge are no outliers.
             aside = np.minimum(np.abs(B), 2.0).take(group)
             aside *= seen.per_px
             aside *= aside
@@ -205,8 +206,8 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Shares) -> Prof
 
 
 def shifts(fit: ProfileFit, profiles: Profiles) -> Shifts:
-    """See `Shifts`."""
-    # How much lighter a pixel gets when the edge moves outward by one px.
+    """Return the displacement of each group's edge."""
+    # This is the change of a pixel's light as the edge moves outward by one px.
     per_px = fit.contrast.take(profiles.group) * fit.shares.per_px
     rows = np.empty((N_STATE + 4, len(per_px)))
     np.multiply(fit.Jw, per_px, out=rows[:N_STATE])
@@ -224,7 +225,7 @@ def shifts(fit: ProfileFit, profiles: Profiles) -> Shifts:
 
 
 def residual_after(fit: ProfileFit, profiles: Profiles, delta: F64) -> F64:
-    """(N,) what the linearisation expects to be left of the residuals after a step (9,)."""
+    """Return the (N,) residuals that the linearisation predicts after a step (9,)."""
     a, b = delta @ fit.levels
     left: F64 = b.take(profiles.group)
     left *= fit.shares.share
@@ -235,12 +236,12 @@ def residual_after(fit: ProfileFit, profiles: Profiles, delta: F64) -> F64:
 
 
 def noise_of(left: F64, fit: ProfileFit, profiles: Profiles) -> F64:
-    """(KINDS, 2) variance on either side of the edges, of what is left of the residuals (N,)."""
+    """Return the (KINDS, 2) variance on either side of the edges, from the remaining residuals (N,)."""
     return _noise(left, fit.shares.share, fit.weight, profiles)
 
 
 def _noise(r: F64, s: F64, weight: F64, profiles: Profiles) -> F64:
-    """(KINDS, 2) variance on either side of the edges, from residuals."""
+    """Return the (KINDS, 2) variance on either side of the edges, from residuals."""
     q = r * r
     on = weight > 0.0
     usual, grow = [1.0] * KINDS, [0.0] * KINDS
@@ -249,7 +250,7 @@ def _noise(r: F64, s: F64, weight: F64, profiles: Profiles) -> F64:
         count = len(some)
         if count >= 12:
             usual[kind] = median(some) / 0.4549
-            # Each group has spent two of its pixels on its light levels.
+            # Each group spends two of its pixels on its light levels.
             grow[kind] = count / max(count - 2 * profiles.groups[kind], 1)
     good = q < (9.0 * np.array(usual)).take(profiles.kind)
     good &= on
@@ -268,7 +269,7 @@ def _noise(r: F64, s: F64, weight: F64, profiles: Profiles) -> F64:
 
 
 def arrow_amplitude(state: RegistrationState, profiles: Profiles, pad: Pad, mixed: F64) -> tuple[float, float]:
-    """How much of an arrowhead there is beside the ring's stroke, and its sigma; 1 is a whole one, (0, inf) when out of view."""
+    """Return the amplitude of the arrowhead beyond the ring, and its sigma; 1 is a whole arrowhead, (0, inf) is out of view."""
     part = profiles.kind_parts[EdgeKind.ARROW]
     w = profiles.usable[part]
     free = float(w.sum())
@@ -287,7 +288,7 @@ def arrow_amplitude(state: RegistrationState, profiles: Profiles, pad: Pad, mixe
 
 
 def spacing_ok(state: RegistrationState, pad: Pad) -> bool:
-    """Whether edges of different kinds are far enough apart for profiles."""
+    """Return whether edges of different kinds are far enough apart for profiles."""
     gap = min(
         pad.disc_radius_m - pad.rim_width_m - pad.arrow_tip_m, pad.ring_inner_m - math.hypot(pad.h_length_m, pad.h_width_m) / 2
     )

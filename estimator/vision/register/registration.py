@@ -1,9 +1,10 @@
-"""Registration: the known drawing of the pad is laid on the frame until every pixel near an edge is explained.
+"""Register the known drawing of the pad with a frame, until the model explains every pixel near an edge.
 
-Maximum likelihood over pose, blur, paints and noise at once (analysis by synthesis): expected light of a pixel is the sum of
-the paints' lights times the share of each that the blurred pixel sees. Blur and neighbouring edges are part of the
-model, so they do not bias the pose. Linear unknowns (paints) are eliminated in each linearisation (variable projection: Golub &
-Pereyra, SIAM J. Numer. Anal. 10, 1973); robust weights are Tukey's. Near: profiles across the edges. Far: the whole disc.
+This is maximum likelihood over pose, blur, paints and noise at once (analysis by synthesis): the expected light of a pixel is the
+sum of the paints' lights times the coverage of the blurred pixel by each. Blur and neighbouring edges are part of the model, so
+they do not bias the pose. Linear unknowns (paints) are eliminated in each linearisation (variable projection: Golub & Pereyra,
+SIAM J. Numer. Anal. 10, 1973); robust weights are Tukey's. A near pad uses profiles across the edges, a distant one the whole
+disc.
 """
 
 from __future__ import annotations
@@ -33,72 +34,75 @@ from estimator.vision.register.solver import WEAK_BLUR_PX2, Solver, TiltTarget, 
 from estimator.vision.register.state import N_POSE, N_STATE, U8, RegistrationState
 
 _NOISE_DOUBTED = 5e-4
-"""Variance of smoothed light over light: four times what worn paint on a patchy deck comes to. More is something on the pad."""
+"""Limit on the variance of smoothed light over light: four times that of worn paint on a patchy deck. More means an object on the
+pad.
+"""
 _MERGED_EDGES_PX3, _MERGED_EDGES_MOST_PX = 4.0, 0.08
-"""Sigma of the distant disc's edges times the square of its radius, and the most of it, px: what wear, stains and uneven light
-move merged edges by. On rendered worn decks it makes errors as large as they are called, at 10 to 30 m; on an even floor they are
-smaller."""
+"""Sigma of the distant disc's edges times the square of its radius, and the largest sigma, px: the effect of wear, stains and
+uneven light on merged edges. On rendered worn decks, at 10 to 30 m, it makes the errors as large as their covariance says; on an
+even floor they are smaller.
+"""
 _EDGE_DOUBTED_PX = 2.0
-"""Sigma of the distant disc's edges then: half of it hidden moves it so far."""
+"""Sigma of the distant disc's edges in that case: hiding half of the disc moves it this far."""
 
 
 @dataclass(frozen=True, slots=True)
 class RegistrationOptions:
-    """What a caller may trade.
+    """Options that trade accuracy against time.
 
-    Defaults are for 640x360 frames on one thread.
+    The defaults are for 640x360 frames on one thread.
     """
 
     coarse: bool = True
-    """Approach from the start on a reduced frame first; False for a start good to a pixel and a half."""
+    """Approach from the start on a reduced frame first; False for a start good to 1.5 px."""
     max_profiles: int = 120
     dense_pixels: int = 1700
-    """A frame of the disc of up to so many pixels is registered whole."""
+    """Largest number of pixels in the disc's image at which it is registered as a whole."""
     blur_px: float = 0.6
-    """Sigma of the lens' point spread to begin with; it is estimated."""
+    """Initial sigma of the lens' point spread; it is estimated."""
     edge_sigma_px: float = 0.004
-    """How well at most an edge's place in the frame is predicted by drawing, lens and blur model."""
+    """Smallest sigma of an edge's place in the frame as predicted by drawing, lens and blur model."""
     dense_edge_sigma_px: float = 0.01
     """The same where edges merge."""
     edge_sigma_m: float = 0.0
-    """How well the pad is painted."""
+    """Sigma of the painted edges on the pad."""
     gamma: bool = True
-    """Pixel values are sRGB; False for light itself."""
+    """True if pixel values are sRGB; False if they are linear light."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """A pose, its covariance, and what speaks for it."""
+    """A pose, its covariance, and the evidence for it."""
 
     pose: PadPose
     cov: F64
-    """(6, 6) in `cam`: [t_cam_pad (m), small rotation of the pad (rad)], the prior included."""
+    """Covariance in `cam`, (6, 6): [t_cam_pad (m), small rotation of the pad (rad)], the prior included."""
     information: F64
-    """(6, 6) in `cam`, of the frame alone."""
+    """Information in `cam`, (6, 6), from the frame alone."""
     prior: Orientation | None
     edges: Mapping[EdgeKind, EdgeSupport]
     yaw_ambiguous: bool
-    """No arrowhead told the two headings of the H apart."""
+    """True if no arrowhead resolved the two headings of the H."""
     blur_px2: F64
-    """(3,) uu, uv, vv of the point spread's covariance at the pad, the pixel's own square taken off."""
+    """Covariance of the point spread at the pad, (3,) uu, uv, vv, without the pixel's own square."""
     noise_light: float
-    """Standard deviation of residuals in linear light, 1 = full scale."""
+    """Standard deviation of the residuals in linear light, 1 = full scale."""
     edge_rms_px: float
-    """Of what the drawing leaves unexplained in the edges' places, noise taken off."""
+    """Unexplained displacement of the edges, rms, without the noise."""
     visible: float
-    """Share of the drawing's edges within the frame."""
+    """Fraction of the drawing's edges within the frame."""
     inliers: float
-    """Share of those that agree."""
+    """Fraction of the visible edges that agree."""
     last_step_px: float
-    """Of the last iteration: small when converged."""
+    """Length of the last iteration's step; small if converged."""
     dense: bool
-    """From all pixels of the disc; False from profiles across edges."""
+    """True for a fit to all pixels of the disc; False for profiles across edges."""
     outline_px: tuple[F64, ...]
-    """Edge points as registered, (N, 2) px a kind, for frames."""
+    """Registered edge points, (N, 2) px for each kind, for display."""
 
     @property
     def blur_px(self) -> float:
-        """Sigma, mean over directions."""
+        """Standard deviation of the point spread, mean over directions."""
         return math.sqrt(max(0.0, 0.5 * float(self.blur_px2[0] + self.blur_px2[2])))
 
 
@@ -106,9 +110,9 @@ class Registration:
 class _Solved:
     state: RegistrationState
     H: F64
-    """(9, 9) of the frame."""
+    """Information of the frame, (9, 9)."""
     cov: F64
-    """(9, 9) in `pad`."""
+    """Covariance in `pad`, (9, 9)."""
     edges: dict[EdgeKind, EdgeSupport]
     noise_light: float
     edge_rms_px: float
@@ -117,7 +121,7 @@ class _Solved:
     last_step_px: float
     arrow_seen: bool
     doubted: bool
-    """Something other than the pad is in the way: too much is left unexplained."""
+    """True if something other than the pad is in the way: too much remains unexplained."""
     dense: bool
 
 
@@ -128,12 +132,11 @@ def register(
 
     Args:
         px: (H, W, 3) BGR.
-        start: off by at most a tenth of the disc's radius and by less than a quarter turn (with `coarse`), or by about
-            1.5 px (without).
-        prior: attitude at the exposure and how level the deck is. Without one, tilt is what the frame shows.
+        start: off by at most a tenth of the disc's radius and less than a quarter turn with `coarse`; by about 1.5 px without.
+        prior: attitude at the exposure and the deck's expected tilt. Without one, the tilt comes from the frame alone.
 
     Returns:
-        None when nothing of the pad is in view at the start, or the frame does not fix a pose.
+        The registration; None if nothing of the pad is in view at the start, or if the frame does not determine a pose.
 
     Raises:
         ValueError: the frame is not of the camera's size.
@@ -183,7 +186,7 @@ def _dense_fit(
     moved = math.inf
     grown = 0.0
     for n in range(12):
-        # The pose follows the blur: it may rest for a step while the blur is still on its way.
+        # The pose depends on the blur: it may stop for a step while the blur still changes.
         final = (n >= 1 and moved < 0.05 and grown < 0.1) or n == 11
         fit = dense.fit(state, cut, pad, fit, options.dense_edge_sigma_px, final)
         last = state
@@ -193,7 +196,7 @@ def _dense_fit(
             break
     assert fit is not None
     meat = fit.meat
-    # The information that would have had this covariance, so that a prior can be taken out and another put in.
+    # This is the information that corresponds to the robust covariance, so that one prior can be exchanged for another.
     spread = np.diag(fit.H)
     if not float(spread.min()) > 0.0:
         return None
@@ -276,7 +279,7 @@ def _edge_variance(
     state: RegistrationState,
     options: RegistrationOptions,
 ) -> tuple[float, float]:
-    """Variance (px^2) of edges' places that neither noise nor pose explains, and the square root of what was measured.
+    """Return the variance (px^2) of edges' places that neither noise nor pose explains, and the square root of the measured part.
 
     Source: DerSimonian & Laird, Meta-analysis in clinical trials, Controlled Clinical Trials 7(3), 1986.
     """
@@ -287,14 +290,14 @@ def _edge_variance(
         return floor, 0.0
     left = shifts.px[on] - (delta @ shifts.pull[:, on]) / shifts.information[on]
     w, shift = shifts.information[on] / noise, np.minimum(np.maximum(left, -2.0), 2.0)
-    # Noise makes n - 9 of it, the rest is the drawing's.
+    # Noise contributes n - 9; the rest comes from the drawing.
     excess = float(w @ (shift * shift)) - (n - N_STATE)
     tau2 = max(0.0, excess / (float(w.sum()) * (1.0 - N_STATE / n)))
     return max(floor, tau2), math.sqrt(tau2)
 
 
 def _growth(fit: profiles_.ProfileFit, samples: int) -> float:
-    """Factor on the covariance for residuals that the pixels of a profile share, from sums of scores over it; at least 1.
+    """Return the factor, at least 1, on the covariance for residuals that the pixels of a profile share, from sums of scores.
 
     Source: Liang & Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73(1), 1986.
     """
@@ -309,7 +312,9 @@ def _growth(fit: profiles_.ProfileFit, samples: int) -> float:
 
 
 def _dense_edges_off(state: RegistrationState, pad: Pad, options: RegistrationOptions, more_px: float) -> F64:
-    """(9, 9) what unexplained places of edges cost: eight sectors of the disc and four strokes of the H, each by itself."""
+    """Return the (9, 9) covariance from unexplained places of edges: eight sectors of the disc and four strokes of the H, each
+    independent.
+    """
     merged_px = min(_MERGED_EDGES_PX3 * (state.m_per_px / pad.disc_radius_m) ** 2, _MERGED_EDGES_MOST_PX)
     letter_m = math.hypot(math.hypot(options.dense_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)
     sigma_m = math.hypot(letter_m, merged_px * state.m_per_px)
@@ -322,7 +327,7 @@ def _dense_edges_off(state: RegistrationState, pad: Pad, options: RegistrationOp
 
 @lru_cache(maxsize=8)
 def _outline(pad: Pad) -> tuple[F64, tuple[slice, ...]]:
-    """(M, 3) m points of the edges, and which of them are of each kind."""
+    """Return (M, 3) m points of the edges, and the slice of each kind."""
     edges = edges_of(pad)
     at = edges.at_m[::4]
     borders = np.searchsorted(edges.kind[::4], np.arange(len(EdgeKind) + 1)).tolist()
@@ -342,7 +347,7 @@ def _arrow_is_opposite(px: U8, camera: Camera, pad: Pad, state: RegistrationStat
 
 
 def _opposite_in_view(camera: Camera, pad: Pad, state: RegistrationState) -> bool:
-    """Whether a corner of an arrowhead turned by half, or its middle, lies in the frame."""
+    """Return whether a corner of an arrowhead turned by 180 degrees, or its middle, lies in the frame."""
     corners = -pad.arrowhead()[:, :2]
     at = np.concatenate([corners, corners.mean(axis=0, keepdims=True)]) @ state.R[:, :2].T + state.t
     uv = camera.project(at)
@@ -355,7 +360,7 @@ def _result(solved: _Solved, camera: Camera, pad: Pad, prior: Orientation | None
     cov9, H = solved.cov, solved.H
     if not math.isfinite(float(cov9.sum() + state.t.sum())) or float(state.R[:, 2] @ state.t) <= 0:
         return None
-    # What the blur could be instead is eliminated, not ignored.
+    # The blur is uncertain too, so it is eliminated and not held constant.
     blur = H[6:, 6:] + np.eye(3) * WEAK_BLUR_PX2**-2
     information = H[:6, :6] - H[:6, 6:] @ inverse(blur) @ H[6:, :6]
     pose = state.pose

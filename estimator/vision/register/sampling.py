@@ -1,7 +1,7 @@
-"""The pixels that registration by profiles looks at: short rows of them across the edges of the drawing that are in view.
+"""Sample pixels for registration by profiles: short rows of pixels across the edges of the drawing that are in view.
 
-Pixels are taken as they are, never interpolated, each with its exact place on the drawing: their noise stays independent and
-no blur is added.
+Pixels are used as they are, without interpolation, each with its exact position on the drawing. Their noise thus stays
+independent, and no blur is added.
 """
 
 from __future__ import annotations
@@ -26,37 +26,39 @@ _MIN_SPACING_PX = 1.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """Pixels across edges, kinds together, groups together."""
+    """Pixels across edges, grouped by kind and by group."""
 
     rays: F64
-    """(N, 2)."""
+    """Rays of the pixels, (N, 2)."""
     light: F64
-    """(3, N) BGR linear light."""
+    """Linear light, (3, N) BGR."""
     usable: F64
-    """(N,) 0 for a pixel taken twice or one that sees a third paint."""
+    """Mask, (N,): 0 for a pixel that another profile uses too or that sees a third paint."""
     samples: int
-    """Pixels of a profile: N = profiles * samples."""
+    """Number of pixels of a profile: N = profiles * samples."""
     kind_parts: tuple[slice, slice, slice, slice]
-    """Of the N pixels, for each `EdgeKind`."""
+    """Slice of the N pixels for each `EdgeKind`."""
     starts: NDArray[np.intp]
-    """(G,) first pixel of each group."""
+    """First pixel of each group, (G,)."""
     group_kind: NDArray[np.intp]
-    """(G,)."""
+    """Kind of each group, (G,)."""
     of_kind: F64
-    """(G, KINDS) 1 for the group's kind."""
+    """One-hot kind of each group, (G, KINDS)."""
     groups: tuple[int, ...]
-    """(KINDS,) how many of each."""
+    """Number of groups of each kind, (KINDS,)."""
     group: NDArray[np.intp]
-    """(N,) each pixel's group."""
+    """Group of each pixel, (N,)."""
     kind: NDArray[np.intp]
-    """(N,) each pixel's kind."""
+    """Kind of each pixel, (N,)."""
     in_view: F64
-    """(KINDS,) share of each kind's edges that lies in the frame."""
+    """Fraction of each kind's edges within the frame, (KINDS,)."""
 
 
 @lru_cache(maxsize=8)
 def _table(edges: Edges) -> tuple[F64, NDArray[np.intp], F64]:
-    """(5, M) x, y, 1 and the normal of every edge point; (KINDS,) first point of each kind, and how many there are."""
+    """Return (5, M) x, y, 1 and the normal of every edge point, the (KINDS,) first point of each kind, and the number of
+    points.
+    """
     rows = np.concatenate([edges.at_m.T, np.ones((1, len(edges.at_m))), edges.normal.T])
     first = np.searchsorted(edges.kind, np.arange(KINDS + 1))
     return rows, first[:-1], np.diff(first).astype(float)
@@ -65,7 +67,9 @@ def _table(edges: Edges) -> tuple[F64, NDArray[np.intp], F64]:
 def sample(
     px: U8, camera: Camera, pad: Pad, edges: Edges, state: RegistrationState, max_profiles: int, half: int, gamma: bool
 ) -> tuple[Profiles, Footprint] | None:
-    """Profiles of 2 * half + 1 pixels across the edges in view, and where they look; None when too few to fix anything."""
+    """Return profiles of 2 * half + 1 pixels across the edges in view, and their footprint; None if there are too few for a
+    fix.
+    """
     rows, first, total = _table(edges)
     to_cam = np.zeros((6, 5))
     to_cam[:3, :2] = to_cam[3:, 3:] = state.R[:, :2]
@@ -85,7 +89,7 @@ def sample(
         uv = xy * focal
         uv += ((camera.cx,), (camera.cy,))
     middle = np.array([[0.5 * (camera.width - 1)], [0.5 * (camera.height - 1)]])
-    # nan, behind a distorting lens, compares as false.
+    # A nan, from behind a distorting lens, compares as false.
     within = np.abs(uv - middle) < middle - (half + 1.0)
     seen &= within[0]
     seen &= within[1]
@@ -142,7 +146,7 @@ def sample(
 
 
 def _foreign(state: RegistrationState, profiles: Profiles, fp: Footprint, pad: Pad) -> NDArray[np.bool_]:
-    """(N,) pixels within three sigmas of an edge of another kind."""
+    """Return the (N,) mask of pixels within three sigmas of an edge of another kind."""
     places = fp.places
     x, y = np.abs(places.x), np.abs(places.y)
     r = np.sqrt(x * x + y * y)
@@ -154,7 +158,7 @@ def _foreign(state: RegistrationState, profiles: Profiles, fp: Footprint, pad: P
     out[disc] = at < pad.ring_outer_m + clear
     out[disc] |= (places.x[disc] > 0) & (at < pad.arrow_tip_m + clear) & (y[disc] < pad.arrow_half_base_m + clear)
     if pad.rim_width_m:
-        # Where no pixel sees the rim alone, its inner edge is not to be told from its outer one.
+        # If no pixel sees the rim alone, its inner edge cannot be separated from its outer one.
         out[disc] |= (at > pad.disc_radius_m - clear) | (pad.rim_width_m < 2.0 * clear)
     out[ring] = (r[ring] > field - clear) | ((x[ring] < pad.h_length_m / 2 + clear) & (y[ring] < pad.h_width_m / 2 + clear))
     out[arrow] = r[arrow] > field - clear

@@ -1,4 +1,4 @@
-"""A registration as the sample that leaves vision: brought from the camera to `level`, with what the attitude does not know."""
+"""Convert a registration to a sighting: transform it from the camera to `level`, including the attitude's uncertainty."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from estimator.vision.register.registration import Registration
 from estimator.vision.register.solver import roll_pitch, tilt_axes
 
 _WORTH = {EdgeKind.DISC: 0.4, EdgeKind.RING: 0.6, EdgeKind.ARROW: 0.4, EdgeKind.H: 0.6}
-"""How far each kind of edge goes towards belief that this is the pad and no other round or white thing."""
+"""Weight of each kind of edge as evidence that this is the pad and no other round or white thing."""
 
 
 def registered_sighting(frame: Frame, found: Registration, camera: Camera, orientation: Orientation) -> Sighting:
-    """The sighting of method "registration".
+    """Return the sighting of method "registration".
 
-    What the frame says of the deck's tilt against what the attitude says is shared out between errors of either, by their
-    variances; the covariance has the attitude's remaining error in place, heading and tilt alike, correlations included.
+    The difference between the deck's tilt in the frame and the attitude's prediction is split between the errors of both, by
+    their variances. The covariance holds the attitude's remaining error in position, heading and tilt, correlations included.
 
     Args:
-        orientation: attitude at the exposure and the deck's expected tilt, the same that was given to `register` as prior.
+        orientation: attitude at the exposure and the deck's expected tilt; the same that `register` had as prior.
     """
     R_level_body = roll_pitch(orientation)
     R_level_cam = R_level_body @ camera.T_body_cam.R.matrix
@@ -35,7 +35,7 @@ def registered_sighting(frame: Frame, found: Registration, camera: Camera, orien
     axes, C = tilt_axes(orientation), orientation.cov_tilt
 
     normal = R_level_cam @ R_cam_pad[:, 2]
-    # An error e of the attitude turns the normal by (axes @ e) x z; what remains of it is the deck's own tilt.
+    # An error e of the attitude turns the normal by (axes @ e) x z; the remainder is the deck's own tilt.
     A = -np.array([[0.0, 1.0], [-1.0, 0.0]]) @ axes[:2]
     gain = C @ A.T @ np.linalg.inv(A @ C @ A.T + (orientation.sigma_deck_rad**2 + 1e-12) * np.eye(2))
     turn = cv2.Rodrigues(axes @ (gain @ normal[:2]))[0]
@@ -43,7 +43,7 @@ def registered_sighting(frame: Frame, found: Registration, camera: Camera, orien
     d = R_level_cam @ t + turn @ (R_level_body @ camera.T_body_cam.t)
     R_level_pad = Rotation(_nearest(R_level_cam @ R_cam_pad))
 
-    # Errors of (t_cam_pad, rotation, attitude), then of (d_body_pad_level, rotation of the pad in level).
+    # Errors of (t_cam_pad, rotation, attitude) map to those of (d_body_pad_level, rotation of the pad in level).
     back = np.zeros((2, 6))
     back[:, 3:] = gain @ (-skew(normal) @ R_level_cam)[:2]
     joint = np.zeros((8, 8))
@@ -61,7 +61,7 @@ def registered_sighting(frame: Frame, found: Registration, camera: Camera, orien
     flat2 = max(x * x + y * y, 1e-9)
     to4 = np.zeros((4, 6))
     to4[0, 0] = to4[1, 1] = to4[2, 2] = 1.0
-    # How the arrow's azimuth answers to a small turn in `level`, and the heading against it the other way.
+    # This row is the effect of a small rotation in `level` on the arrow's azimuth; the heading has the opposite sign.
     to4[3, 3:] = x * z / flat2, y * z / flat2, -(x * x + y * y) / flat2
     cov = _symmetric(to4 @ cov6 @ to4.T)
     yaw: float | None = wrap_pi(-math.atan2(y, x))
@@ -81,7 +81,7 @@ def registered_sighting(frame: Frame, found: Registration, camera: Camera, orien
 
 
 def confidence(found: Registration) -> float:
-    """0..1 from the edges that are there with the right places: grows with their kinds, falls with what disagrees."""
+    """Return 0..1 from the visible edges: it grows with the number of kinds and falls with the fraction that disagrees."""
     doubt = 1.0
     for kind, evidence in found.edges.items():
         if evidence.seen:
@@ -95,7 +95,7 @@ def _finite(uv: F64) -> F64:
 
 
 def _nearest(m: F64) -> F64:
-    """One Newton step to the nearest rotation, from a product of a few (Higham 1986)."""
+    """Return the nearest rotation by one Newton step; the matrix is a product of a few rotations (Higham 1986)."""
     return np.asarray(0.5 * m @ (3.0 * np.eye(3) - m.T @ m))
 
 

@@ -1,4 +1,4 @@
-"""Gauss-Newton steps of registration, with what is known besides the frame: tilt from attitude and a nearly level deck."""
+"""Gauss-Newton steps of registration with the priors: tilt from the attitude and a nearly level deck."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.state import N_STATE, RegistrationState
 
 _FREE_ROTATION_RAD = math.pi / math.sqrt(3.0)
-"""Sigma of an angle that could be anything."""
+"""Standard deviation of an angle that is completely unknown."""
 WEAK_BLUR_PX2 = 3.0
-"""Sigma of the blur's covariance about where it began: holds it where no edge shows it."""
+"""Standard deviation of the prior of the blur's covariance about its start; it holds the blur if no edge shows it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TiltTarget:
-    """The pad's normal as attitude and a nearly level deck predict it."""
+    """The pad's normal as predicted by the attitude and a nearly level deck."""
 
     normal_cam: F64
     cov_cam: F64
-    """(3, 3) rad^2 of the small rotation between prediction and truth; across the normal it is what counts."""
+    """Covariance of the small rotation between prediction and truth, (3, 3) rad^2; only the part across the normal matters."""
 
     @staticmethod
     def of(prior: Orientation, camera: Camera) -> TiltTarget:
@@ -37,7 +37,9 @@ class TiltTarget:
         return TiltTarget(R_cam_level[:, 2], cov)
 
     def information(self, R: F64) -> tuple[F64, F64]:
-        """(2, 2) on the rotations about the pad's x and y, and the (2,) rotation that would meet the prediction."""
+        """Return (2, 2) information on the rotations about the pad's x and y, and the (2,) rotation that would meet the
+        prediction.
+        """
         across = R[:, :2]
         n0, n1 = (self.normal_cam @ across).tolist()
         (a, b), (_, d) = (across.T @ self.cov_cam @ across).tolist()
@@ -46,18 +48,18 @@ class TiltTarget:
 
 
 def roll_pitch(prior: Orientation) -> F64:
-    """(3, 3) `R_level_body`."""
+    """Return `R_level_body`, (3, 3)."""
     cr, sr, cp, sp = math.cos(prior.roll_rad), math.sin(prior.roll_rad), math.cos(prior.pitch_rad), math.sin(prior.pitch_rad)
     return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
 
 
 def tilt_axes(prior: Orientation) -> F64:
-    """(3, 2) axes in `level` about which an error of roll and of pitch turns the body."""
+    """Return the (3, 2) axes in `level` about which an error of roll and of pitch turns the body."""
     return np.array([[math.cos(prior.pitch_rad), 0.0], [0.0, 1.0], [-math.sin(prior.pitch_rad), 0.0]])
 
 
 def depth_in_view(pose: PadPose, camera: Camera) -> float:
-    """Depth of the pad's plane where the part of it in the frame is."""
+    """Return the depth of the pad's plane at the part of it that is in the frame, metres."""
     t = pose.t_cam_pad
     if t[2] > 0.05:
         uv = np.minimum(np.maximum(camera.project(t[None]), 0.0), (camera.width - 1.0, camera.height - 1.0))
@@ -71,7 +73,7 @@ def depth_in_view(pose: PadPose, camera: Camera) -> float:
 
 
 class Solver:
-    """Gauss-Newton with the priors in; keeps what the weak ones are centred on."""
+    """Gauss-Newton with priors; it keeps the values that the weak priors are centred on."""
 
     def __init__(self, state: RegistrationState, tilt: TiltTarget | None, pad: Pad) -> None:
         self._tilt = tilt
@@ -84,7 +86,7 @@ class Solver:
         self._reach_m = min(pad.disc_radius_m, 0.6 * state.depth_m)
 
     def prior(self, state: RegistrationState) -> tuple[F64, F64]:
-        """(9, 9) information and (9,) gradient."""
+        """Return the (9, 9) information and the (9,) gradient of the priors."""
         H, g = self._free.copy(), np.zeros(N_STATE)
         g[6:] = (self._blur - state.blur_px2) * WEAK_BLUR_PX2**-2
         if self._tilt is not None:
@@ -96,7 +98,7 @@ class Solver:
     def step(
         self, state: RegistrationState, H: F64, g: F64, limit_px: float, blur_too: bool = True
     ) -> tuple[RegistrationState, float]:
-        """The next state and how far it moved the frame, px; a step longer than the limit is shortened."""
+        """Return the next state and the motion in the frame, px; a step beyond the limit is shortened."""
         H0, g0 = self.prior(state)
         if blur_too:
             delta = _solved(H + H0, g + g0)
@@ -110,7 +112,7 @@ class Solver:
 
     def moved_px(self, state: RegistrationState, delta: F64) -> float:
         reach = self._reach_m
-        # Seen from afar a tilt shortens the frame by its change against the line of sight only.
+        # From afar a tilt shortens the image only by its change against the line of sight.
         lever = reach * (reach / state.depth_m + 0.1)
         x, y, z, rx, ry, rz = map(float, delta[:6])
         parts = (math.hypot(x, y), abs(z) * reach / state.depth_m, lever * math.hypot(rx, ry), reach * abs(rz))
@@ -121,19 +123,19 @@ class Solver:
 
 
 def inverse(M: F64) -> F64:
-    """Of a symmetric positive matrix, as `_solved`."""
+    """Return the inverse of a symmetric positive matrix; the method is as in `_solved`."""
     ok, out = cv2.invert(M, flags=cv2.DECOMP_CHOLESKY)
     return np.asarray(out if ok else np.linalg.inv(M), float)
 
 
 def _solved(H: F64, g: F64) -> F64:
-    """Cholesky's way, of which OpenCV makes a fraction of numpy's overhead; by elimination where that fails."""
+    """Solve by Cholesky, for which OpenCV has a fraction of numpy's overhead; by elimination if that fails."""
     ok, x = cv2.solve(H, g[:, None], flags=cv2.DECOMP_CHOLESKY)
     return np.asarray(x[:, 0] if ok else np.linalg.solve(H, g), float)
 
 
 def difference(a: RegistrationState, b: RegistrationState) -> F64:
-    """(9,) the increment from a to b, which are near one another."""
+    """Return the (9,) increment from a to b, which must be close to one another."""
     (_, xy, xz), (yx, _, yz), (zx, zy, _) = (a.R.T @ b.R).tolist()
     out = np.empty(N_STATE)
     out[:3] = (b.t - a.t) @ a.R

@@ -1,7 +1,7 @@
-"""What registration varies: the pad's pose and the blur, and how a pixel's place on the pad answers to them.
+"""The state of registration: the pad's pose and the blur, and the derivatives of a pixel's position on the pad.
 
-Increments are written in `pad`: t -> t + R dt, R -> R exp(dr). A pixel's ray meets the pad's plane at (x, y); with the ray's
-slopes k = (x - cx) / h against the plane's normal, where the camera stands at (cx, cy) and h above the plane, the derivatives of
+Increments are written in `pad`: t -> t + R dt, R -> R exp(dr). A pixel's ray meets the pad's plane at (x, y). With the camera at
+(cx, cy) and height h above the plane, and with the ray's slopes k = (x - cx) / h against the plane's normal, the derivatives of
 (x, y) are polynomials in x, y and k alone.
 """
 
@@ -25,10 +25,10 @@ from estimator.vision.srgb import LINEAR_LIGHT
 U8 = NDArray[np.uint8]
 N_POSE = 6
 N_STATE = 9
-"""dt (3) m, dr (3) rad, blur xx, xy, yy px^2."""
+"""Number of states: dt (3) m, dr (3) rad, blur xx, xy, yy px^2."""
 
 _PIXEL_VAR = 1.0 / 12.0
-"""px^2 of a square pixel along any direction."""
+"""Variance of a square pixel along any direction, px^2."""
 _MAX_BLUR_PX2 = 49.0
 
 
@@ -37,26 +37,26 @@ class RegistrationState:
     """A pose and a blur."""
 
     R: F64
-    """(3, 3) `R_cam_pad`."""
+    """`R_cam_pad`, (3, 3)."""
     t: F64
-    """(3,) m, the pad's centre in `cam`."""
+    """The pad's centre in `cam`, (3,) m."""
     blur_px2: F64
-    """(3,) xx, xy, yy along the pad's axes of the point spread's covariance, the pixel's own square in it."""
+    """Covariance of the point spread, (3,) xx, xy, yy along the pad's axes, the pixel's own square included."""
     m_per_px: float
-    """Reference scale that `blur_px2` is measured in; kept while the pose is refined."""
+    """Reference scale of `blur_px2`; it is constant while the pose is refined."""
     depth_m: float
     """Depth at which that scale holds."""
 
     @staticmethod
     def of(pose: PadPose, camera: Camera, blur_px: float, depth_m: float) -> RegistrationState:
-        """`depth_m`: of the part of the pad that is in view."""
+        """Build a state; `depth_m` is the depth of the part of the pad that is in view."""
         var = blur_px**2 + _PIXEL_VAR
         scale = depth_m / (0.5 * (camera.fx + camera.fy))
         return RegistrationState(pose.R_cam_pad.matrix, pose.t_cam_pad, np.array([var, 0.0, var]), scale, depth_m)
 
     @property
     def pose(self) -> PadPose:
-        # One Newton step to the nearest rotation: products of a few rotations are off by no more than rounding.
+        # One Newton step to the nearest rotation suffices: a product of a few rotations is off only by rounding.
         return PadPose(Rotation(self.R @ (1.5 * np.eye(3) - 0.5 * self.R.T @ self.R)), self.t)
 
     @property
@@ -66,31 +66,34 @@ class RegistrationState:
 
     @property
     def sigma_px(self) -> float:
-        """Of the point spread with the pixel, mean over directions."""
+        """Standard deviation of the point spread with the pixel, mean over directions."""
         return math.sqrt(0.5 * float(self.blur_px2[0] + self.blur_px2[2]))
 
     def reduced(self, k: int, smoothing_px2: float) -> RegistrationState:
-        """The same in pixels k times as wide, with what their square and a smoothing of them add to the blur."""
+        """Return the state for pixels k times as wide, including the blur that they and a smoothing of them add."""
         added = _PIXEL_VAR * (1.0 - 1.0 / k**2) + smoothing_px2
         b = self.blur_px2 / k**2 + added * np.array([1.0, 0.0, 1.0])
         return replace(self, blur_px2=b, m_per_px=self.m_per_px * k)
 
     def restored(self, k: int, smoothing_px2: float) -> RegistrationState:
-        """Undoes `reduced`; what is left is at least a pixel's, since a blur found in wide pixels may be less than they add."""
+        """Undo `reduced`.
+
+        The blur stays at least a pixel's, because a blur estimated in wide pixels may be less than they add.
+        """
         added = _PIXEL_VAR * (1.0 - 1.0 / k**2) + smoothing_px2
         b = (self.blur_px2 - added * np.array([1.0, 0.0, 1.0])) * k**2
         return replace(self, blur_px2=_possible(b), m_per_px=self.m_per_px / k)
 
     def moved(self, delta: F64) -> RegistrationState:
-        """(9,) increment applied; the blur stays a covariance no smaller than a pixel's."""
+        """Apply a (9,) increment; the blur stays a covariance no smaller than a pixel's."""
         R = self.R @ cv2.Rodrigues(delta[3:6])[0]
         return RegistrationState(
             R, self.t + self.R @ delta[:3], _possible(self.blur_px2 + delta[6:9]), self.m_per_px, self.depth_m
         )
 
     def footprint(self, rays: F64, pad: Pad) -> Footprint:
-        """Where pixels look. `rays` (N, 2) are x/z, y/z."""
-        # Single precision is 1e-7 of the pad; the transcendental functions to come take a third of the time in it.
+        """Return the positions on the pad that pixels with `rays` (N, 2), x/z and y/z, look at."""
+        # Single precision is 1e-7 of the pad; the transcendental functions that follow take a third of the time in it.
         R = self.R.astype(np.float32)
         r = R[:2].T @ rays.T.astype(np.float32)
         r += R[2][:, None]
@@ -103,7 +106,7 @@ class RegistrationState:
 
 
 def _possible(blur_px2: F64) -> F64:
-    """(3,) xx, xy, yy: the nearest covariance no smaller than a pixel's in any direction."""
+    """Return the (3,) xx, xy, yy of the nearest covariance that is no smaller than a pixel's in any direction."""
     xx, xy, yy = blur_px2.tolist()
     if min(xx, yy) > _PIXEL_VAR and max(xx, yy) < 0.9 * _MAX_BLUR_PX2 and (xx - _PIXEL_VAR) * (yy - _PIXEL_VAR) > xy * xy:
         return blur_px2
@@ -114,7 +117,7 @@ def _possible(blur_px2: F64) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprint:
-    """Places on the pad that pixels look at, and the slopes of their rays against its normal."""
+    """Positions on the pad that pixels look at, and the slopes of their rays against its normal."""
 
     places: Blurred
     k1: F32
@@ -122,7 +125,7 @@ class Footprint:
     m2_per_px2: float
 
     def jacobian(self, d: F32) -> F32:
-        """(5, ..., N) change with x, y and the blur in m^2, to (9, ..., N) change with the state."""
+        """Convert (5, ..., N) derivatives by x, y and the blur in m^2 to (9, ..., N) derivatives by the state."""
         x, y = self.places.x, self.places.y
         out = np.empty((N_STATE, *d.shape[1:]), np.float32)
         np.negative(d[:2], out=out[:2])
@@ -136,13 +139,13 @@ class Footprint:
 
 @lru_cache(maxsize=8)
 def ray_map(camera: Camera) -> NDArray[np.float64]:
-    """(H, W, 2) x/z, y/z of every pixel of a camera with distortion, made once."""
+    """Return (H, W, 2) x/z, y/z of every pixel of a camera with distortion; the result is cached."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
     return camera.rays(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(camera.height, camera.width, 2)
 
 
 def pixel_rays(camera: Camera, u: NDArray[np.intp], v: NDArray[np.intp]) -> F64:
-    """(N, 2) rays of whole pixels."""
+    """Return the (N, 2) rays of whole pixels."""
     if camera.distorted:
         return ray_map(camera)[v, u]
     rays = np.empty((2, len(u)))

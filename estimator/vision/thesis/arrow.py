@@ -1,4 +1,6 @@
-"""The arrow method: the centre of the white H and the tip of the orange arrowhead. It tells place and heading."""
+"""The arrow method: it measures the centre of the white H and the tip of the orange arrowhead, which give position and
+heading.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +20,25 @@ from estimator.vision.thesis.segmentation import F32, Segmentation
 
 _SIGMA_CENTROID_PX = 0.03
 _SIGMA_CENTROID = 0.0015
-"""Of the H's length: what worn paint and the edge of a shadow do to the centroid, however many pixels it has."""
+"""Error of the centroid from worn paint and edges of shadows, as a fraction of the H's length; it does not fall with more
+pixels.
+"""
 _SIGMA_TIP_PX = 0.06
-"""Blur moves a corner along its bisector; the fit of the arms stays clear of it but for this."""
+"""Remaining error of the tip. Blur moves a corner along its bisector; the fit of the arms avoids the blurred part except for
+this.
+"""
 _TIP_CANDIDATES = 6
 _MIN_REACH_PX = 3.2
-"""Arms shorter than this are nothing but blur: the tip comes out up to 2 % of the arrow's length too far."""
+"""Arms shorter than this are only blur: the tip comes out up to 2 % of the arrow's length too far."""
 _SECTORS = 24
 _MIN_PAINT = 0.25
-"""Share of the brightest orange, in deep shadow."""
+"""Smallest coverage that counts as orange, as a fraction of the brightest orange: in deep shadow."""
 _MAX_REACH_PX = 24.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrow:
-    """What the arrow method found."""
+    """The result of the arrow method."""
 
     marks: Marks
     confidence: float
@@ -42,16 +48,16 @@ class Arrow:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Centroid:
     uv_px: F64
-    """(2,) px, the frame of the H's centre."""
+    """Image of the H's centre, (2,) px."""
     area_plane: float
     perimeter_px: float
 
 
 def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F32 | None) -> Arrow | None:
-    """The arrow, or None when the H leaves the frame, there is no tip, or the two do not fit one another.
+    """Return the arrow; None if the H leaves the frame, there is no tip, or the two do not fit one another.
 
     Args:
-        orangeness: `Segmentation.orangeness()`.
+        orangeness: the result of `Segmentation.orangeness()`.
     """
     if seg.h_touches_border or seg.whiteness is None or orangeness is None:
         return None
@@ -63,7 +69,7 @@ def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F3
     scale = math.sqrt(centre.area_plane / h_area_m2)
     centre_plane = view.plane(centre.uv_px[None, :])
     px_per_m = _local_px(view, centre_plane[0]) * scale
-    # Between the arms of the arrowhead nothing else comes within three quarters of their length.
+    # Between the arms of the arrowhead there is nothing else within three quarters of their length.
     reach_px = 0.75 * math.hypot(pad.arrow_depth_m, pad.arrow_half_base_m) * px_per_m
     if reach_px < _MIN_REACH_PX:
         return None
@@ -82,7 +88,7 @@ def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F3
     if best is None:
         return None
     misfit, rough = best
-    # Once more from where it is, against its own paint: the ring, thin from afar, is paler, and a shadow may lie on it.
+    # Refine once more with the tip's own paint: the ring, thin from afar, is paler, and a shadow may lie on the tip.
     inwards = rough.arms.sum(axis=0)[None, :]
     paint = _paint_behind(rough.uv_px[None, :], inwards, orangeness, pad, px_per_m)
     again = refine(orangeness, rough.uv_px[None, :], reach_px, paint, settled=True) if paint[0] > _MIN_PAINT else []
@@ -111,18 +117,18 @@ def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad, orangeness: F3
 
 
 def _centroid(seg: Segmentation, whiteness: F32, view: OrientedCamera) -> _Centroid | None:
-    """Centre of the H: the centroid of its paint over the level plane; over the frame the nearer half counts more."""
+    """Return the centroid of the H's paint in the level plane; in the frame itself the nearer half would count more."""
     near = cv2.dilate(seg.h, np.ones((3, 3), np.uint8), iterations=2)
     u0, v0, w, h = cv2.boundingRect(near)
     box = np.s_[v0 : v0 + h, u0 : u0 + w]
-    # Steeper than the share itself, so that uneven paint inside counts alike and only the edge keeps its fractions.
+    # The weight is steeper than the coverage, so that uneven paint inside counts alike and only the edge keeps its fractions.
     weight = np.where(near[box] > 0, np.clip(2.0 * whiteness[box] - 0.5, 0.0, 1.0), np.float32(0.0))
     m = cv2.moments(weight)
     if m["m00"] < 6.0:
         return None
     uv = np.array([m["m10"] / m["m00"] + u0 + seg.origin_px[0], m["m01"] / m["m00"] + v0 + seg.origin_px[1]])
     C = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
-    # Map the moments to the level plane by the map's own second-order expansion about the centroid.
+    # Map the moments to the level plane by a second-order expansion of the map about the centroid.
     step = 0.5 * math.sqrt(max(float(np.trace(C)), 4.0))
     grid = np.array([(i, j) for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0)])
     q = view.plane(uv + step * grid).reshape(3, 3, 2)
@@ -144,12 +150,12 @@ def _centroid(seg: Segmentation, whiteness: F32, view: OrientedCamera) -> _Centr
 
 
 def _farthest(orange: U8, centre: F64, pad: Pad, px_per_m: float) -> F64:
-    """(N, 2) the orange pixels that stick out of the ring farthest, one for each direction: among them is the tip."""
+    """Return (N, 2) orange pixels that extend farthest from the ring, one for each direction; the tip is among them."""
     if not orange.any():
         return np.zeros((0, 2))
     d = cv2.findNonZero(orange)[:, 0, :] - centre
     r = np.sqrt(d[:, 0] ** 2 + d[:, 1] ** 2)
-    # The area of the H gives the scale to a few percent; the tip stands out of the ring by 15 %.
+    # The area of the H gives the scale to a few percent; the tip extends beyond the ring by 15 %.
     near = (r > 1.03 * pad.ring_outer_m * px_per_m) & (r < 1.25 * pad.arrow_tip_m * px_per_m)
     d, r = d[near], r[near]
     if len(r) == 0:
@@ -161,7 +167,7 @@ def _farthest(orange: U8, centre: F64, pad: Pad, px_per_m: float) -> F64:
 
 
 def _paint_behind(tips: F64, inwards: F64, orangeness: F32, pad: Pad, px_per_m: float) -> F64:
-    """(N,) share of orange in the middle of the arrowheads that would belong to these tips, (N, 2), and directions."""
+    """Return (N,) coverage by orange in the middle of the arrowheads with these tips, (N, 2), and directions."""
     incentre_m = math.sqrt(2.0) * (pad.arrow_depth_m + pad.arrow_half_base_m) * 0.5 * (math.sqrt(2.0) - 1.0)
     at = tips + inwards / np.linalg.norm(inwards, axis=1, keepdims=True) * incentre_m * px_per_m
     spread = 0.25 * incentre_m * px_per_m
@@ -171,9 +177,9 @@ def _paint_behind(tips: F64, inwards: F64, orangeness: F32, pad: Pad, px_per_m: 
 
 
 def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: OrientedCamera, pad: Pad, scale: float) -> float | None:
-    """Misfit of tip and H: length against the H's area, bisector against the centre, angle of the arms against 90 degrees.
+    """Return the misfit of tip and H: length against the H's area, bisector against the centre, arms' angle against 90 degrees.
 
-    None when any of them is out of the question. The H's long axis is no help: its moments are alike along and across.
+    Return None if any of them is out of range. The H's long axis is of no use: its moments are equal along and across.
     """
     uv = tip.uv_px + origin
     q = view.plane(np.stack([uv, uv + 2.0 * tip.arms[0], uv + 2.0 * tip.arms[1]]))
@@ -191,7 +197,7 @@ def _score(tip: RightAngle, origin: F64, centre_plane: F64, view: OrientedCamera
 
 
 def _local_px(view: OrientedCamera, plane: F64) -> float:
-    """Pixels for one unit of the level plane at this place."""
+    """Return the number of pixels per unit of the level plane at this position."""
     h = 1e-3
     uv = view.pixels(plane + h * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]))
     a, b = (uv[0] - uv[1]) / (2 * h), (uv[2] - uv[3]) / (2 * h)

@@ -1,4 +1,4 @@
-"""Which blob of paint in the frame is the disc."""
+"""Choose the blob of paint in the frame that is the disc."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 U8 = NDArray[np.uint8]
 
 _MIN_BLOB_PX = 25.0
-"""Smallest disc worth looking at: a radius of about 3 px, the sim camera's frame of the pad at 48 m."""
+"""Smallest disc that is considered: a radius of about 3 px, as the sim camera sees the pad from 48 m."""
 _CLOSE = np.ones((5, 5), np.uint8)
 _SEEDS = 0.02
-"""Share of a blob that must lie within the green limits proper; around such seeds the paler range counts too."""
+"""Fraction of a blob that must lie within the strict green limits; around such seeds the paler range counts too."""
 _BLOBS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Masks:
-    """(H, W) of 0 and 255 for each paint."""
+    """Masks (H, W) of 0 and 255 for each paint."""
 
     green: U8
     orange: U8
@@ -29,27 +29,29 @@ class Masks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscBlob:
-    """What may be the disc, or the part of it that shows."""
+    """A possible disc, or the visible part of it."""
 
     hull: NDArray[np.int32]
-    """(N, 1, 2) px, convex."""
+    """Convex hull, (N, 1, 2) px."""
     touches_border: bool
     plausibility: float
-    """0..1: how much of the hull is paint, its likeness to an ellipse, and the shares of white and orange on it."""
+    """Plausibility, 0..1: painted fraction of the hull, its similarity to an ellipse, and the fractions of white and orange on
+    it.
+    """
     score: float
-    """By it the blobs of one frame compare: plausibility squared times the root of the area."""
+    """Score for comparing the blobs of one frame: plausibility squared times the root of the area."""
 
 
 def choose_blob(masks: Masks, sure: U8, widest_px: int | None = None) -> DiscBlob | None:
-    """The blob most like the disc, or None.
+    """Return the blob most like the disc, or None.
 
     Args:
-        masks: of the whole frame.
-        sure: green beyond doubt; a blob needs some.
+        masks: masks of the whole frame.
+        sure: mask of certain green; a blob needs some.
         widest_px: leave out blobs wider than this and those at the frame's edge.
     """
     height, width = sure.shape
-    # Where ring and disc meet, pixels mix to a hue in neither range; closing bridges that line, so that the blob is one.
+    # Where ring and disc meet, pixels mix to a hue in neither range. Closing bridges that line, so that the blob is one.
     painted = cv2.morphologyEx(cv2.bitwise_or(masks.green, masks.orange), cv2.MORPH_CLOSE, _CLOSE)
     contours, _ = cv2.findContours(painted, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     big = sorted(((cv2.contourArea(c), i) for i, c in enumerate(contours) if len(c) >= 12), reverse=True)[:_BLOBS]
@@ -69,7 +71,7 @@ def choose_blob(masks: Masks, sure: U8, widest_px: int | None = None) -> DiscBlo
         if widest_px is not None and (touches or max(w, h) > widest_px):
             continue
         plausibility = _plausibility(hull, touches, masks)
-        # Square and root keep a large meadow from beating a small disc that carries ring and H.
+        # Square and root prevent a large meadow from beating a small disc that carries ring and H.
         score = plausibility**2 * float(np.sqrt(area))
         if best is None or score > best.score:
             best = DiscBlob(hull, touches, plausibility, score)
@@ -83,7 +85,7 @@ def choose_blob(masks: Masks, sure: U8, widest_px: int | None = None) -> DiscBlo
 
 
 def _plausibility(hull: NDArray[np.int32], touches: bool, masks: Masks) -> float:
-    """0..1: how much of the hull is paint, its likeness to an ellipse, and the shares of white and orange on it."""
+    """Return 0..1: painted fraction of the hull, its similarity to an ellipse, and the fractions of white and orange on it."""
     u0, v0, w, h = cv2.boundingRect(hull)
     inside = np.zeros((h, w), np.uint8)
     cv2.fillConvexPoly(inside, hull - (u0, v0), 255)

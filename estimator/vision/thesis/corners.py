@@ -1,9 +1,9 @@
-"""The corners method: the right angles of the H, for the range where neither disc nor arrow fit into the frame.
+"""The corners method: the right angles of the H, for the range where neither disc nor arrow fits into the frame.
 
-Two inner corners of the cross-bar start it. Their arms tell which two they are: arms that point at each other lie along the
-bar, so the pair stands on a long side; arms that point away from each other lie along one leg, so it stands on a short side.
-The drawing laid on the pair predicts all twelve corners; those found there join the fit. The H is alike from both ends,
-so the heading is known up to 180 degrees.
+Two inner corners of the cross-bar start it. Their arms identify them: arms that point at each other lie along the bar, so the
+pair is on a long side; arms that point away from each other lie along one leg, so the pair is on a short side. The drawing
+aligned with the pair predicts all twelve corners, and the corners found there join the fit. The H is symmetric, so the heading is
+known up to 180 degrees.
 """
 
 from __future__ import annotations
@@ -27,29 +27,31 @@ from estimator.vision.thesis.segmentation import F32, Segmentation
 _MIN_STROKE_PX = 4.5
 _SIGMA_CORNER_PX = 0.06
 _SIGMA_CORNER = 0.004
-"""Of a stroke's width: a shadow's edge across a corner."""
+"""Error of a corner as a fraction of a stroke's width: a shadow's edge across it."""
 _ALONG = math.cos(math.radians(10.0))
-"""Arms along the line between two corners keep to it under any perspective; the diagonal is 18 degrees off the bar."""
+"""Smallest cosine between an arm and the line between its two corners, for any perspective; the diagonal is 18 degrees off the
+bar.
+"""
 _INNER = (2, 3, 8, 9)
 _IS_INNER = np.isin(np.arange(12), _INNER)
-"""Which of `Pad.h_corners` are inner ones: fore port, fore starboard, aft starboard, aft port."""
+"""Mask of the inner corners of `Pad.h_corners`: fore port, fore starboard, aft starboard, aft port."""
 
 Side = Literal["long", "short"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corners:
-    """What the corners method found."""
+    """The result of the corners method."""
 
     marks: Marks
     confidence: float
     features: tuple[Feature, ...]
     side: Side
-    """Which side of the cross-bar the starting pair stood on."""
+    """Side of the cross-bar that the starting pair is on."""
 
 
 def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Corners | None:
-    """The corners of the H, or None when fewer than two inner ones show or they do not fit the drawing."""
+    """Return the corners of the H; None if fewer than two inner ones show or they do not fit the drawing."""
     whiteness = seg.whiteness
     if whiteness is None:
         return None
@@ -100,7 +102,7 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Corners |
 
 
 def side_of(a: RightAngle, b: RightAngle) -> Side | None:
-    """Which side of the cross-bar two inner corners stand on; None when they are no such pair (the diagonal, another H)."""
+    """Return the side of the cross-bar that two inner corners are on; None if they are no such pair (the diagonal, another H)."""
     between = b.uv_px - a.uv_px
     between = between / max(float(np.linalg.norm(between)), 1e-9)
     towards_b, towards_a = float(np.max(a.arms @ between)), float(np.max(b.arms @ -between))
@@ -113,32 +115,32 @@ def side_of(a: RightAngle, b: RightAngle) -> Side | None:
 
 
 Lay = tuple[float, float, float, float]
-"""a, b, x, y of q = [[a, -b], [b, a]] p + [x, y]."""
+"""The parameters a, b, x, y of q = [[a, -b], [b, a]] p + [x, y]."""
 
 
 def _lay(a: int, b: int, side: Side, found: list[RightAngle], plane: F64, drawing: F64) -> Lay | None:
-    """The drawing laid on two inner corners; of the two ways round either, the way that keeps the paint on the right side.
+    """Align the drawing with two inner corners; of the two orientations take the one with the paint on the right side.
 
-    Going clockwise round the drawing, fore port to fore starboard is the fore long side, fore starboard to aft starboard the
-    starboard short side. The arm that is not along the pair points forward from the fore side, inwards from the short one.
+    Clockwise around the drawing, fore port to fore starboard is the fore long side, and fore starboard to aft starboard is the
+    starboard short side. The arm that is not along the pair points forward from the fore side, and inward from the short one.
     """
     between = found[b].uv_px - found[a].uv_px
     across = [arm for arm in found[a].arms if abs(float(arm @ between)) < 0.7 * float(np.linalg.norm(between))]
     if len(across) != 1:
         return None
-    # The camera sees the deck from above: level axes forward, right are turned, never mirrored, against u, v.
+    # The camera sees the deck from above: the level axes forward, right are rotated against u, v but never mirrored.
     turn = float(between[0] * across[0][1] - between[1] * across[0][0])
     if side == "long":
-        # fore port to fore starboard (+y) has its legs' arms along +x: from +y to +x is anticlockwise.
+        # From fore port to fore starboard (+y) the legs' arms point along +x: from +y to +x is anticlockwise.
         first, second = (_INNER[0], _INNER[1]) if turn < 0 else (_INNER[1], _INNER[0])
     else:
-        # fore starboard to aft starboard (-x) has its bar's arms along -y: from -x to -y is clockwise.
+        # From fore starboard to aft starboard (-x) the bar's arms point along -y: from -x to -y is clockwise.
         first, second = (_INNER[1], _INNER[2]) if turn > 0 else (_INNER[2], _INNER[1])
     return _similarity(drawing[[first, second]], plane[[a, b]])
 
 
 def _match(found: list[RightAngle], plane: F64, drawing: F64, lay: Lay, pad: Pad) -> tuple[list[tuple[int, int]], float]:
-    """Corners found where the drawing has one of their kind, and the rms of their distance in widths of a leg."""
+    """Match corners with the drawing's corners of the same kind; return the pairs and the rms distance in widths of a leg."""
     other_kind = np.array([c.inner for c in found])[:, None] != _IS_INNER[None, :]
     for round_ in range(2):
         predicted = _apply(lay, drawing)
@@ -171,7 +173,7 @@ def _match(found: list[RightAngle], plane: F64, drawing: F64, lay: Lay, pad: Pad
 
 
 def _painted(lay: Lay, seg: Segmentation, view: OrientedCamera, pad: Pad, whiteness: F32) -> bool:
-    """Whether the frame is white where the laid drawing is and not where it is not, at the places that lie in the frame."""
+    """Return whether the frame is white on the aligned drawing and not white beside it, at the points inside the frame."""
     leg_y = 0.5 * (pad.h_width_m - pad.leg_width_m)
     ends = 0.4 * pad.h_length_m
     white = [(0.0, 0.0), (0.0, leg_y), (0.0, -leg_y), (ends, leg_y), (ends, -leg_y), (-ends, leg_y), (-ends, -leg_y)]
@@ -198,7 +200,7 @@ def _painted(lay: Lay, seg: Segmentation, view: OrientedCamera, pad: Pad, whiten
 
 
 def _stroke(h: U8) -> float:
-    """Width of the strokes of a white shape: twice its area over its outline, px."""
+    """Return the width of the strokes of a white shape, px: twice its area over its perimeter."""
     contours, _ = cv2.findContours(h, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     if not contours:
         return 0.0
@@ -209,7 +211,7 @@ def _stroke(h: U8) -> float:
 
 
 def _similarity(p: F64, q: F64) -> Lay | None:
-    """Least-squares shift, turn and scale from p to q, (N, 2) each."""
+    """Fit shift, rotation and scale from p to q, (N, 2) each, by least squares."""
     pc, qc = p.mean(axis=0), q.mean(axis=0)
     dp, dq = p - pc, q - qc
     spread = float(np.sum(dp * dp))

@@ -1,4 +1,4 @@
-"""One look at one frame: every method's sighting and the one that speaks for the frame."""
+"""Run all methods of the thesis on one frame, and select one of their sightings."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ from estimator.vision.thesis.select import choose, with_heading_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """What one frame says of the pad."""
+    """The detection of the pad in one frame."""
 
     selected: Sighting | None
-    """The chosen method's sighting with `method` "selected", its heading settled by the arrow where both show; None when there is
-    none."""
+    """The chosen method's sighting with `method` "selected"; None if there is none. If both show, the arrow resolves an ambiguous
+    heading.
+    """
     chosen: Method | None
     methods: Mapping[Method, Sighting | None]
-    """Every method that was tried."""
+    """The sighting of every method that was tried."""
 
 
 def detect(
@@ -39,11 +40,11 @@ def detect(
     *,
     sigma_deck_rad: float = SIGMA_DECK_RAD,
 ) -> Detection:
-    """All methods on one frame. A pure function: same values in, same values out.
+    """Run all methods on one frame. This is a pure function.
 
     Args:
-        attitude: at the frame's exposure; None takes the vehicle as level, which the covariance shows.
-        sigma_deck_rad: one standard deviation of the deck's roll and pitch, which is taken as level.
+        attitude: the attitude at the frame's exposure. None assumes a level vehicle, with a wide covariance.
+        sigma_deck_rad: one standard deviation of the roll and pitch of the deck, which is assumed level.
 
     Raises:
         ValueError: the frame is not of the camera's size.

@@ -1,8 +1,8 @@
-"""The ellipse method: the outline of the disc, the only mark seen from afar. It tells the place, not the heading.
+"""The ellipse method: the outline of the disc, the only mark visible from afar. It gives the position but not the heading.
 
-Edge points are measured between pixels, across the outline, in the colours of each place; they are brought into the level plane,
-where the outline of a level disc is a circle and its centre is the frame of the disc's centre (in the frame itself the
-centre of the ellipse is not); and an ellipse is fitted there.
+Edge points are measured between pixels, across the outline, from the local colours. They are mapped to the level plane, where the
+outline of a level disc is a circle whose centre is the disc's centre (in the frame itself the centre of the ellipse is not the
+image of the disc's centre). An ellipse is fitted there.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from estimator.vision.thesis.segmentation import Segmentation
 _POINTS = 120
 _MIN_RADIUS_PX = 3.0
 _SIGMA_EDGE_PX = 0.06
-"""What all edge points may have in common (blur, the eye's curve of brightness, paint), so that it does not average out."""
+"""Error that all edge points may have in common (blur, tone curve, paint), so that it does not average out."""
 _BLUR_PX2 = 0.8
-"""Half-way points of a bent, blurred edge lie off it by about the blur's variance over the radius."""
+"""Half-way points of a curved, blurred edge are displaced by about the blur's variance over the radius."""
 _CORRELATED = 4.0
-"""Neighbouring edge points share pixels and so errors: as many points are worth one."""
+"""Number of neighbouring edge points that count as one, because they share pixels and so errors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """Centre, semi-axes (the longer first) and the direction of the longer, in the units of the points it was fitted to."""
+    """Centre, semi-axes (the longer first) and direction of the longer, in the units of the fitted points."""
 
     x: float
     y: float
@@ -40,14 +40,14 @@ class Ellipse:
     angle_rad: float
 
     def points(self, n: int, scale: float = 1.0) -> F64:
-        """(n, 2) on the outline, `scale` times its size."""
+        """Return (n, 2) points on the outline, `scale` times its size."""
         t = np.linspace(0.0, math.tau, n, endpoint=False)
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         e, f = scale * self.a * np.cos(t), scale * self.b * np.sin(t)
         return np.stack([self.x + e * c - f * s, self.y + e * s + f * c], axis=1)
 
     def normals(self, n: int) -> F64:
-        """(n, 2) unit vectors out of the outline at `points(n)`."""
+        """Return (n, 2) outward unit normals of the outline at `points(n)`."""
         t = np.linspace(0.0, math.tau, n, endpoint=False)
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         e, f = self.b * np.cos(t), self.a * np.sin(t)
@@ -55,7 +55,7 @@ class Ellipse:
         return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
     def residuals(self, xy: F64) -> F64:
-        """(N,) signed distances from the outline along the ray from the centre, times the local shrinking to the normal."""
+        """Return (N,) signed distances from the outline along the ray from the centre, scaled to the normal."""
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         dx, dy = xy[:, 0] - self.x, xy[:, 1] - self.y
         e, f = (dx * c + dy * s) / self.a, (dy * c - dx * s) / self.b
@@ -65,10 +65,11 @@ class Ellipse:
 
 
 def fit_ellipse(xy: F64) -> Ellipse | None:
-    """Direct least-squares ellipse through (N, 2) points, N >= 6; None when they determine none.
+    """Fit an ellipse to (N, 2) points, N >= 6, by direct least squares; return None if they determine none.
 
-    Points are centred and scaled first, without which the scatter matrix mixes numbers of size 1 and 1e11. Of the three
-    eigenvectors the one with 4ac - b^2 > 0 is the ellipse; there is exactly one.
+    Points are centred and scaled first; otherwise the scatter matrix mixes numbers of size 1 and 1e11. Of the three eigenvectors
+    the one with 4ac - b^2 > 0 is the ellipse; there is exactly one.
+
     Source: Halir and Flusser, Numerically stable direct least squares fitting of ellipses, 1998, section 3.
     """
     if len(xy) < 6 or not np.all(np.isfinite(xy)):
@@ -93,7 +94,7 @@ def fit_ellipse(xy: F64) -> Ellipse | None:
         return None
     A, B, C = vectors[:, k]
     D, E, F = T @ vectors[:, k]
-    # Centre where the gradient vanishes; semi-axes from the eigenvalues of the quadratic part about it.
+    # The centre is where the gradient vanishes; the semi-axes follow from the eigenvalues of the quadratic part about it.
     det = 4.0 * A * C - B * B
     cx, cy = (B * E - 2.0 * C * D) / det, (B * D - 2.0 * A * E) / det
     level = -(A * cx * cx + B * cx * cy + C * cy * cy + D * cx + E * cy + F)
@@ -111,7 +112,7 @@ def fit_ellipse(xy: F64) -> Ellipse | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscOutline:
-    """What the ellipse method found."""
+    """The result of the ellipse method."""
 
     marks: Marks
     confidence: float
@@ -119,7 +120,7 @@ class DiscOutline:
 
 
 def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> DiscOutline | None:
-    """The disc's outline, or None when it leaves the frame, is too small, or is no ellipse."""
+    """Return the disc's outline; None if it leaves the frame, is too small, or is no ellipse."""
     if seg.touches_border:
         return None
     coarse = fit_ellipse(_resampled(seg.hull_px))
@@ -150,7 +151,7 @@ def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> DiscOutline 
     if rms_px > max(0.5, 0.02 * radius_px) or roundness < least_round - 0.6 / radius_px or share < 0.55:
         return None
 
-    # Tilt nobody told of shortens one axis only; noise alone lengthens the longer one, so the mean is right where tilt is known.
+    # An unknown tilt shortens one axis only, and noise alone lengthens the longer one, so the mean is right if the tilt is known.
     radius = math.sqrt(ellipse.a * ellipse.b) if view.orientation.measured else ellipse.a
     angles = np.linspace(0.0, math.tau, 8, endpoint=False)
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -173,7 +174,7 @@ def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> DiscOutline 
 
 
 def _goes_on_outside(seg: Segmentation, outline: Ellipse) -> bool:
-    """Whether the disc's colour comes back a little outside: then it is the inner disc, its edge the ring's."""
+    """Return whether the disc's colour continues a little outside: then this is the inner disc, and its edge is the ring's."""
     light = []
     for scale in (0.85, 1.15):
         at = (outline.points(_POINTS, scale) - seg.origin_px).astype(np.float32)
@@ -184,7 +185,7 @@ def _goes_on_outside(seg: Segmentation, outline: Ellipse) -> bool:
 
 
 def _resampled(hull: F64) -> F64:
-    """Points at equal steps along the closed hull: its corners alone weigh the bent parts too much."""
+    """Resample the closed hull at equal steps; its vertices alone would overweight the curved parts."""
     closed = np.concatenate([hull, hull[:1]])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], 90, endpoint=False)
@@ -192,7 +193,7 @@ def _resampled(hull: F64) -> F64:
 
 
 def _rim_axis(pad: Pad) -> F64 | None:
-    """(3,) blue, green, red: the direction from the disc's paint to its rim's, grey taken out; None for a pad without rim."""
+    """Return the (3,) blue, green, red direction from the disc's paint to its rim's, without grey; None for a pad without rim."""
     if pad.colours.rim is None or pad.rim_width_m <= 0.0:
         return None
     step = np.array(pad.colours.rim[::-1], dtype=float) - pad.colours.disc[::-1]
@@ -200,12 +201,12 @@ def _rim_axis(pad: Pad) -> F64 | None:
 
 
 def _edges(seg: Segmentation, ellipse: Ellipse, reach_px: float, rim_axis: F64 | None, n: int = _POINTS) -> F64:
-    """(N, 2) px where the colour along the normals of the ellipse is half-way from inside to outside, N <= n.
+    """Return (N, 2) px where the colour along the normals of the ellipse is half-way from inside to outside, N <= n.
 
-    Colours are compared as they are on this stretch: the step from the mean colour well inside to the mean well outside is cut
-    at its half. A search (reach over 4 px) takes the first place where the colour has left the inside's by half of the most it
-    ever leaves it. Towards a rim, the way along `rim_axis` counts, up to the most of it on this stretch: what lies beyond a rim
-    only a pixel or two wide then does not.
+    The reference colours are local: the step from the mean colour well inside to the mean well outside is cut at its half. A
+    search (reach over 4 px) takes the first point where the colour differs from the inside's by half of its largest difference.
+    Towards a rim, the component along `rim_axis` counts, up to its largest value; what lies beyond a rim only a pixel or two wide
+    is then ignored.
     """
     step = 0.5 if reach_px <= 6.0 else 1.0
     s = np.arange(-reach_px, reach_px + 1e-9, step)
@@ -238,7 +239,7 @@ def _edges(seg: Segmentation, ellipse: Ellipse, reach_px: float, rim_axis: F64 |
 
 
 def _robust_fit(xy: F64) -> tuple[Ellipse, np.ndarray[tuple[int], np.dtype[np.bool_]]] | None:
-    """An ellipse and which points it agrees with; it is fitted a second time without what lies far off."""
+    """Fit an ellipse and return it with the mask of its inliers; the second fit leaves out the outliers of the first."""
     inside = np.all(np.isfinite(xy), axis=1)
     ellipse = None
     for _ in range(2):

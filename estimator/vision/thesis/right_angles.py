@@ -1,9 +1,9 @@
-"""Right-angled corners at sub-pixel precision, with the directions of their arms.
+"""Find right-angled corners at sub-pixel precision, with the directions of their arms.
 
-A corner is where a small circle about it crosses paint and ground twice, the crossings a right angle apart: with a quarter
-of the circle on paint it is the tip of something, with three quarters an inner corner. Crossings on circles of several
-radii lie on the two arms; the arms, fitted as lines, meet in the corner. Neighbourhood averages, which depend on the range,
-are not needed, and nothing is rounded or drawn into the frame that is measured.
+Around a corner a small circle crosses between paint and ground twice, with the crossings a right angle apart. With a quarter of
+the circle on paint the corner is a tip; with three quarters it is an inner corner. The crossings on circles of several radii lie
+on the two arms; lines fitted to them meet in the corner. This needs no neighbourhood averages, which depend on the range, and no
+rounding or drawing into the frame that is measured.
 """
 
 from __future__ import annotations
@@ -21,31 +21,32 @@ from estimator.vision.thesis.segmentation import F32
 
 _RADII = 7
 _MIN_RADIUS_PX = 1.6
-"""Closer in, blur rounds the corner."""
+"""Smallest radius of a circle, px; closer in, blur rounds the corner."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RightAngle:
-    """One corner in the coordinates of the channel it was found in."""
+    """A corner, in the coordinates of the channel it was found in."""
 
     uv_px: F64
-    """(2,)."""
+    """Position, (2,) px."""
     arms: F64
-    """(2, 2) unit vectors from the corner along its edges; the second follows the first by some 90 degrees, and between them lies
-    the smaller side: paint of a tip, ground of an inner corner."""
+    """Unit vectors from the corner along its edges, (2, 2). The second follows the first by about 90 degrees; between them lies
+    the smaller side: paint for a tip, ground for an inner corner.
+    """
     inner: bool
-    """Three quarters of its surroundings are paint."""
+    """True if three quarters of its surroundings are paint."""
     sigma_px: float
     """One standard deviation of `uv_px` in each axis."""
 
 
 def candidates(share: F32, where: U8, stroke_px: float) -> F64:
-    """(N, 2) px where the Harris response peaks, to a few pixels, strongest first; N <= 40.
+    """Return (N, 2) px of the peaks of the Harris response, good to a few pixels, strongest first; N <= 40.
 
     Args:
-        share: (h, w) share of paint.
-        where: (h, w) mask of where to look.
-        stroke_px: width of the strokes that make the corners; the search runs at a scale where it is some 8 px.
+        share: (h, w) coverage by paint.
+        where: (h, w) mask of the search area.
+        stroke_px: width of the strokes that form the corners; the search runs at a scale where it is about 8 px.
     """
     k = max(1, int(stroke_px / 8.0))
     h, w = share.shape
@@ -65,14 +66,14 @@ def candidates(share: F32, where: U8, stroke_px: float) -> F64:
 
 
 def refine(share: F32, uv_px: F64, reach_px: float, paint: F64 | None = None, settled: bool = False) -> list[RightAngle]:
-    """The right-angled corners among the candidates, each once.
+    """Return the right-angled corners among the candidates, each once.
 
     Args:
-        share: (h, w) share of paint, 0 ground, 1 paint.
+        share: (h, w) coverage by paint: 0 is ground, 1 is paint.
         uv_px: (N, 2) candidates, off by up to half of `reach_px`.
-        reach_px: radius within which a corner shows nothing but its two arms.
+        reach_px: radius within which only a corner's two arms show.
         settled: the candidates are corners already, off by a fraction of a pixel.
-        paint: (N,) the share that counts as full about each, 1 where not given; an edge is where half of it is reached.
+        paint: (N,) coverage that counts as full at each candidate, 1 by default; the edge is at half of it.
     """
     if len(uv_px) == 0 or reach_px < _MIN_RADIUS_PX + 0.8:
         return []
@@ -80,7 +81,7 @@ def refine(share: F32, uv_px: F64, reach_px: float, paint: F64 | None = None, se
     level = 0.5 * (np.ones(len(at)) if paint is None else paint)
     radii = np.linspace(max(_MIN_RADIUS_PX, 0.3 * reach_px), reach_px, _RADII)
     if not settled:
-        # From a start that is off, only the outer circles surely enclose the corner.
+        # From an inexact start, only the outer circles certainly enclose the corner.
         first = _fit(share, at, np.linspace(0.5 * reach_px, reach_px, 4), level)
         at, level = first.uv[first.ok], level[first.ok]
         if len(at) == 0:
@@ -102,9 +103,9 @@ class _Fits:
 
 
 def _fit(share: F32, at: F64, radii: F64, level: F64) -> _Fits:
-    """Circles about (N, 2) places, the two crossings of each, a line through those of each arm, and where the lines meet."""
+    """Fit a line to each arm from the two crossings of circles about (N, 2) points, and return the lines' intersections."""
     n, m = len(at), len(radii)
-    # Steps of 0.7 px at most, or an edge fits between two samples and its crossing is off.
+    # Steps are 0.7 px at most; otherwise an edge fits between two samples and its crossing is off.
     count_a = int(np.clip(math.ceil(math.tau * radii[-1] / 0.7), 48, 256))
     angle = np.arange(count_a) * (math.tau / count_a)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -154,7 +155,10 @@ def _fit(share: F32, at: F64, radii: F64, level: F64) -> _Fits:
 
 
 def _lines(pts: F64, weight: F64, origin: F64) -> tuple[F64, F64, F64]:
-    """Weighted total-least-squares lines through (N, M, 2): a point (N, 2), a direction away from `origin` (N, 2), rms (N,)."""
+    """Fit weighted total-least-squares lines to (N, M, 2) points.
+
+    Return a point (N, 2), a direction away from `origin` (N, 2), and the rms (N,).
+    """
     total = np.maximum(weight.sum(axis=1), 1e-9)
     centre = np.einsum("nm,nmi->ni", weight, pts) / total[:, None]
     d = pts - centre[:, None, :]

@@ -1,8 +1,8 @@
-"""Colour segmentation: where green, orange and white are, which green blob is the disc, and which white on it is the H.
+"""Colour segmentation: masks of green, orange and white, the green blob that is the disc, and the white on it that is the H.
 
-The limits are those of the thesis (table 4.1) as whole numbers of OpenCV's HSV scale (hue 0..180, the rest 0..255),
-both ends included. Masks only say where to look; positions are measured in `Segmentation.light` and in the shares of paint that
-`whiteness` and `orangeness` take from it.
+The limits are those of the thesis (table 4.1) as whole numbers of OpenCV's HSV scale (hue 0..180, the rest 0..255), both ends
+included. Masks only select regions. Positions are measured in `Segmentation.light` and in the coverage by paint that `whiteness`
+and `orangeness` derive from it.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ Triple = tuple[int, int, int]
 
 _SPOTS = 6
 _FAINT_PX = 24
-"""Widest disc that may consist of nothing but mixed pixels."""
+"""Widest disc that may consist only of mixed pixels."""
 _FAINT_SATURATION = 30
-"""Below this, grey passes for faint paint."""
+"""Saturation below which grey is taken for faint paint."""
 _PLAIN = 0.7
-"""Plausibility from which on the limits proper are taken to do."""
+"""Plausibility above which the strict limits suffice."""
 _MIN_CONTRAST = 5.0
-"""Of 255, in linear light: less between two paints is noise."""
+"""Smallest contrast between two paints, of 255 in linear light; less is noise."""
 _LINEAR = np.asarray(255.0 * LINEAR_LIGHT, np.float32)
-"""Light behind each of the 256 values: a lens and a sensor add up light, and the tone curve comes last. Measured in the values
-themselves, the edge between dark and bright paint lies a fifth of a pixel off. Source: IEC 61966-2-1."""
+"""Linear light of each of the 256 values. A lens and a sensor add light, and the tone curve comes last; measured in the values
+themselves, the edge between dark and bright paint is off by a fifth of a pixel. Source: IEC 61966-2-1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,26 +49,30 @@ class HsvRange:
                 raise ValueError(f"an HSV range needs 0 <= low <= high <= (180, 255, 255), got {self.low}..{self.high}")
 
     def mask(self, hsv: U8) -> U8:
-        """(H, W, 3) HSV to (H, W) of 0 and 255."""
+        """Convert (H, W, 3) HSV to an (H, W) mask of 0 and 255."""
         return np.asarray(cv2.inRange(hsv, self.low, self.high), np.uint8)
 
     def paler(self) -> HsvRange:
-        """For green: half as saturated, half as bright, a little off in hue; paint in shade, or mixed at an edge."""
+        """Return the limits for pale green: half as saturated, half as bright, slightly different in hue; paint in shade or mixed
+        at an edge.
+        """
         (h0, s0, v0), (h1, s1, v1) = self.low, self.high
         return HsvRange((max(0, h0 - 8), s0 // 2, v0 // 2), (min(180, h1 + 8), s1, v1))
 
     def darker(self) -> HsvRange:
-        """For orange: half as bright. A paler orange would be wood or skin, another hue the rim."""
+        """Return the limits for dark orange: half as bright. A paler orange would be wood or skin, another hue the rim."""
         return HsvRange((*self.low[:2], self.low[2] // 2), self.high)
 
     def faint_to(self, other: HsvRange) -> HsvRange:
-        """Every hue from this range's to the other's, at a quarter of this one's saturation: paints mixed with each other and the
-        ground, as on a disc only a few pixels wide."""
+        """Return all hues from this range's to the other's, at a quarter of this one's saturation.
+
+        These are paints mixed with each other and the ground, as on a disc only a few pixels wide.
+        """
         low, high = min(self.low[0], other.low[0]), max(self.high[0], other.high[0])
         return HsvRange((low, self.low[1] // 4, self.low[2] // 2), (high, 255, 255))
 
     def duller(self) -> HsvRange:
-        """For white: more saturated by half and darker by a quarter."""
+        """Return the limits for dull white: more saturated by half and darker by a quarter."""
         (h0, s0, v0), (h1, s1, v1) = self.low, self.high
         return HsvRange((h0, s0, v0 * 3 // 4), (h1, min(255, s1 + s1 // 2), v1))
 
@@ -106,34 +110,35 @@ COLOUR_SETS: Mapping[str, ColourSet] = MappingProxyType({s.name: s for s in (SIM
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segmentation:
-    """What one frame holds, cropped to the region of interest around the chosen disc.
+    """The masks and light of one frame, cropped to the region of interest around the chosen disc.
 
-    Masks are (h, w) of 0 and 255; `origin_px` (u, v) of their top-left pixel brings their coordinates to the whole frame.
+    Masks are (h, w) of 0 and 255. Adding `origin_px` (u, v), their top-left pixel, gives coordinates in the whole frame.
     """
 
     size_px: tuple[int, int]
     """Width and height of the whole frame."""
     origin_px: tuple[int, int]
     light: F32
-    """(h, w, 3) blue, green, red in linear light, 0..255."""
+    """Linear light, (h, w, 3) blue, green, red, 0..255."""
     green: U8
     orange: U8
     h: U8
-    """The H: white inside the disc, grown to all pixels that are at least half white, cleared of lesser spots."""
+    """Mask of the H: white inside the disc, grown to all pixels that are at least half white, without smaller components."""
     whiteness: F32 | None
-    """(h, w) share of white paint in each pixel: 0 on green, 1 inside the H; None where there is no H to scale by.
+    """Coverage by white paint, (h, w): 0 on green, 1 inside the H; None if there is no H to scale by.
 
-    It comes from the least of blue, green and red, of which green and orange paint have next to none."""
+    It is computed from the least of blue, green and red, which is nearly zero for green and orange paint.
+    """
     hull_px: F64
-    """(N, 2) convex outline of the visible disc, in the whole frame's pixels."""
+    """Convex outline of the visible disc, (N, 2) px of the whole frame."""
     touches_border: bool
-    """The disc reaches the edge of the frame."""
+    """True if the disc reaches the edge of the frame."""
     h_touches_border: bool
     plausibility: float
-    """0..1: how well the blob's solidity and the shares of white and orange on it fit the pad."""
+    """Plausibility, 0..1: the fit of the blob's solidity and of the fractions of white and orange on it to the pad."""
 
     def orangeness(self) -> F32 | None:
-        """(h, w) share of orange paint: red less blue, 0 on green and on white. None where there is no orange."""
+        """Return the (h, w) coverage by orange paint: red minus blue, 0 on green and on white; None if there is no orange."""
         if not self.orange.any():
             return None
         red_less_blue = self.light[:, :, 2] - self.light[:, :, 0]
@@ -142,7 +147,7 @@ class Segmentation:
 
 
 def segment(px: U8, colours: ColourSet) -> Segmentation | None:
-    """Segment a whole frame; None when nothing green in it can be the disc.
+    """Segment a whole frame; return None if nothing green in it can be the disc.
 
     Args:
         px: (H, W, 3) BGR.
@@ -153,7 +158,7 @@ def segment(px: U8, colours: ColourSet) -> Segmentation | None:
     masks = Masks(*(r.mask(hsv) for r in (colours.green, colours.orange, colours.white)))
     chosen = choose_blob(masks, masks.green)
     if chosen is None or chosen.plausibility < _PLAIN:
-        # Shade, or mixture at the edges of a small disc, leaves pieces: count paler paint too where that is more like a pad.
+        # Shade, or mixing at the edges of a small disc, leaves fragments. Paler paint counts too if that resembles a pad more.
         paler = (colours.green.paler(), colours.orange.darker(), colours.white.duller())
         pale = Masks(*(r.mask(hsv) for r in paler))
         again = choose_blob(pale, masks.green)
@@ -173,7 +178,7 @@ def segment(px: U8, colours: ColourSet) -> Segmentation | None:
     roi = np.s_[top:bottom, left:right]
     inside = np.zeros((bottom - top, right - left), np.uint8)
     cv2.fillConvexPoly(inside, hull - (left, top), 255)
-    # White of the deck mixes into the disc's edge; the H ends far inside it. erode() does not eat from the frame's own edge.
+    # White of the deck mixes into the disc's edge; the H ends far inside it. erode() does not shrink at the frame's own edge.
     rounds = max(1, round(0.03 * max(w, h)))
     inside = np.asarray(cv2.erode(inside, np.ones((3, 3), np.uint8), iterations=rounds), np.uint8)
     light = np.asarray(cv2.LUT(px[roi], _LINEAR), np.float32)
@@ -200,10 +205,10 @@ def segment(px: U8, colours: ColourSet) -> Segmentation | None:
 
 
 def _h_marking(px: U8, white: U8, green: U8, inside: U8, disc_cut: bool) -> tuple[U8, F32 | None]:
-    """The H and the share of white paint.
+    """Return the mask of the H and the coverage by white paint.
 
-    The limits for white give the seeds, in poor light only the brightest parts; the share scaled by them gives the H whole. It is
-    computed around the seeds only, half as far again on every side, and is 0 elsewhere.
+    The limits for white give the seeds, which in poor light are only the brightest parts; the coverage scaled by them gives the
+    whole H. It is computed around the seeds, half as far again on every side, and is 0 elsewhere.
     """
     seeds = _largest(np.asarray(cv2.bitwise_and(white, inside), np.uint8), green, disc_cut)
     u, v, w, h = cv2.boundingRect(seeds)
@@ -229,13 +234,16 @@ def _h_marking(px: U8, white: U8, green: U8, inside: U8, disc_cut: bool) -> tupl
 
 
 def _level(share: F32, h: U8) -> None:
-    """Divide, in place, by the light on the H round about: across a shadow's edge or worn paint, half of the paint there is
-    where an edge lies, not half of the brightest. Done where the H's strokes are wide enough to have a core without edges."""
+    """Divide, in place, by the local light on the H.
+
+    Across a shadow's edge or worn paint, an edge is at half of the local paint, not at half of the brightest. This is done only
+    if the H's strokes are wide enough to have a core without edges.
+    """
     core = cv2.erode(h, np.ones((5, 5), np.uint8), borderType=cv2.BORDER_REPLICATE)
     if cv2.countNonZero(core) < 0.3 * cv2.countNonZero(h):
         return
     u, v, w, height = cv2.boundingRect(h)
-    # A stroke and a half: the H is seven strokes long, and no less than that of it is in the frame when this matters.
+    # A stroke and a half: the H is seven strokes long, and at least that much of it is in the frame when this matters.
     reach = 2 * max(2, max(w, height) // 9) + 1
     box = np.s_[max(0, v - reach) : v + height + reach, max(0, u - reach) : u + w + reach]
     k = max(1, reach // 8)
@@ -249,7 +257,7 @@ def _level(share: F32, h: U8) -> None:
 
 
 def _largest(white: U8, green: U8, disc_cut: bool) -> U8:
-    """The largest white blob and those not far smaller; of a cut disc only what green surrounds."""
+    """Return the largest white components; of a cut disc only those surrounded by green."""
     contours, _ = cv2.findContours(white, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = np.zeros_like(white)
     sized = sorted(((cv2.contourArea(c) + 0.5 * len(c), i) for i, c in enumerate(contours)), reverse=True)[:_SPOTS]
@@ -265,14 +273,14 @@ def _largest(white: U8, green: U8, disc_cut: bool) -> U8:
 
 
 def _surrounded(contour: NDArray[np.int32], green: U8) -> bool:
-    """Whether green lies on the other side of most of a white blob's outline, the frame's edge not counted."""
+    """Return whether green lies outside most of a white component's outline, not counting the frame's edge."""
     height, width = green.shape
     p = contour[:, 0, :].astype(float)
     ahead = np.roll(p, -3, axis=0) - np.roll(p, 3, axis=0)
     outward = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     hits = []
-    # Which of the two normals points out depends on the sense the contour runs in: green is on one side only.
+    # The direction of the outward normal depends on the contour's orientation; green is on one side only.
     for sign in (1.0, -1.0):
         q = np.rint(p + 4.0 * sign * outward).astype(int)
         ok = (q[:, 0] >= 0) & (q[:, 0] < width) & (q[:, 1] >= 0) & (q[:, 1] < height)
@@ -287,7 +295,7 @@ def _on_border(mask: U8, left: bool, top: bool, right: bool, bottom: bool) -> bo
 
 
 def _scaled(channel: F32, zero: U8, one: U8, quantile: float) -> F32 | None:
-    """The channel with the median under mask `zero` brought to 0 and the quantile under mask `one` brought to 1."""
+    """Scale the channel so that the median under mask `zero` becomes 0 and the quantile under mask `one` becomes 1."""
     floor_values, top_values = _under(channel, zero), _under(channel, one)
     if floor_values.size == 0 or top_values.size == 0:
         return None
@@ -305,7 +313,7 @@ def _quantile(values: F32, share: float) -> float:
 
 
 def _under(channel: F32, mask: U8, enough: int = 1500) -> F32:
-    """The values under a mask; of a large one only every so many rows and columns."""
+    """Return the values under a mask; a large mask is thinned to every n-th row and column."""
     step = max(1, int(np.sqrt(cv2.countNonZero(mask) / enough)))
     thin = np.s_[::step, ::step]
     return np.asarray(channel[thin][mask[thin] > 0])

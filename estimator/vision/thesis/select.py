@@ -1,4 +1,4 @@
-"""Which method speaks for the frame."""
+"""Select the method whose sighting is used for a frame."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from estimator.contracts.geometry import wrap_pi
 
 
 def choose(methods: Mapping[Method, Sighting | None], disc_cut: bool) -> Method | None:
-    """The thesis' priorities (section 4.1.5): corners where the disc reaches the frame's edge, else arrow, else ellipse.
+    """Choose by the thesis' priorities (section 4.1.5): corners if the disc reaches the frame's edge, else arrow, else ellipse.
 
-    Where only the corners have an estimate it is taken although the whole disc shows: the thesis had none there and said zeros.
+    If only the corners have an estimate, it is used even if the whole disc shows; the thesis returned zeros there.
 
     Args:
         disc_cut: the disc reaches the frame's edge.
@@ -23,9 +23,9 @@ def choose(methods: Mapping[Method, Sighting | None], disc_cut: bool) -> Method 
 
 
 def with_heading_of(sighting: Sighting, arrow: Sighting | None) -> Sighting:
-    """A heading known up to 180 degrees, settled by an arrow seen in the same frame; unchanged where there is none.
+    """Resolve a heading that is ambiguous by 180 degrees with an arrow in the same frame; without one return it unchanged.
 
-    The arrow decides only which of the two it is; the two must agree to 20 degrees.
+    The arrow only selects one of the two headings; the two must agree to 20 degrees.
     """
     if not sighting.yaw_ambiguous or sighting.yaw_rad is None or arrow is None or arrow.yaw_rad is None:
         return sighting
