@@ -1,4 +1,4 @@
-"""Which way the body was turned at the instant of an exposure."""
+"""Recent attitudes of the body, interpolated to the instant of an exposure."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class AttitudeHistory:
     span_s: float = 1.0
     samples: tuple[Attitude, ...] = field(default=())
     newest_rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Between the two newest samples, in `body`; carries the newest attitude a little past its time."""
+    """Angular rate between the two newest samples, in `body`; it extrapolates the newest attitude a little past its time."""
 
     def add(self, sample: Attitude) -> AttitudeHistory:
-        """With `sample` added; one that is not newer than the newest is ignored."""
+        """Return the history with `sample` added; a sample that is not newer than the newest is ignored."""
         rate = self.newest_rate_rad_s
         kept = self.samples
         if kept:
@@ -39,10 +39,10 @@ class AttitudeHistory:
         return AttitudeHistory(self.span_s, (*kept, sample), rate)
 
     def at(self, instant: MonoNs, stamp: Stamp, reach_s: float = 0.05, gap_s: float = 0.2) -> Attitude | None:
-        """The attitude at `instant`, stamped `stamp`: on the great arc between neighbours, or carried on from the newest.
+        """Return the attitude at `instant`, stamped `stamp`: interpolated on the great arc, or extrapolated from the newest.
 
-        None when `instant` lies before the history, in a gap longer than `gap_s`, or more than `reach_s` past the newest
-        sample. What carrying on costs is added to the covariance: a tenth of the angle turned meanwhile.
+        Return None if `instant` lies before the history, in a gap longer than `gap_s`, or more than `reach_s` past the newest
+        sample. Extrapolation adds to the covariance: one standard deviation is a tenth of the angle turned in that time.
         """
         if not self.samples:
             return None

@@ -1,18 +1,18 @@
-"""Dead reckoning: sightings say where the pad is, the drone's own velocity and heading carry that on between them.
+"""Dead reckoning: sightings give the pad's position, and the drone's own velocity and heading propagate it between them.
 
 Source: Sundvoll, A Camera-Based Perception System for Autonomous Quadcopter Landing on a Marine Vessel, 2020, sec. 4.3, with
-its slips put right: the step of eq. 4.16 is t_n - t_{n-1} and uses the velocity and acceleration at its start; the position
-vector itself is rotated when the drone turns (eq. 4.18, 4.19), not its increment; time advances on sightings too; a heading of
-exactly zero is a heading.
+these corrections: the step of eq. 4.16 is t_n - t_{n-1} and uses the velocity and acceleration at its start; the position vector
+itself is rotated when the drone turns (eq. 4.18, 4.19), not its increment; time advances on sightings too; a heading of exactly
+zero is a valid heading.
 
-How it is kept: the relative motion since the start is summed in axes of fixed heading (an odometer), and a sighting is tied to
-the odometer at its own instant. Carrying a late sighting to now and turning the position vector are then one subtraction and
-one rotation. The pad counts as standing still; how fast it may really move is in the covariance.
+Method: the relative motion since the start is summed in axes of fixed heading (an odometer), and a sighting is anchored to the
+odometer at its own instant. Propagating a late sighting to the present and rotating the position vector are then one subtraction
+and one rotation. The pad is assumed stationary; the covariance includes its possible motion.
 
-Vertical: where the vehicle measures no vertical velocity (AR.Drone), it comes from an alpha-beta filter: position from the
-sightings outright, velocity pulled towards their rate within `vertical_tau_s`, driven by the accelerometer in between and
-leaking to zero within `vertical_leak_s` once sightings stay away. What the accelerometer reads on average over
-`vertical_mean_s` is taken for its bias: nothing accelerates one way for long, and biases of 0.6 m/s^2 are usual.
+Vertical: if the vehicle measures no vertical velocity (AR.Drone), it comes from an alpha-beta filter. The position comes from the
+sightings, and the velocity is corrected towards their rate within `vertical_tau_s`. In between the accelerometer drives it, and
+without sightings it decays to zero within `vertical_leak_s`. The accelerometer's mean over `vertical_mean_s` is taken for its
+bias: nothing accelerates one way for long, and biases of 0.6 m/s^2 are usual.
 """
 
 from __future__ import annotations
@@ -36,53 +36,53 @@ _NEVER = MonoNs(0)
 _KNOT_S = 0.004
 _VERTICAL_HOLD_S = 0.5
 _NOT_MEASURED_VAR = 1e3
-"""(m/s)^2; a velocity axis with more counts as not measured."""
+"""Variance, (m/s)^2, above which a velocity axis counts as not measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Anchor:
-    """The newest sighting, tied to the odometer at its own instant."""
+    """The newest sighting, anchored to the odometer at its own instant."""
 
     t: MonoNs
     d_fixed: F64
-    """(3,) m, `d_body_pad_level` turned into the axes of fixed heading."""
+    """`d_body_pad_level` rotated to the axes of fixed heading, (3,) m."""
     odo: F64
     heading_rad: float
     cov: F64
-    """(4, 4) of the sighting, in its own level axes."""
+    """Covariance of the sighting in its own level axes, (4, 4)."""
     blind_s: float
-    """The state's `blind_s` at the time."""
+    """The state's `blind_s` at that instant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
-    """The belief. Immutable: `step` gives the next one."""
+    """The belief of dead reckoning. Immutable: `step` returns the next one."""
 
     options: DeadReckoningOptions
     t: MonoNs | None = None
-    """The instant the odometer stands at."""
+    """Instant of the odometer."""
     R_ned_body: Rotation | None = None
     heading_rad: float = 0.0
-    """Unwrapped, of the vehicle's own attitude."""
+    """Heading of the vehicle's own attitude, unwrapped."""
     v_rel: F64 = field(default_factory=lambda: np.zeros(3))
-    """(3,) m/s in level axes: of the pad less that of the body."""
+    """Velocity of the pad minus that of the body, (3,) m/s in level axes."""
     a_rel: F64 = field(default_factory=lambda: np.zeros(3))
     v_t: MonoNs | None = None
-    """When the body's velocity was last measured."""
+    """Instant when the body's velocity was last measured."""
     a_t: MonoNs | None = None
     a_vertical_mean: float = 0.0
-    """m/s^2 downward, the accelerometer's slow mean."""
+    """Slow mean of the accelerometer, m/s^2 downward."""
     a_samples: int = 0
     cov_v: F64 = field(default_factory=lambda: np.zeros((3, 3)))
     vertical_measured: bool = False
     vertical_t: MonoNs | None = None
-    """When a pair of sightings last told the vertical velocity."""
+    """Instant when a pair of sightings last corrected the vertical velocity."""
     odo: F64 = field(default_factory=lambda: np.zeros(3))
-    """(3,) m: sum of the relative motion, in axes of fixed heading."""
+    """Sum of the relative motion in axes of fixed heading, (3,) m."""
     blind_s: float = 0.0
-    """Sum of the time in which no velocity was known."""
+    """Total time in which no velocity was known."""
     track: F64 = field(default_factory=lambda: np.zeros((0, 5)))
-    """(n, 5) the odometer's recent past: [s since `epoch`, odo (3), heading]."""
+    """The odometer's recent past, (n, 5): [s since `epoch`, odo (3), heading]."""
     epoch: MonoNs = _NEVER
     anchor: _Anchor | None = None
     arrow_rad: float | None = None
@@ -91,25 +91,25 @@ class DeadReckoning:
     arrow_t: MonoNs = _NEVER
     arrow_ambiguous: bool = False
     agreed: tuple[bool, ...] = ()
-    """Whether each of the last innovations lay inside the covariance claimed."""
+    """Whether each of the last innovations lay inside the claimed covariance."""
     rest: RestCalibration | None = None
 
     @staticmethod
     def start(options: DeadReckoningOptions | None = None) -> DeadReckoning:
-        """Knows nothing yet."""
+        """Return a state without any knowledge."""
         options = options or DeadReckoningOptions()
         return DeadReckoning(options, rest=RestCalibration(options) if options.calibration_s > 0.0 else None)
 
 
 def step(state: DeadReckoning, event: Sample | Sighting) -> tuple[DeadReckoning, Verdict | None]:
-    """Take one sample or one (filtered) sighting.
+    """Process one sample or one (filtered) sighting.
 
-    A sighting replaces the position outright, and the heading if it tells one; it is carried from its own instant to the
-    odometer's. Kinds of sample that say nothing here are passed over.
+    A sighting replaces the position, and the heading if it has one; it is propagated from its own instant to the odometer's.
+    Kinds of sample without use here are ignored.
 
     Returns:
-        The new state; and for a sighting what became of it: FUSED, TOO_OLD (older than the history or than the last one) or
-        NO_ATTITUDE (nothing to level it with yet); None for samples.
+        The new state, and for a sighting its verdict: FUSED, TOO_OLD (older than the history or than the last one) or NO_ATTITUDE
+        (no attitude to level it with yet); None for samples.
     """
     match event:
         case Sighting():
@@ -125,10 +125,10 @@ def step(state: DeadReckoning, event: Sample | Sighting) -> tuple[DeadReckoning,
 
 
 def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
-    """The belief at an instant, past (within the history) or future; None until a first sighting.
+    """Return the belief at an instant, past (within the history) or future; None until a first sighting.
 
-    The covariance grows from the sighting's own: velocity noise, velocity scale, the pad's unknown motion and the heading's
-    drift are each taken as constant since then (an upper bound), so an old sighting is a wide one.
+    The covariance grows from the sighting's own. Velocity noise, velocity scale, the pad's unknown motion and the heading's drift
+    are each taken as constant since then (an upper bound), so an old sighting has a wide covariance.
     """
     anchor = state.anchor
     if anchor is None or state.t is None:
@@ -188,12 +188,12 @@ def at(state: DeadReckoning, now: MonoNs) -> RelativeState | None:
 def _attitude(state: DeadReckoning, sample: Attitude) -> DeadReckoning:
     heading = sample.R_ned_body.rpy_rad[2]
     if state.R_ned_body is None:
-        # what was summed before had no heading; nothing is tied to it yet
+        # The motion summed so far had no heading, and nothing is anchored to it yet.
         fresh = replace(state, t=sample.stamp.measured_at, epoch=sample.stamp.measured_at, track=np.zeros((0, 5)))
         return _knot(replace(fresh, R_ned_body=sample.R_ned_body, heading_rad=heading))
     state = _advance(state, sample.stamp.measured_at)
     turned = wrap_pi(heading - state.heading_rad)
-    # level axes turn with the body: what is held in them turns the other way
+    # Level axes turn with the body, so vectors held in them turn the other way.
     v, a = _turned(state.v_rel, -turned), _turned(state.a_rel, -turned)
     return _knot(replace(state, R_ned_body=sample.R_ned_body, heading_rad=state.heading_rad + turned, v_rel=v, a_rel=a))
 
@@ -232,7 +232,7 @@ def _imu(state: DeadReckoning, sample: Imu) -> DeadReckoning:
     step_s = 0.0 if state.a_t is None else min(seconds_between(state.a_t, sample.stamp.measured_at), state.options.hold_s)
     mean += (a[2] - mean) * max(1.0 / n, 1.0 - math.exp(-step_s / state.options.vertical_mean_s))
     small = np.abs(a) < state.options.acceleration_dead_band_m_s2
-    # the vertical axis has its mean taken off instead: a dead-band would hide how a descent is stopped
+    # On the vertical axis the mean is subtracted instead: a dead-band would hide the end of a descent.
     a = np.array([0.0 if small[0] else a[0], 0.0 if small[1] else a[1], a[2] - mean])
     return replace(state, a_rel=-a, a_t=sample.stamp.measured_at, a_vertical_mean=float(mean), a_samples=n)
 
@@ -278,7 +278,7 @@ def _sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, V
 
 
 def _correct_vertical(state: DeadReckoning, measured_at: MonoNs, innov_m: float, since_last_s: float) -> DeadReckoning:
-    """Pull the vertical velocity towards the sightings' rate and redo the odometer's vertical motion since `taken`."""
+    """Correct the vertical velocity towards the sightings' rate, and the odometer's vertical motion since `measured_at`."""
     o = state.options
     if state.vertical_measured or state.t is None:
         return state
@@ -297,7 +297,7 @@ def _correct_vertical(state: DeadReckoning, measured_at: MonoNs, innov_m: float,
 
 
 def _advance(state: DeadReckoning, to: MonoNs) -> DeadReckoning:
-    """Move the odometer on with what is held; never backwards."""
+    """Propagate the odometer with the held velocity; never backwards."""
     if state.t is None:
         return _knot(replace(state, t=to, epoch=to))
     dt = seconds_between(state.t, to)
@@ -330,14 +330,14 @@ def _advance(state: DeadReckoning, to: MonoNs) -> DeadReckoning:
 
 
 def _overlap_s(measured: MonoNs | None, begin: MonoNs, end: MonoNs, hold_s: float) -> float:
-    """Seconds of [begin, end] in which a sample of instant `measured` still holds."""
+    """Return the seconds of [begin, end] in which a sample of instant `measured` still holds."""
     if measured is None:
         return 0.0
     return max(0.0, min(seconds_between(begin, end), hold_s - seconds_between(measured, begin)))
 
 
 def _knot(state: DeadReckoning) -> DeadReckoning:
-    """Write the odometer into its track: a new row, or over the newest one where that is only just older."""
+    """Write the odometer to its track, as a new row or over the newest one if that is only slightly older."""
     if state.t is None:
         return state
     now_s = seconds_between(state.epoch, state.t)
@@ -350,7 +350,7 @@ def _knot(state: DeadReckoning) -> DeadReckoning:
 
 
 def _past(state: DeadReckoning, when: MonoNs) -> tuple[F64, float]:
-    """Odometer and heading at an instant of the track, held at its ends."""
+    """Return odometer and heading at an instant of the track, clamped to its ends."""
     s = seconds_between(state.epoch, when)
     track = state.track
     row = [float(np.interp(s, track[:, 0], track[:, k])) for k in range(1, 5)]
@@ -371,11 +371,12 @@ def _current_v(state: DeadReckoning, now: MonoNs) -> F64:
 
 
 def _cov_v(state: DeadReckoning, now: MonoNs) -> F64:
-    """(3, 3) (m/s)^2 of `v_pad_level` as far as samples tell it, the scale error aside."""
+    """Return the (3, 3) covariance, (m/s)^2, of `v_pad_level` from the samples, without the scale error."""
     o = state.options
     cov = state.cov_v + o.sigma_pad_v_m_s**2 * np.diag([1.0, 1.0, float(state.vertical_measured)])
     if not state.vertical_measured:
-        # freshly told: the sightings' noise over the time constant; left alone: what a hovering drone over a heaving deck does
+        # Just corrected, it has the sightings' noise over the time constant; later it grows to that of a drone hovering over a
+        # heaving deck.
         told_s = math.inf if state.vertical_t is None else max(0.0, seconds_between(state.vertical_t, now))
         noise = 2.0 * float(state.anchor.cov[2, 2]) / o.vertical_tau_s**2 if state.anchor is not None else 0.0
         cov[2, 2] = noise + o.sigma_vertical_v_m_s**2 * (1.0 - 0.75 * math.exp(-2.0 * told_s / o.vertical_leak_s))
@@ -383,7 +384,7 @@ def _cov_v(state: DeadReckoning, now: MonoNs) -> F64:
 
 
 def _spread(cov_v: F64, elapsed_s: float, now: float) -> F64:
-    """(7, 7) what an error of the velocity, constant over `elapsed_s`, does to position and (times `now`) to velocity."""
+    """Return the (7, 7) effect of a constant velocity error over `elapsed_s` on position and (times `now`) on velocity."""
     g = np.zeros((7, 3))
     g[:3] = elapsed_s * np.eye(3)
     g[3:6] = now * np.eye(3)
@@ -391,11 +392,11 @@ def _spread(cov_v: F64, elapsed_s: float, now: float) -> F64:
 
 
 def _biases(state: DeadReckoning) -> tuple[F64, F64]:
-    """Velocity in level (m/s) and acceleration in body (m/s^2) at rest."""
+    """Return the biases of velocity in level (m/s) and acceleration in body (m/s^2), measured at rest."""
     return (np.zeros(3), np.zeros(3)) if state.rest is None else (state.rest.v_bias_level, state.rest.a_bias_body)
 
 
 def _turned(v: F64, angle_rad: float) -> F64:
-    """(3,) turned about the down axis."""
+    """Rotate a (3,) vector about the down axis."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])

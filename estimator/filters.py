@@ -2,9 +2,9 @@
 
 Source: Sundvoll, A Camera-Based Perception System for Autonomous Quadcopter Landing on a Marine Vessel, 2020, sec. 4.2, eq. 4.15.
 
-The price is delay: a ramp comes out two samples late (one from the median, one from the mean). The filter therefore runs over
-the time stamps too and says for which instant its output holds under uniform motion, so that whoever knows the motion can
-carry the value forward instead of using it late.
+The cost is delay: a ramp comes out two samples late (one from the median, one from the mean). The filter therefore also runs over
+the time stamps and reports the instant at which its output holds under uniform motion, so that a consumer with a motion model can
+propagate the value instead of using it late.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GROUP_DELAY_SAMPLES = (MEDIAN - 1) // 2 + (MEAN - 1) // 2
 _KEPT = MEDIAN + MEAN - 1
 
 VARIANCE_RATIO = (1.0, 0.625, 0.475, 0.322, 0.286)
-"""Variance of the output over that of one sample, by how many samples (1, 2, ... 5 and more) took part; white Gaussian noise."""
+"""Variance of the output over that of one sample, by the number of samples (1, 2, ... 5 and more); for white Gaussian noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,30 +38,30 @@ class _Entry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Filtered:
-    """What the filter makes of the newest sightings."""
+    """The filter's output for the newest sightings."""
 
     measured_at: MonoNs
-    """When the newest sighting that took part was true."""
+    """Measurement instant of the newest sighting that took part."""
     holds_at: MonoNs
-    """The instant the output describes under uniform motion: two samples back once the window is full."""
+    """Instant that the output describes under uniform motion: two samples back once the window is full."""
     d_body_pad_level: F64
-    """(3,) m."""
+    """Position of the pad, (3,) m."""
     v_pad_level: F64 | None
-    """(3,) m/s, slope of the medians (the turning of `level` included); None from a single sighting."""
+    """Relative velocity, (3,) m/s: slope of the medians, including the rotation of `level`; None from a single sighting."""
     yaw_rad: float | None
-    """None while no sighting in the window told it."""
+    """Heading; None while no sighting in the window has one."""
     yaw_ambiguous: bool
-    """No sighting since the last gap told the heading's branch."""
+    """True if no sighting since the last gap resolved the heading's branch."""
     samples: int
-    """How many took part, 1 to 5."""
+    """Number of sightings that took part, 1 to 5."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MedianMean:
-    """The filter's memory: the last five sightings and the heading it last believed. It starts empty, never with zeros."""
+    """The filter's memory: the last five sightings and the last certain heading. It starts empty, never with zeros."""
 
     max_gap_s: float = 0.5
-    """After a pause longer than this the old sightings say nothing of the new ones and are forgotten."""
+    """Pause after which the old sightings are dropped, because they carry no information about the new ones."""
     entries: tuple[_Entry, ...] = ()
     heading_rad: float | None = None
     """The last filtered heading whose branch was certain."""
@@ -72,16 +72,16 @@ class MedianMean:
 
 
 def step(state: MedianMean, t: MonoNs, d: F64, yaw_rad: float | None, ambiguous: bool) -> tuple[MedianMean, Filtered | None]:
-    """Take one sighting.
+    """Process one sighting.
 
-    The window counts sightings, not time; the first outputs use as many as there are. A heading that may as well be 180
-    degrees away is first turned to the branch of the last certain heading since the last gap.
+    The window counts sightings, not time; the first outputs use as many as there are. A heading that is ambiguous by 180 degrees
+    is first turned to the branch of the last certain heading since the last gap.
 
     Args:
-        t: when the sighting was true.
+        t: measurement instant of the sighting.
         d: (3,) m, `d_body_pad_level`.
         yaw_rad: heading against the arrow, or None.
-        ambiguous: the heading may as well be 180 degrees away.
+        ambiguous: the heading may be 180 degrees off.
     Returns:
         The new state and the filtered value; the old state and None for a sighting that is not newer than the last.
     """
@@ -112,10 +112,10 @@ def step(state: MedianMean, t: MonoNs, d: F64, yaw_rad: float | None, ambiguous:
 
 
 def smooth(state: MedianMean, sighting: Sighting) -> tuple[MedianMean, Sighting | None]:
-    """`step` for a whole sighting: what comes out is a sighting stamped with the instant it holds for.
+    """Run `step` on a whole sighting; the result is a sighting stamped with the instant at which it holds.
 
-    Its covariance is the newest sighting's, shrunk by `VARIANCE_RATIO`: right for noise that is white from frame to frame,
-    too small for what stays from frame to frame (tilt, camera mount), so no bias must hide in the noise it is given.
+    Its covariance is the newest sighting's, scaled by `VARIANCE_RATIO`. This is right for noise that is white from frame to frame
+    and too small for errors that persist (tilt, camera mount), so the noise must not include such biases.
     """
     state, out = step(state, sighting.stamp.measured_at, sighting.d_body_pad_level, sighting.yaw_rad, sighting.yaw_ambiguous)
     if out is None:
@@ -140,7 +140,7 @@ def smooth(state: MedianMean, sighting: Sighting) -> tuple[MedianMean, Sighting 
 
 
 def circular_mean(angles_rad: Sequence[float]) -> float:
-    """Direction of the sum of unit vectors, (-pi, pi]; the last angle where they cancel.
+    """Return the direction of the sum of unit vectors, in (-pi, pi]; the last angle if they cancel.
 
     Source: Mardia & Jupp, Directional Statistics, 2000, sec. 2.2.1.
     """
@@ -151,7 +151,7 @@ def circular_mean(angles_rad: Sequence[float]) -> float:
 
 
 def circular_median(angles_rad: Sequence[float]) -> float:
-    """The sample with the least sum of arcs to the others; the circular mean of the best where several tie.
+    """Return the sample with the least sum of arcs to the others; the circular mean of the best if several tie.
 
     Source: Mardia & Jupp, Directional Statistics, 2000, sec. 2.2.2.
     """
@@ -161,13 +161,13 @@ def circular_median(angles_rad: Sequence[float]) -> float:
 
 
 def _medians(x: F64) -> F64:
-    """(n, k) to the (min(n, MEAN), k) newest running medians of up to MEDIAN values."""
+    """Return the (min(n, MEAN), k) newest running medians, each of up to MEDIAN values, of an (n, k) array."""
     n = len(x)
     return np.array([np.median(x[max(0, i - MEDIAN + 1) : i + 1], axis=0) for i in range(max(0, n - MEAN), n)])
 
 
 def _heading(entries: tuple[_Entry, ...], believed: float | None) -> tuple[float | None, bool]:
-    """Filtered heading and whether its branch is certain."""
+    """Return the filtered heading, and whether its branch is certain."""
     known = [(e.yaw_rad, e.ambiguous) for e in entries if e.yaw_rad is not None]
     if not known:
         return None, False
@@ -182,5 +182,5 @@ def _heading(entries: tuple[_Entry, ...], believed: float | None) -> tuple[float
 
 
 def _nearest_branch(yaw_rad: float, reference_rad: float) -> float:
-    """`yaw_rad` or the angle opposite to it, whichever is nearer to the reference."""
+    """Return `yaw_rad` or the opposite angle, whichever is nearer to the reference."""
     return yaw_rad if abs(wrap_pi(yaw_rad - reference_rad)) <= math.pi / 2 else wrap_pi(yaw_rad + math.pi)

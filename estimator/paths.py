@@ -1,4 +1,4 @@
-"""The ways from sightings and samples to a belief, behind one shape: `step(event) -> path, result` and `at(now) -> belief`."""
+"""The estimator paths behind one interface: `step(event) -> path, result` and `at(now) -> belief`."""
 
 from __future__ import annotations
 
@@ -17,18 +17,21 @@ Event = Sample | Sighting
 
 
 class Path(Protocol):
-    """One way to a belief. Immutable."""
+    """One estimator path from samples and sightings to a belief. Immutable."""
 
     @property
     def name(self) -> PathName: ...
 
     def step(self, event: Event) -> tuple[Self, FusionResult | None]:
-        """Take one event. Return the next path and what became of the event: None for a kind of sample that this path has no use
-        for, else the verdict and, where the path compares a measurement with a prediction, the innovation."""
+        """Process one event; return the next path and the result.
+
+        The result is None for a kind of sample that this path does not use. Otherwise it holds the verdict and, if the path
+        compares the measurement with a prediction, the innovation.
+        """
         ...
 
     def at(self, now: MonoNs) -> RelativeState | None:
-        """The belief at an instant, None before there is one."""
+        """Return the belief at an instant; None before there is one."""
         ...
 
 
@@ -36,14 +39,14 @@ class Path(Protocol):
 class MedianMeanPath:
     """The filtered sightings alone, held until the next one.
 
-    The velocity is the slope of the running medians; how far the drone may have moved since is in the covariance.
+    The velocity is the slope of the running medians. The covariance includes the motion of the drone since the sighting.
     """
 
     filter: filters.MedianMean = field(default_factory=filters.MedianMean)
     newest: filters.Filtered | None = None
     sighting: Sighting | None = None
     sigma_v_m_s: float = 0.5
-    """Of the relative velocity that the held value ignores."""
+    """Standard deviation of the relative velocity that the held value ignores."""
 
     @property
     def name(self) -> PathName:
@@ -84,7 +87,7 @@ class MedianMeanPath:
 
 @dataclass(frozen=True, slots=True)
 class DeadReckoningPath:
-    """Sightings through the median and mean, then carried on by the drone's own velocity and heading."""
+    """Sightings through the median and mean, then propagated with the drone's own velocity and heading."""
 
     filter: filters.MedianMean = field(default_factory=filters.MedianMean)
     state: dead_reckoning.DeadReckoning = field(default_factory=dead_reckoning.DeadReckoning.start)
@@ -110,7 +113,7 @@ class DeadReckoningPath:
 
 @dataclass(frozen=True, slots=True)
 class EkfPath:
-    """The error-state filter: every sample and every sighting, late or not."""
+    """The error-state Kalman filter: it fuses every sample and every sighting, late ones included."""
 
     filter: ekf.Ekf
 

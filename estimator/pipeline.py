@@ -1,8 +1,8 @@
-"""One door to the estimator: `step(memory, event) -> memory, results`, and `belief(memory, now)`.
+"""The entry point of the estimator: `step(memory, event) -> memory, results`, and `belief(memory, now)`.
 
-Before any path stands the guard (`estimator.integrity`): what is not fresh, not possible or not about the pad that is followed
-reaches none of them, and ends in a verdict of its own. Several paths can run side by side on the same events; one steers, the
-others are there to be compared.
+The guard (`estimator.integrity`) runs before any path: an input that is not fresh, not possible or not about the tracked pad
+reaches no path and gets a verdict of its own. Several paths can run on the same events; one steers, and the others are for
+comparison.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, P
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """Everything the estimator knows. Immutable."""
+    """The state of the whole estimator. Immutable."""
 
     options: EstimatorOptions
     attitudes: AttitudeHistory
     paths: tuple[Path, ...]
-    """The steering path first."""
+    """The paths; the first one steers."""
     guard: integrity.IntegrityGuard = field(default_factory=integrity.IntegrityGuard)
 
 
 def start(options: EstimatorOptions, shadows: Sequence[PathName] = ()) -> Memory:
-    """Return an estimator that has seen nothing.
+    """Return an estimator without any input.
 
     Args:
-        shadows: paths that run along to be compared and never steer.
+        shadows: paths that run for comparison and never steer.
     """
     names = (options.path, *(name for name in shadows if name != options.path))
     paths = tuple(_path(name, options) for name in names)
@@ -45,14 +45,17 @@ def start(options: EstimatorOptions, shadows: Sequence[PathName] = ()) -> Memory
 
 
 def on_frame(memory: Memory, frame: Frame) -> tuple[Memory, Verdict | None]:
-    """Take one frame before vision does; REPEATED when it shows nothing that was not seen before, else None."""
+    """Check one frame before vision processes it; return REPEATED if it shows nothing new, else None."""
     guard, verdict = integrity.admit_frame(memory.guard, frame)
     return replace(memory, guard=guard), verdict
 
 
 def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]]:
-    """Take one event. A sighting ends in one result for each path; a sample in one for each path that has a use for it, and in
-    one for each path when it is refused before the paths."""
+    """Process one event; return the new memory and the results.
+
+    A sighting gives one result for each path. A sample gives one result for each path that uses it, and one for each path if it
+    is refused before the paths.
+    """
     attitude = None
     if isinstance(event, Sighting):
         attitude = attitude_at(memory, event.stamp)
@@ -84,8 +87,9 @@ def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]
 
 
 def steer_by(memory: Memory, name: PathName) -> Memory:
-    """The same memory with another path steering; the one that did goes on as a shadow. One that did not run along begins with
-    nothing and first has to see the pad.
+    """Return the memory with another path steering; the previous one continues as a shadow.
+
+    A path that did not run before starts empty and first has to see the pad.
 
     Raises:
         ValueError: there is no such path.
@@ -96,18 +100,18 @@ def steer_by(memory: Memory, name: PathName) -> Memory:
 
 
 def belief(memory: Memory, now: MonoNs) -> RelativeState | None:
-    """The steering path's belief, with the track it is about and what speaks against it."""
+    """Return the steering path's belief, with its track number and its doubts."""
     state = memory.paths[0].at(now)
     return None if state is None else _dressed(state, memory.guard, now)
 
 
 def beliefs(memory: Memory, now: MonoNs) -> tuple[RelativeState, ...]:
-    """Every path's belief, the steering one's first where it has one."""
+    """Return every path's belief; the steering path's comes first if it has one."""
     return tuple(_dressed(state, memory.guard, now) for path in memory.paths if (state := path.at(now)) is not None)
 
 
 def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
-    """The attitude at the instant a frame was exposed, None when no sample covers it."""
+    """Return the attitude at the instant a frame was exposed; None if no sample covers it."""
     return memory.attitudes.at(stamp.measured_at, stamp)
 
 

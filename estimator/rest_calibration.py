@@ -1,6 +1,6 @@
-"""What velocity and specific force read when the drone stands still.
+"""Estimate the biases of velocity and specific force while the drone is at rest.
 
-Source: Sundvoll 2020, sec. 4.3: the mean over ten seconds (there 1000 samples) is taken off every later measurement.
+Source: Sundvoll 2020, sec. 4.3: the mean over ten seconds (there 1000 samples) is subtracted from every later measurement.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from estimator.options import DeadReckoningOptions
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestCalibration:
-    """Sums so far; `done` once the means are final."""
+    """The sums so far; `done` is True once the means are final."""
 
     options: DeadReckoningOptions = field(default_factory=DeadReckoningOptions)
     since: MonoNs | None = None
@@ -28,17 +28,17 @@ class RestCalibration:
 
     @property
     def v_bias_level(self) -> F64:
-        """(3,) m/s; zeros until done or where no velocity came."""
+        """Return the bias of the velocity, (3,) m/s; zeros until done or without velocity samples."""
         return self.v_sum / self.v_samples if self.done and self.v_samples else np.zeros(3)
 
     @property
     def a_bias_body(self) -> F64:
-        """(3,) m/s^2; zeros until done."""
+        """Return the bias of the acceleration, (3,) m/s^2; zeros until done."""
         return self.a_sum / self.a_samples if self.done else np.zeros(3)
 
 
 def add_velocity(state: RestCalibration, t: MonoNs, v_level: F64) -> RestCalibration:
-    """Take one measured velocity, (3,) m/s."""
+    """Add one measured velocity, (3,) m/s."""
     if state.done:
         return state
     if float(np.abs(v_level).max()) > state.options.calibration_velocity_max_m_s:
@@ -48,7 +48,7 @@ def add_velocity(state: RestCalibration, t: MonoNs, v_level: F64) -> RestCalibra
 
 
 def add_acceleration(state: RestCalibration, t: MonoNs, a_body: F64) -> RestCalibration:
-    """Take one measured specific force less gravity, (3,) m/s^2 in `body`: zeros from a perfect sensor at rest."""
+    """Add one measured specific force minus gravity, (3,) m/s^2 in `body`; a perfect sensor at rest gives zeros."""
     o = state.options
     if state.done:
         return state
