@@ -305,19 +305,19 @@ def _advance(state: DeadReckoning, to: MonoNs) -> DeadReckoning:
         return state
     o = state.options
     known_s = _overlap_s(state.v_t, state.t, to, o.hold_s)
-    pushed_s = min(_overlap_s(state.a_t, state.t, to, o.hold_s), dt)
+    accelerated_s = min(_overlap_s(state.a_t, state.t, to, o.hold_s), dt)
     a = state.a_rel
-    horizontal = state.v_rel * known_s + 0.5 * a * min(known_s, pushed_s) ** 2
+    horizontal = state.v_rel * known_s + 0.5 * a * min(known_s, accelerated_s) ** 2
     delta = np.array([horizontal[0], horizontal[1], 0.0])
-    v = state.v_rel + a * min(known_s, pushed_s)
+    v = state.v_rel + a * min(known_s, accelerated_s)
     if state.vertical_measured:
         delta[2] = horizontal[2]
     else:
         leak_s = dt - _overlap_s(state.vertical_t, state.t, to, _VERTICAL_HOLD_S)
         keep = math.exp(-leak_s / o.vertical_leak_s)
-        push = float(np.clip(a[2], -3.0, 3.0)) * pushed_s
-        delta[2] = state.v_rel[2] * (dt - leak_s + o.vertical_leak_s * (1.0 - keep)) + 0.5 * push * pushed_s
-        v[2] = (state.v_rel[2] + push) * keep
+        vertical_dv = float(np.clip(a[2], -3.0, 3.0)) * accelerated_s
+        delta[2] = state.v_rel[2] * (dt - leak_s + o.vertical_leak_s * (1.0 - keep)) + 0.5 * vertical_dv * accelerated_s
+        v[2] = (state.v_rel[2] + vertical_dv) * keep
     return _knot(
         replace(
             state,
@@ -377,9 +377,9 @@ def _cov_v(state: DeadReckoning, now: MonoNs) -> F64:
     if not state.vertical_measured:
         # Just corrected, it has the sightings' noise over the time constant; later it grows to that of a drone hovering over a
         # heaving deck.
-        told_s = math.inf if state.vertical_t is None else max(0.0, seconds_between(state.vertical_t, now))
+        correction_age_s = math.inf if state.vertical_t is None else max(0.0, seconds_between(state.vertical_t, now))
         noise = 2.0 * float(state.anchor.cov[2, 2]) / o.vertical_tau_s**2 if state.anchor is not None else 0.0
-        cov[2, 2] = noise + o.sigma_vertical_v_m_s**2 * (1.0 - 0.75 * math.exp(-2.0 * told_s / o.vertical_leak_s))
+        cov[2, 2] = noise + o.sigma_vertical_v_m_s**2 * (1.0 - 0.75 * math.exp(-2.0 * correction_age_s / o.vertical_leak_s))
     return np.asarray(cov)
 
 

@@ -106,8 +106,8 @@ class Vehicle:
         self.phase: Num = zero
         self.tied: Flag = self._never
         """Standing still on the deck and carried with it."""
-        self._tied_d: Vec = (zero, zero, zero)
-        self._tied_q: Quaternion = self.q
+        self._attached_d: Vec = (zero, zero, zero)
+        self._attached_q: Quaternion = self.q
         self.contact_s: Num = zero
         self.airborne_s: Num = zero
         self.ditched: Flag = self._never
@@ -144,8 +144,8 @@ class Vehicle:
 
     def stand(self, ground: Ground, d_pad: F64, yaw_rad: float | F64) -> None:
         """Put it on the deck, motors off: (3,) or (B, 3) m from the pad's centre in the pad frame, heading against the arrow."""
-        self._tied_d = self._vec(d_pad)
-        self._tied_q = quaternion_of_rpy(self._m, self._zero, self._zero, self._number(0.0) + yaw_rad)
+        self._attached_d = self._vec(d_pad)
+        self._attached_q = quaternion_of_rpy(self._m, self._zero, self._zero, self._number(0.0) + yaw_rad)
         self.tied = self._flag(True)
         self.phase = self._number(float(VehiclePhase.LANDED))
         self.thrust_n = self._zero
@@ -309,10 +309,10 @@ class Vehicle:
             deck = over & av.flow_sees_deck
             noise = self._disturbances.flow
             vx, vy = m.where(deck, seen[0], self.v[0]), m.where(deck, seen[1], self.v[1])
-            told_x = av.flow_scale * (cos_psi * vx + sin_psi * vy) + noise[0]
-            told_y = av.flow_scale * (cos_psi * vy - sin_psi * vx) + noise[1]
+            measured_x = av.flow_scale * (cos_psi * vx + sin_psi * vy) + noise[0]
+            measured_y = av.flow_scale * (cos_psi * vy - sin_psi * vx) + noise[1]
             lag = self._alpha[av.flow_lag_s]
-            self.flow = (self.flow[0] + lag * (told_x - self.flow[0]), self.flow[1] + lag * (told_y - self.flow[1]))
+            self.flow = (self.flow[0] + lag * (measured_x - self.flow[0]), self.flow[1] + lag * (measured_y - self.flow[1]))
         else:
             self.flow = (self._zero, self._zero)
         ax, ay, az = self.a
@@ -341,13 +341,13 @@ class Vehicle:
         self._z_hold = m.where(holding, self._z_hold, z + 0.3 * vz)  # where it will have come to a stop
         hold = m.clip(k.height_p * (self._z_hold - z), -limits.vz_max_m_s, limits.vz_max_m_s)
         own = m.where(self.phase == VehiclePhase.LANDING, f.landing_speed_m_s, -f.take_off_speed_m_s)
-        sink_asked = m.where(holding, hold, m.where(flying, -gaz * limits.vz_max_m_s, own))
-        e = sink_asked - vz
+        descent_rate_demand = m.where(holding, hold, m.where(flying, -gaz * limits.vz_max_m_s, own))
+        e = descent_rate_demand - vz
         gain = m.where((self.contact_s > 0.0) | (self.phase == VehiclePhase.LANDED), 0.0, k.climb_i * dt)
         iz = m.clip(self._integral[2] + gain * e, -k.climb_i_max_m_s2, k.climb_i_max_m_s2)
         self._integral = (ix, iy, iz)
-        sink = k.climb_p * e - k.climb_d * az + iz
-        thrust = f.mass_kg * (GRAVITY_M_S2 - sink) / m.clip(rows[2][2], 0.5, 1.0)
+        descent_acceleration = k.climb_p * e - k.climb_d * az + iz
+        thrust = f.mass_kg * (GRAVITY_M_S2 - descent_acceleration) / m.clip(rows[2][2], 0.5, 1.0)
         return m.clip(thrust, 0.0, f.thrust_max_n), torque
 
     def _fly(self, ground: Ground, a: Vec, turn: Vec) -> None:
@@ -384,14 +384,14 @@ class Vehicle:
     def _carried(self, ground: Ground) -> tuple[Vec, Vec, Quaternion, Vec]:
         """p, v, q, w of a body tied to the deck."""
         m = self._m
-        d = rotate(ground.R, self._tied_d)
-        u = rotate(ground.R, cross(ground.w, self._tied_d))
-        q = product(quaternion_of_rpy(m, *rpy_of(m, ground.R)), self._tied_q)
+        d = rotate(ground.R, self._attached_d)
+        u = rotate(ground.R, cross(ground.w, self._attached_d))
+        q = product(quaternion_of_rpy(m, *rpy_of(m, ground.R)), self._attached_q)
         return (
             (ground.p[0] + d[0], ground.p[1] + d[1], ground.p[2] + d[2]),
             (ground.v[0] + u[0], ground.v[1] + u[1], ground.v[2] + u[2]),
             q,
-            inverse_rotate(rotation_of(self._tied_q), ground.w),
+            inverse_rotate(rotation_of(self._attached_q), ground.w),
         )
 
     def _after(
@@ -399,9 +399,9 @@ class Vehicle:
     ) -> None:
         """Timers, record of the contact, resting, changes of phase."""
         m, f, dt = self._m, self.airframe, self.step_s
-        stands = (touching > 0.0) | self.tied
-        if m.any(stands | wet):
-            first = (stands | wet) & (self.airborne_s > 0.3)
+        supported = (touching > 0.0) | self.tied
+        if m.any(supported | wet):
+            first = (supported | wet) & (self.airborne_s > 0.3)
             if m.any(first):
                 self.touched_what = m.where(first, m.where(wet, SEA, DECK), self.touched_what)
                 self.touched_s = m.where(first, self.seconds, self.touched_s)
@@ -409,8 +409,8 @@ class Vehicle:
                 self.touched_yaw = m.where(first, r.yaw(m), self.touched_yaw)
             self._rest(ground, r, touching, motors)
             self.ditched = self.ditched | wet
-        self.airborne_s = m.where(stands | wet, 0.0, self.airborne_s + dt)
-        self.contact_s = m.where(stands, self.contact_s + dt, m.clip(self.contact_s - dt, 0.0, f.motors_off_after_s))
+        self.airborne_s = m.where(supported | wet, 0.0, self.airborne_s + dt)
+        self.contact_s = m.where(supported, self.contact_s + dt, m.clip(self.contact_s - dt, 0.0, f.motors_off_after_s))
         phase = self.phase
         phase = m.where(
             (phase == VehiclePhase.LANDING) & (self.contact_s > f.motors_off_after_s), float(VehiclePhase.LANDED), phase
@@ -433,11 +433,11 @@ class Vehicle:
         ties = still & m.no(motors) & (touching >= 3.0) & m.no(self.tied)
         if m.any(ties):
             d = inverse_rotate(ground.R, (self.p[0] - ground.p[0], self.p[1] - ground.p[1], self.p[2] - ground.p[2]))
-            self._tied_d = _pick(m, ties, d, self._tied_d)
+            self._attached_d = _pick(m, ties, d, self._attached_d)
             w0, x0, y0, z0 = quaternion_of_rpy(m, *rpy_of(m, ground.R))
             q = product((w0, -x0, -y0, -z0), self.q)
-            t = self._tied_q
-            self._tied_q = (
+            t = self._attached_q
+            self._attached_q = (
                 m.where(ties, q[0], t[0]),
                 m.where(ties, q[1], t[1]),
                 m.where(ties, q[2], t[2]),

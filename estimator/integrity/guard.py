@@ -84,7 +84,7 @@ def admit_sighting(
         if guard.view.frozen:
             return guard, Verdict.FROZEN
     expected = None if belief is None else _expected(belief, sighting, attitude)
-    following, explained = tracks.judge(guard.tracks, _place(sighting, attitude), expected, o)
+    following, explained = tracks.associate(guard.tracks, _place(sighting, attitude), expected, o)
     return replace(guard, tracks=following), None if explained else Verdict.ELSEWHERE
 
 
@@ -93,7 +93,7 @@ def fused(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None) 
     guard = replace(guard, tracks=tracks.fused(guard.tracks, _place(sighting, attitude)))
     if attitude is None:
         return guard
-    return replace(guard, heights=heights.saw(guard.heights, sighting, attitude.R_ned_body))
+    return replace(guard, heights=heights.sighted(guard.heights, sighting, attitude.R_ned_body))
 
 
 def doubts(guard: IntegrityGuard, now: MonoNs) -> tuple[Doubt, ...]:
@@ -101,7 +101,7 @@ def doubts(guard: IntegrityGuard, now: MonoNs) -> tuple[Doubt, ...]:
     found = []
     if guard.frames.frozen:
         found.append(Doubt.CAMERA_FROZEN)
-    if guard.view.frozen and guard.view.looks and now - guard.view.looks[-1][0] < _OLD_NS:
+    if guard.view.frozen and guard.view.bearings and now - guard.view.bearings[-1][0] < _OLD_NS:
         found.append(Doubt.VIEW_FROZEN)
     for kind, doubt in ((Imu, Doubt.IMU_FROZEN), (Attitude, Doubt.ATTITUDE_FROZEN)):
         seen = guard.sensors.get(kind)

@@ -53,7 +53,7 @@ class HeightWatch(NamedTuple):
         return self.agreed_at >= 0 and 0 <= now - self.agreed_at <= _AGREES_S * 1e9
 
 
-def saw(state: HeightWatch, sighting: Sighting, R_ned_body: Rotation) -> HeightWatch:
+def sighted(state: HeightWatch, sighting: Sighting, R_ned_body: Rotation) -> HeightWatch:
     """Record a sighting that the estimator fused."""
     x, y, z = sighting.d_body_pad_level.tolist()
     cx, cy, cz = R_ned_body.without_heading().matrix[:, 2].tolist()

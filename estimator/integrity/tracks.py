@@ -65,7 +65,7 @@ class Tracks(NamedTuple):
         return any(c.n >= _SEEN_AT_LEAST and now - c.last.t <= _ALIVE_S * 1e9 for c in self.candidates)
 
 
-def judge(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityOptions) -> tuple[Tracks, bool]:
+def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityOptions) -> tuple[Tracks, bool]:
     """Process one sighting.
 
     Args:

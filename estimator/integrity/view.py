@@ -24,7 +24,7 @@ _LEAST_SPAN_S = 0.3
 class ViewWatch(NamedTuple):
     """Bearings of the last half second."""
 
-    looks: tuple[tuple[int, F64, F64], ...] = ()
+    bearings: tuple[tuple[int, F64, F64], ...] = ()
     """Instants (ns); bearing of the pad in `body`, (3,), unit; the level frame's axes in `body`, (3, 3)."""
     frozen: bool = False
 
@@ -37,16 +37,16 @@ def watch(state: ViewWatch, sighting: Sighting, attitude: Attitude, o: Integrity
         return state
     R_body_level = attitude.R_ned_body.without_heading().inv.matrix
     bearing = R_body_level @ (sighting.d_body_pad_level / distance_m)
-    looks = tuple(k for k in state.looks if 0 <= t - k[0] <= _SPAN_S * 1e9)
-    looks = (*looks, (t, bearing, R_body_level))
-    return ViewWatch(looks, _stands_still(looks, o))
+    bearings = tuple(k for k in state.bearings if 0 <= t - k[0] <= _SPAN_S * 1e9)
+    bearings = (*bearings, (t, bearing, R_body_level))
+    return ViewWatch(bearings, _is_still(bearings, o))
 
 
-def _stands_still(looks: tuple[tuple[int, F64, F64], ...], o: IntegrityOptions) -> bool:
-    if len(looks) < _LEAST or looks[-1][0] - looks[0][0] < _LEAST_SPAN_S * 1e9:
+def _is_still(bearings: tuple[tuple[int, F64, F64], ...], o: IntegrityOptions) -> bool:
+    if len(bearings) < _LEAST or bearings[-1][0] - bearings[0][0] < _LEAST_SPAN_S * 1e9:
         return False
-    seen = np.array([bearing for _, bearing, _ in looks])
-    axes = np.array([R for _, _, R in looks])
+    seen = np.array([bearing for _, bearing, _ in bearings])
+    axes = np.array([R for _, _, R in bearings])
     mean_level = np.einsum("nij,ni->nj", axes, seen).mean(axis=0)
     turned = _spread(axes @ mean_level)
     return turned > o.view_turned_min_rad and _spread(seen) < o.view_still_ratio * turned

@@ -123,13 +123,13 @@ F32 = NDArray[np.floating[Any]]
 """An array that is computed in single precision throughout. The type says only "floating", because numpy's own stubs follow no
 more.
 """
-Share = tuple[F32, F32]
+Coverage = tuple[F32, F32]
 """Coverage of a paint, (N,), and its derivatives (5, N) by x, y (1/m) and by the blur's xx, xy, yy (1/m^2)."""
 
 
 Phi = tuple[F32, F32, F32]
 """The normal integral of d / sigma, and its derivatives by d and by sigma squared."""
-Asked = tuple[F32, F32]
+PhiArguments = tuple[F32, F32]
 """Arguments d and 1 / sigma of normal integrals, of one shape."""
 
 
@@ -161,15 +161,17 @@ def _phi(d: F32, per: F32) -> Phi:
     return t, slope, z
 
 
-def _phi_at_once(*asked: Asked) -> list[Phi]:
+def _phi_at_once(*arguments: PhiArguments) -> list[Phi]:
     """Return the normal integrals of arguments of several shapes from one evaluation.
 
     On short arrays most of the time goes into the calls.
     """
-    value, slope, by_var = _phi(np.concatenate([d.ravel() for d, _ in asked]), np.concatenate([per.ravel() for _, per in asked]))
+    value, slope, by_var = _phi(
+        np.concatenate([d.ravel() for d, _ in arguments]), np.concatenate([per.ravel() for _, per in arguments])
+    )
     out: list[Phi] = []
     end = 0
-    for d, _ in asked:
+    for d, _ in arguments:
         begin, end = end, end + d.size
         shape = d.shape
         out.append((value[begin:end].reshape(shape), slope[begin:end].reshape(shape), by_var[begin:end].reshape(shape)))
@@ -231,7 +233,7 @@ class Blurred:
         """Return a subset of the points."""
         return Blurred(self.pad, self.x[part], self.y[part], self.blur_m2, self.scale2[part])
 
-    def circles(self, *radii_m: float | F32) -> list[Share]:
+    def circles(self, *radii_m: float | F32) -> list[Coverage]:
         """Return the coverage inside each of several circles about the centre.
 
         The radii are either one for all points each, or (N,) arrays with one radius per point.
@@ -243,7 +245,7 @@ class Blurred:
         round_.change(c_d, c_v, d.transpose(1, 0, 2))
         return [(c[i], d[i]) for i in range(len(radii_m))]
 
-    def edge_shares(self, disc: slice, ring: slice, arrow: slice, h: slice) -> tuple[F32, F32, F32]:
+    def edge_coverages(self, disc: slice, ring: slice, arrow: slice, h: slice) -> tuple[F32, F32, F32]:
         """Return the coverage inside the edge that each point belongs to: disc, ring, ring with arrowhead, or H.
 
         Args:
@@ -261,8 +263,8 @@ class Blurred:
         (c, c_d, c_v), (inner, i_d, i_v), in_h, in_arrow = _phi_at_once(
             (edge - round_.seen, round_.per_sigma),
             (np.float32(pad.ring_inner_m) - round_.seen[stroke], round_.per_sigma[stroke]),
-            at_h._h_asks(),
-            at_arrow._arrow_asks(),
+            at_h._h_arguments(),
+            at_arrow._arrow_arguments(),
         )
         value, d = np.empty(n, np.float32), np.empty((5, n), np.float32)
         head = np.empty(0, np.float32)
@@ -280,17 +282,17 @@ class Blurred:
         at_h._h_of(in_h, value[h], d[:, h])
         return value, d, head
 
-    def arrow(self, beyond: Share) -> Share:
+    def arrow(self, beyond: Coverage) -> Coverage:
         """Return the coverage of the arrowhead beyond the ring; `beyond` is the coverage inside the ring's outer edge.
 
         This holds where the blur is small compared with the arrowhead.
         """
-        return self._arrow_of(_phi(*self._arrow_asks()), beyond)
+        return self._arrow_of(_phi(*self._arrow_arguments()), beyond)
 
-    def h(self) -> Share:
+    def h(self) -> Coverage:
         """Return the coverage of the H."""
         value, d = np.empty(len(self.x), np.float32), np.empty((5, len(self.x)), np.float32)
-        self._h_of(_phi(*self._h_asks()), value, d)
+        self._h_of(_phi(*self._h_arguments()), value, d)
         return value, d
 
     def _round(self) -> _Round:
@@ -312,7 +314,7 @@ class Blurred:
         seen = np.sqrt(r2, out=r2)
         return _Round(x, y, seen, 1.0 / seen, 1.0 / np.sqrt(along, out=along), m_cc, m_cs, m_ss)
 
-    def _arrow_asks(self) -> Asked:
+    def _arrow_arguments(self) -> PhiArguments:
         """Return (3, N) arguments of the normal integrals: port side, starboard side, base."""
         pad, x, y = self.pad, self.x, self.y
         xx, xy, yy = self.blur_m2
@@ -327,7 +329,7 @@ class Blurred:
         np.divide(sides, np.sqrt(self.scale2), out=per)
         return d, per
 
-    def _arrow_of(self, phi: Phi, beyond: Share) -> Share:
+    def _arrow_of(self, phi: Phi, beyond: Coverage) -> Coverage:
         (s, p, b), (s_d, p_d, b_d), (s_v, p_v, b_v) = phi
         m = self.scale2
         cu, cv, _ = _arrow_lines(self.pad)
@@ -346,7 +348,7 @@ class Blurred:
         out = 1.0 - ring
         return both * out, d * out - both * d_ring
 
-    def _h_asks(self) -> Asked:
+    def _h_arguments(self) -> PhiArguments:
         """Return (8, N) arguments of the normal integrals, for both sides of each interval.
 
         The intervals are legs and bar along x, and the H and the gap between its legs along y.
@@ -377,7 +379,7 @@ class Blurred:
         d[3] = 0.0
         np.add(legs * (wide_v - gap_v), bar * gap_v, out=d[4])
 
-    def arrow_small(self) -> Share:
+    def arrow_small(self) -> Coverage:
         """Return the coverage of the arrowhead beyond the ring where the blur is not small compared with it: a sum of strips
         along x.
 

@@ -55,8 +55,8 @@ def fuse(cues: Iterable[Sighting]) -> Fused | None:
     best = max(range(len(seen)), key=lambda i: (round(votes[i], 9), -_size(seen[i])))
     inliers = [cue for cue in seen if cue is seen[best] or agree(seen[best], cue)]
     inliers.sort(key=_size)
-    share = sum(cue.confidence for cue in inliers) / sum(cue.confidence for cue in seen)
-    confidence = max(cue.confidence for cue in inliers) * share
+    fraction = sum(cue.confidence for cue in inliers) / sum(cue.confidence for cue in seen)
+    confidence = max(cue.confidence for cue in inliers) * fraction
     return Fused(
         _intersected(inliers, confidence),
         tuple(cue.method for cue in inliers),

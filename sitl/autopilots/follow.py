@@ -60,10 +60,10 @@ class DeckUnder:
 
     Args:
         first: where the vehicle is at first; the pad lies from there as the scenario's start says.
-        stands: it is on its feet: then the pad lies at their height.
+        on_ground: it is on its feet: then the pad lies at their height.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, first: AutopilotPose, stands: bool) -> None:
+    def __init__(self, scenario: Scenario, seed: int, first: AutopilotPose, on_ground: bool) -> None:
         seeds = flight_seeds(seed)
         self._waves, self._vessel = sea_and_vessel(scenario, [seeds.sea])
         self._renderer = renderer(scenario, self._waves, self._vessel)
@@ -71,7 +71,7 @@ class DeckUnder:
         self._exposure_s = scenario.camera.exposure_s
         self._began, self._images = first.at, 0
         start, pad = scenario.start, self._vessel.pad_at(0.0)
-        below_m = Airframe().feet.below_m if stands else start.height_m
+        below_m = Airframe().feet.below_m if on_ground else start.height_m
         # The arrow keeps its heading in the world; the vehicle has the one it has.
         heading = first.R_ned_body.rpy_rad[2]
         to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, below_m])
@@ -132,9 +132,9 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
             failure = await watcher.film(pool, daemon)
             side.daemon.stop()
             await daemon
-    stands = pilot.outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS)
+    on_ground = pilot.outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS)
     return FollowEnd(
-        pilot.outcome, watcher.landing if stands else None, watcher.flown_s, side.daemon.health, watcher.by_truth, failure
+        pilot.outcome, watcher.landing if on_ground else None, watcher.flown_s, side.daemon.health, watcher.by_truth, failure
     )
 
 
@@ -171,7 +171,7 @@ class _Watcher:
         loop, began = asyncio.get_running_loop(), self._clock.now()
         while not daemon.done():
             turn = self._clock.now()
-            pose = self._look_around(turn)
+            pose = self._next_pose(turn)
             if pose is None:
                 met = self._side.autopilot is not None and self._side.autopilot.identity is not None
                 limit_s = _PLACE_S if met else _MEET_S
@@ -196,7 +196,7 @@ class _Watcher:
         waited_s = _OLD_S if self._newest is None else seconds_between(self._newest.at, pose.at)
         return self._side.concluded() >= self.frames or waited_s >= _OLD_S
 
-    def _look_around(self, now: MonoNs) -> AutopilotPose | None:
+    def _next_pose(self, now: MonoNs) -> AutopilotPose | None:
         autopilot = self._side.autopilot
         if autopilot is None or autopilot.identity is None:
             return None

@@ -136,14 +136,14 @@ class GroundStation:
         return []
 
     def _arm(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        self._give_up_after(self._timeouts.arm_s, now, f"the autopilot would not arm: {self._last_words}")
+        self._give_up_after(self._timeouts.arm_s, now, f"the autopilot would not arm: {self._last_status_text}")
         mode = TAKE_OFF_MODE[self._stack]
         if self._stack is Stack.ARDUPILOT and self.mode != mode:
             return [set_mode(self._stack, self._autopilot, mode)] if self._due("mode", now) else []
         return [self._command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)] if self._due("arm", now) else []
 
     def _take_off(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        self._give_up_after(self._timeouts.take_off_s, now, f"it did not take off: {self._last_words}")
+        self._give_up_after(self._timeouts.take_off_s, now, f"it did not take off: {self._last_status_text}")
         if view.height_m > 0.85 * self._height_m:
             self._next(Task.GO if self._flies_there else Task.ORDER, now)
             return []
@@ -185,7 +185,7 @@ class GroundStation:
     }
 
     @property
-    def _last_words(self) -> str:
+    def _last_status_text(self) -> str:
         said = [text for _, component, text in self.texts if component == _AUTOPILOT]
         return said[-1] if said else "it said nothing"
 

@@ -27,7 +27,7 @@ U8 = NDArray[np.uint8]
 
 SURE, ENOUGH = 0.9, 0.5
 """Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
-_MOST_LAID = 16
+_MOST_ALIGNED = 16
 """Largest number of hypotheses of one frame that the drawing is aligned at before the search is given up."""
 _ALIGNED, _ALIGNED_FREE, _ALIGNED_FAR = 2, 3, 6
 """Numbers of the best hypotheses of one kind that the drawing is aligned at: usually, with the tilt unknown, and from afar. From
@@ -49,13 +49,13 @@ _PLAIN = 0.5
 """Fraction of the variance explained by a guess at which no further regions are searched."""
 _LEAST_FACING = math.cos(math.radians(38.0))
 """Smallest cosine between the pad's normal and the camera's axis when the tilt is unknown: 25 degrees of tilt plus an error."""
-_SPECK_RADII = (0.95, 1.5)
+_BLOB_RADII = (0.95, 1.5)
 """Factors from a blob's radius to the disc's: the blob is the disc, or the part of it inside the ring."""
 _COVERED_ARC_RAD = 4.6
 """Arc of a disc's outline below which the disc is taken to be half covered."""
 _HALVES = 6
 """Number of the most prominent blobs that are also tried as half a disc."""
-_NEAR_SHARE = 0.10
+_NEAR_FRACTION = 0.10
 """Fraction of the frame in the disc's colour above which the H is searched before blobs are."""
 
 
@@ -117,9 +117,9 @@ def acquire(
     for stage in _stages(pyramid, camera, pad, plane, memory):
         for guesses, most in stage:
             found += _align(guesses, found, most, pyramid, camera, pad, sure)
-            if len(found) >= _MOST_LAID or any(c.score >= sure for c in found):
+            if len(found) >= _MOST_ALIGNED or any(c.score >= sure for c in found):
                 break
-        if len(found) >= _MOST_LAID or any(c.score >= min(sure, ENOUGH) for c in found if sure <= 1.0):
+        if len(found) >= _MOST_ALIGNED or any(c.score >= min(sure, ENOUGH) for c in found if sure <= 1.0):
             break
     return _distinct(sorted(found, key=lambda c: -c.score))
 
@@ -132,7 +132,7 @@ def _stages(
     most = _ALIGNED if plane.known else _ALIGNED_FREE
     image = coarse(pyramid[level], 1 << level, pad)
     yield ((guesses, most) for guesses in _from_discs(image, memory, pyramid, camera, pad, plane))
-    near = image.share() > _NEAR_SHARE
+    near = image.fraction() > _NEAR_FRACTION
     if near:
         yield iter([(_from_strokes(pyramid, level, camera, pad, plane), most)])
     yield iter([(_from_blobs(pyramid, camera, pad, plane), _ALIGNED_FAR)])
@@ -206,7 +206,7 @@ def _from_discs(
                 planes = [(plane, circle)]
                 if not plane.known:
                     planes += _tilted(disc_region.outline_px, places, circle, camera, least)
-                whole = circle.arc_rad > 5.5 and circle.share > 0.75 and not disc_region.cut
+                whole = circle.arc_rad > 5.5 and circle.fraction > 0.75 and not disc_region.cut
                 for stand, seen in planes:
                     for radius_m in edges[:1] if whole else edges:
                         guess = _guess(stand.pose(seen.centre, seen.radius, radius_m), stand.known, image, pyramid, camera, pad)
@@ -300,7 +300,7 @@ def _from_blobs(pyramid: Pyramid, camera: Camera, pad: Pad, plane: Plane) -> lis
         if not np.isfinite(places).all():
             continue
         radius = blob.radius_px * float(np.hypot(*(places[1] - places[0])))
-        poses = [plane.pose(places[0], radius * factor, disc_edge_m(pad)) for factor in _SPECK_RADII]
+        poses = [plane.pose(places[0], radius * factor, disc_edge_m(pad)) for factor in _BLOB_RADII]
         guesses = [_guess(pose, plane.known, image, pyramid, camera, pad) for pose in poses]
         best = max((g for g in guesses if g is not None), key=lambda g: g.score, default=None)
         if best is not None:

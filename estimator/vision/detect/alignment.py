@@ -30,7 +30,7 @@ from estimator.vision.srgb import LINEAR_LIGHT
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 
-_SAMPLES, _APPROACH_SAMPLES, _STANDING_SAMPLES = 700, 1000, 2600
+_SAMPLES, _APPROACH_SAMPLES, _FINAL_SAMPLES = 700, 1000, 2600
 """Largest numbers of samples in the disc's bounding box: during a search, on the way to a registration, and for verification."""
 _LOG_BLURS = np.log(np.array(BLURS_M))
 _LEAST_SAMPLES = 40
@@ -109,7 +109,7 @@ class AlignedTemplate:
     """Linear light of H, orange, disc and surroundings, (4, 3), 0..1, in blue, green, red."""
     light: F32
     """Linear light of the samples, (n, 3)."""
-    share: F32
+    coverage: F32
     """Coverage of each sample by each paint, (n, 4)."""
     xy_m: F32
     """Positions of the samples on the pad, (n, 2) m."""
@@ -134,7 +134,7 @@ class Local:
     """Paints in this measure, (4, 3), known up to a value common to all four."""
     light: F32
     """Light of the samples in this measure, (n, 3)."""
-    share: F32
+    coverage: F32
     """Coverage of each sample by each paint minus its mean in the neighbourhood, (n, 4)."""
     weight: F32
     """Weights of the samples, (n,)."""
@@ -178,7 +178,7 @@ def align(
         if moved is None:
             return None
         pose, tilt_sigmas = moved
-    samples = _gather(pyramid, camera, pad, pose, _STANDING_SAMPLES)
+    samples = _gather(pyramid, camera, pad, pose, _FINAL_SAMPLES)
     if samples is None:
         return None
     R, t = pose.R_cam_pad.matrix, pose.t_cam_pad
@@ -187,19 +187,19 @@ def align(
     if model is None:
         return None
     even = np.ones(model.light.shape[1], np.float32)
-    paints, weight, _, _ = _paint(model.light, model.share, even, standing=True)
+    paints, weight, _, _ = _paint(model.light, model.coverage, even, final=True)
     drawing = maps(pad, True)[fit]
-    own_light, own_share = samples.local.take(model.used, axis=1), _sampled(drawing.share, drawing, model.xy)
-    start = uncovered(own_light.T, own_share.T, model.xy.T)
-    own_paints, own_weight, _, _ = _paint(own_light, own_share, start, standing=True)
+    own_light, own_coverage = samples.local.take(model.used, axis=1), _sampled(drawing.coverage, drawing, model.xy)
+    start = uncovered(own_light.T, own_coverage.T, model.xy.T)
+    own_paints, own_weight, _, _ = _paint(own_light, own_coverage, start, final=True)
     level = min(_LEVELS, math.floor(math.log2(max(1.0, camera.fx * pad.arrow_depth_m / (_ARROW_SAMPLES * t[2])))))
     arrow = arrow_places(pyramid[level], 1 << level, _ROOT, camera, pad, pose, own_paints.astype(float))
     r2 = model.xy * model.xy
     inside = float(np.count_nonzero(r2[0] + r2[1] < pad.disc_radius_m**2)) * samples.side_m**2
     return AlignedTemplate(
-        pose, paints.astype(float), model.light.T, model.share.T, model.xy.T, weight, samples.side_m,
+        pose, paints.astype(float), model.light.T, model.coverage.T, model.xy.T, weight, samples.side_m,
         min(1.0, inside / (math.pi * pad.disc_radius_m**2 * abs(float(R[2, 2])))), tilt_sigmas,
-        Local(own_paints.astype(float), own_light.T, own_share.T, own_weight), arrow,
+        Local(own_paints.astype(float), own_light.T, own_coverage.T, own_weight), arrow,
     )  # fmt: skip
 
 
@@ -250,7 +250,7 @@ def _move(
         model = _model(drawing, samples, samples.local if local else samples.light, R, t, pad)
         if model is None:
             return None
-        paints, weight, residual, spread = _paint(model.light, model.share, trust[model.used])
+        paints, weight, residual, spread = _paint(model.light, model.coverage, trust[model.used])
         if local and i in least and _explained(model.light, residual, weight) < least[i]:
             return None
         trust[model.used] = weight
@@ -332,7 +332,7 @@ class _Model(NamedTuple):
 
     light: F32
     """Light of the samples, (3, n)."""
-    share: F32
+    coverage: F32
     """Coverage of each sample by each paint, (4, n)."""
     slope_x: F32
     """Derivative of the coverage by x, (4, n) 1/m; empty if it is not requested."""
@@ -357,7 +357,7 @@ def _model(drawing: Maps, samples: _Samples, light: F32, R: F64, t: F64, pad: Pa
     if len(used) < _LEAST_SAMPLES:
         return None
     ab, xy = ab.take(used, axis=1), xy.take(used, axis=1)
-    layers = _sampled(drawing.layers if slopes else drawing.share, drawing, xy)
+    layers = _sampled(drawing.layers if slopes else drawing.coverage, drawing, xy)
     return _Model(light.take(used, axis=1), layers[:4], layers[4:8], layers[8:], xy, ab, used)
 
 
@@ -370,31 +370,31 @@ def _sampled(layers: F32, drawing: Maps, xy: F32) -> F32:
     return np.ascontiguousarray(sampled(layers, at)[0].T)
 
 
-def _paint(light: F32, share: F32, weight: F32, standing: bool = False) -> tuple[F32, F32, F32, float]:
+def _paint(light: F32, coverage: F32, weight: F32, final: bool = False) -> tuple[F32, F32, F32, float]:
     """Fit the paints (4, 3) by iteratively reweighted least squares; return them, the weights, the residuals (3, n) and their
     spread.
 
-    While the pose moves the weights are Cauchy's. At the final pose (`standing`) they are Geman and McClure's, which drop
+    While the pose moves the weights are Cauchy's. At the final pose (`final`) they are Geman and McClure's, which drop
     outliers completely.
     """
     n = light.shape[1]
-    both = np.concatenate([share, light])
+    both = np.concatenate([coverage, light])
     floor = max(1e-4, _NOISE * math.sqrt(float((light * light).sum(axis=0).max())))
     low = int(_SOUND * n)
-    usual = _SPREAD_SHARP if standing else _SPREAD
-    for _ in range(4 if standing else 2):
-        normal = (share * weight) @ both.T
+    usual = _SPREAD_SHARP if final else _SPREAD
+    for _ in range(4 if final else 2):
+        normal = (coverage * weight) @ both.T
         normal.flat[:28:8] += 1e-4 * n
         ok, paints = cv2.solve(normal[:, :4], normal[:, 4:], flags=cv2.DECOMP_CHOLESKY)
         if not ok:
             paints = np.linalg.solve(normal[:, :4], normal[:, 4:])
-        residual = light - paints.T @ share
+        residual = light - paints.T @ coverage
         squared = (residual * residual).sum(axis=0)
         spread = max(floor, usual * math.sqrt(float(np.partition(squared, low)[low])))
         squared *= 0.25 / spread**2
         squared += 1.0
         weight = 1.0 / squared
-        if standing:
+        if final:
             weight *= weight
     return np.asarray(paints, np.float32), weight, residual, spread
 

@@ -63,7 +63,7 @@ def _design(pad: Pad, blur: int) -> _Design:
     xy = np.stack([xx.ravel(), yy.ravel()], axis=1).astype(np.float32)
     drawing = maps(pad)[blur]
     fore, aft = (
-        sampled(drawing.share, (s * xy[None, :, ::-1] * drawing.per_m + drawing.centre).astype(np.float32))[0, :, ORANGE]
+        sampled(drawing.coverage, (s * xy[None, :, ::-1] * drawing.per_m + drawing.centre).astype(np.float32))[0, :, ORANGE]
         for s in (1, -1)
     )
     others = np.stack([np.ones(len(xy)), xx.ravel() - xx.mean(), yy.ravel(), aft], axis=1)

@@ -67,7 +67,7 @@ class Circle:
 
     centre: F64
     radius: float
-    share: float
+    fraction: float
     """Fraction of the outline's points that lie on the circle."""
     arc_rad: float
     """Arc of the circle that these points cover."""

@@ -22,21 +22,21 @@ _MUCH = 0.4
 """A half is trusted first if its unexplained fraction of the light's variation is below this multiple of the whole's."""
 
 
-def uncovered(light: F32, share: F32, xy_m: F32) -> F32:
+def uncovered(light: F32, coverage: F32, xy_m: F32) -> F32:
     """Return (n,) initial weights: 1, or a small value on one half if the other half alone is explained much better.
 
     Args:
         light: (n, 3) light of the samples.
-        share: (n, 4) coverage of the samples by the paints.
+        coverage: (n, 4) coverage of the samples by the paints.
         xy_m: (n, 2) positions on the pad.
     """
     even = np.ones(len(light), np.float32)
     some = slice(None, None, max(1, len(light) // _ENOUGH))
-    light, share, sector = light[some], share[some], _sector(xy_m[some])
+    light, coverage, sector = light[some], coverage[some], _sector(xy_m[some])
     one = np.ones((len(light), 1), np.float32)
     of = np.zeros((_SECTORS, len(light)), np.float32)
     of[sector, np.arange(len(light))] = 1.0
-    both = np.concatenate([share, light, one], axis=1)
+    both = np.concatenate([coverage, light, one], axis=1)
     products = (of @ (both[:, :, None] * both[:, None, :]).reshape(len(light), -1)).reshape(_SECTORS, 8, 8).astype(float)
     around = np.concatenate([products, products[: _SECTORS // 2 - 1]])
     halves = np.stack([around[k : k + _SECTORS // 2].sum(axis=0) for k in range(_SECTORS)])

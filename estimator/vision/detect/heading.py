@@ -86,10 +86,10 @@ def heading(px: U8, step: int, camera: Camera, pad: Pad, pose: PadPose, side: F6
         m = part[1:] / n
         between += np.where(part[0] > least, (part[1:] * m).sum(axis=0), 0.0)
         means.append(np.where(part[0] > least, m, np.nan))
-    m_letter, m_orange, m_disc = means
+    mean_h, mean_orange, mean_disc = means
     with np.errstate(invalid="ignore"):
         dark = np.minimum(
-            np.nanmin(np.nan_to_num(m_letter - m_disc, nan=1.0), axis=0), np.nan_to_num(m_orange[2] - m_disc[2], nan=1.0)
+            np.nanmin(np.nan_to_num(mean_h - mean_disc, nan=1.0), axis=0), np.nan_to_num(mean_orange[2] - mean_disc[2], nan=1.0)
         )
     score = np.where(dark > 0.0, between / spread, 0.25 * between / spread)
     k = int(np.argmax(score))

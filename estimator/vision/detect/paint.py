@@ -74,7 +74,7 @@ def learn(memory: PaintMemory, aligned: AlignedTemplate, confidence: float) -> P
     mean, var = memory.mean.copy(), memory.var.copy()
     first = memory.trust == 0.0
     for k in range(4):
-        pure = (aligned.share[:, k] > _PURE) & (aligned.weight > 0.5)
+        pure = (aligned.coverage[:, k] > _PURE) & (aligned.weight > 0.5)
         if np.count_nonzero(pure) < _ENOUGH:
             continue
         seen, scatter = light[pure].mean(axis=0), light[pure].var(axis=0) + 0.03**2

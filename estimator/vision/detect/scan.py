@@ -41,9 +41,9 @@ _SIDE_PX, _BESIDE_PX = 9, 18
 """Side of the four patches that a blob is compared with, and the distance of their centres from it. They are clear of a disc of
 13 px radius; a larger disc shows well in the coarse frame.
 """
-_SPECKS = 12
-_SPECK = 0.18 * _NAT
-_SPECK_AREA = 12
+_MOST_BLOBS = 12
+_BLOB_EXCESS = 0.18 * _NAT
+_BLOB_AREA = 12
 _LONGEST = 2.6
 """Largest ratio of a blob's length to its width: half a disc has 2."""
 _CLOSE = np.ones((3, 3), np.uint8)
@@ -73,7 +73,7 @@ class Coarse:
         """Map (N, 2) px of the reduced frame to px of the full one."""
         return np.asarray((uv + 0.5) * self.step - 0.5)
 
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Return the fraction of the frame above the low limit."""
         return cv2.countNonZero(cv2.threshold(self.excess, self.usual + _WEAK, 255, cv2.THRESH_BINARY)[1]) / self.excess.size
 
@@ -182,12 +182,12 @@ def blobs(image: Coarse) -> list[Blob]:
     # Light smoothing, because from afar the disc is a few pixels and noise is one.
     over = cv2.subtract(cv2.blur(excess, (3, 3)), around)
     # Ring and H, mixed with the disc, split it into slivers; closing joins them again.
-    mask = cv2.morphologyEx(cv2.threshold(over, _SPECK, 255, cv2.THRESH_BINARY)[1], cv2.MORPH_CLOSE, _CLOSE)
+    mask = cv2.morphologyEx(cv2.threshold(over, _BLOB_EXCESS, 255, cv2.THRESH_BINARY)[1], cv2.MORPH_CLOSE, _CLOSE)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     w, h, area = stats[1:, 2], stats[1:, 3], stats[1:, 4]
     shortest, longest = np.minimum(w, h), np.maximum(w, h)
     fit = np.nonzero(
-        (area >= _SPECK_AREA) & (longest <= _LONGEST * shortest) & (longest < 2 * _BESIDE_PX) & (area > 0.25 * w * h)
+        (area >= _BLOB_AREA) & (longest <= _LONGEST * shortest) & (longest < 2 * _BESIDE_PX) & (area > 0.25 * w * h)
     )[0]
     if len(fit) > 40:
         fit = fit[np.argsort(-area[fit], kind="stable")[:40]]
@@ -201,7 +201,7 @@ def blobs(image: Coarse) -> list[Blob]:
         found.append((-contrast * min(radius_px, 6.0), contrast, radius_px, x, y, own))
     found.sort(key=lambda f: f[0])
     out = []
-    for _, contrast, radius_px, x, y, own in found[:_SPECKS]:
+    for _, contrast, radius_px, x, y, own in found[:_MOST_BLOBS]:
         rows, columns = own.shape
         centre = np.array([[x + (columns - 1) / 2, y + (rows - 1) / 2]])
         contours, _ = cv2.findContours(own, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

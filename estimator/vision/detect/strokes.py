@@ -29,7 +29,7 @@ _MARGIN_M = 0.035
 """Width of the disc around the H that counts as background."""
 _LEAST_WIDTH = 4
 """Smallest width of a stroke, px; thinner ones cannot be separated from noise."""
-_LEAST_SHARE = 0.22
+_LEAST_FRACTION = 0.22
 """Smallest fraction of the H that must be in view."""
 _LEAST_SCORE = 0.55
 
@@ -185,9 +185,9 @@ def _correlate(small: F32, pad: Pad) -> list[tuple[float, float, float, bool]]:
             h_marking = boxes[0] + boxes[1] + boxes[2]
             parts.append((h_marking, boxes[3] - h_marking))
         (sl, sr), (nl, nr) = parts
-        share = np.minimum(nl / area_l, 1.0)
-        least_l, least_r = _LEAST_SHARE * area_l, _LEAST_SHARE * area_r
-        score = 0.5 * (sl / np.maximum(nl, least_l) - sr / np.maximum(nr, least_r)) * (0.7 + 0.3 * share)
+        fraction = np.minimum(nl / area_l, 1.0)
+        least_l, least_r = _LEAST_FRACTION * area_l, _LEAST_FRACTION * area_r
+        score = 0.5 * (sl / np.maximum(nl, least_l) - sr / np.maximum(nr, least_r)) * (0.7 + 0.3 * fraction)
         score[(nl < least_l) | (nr < least_r)] = -1.0
         for _ in range(2):
             _, best, _, (u, v) = cv2.minMaxLoc(score)

@@ -108,7 +108,7 @@ class Maps:
     """Coverage by H, orange, disc and surroundings, then its derivatives along x (1/m), then along y: (n, n, 12), row by x,
     column by y.
     """
-    share: F32
+    coverage: F32
     """The coverage alone, (n, n, 4): a third of the memory to read if no gradients are needed."""
     per_m: float
     centre: float
@@ -129,11 +129,11 @@ def maps(pad: Pad, local: bool = False) -> tuple[Maps, ...]:
     sharp = flat.reshape(n, 3, n, 3, 4).mean(axis=(1, 3))
     out = []
     for blur_m in BLURS_M:
-        share = _blurred(sharp, blur_m)
+        coverage = _blurred(sharp, blur_m)
         if local:
-            share = share - _blurred(share, LOCAL_M)
-        layers = np.concatenate([share, *np.gradient(share, _STEP_M, axis=(0, 1))], axis=2).astype(np.float32)
-        out.append(Maps(layers, share, 1.0 / _STEP_M, float(half)))
+            coverage = coverage - _blurred(coverage, LOCAL_M)
+        layers = np.concatenate([coverage, *np.gradient(coverage, _STEP_M, axis=(0, 1))], axis=2).astype(np.float32)
+        out.append(Maps(layers, coverage, 1.0 / _STEP_M, float(half)))
     return tuple(out)
 
 
@@ -146,5 +146,5 @@ def sampled(image: NDArray[Any], at: F32) -> NDArray[Any]:
     return cv2.remap(image, at, _NO_SECOND_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _blurred(share: F32, sigma_m: float) -> F32:
-    return np.asarray(cv2.GaussianBlur(share, (0, 0), sigma_m / _STEP_M, borderType=cv2.BORDER_REPLICATE), np.float32)
+def _blurred(coverage: F32, sigma_m: float) -> F32:
+    return np.asarray(cv2.GaussianBlur(coverage, (0, 0), sigma_m / _STEP_M, borderType=cv2.BORDER_REPLICATE), np.float32)

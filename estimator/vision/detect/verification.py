@@ -72,9 +72,9 @@ def features(aligned: AlignedTemplate, pad: Pad) -> F64:
     """Return the (len(FEATURES),) inputs of the model, each of order one."""
     local = aligned.local
     # With the channels outermost numpy's inner loops are long.
-    xy, light, share = aligned.xy_m.T, local.light.T, local.share.T
+    xy, light, coverage = aligned.xy_m.T, local.light.T, local.coverage.T
     paints = local.paints.astype(np.float32)
-    residual = light - paints.T @ share
+    residual = light - paints.T @ coverage
     squared = (residual * residual).sum(axis=0)
     r2 = xy * xy
     r = np.sqrt(r2[0] + r2[1])
@@ -96,7 +96,7 @@ def features(aligned: AlignedTemplate, pad: Pad) -> F64:
     for zone, paint, area in zip(zones, (H, ORANGE, AROUND), areas, strict=True):
         at = zone.nonzero()[0]
         way = (local.paints[DISC] - local.paints[paint]).astype(np.float32)
-        gains.append(_gains(squared.take(at), way @ residual.take(at, axis=1), share[paint].take(at), way, around.take(at)))
+        gains.append(_gains(squared.take(at), way @ residual.take(at, axis=1), coverage[paint].take(at), way, around.take(at)))
         shown.append(min(1.0, len(at) * aligned.sample_m**2 / area))
     (h_marking, letter_all), (ring, ring_all), (edge, edge_all) = gains
     two = sorted((h_marking, ring, edge))[1]
@@ -235,24 +235,24 @@ def _some(gain: float) -> float:
     return max(0.0, gain) / (max(0.0, gain) + 0.4)
 
 
-def _gains(squared: F32, along: F32, share: F32, way: F32, sector: NDArray[np.intp]) -> tuple[float, float]:
+def _gains(squared: F32, along: F32, coverage: F32, way: F32, sector: NDArray[np.intp]) -> tuple[float, float]:
     """Return `_gain` by direction from the centre: the mean of the better half of the directions in view, and of all of them.
 
     Args:
         squared: (n,) squared residuals of the whole drawing.
         along: (n,) the residuals times `way`.
-        share: (n,) coverage by the part's paint.
+        coverage: (n,) coverage by the part's paint.
         way: (3,) change of a sample fully covered by that paint if the part is removed.
     """
     if len(squared) < 6:
         return 0.0, 0.0
     n = np.bincount(sector, minlength=_SECTORS)
     floor = _NOISE**2 * 3.0 * n + 1e-9
-    without = share * share
+    without = coverage * coverage
     without *= float(way @ way)
     change = np.bincount(sector, without, _SECTORS)
     with_it = np.bincount(sector, squared, _SECTORS) + floor
-    without -= 2.0 * share * along
+    without -= 2.0 * coverage * along
     without_it = np.maximum(np.bincount(sector, without, _SECTORS) + with_it, floor)
     gain = np.log(without_it / with_it)[change > 0.2 * float(change.max()) + 1e-9]
     if not len(gain):

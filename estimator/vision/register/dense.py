@@ -76,7 +76,7 @@ class DenseFit:
     """Covariance of the gradient from the residuals, (9, 9)."""
     values: F64
     """Regressor of each paint coefficient, (K, N)."""
-    spot: GlareBlob | None
+    reflection: GlareBlob | None
     """A reflection of the sun, if the residuals indicate one."""
     glare: F64
     """Light that the reflection adds, (3, N)."""
@@ -206,14 +206,14 @@ def fit(
     var = level if last is None else last.noise * level + unsharp
     w = 1.0 / var
     weight = np.ones((3, n))
-    values, sound, spot = painted, weight, None if last is None else last.spot
+    values, sound, reflection = painted, weight, None if last is None else last.reflection
     if last is None:
         _, a = _paints(painted, w, y)
         r = y - a @ painted
         if float((w * r * r).mean()) > _GLARE_DOUBTED:
-            spot = find(fp.places.x, fp.places.y, r, w, painted, pad)
-    if spot is not None:
-        values = np.concatenate([painted, spot.columns(fp.places.x, fp.places.y)])
+            reflection = find(fp.places.x, fp.places.y, r, w, painted, pad)
+    if reflection is not None:
+        values = np.concatenate([painted, reflection.columns(fp.places.x, fp.places.y)])
         sound = (y < CLIPPED).astype(float)
         w = w * sound
         measured = judged & (y < CLIPPED)
@@ -262,7 +262,7 @@ def fit(
     left = np.mean([median(x) for x in _each(r2 / level, judged)]) / 0.4549
     return DenseFit(
         H, scores.sum(axis=1), a.T[:K], cov, model, steep2, max(float(left), 1e-7), weight, scores, meat, painted,
-        None if spot is None else spot.moved(a[:, K:].sum(axis=0), pad), a[:, K:] @ values[K:],
+        None if reflection is None else reflection.moved(a[:, K:].sum(axis=0), pad), a[:, K:] @ values[K:],
     )  # fmt: skip
 
 
@@ -288,13 +288,13 @@ def _noise_of_paints(r: F64, values: F64, inside: NDArray[np.bool_], grow: float
     paints = np.clip(values[3:], 0.0, 1.0)
     disc, orange, white = paints[:3]
     rim = paints[3] if len(paints) > 3 else np.zeros_like(disc)
-    shares = np.maximum(np.stack([1.0 - disc - rim, disc - orange - white, orange, white, rim]), 0.0)
+    coverages = np.maximum(np.stack([1.0 - disc - rim, disc - orange - white, orange, white, rim]), 0.0)
     q = np.where(inside, r * r, 0.0) * grow
-    total = shares @ inside
-    var = (shares @ q) / np.maximum(total, 1.0)
+    total = coverages @ inside
+    var = (coverages @ q) / np.maximum(total, 1.0)
     # A paint that is hardly in view takes the mean variance.
     var = np.where(total > 4.0, var, float(q.sum()) / max(1.0, float(inside.sum())))
-    return np.asarray(np.maximum(var @ shares, 1e-10))
+    return np.asarray(np.maximum(var @ coverages, 1e-10))
 
 
 def arrow_amplitudes(state: RegistrationState, cut: Patch, pad: Pad, fit: DenseFit) -> tuple[float, float, float] | None:

@@ -77,8 +77,8 @@ def dense_support(fit: dense.DenseFit, arrow: tuple[float, float, float] | None)
     weight = fit.weight.mean(axis=0)
     out: dict[EdgeKind, EdgeSupport] = {}
     for kind, row in ((EdgeKind.DISC, 3), (EdgeKind.RING, 4), (EdgeKind.H, 5)):
-        share = fit.values[row]
-        edge = share * (1.0 - share)
+        coverage = fit.values[row]
+        edge = coverage * (1.0 - coverage)
         total = float(edge.sum())
         snr = math.sqrt(float((fit.paints[row] ** 2 / np.maximum(fit.cov_paints[row], 1e-12)).sum()))
         inliers = min(1.0, float(edge @ weight) / (0.9 * total)) if total > 1e-6 else 0.0

@@ -30,7 +30,7 @@ SET = ("no_ring", "disc_unseen", "painted", "no_disc", "letter_odd")
 _TELLING = 5.0
 """Factor on the visible fraction: a kind of edge of which a fifth is in view counts as fully in view."""
 
-_HARDLY = 5.0
+_SNR_VISIBLE = 5.0
 """Contrast over its standard deviation below which an edge hardly shows."""
 _RING_GAINS, _HALF_A_RING = (1.6, 2.2), 0.4
 """Gains of the better half of a ring between which it counts as increasingly visible, and the remaining weight of the missing
@@ -77,7 +77,7 @@ def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
         1.0, max(-8.0, min(8.0, drawn)), found.inliers, *off.values(), unseen[EdgeKind.RING], unseen[EdgeKind.H],
         whole, whole * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
         whole * max(-8.0, min(8.0, drawn)), whole * _clear(found, EdgeKind.DISC), -whole * _orange_off(found, pad),
-        _no_ring(values, found), (1.0 - whole) * shown[EdgeKind.DISC] * (found.edges[EdgeKind.DISC].snr < _HARDLY),
+        _no_ring(values, found), (1.0 - whole) * shown[EdgeKind.DISC] * (found.edges[EdgeKind.DISC].snr < _SNR_VISIBLE),
         whole * _painted(found, pad), whole * _faint(found), whole * _h_marking_odd(found),
     ])  # fmt: skip
 
@@ -93,8 +93,8 @@ def _orange_off(found: Registration, pad: Pad) -> float:
     """
     ring, h_marking = (found.edges[kind].contrast_bgr for kind in (EdgeKind.RING, EdgeKind.H))
     table = light_table(True)
-    of_ring, of_letter, of_disc = (table[list(rgb[::-1])] for rgb in (pad.colours.ring, pad.colours.h, pad.colours.disc))
-    nominal = (of_ring - of_disc) / np.maximum(of_letter - of_disc, 0.05)
+    of_ring, of_h, of_disc = (table[list(rgb[::-1])] for rgb in (pad.colours.ring, pad.colours.h, pad.colours.disc))
+    nominal = (of_ring - of_disc) / np.maximum(of_h - of_disc, 0.05)
     place = ring / np.maximum(h_marking, 0.1 * max(float(np.abs(h_marking).max()), 1e-3))
     return float(np.minimum(1.0, np.abs(place - nominal)).mean())
 
@@ -109,7 +109,7 @@ def _no_ring(values: F64, found: Registration) -> float:
         return 0.0
     if found.dense:
         return 1.0
-    half = ring.in_view > 0.25 and ring.snr > 2.0 * _HARDLY and ring.likeness > 0.8 and ring.inliers > 0.25
+    half = ring.in_view > 0.25 and ring.snr > 2.0 * _SNR_VISIBLE and ring.likeness > 0.8 and ring.inliers > 0.25
     low, high = _RING_GAINS
     shown = (float(values[verification.FEATURES.index("ring")]) - low) / (high - low)
     return (_HALF_A_RING if half else 1.0) * (1.0 - min(1.0, max(0.0, shown)))

@@ -72,7 +72,7 @@ def find(x: F32, y: F32, residual: F64, weight: F64, values: F64, pad: Pad) -> G
     w = weight.mean(axis=0)
     total = float((w * residual * residual).sum())
     tried = _tried(pad)
-    light = np.stack([spot.columns(x, y)[0] for spot in tried])
+    light = np.stack([reflection.columns(x, y)[0] for reflection in tried])
     vw = values * w
     M = vw @ values.T + 1e-7 * float(w.sum()) * np.eye(len(values))
     own = light - (light @ vw.T) @ np.linalg.solve(M, values)

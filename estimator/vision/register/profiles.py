@@ -37,10 +37,10 @@ class Channels:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shares:
+class Coverages:
     """Coverage of the pixels by the paint inside their edge, at a given state."""
 
-    share: F64
+    coverage: F64
     """Coverage by the paint inside, (N,)."""
     J: F64
     """Derivative of the coverage by the state, (9, N)."""
@@ -62,7 +62,7 @@ class ProfileFit:
     """Inverse of the variance assumed for the residual, (N,)."""
     w: F64
     """Weight of a pixel, (N,): `per_var` times its robust weight; 0 if it does not count."""
-    shares: Shares
+    coverages: Coverages
     J: F64
     """Derivative of the model by the state at constant light levels, (9, N)."""
     Jw: F64
@@ -93,26 +93,26 @@ class Shifts:
     """Effect on the gradient of a shift of a group by one px, (9, G)."""
 
 
-def shares(state: RegistrationState, profiles: Profiles, pad: Pad, fp: Footprint | None = None) -> Shares:
+def coverages(state: RegistrationState, profiles: Profiles, pad: Pad, fp: Footprint | None = None) -> Coverages:
     """Return the coverage at a state; `fp` is the footprint, if already computed."""
     if fp is None:
         fp = state.footprint(profiles.rays, pad)
-    value, d, _ = fp.places.edge_shares(*profiles.kind_parts)
+    value, d, _ = fp.places.edge_coverages(*profiles.kind_parts)
     steepness = d[0] * d[0]
     steepness += d[1] * d[1]
     steepness *= fp.places.scale2
     np.sqrt(steepness, out=steepness)
     steepness *= state.m_per_px
-    return Shares(value.astype(float), fp.jacobian(d).astype(float), steepness.astype(float))
+    return Coverages(value.astype(float), fp.jacobian(d).astype(float), steepness.astype(float))
 
 
-def channels(profiles: Profiles, share: F64) -> Channels:
+def channels(profiles: Profiles, coverage: F64) -> Channels:
     """Return the mix of colours of each kind, from all its pixels together."""
     w = profiles.usable
     rows = np.empty((9, len(w)))
     rows[0] = w
-    np.multiply(w, share, out=rows[1])
-    np.multiply(rows[1], share, out=rows[2])
+    np.multiply(w, coverage, out=rows[1])
+    np.multiply(rows[1], coverage, out=rows[2])
     np.multiply(profiles.light, w, out=rows[3:6])
     np.multiply(profiles.light, rows[1], out=rows[6:])
     sums = np.add.reduceat(rows, profiles.starts, axis=1) @ profiles.of_kind
@@ -130,7 +130,7 @@ def channels(profiles: Profiles, share: F64) -> Channels:
     return Channels(mix, contrast)
 
 
-def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Shares) -> ProfileFit:
+def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Coverages) -> ProfileFit:
     """Compute one linearisation.
 
     Args:
@@ -138,7 +138,7 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Shares) -> Prof
         noise: (KINDS, 2) variance outside and inside; None in the first round.
         seen: coverage at the state.
     """
-    s = seen.share
+    s = seen.coverage
     starts, group = profiles.starts, profiles.group
     n = len(s)
     rows = np.empty((5, n))
@@ -208,11 +208,11 @@ def fit(profiles: Profiles, mixed: F64, noise: F64 | None, seen: Shares) -> Prof
 def shifts(fit: ProfileFit, profiles: Profiles) -> Shifts:
     """Return the displacement of each group's edge."""
     # This is the change of a pixel's light as the edge moves outward by one px.
-    per_px = fit.contrast.take(profiles.group) * fit.shares.per_px
+    per_px = fit.contrast.take(profiles.group) * fit.coverages.per_px
     rows = np.empty((N_STATE + 4, len(per_px)))
     np.multiply(fit.Jw, per_px, out=rows[:N_STATE])
     pw = np.multiply(per_px, fit.w, out=rows[N_STATE])
-    np.multiply(pw, fit.shares.share, out=rows[N_STATE + 1])
+    np.multiply(pw, fit.coverages.coverage, out=rows[N_STATE + 1])
     np.multiply(pw, per_px, out=rows[N_STATE + 2])
     np.multiply(pw, fit.residual, out=rows[N_STATE + 3])
     sums = np.add.reduceat(rows, profiles.starts, axis=1)
@@ -228,7 +228,7 @@ def residual_after(fit: ProfileFit, profiles: Profiles, delta: F64) -> F64:
     """Return the (N,) residuals that the linearisation predicts after a step (9,)."""
     a, b = delta @ fit.levels
     left: F64 = b.take(profiles.group)
-    left *= fit.shares.share
+    left *= fit.coverages.coverage
     left += a.take(profiles.group)
     left += fit.residual
     left -= delta @ fit.J
@@ -237,7 +237,7 @@ def residual_after(fit: ProfileFit, profiles: Profiles, delta: F64) -> F64:
 
 def noise_of(left: F64, fit: ProfileFit, profiles: Profiles) -> F64:
     """Return the (KINDS, 2) variance on either side of the edges, from the remaining residuals (N,)."""
-    return _noise(left, fit.shares.share, fit.weight, profiles)
+    return _noise(left, fit.coverages.coverage, fit.weight, profiles)
 
 
 def _noise(r: F64, s: F64, weight: F64, profiles: Profiles) -> F64:
@@ -276,7 +276,7 @@ def arrow_amplitude(state: RegistrationState, profiles: Profiles, pad: Pad, mixe
     if free < 12:
         return 0.0, math.inf
     none, n = slice(0, 0), len(w)
-    value, _, head = state.footprint(profiles.rays[part], pad).places.edge_shares(none, none, slice(0, n), slice(n, n))
+    value, _, head = state.footprint(profiles.rays[part], pad).places.edge_coverages(none, none, slice(0, n), slice(n, n))
     columns = np.ones((3, n))
     np.subtract(value, head, out=columns[1])
     columns[2] = head

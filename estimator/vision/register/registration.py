@@ -225,14 +225,14 @@ def _by_profiles(
         if got is None:
             return None
         measured_at, fp = got
-        seen = profiles_.shares(state, measured_at, pad, fp)
-        mix = profiles_.channels(measured_at, seen.share)
+        seen = profiles_.coverages(state, measured_at, pad, fp)
+        mix = profiles_.channels(measured_at, seen.coverage)
         mixed = np.concatenate([mix.mix[k] @ measured_at.light[:, part] for k, part in enumerate(measured_at.kind_parts)])
         before = state
         noise: F64 | None = None
         for n in range(5):
             if n > 0:
-                seen = profiles_.shares(state, measured_at, pad)
+                seen = profiles_.coverages(state, measured_at, pad)
             fit = profiles_.fit(measured_at, mixed, noise, seen)
             last = state
             state, moved = solver.step(state, fit.H, fit.g, 2.0)
@@ -316,12 +316,12 @@ def _dense_edges_off(state: RegistrationState, pad: Pad, options: RegistrationOp
     independent.
     """
     merged_px = min(_MERGED_EDGES_PX3 * (state.m_per_px / pad.disc_radius_m) ** 2, _MERGED_EDGES_MOST_PX)
-    letter_m = math.hypot(math.hypot(options.dense_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)
-    sigma_m = math.hypot(letter_m, merged_px * state.m_per_px)
+    sigma_h_m = math.hypot(math.hypot(options.dense_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)
+    sigma_m = math.hypot(sigma_h_m, merged_px * state.m_per_px)
     out = np.zeros((N_STATE, N_STATE))
     out[0, 0] = out[1, 1] = sigma_m**2 / 4.0
     out[2, 2] = (sigma_m * state.depth_m / pad.disc_radius_m) ** 2 / 8.0
-    out[5, 5] = (letter_m / (0.5 * pad.h_length_m)) ** 2
+    out[5, 5] = (sigma_h_m / (0.5 * pad.h_length_m)) ** 2
     return out
 
 

@@ -73,7 +73,7 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Corners |
         side = side_of(found[a], found[b])
         if side is None:
             continue
-        aligned = _lay(a, b, side, found, plane, drawing)
+        aligned = _align(a, b, side, found, plane, drawing)
         if aligned is None:
             continue
         pairs, misfit = _match(found, plane, drawing, aligned, pad)
@@ -114,11 +114,11 @@ def side_of(a: RightAngle, b: RightAngle) -> Side | None:
     return None
 
 
-Lay = tuple[float, float, float, float]
+Similarity = tuple[float, float, float, float]
 """The parameters a, b, x, y of q = [[a, -b], [b, a]] p + [x, y]."""
 
 
-def _lay(a: int, b: int, side: Side, found: list[RightAngle], plane: F64, drawing: F64) -> Lay | None:
+def _align(a: int, b: int, side: Side, found: list[RightAngle], plane: F64, drawing: F64) -> Similarity | None:
     """Align the drawing with two inner corners; of the two orientations take the one with the paint on the right side.
 
     Clockwise around the drawing, fore port to fore starboard is the fore long side, and fore starboard to aft starboard is the
@@ -139,12 +139,14 @@ def _lay(a: int, b: int, side: Side, found: list[RightAngle], plane: F64, drawin
     return _similarity(drawing[[first, second]], plane[[a, b]])
 
 
-def _match(found: list[RightAngle], plane: F64, drawing: F64, lay: Lay, pad: Pad) -> tuple[list[tuple[int, int]], float]:
+def _match(
+    found: list[RightAngle], plane: F64, drawing: F64, similarity: Similarity, pad: Pad
+) -> tuple[list[tuple[int, int]], float]:
     """Match corners with the drawing's corners of the same kind; return the pairs and the rms distance in widths of a leg."""
     other_kind = np.array([c.inner for c in found])[:, None] != _IS_INNER[None, :]
     for round_ in range(2):
-        predicted = _apply(lay, drawing)
-        unit = math.hypot(lay[0], lay[1]) * pad.leg_width_m
+        predicted = _apply(similarity, drawing)
+        unit = math.hypot(similarity[0], similarity[1]) * pad.leg_width_m
         distance = np.linalg.norm(plane[:, None, :] - predicted[None, :, :], axis=2) / unit
         distance[other_kind] = np.inf
         nearest = np.argmin(distance, axis=1)
@@ -162,17 +164,17 @@ def _match(found: list[RightAngle], plane: F64, drawing: F64, lay: Lay, pad: Pad
         refit = _similarity(drawing[[k for _, k in pairs]], plane[[i for i, _ in pairs]])
         if refit is None:
             return [], math.inf
-        lay = refit
+        similarity = refit
     inner_count = sum(k in _INNER for _, k in pairs)
     if inner_count < 2:
         return [], math.inf
     at = np.array([i for i, _ in pairs])
-    off = plane[at] - _apply(lay, drawing[[k for _, k in pairs]])
-    unit = math.hypot(lay[0], lay[1]) * pad.leg_width_m
+    off = plane[at] - _apply(similarity, drawing[[k for _, k in pairs]])
+    unit = math.hypot(similarity[0], similarity[1]) * pad.leg_width_m
     return pairs, float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) / unit
 
 
-def _painted(lay: Lay, seg: Segmentation, view: OrientedCamera, pad: Pad, whiteness: F32) -> bool:
+def _painted(similarity: Similarity, seg: Segmentation, view: OrientedCamera, pad: Pad, whiteness: F32) -> bool:
     """Return whether the frame is white on the aligned drawing and not white beside it, at the points inside the frame."""
     leg_y = 0.5 * (pad.h_width_m - pad.leg_width_m)
     ends = 0.4 * pad.h_length_m
@@ -187,7 +189,7 @@ def _painted(lay: Lay, seg: Segmentation, view: OrientedCamera, pad: Pad, whiten
         (2 * notch + pad.leg_width_m, leg_y),
         (-2 * notch - pad.leg_width_m, -leg_y),
     ]
-    uv = view.pixels(_apply(lay, np.array(white + ground))) - np.array(seg.origin_px)
+    uv = view.pixels(_apply(similarity, np.array(white + ground))) - np.array(seg.origin_px)
     h, w = whiteness.shape
     expected = np.array([True] * len(white) + [False] * len(ground))
     ok = np.all(np.isfinite(uv), axis=1)
@@ -210,7 +212,7 @@ def _stroke(h: U8) -> float:
     return 2.0 * cv2.contourArea(largest) / length + 1.0 if length > 0 else 0.0
 
 
-def _similarity(p: F64, q: F64) -> Lay | None:
+def _similarity(p: F64, q: F64) -> Similarity | None:
     """Fit shift, rotation and scale from p to q, (N, 2) each, by least squares."""
     pc, qc = p.mean(axis=0), q.mean(axis=0)
     dp, dq = p - pc, q - qc
@@ -222,6 +224,6 @@ def _similarity(p: F64, q: F64) -> Lay | None:
     return a, b, float(qc[0] - a * pc[0] + b * pc[1]), float(qc[1] - b * pc[0] - a * pc[1])
 
 
-def _apply(lay: Lay, p: F64) -> F64:
-    a, b, x, y = lay
+def _apply(similarity: Similarity, p: F64) -> F64:
+    a, b, x, y = similarity
     return np.stack([a * p[:, 0] - b * p[:, 1] + x, b * p[:, 0] + a * p[:, 1] + y], axis=1)

@@ -147,8 +147,8 @@ def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> DiscOutline 
     rms_px = float(np.sqrt(np.mean(ellipse.residuals(plane[inside]) ** 2))) * px_of
     roundness = ellipse.b / ellipse.a
     least_round = 0.9 if view.orientation.measured else 0.8
-    share = float(np.mean(inside)) * len(edges) / _POINTS
-    if rms_px > max(0.5, 0.02 * radius_px) or roundness < least_round - 0.6 / radius_px or share < 0.55:
+    fraction = float(np.mean(inside)) * len(edges) / _POINTS
+    if rms_px > max(0.5, 0.02 * radius_px) or roundness < least_round - 0.6 / radius_px or fraction < 0.55:
         return None
 
     # An unknown tilt shortens one axis only, and noise alone lengthens the longer one, so the mean is right if the tilt is known.
@@ -165,7 +165,7 @@ def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> DiscOutline 
     modes = np.zeros((3, 8, 2))
     modes[0, :, 0] = modes[1, :, 1] = math.hypot(sigma_centre, 0.3 * _SIGMA_EDGE_PX)
     modes[2] = out * math.hypot(sigma_radius, _SIGMA_EDGE_PX, _BLUR_PX2 / radius_px)
-    confidence = share * roundness * math.exp(-((rms_px / max(0.7, 0.015 * radius_px)) ** 2)) * (0.4 + 0.6 * seg.plausibility)
+    confidence = fraction * roundness * math.exp(-((rms_px / max(0.7, 0.015 * radius_px)) ** 2)) * (0.4 + 0.6 * seg.plausibility)
     features = (
         Feature("ellipse", "disc", view.pixels(ellipse.points(72))),
         Feature("point", "centre", centre_uv),

@@ -40,17 +40,17 @@ class RightAngle:
     """One standard deviation of `uv_px` in each axis."""
 
 
-def candidates(share: F32, where: U8, stroke_px: float) -> F64:
+def candidates(coverage: F32, where: U8, stroke_px: float) -> F64:
     """Return (N, 2) px of the peaks of the Harris response, good to a few pixels, strongest first; N <= 40.
 
     Args:
-        share: (h, w) coverage by paint.
+        coverage: (h, w) coverage by paint.
         where: (h, w) mask of the search area.
         stroke_px: width of the strokes that form the corners; the search runs at a scale where it is about 8 px.
     """
     k = max(1, int(stroke_px / 8.0))
-    h, w = share.shape
-    grey = np.clip(share * 255.0, 0.0, 255.0).astype(np.uint8)
+    h, w = coverage.shape
+    grey = np.clip(coverage * 255.0, 0.0, 255.0).astype(np.uint8)
     if k > 1:
         grey = np.asarray(cv2.resize(grey, (max(8, w // k), max(8, h // k)), interpolation=cv2.INTER_AREA), np.uint8)
     fu, fv = w / grey.shape[1], h / grey.shape[0]
@@ -65,11 +65,11 @@ def candidates(share: F32, where: U8, stroke_px: float) -> F64:
     return np.stack([(u[order] + 0.5) * fu - 0.5, (v[order] + 0.5) * fv - 0.5], axis=1)
 
 
-def refine(share: F32, uv_px: F64, reach_px: float, paint: F64 | None = None, settled: bool = False) -> list[RightAngle]:
+def refine(coverage: F32, uv_px: F64, reach_px: float, paint: F64 | None = None, settled: bool = False) -> list[RightAngle]:
     """Return the right-angled corners among the candidates, each once.
 
     Args:
-        share: (h, w) coverage by paint: 0 is ground, 1 is paint.
+        coverage: (h, w) coverage by paint: 0 is ground, 1 is paint.
         uv_px: (N, 2) candidates, off by up to half of `reach_px`.
         reach_px: radius within which only a corner's two arms show.
         settled: the candidates are corners already, off by a fraction of a pixel.
@@ -82,11 +82,11 @@ def refine(share: F32, uv_px: F64, reach_px: float, paint: F64 | None = None, se
     radii = np.linspace(max(_MIN_RADIUS_PX, 0.3 * reach_px), reach_px, _RADII)
     if not settled:
         # From an inexact start, only the outer circles certainly enclose the corner.
-        first = _fit(share, at, np.linspace(0.5 * reach_px, reach_px, 4), level)
+        first = _fit(coverage, at, np.linspace(0.5 * reach_px, reach_px, 4), level)
         at, level = first.uv[first.ok], level[first.ok]
         if len(at) == 0:
             return []
-    fits = _fit(share, at, radii, level)
+    fits = _fit(coverage, at, radii, level)
     return _distinct(fits.only(fits.ok), 0.5 * reach_px)
 
 
@@ -102,7 +102,7 @@ class _Fits:
         return _Fits(self.uv[keep], self.arms[keep], self.inner[keep], self.sigma[keep], self.ok[keep])
 
 
-def _fit(share: F32, at: F64, radii: F64, level: F64) -> _Fits:
+def _fit(coverage: F32, at: F64, radii: F64, level: F64) -> _Fits:
     """Fit a line to each arm from the two crossings of circles about (N, 2) points, and return the lines' intersections."""
     n, m = len(at), len(radii)
     # Steps are 0.7 px at most; otherwise an edge fits between two samples and its crossing is off.
@@ -111,7 +111,9 @@ def _fit(share: F32, at: F64, radii: F64, level: F64) -> _Fits:
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     pts = at[:, None, None, :] + radii[None, :, None, None] * ring[None, None, :, :]
     flat = pts.reshape(n * m, count_a, 2).astype(np.float32)
-    value = cv2.remap(share, flat[:, :, 0], flat[:, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-100.0)
+    value = cv2.remap(
+        coverage, flat[:, :, 0], flat[:, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-100.0
+    )
     v = np.asarray(value, float).reshape(n, m, count_a)
     inside = v.min(axis=2) > -10.0
     half = level[:, None]
@@ -131,8 +133,8 @@ def _fit(share: F32, at: F64, radii: F64, level: F64) -> _Fits:
     paint = np.mod(fall - rise, math.tau) / math.tau
     good = clean & (np.abs(np.abs(paint - 0.5) - 0.25) < 0.16)
     count = good.sum(axis=1)
-    share_of_paint = np.sum(np.where(good, paint, 0.0), axis=1) / np.maximum(count, 1)
-    inner = share_of_paint > 0.5
+    paint_fraction = np.sum(np.where(good, paint, 0.0), axis=1) / np.maximum(count, 1)
+    inner = paint_fraction > 0.5
     weight = good.astype(float)
     p_rise = at[:, None, :] + radii[None, :, None] * np.stack([np.cos(rise), np.sin(rise)], axis=2)
     p_fall = at[:, None, :] + radii[None, :, None] * np.stack([np.cos(fall), np.sin(fall)], axis=2)

@@ -22,7 +22,7 @@ from estimator.vision.thesis.blob import U8, Masks, choose_blob
 F32 = NDArray[np.float32]
 Triple = tuple[int, int, int]
 
-_SPOTS = 6
+_MOST_COMPONENTS = 6
 _FAINT_PX = 24
 """Widest disc that may consist only of mixed pixels."""
 _FAINT_SATURATION = 30
@@ -228,12 +228,12 @@ def _h_marking(px: U8, white: U8, green: U8, inside: U8, disc_cut: bool) -> tupl
         near *= np.float32(1.0 / max(0.5, _quantile(_under(near, whole), 0.6)))
         _level(near, whole)
         seeds[box] = whole
-    share = np.zeros(seeds.shape, np.float32)
-    share[box] = near
-    return seeds, share
+    coverage = np.zeros(seeds.shape, np.float32)
+    coverage[box] = near
+    return seeds, coverage
 
 
-def _level(share: F32, h: U8) -> None:
+def _level(coverage: F32, h: U8) -> None:
     """Divide, in place, by the local light on the H.
 
     Across a shadow's edge or worn paint, an edge is at half of the local paint, not at half of the brightest. This is done only
@@ -250,17 +250,17 @@ def _level(share: F32, h: U8) -> None:
     weight = (core[box][::k, ::k] > 0).astype(np.float32)
     window = (2 * (reach // (2 * k)) + 1,) * 2
     near = cv2.boxFilter(weight, -1, window, borderType=cv2.BORDER_REPLICATE)
-    light = cv2.boxFilter(share[box][::k, ::k] * weight, -1, window, borderType=cv2.BORDER_REPLICATE)
+    light = cv2.boxFilter(coverage[box][::k, ::k] * weight, -1, window, borderType=cv2.BORDER_REPLICATE)
     light = np.where(near > 1e-3, np.maximum(light / np.maximum(near, 1e-3), 0.3), np.float32(1.0))
-    rows, columns = share[box].shape
-    share[box] /= cv2.resize(light, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    rows, columns = coverage[box].shape
+    coverage[box] /= cv2.resize(light, (columns, rows), interpolation=cv2.INTER_LINEAR)
 
 
 def _largest(white: U8, green: U8, disc_cut: bool) -> U8:
     """Return the largest white components; of a cut disc only those surrounded by green."""
     contours, _ = cv2.findContours(white, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = np.zeros_like(white)
-    sized = sorted(((cv2.contourArea(c) + 0.5 * len(c), i) for i, c in enumerate(contours)), reverse=True)[:_SPOTS]
+    sized = sorted(((cv2.contourArea(c) + 0.5 * len(c), i) for i, c in enumerate(contours)), reverse=True)[:_MOST_COMPONENTS]
     largest = 0.0
     for area, i in sized:
         if area < max(6.0, 0.25 * largest):
@@ -302,13 +302,13 @@ def _scaled(channel: F32, zero: U8, one: U8, quantile: float) -> F32 | None:
     floor, top = _quantile(floor_values, 0.5), _quantile(top_values, quantile)
     if top - floor < _MIN_CONTRAST:
         return None
-    share = channel - np.float32(floor)
-    share *= np.float32(1.0 / (top - floor))
-    return share
+    coverage = channel - np.float32(floor)
+    coverage *= np.float32(1.0 / (top - floor))
+    return coverage
 
 
-def _quantile(values: F32, share: float) -> float:
-    k = int(share * (values.size - 1))
+def _quantile(values: F32, fraction: float) -> float:
+    k = int(fraction * (values.size - 1))
     return float(np.partition(values, k)[k])
 
 

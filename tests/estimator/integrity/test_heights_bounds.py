@@ -9,7 +9,7 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Baro, Range
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity.heights import HeightWatch, ranged, saw, weighed
+from estimator.integrity.heights import HeightWatch, ranged, sighted, weighed
 from estimator.integrity.options import IntegrityOptions
 
 LIMITS = IntegrityOptions()
@@ -44,7 +44,7 @@ def test_a_new_watch_has_seen_nothing_and_compares_nothing() -> None:
 def test_a_sighting_is_kept_with_the_bodys_down_axis() -> None:
     roll, pitch = 0.2, 0.1
     seen = Sighting(stamp(T), 1, "registration", np.array([1.0, 2.0, 3.0]), 0.0, False, 1e-4 * np.eye(4), 0.9)
-    state = saw(HeightWatch(), seen, Rotation.from_rpy(roll, pitch, 1.3))
+    state = sighted(HeightWatch(), seen, Rotation.from_rpy(roll, pitch, 1.3))
     assert (state.seen_at, state.d_level) == (T, (1.0, 2.0, 3.0))
     assert state.down_level == pytest.approx(
         (math.sin(pitch) * math.cos(roll), -math.sin(roll), math.cos(pitch) * math.cos(roll))

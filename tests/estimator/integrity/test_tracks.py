@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.tracks import Place, Tracks, fused, judge
+from estimator.integrity.tracks import Place, Tracks, associate, fused
 
 LIMITS = IntegrityOptions()
 
@@ -16,7 +16,7 @@ def place(t_s: float, d: tuple[float, float, float], sigma_m: float = 0.01) -> P
 def follow(tracks: Tracks, looks: list[Place], expected: Place | None = None) -> tuple[Tracks, list[bool]]:
     out = []
     for seen in looks:
-        tracks, explained = judge(tracks, seen, None if expected is None else expected._replace(t=seen.t), LIMITS)
+        tracks, explained = associate(tracks, seen, None if expected is None else expected._replace(t=seen.t), LIMITS)
         if explained:
             tracks = fused(tracks, seen)
         out.append(explained)
@@ -115,6 +115,6 @@ def test_a_belief_that_grows_vague_does_not_come_to_explain_what_it_did_not() ->
     tracks, _ = follow(Tracks(), steady(0, 2, HERE))
     explained = []
     for seen in steady(2, 3.9, ASIDE):
-        tracks, about = judge(tracks, seen, place(seen.t * 1e-9, HERE, 0.05 + 0.5 * (seen.t * 1e-9 - 2.0)), LIMITS)
+        tracks, about = associate(tracks, seen, place(seen.t * 1e-9, HERE, 0.05 + 0.5 * (seen.t * 1e-9 - 2.0)), LIMITS)
         explained.append(about)
     assert not any(explained)

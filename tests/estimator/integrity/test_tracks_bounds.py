@@ -5,7 +5,7 @@ import math
 import pytest
 
 from estimator.integrity.options import IntegrityOptions
-from estimator.integrity.tracks import Place, TrackCandidate, Tracks, fused, judge
+from estimator.integrity.tracks import Place, TrackCandidate, Tracks, associate, fused
 
 LIMITS = IntegrityOptions()
 S, MS = 1_000_000_000, 1_000_000
@@ -21,7 +21,7 @@ def followed(n: int = 20, *candidates: TrackCandidate, t: int = T) -> Tracks:
 
 
 def explains(tracks: Tracks, seen: Place, expected: Place | None = None) -> bool:
-    after, explained = judge(tracks, seen, expected, LIMITS)
+    after, explained = associate(tracks, seen, expected, LIMITS)
     assert not explained or after.number == tracks.number
     return explained
 
@@ -82,13 +82,13 @@ def test_sideways_and_height_have_a_doubt_each() -> None:
 
 def test_what_the_belief_did_not_explain_at_first_it_does_not_explain_later() -> None:
     seen = place(T + S, 0.5)
-    tracks, explained = judge(followed(), seen, place(T + S, sigma_m=0.1), LIMITS)
+    tracks, explained = associate(followed(), seen, place(T + S, sigma_m=0.1), LIMITS)
     assert not explained
     assert tracks.candidates[0].sigmas_m == (0.1, 0.1)
     for vague_m in (0.1, 0.2, 5.0):
         assert not explains(tracks, place(T + S + 30 * MS, 0.5), place(T + S, sigma_m=vague_m))
     assert explains(followed(), place(T + S + 30 * MS, 0.5), place(T + S, sigma_m=0.2)), "another one may"
-    unsure, _ = judge(followed(), seen, None, LIMITS)
+    unsure, _ = associate(followed(), seen, None, LIMITS)
     assert unsure.candidates[0].sigmas_m == (math.inf, math.inf)
     assert explains(unsure, place(T + S + 30 * MS, 0.5), place(T + S, sigma_m=0.2))
 
@@ -107,7 +107,7 @@ def test_three_looks_within_a_second_dispute_the_track() -> None:
 def test_before_a_track_is_established_the_place_seen_more_often_is_the_pad(track_n: int, needs: int) -> None:
     t = T + 500 * MS
     for n in (needs - 1, needs):
-        after, explained = judge(followed(track_n, other(n - 1, T, t)), place(t, 1.0), None, LIMITS)
+        after, explained = associate(followed(track_n, other(n - 1, T, t)), place(t, 1.0), None, LIMITS)
         assert explained is (n == needs)
         assert (after.number, after.n) == (3, n if explained else track_n)
         assert after.candidates == () if explained else after.candidates[-1].n == n
@@ -128,7 +128,7 @@ def test_an_established_track_gives_way_to_one_that_alone_was_seen_for_its_time(
     track_n: int, n: int, lasted: int, track_t: int, adopted: bool
 ) -> None:
     t = T + lasted
-    after, explained = judge(followed(track_n, other(n - 1, T, t - S), t=track_t), place(t, 1.0), None, LIMITS)
+    after, explained = associate(followed(track_n, other(n - 1, T, t - S), t=track_t), place(t, 1.0), None, LIMITS)
     assert explained is adopted
     assert (after.number, after.n) == ((4, n) if adopted else (3, track_n))
 
@@ -137,22 +137,22 @@ def test_an_established_track_gives_way_to_one_that_alone_was_seen_for_its_time(
 def test_alone_is_who_has_no_rival_within_a_second(n: int, ago: int, alone: bool) -> None:
     t = T + 3 * S
     tracks = followed(20, other(n, T, t - ago, -9.0), other(20, T, t - 30 * MS), t=T - S)
-    assert judge(tracks, place(t, 1.0), None, LIMITS)[1] is alone
+    assert associate(tracks, place(t, 1.0), None, LIMITS)[1] is alone
 
 
 def test_a_look_joins_its_place_within_a_second_and_begins_another_one_after() -> None:
     for after, n in ((S, 6), (S + 1, 1), (-S, 6), (-S - 1, 1)):
-        tracks, _ = judge(followed(20, other(5, T, T + 5 * S)), place(T + 5 * S + after, 1.0), None, LIMITS)
+        tracks, _ = associate(followed(20, other(5, T, T + 5 * S)), place(T + 5 * S + after, 1.0), None, LIMITS)
         assert (tracks.candidates[-1].n, tracks.candidates[-1].last.t) == (n, T + 5 * S + after)
         assert tracks.candidates[-1].first == (T if n == 6 else T + 5 * S + after)
 
 
 def test_other_places_are_kept_for_two_seconds_the_newest_three_beside_the_one_just_seen() -> None:
     others = tuple(other(4, T, T + i * MS, 10.0 + 5.0 * i) for i in (3, 1, 4, 2))
-    tracks, _ = judge(followed(20, *others), place(T + S, 1.0), None, LIMITS)
+    tracks, _ = associate(followed(20, *others), place(T + S, 1.0), None, LIMITS)
     assert [c.last.t for c in tracks.candidates] == [T + 2 * MS, T + 3 * MS, T + 4 * MS, T + S]
     for age, kept in ((2 * S, 2), (2 * S + 1, 1)):
-        tracks, _ = judge(followed(20, other(4, T, T, 9.0)), place(T + age, 1.0), None, LIMITS)
+        tracks, _ = associate(followed(20, other(4, T, T, 9.0)), place(T + age, 1.0), None, LIMITS)
         assert len(tracks.candidates) == kept
 
 
@@ -167,4 +167,4 @@ def test_what_the_estimator_took_is_counted_and_compared_with_by_its_instant() -
 
 
 def test_the_first_sighting_begins_track_one_that_no_estimator_has_taken() -> None:
-    assert judge(Tracks(), place(T), None, LIMITS) == (Tracks(1, 0, place(T)), True)
+    assert associate(Tracks(), place(T), None, LIMITS) == (Tracks(1, 0, place(T)), True)

@@ -60,22 +60,22 @@ def test_it_takes_eight_looks_over_three_tenths_of_the_last_half_second(instants
 
 
 def test_looks_are_kept_for_half_a_second_and_none_from_the_future() -> None:
-    assert len(looked([0.0, 500.0]).looks) == 2
-    assert len(looked([0.0, 500.000001]).looks) == 1
-    assert len(looked([0.0, -10.0]).looks) == 1
-    assert len(looked([0.0, 0.0]).looks) == 2
+    assert len(looked([0.0, 500.0]).bearings) == 2
+    assert len(looked([0.0, 500.000001]).bearings) == 1
+    assert len(looked([0.0, -10.0]).bearings) == 1
+    assert len(looked([0.0, 0.0]).bearings) == 2
 
 
 def test_a_bearing_is_a_direction_whatever_the_distance() -> None:
     for height_m in (0.1, 1.0, 30.0):
         state = looked(EIGHT, height_m=height_m, own=0.05)
-        assert all(np.linalg.norm(bearing) == pytest.approx(1.0) for _, bearing, _ in state.looks)
+        assert all(np.linalg.norm(bearing) == pytest.approx(1.0) for _, bearing, _ in state.bearings)
         assert state.frozen
 
 
 def test_a_pad_at_no_distance_has_no_bearing() -> None:
-    assert looked(EIGHT, height_m=0.9e-6).looks == ()
-    assert looked([0.0], height_m=1.1e-6).looks != ()
+    assert looked(EIGHT, height_m=0.9e-6).bearings == ()
+    assert looked([0.0], height_m=1.1e-6).bearings != ()
 
 
 @pytest.mark.parametrize(("limit", "swing_rad", "frozen"), [(0.01, 0.0099, False), (0.01, 0.0101, True), (0.03, 0.0297, False)])

@@ -95,16 +95,16 @@ def test_points_on_a_line_or_none_at_all_make_no_circle() -> None:
 
 def test_shares_of_the_drawing_add_up_and_match_its_areas(pad: Pad) -> None:
     for drawing in maps(pad):
-        assert np.allclose(drawing.share.sum(axis=2), 1.0, atol=1e-4)
+        assert np.allclose(drawing.coverage.sum(axis=2), 1.0, atol=1e-4)
     cell = 1.0 / maps(pad)[0].per_m ** 2
-    area = maps(pad)[0].share.sum(axis=(0, 1)) * cell
+    area = maps(pad)[0].coverage.sum(axis=(0, 1)) * cell
     h_marking = 2 * pad.h_length_m * pad.leg_width_m + pad.bar_length_m * pad.bar_width_m
     assert area[H] == pytest.approx(h_marking, rel=0.02)
     ring = math.pi * (pad.ring_outer_m**2 - pad.ring_inner_m**2)
     assert ring < area[ORANGE] < ring + pad.arrow_depth_m * pad.arrow_half_base_m
     assert area[DISC] == pytest.approx(math.pi * pad.disc_radius_m**2 - area[H] - area[ORANGE], rel=0.01)
     for drawing in maps(pad, True):
-        assert np.abs(drawing.share.sum(axis=2)).max() < 1e-4, "less its neighbourhood"
+        assert np.abs(drawing.coverage.sum(axis=2)).max() < 1e-4, "less its neighbourhood"
     places = polar_drawing(pad).xy_m
     assert sum(m.sum() for m in paints_at(places, pad)) == np.count_nonzero(np.hypot(*places.T) <= pad.disc_radius_m)
 

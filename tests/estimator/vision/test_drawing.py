@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from estimator.contracts.geometry import Rotation
-from estimator.vision.drawing import Blurred, EdgeKind, Share, edges_of
+from estimator.vision.drawing import Blurred, Coverage, EdgeKind, edges_of
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.register.state import RegistrationState
@@ -56,12 +56,12 @@ def test_sharp_orange_is_the_drawing_too() -> None:
     assert away.max() < 0.2, "where ring and arrowhead meet at an angle"
 
 
-def ring(b: Blurred) -> Share:
+def ring(b: Blurred) -> Coverage:
     outer, inner = b.circles(b.pad.ring_outer_m, b.pad.ring_inner_m)
     return outer[0] - inner[0], outer[1] - inner[1]
 
 
-def orange_of(b: Blurred) -> Share:
+def orange_of(b: Blurred) -> Coverage:
     outer, inner = b.circles(b.pad.ring_outer_m, b.pad.ring_inner_m)
     head, d_head = b.arrow(outer)
     return outer[0] - inner[0] + head, outer[1] - inner[1] + d_head
@@ -86,7 +86,7 @@ def test_edges_shares_together_are_those_of_each_by_itself(pad: Pad) -> None:
     borders = np.searchsorted(edges.kind[::7], np.arange(len(EdgeKind) + 1)).tolist()
     disc, ring_, arrow, h = (slice(a, b) for a, b in itertools.pairwise(borders))
     b = Blurred(pad, near[:, 0], near[:, 1], (9e-6, 2e-6, 7e-6), np.linspace(0.8, 1.2, len(near), dtype=np.float32))
-    share, d, head = b.edge_shares(disc, ring_, arrow, h)
+    share, d, head = b.edge_coverages(disc, ring_, arrow, h)
     field = pad.disc_radius_m - pad.rim_width_m
     for part, shape in ((disc, lambda b: b.circles(field)[0]), (ring_, ring), (arrow, orange_of), (h, lambda b: b.h())):
         alone = shape(b.part(part))
