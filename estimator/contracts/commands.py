@@ -1,4 +1,4 @@
-"""What guidance asks of a vehicle. Drivers turn these into bytes."""
+"""The commands of guidance to a vehicle. Drivers turn them into bytes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Velocity:
 
 @dataclass(frozen=True, slots=True)
 class Hover:
-    """Stay where you are by your own means; never descend."""
+    """Hold the position with the vehicle's own means; never descend."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +39,9 @@ class TakeOff:
 
 @dataclass(frozen=True, slots=True)
 class Land:
-    """Descend to the ground by your own means and stop the motors there.
+    """Descend to the ground with the vehicle's own means and stop the motors there.
 
-    Guidance repeats it in every cycle for as long as it wants to land; a driver takes its silence as the landing called off.
+    Guidance repeats it in every cycle for as long as it wants to land; a driver treats its absence as the end of the landing.
     """
 
     standing: bool = False

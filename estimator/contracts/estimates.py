@@ -1,4 +1,4 @@
-"""What we conclude: where the pad is, how sure we are, and what became of each input."""
+"""The results of estimation: the pad's relative position, its uncertainty, and the verdict on each input."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ UNKNOWN_YAW_VAR = math.pi**2 / 3.0
 
 
 class Verdict(Enum):
-    """What became of one input. Every frame and every measurement ends in exactly one."""
+    """The verdict on one input. Every frame and every measurement gets exactly one."""
 
     FUSED = "fused"
     GATED = "gated"
-    """Implausible against the belief."""
+    """The input is implausible against the belief."""
     TOO_OLD = "too_old"
     TOO_NEW = "too_new"
     SINGULAR = "singular"
     NO_PAD = "no_pad"
     """A frame in which no pad was found."""
     REPLACED = "replaced"
-    """A frame that a newer one overtook before anyone looked at it."""
+    """A newer frame replaced this one before it was processed."""
     NO_ATTITUDE = "no_attitude"
-    """A frame whose exposure no attitude sample covers."""
+    """No attitude sample covers the frame's exposure."""
     FAILED = "failed"
-    """A frame that could not be read or processed."""
+    """The frame could not be read or processed."""
     REPEATED = "repeated"
-    """A frame whose pixels are those of an earlier one: it tells nothing new of the world, whatever its stamp says."""
+    """The frame's pixels equal those of an earlier one: it carries no new information, whatever its stamp says."""
     FROZEN = "frozen"
     """A reading that has not changed by one bit for longer than its sensor can hold still, or a pad that stands still in the
     image while the body turns."""
     IMPOSSIBLE = "impossible"
-    """A reading beyond what the vehicle can do, or a step that it cannot make."""
+    """The reading is beyond what the vehicle can do, or a step that it cannot make."""
     ELSEWHERE = "elsewhere"
-    """A sighting at a place that no motion explains: another pad, until the track is given up for it."""
+    """No motion explains the sighting's position: it is another pad, until the track is given up for it."""
 
 
 class Doubt(Enum):
@@ -63,23 +63,23 @@ class Doubt(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Feature:
-    """Something a method saw, in pixels, for frames and records; no estimate is computed from it."""
+    """A feature that a method detected, in pixels, for display and recording; no estimate is computed from it."""
 
     kind: Literal["ellipse", "point", "line", "outline"]
     label: str
     uv_px: F64
-    """(N, 2); an ellipse is given as its outline."""
+    """Points, (N, 2); an ellipse is given as its outline."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose6:
-    """The whole pose of the pad, where a method knows it."""
+    """The full pose of the pad, from a method that measures it."""
 
     d_body_pad_level: F64
-    """(3,) m."""
+    """Position of the pad, (3,) m."""
     R_level_pad: Rotation
     cov: F64
-    """(6, 6): [d_body_pad_level (m), small rotation of the pad written in `level` (rad)]."""
+    """Covariance, (6, 6): [d_body_pad_level (m), small rotation of the pad written in `level` (rad)]."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "d_body_pad_level", _vector("Pose6.d_body_pad_level", self.d_body_pad_level, (3,)))
@@ -88,21 +88,21 @@ class Pose6:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """One look at the pad: the vector from the body's origin to the pad's centre, written in `level`, and the heading."""
+    """One measurement of the pad: the vector from the body's origin to the pad's centre, written in `level`, and the heading."""
 
     stamp: Stamp
     seq: int
     method: Method
     d_body_pad_level: F64
-    """(3,) m forward, right, down."""
+    """Position of the pad, (3,) m forward, right, down."""
     yaw_rad: float | None
-    """Heading of the body against the arrow, clockwise from above positive, (-pi, pi]; None when the frame does not tell."""
+    """Heading of the body against the arrow, clockwise from above positive, (-pi, pi]; None if the frame does not show it."""
     yaw_ambiguous: bool
-    """The heading may as well be 180 degrees away (an H alone)."""
+    """True if the heading may be 180 degrees off (an H alone)."""
     cov: F64
-    """(4, 4) of [forward, right, down, yaw] in m and rad; an unknown yaw has `UNKNOWN_YAW_VAR`."""
+    """Covariance of [forward, right, down, yaw], (4, 4), in m and rad; an unknown yaw has `UNKNOWN_YAW_VAR`."""
     confidence: float
-    """0..1: how probable it is that this is the pad and the estimate holds its covariance."""
+    """Probability, 0..1, that this is the pad and that the estimate keeps its covariance."""
     pose6: Pose6 | None = None
     features: tuple[Feature, ...] = field(default=())
 
@@ -117,28 +117,28 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativeState:
-    """The belief about the pad at one instant: what guidance steers by."""
+    """The belief about the pad at one instant, which guidance steers by."""
 
     at: MonoNs
     path: PathName
     d_body_pad_level: F64
-    """(3,) m forward, right, down."""
+    """Position of the pad, (3,) m forward, right, down."""
     v_pad_level: F64
-    """(3,) m/s, rate of `d_body_pad_level` seen without rotating: velocity of the pad less that of the body."""
+    """Rate of `d_body_pad_level` without the rotation of the axes, (3,) m/s: velocity of the pad minus that of the body."""
     yaw_rad: float | None
     """Heading of the body against the arrow; None while it was never known."""
     cov: F64
-    """(7, 7) of [d (3), v (3), yaw]."""
+    """Covariance of [d (3), v (3), yaw], (7, 7)."""
     sighted: MonoNs
-    """When the newest fused sighting was true."""
+    """Measurement instant of the newest fused sighting."""
     consistent: bool
-    """Whether recent innovations agree with the covariance claimed."""
+    """Whether recent innovations agree with the claimed covariance."""
     details: tuple[tuple[str, float], ...] = field(default=())
-    """Named figures of the path for records and frames (biases, gates): never steered by."""
+    """Named figures of the path for recording and display (biases, gates); guidance never uses them."""
     track: int = 0
-    """Number of the pad that it is about; it goes up when the track is given up for a place that no motion explains."""
+    """Number of the tracked pad; it increases when the track is given up for a position that no motion explains."""
     doubts: tuple[Doubt, ...] = field(default=())
-    """The reasons not to descend by it now; `consistent` is False while there is any."""
+    """The reasons not to descend by this belief; `consistent` is False while there are any."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "d_body_pad_level", _vector("RelativeState.d_body_pad_level", self.d_body_pad_level, (3,)))
@@ -147,14 +147,14 @@ class RelativeState:
 
     @property
     def height_m(self) -> float:
-        """Height of the body's origin over the pad's centre."""
+        """Height of the body's origin above the pad's centre, metres."""
         return float(self.d_body_pad_level[2])
 
     @property
     def lateral_m(self) -> float:
-        """Horizontal distance between body and pad centre."""
+        """Horizontal distance between body and pad centre, metres."""
         return float(np.hypot(self.d_body_pad_level[0], self.d_body_pad_level[1]))
 
     def age_s(self, now: MonoNs) -> float:
-        """Seconds since the newest fused sighting was true."""
+        """Return the seconds since the newest fused sighting was measured."""
         return (now - self.sighted) * 1e-9

@@ -1,7 +1,4 @@
-"""What sensors tell us. Immutable, checked once at the border; every sample says when it was true.
-
-A direction a sensor does not measure has the variance `UNKNOWN_VAR`, so that it weighs nothing instead of claiming zero.
-"""
+"""The samples of the sensors. They are immutable, are checked once at construction, and carry their measurement instant."""
 
 from __future__ import annotations
 
@@ -39,11 +36,11 @@ class Frame:
 
     stamp: Stamp
     seq: int
-    """The device's own counter: a gap is a loss."""
+    """The device's own counter: a gap is a lost frame."""
     px: NDArray[np.uint8]
-    """(H, W, 3) BGR, made read-only here."""
+    """Pixels, (H, W, 3) BGR; the constructor makes them read-only."""
     exposure_s: float = 0.0
-    """How long the shutter was open; 0 when not known."""
+    """Exposure time; 0 if unknown."""
 
     def __post_init__(self) -> None:
         if self.px.ndim != 3 or self.px.shape[2] != 3 or self.px.dtype != np.uint8:
@@ -57,9 +54,9 @@ class Imu:
 
     stamp: Stamp
     w_body: F64
-    """(3,) rad/s."""
+    """Angular rate, (3,) rad/s."""
     f_body: F64
-    """(3,) m/s^2 specific force: at rest and level it reads (0, 0, -9.81)."""
+    """Specific force, (3,) m/s^2: at rest and level it reads (0, 0, -9.81)."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "w_body", _vector("Imu.w_body", self.w_body, (3,)))
@@ -73,7 +70,7 @@ class Attitude:
     stamp: Stamp
     R_ned_body: Rotation
     cov_body: F64
-    """(3, 3) rad^2, of the small rotation error written in `body`."""
+    """Covariance of the small rotation error written in `body`, (3, 3) rad^2."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cov_body", _covariance("Attitude.cov_body", self.cov_body, 3))
@@ -81,13 +78,13 @@ class Attitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyVelocity:
-    """Velocity of the body over the ground (or over what its flow sensor sees), written in `level`."""
+    """Velocity of the body over the ground (or over the surface that its flow sensor sees), written in `level`."""
 
     stamp: Stamp
     v_level: F64
-    """(3,) m/s forward, right, down."""
+    """Velocity, (3,) m/s forward, right, down."""
     cov_level: F64
-    """(3, 3) (m/s)^2."""
+    """Covariance of the velocity, (3, 3) (m/s)^2."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "v_level", _vector("BodyVelocity.v_level", self.v_level, (3,)))
@@ -96,7 +93,7 @@ class BodyVelocity:
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Distance from the body along its own down axis to whatever is there (ultrasound, lidar)."""
+    """Distance from the body along its own down axis to the nearest surface (ultrasound, lidar)."""
 
     stamp: Stamp
     range_m: float
@@ -122,15 +119,15 @@ class Baro:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VesselReport:
-    """What the ship says of itself (GNSS, compass). Any part may be missing."""
+    """Report of the ship about itself (GNSS, compass). Any part may be missing."""
 
     stamp: Stamp
     v_vessel_ned: F64 | None
-    """(3,) m/s."""
+    """Velocity of the vessel, (3,) m/s."""
     cov_v_ned: F64 | None
-    """(3, 3) (m/s)^2."""
+    """Covariance of the velocity, (3, 3) (m/s)^2."""
     heading_rad: float | None
-    """Of the vessel's bow, clockwise from north."""
+    """Heading of the vessel's bow, clockwise from north."""
     sigma_heading_rad: float | None
 
     def __post_init__(self) -> None:
@@ -145,16 +142,16 @@ class VesselReport:
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """What the vehicle says of its own condition; everything it does not say is None."""
+    """Report of the vehicle about its own condition; a missing part is None."""
 
     stamp: Stamp
     flying: bool | None
     mode: str
-    """The vehicle's own word for what it is doing, lower case: landed, taking_off, hovering, flying, landing, ..."""
+    """The vehicle's own name for its flight mode, lower case: landed, taking_off, hovering, flying, landing, ..."""
     battery_fraction: float | None
     emergency: bool
     link_ok: bool
 
 
 Sample = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | VehicleStatus
-"""Everything a driver hands over besides frames."""
+"""Everything that a driver delivers besides frames."""
