@@ -106,7 +106,7 @@ class BridgeSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def unsigned(settings: AutopilotSettings | BridgeSettings) -> str | None:
-    """Return what is said of links that are not signed, with the cure; None where they are, or there are none."""
+    """Return what is said of links that are not signed, with the fix; None where they are, or there are none."""
     if settings.signing_key_file or not settings.links.strip():
         return None
     return "not signed: decklander keys make FILE; decklander keys install --link URL FILE; then signing_key_file = FILE"

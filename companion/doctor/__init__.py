@@ -1,1 +1,1 @@
-"""Why nothing happens: a frame of the whole set-up, and rules that name every known fault with its fix."""
+"""Diagnose a setup: a snapshot of autopilot, links and files, and rules that name every known fault with its fix."""

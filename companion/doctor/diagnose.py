@@ -12,6 +12,6 @@ PARAMETERS = {"ArduPilot": rules_ardupilot.PARAMETERS, "PX4": rules_px4.PARAMETE
 
 
 def diagnose(snapshot: Snapshot) -> tuple[Finding, ...]:
-    """Every trap that is there, the gravest first."""
+    """Return every finding, the most severe first."""
     found = [finding for rule in RULES if (finding := rule(snapshot)) is not None]
     return tuple(sorted(found, key=lambda f: f.severity))

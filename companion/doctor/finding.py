@@ -1,4 +1,4 @@
-"""A trap that was found, and the shape of a rule that finds one."""
+"""A finding, and the type of a rule that makes one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One trap."""
+    """One fault of the setup, with its fix."""
 
     rule: str
     """Short name, the same in every release."""
@@ -34,7 +34,7 @@ class Finding:
 
 
 Rule = Callable[[Snapshot], Finding | None]
-"""A pure function; None where the trap is not there or cannot be judged."""
+"""A pure function from a snapshot to a finding; None if the fault is not there or cannot be judged."""
 
 
 def error(rule: str, what: str, fix: str) -> Finding:
