@@ -12,7 +12,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from companion.observer import NullObserver
 from prometheus_client.parser import text_string_to_metric_families
 
 from companion.config.settings import camera_model
@@ -32,6 +31,7 @@ from companion.report.flight_log import FlightLog
 from companion.report.innovations import innovation_series
 from companion.report.page import render
 from companion.runtime.health import NIS_WINDOW, Health
+from companion.runtime.observer import NullObserver
 from companion.runtime.service import make_pilot
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import COMPONENTS, FusionResult, Source
