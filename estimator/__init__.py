@@ -7,8 +7,8 @@ imported when the name is first used.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # type checkers take it for true; importing `typing` for it would cost more than the rest of this module
 if TYPE_CHECKING:
     from estimator.contracts.errors import BadInput
     from estimator.contracts.estimates import Doubt, RelativeState, Sighting, Verdict

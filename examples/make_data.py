@@ -11,10 +11,10 @@ import math
 from pathlib import Path
 
 import cv2
-from companion.observer import NullObserver, ProcessedFrame
 
+from companion.config.build_pilot import make_pilot
 from companion.config.settings import load
-from companion.runtime.service import make_pilot
+from companion.runtime.observer import NullObserver, ProcessedFrame
 from estimator import Attitude, Imu, Sighting
 from estimator.contracts.samples import Sample
 from sitl.flight import Flight

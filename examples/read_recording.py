@@ -4,9 +4,8 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from companion.observer import Decision
-
 from companion.recorder.reading import RecordedFrame, instant, open_recording
+from companion.runtime.observer import Decision
 
 recording = open_recording([Path(sys.argv[1])])
 verdicts: Counter[str] = Counter()
