@@ -17,11 +17,8 @@ COPY sitl sitl
 COPY configs configs
 RUN /opt/build/bin/pip wheel --no-cache-dir --no-deps --no-build-isolation --wheel-dir /wheels . \
  && /opt/decklander/bin/pip install --no-cache-dir --no-deps /wheels/decklander-*.whl
-# What nobody here uses: tests of libraries, dialects of MAVLink for other vehicles, symbols for debuggers, the installer itself.
-# Libraries below *.libs were moved to fit beside each other, and strip would break them.
-RUN find /opt/decklander/lib -type d -name tests -prune -exec rm -r {} + \
- && find /opt/decklander/lib -type f -path '*/pymavlink/dialects/*' ! -name '__init__*' ! -name 'all*' ! -name 'common*' -delete \
- && find /opt/decklander/lib -name '*.so' ! -path '*.libs/*' -exec strip --strip-unneeded {} + \
+# What nobody here uses goes, and the installer itself.
+RUN sh requirements/slim.sh /opt/decklander \
  && /opt/decklander/bin/pip uninstall --yes setuptools pip \
  && for command in demo run record replay doctor soak; do /opt/decklander/bin/decklander $command --help > /dev/null || exit 1; done
 # The bill of materials travels with what it describes. Its maker stays in this stage.
