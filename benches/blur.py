@@ -93,7 +93,8 @@ def draw(rows: dict[tuple[By, float], list[tuple[Bias, Bias]]], path: Path) -> N
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.6), sharey=True, layout="constrained")
-    for axis, by in zip(axes, ("lens", "motion"), strict=True):
+    kinds: tuple[By, ...] = ("lens", "motion")
+    for axis, by in zip(axes, kinds, strict=True):
         for colour, height_m in zip(("C0", "C1", "C2", "C3"), HEIGHTS_M, strict=True):
             ours, thesis = zip(*rows[by, height_m], strict=True)
             axis.errorbar(BLURS_PX, [b.mean for b in ours], [b.error for b in ours], color=colour, label=f"{height_m:g} m")

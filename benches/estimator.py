@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator import ekf
 from estimator.contracts.estimates import Sighting, Verdict
@@ -76,7 +77,10 @@ def fly(seed: int) -> Result:
     flight = TruthFlight(s)
     out = Result(s.sea, s.sighting_hz)
     memory = ekf.start(OPTIONS)
-    others = {"median_mean": MedianMeanPath(), "dead_reckoning": DeadReckoningPath()}
+    others: dict[str, MedianMeanPath | DeadReckoningPath] = {
+        "median_mean": MedianMeanPath(),
+        "dead_reckoning": DeadReckoningPath(),
+    }
     squares: dict[str, list[tuple[float, float]]] = defaultdict(list)
     nees, nis, cost = [], [], defaultdict(list)
     covered: dict[tuple[str, float, float], list[int]] = defaultdict(lambda: [0, 0])
@@ -242,18 +246,18 @@ def report(results: Sequence[Result]) -> None:
         print(f"step of a {kind:13s} {np.min(cost):6.0f} us in the quickest flight, {np.median(cost):6.0f} us in the median one")
     print(f"product of two (50, 50) matrices {1e6 * np.median([r.floor_s for r in results]):6.1f} us")
     print(f"history: {np.median([r.bytes for r in results]) / 1e6:.1f} MB in {np.median([r.nodes for r in results]):.0f} events")
-    total: dict[str, int] = defaultdict(int)
+    verdicts: dict[str, int] = defaultdict(int)
     for r in results:
         for name, count in r.verdicts.items():
-            total[name] += count
-    print("verdicts:", ", ".join(f"{name} {count}" for name, count in sorted(total.items())))
+            verdicts[name] += count
+    print("verdicts:", ", ".join(f"{name} {count}" for name, count in sorted(verdicts.items())))
 
 
 def rms(x: F64) -> float:
     return float(np.sqrt(np.mean(np.square(x))))
 
 
-def share(x: F64) -> float:
+def share(x: NDArray[np.bool_]) -> float:
     return 100.0 * float(np.mean(x))
 
 

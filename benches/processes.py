@@ -48,9 +48,9 @@ class Wire:
                     continue
                 now = time.monotonic()
                 out.sendto(data, ("127.0.0.1", self.port))
-                sticks = [c for c in at.decode(data) if isinstance(c, tuple) and isinstance(c[1], at.Pcmd)]
+                sticks = [c[1] for c in at.decode(data) if isinstance(c, tuple) and isinstance(c[1], at.Pcmd)]
                 if sticks:
-                    self.told.append((now, bool(sticks[-1][1].flags)))
+                    self.told.append((now, bool(sticks[-1].flags)))
 
     def hover_after(self, instant: float) -> float:
         """Seconds from an instant until nothing but hover was on the wire (of the next second); 0 where it was so before."""

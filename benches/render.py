@@ -11,6 +11,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ def main() -> None:
         floor = milliseconds(lambda: cv2.inRange(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), (52, 217, 38), (68, 255, 153)), rounds)[
             0
         ]
-        best, median = milliseconds(lambda shot=shot: renderer.render(shot, rng), rounds)
+        best, median = milliseconds(partial(renderer.render, shot, rng), rounds)
         print(f"{height_m:8.1f}  {best:6.2f}  {median:9.2f}  {median / floor:14.1f}")
 
 

@@ -19,6 +19,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,7 @@ async def fly(ports: dict[str, int]) -> None:
         silent = True
 
     loop.add_signal_handler(signal.SIGUSR2, fall_silent)
-    names = {f"{name}_port": port for name, port in ports.items()} | {"video_port": 1}
+    names: dict[str, Any] = {f"{name}_port": port for name, port in ports.items()} | {"video_port": 1}
     async with open_ardrone(ArDroneOptions(host="127.0.0.1", **names), SystemClock()) as link:
         while not link.ready:  # noqa: ASYNC110 - what is waited for is the drone's answer
             await asyncio.sleep(0.02)

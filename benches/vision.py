@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
@@ -122,7 +122,7 @@ class MarkerScene:
         n = cells.shape[0]
         sheet = np.full((n + 2, n + 2), WHITE_LIGHT, np.float32)
         sheet[1:-1, 1:-1] = np.where(cells > 127, WHITE_LIGHT, BLACK_LIGHT)
-        self._sheet = np.kron(sheet, np.ones((32, 32), np.float32))
+        self._sheet: NDArray[np.float32] = np.asarray(np.kron(sheet, np.ones((32, 32), np.float32)), np.float32)
         self._half_m = 0.5 * side_m * (n + 2) / n
         self._camera, self._sensor = camera, sensor
         self._rng = np.random.default_rng(seed)
@@ -140,7 +140,7 @@ class MarkerScene:
         wide = (self._camera.width * FINE, self._camera.height * FINE)
         light = np.full(wide[::-1], FLOOR_LIGHT, np.float32)
         texel_px = float(np.linalg.norm(fine[1] - fine[0])) / size
-        blurred = cv2.GaussianBlur(self._sheet, (0, 0), 0.35 / texel_px) if texel_px < 0.5 else self._sheet
+        blurred: NDArray[Any] = cv2.GaussianBlur(self._sheet, (0, 0), 0.35 / texel_px) if texel_px < 0.5 else self._sheet
         cv2.warpPerspective(blurred, M, wide, light, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT)
         light = cv2.resize(light, (self._camera.width, self._camera.height), interpolation=cv2.INTER_AREA)
         light = cv2.GaussianBlur(light, (0, 0), self._sensor.psf_sigma_px)
@@ -148,7 +148,7 @@ class MarkerScene:
         bgr = light[..., None] + sigma[..., None] * self._rng.standard_normal((*light.shape, 3)).astype(np.float32)
         bgr = np.clip(bgr, 0.0, 1.0)
         coded = np.where(bgr <= 0.0031308, 12.92 * bgr, 1.055 * bgr ** (1 / 2.4) - 0.055)
-        return np.round(255 * coded).astype(np.uint8)
+        return np.asarray(np.round(255 * coded), np.uint8)
 
 
 def pnp(uv: F64, side_m: float, view: RenderedView, camera: Camera) -> tuple[F64, float]:
@@ -158,7 +158,7 @@ def pnp(uv: F64, side_m: float, view: RenderedView, camera: Camera) -> tuple[F64
     _, rvec, tvec = cv2.solvePnP(square, uv.astype(float), camera.K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     R = cv2.Rodrigues(rvec)[0]
     up = R_level_cam(view, camera).matrix @ R[:, 1]
-    return in_level(view, camera, tvec[:, 0]), -math.atan2(up[1], up[0])
+    return in_level(view, camera, np.asarray(tvec[:, 0], float)), -math.atan2(up[1], up[0])
 
 
 def timed(work: Callable[[], T]) -> tuple[T, float]:
@@ -173,9 +173,9 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
     stage = Stage(camera, pad, PLAIN, FLAT, sensor, seed)
     side_m = pad.disc_radius_m * math.sqrt(2)
     code = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
-    aruco_scene = MarkerScene(cv2.aruco.generateImageMarker(code, 7, 7), side_m, camera, sensor, seed)
+    aruco_scene = MarkerScene(np.asarray(cv2.aruco.generateImageMarker(code, 7, 7), np.uint8), side_m, camera, sensor, seed)
     tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    tag_scene = MarkerScene(cv2.aruco.generateImageMarker(tags, 7, 8), side_m, camera, sensor, seed + 1)
+    tag_scene = MarkerScene(np.asarray(cv2.aruco.generateImageMarker(tags, 7, 8), np.uint8), side_m, camera, sensor, seed + 1)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     aruco = cv2.aruco.ArucoDetector(code, parameters)
@@ -193,7 +193,7 @@ def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally]
         took = (time.process_time_ns() - began) * 1e-6
         mount = Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0) @ camera.T_body_cam.t
         for name in ("ellipse", "arrow", "corners"):
-            cue = seen.methods[name]  # type: ignore[index]
+            cue = seen.methods[name]
             found = None if cue is None else (cue.d_body_pad_level - mount, cue.yaw_rad)
             tallies[name].add(found, view, took, either_way=cue is not None and cue.yaw_ambiguous)
 

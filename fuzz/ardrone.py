@@ -71,7 +71,7 @@ def navdata_seeds() -> Iterator[bytes]:
     """Navdata of the simulated drone: bootstrap, demo and full, on the ground and flying."""
     for full in (False, True):
         drone = _drone()
-        commands = [at.Config("general:navdata_demo", "FALSE" if full else "TRUE"), at.Ctrl(at.CTRL_ACK, 0)]
+        commands: list[at.AtCommand] = [at.Config("general:navdata_demo", "FALSE" if full else "TRUE"), at.Ctrl(at.CTRL_ACK, 0)]
         datagrams = [navdata.encode(drone.navdata())]
         drone.take(b"".join(at.encode(i + 1, c) for i, c in enumerate(commands)), _START)
         for tick in range(1, 4):
@@ -199,15 +199,21 @@ def run_at(data: bytes) -> None:
 def at_seeds() -> Iterator[bytes]:
     """A start, a flight, configurations of several users, and each command once."""
     ids = at.ConfigIds("dec1a4de", "dec1a4d1", "dec1a4d0")
-    start = [at.Pmode(2), at.Misc(), at.Config("custom:session_id", "dec1a4de"), ids, at.Config("video:codec_fps", "30")]
-    flight = [
+    start: list[at.AtCommand] = [
+        at.Pmode(2),
+        at.Misc(),
+        at.Config("custom:session_id", "dec1a4de"),
+        ids,
+        at.Config("video:codec_fps", "30"),
+    ]
+    flight: list[at.AtCommand] = [
         at.Ftrim(),
         at.Ref(at.REF_BASE | at.REF_TAKE_OFF),
         at.Pcmd(1, 0.1, -0.2, 0.3, -1.0),
         at.ComWdg(),
         at.Ref(at.REF_BASE),
     ]
-    others = [
+    others: list[at.AtCommand] = [
         at.PcmdMag(1, 0.0, 0.0, 0.0, 0.0, 0.5, 0.1),
         at.Calib(0),
         at.Ctrl(4, 0),
@@ -215,7 +221,7 @@ def at_seeds() -> Iterator[bytes]:
         at.Led(1, 2.0, 3),
         at.Anim(1, 100),
     ]
-    limits = [
+    limits: list[at.AtCommand] = [
         ids,
         at.Config("control:euler_angle_max", "0.25"),
         ids,

@@ -23,6 +23,8 @@ from fuzz.target import SHARED_MEMORY, Choices, Target, block
 TOPICS = tuple(channels.TOPICS)
 GOLDEN = Path(__file__).parents[1] / "tests/golden/approach.mcap"
 _SHORT = 1500
+_SIZE = (640, 360)
+"""Width and height of the frames that `GOLDEN` holds, px."""
 
 
 def run_bytes(data: bytes) -> None:
@@ -60,7 +62,7 @@ def write(path: Path, rows: list[tuple[str, bytes]], attachments: dict[str, byte
         known = {topic: writer.register_channel(topic, "json", 0) for topic in {TOPICS[0], *(topic for topic, _ in rows)}}
         for number, (topic, data) in enumerate(rows):
             writer.add_message(known[topic], number, data, number, number)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _read(path: Path) -> None:
@@ -75,7 +77,7 @@ def _read(path: Path) -> None:
     for event in recording.events():
         read += 1
         if isinstance(event, RecordedFrame):
-            event.frame()
+            event.frame(_SIZE)
     assert sum(recording.counts.values()) >= read
     with suppress(BadInput):
         Replay(recording, make_pilot(_settings()), sightings=True).run()
@@ -108,7 +110,7 @@ def bytes_seeds() -> Iterator[bytes]:
                 writer.start(profile="", library="decklander")
                 topic, data = _rows()[0]
                 writer.add_message(writer.register_channel(topic, "json", 0), 1, data, 1, 1)
-                writer.finish()
+                writer.finish()  # type: ignore[no-untyped-call]
             yield path.read_bytes()
 
 

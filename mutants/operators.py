@@ -116,13 +116,13 @@ def _changes(node: object) -> Iterator[ast.AST]:
             yield ast.And()
         case ast.UnaryOp(op=ast.Not() | ast.USub()):
             yield node.operand
-        case ast.Constant(value=bool()):
-            yield ast.Constant(not node.value)
-        case ast.Constant(value=int()):
-            yield ast.Constant(node.value + 1)
-        case ast.Constant(value=float()):
-            yield ast.Constant(node.value * 2.0 if node.value else 1.0)
-            if node.value not in (0.0, 1.0):
+        case ast.Constant(value=bool(value)):
+            yield ast.Constant(not value)
+        case ast.Constant(value=int(value)):
+            yield ast.Constant(value + 1)
+        case ast.Constant(value=float(value)):
+            yield ast.Constant(value * 2.0 if value else 1.0)
+            if value not in (0.0, 1.0):
                 yield ast.Constant(0.0)
         case ast.Name(id=name) if name in _NAMES:
             yield ast.Name(_NAMES[name], ast.Load())

@@ -123,18 +123,23 @@ def _package(pin: Pin, installed: Mapping[str, metadata.Distribution], known: se
     return Package(
         pin,
         _licence(pin.name, distribution.metadata),
-        distribution.metadata.get("Summary") or "",
+        _field(distribution.metadata, "Summary"),
         tuple(sorted(needed & known)),
         tuple(sorted(set(_libraries(distribution)))),
     )
 
 
+def _field(told: metadata.PackageMetadata, name: str) -> str:
+    """Return one field of the metadata, empty where there is none; older Pythons return None for it, newer ones raise."""
+    return (told[name] or "") if name in told else ""
+
+
 def _licence(name: str, told: metadata.PackageMetadata) -> str | None:
-    if expression := told.get("License-Expression"):
+    if expression := _field(told, "License-Expression"):
         return expression
     if name in READ:
         return READ[name]
-    text = (told.get("License") or "").strip()
+    text = _field(told, "License").strip()
     if text in _FROM_TEXT:
         return _FROM_TEXT[text]
     classifiers = [line.rpartition(":: ")[2] for line in told.get_all("Classifier") or [] if line.startswith("License")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import re
 import subprocess
 import sys
@@ -35,7 +36,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
     module = SimpleNamespace(add_parser=add_parser, run=lambda args: args.count)
     monkeypatch.setitem(cli.COMMANDS, "probe", ("probe", "a probe"))
-    monkeypatch.setattr(cli.importlib, "import_module", {"probe": module}.__getitem__)
+    monkeypatch.setattr(importlib, "import_module", {"probe": module}.__getitem__)
     return module
 
 
@@ -194,7 +195,7 @@ def test_credentials_are_checked_inside_the_systemd_unit_alone(
 
 def test_a_32_bit_python_is_refused_with_a_word(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """numpy, OpenCV and PyAV ship no packages for it: what came instead was whichever of their errors was met first."""
-    monkeypatch.setattr(cli.sys, "maxsize", 2**31 - 1)
+    monkeypatch.setattr(sys, "maxsize", 2**31 - 1)
     assert cli.main(["config", "check", "sim"]) == 1
     assert capsys.readouterr().err.startswith("decklander: this is a 32-bit Python; decklander needs a 64-bit operating system")
 

@@ -12,7 +12,7 @@ import pytest
 
 from companion.cli import demo
 from companion.cli.machine_load import GUIDANCE_LATE_MAX_S, Load
-from companion.cli.verdict import Ending
+from companion.cli.verdict import Contact, Ending
 from companion.runtime.daemon import Daemon
 from companion.runtime.health import Health
 from companion.runtime.pilot import FlightOutcome
@@ -67,7 +67,7 @@ def test_a_landing_on_the_pad_is_not_talked_down() -> None:
     load = Load(30.0, 200, 4.0, Counter(), 0.085)
     landed = Ending("demo", 1, FlightOutcome.LANDED, (), 30.0, Counter(), load=load)
     assert "too slow" in landed.in_words(), "it touched nothing"
-    on_pad = demo.Contact(landed.started, "pad", 0.05, 0.0, 0.4, 0.1)
+    on_pad = Contact(landed.started, "pad", 0.05, 0.0, 0.4, 0.1)
     good = Ending("demo", 1, FlightOutcome.LANDED, (on_pad,), 30.0, Counter(), load=load)
     assert "too slow" not in good.in_words()
 

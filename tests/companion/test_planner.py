@@ -204,9 +204,9 @@ def test_a_landing_that_is_not_reported_is_taken_back_and_after_the_last_try_it_
     phases = phases_of(rows)
     assert phases.count(Phase.LAND) == plan.options.go_arounds_max + 1
     lands = [t for t, _, aim, _ in rows if isinstance(aim, Land)]
-    longest = 0.0
+    longest = begun = 0.0
     for i, t in enumerate(lands):
-        begun = t if i == 0 or t - lands[i - 1] > 2 * DT else begun  # noqa: F821
+        begun = t if i == 0 or t - lands[i - 1] > 2 * DT else begun
         longest = max(longest, t - begun)
     assert longest <= plan.guidance.land_timeout_s + 2 * DT
     assert phases[-1] is Phase.GAVE_UP
@@ -240,6 +240,7 @@ def test_a_landing_from_high_up_ends_when_the_pad_is_lost_and_one_from_low_down_
         planner, plan = Planner.start(), Plan((WayPoint(np.array([0.0, 0.0, height]), 0.1, 0.1, 0.0),))
         planner, aim, _ = planner_step(planner, plan, ns(0.0), estimate(0.0, [0, 0, height]))
         if not goes_on:
+            assert planner.landing is not None
             planner = replace(planner, landing=replace(planner.landing, height_m=height + 1.0))
         for i in range(1, 20):
             planner, aim, _ = planner_step(planner, plan, ns(i * DT), None)
@@ -345,9 +346,9 @@ def test_it_never_sinks_nor_begins_to_land_without_a_fresh_consistent_estimate(h
             pid, command = pid_step(pid, PidOptions(), ns(t), seen, aim, 0.5)
         fit = fit_to_steer(seen, ns(t), plan.guidance.stale_after_s)
         lands = isinstance(command, Land)
-        if fit and flown is None:
+        if fit and seen is not None and flown is None:
             flown = seen.track
-        unbroken = fit and seen.track == flown
+        unbroken = fit and seen is not None and seen.track == flown
         descends = isinstance(command, Velocity) and command.v_level[2] > 0.0
         if not unbroken:
             assert not descends

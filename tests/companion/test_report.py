@@ -273,7 +273,7 @@ def near_ink(canvas, uv, ink, reach=2):
 def test_the_pad_is_drawn_where_the_estimate_has_it(rpy):
     """Against cv2.projectPoints with the same pose composed by hand."""
     yaw, d = 0.7, np.array([0.2, -0.1, 2.0])
-    R_level_body = Rotation.from_rpy(*rpy, 0.0)
+    R_level_body = Rotation.from_rpy(rpy[0], rpy[1], 0.0)
     estimate = RelativeState(ns(1), "ekf", d, np.zeros(3), yaw, np.eye(7), ns(1), True)
     image = np.full((180, 320, 3), 60, np.uint8)
     canvas = annotate(image, Overlay(1.0, Verdict.FUSED, "descend", (), estimate, R_level_body), CAMERA, PAD)

@@ -13,6 +13,7 @@ import urllib.request
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from tests.packaging.image import ROOT, Image, chroot
 
@@ -38,10 +39,10 @@ def fly(work: Path, service: Image, broker: Image, config: Path = CONFIG) -> Non
     subprocess.run(["unshare", "--net", "sh", "-c", inside], cwd=ROOT, check=True)
 
 
-def _image(of: dict[str, object]) -> Image:
+def _image(of: dict[str, Any]) -> Image:
     return Image(
         Path(str(of["root"])), dict(of["environment"]), str(of["folder"]), str(of["user"]), list(of["health"]), list(of["entry"])
-    )  # type: ignore[call-overload]
+    )
 
 
 def _until(what: str, condition: Callable[[], object], seconds: float, children: dict[str, subprocess.Popen[str]]) -> float:

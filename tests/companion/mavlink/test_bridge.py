@@ -28,8 +28,8 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from sitl.testing.fake_ardrone import until
-from tests.companion.mavlink.border import frame
-from tests.companion.mavlink.test_mavsdk import HOST, free_port
+from tests.companion.mavlink.border import HOST, frame
+from tests.companion.mavlink.test_mavsdk import free_port
 
 S = 1_000_000_000
 

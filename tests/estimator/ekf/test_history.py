@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from sitl.testing.estimator_truth import EPOCH_NS, Setting, TruthFlight, events,
 SETTING = Setting(seed=4, sea=4, duration_s=5.0, pose6=True, range_hz=20.0, baro_hz=10.0, imu_hz=100.0, outliers=0.05)
 
 
-def run(what: list, options: EkfOptions | None = None) -> tuple[Ekf, list[Verdict]]:
+def run(what: list[Any], options: EkfOptions | None = None) -> tuple[Ekf, list[Verdict]]:
     ekf = start(options or EkfOptions())
     verdicts = []
     for event in what:

@@ -41,7 +41,7 @@ WALK = motion.ProcessNoise(OPTIONS)
 
 def random_belief(seed: int) -> Belief:
     rng = np.random.default_rng(seed)
-    R = Rotation.from_rpy(*rng.uniform(-0.4, 0.4, 2), rng.uniform(-3, 3)).matrix
+    R = Rotation.from_rpy(*rng.uniform((-0.4, -0.4, -3.0), (0.4, 0.4, 3.0))).matrix
     b = initial(OPTIONS, 0, R, 0.05, 0.1, deck_motion_bank.unknown())
     x = b.x.copy()
     x[POS_REL] = rng.uniform(-2, 2, 3) + np.array([0, 0, 4])
@@ -83,7 +83,7 @@ def sighting(seed: int, *, pose6: bool, sigma_s: float = 0.0) -> tuple[Sighting,
     d = rng.uniform(-1, 1, 3) + np.array([0, 0, 4])
     cov = np.diag([0.02, 0.03, 0.04, 0.01]) ** 2
     pose = Pose6(d, Rotation.from_rpy(0.1, -0.1, rng.uniform(-3, 3)), np.diag([0.02, 0.03, 0.04, 0.01, 0.01, 0.02]) ** 2)
-    levelled_by = Rotation.from_rpy(*rng.uniform(-0.4, 0.4, 2), rng.uniform(-3, 3)).matrix
+    levelled_by = Rotation.from_rpy(*rng.uniform((-0.4, -0.4, -3.0), (0.4, 0.4, 3.0))).matrix
     return Sighting(stamp, 1, "selected", d, rng.uniform(-3, 3), False, cov, 1.0, pose if pose6 else None), levelled_by
 
 

@@ -131,7 +131,7 @@ def test_derivatives_by_pose_and_blur(height: float, roll: float, pitch: float, 
 def test_edges_lie_between_the_two_paints() -> None:
     for pad in PADS:
         e = edges_of(pad)
-        inside, outside = (_paint(*(e.at_m + s * 1e-3 * e.normal).T, pad) for s in (-1, 1))
+        inside, outside = (_paint(at[:, 0], at[:, 1], pad) for at in (e.at_m - 1e-3 * e.normal, e.at_m + 1e-3 * e.normal))
         for kind, paints in ((EdgeKind.RING, (3, 2)), (EdgeKind.ARROW, (3, 2)), (EdgeKind.H, (4, 2))):
             of = e.kind == kind
             assert set(inside[of]) == {paints[0]}

@@ -392,7 +392,8 @@ async def test_faults_silence_what_they_name(server: ArDroneServer, peer: Peer, 
     world.faults |= {"navdata_silent", "frames_dropped"}
     sent, before = (0, 0), (-1, -1)
     while sent != before:  # what was under way comes yet
-        before, _ = sent, await asyncio.sleep(0.3)
+        before = sent
+        await asyncio.sleep(0.3)
         sent = server.counters["navdata_sent"], server.counters["video_sent"]
     world.faults.clear()
     async with asyncio.timeout(60):
