@@ -1,4 +1,4 @@
-# demo: see it fly.  test: prove it.  lint: read it.  bench: time it.  Each makes .venv itself when there is none.
+# demo: see it fly.  check: before each commit.  test: prove it.  lint: read it.  bench: time it.  Each makes .venv itself when there is none.
 
 PYTHON ?= python3
 VENV := .venv
@@ -6,10 +6,14 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
-.PHONY: demo test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
+.PHONY: demo check test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
 
 demo: $(VENV)/.report
 	$(BIN)/decklander demo
+
+# Before each commit: lint, types, and the tests that are neither marked slow nor in a package that flies or measures.
+check: lint
+	$(BIN)/pytest -n 2 --dist loadfile -m "not slow" tests/test_house.py tests/contracts tests/docs tests/supply
 
 test: lint
 	$(BIN)/pytest
