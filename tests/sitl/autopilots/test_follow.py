@@ -114,7 +114,7 @@ def test_the_pad_lies_where_the_scenarios_start_says() -> None:
     scenario = load("calm")
     turned = Rotation.from_rpy(0.0, 0.0, math.radians(90.0))
     first = AutopilotPose(at(1.0), np.array([50.0, -20.0, -100.0]), np.zeros(3), turned, np.zeros(3), True)
-    flying = DeckUnder(scenario, 1, first, stands=False)
+    flying = DeckUnder(scenario, 1, first, on_ground=False)
     assert flying.height_m(first) == pytest.approx(scenario.start.height_m)
     # ahead is east, to the right is south
     ahead, right = scenario.start.pad_forward_m, scenario.start.pad_right_m
@@ -126,7 +126,7 @@ def test_the_pad_lies_where_the_scenarios_start_says() -> None:
     beside = flying.landing(first, 0.4)
     assert not beside.on_pad
     assert beside.lateral_m == pytest.approx(math.hypot(ahead, right))
-    standing = DeckUnder(scenario, 1, first, stands=True)
+    standing = DeckUnder(scenario, 1, first, on_ground=True)
     assert standing.height_m(first) == pytest.approx(0.045)
     assert flying.look(over)().px.shape == (360, 640, 3)
 
