@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from companion.config.build_pilot import make_pilot
 from companion.config.settings import camera_model
 from companion.metrics.exposition import text
 from companion.mqtt import encode as mqtt_encode
@@ -32,7 +33,6 @@ from companion.report.innovations import innovation_series
 from companion.report.page import render
 from companion.runtime.health import NIS_WINDOW, Health
 from companion.runtime.observer import NullObserver
-from companion.runtime.service import make_pilot
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import COMPONENTS, FusionResult, Source
 from estimator.contracts.time import MonoNs
