@@ -1,0 +1,109 @@
+"""Options are the settings: a key is declared in one class, with unit, range and meaning, and TOML reaches every option."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect as python
+import pkgutil
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+from msgspec import inspect
+
+import companion
+import drivers
+import estimator
+from companion.config.model import Settings
+from companion.config.refusal import unit_of, walk
+from companion.guidance.options import GuidanceOptions, PidOptions, PlannerOptions
+from drivers.ardrone.options import ArDroneOptions
+from estimator.contracts.keys import check_ranges
+from estimator.ekf.options import EkfOptions
+from estimator.integrity.options import IntegrityOptions
+from estimator.options import DeadReckoningOptions, EstimatorOptions
+
+IN_THE_FILE = {
+    "vehicle": ArDroneOptions,
+    "estimator": EstimatorOptions,
+    "estimator.ekf": EkfOptions,
+    "estimator.dead_reckoning": DeadReckoningOptions,
+    "estimator.integrity": IntegrityOptions,
+    "guidance": GuidanceOptions,
+    "guidance.pid": PidOptions,
+    "guidance.planner": PlannerOptions,
+}
+STILL_TWICE = {
+    "AutopilotOptions": {"links", "operators", "ranges", "silence_s"},
+    "StreamerOptions": {"command_timeout_s", "descent_rate_m_s", "landing", "take_off_height_m"},
+    "OutputOptions": {"ground_clearance_m", "range_rate_hz", "ranges", "vision_target_estimator"},
+    "V4l2Options": {"controls", "device", "exposure_s", "format", "latency_s", "latency_sigma_s", "rate_hz"},
+    "StreamOptions": {"exposure_s", "latency_s", "source"},
+    "SourceTimeouts": {"silence_s"},
+    "Options": {
+        "flush_s", "frames", "frames_each", "jpeg_quality", "max_file_s", "queue_frames", "queue_records", "sync_s",
+    },
+}  # fmt: skip
+"""What is left to do, by class: this may only shrink. A section's keys are compared with the classes of its consumer."""
+SECTIONS = {
+    "AutopilotOptions": "vehicle.", "StreamerOptions": "vehicle.", "OutputOptions": "vehicle.",
+    "V4l2Options": "camera.", "StreamOptions": "camera.", "SourceTimeouts": "camera.", "Options": "recorder.",
+}  # fmt: skip
+
+
+def classes() -> Iterator[type]:
+    """Every options class of the packages that fly."""
+    for package in (companion, drivers, estimator):
+        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if found.name.startswith("companion.cli") or found.name.endswith("__main__"):
+                continue
+            module = importlib.import_module(found.name)
+            for name, kind in vars(module).items():
+                if python.isclass(kind) and kind.__module__ == found.name and name.endswith(("Options", "Timeouts")):
+                    yield kind
+
+
+def test_no_option_is_declared_a_second_time_beyond_those_that_are_listed() -> None:
+    twice: dict[str, set[str]] = {}
+    keys = {path for path, _ in walk(Settings, "mavlink")}
+    for kind in classes():
+        if not dataclasses.is_dataclass(kind):
+            continue
+        section = SECTIONS.get(kind.__name__)
+        mine = {f.name for f in dataclasses.fields(kind)}
+        again = {name for name in mine if section and section + name in keys}
+        if again:
+            twice[kind.__name__] = again
+    assert twice == STILL_TWICE
+
+
+@pytest.mark.parametrize("table", sorted(IN_THE_FILE))
+def test_every_option_of_the_class_is_a_key_of_its_table(table: str) -> None:
+    kind = IN_THE_FILE[table]
+    assert issubclass(kind, msgspec.Struct)
+    keys = {path for path, _ in walk(Settings)}
+    for name, value in ((name, getattr(kind(), name)) for name in kind.__struct_fields__):
+        path = f"{table}.{name}"
+        assert any(key.startswith(f"{path}.") for key in keys) if isinstance(value, msgspec.Struct) else path in keys, path
+
+
+def test_every_key_has_unit_range_and_meaning() -> None:
+    for path, field in walk(Settings):
+        assert isinstance(field.type, inspect.Metadata), path
+        assert (field.type.extra_json_schema or {})["description"], path
+        bare = field.type.type
+        if isinstance(bare, inspect.FloatType | inspect.IntType):
+            assert unit_of(field.type), path
+            assert bare.ge is not None, path
+            assert bare.le is not None, path
+            if not field.required:
+                assert bare.ge <= field.default <= bare.le, path
+
+
+def test_a_number_out_of_range_is_refused_in_code_as_in_a_file() -> None:
+    with pytest.raises(ValueError, match=r"EkfOptions\.forget_s must lie in 0.1 to 600, got nan"):
+        EkfOptions(forget_s=float("nan"))
+    with pytest.raises(ValueError, match=r"EkfOptions\.velocity_is_over must be one of"):
+        EkfOptions(velocity_is_over="water")  # type: ignore[arg-type]
+    check_ranges(EkfOptions())
