@@ -6,6 +6,7 @@ import asyncio
 from typing import cast
 
 import numpy as np
+import pytest
 
 from drivers.ardrone.link import ArDrone, open_ardrone
 from drivers.ardrone.options import ArDroneOptions
@@ -52,7 +53,7 @@ async def test_it_configures_flies_and_lands_the_drone() -> None:
             assert (config.ids.session, config.ids.user, config.ids.application) == options.ids
             assert config["video:video_channel"] == "1"
             assert not config.flag("general:navdata_demo")
-            assert world.limits.euler_angle_max_rad == options.euler_angle_max_rad
+            assert world.limits.euler_angle_max_rad == pytest.approx(options.euler_angle_max_rad, abs=1e-6)
             drone.command(TakeOff())
             await reach(world, VehiclePhase.HOVERING)
             for _ in range(3000):  # as long as a busy machine takes; it comes nowhere near without a loop that closes
