@@ -1,7 +1,7 @@
-"""A part that runs beside the flight: made anew each time it starts, and an observer all the while.
+"""A part that runs beside the flight: it is an observer, and it is made again for each start.
 
-A part that failed is in no state to be trusted: its thread may be gone, its files closed. So its next life is a new object,
-and whoever wants to reach it asks for `now`.
+A failed part cannot be trusted: its thread may be gone and its files closed. Each restart therefore makes a new object, and
+callers reach the present one through `now`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 
 class Part(Protocol):
-    """An observer with a body of its own."""
+    """An observer that also has a task of its own."""
 
     def on_sample(self, sample: Sample) -> None: ...
 
@@ -38,11 +38,11 @@ Made = TypeVar("Made", bound=Part)
 
 
 class RestartablePart(Generic[Made]):
-    """Makes the part at once, so that wrong settings are found before the service begins, and again after each failure.
+    """Makes the part at once, so that wrong settings are found before the service begins, and makes it again after each failure.
 
     Args:
         name: the name in health and in the log.
-        make: makes it; called again for each life.
+        make: makes the part; called again for each restart.
 
     Raises:
         BadInput: the settings are wrong.
@@ -52,19 +52,19 @@ class RestartablePart(Generic[Made]):
         self.name = name
         self._make = make
         self.now: Made | None = None
-        """The living one; None while there is none."""
+        """The running part; None while there is none."""
         try:
             self.now = make()
         except BadInput:
             raise
-        except Exception as why:  # the outside world's state, or our own bug: neither keeps the drone on the ground
+        except Exception as why:  # neither the outside world's state nor our own bug may keep the drone on the ground
             report("%s could not be made; the service begins without it and tries again", name, why=why)
 
     async def run(self) -> None:
-        """One life.
+        """Run the part once.
 
         Raises:
-            Whatever ends it.
+            Whatever ends the part.
         """
         living = self.now = self.now or self._make()
         try:

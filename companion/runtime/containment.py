@@ -1,6 +1,6 @@
-"""Calls into code that the flight does not need: whatever it raises is logged once, counted in health, and goes no further.
+"""Call code that the flight does not need: every error is logged once, counted in health, and not propagated.
 
-Two fault domains share one process. The vehicle, the eyes, the filter and guidance may end it; links to people, recorder,
+Two fault domains share one process. The vehicle, vision, the filter and guidance may end it; links to people, the recorder,
 metrics, the pulse for systemd and every observer may not. `supervise.run` draws the same line between whole parts.
 """
 
@@ -24,17 +24,17 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 FAILURES_IN_A_ROW = 20
-"""Failures in a row after which a callee is set aside: each call costs the flight time, and the next would likely fail too."""
+"""Failures in a row after which a callee is disabled: each call costs the flight time, and the next would likely fail too."""
 REST_FIRST_S, REST_MOST_S = 10.0, 300.0
-"""First and longest wait before the callee is tried again. Each wait is twice the last: memory or descriptors may come back."""
+"""First and longest back-off before the callee is tried again; each is twice the last. Memory or descriptors may free up."""
 
 
 class CallGuard:
-    """The way to one callee.
+    """Guards the calls to one callee.
 
     Args:
         name: the callee's name in health and in the log.
-        limit: failures in a row after which it is set aside.
+        limit: failures in a row after which it is disabled.
     """
 
     def __init__(self, name: str, health: Health, limit: int = FAILURES_IN_A_ROW) -> None:
@@ -46,10 +46,10 @@ class CallGuard:
         self._aside_until: MonoNs | None = None
 
     def call(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
-        """The function's result; None where it raised, or is set aside.
+        """Return the function's result; None if it raised or is disabled.
 
         Raises:
-            KeyboardInterrupt: the only error that is not the callee's.
+            KeyboardInterrupt: it is the only error that does not come from the callee.
         """
         if self._aside_until is not None and self._health.now() < self._aside_until:
             return None
@@ -57,7 +57,7 @@ class CallGuard:
             result = function(*args, **kwargs)
         except KeyboardInterrupt:
             raise
-        except BaseException as why:  # what asyncio or sys.exit would raise is as much the callee's fault as any other
+        except BaseException as why:  # CancelledError and SystemExit are the callee's fault as well
             self._failed(why)
             return None
         self._in_a_row = 0
@@ -81,7 +81,7 @@ class CallGuard:
 
 
 class Audience:
-    """All observers behind one, each method of each behind a guard of its own."""
+    """Passes each event to all observers, each method of each observer behind its own guard."""
 
     def __init__(self, observers: Sequence[Observer], health: Health) -> None:
         def guard(observer: Observer, method: str) -> CallGuard:
@@ -116,6 +116,6 @@ def name_of(observer: object) -> str:
 
 
 def report(text: str, *args: object, why: BaseException) -> None:
-    """An error with its traceback into the log. A log that fails is no reason to fail."""
+    """Log an error with its traceback. A failure of the log itself is ignored."""
     with suppress(Exception):
         log.error(text, *args, exc_info=why)

@@ -1,6 +1,6 @@
-"""The service: one vehicle, one pair of eyes, one pilot, supervised, until the flight has ended or it is told to stop.
+"""The service: it supervises one vehicle, one pad tracker and one pilot until the flight has ended or `stop` is called.
 
-Every frame that the driver offers ends in exactly one counted verdict. Vision runs on a thread of its own; everything else
+Every frame that the driver offers gets exactly one counted verdict. Vision runs on a thread of its own; everything else runs
 on the event loop. When the service ends, for whatever reason, the driver leaves the vehicle in its own hover.
 
 Vehicle and guidance are vital; observers and every further part run beside the flight and cannot touch it (`supervise`,
@@ -59,17 +59,17 @@ OpenLink = Callable[[], AbstractAsyncContextManager[VehicleLink]]
 
 
 class Daemon:
-    """Brings vehicle and pilot together.
+    """Connects the vehicle with the pilot.
 
     Args:
         open_link: opens the vehicle; called again after each `Recoverable`.
-        pilot: eyes, estimator and guidance.
-        guidance_rate_hz: rounds of guidance a second.
-        health_period_s: how often a line of health is logged; 0 for never.
-        threads: that OpenCV may use for one frame.
-        once: end with the first flight; else go on and wait for the next one.
-        health: where to write health, for parts that were made before the daemon; else one is made.
-        extras: parts by name that run beside the flight: whatever happens to them, it goes on.
+        pilot: the pad tracker, the estimator and guidance.
+        guidance_rate_hz: the rate of guidance cycles.
+        health_period_s: the time between two log lines of health; 0 logs none.
+        threads: the number of threads that OpenCV may use for one frame.
+        once: whether `run` ends with the first flight; otherwise it waits for the next one.
+        health: the health that is shared with parts made before the daemon; if absent, a new one is made.
+        extras: parts by name that run beside the flight. Their failures do not affect it.
     """
 
     def __init__(
@@ -105,10 +105,10 @@ class Daemon:
         self._audience = Audience(observers, self.health)
 
     async def run(self) -> FlightOutcome | None:
-        """Until the flight has ended (with `once`) or `stop` is called; the flight's outcome, None when it had none yet.
+        """Run until the flight has ended (with `once`) or `stop` is called; return its outcome, or None if there is none yet.
 
         Raises:
-            ExceptionGroup: a bug of ours; the vehicle was left in its hover.
+            ExceptionGroup: our code has a bug; the vehicle was left in its hover.
         """
         cv2.setNumThreads(self._threads)
         vital: dict[str, Body] = {"vehicle": self._fly, "guidance": self._guide}
@@ -123,7 +123,7 @@ class Daemon:
         return self._pilot.outcome
 
     def stop(self) -> None:
-        """End `run` soon, cleanly; the vehicle is then somebody else's."""
+        """End `run` soon and cleanly, and release the vehicle to a person."""
         if self._link is not None:
             self._link.release()
         self._ended.set()
@@ -187,7 +187,7 @@ class Daemon:
         return ProcessedFrame(frame, attitude, look, verdict, began, self._clock.now(), results)
 
     async def _attitude_of(self, frame: Frame) -> Attitude | None:
-        """At the exposure; where samples still wait to be heard, they are given a little time to tell it."""
+        """Return the attitude at the exposure, or None; while samples are still queued, wait a little for one that covers it."""
         for _ in range(_ATTITUDE_TRIES):
             attitude = self._pilot.attitude_at(frame.stamp)
             if attitude is not None or self._link is None or not len(self._link.samples):
@@ -229,7 +229,7 @@ class Daemon:
             self.health.delay("guidance_late", max(0.0, late_s))
 
     def _tell(self, decision: Decision) -> None:
-        """Log what guidance is about, where that changes."""
+        """Log the phase and its reason when they change."""
         told = (decision.phase, decision.reason)
         if told == self._told:
             return

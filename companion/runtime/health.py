@@ -1,5 +1,6 @@
-"""One model of health: what each part is doing, since when, how often it failed, how fast data flows, how long each stage takes,
-and what became of every frame. Whoever reports it (log, MQTT, Prometheus, MAVLink) reads the same `HealthSnapshot`.
+"""The model of the service's health: state and failures of each part, data rates, durations of the stages, verdicts of frames.
+
+Every reporter (log, MQTT, Prometheus, MAVLink) reads the same `HealthSnapshot`.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
 NIS_WINDOW = 200
-"""Comparisons of one source that the mean of its NIS is taken over: a second of an attitude at 200 Hz, seven of a camera."""
+"""Number of comparisons in the mean NIS of one source: one second of attitude at 200 Hz, seven seconds of a camera."""
 NORMALIZED_NIS_MAX = 20.0
-"""A single wild measurement weighs no more than this in that mean."""
+"""Upper limit of one measurement's normalized NIS in that mean, so that a single outlier does not dominate it."""
 
 
 @dataclass(slots=True)
@@ -39,7 +40,7 @@ class Delays:
 
     capacity: int = 600
     count: int = 0
-    """How many there ever were."""
+    """Number of durations since the start."""
     _values: list[float] = field(default_factory=list)
     _next: int = 0
 
@@ -52,11 +53,11 @@ class Delays:
             self._next = (self._next + 1) % self.capacity
 
     def quantile(self, q: float) -> float | None:
-        """The q-quantile in seconds, None before the first value."""
+        """Return the q-quantile, seconds; None before the first value."""
         return self.quantiles(q)[0]
 
     def quantiles(self, *qs: float) -> tuple[float | None, ...]:
-        """Several of them for one sorting."""
+        """Return several quantiles, seconds, and sort only once."""
         if not self._values:
             return (None,) * len(qs)
         ordered = sorted(self._values)
@@ -65,7 +66,7 @@ class Delays:
 
 @dataclass(slots=True)
 class Flow:
-    """One kind of data coming by."""
+    """The arrivals of one kind of data."""
 
     count: int = 0
     _recent: deque[MonoNs] = field(default_factory=lambda: deque(maxlen=50))
@@ -75,11 +76,11 @@ class Flow:
         self._recent.append(at)
 
     def age_s(self, now: MonoNs) -> float | None:
-        """Seconds since the last, None before the first."""
+        """Return the seconds since the last arrival; None before the first."""
         return seconds_between(self._recent[-1], now) if self._recent else None
 
     def rate_hz(self, now: MonoNs) -> float | None:
-        """How many a second over the newest ones; falls when they stop coming; None before the second."""
+        """Return the rate of the newest arrivals; it falls when they stop. None before the second arrival."""
         if len(self._recent) < 2:
             return None
         return (len(self._recent) - 1) / max(1e-9, seconds_between(self._recent[0], now))
@@ -114,7 +115,7 @@ class PartState:
 
     up: bool
     age_s: float
-    """Since it came up or went down."""
+    """Seconds since the part came up or went down."""
     restarts: int
     last_error: str
     vital: bool = False
@@ -127,13 +128,13 @@ class FlowState:
 
     count: int
     age_s: float | None
-    """Since the last; None before the first."""
+    """Seconds since the last arrival; None before the first."""
     rate_hz: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class StageState:
-    """How long a stage takes, over its newest runs."""
+    """The duration of a stage over its newest runs."""
 
     count: int
     p50_s: float | None
@@ -142,7 +143,7 @@ class StageState:
 
 @dataclass(frozen=True, slots=True)
 class FusionState:
-    """What one path of the estimator makes of one source, at one instant."""
+    """Results of one source on one path of the estimator, at one instant."""
 
     path: str
     source: str
@@ -165,7 +166,7 @@ class HealthSnapshot:
     all_up: bool
     """Whether every part of the service is up."""
     flight_up: bool
-    """Whether the parts that the flight needs are up: what heartbeats say."""
+    """Whether the parts that the flight needs are up; heartbeats report this."""
     parts: Mapping[str, PartState]
     flows: Mapping[str, FlowState]
     frames: Mapping[str, int]
@@ -174,20 +175,20 @@ class HealthSnapshot:
     """Other measurements by kind and verdict."""
     stages: Mapping[str, StageState]
     counters: Mapping[str, Mapping[str, float]]
-    """What the parts count for themselves, by part."""
+    """Counters of the parts themselves, by part."""
     fusion: tuple[FusionState, ...] = ()
-    """What the estimator makes of its measurements, by path and source."""
+    """Results of the estimator's measurements, by path and source."""
 
 
 class Health:
-    """Written by every part, read by whoever reports."""
+    """The service's health: every part writes it, and every reporter reads it."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._counters: dict[str, Callable[[], Mapping[str, float]]] = {}
         self.parts: dict[str, PartHealth] = {}
         self.frames: Counter[Verdict] = Counter()
-        """Every frame taken ends here exactly once."""
+        """Frames by verdict; every frame is counted exactly once."""
         self.inputs: dict[str, Counter[Verdict]] = {}
         """Verdicts of the other measurements, by kind."""
         self.tallies: dict[tuple[PathName, Source], FusionTally] = {}
@@ -196,14 +197,14 @@ class Health:
         self.flows: dict[str, Flow] = {}
 
         self.contained: Counter[str] = Counter()
-        """Failures of what the flight does not need, by callee."""
+        """Failures of callees that the flight does not need, by callee."""
 
     def now(self) -> MonoNs:
-        """The instant, by the clock that everything here is told by."""
+        """Return the time on the clock that all of health uses."""
         return self._clock.now()
 
     def vital(self, name: str) -> None:
-        """The flight needs this part; it is down until it says that it is up."""
+        """Mark a part as needed by the flight; it counts as down until `up` is called."""
         self.parts.setdefault(name, PartHealth()).vital = True
 
     def up(self, name: str) -> None:
@@ -228,11 +229,11 @@ class Health:
         self.inputs.setdefault(kind, Counter())[verdict] += 1
 
     def fusion(self, result: FusionResult) -> None:
-        """Count what one path of the estimator made of one measurement."""
+        """Count the result of one measurement on one path of the estimator."""
         self.tallies.setdefault((result.path, result.source), FusionTally()).add(result)
 
     def fusion_states(self) -> tuple[FusionState, ...]:
-        """Return what the estimator makes of each source now, the paths and sources in order of their names."""
+        """Return the present results of each path and source, sorted by name."""
         return tuple(
             FusionState(
                 path, source, {v.value: n for v, n in tally.verdicts.items()}, tally.newest, tally.test_ratio, tally.nis_mean
@@ -245,11 +246,11 @@ class Health:
         self.delays.setdefault(stage, Delays()).add(seconds)
 
     def beat(self, flow: str) -> None:
-        """One more of a kind of data."""
+        """Count one arrival of a kind of data."""
         self.flows.setdefault(flow, Flow()).beat(self._clock.now())
 
     def counters(self, part: str, read: Callable[[], Mapping[str, float]]) -> None:
-        """From now on a snapshot asks `read` what the part has counted."""
+        """Register `read`, which each snapshot calls to get the part's counters."""
         self._counters[part] = read
 
     @property
@@ -257,11 +258,11 @@ class Health:
         return self.fault() is None
 
     def fault(self) -> str | None:
-        """The first part of the service that is down, and why; None while all are up."""
+        """Return the first part of the service that is down, and why; None while all are up."""
         return self._down(vital_only=False)
 
     def flight_fault(self) -> str | None:
-        """The first part that is down among those that the flight needs, and why; None while they are up."""
+        """Return the first part that is down among those that the flight needs, and why; None while they are up."""
         return self._down(vital_only=True)
 
     def _down(self, *, vital_only: bool) -> str | None:
@@ -271,7 +272,7 @@ class Health:
         return None
 
     def _counted(self) -> dict[str, Mapping[str, float]]:
-        """What the parts count; one whose counting fails is left out, and that is counted."""
+        """Return the counters of the parts. A part whose `read` fails is left out, and the failure is counted."""
         counted: dict[str, Mapping[str, float]] = {}
         for part, read in self._counters.items():
             try:
@@ -283,7 +284,7 @@ class Health:
         return counted
 
     def snapshot(self) -> HealthSnapshot:
-        """Health as it is now."""
+        """Return the present health."""
         now = self._clock.now()
         stages = {}
         for name, delays in self.delays.items():

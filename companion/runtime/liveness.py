@@ -1,4 +1,4 @@
-"""Whether the pipeline is alive: not that the process runs, but that guidance decides and what comes in is used. Pure."""
+"""Decide whether the pipeline is alive: whether guidance decides and uses its inputs, not whether the process runs. Pure."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from companion.runtime.health import HealthSnapshot
 from estimator.contracts.estimates import Verdict
 
 SAMPLE_KINDS = ("Attitude", "Imu", "BodyVelocity", "VehicleStatus")
-"""Flows that a vehicle in reach keeps going."""
+"""Flows that keep arriving while the vehicle is in reach."""
 
 
 @dataclass(frozen=True, slots=True)
 class LivenessLimits:
-    """How long each may take before it counts as stuck, seconds."""
+    """The longest time that each stage may take before it counts as stuck, seconds."""
 
     guidance_s: float = 1.0
-    """Between two rounds."""
+    """Longest time between two guidance cycles, seconds."""
     frame_s: float = 3.0
-    """For vision to be done with the frame it has."""
+    """Longest time that vision may spend on one frame, seconds."""
     samples_s: float = 10.0
-    """Without any sample of a vehicle that flew when it was last heard. One that stands, or was never heard, may be off."""
+    """Longest time without a sample from a vehicle that last reported flying, seconds. A landed or unknown one may be off."""
 
 
 def stuck(health: HealthSnapshot, flying: bool, limits: LivenessLimits | None = None) -> str | None:
-    """Why the pipeline is not alive, in words; None while it is.
+    """Return why the pipeline is not alive, as text; None while it is.
 
     Args:
-        flying: whether the vehicle flew when it was last heard of.
+        flying: whether the vehicle flew according to its latest status.
     """
     limits = limits or LivenessLimits()
     decided = health.flows.get("Decision")

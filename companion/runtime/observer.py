@@ -1,4 +1,4 @@
-"""What the service tells whoever wants to know: recorders, pages, reports. Observers must be quick and must not raise."""
+"""The interface of observers: recorders, pages and reports. Observers must return quickly and must not raise."""
 
 from __future__ import annotations
 
@@ -15,46 +15,46 @@ from estimator.vision.thesis.detection import Detection
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProcessedFrame:
-    """One frame and what became of it."""
+    """One frame, its attitude, and the results of its processing."""
 
     frame: Frame
     attitude: Attitude | None
-    """At the exposure."""
+    """The vehicle's attitude at the exposure; None if no sample covers it."""
     detection: Detection | None
-    """What vision saw; None where it was not asked."""
+    """The result of vision; None if vision did not search the frame."""
     verdict: Verdict
     began: MonoNs
-    """When vision took it up."""
+    """When vision began with the frame."""
     done: MonoNs
     results: tuple[FusionResult, ...] = ()
-    """What each path of the estimator made of the sighting; empty without one."""
+    """The fusion result of each path of the estimator; empty without a sighting."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
-    """One round of guidance."""
+    """The result of one guidance cycle."""
 
     at: MonoNs
     phase: str
     command: Command | None
-    """None while guidance leaves the vehicle to itself."""
+    """The command to the vehicle; None while guidance leaves the vehicle alone."""
     belief: RelativeState | None
     shadows: tuple[RelativeState, ...] = ()
     """Beliefs of the paths that do not steer."""
     reason: str = ""
-    """Why it is not simply on its way down, as text for the operator."""
+    """Why the vehicle is not simply descending, as text for the operator."""
 
 
 class Observer(Protocol):
-    """Called on the service's own thread, in the order of events."""
+    """An observer of the service. Its methods are called on the service's own thread, in the order of events."""
 
     def on_sample(self, sample: Sample) -> None: ...
 
     def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        """Take what one path made of one measurement, after the sample or frame that it came from.
+        """Take the result of one measurement on one path, after the sample or frame that it belongs to.
 
         Args:
-            at: the instant at which the service met the measurement.
+            at: the time at which the service processed the measurement.
         """
         ...
 
@@ -64,7 +64,7 @@ class Observer(Protocol):
 
 
 class NullObserver:
-    """An observer that does nothing: a base for those that want only some of it."""
+    """An observer that does nothing; the base of observers that need only some of the calls."""
 
     def on_sample(self, sample: Sample) -> None:
         return None

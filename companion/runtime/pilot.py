@@ -1,6 +1,6 @@
-"""The pilot: eyes, estimator and guidance as one object without clocks, threads or sockets.
+"""The pilot: pad tracker, estimator and guidance as one object without clocks, threads or sockets.
 
-The daemon and the simulator drive the same pilot, so what is proved in virtual time is what flies.
+The daemon and the simulator run the same pilot, so tests in virtual time cover the code that flies.
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ class FlightOutcome(Enum):
     """How a flight ended."""
 
     LANDED = "landed"
-    """The vehicle says that it stands, after we told it to land."""
+    """The vehicle reports that it is on the ground after our order to land."""
     LANDED_BY_OTHERS = "landed by others"
-    """The vehicle says that it stands, and we had not told it to."""
+    """The vehicle reports that it is on the ground without our order to land."""
     GAVE_UP = "gave up"
     """The pad was not found again; the vehicle hovers."""
     LAND_TIMEOUT = "no landing reported"
-    """Told to land in the last of all tries, the vehicle did not say in time that it stands; it hovers."""
+    """The vehicle did not report in time, on the last try, that it had landed; it hovers."""
     EMERGENCY = "emergency"
     """The vehicle cut its motors."""
     ABORTED = "aborted"
-    """The operator called it off; the vehicle hovers."""
+    """The operator aborted the flight; the vehicle hovers."""
 
 
 _TRIED = (FlightOutcome.GAVE_UP, FlightOutcome.LAND_TIMEOUT)
-"""It hovers, and the operator may begin again."""
+"""Outcomes after which the vehicle hovers and the operator may begin again."""
 _PLAIN = (Phase.WAITING, Phase.APPROACH, Phase.DESCEND, Phase.LAND)
 
 
 class Pilot:
-    """Hears samples, sees frames, decides.
+    """Takes samples and frames, and decides on commands.
 
     Args:
-        automatic: begin the approach as soon as the vehicle flies; else wait for `begin`.
-        shadows: estimator paths that run along to be compared and never steer.
+        automatic: whether the approach begins as soon as the vehicle flies; otherwise it waits for `begin`.
+        shadows: estimator paths that run for comparison only and never steer.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Pilot:
         self._automatic = automatic
         self._status: VehicleStatus | None = None
         self.engage: Callable[[], None] = lambda: None
-        """Called when the operator begins: a vehicle that a person took from us may be taken back."""
+        """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
         self._new_flight()
 
     def _new_flight(self) -> None:
@@ -89,7 +89,7 @@ class Pilot:
         self._stood = False
         self.phase = "waiting for the vehicle"
         self.reason = ""
-        """Why it does what it does, where that is not the plain way down: for the operator."""
+        """Why the vehicle is not simply descending, as text for the operator."""
         self.outcome: FlightOutcome | None = None
 
     @property
@@ -102,30 +102,32 @@ class Pilot:
 
     @property
     def vehicle(self) -> VehicleStatus | None:
-        """The newest the vehicle said of itself."""
+        """The vehicle's latest status; None before the first."""
         return self._status
 
     def begin(self) -> None:
-        """The operator: start (or, after a pause, go on with) the approach; after another pad was seen, take that one; after it
-        gave up, try again."""
+        """Start the approach for the operator, or resume it after a pause.
+
+        After another pad was seen, approach that one; after the planner gave up, try again.
+        """
         if self.outcome in _TRIED or self._planner.question is not None:
             self.outcome, self._planner = None, Planner.start()
         self._begun, self._paused = True, False
         self.engage()
 
     def pause(self) -> None:
-        """The operator: hover where it is until `begin`."""
+        """Hover in place for the operator until `begin` is called."""
         if not self._paused:
             self._paused, self._planner = True, Planner.start()
 
     def abort(self) -> None:
-        """The operator: hover, and leave it at that. A landing already ordered is no longer repeated."""
+        """Hover for the operator and end the flight. A landing already ordered is no longer repeated."""
         self.outcome = self.outcome or FlightOutcome.ABORTED
 
     def steer_by(self, path: PathName) -> str | None:
-        """The operator: steer by another estimator; None when that is done, else why it cannot be.
+        """Steer by another estimator path for the operator; return None on success, otherwise why it is refused.
 
-        One that does not run along has no belief to go on from, so in an approach it is only taken over while paused.
+        A path that does not run yet has no belief to start from, so during an approach it is accepted only while paused.
         """
         runs_along = path in {one.name for one in self._memory.paths}
         approaching = self._begun and not self._paused and self._flew and self.outcome is None
@@ -138,13 +140,13 @@ class Pilot:
         return None
 
     def retune(self, guidance: GuidanceOptions, *, min_confidence: float, max_delay_s: float) -> None:
-        """Other numbers from now on; what is going on goes on."""
+        """Use other settings from now on; the present approach continues."""
         self._plan = Plan.over_the_pad(guidance)
         options = structs.replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
         self._memory = replace(self._memory, options=options)
 
     def belief(self, now: MonoNs) -> RelativeState | None:
-        """Return the estimate to steer by now; it is not consistent while it is about a pad that nobody has agreed to land on."""
+        """Return the estimate to steer by; it is marked inconsistent while nobody has agreed to land on the pad it refers to."""
         believed = pipeline.belief(self._memory, now)
         if believed is None or self._planner.question is None:
             return believed
@@ -152,7 +154,7 @@ class Pilot:
         return replace(believed, consistent=False, doubts=doubts)
 
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
-        """Take a sample. Return what became of it, path by path."""
+        """Process a sample. Return its fusion results, path by path."""
         if isinstance(sample, VehicleStatus):
             self._status = sample
             self._stood = self._stood or (self.outcome is not None and sample.flying is False)
@@ -164,33 +166,33 @@ class Pilot:
         return results
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
-        """At the exposure of a frame, None when no sample covers it."""
+        """Return the attitude at the exposure of a frame; None when no sample covers it."""
         return pipeline.attitude_at(self._memory, stamp)
 
     def admit(self, frame: Frame) -> Verdict | None:
-        """Take a frame before it is searched; None when it may be, else its verdict."""
+        """Register a frame before the search; return None if it may be searched, otherwise its verdict."""
         self._memory, verdict = pipeline.on_frame(self._memory, frame)
         return verdict
 
     def detect(self, frame: Frame, attitude: Attitude) -> Detection:
-        """Search a frame for the pad, where it is expected first.
+        """Search a frame for the pad, beginning where it is expected.
 
-        May run on another thread, one at a time: what it reads of the estimator is immutable, what it writes is its own.
+        This may run on another thread, one call at a time: it reads only immutable estimator state and writes only its own.
         """
         believed = pipeline.belief(self._memory, frame.stamp.measured_at)
         seen, self._tracker_memory = track(self._tracker, self._tracker_memory, frame, attitude, believed)
         return seen
 
     def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:
-        """Take what was found in a frame. Return the frame's verdict, which is the steering path's, and what became of the
-        sighting, path by path."""
+        """Process the detection of a frame. Return the frame's verdict, which is the steering path's, and the fusion results,
+        path by path."""
         if seen.selected is None:
             return Verdict.NO_PAD, ()
         self._memory, results = pipeline.step(self._memory, seen.selected)
         return results[0].verdict, results
 
     def decide(self, now: MonoNs) -> Decision:
-        """One round of guidance. The command is None while the vehicle is left to itself."""
+        """Run one guidance cycle. The command is None while guidance leaves the vehicle alone."""
         believed = pipeline.beliefs(self._memory, now)
         steering = self._memory.options.path
         belief = next((b for b in believed if b.path == steering), None)
@@ -199,7 +201,7 @@ class Pilot:
         return Decision(now, self.phase, command, belief, shadows, self._why(belief))
 
     def _why(self, belief: RelativeState | None) -> str:
-        """The planner's reason, and what speaks against the estimate."""
+        """Return the planner's reason and the estimate's doubts as text."""
         doubts = () if belief is None else tuple(doubt.value for doubt in belief.doubts)
         return "; ".join((self.reason, *doubts) if self.reason else doubts)
 
