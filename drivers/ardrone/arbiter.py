@@ -1,6 +1,6 @@
 """Choose what an AR.Drone is sent in each period: the service's newest command, or hover once that has expired. No I/O.
 
-The same object decides in the sender's own process and in virtual time. A word carries the instant until which it may be flown;
+The same class decides in the sender's own process and in virtual time. A command carries the instant at which it expires;
 nothing that the service asked for is flown after it, however the service ended: killed, stopped, swapped out or stuck.
 """
 
@@ -17,25 +17,25 @@ HOVER = Pcmd(0, 0.0, 0.0, 0.0, 0.0)
 STAY_UP = REF_BASE | REF_TAKE_OFF
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED)
 _REPORT_S = 1.0
-"""A report that the drone stands is believed for this long; that it flies, for `FRESH_S`: the wish to fly, said too late to one
-that has landed meanwhile, would start its motors."""
+"""A report that the drone is on the ground is believed for this long, a report that it flies for `FRESH_S`: a REF that asks to
+fly would start the motors of a drone that has landed in the meantime."""
 
 
 @dataclass(frozen=True, slots=True)
 class Word:
-    """One word of the service, good until an instant of this host's monotonic clock."""
+    """One command of the service, which expires at an instant of this host's monotonic clock."""
 
     until: MonoNs
     sticks: Pcmd
     ref: int | None = None
     """Bits of the REF command; None to send none."""
     landing: bool = False
-    """`ref` asks for a landing that guidance renews in each cycle; a person's order is none of these."""
+    """`ref` asks for a landing that guidance renews in each cycle; a landing that a person ordered does not set this."""
     watchdog: bool = False
     """The drone's communication watchdog has to be reset."""
 
     def commands(self) -> list[AtCommand]:
-        """The word as AT commands, one datagram's worth."""
+        """Return the AT commands, which fit into one datagram."""
         out: list[AtCommand] = [ComWdg()] if self.watchdog else []
         if self.ref is not None:
             out.append(Ref(self.ref))
@@ -43,10 +43,10 @@ class Word:
 
 
 class CommandArbiter:
-    """Decides between the newest word and hover, and how long a drone that flies is held without any service.
+    """Decides between the newest command and hover, and how long a flying drone is held in hover without any service.
 
     Args:
-        hold_s: how long hover is sent after the last word, seconds; after that nothing is.
+        hold_s: how long hover is sent after the last command expired, seconds; after that nothing is sent.
     """
 
     def __init__(self, hold_s: float) -> None:
@@ -54,21 +54,21 @@ class CommandArbiter:
         self._word: Word | None = None
         self._watch = LandingWatch()
         self._report: tuple[DroneReport, MonoNs] | None = None
-        """The newest, and when it was received."""
+        """The newest report, and when it was received."""
         self.hovers = 0
-        """Datagrams in which hover stood for a word that had run out."""
+        """Number of datagrams in which hover replaced an expired command."""
 
     @property
     def word(self) -> Word | None:
-        """The newest word."""
+        """The newest command, expired or not; None before the first."""
         return self._word
 
     def take(self, word: Word) -> None:
-        """Take the newest word of the service, run out or not."""
+        """Take the newest command of the service, expired or not."""
         self._word = word
 
     def on_report(self, report: DroneReport, now: MonoNs) -> None:
-        """Take what the sender itself heard of the drone while the service is silent."""
+        """Take a report that the sender itself received from the drone while the service is silent."""
         self._report = report, now
         self._watch.on_report(report, now, ordered=self._word is not None and self._word.landing)
 
@@ -77,7 +77,7 @@ class CommandArbiter:
         return self._word is not None and now <= self._word.until
 
     def silent_s(self, now: MonoNs) -> float:
-        """Seconds since the newest word ran out; 0 while it has not, or before the first."""
+        """Return the seconds since the newest command expired; 0 while it has not, or before the first."""
         return 0.0 if self._word is None else max(0.0, seconds_between(self._word.until, now))
 
     def stands(self, now: MonoNs) -> bool:
@@ -88,7 +88,7 @@ class CommandArbiter:
         return not report.flying and (report.control is None or report.control in _ON_GROUND)
 
     def commands(self, now: MonoNs) -> list[AtCommand]:
-        """Return the commands of one datagram; none before the first word and after `hold_s` of silence."""
+        """Return the commands of one datagram; none before the first command and after `hold_s` of silence."""
         word = self._word
         if word is None or self.silent_s(now) > self._hold_s:
             return []
@@ -103,13 +103,13 @@ class CommandArbiter:
         return [*out, *([Ref(STAY_UP)] if stays_up else []), HOVER]
 
     def _reported(self, now: MonoNs, within_s: float) -> DroneReport | None:
-        """Return the newest report, or None where it is older than this."""
+        """Return the newest report, or None if it is older than `within_s` seconds."""
         if self._report is None:
             return None
         report, received_at = self._report
         return report if seconds_between(received_at, now) <= within_s else None
 
     def lost(self, now: MonoNs) -> None:
-        """Take note that the service is gone: its word ends now."""
+        """Let the newest command expire now, because the service is gone."""
         if self._word is not None:
             self._word = replace(self._word, until=min(self._word.until, MonoNs(now - 1)))

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, get_type_hints
 from drivers.ardrone.refusal import Refusal
 
 REF_BASE = 0x11540000
-"""Bits 18, 20, 22, 24, 28, always set. Without `REF_TAKE_OFF` a flying drone lands."""
+"""Bits 18, 20, 22, 24, 28, which are always set. A flying drone lands when REF comes without `REF_TAKE_OFF`."""
 REF_TAKE_OFF = 1 << 9
 REF_EMERGENCY = 1 << 8
 PCMD_PROGRESSIVE = 1
@@ -29,7 +29,7 @@ CTRL_ACK = 5
 """Clear the command acknowledge bit of navdata."""
 CTRL_CUSTOM_IDS = 6
 DATAGRAM_MAX = 1024
-"""Bytes; the drone's own buffer for one datagram of commands."""
+"""The size of the drone's buffer for one datagram of commands, bytes."""
 
 _INT = "int"
 _FLOAT = "float"
@@ -43,25 +43,25 @@ MaybeInt = Annotated[int | None, _MAYBE_INT]
 
 @dataclass(frozen=True, slots=True)
 class Ref:
-    """Take-off, landing, emergency: all bits, see `REF_BASE`."""
+    """Command take-off, landing or emergency; `bits` is the whole word, see `REF_BASE`."""
 
     NAME: ClassVar[str] = "REF"
     bits: Int
 
     @property
     def take_off(self) -> bool:
-        """True asks to fly (held), False asks to land."""
+        """Whether the command asks the drone to fly, as opposed to land."""
         return bool(self.bits & REF_TAKE_OFF)
 
     @property
     def emergency(self) -> bool:
-        """Its rising edge toggles the emergency state."""
+        """Whether the emergency bit is set; its rising edge toggles the emergency state."""
         return bool(self.bits & REF_EMERGENCY)
 
 
 @dataclass(frozen=True, slots=True)
 class Pcmd:
-    """Sticks, fractions of the configured limits: roll + right, pitch + backward, gaz + up, yaw + clockwise."""
+    """Set the sticks, fractions of the configured limits: roll + right, pitch + backward, gaz + up, yaw + clockwise."""
 
     NAME: ClassVar[str] = "PCMD"
     flags: Int
@@ -87,7 +87,7 @@ class PcmdMag:
 
 @dataclass(frozen=True, slots=True)
 class Ftrim:
-    """Take the present attitude as level; only on the ground."""
+    """Take the present attitude as level; it is sent only on the ground."""
 
     NAME: ClassVar[str] = "FTRIM"
 
@@ -111,7 +111,7 @@ class Config:
 
 @dataclass(frozen=True, slots=True)
 class ConfigIds:
-    """Whose configuration the next `Config` is about; eight hexadecimal digits each."""
+    """Name the session, user and application whose configuration the next `Config` sets; eight hexadecimal digits each."""
 
     NAME: ClassVar[str] = "CONFIG_IDS"
     session: Text
@@ -121,7 +121,7 @@ class ConfigIds:
 
 @dataclass(frozen=True, slots=True)
 class Ctrl:
-    """A request by number; some clients leave the second number out (None)."""
+    """Make a request by its number; some clients leave the second number out (None)."""
 
     NAME: ClassVar[str] = "CTRL"
     mode: Int
@@ -156,7 +156,7 @@ class Anim:
 
 @dataclass(frozen=True, slots=True)
 class Pmode:
-    """Undocumented; clients send 2 at start."""
+    """Send PMODE, which is undocumented; clients send 2 at start."""
 
     NAME: ClassVar[str] = "PMODE"
     mode: Int
@@ -164,7 +164,7 @@ class Pmode:
 
 @dataclass(frozen=True, slots=True)
 class Misc:
-    """Undocumented; clients send 2, 20, 2000, 3000 at start."""
+    """Send MISC, which is undocumented; clients send 2, 20, 2000, 3000 at start."""
 
     NAME: ClassVar[str] = "MISC"
     a: Int = 2
@@ -188,7 +188,7 @@ _CLEAN_TEXT = re.compile(r'[^"\x00-\x1f\x7f]*')
 
 
 def encode(sequence: int, command: AtCommand) -> bytes:
-    """One command with its carriage return; join several for one datagram of at most `DATAGRAM_MAX` bytes.
+    """Return one command with its carriage return; join several for one datagram of at most `DATAGRAM_MAX` bytes.
 
     Raises:
         ValueError: a number that does not fit 32 bits or is not finite, or text with quotes, control or non-ASCII characters.
@@ -197,12 +197,12 @@ def encode(sequence: int, command: AtCommand) -> bytes:
 
 
 def numbered(sequence: int, name: str, arguments: str) -> bytes:
-    """The bytes of a command whose `arguments` are text already, each with its comma before it."""
+    """Return the bytes of a command whose `arguments` are text already, each preceded by its comma."""
     return f"AT*{name}={sequence}{arguments}\r".encode("ascii")
 
 
 def arguments(command: AtCommand) -> str:
-    """The arguments of a command as they stand after its sequence number, each with its comma before it.
+    """Return the arguments of a command as they follow its sequence number, each preceded by its comma.
 
     Raises:
         ValueError: as for `encode`.
@@ -226,9 +226,9 @@ def arguments(command: AtCommand) -> str:
 
 
 def decode(datagram: bytes) -> list[tuple[int, AtCommand] | Refusal]:
-    """Every command of a datagram in order, each (sequence, command) or the reason it was refused. Never raises.
+    """Return every command of a datagram in order, each as (sequence, command) or as the reason for its refusal. Never raises.
 
-    A line feed ends a command as well as a carriage return. What stands before the `AT*` of a good command is one refusal.
+    A line feed ends a command as well as a carriage return. The bytes before the `AT*` of a good command make one refusal.
     """
     out: list[tuple[int, AtCommand] | Refusal] = []
     *lines, rest = re.split(rb"[\r\n]+", datagram)
@@ -269,7 +269,7 @@ def _decode_one(line: bytes) -> tuple[int, AtCommand] | Refusal:
 
 
 def _split(rest: bytes) -> Iterable[bytes]:
-    """Arguments between commas; what follows a closing quote without a comma is an empty, unreadable one."""
+    """Yield the arguments between commas; text that follows a closing quote without a comma yields an empty, unreadable one."""
     at = 0
     while True:
         match = _ARGUMENTS.match(rest, at)
@@ -284,7 +284,7 @@ def _split(rest: bytes) -> Iterable[bytes]:
 
 
 def _values(words: list[bytes], kinds: list[str]) -> list[Any] | None:
-    """The arguments in their types; None when their number is wrong or one is unreadable."""
+    """Return the arguments in their types; None when their number is wrong or one is unreadable."""
     if len(words) != len(kinds):
         return None
     out: list[Any] = []
@@ -308,10 +308,10 @@ def _values(words: list[bytes], kinds: list[str]) -> list[Any] | None:
 
 
 def _bits_of(value: float) -> int:
-    """The int32 with the bits of the nearest float32.
+    """Return the int32 with the bits of the nearest float32.
 
     Raises:
-        ValueError: beyond the largest float32.
+        ValueError: the value is beyond the largest float32.
     """
     try:
         bits: int = struct.unpack("<i", struct.pack("<f", value))[0]
@@ -321,7 +321,7 @@ def _bits_of(value: float) -> int:
 
 
 class SequenceGate:
-    """The receiver's rule: numbers must grow; 1 starts anew, and so does a communication watchdog that ran out."""
+    """The receiver's rule: numbers must grow; 1 starts the count again, and so does an expired communication watchdog."""
 
     def __init__(self) -> None:
         self._last = 0
@@ -334,5 +334,5 @@ class SequenceGate:
         return True
 
     def reset(self) -> None:
-        """As after the communication watchdog ran out."""
+        """Accept any sequence number next, as the drone does after its communication watchdog expired."""
         self._last = 0

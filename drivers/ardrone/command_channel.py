@@ -1,4 +1,4 @@
-"""The AT command channel: gives the helm's words to the sender's process, and starts another sender when that is lost."""
+"""The AT command channel: passes the streamer's commands to the sender process, and starts another sender when that is lost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 
 
 class CommandChannel:
-    """Says the helm's word every period, and whatever the other channels want sent. The sender outlives a broken run."""
+    """Sends the streamer's command every period, and the commands of the other channels. The sender outlives a broken run."""
 
     def __init__(
         self, options: ArDroneOptions, clock: Clock, counters: Counters, streamer: CommandStreamer, navdata: NavdataChannel
@@ -31,7 +31,7 @@ class CommandChannel:
 
     @property
     def sender_pid(self) -> int | None:
-        """Process of the sender, None while there is none."""
+        """The process id of the sender, None while there is none."""
         return None if self._sender is None else self._sender.pid
 
     @property
@@ -40,7 +40,7 @@ class CommandChannel:
         return self._sender is not None and self._sender.up
 
     def send(self, commands: Sequence[AtCommand]) -> None:
-        """All in one datagram, in order.
+        """Send the commands in one datagram, in order.
 
         Raises:
             Recoverable: there is no sender.
@@ -50,10 +50,10 @@ class CommandChannel:
         self._sender.send(commands)
 
     async def run(self) -> None:
-        """Period after period, until the sender is lost or the drone has been silent for `reopen_after_s`.
+        """Send a command every period until the sender is lost or the drone has been silent for `reopen_after_s`.
 
         Raises:
-            Recoverable: as said; the next run has a new sender, or a new socket with this host's present address.
+            Recoverable: one of the two happened; the next run has a new sender, or a new socket with this host's present address.
         """
         if self._sender is None:
             self._sender = SenderClient(self._options(), self._clock, self._told, self._hovered)
@@ -75,7 +75,7 @@ class CommandChannel:
         raise Recoverable(f"no sign of the drone for {self._o.reopen_after_s} s")
 
     def close(self, *, hold: bool) -> None:
-        """End the sender with the last word; with `hold` leave it to a successor, holding the drone meanwhile."""
+        """End the sender with the final command; with `hold`, leave it running to hold the drone until a successor takes over."""
         if self._sender is None:
             return
         if hold:

@@ -1,6 +1,6 @@
 """What to send to the drone in each period: REF, PCMD and the watchdog reset, from the newest command and navdata. No I/O.
 
-The bit `REF_TAKE_OFF` is the wish to be in the air: a flying drone that gets a REF without it lands. So it stays set in flight
+The bit `REF_TAKE_OFF` asks the drone to be in the air: a flying drone that gets a REF without it lands. So it stays set in flight
 and is cleared only for a commanded landing or on the ground; while the drone's state is not known no REF is sent at all.
 """
 
@@ -41,19 +41,19 @@ class _Landing(NamedTuple):
 
 
 class CommandStreamer:
-    """Holds the newest command and the newest word of the drone.
+    """Holds the newest command and the drone's latest status, and builds the command of each period from them.
 
     A take-off holds until the drone flies; it is given up after `take_off_timeout_s` or an emergency. A landing is renewed in
     each guidance cycle; any other command, or `landing_timeout_s` without one, calls it off, except near the ground, where the
-    drone finishes it. A landing that a person ordered holds until the drone stands or is told to take off. A landing that the
-    firmware began because nobody spoke to it is called off. Velocity and hover act on the sticks alone.
+    drone finishes it. A landing that a person ordered holds until the drone is on the ground or a take-off is commanded. A
+    landing that the firmware began because it received no commands is called off. Velocity and hover change the sticks alone.
     """
 
     def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
         self._o = options
         self._counters = counters
         self._motion: _Motion | None = None
-        """None to hover."""
+        """The velocity to fly; None to hover."""
         self._take_off_at: MonoNs | None = None
         self._landing: _Landing | None = None
         self._taken_back = False
@@ -70,7 +70,7 @@ class CommandStreamer:
 
     @property
     def flying(self) -> bool | None:
-        """As navdata says; None before any."""
+        """Whether the newest navdata says that the drone flies; None before the first navdata."""
         return None if self._state is None else bool(self._state & NavdataState.FLYING)
 
     @property
@@ -79,7 +79,7 @@ class CommandStreamer:
         return self._landing is not None
 
     def take(self, command: Command, now: MonoNs) -> None:
-        """The newest command."""
+        """Take the newest command."""
         if isinstance(command, TakeOff):
             self._take_off_at, self._landing, self._motion = now, None, None
         elif isinstance(command, Land):
@@ -92,12 +92,12 @@ class CommandStreamer:
                 self._landing, self._taken_back = None, True
 
     def toggle_emergency(self) -> None:
-        """Cut the motors, or leave the emergency state, with the next period. Never done but on request."""
+        """Cut the motors, or leave the emergency state, in the next period. It is done only on request."""
         self._emergency_periods = _EMERGENCY_PERIODS
         self._take_off_at = None
 
     def on_navdata(self, navdata: Navdata, now: MonoNs) -> None:
-        """The newest datagram in order."""
+        """Take the next navdata datagram, in order."""
         self._state, self._heard_at = navdata.state, now
         if (control := navdata.control_state) is not None:
             self._control = control
@@ -108,25 +108,25 @@ class CommandStreamer:
             self._landing, self._taken_back = None, False
 
     def on_sample(self, sample: Sample) -> None:
-        """What the drone measured; velocity and attitude are what steering needs."""
+        """Take a sample of the drone; velocities and attitudes are kept for steering, others are ignored."""
         if isinstance(sample, BodyVelocity):
             self._velocity = sample
         elif isinstance(sample, Attitude):
             self._attitude = sample
 
     def word(self, now: MonoNs) -> Word:
-        """The word of this period, with the instant until which it may be flown."""
+        """Return the command of this period, with the instant at which it expires."""
         watchdog = self._state is not None and bool(self._state & NavdataState.COM_WATCHDOG)
         self._counters.watchdog_resets += watchdog
         ref = self._ref_bits(now)
         sticks = self._sticks(now)
-        # A velocity ends with the guidance cycle that it came from, not with the period that repeats it.
+        # A velocity's lifetime counts from the guidance cycle that asked for it, not from the period that repeats it.
         since = now if self._motion is None or sticks is HOVER else self._motion.asked_at
         landing = self._landing is not None and not self._landing.standing
         return Word(after(since, self._o.command_timeout_s), sticks, ref, landing, watchdog)
 
     def leave(self, now: MonoNs) -> Word:
-        """The last word: hover where it is, or go on with a landing that was commanded."""
+        """Return the final command: hover in place, or continue a landing that was commanded."""
         self._take_off_at = None
         return Word(after(now, self._o.command_timeout_s), HOVER, self._ref_bits(now))
 

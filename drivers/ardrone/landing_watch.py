@@ -1,8 +1,8 @@
-"""Why an AR.Drone is landing, and whether that landing is called off. No I/O.
+"""Determine why an AR.Drone is landing, and whether that landing is called off. No I/O.
 
-The firmware lands a drone that nobody has spoken to for a while, over deck or water alike. A service that comes back calls such a
-landing off; it never calls off one that a person, a low battery or a fault began. Near the ground no landing is called off: the
-bit that calls it off starts the motors of a drone that has touched down in the meantime.
+The firmware lands a drone that has received no command for a while, over deck or water alike. A service that comes back calls
+such a landing off; it never calls off one that a person, a low battery or a fault began. Near the ground no landing is called
+off: the bit that calls it off starts the motors of a drone that has touched down in the meantime.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from drivers.ardrone.navdata import ControlState, Demo, Navdata, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
 
 GAP_S = 1.0
-"""A drone that begins to land while we hear it is landed by somebody; only in a gap of this length can it be for our silence."""
+"""Only in a navdata gap of this length can a landing have begun for our silence; any other landing was begun by somebody else."""
 FRESH_S = 0.2
-"""A report older than this does not tell that the drone still is in the air."""
+"""A report older than this is no evidence that the drone is still in the air."""
 SILENT_ABOVE_M = 0.5
 """An unordered landing, or one that guidance no longer asks for, is called off above this height and finished below it."""
 ORDERED_ABOVE_M = 0.15
@@ -36,9 +36,9 @@ class Cause(Enum):
 
     OURS = "ours"
     SILENCE = "silence"
-    """The firmware, as nobody spoke to it."""
+    """The firmware began the landing, because it received no commands."""
     OTHERS = "others"
-    """A person, a low battery, a fault."""
+    """A person, a low battery or a fault began the landing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class DroneReport:
 
     @staticmethod
     def of(navdata: Navdata) -> DroneReport:
-        """Take the report out of a datagram."""
+        """Return the report that a datagram holds."""
         demo = navdata.get(Demo)
         return DroneReport(navdata.state, navdata.control_state, None if demo is None else 1e-3 * demo.altitude_mm)
 
@@ -71,7 +71,7 @@ class LandingWatch:
         self._newest: tuple[DroneReport, MonoNs] | None = None
         """The newest report, and when it was received."""
         self.cause: Cause | None = None
-        """None while the drone is not landing."""
+        """The cause of the present landing; None while the drone is not landing."""
 
     def on_report(self, report: DroneReport, now: MonoNs, *, ordered: bool) -> None:
         """Take the newest report; `ordered` says whether we are asking the drone to land."""

@@ -33,10 +33,10 @@ class ArDrone:
         self._released = False
         self.counters = Counters()
         self.frames: Latest[Frame] = Latest()
-        """Of the bottom camera, newest only."""
+        """The newest frame of the bottom camera."""
         self.samples: Line[Sample] = Line(sample_queue_items)
         self.down: dict[str, str] = {}
-        """Channels waiting to be started again, each with the reason."""
+        """The channels that wait to be started again, each with the reason."""
         self._streamer = CommandStreamer(options, self.counters)
         self._navdata = NavdataChannel(options, clock, self.counters, self._received_at, self._restarted)
         self._commands = CommandChannel(options, clock, self.counters, self._streamer, self._navdata)
@@ -45,7 +45,7 @@ class ArDrone:
         self._video = VideoChannel(options, clock, self.counters, self._setup, self.frames)
 
     def command(self, command: Command) -> None:
-        """Take the newest command; it is sent within one period and held as `Helm` says.
+        """Take the newest command; it is sent within one period and held as `CommandStreamer` says.
 
         Raises:
             Recoverable: the link was closed.
@@ -55,16 +55,16 @@ class ArDrone:
         self._streamer.take(command, self._clock.now())
 
     def release(self) -> None:
-        """The service ends on purpose: on closing, the drone is left in its own hover instead of being held for a successor."""
+        """Leave the drone in its own hover on closing, instead of holding it for a successor: the service ends on purpose."""
         self._released = True
 
     def toggle_emergency(self) -> None:
-        """Cut the motors at once, or leave the emergency state. Never done but by this call."""
+        """Cut the motors at once, or leave the emergency state. Only this call does it."""
         self._streamer.toggle_emergency()
 
     @property
     def navdata(self) -> Navdata | None:
-        """The newest datagram."""
+        """The newest navdata datagram."""
         return self._navdata.newest
 
     @property
@@ -74,7 +74,7 @@ class ArDrone:
 
     @property
     def configuration(self) -> Mapping[str, str]:
-        """What the drone last said of its configuration; empty before."""
+        """The configuration that the drone reported last; empty before the first report."""
         return self._control.configuration
 
     def _received_at(self, navdata: Navdata, samples: list[Sample], received_at: MonoNs) -> None:
@@ -90,7 +90,7 @@ class ArDrone:
 
     @property
     def sender_pid(self) -> int | None:
-        """Process that sends the commands, None while there is none."""
+        """The id of the process that sends the commands, None while there is none."""
         return self._commands.sender_pid
 
     async def _keep_open(self, name: str, body: Callable[[], Awaitable[None]], back_off: BackOff) -> None:
@@ -119,10 +119,10 @@ async def open_ardrone(
 ) -> AsyncIterator[ArDrone]:
     """Open the link and keep it open; it does not wait for the drone (see `ArDrone.ready`).
 
-    A channel the outside world breaks is started again alone, with back-off, and counted. An error of ours ends all of it as an
-    `ExceptionGroup`. On leaving, however that comes about, the drone is told to hover, or to go on with a commanded landing.
-    After an error or a cancellation without `ArDrone.release` the sender stays for `hold_s` and holds a flying drone for a
-    successor.
+    A channel that fails for an outside reason is started again alone, with back-off, and counted. An error of this program ends
+    the whole link as an `ExceptionGroup`. Leaving the block for any reason commands the drone to hover, or to continue a
+    commanded landing. After an error or a cancellation without `ArDrone.release` the sender stays for `hold_s` and holds a flying
+    drone for a successor.
 
     Args:
         sample_queue_items: samples that may wait for a slow reader; the oldest are dropped.
