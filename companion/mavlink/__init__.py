@@ -1,1 +1,1 @@
-"""The service as a MAVLink component: who it is, what it says, what it can be told."""
+"""The service as a MAVLink component: its identity, the messages that it sends, the commands that it takes."""

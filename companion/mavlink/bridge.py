@@ -1,9 +1,9 @@
-"""A drone that speaks no MAVLink (an AR.Drone) as a MAVLink vehicle: a ground station sees a quadrotor and can command it.
+"""Emulate a MAVLink vehicle for a drone that speaks no MAVLink (an AR.Drone), so that a ground station can command it.
 
     bridge = VehicleBridge(links.send, command)     # an observer; `on_message` takes what the links receive, `tick` the time
 
-It speaks as component 1 of the links' system. Its place is the sum of the drone's own velocities since take-off: good to see
-where it went, not to fly by.
+The bridge sends as component 1 of the links' system. Its position is the integral of the drone's own velocities since take-off:
+it shows where the drone went, but it is not good enough to navigate by.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from estimator.contracts.time import MonoNs, seconds_between
 COMPONENT = int(mav.MAV_COMP_ID_AUTOPILOT1)
 _LANDED_STATES = {"landed": 1, "taking_off": 3, "landing": 4}
 _GAP_S = 0.2
-"""A longer pause between velocities is not bridged."""
+"""The longest gap between two velocities that the position is integrated over, s."""
 _HOLDS = frozenset({int(mav.MAV_CMD_NAV_LOITER_UNLIM), int(mav.MAV_CMD_DO_PAUSE_CONTINUE), int(mav.MAV_CMD_OVERRIDE_GOTO)})
 _NO_BATTERY = -1
 
 
 class Send(Protocol):
-    """`Links.send`."""
+    """The signature of `Links.send`."""
 
     def __call__(self, message: Message, to: int | Source | None = None, *, component: int | None = None) -> bool: ...
 
 
 class VehicleBridge(NullObserver):
-    """See the module.
+    """The emulated vehicle; see the module's docstring.
 
     Args:
-        send: where messages go.
-        command: to the drone; may raise Recoverable.
+        send: sends a message over the links.
+        command: sends a command to the drone; it may raise Recoverable.
         go_on: ends a hold.
     """
 
@@ -81,7 +81,7 @@ class VehicleBridge(NullObserver):
         )
 
     def on_sample(self, sample: Sample) -> None:
-        """What the drone says of itself."""
+        """Keep the newest state of the drone, and integrate its velocity."""
         match sample:
             case VehicleStatus():
                 if sample.flying and not (self._status and self._status.flying):
@@ -98,12 +98,12 @@ class VehicleBridge(NullObserver):
                 self._w_body = sample.w_body
 
     def tick(self, now: MonoNs) -> None:
-        """Send what is due."""
+        """Send the messages that are due."""
         for message in self._offered.due(now):
             self._send(message, component=COMPONENT)
 
     def on_message(self, received: ReceivedMessage, system: int, now: MonoNs) -> None:
-        """A message of any link; commands to component 1 of our system are done and answered."""
+        """Carry out and answer commands to component 1 of our system; ignore every other message."""
         m, kind = received.message, received.message.get_type()
         if kind not in ("COMMAND_LONG", "COMMAND_INT") or (m.target_system, m.target_component) != (system, COMPONENT):
             return
@@ -124,7 +124,7 @@ class VehicleBridge(NullObserver):
     def _do(self, m: Message, now: MonoNs) -> tuple[int, list[Message]]:
         if m.command == mav.MAV_CMD_COMPONENT_ARM_DISARM:
             if self._flying and m.param1 != 1.0:
-                return DENIED, []  # its motors are never stopped in flight from here
+                return DENIED, []  # The bridge never stops the motors in flight.
             self._armed = m.param1 == 1.0
             return ACCEPTED, []
         if m.command == mav.MAV_CMD_NAV_TAKEOFF:

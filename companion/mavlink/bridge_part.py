@@ -30,14 +30,14 @@ Taker = TypeVar("Taker", bound=_Drone)
 
 
 class BridgePart(NullObserver):
-    """See the module.
+    """The bridge and its links; see the module's docstring.
 
     Args:
-        links: where ground stations are.
-        system: MAVLink system id of the drone.
-        operators: systems that may command it though they do not sign.
-        hold, go_on: what a station's hold does to guidance, and what ends it.
-        tap: told of every message; None for nobody.
+        links: the links to ground stations.
+        system: the MAVLink system id of the drone.
+        operators: systems that may command the drone although they do not sign.
+        hold, go_on: functions that hold guidance when a station asks for a hold, and that end the hold.
+        tap: receives every message; None if no one listens.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class BridgePart(NullObserver):
 
     @asynccontextmanager
     async def beside(self, opening: AbstractAsyncContextManager[Taker]) -> AsyncIterator[Taker]:
-        """The drone's link, with the stations' commands going to it while it is open."""
+        """Open the drone's link, and send the stations' commands to it while it is open."""
         async with opening as drone:
             self._taker = drone.command
             try:
@@ -72,15 +72,15 @@ class BridgePart(NullObserver):
                 self._taker = None
 
     def command(self, command: Command) -> None:
-        """To the drone.
+        """Send a command to the drone.
 
         Raises:
-            Recoverable: its link is not open.
+            Recoverable: the drone's link is not open.
         """
         if self._taker is None:
             raise Recoverable("the drone is not there")
         if isinstance(command, Hover):
-            self._hold()  # or guidance would fly on at once
+            self._hold()  # Without the hold, guidance would fly on at once.
         self._taker(command)
 
     def on_sample(self, sample: Sample) -> None:
@@ -94,7 +94,7 @@ class BridgePart(NullObserver):
         return link_counters(self._links, self._bridge.refusals)
 
     async def run(self) -> None:
-        """For ever; the links come back by themselves."""
+        """Serve the links until cancelled; a link that fails reconnects by itself."""
         identity = (self._system, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
         async with open_links(self._options, self._clock, identity, access=self._access) as links, asyncio.TaskGroup() as group:
             self._links, links.tap = links, self._tap

@@ -1,4 +1,4 @@
-"""COMMAND_LONG and COMMAND_INT to us: every one is answered, a repeat is not done twice, a long one reports on. No I/O.
+"""Serve COMMAND_LONG and COMMAND_INT: answer each, carry out a repeat only once, report progress of a long one. No I/O.
 
 | command | meaning |
 |---|---|
@@ -41,7 +41,7 @@ Params = tuple[float, float, float, float, float, float, float]
 
 
 class Offered:
-    """Messages of ours that can be asked for, and how often each is sent.
+    """The messages that a peer can request, and the interval at which each is sent.
 
     Args:
         makers: by message number; a maker returns None while it has nothing to say.
@@ -55,7 +55,7 @@ class Offered:
         self._next: dict[int, MonoNs] = {}
 
     def make(self, number: int, now: MonoNs) -> Message | None:
-        """The message, None where there is none of that number or nothing to say."""
+        """Return the message, or None if the number is unknown or there is nothing to send."""
         maker = self._makers.get(number)
         return None if maker is None else maker(now)
 
@@ -63,14 +63,14 @@ class Offered:
         return number in self._makers
 
     def interval_us(self, number: int) -> int:
-        """As MESSAGE_INTERVAL tells it: 0 not available, -1 not sent by itself."""
+        """Return the interval as MESSAGE_INTERVAL encodes it, microseconds: 0 is not available, -1 is not sent periodically."""
         if number not in self._makers:
             return 0
         interval_s = self._intervals_s.get(number, 0.0)
         return round(interval_s * 1e6) if interval_s > 0 else -1
 
     def set_interval(self, number: int, interval_us: float) -> bool:
-        """-1 stops it, 0 sets the default; False where that is not possible or longer than 2000 s."""
+        """Set a message's interval: -1 stops it, 0 sets the default. Return False if that is impossible or exceeds 2000 s."""
         if number not in self._makers or not (interval_us == -1 or 0 <= interval_us <= _INTERVAL_MAX_S * 1e6):
             return False
         default = self._defaults.get(number, 0.0)
@@ -80,7 +80,7 @@ class Offered:
         return True
 
     def due(self, now: MonoNs) -> list[Message]:
-        """Those whose time has come."""
+        """Return the messages that are due."""
         out = []
         for number, interval_s in self._intervals_s.items():
             if interval_s > 0 and now >= self._next.get(number, now):
@@ -106,20 +106,20 @@ class _Running:
 
 
 class CommandServer:
-    """Does what it is told through an `Operator` and answers."""
+    """Carries out commands through an `Operator` and answers them."""
 
     def __init__(self, operator: Operator, offered: Offered) -> None:
         self._operator = operator
         self._offered = offered
         self._done: dict[tuple[tuple[int, int], int], _Done] = {}
         self._last: dict[tuple[int, int], int] = {}
-        """Newest command of each sender."""
+        """The newest command of each sender."""
         self._running: _Running | None = None
         self.refusal: str | None = None
-        """Why the newest command was not done, None when it was."""
+        """The reason why the newest command was refused; None if it was carried out."""
 
     def on_message(self, message: Message, sender: tuple[int, int], us: tuple[int, int], now: MonoNs) -> list[Message]:
-        """The answer, and what was asked for with it."""
+        """Return the answer, followed by the messages that the command requested."""
         kind = message.get_type()
         if kind not in ("COMMAND_LONG", "COMMAND_INT") or (message.target_system, message.target_component) != us:
             return []
@@ -138,7 +138,7 @@ class CommandServer:
         return [self._ack(message.command, result, sender), *extra]
 
     def _repeats(self, message: Message, known: _Done, sender: tuple[int, int], now: MonoNs) -> bool:
-        """Whether this is the command known already: by its confirmation count, or for senders that repeat without one."""
+        """Return whether the command is a repeat: it counts a confirmation, or it is its sender's last command, sent again."""
         if message.command in _ABOUT_MESSAGES:
             return False
         age_s = seconds_between(known.at, now)
@@ -147,7 +147,7 @@ class CommandServer:
         return counted or at_once
 
     def due(self, now: MonoNs) -> list[Message]:
-        """How the long command goes on; its final result once it ended."""
+        """Return the progress of the long command, or its final result once it ended."""
         running = self._running
         if running is None:
             return []

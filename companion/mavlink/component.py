@@ -1,13 +1,13 @@
-"""The service as a MAVLink component: identity, heartbeat, parameters, commands, texts, and what is told of the pad.
+"""The service as a MAVLink component: identity, heartbeat, parameters, commands, status texts and messages about the pad.
 
     component = Component(options, operator, store, healthy=..., clock=clock)
     async with open_autopilot(...) as autopilot, speaking(component, autopilot, clock): ...
 
-It is an observer of the service. The heartbeat depends on what the flight needs: a vital part that is down, or guidance that
-stands still, and it stops, so that nobody takes a dead pipeline for a live one. Any other part that is down (recorder, broker,
-metrics) is told in a text and changes nothing else.
+The component is an observer of the service. The heartbeat stops when a vital part is down or guidance has stalled, so that
+nobody takes a dead pipeline for a live one. Any other part that is down (recorder, broker, metrics) is reported in a status
+text and changes nothing else.
 
-It is alive inside the vehicle's context and not vital itself: a fault in one thing that it says costs that thing alone.
+The component lives inside the vehicle's context and is not vital itself: a fault in one message costs that message alone.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ log = logging.getLogger(__name__)
 TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_AUTOPILOT_INVALID)
 _CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
 _TELL_AGAIN_S = 60.0
-"""Between two texts about the same part, which may fail and come back many times a minute."""
+"""The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
 _SEVERITIES = {
     "landed": MavSeverity.NOTICE,
     "landed by others": MavSeverity.NOTICE,
@@ -57,12 +57,12 @@ _SEVERITIES = {
     "aborted": MavSeverity.WARNING,
     "paused": MavSeverity.NOTICE,
 }
-"""Of phases that are more than information."""
+"""The severities of those phases that are more than information."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComponentOptions:
-    """What it says, and how often.
+    """The messages that the component sends, and their periods.
 
     Raises:
         ValueError: a number out of range.
@@ -72,14 +72,14 @@ class ComponentOptions:
     tick_s: float = 0.01
     heartbeat_s: float = 1.0
     state_s: float = 0.2
-    """Of NAMED_VALUE_FLOAT; 0 for not at all."""
+    """The period of NAMED_VALUE_FLOAT; 0 sends none."""
     computer_s: float = 1.0
     guidance_silence_s: float = 1.0
-    """Guidance that has not decided anything for this long stands still."""
+    """The time without a decision after which guidance counts as stalled."""
     parameters: tuple[str, ...] = field(
         default=("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "RNGFND1_TYPE", "RNGFND2_TYPE", "RNGFND3_TYPE", "RNGFND4_TYPE")
     )
-    """That the autopilot is to be asked for (see `AutopilotOptions.parameters`)."""
+    """The parameters that are requested from the autopilot (see `AutopilotOptions.parameters`)."""
 
     def __post_init__(self) -> None:
         for name in ("tick_s", "heartbeat_s", "guidance_silence_s"):
@@ -89,7 +89,7 @@ class ComponentOptions:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """The autopilot as `Outputs` sees it."""
+    """The view of the autopilot that `Outputs` reads."""
 
     autopilot: Autopilot
 
@@ -116,10 +116,10 @@ class _View:
 
 
 class Component(NullObserver):
-    """See the module.
+    """The component; see the module's docstring.
 
     Args:
-        healthy: None while what the flight needs is well, else one line that says what is not.
+        healthy: returns None while everything that the flight needs is up, else one line that names the fault.
         believe: the steering path's belief at an instant; None takes that of guidance's newest decision.
         health: the service's health, whose parts it reports; None for a health of its own.
     """
@@ -161,7 +161,7 @@ class Component(NullObserver):
             {
                 mav.MAVLINK_MSG_ID_HEARTBEAT: options.heartbeat_s,
                 mav.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS: options.computer_s,
-                # The values take turns
+                # The values take turns.
                 mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: options.state_s / len(_VALUES),
             },
         )
@@ -171,22 +171,22 @@ class Component(NullObserver):
         self.outputs = Outputs(options.outputs, self._track)
 
     def attach(self, autopilot: Autopilot) -> None:
-        """Speak over this autopilot's links from now on."""
+        """Send over this autopilot's links from now on."""
         self._autopilot, self._links = autopilot, autopilot.links
         autopilot.add_listener(self.on_message)
 
     def detach(self) -> None:
-        """Speak no more; the links are about to close."""
+        """Stop sending, because the links are about to close."""
         self._autopilot = self._links = None
 
-    # What the service tells
+    # Events from the service
 
     def on_sample(self, sample: Sample) -> None:
         if isinstance(sample, Attitude):
             self._track.on_attitude(sample)
 
     def on_frame(self, processed: ProcessedFrame) -> None:
-        """A fused sighting is told of at once, not at the next tick."""
+        """Send a fused sighting at once instead of at the next tick."""
         if processed.verdict is Verdict.FUSED and self._autopilot is not None:
             now = self._clock.now()
             self._update_belief(now)
@@ -201,10 +201,10 @@ class Component(NullObserver):
             severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)
             self.texts.say(severity, f"Decklander: {decision.phase}", decision.at)
 
-    # What others tell
+    # Messages from other components
 
     def on_message(self, received: ReceivedMessage) -> None:
-        """A message of any link: commands and parameters are answered to who sent them, changes are told to all."""
+        """Answer a command or parameter message of any link to its sender, and broadcast changes to all."""
         if self._links is None:
             return
         now, us = self._clock.now(), self._links.identity
@@ -230,10 +230,10 @@ class Component(NullObserver):
             for message in messages:
                 self._links.send(message, received.source)
 
-    # What it says
+    # Messages that the component sends
 
     def tick(self, now: MonoNs) -> None:
-        """Send everything that is due. A bug in one part of it is held, and the others are sent all the same."""
+        """Send everything that is due. A bug in one message is contained, and the others are still sent."""
         if self._links is None:
             return
         parts: dict[str, Callable[[MonoNs], None]] = {
@@ -264,17 +264,17 @@ class Component(NullObserver):
 
     @property
     def belief(self) -> RelativeState | None:
-        """The newest that it speaks of."""
+        """The newest belief that the component reports."""
         return self._belief
 
     @property
     def sends_ranges(self) -> bool:
-        """Whether the autopilot's rangefinder is us."""
+        """Whether the component serves as the autopilot's rangefinder."""
         return self._autopilot is not None and self.outputs.sends_ranges(_View(self._autopilot))
 
     @property
     def _sighted(self) -> MonoNs | None:
-        """Return the time of the last sight of the pad, without what is in doubt: an autopilot is not sent that."""
+        """Return the time of the last sighting of the pad, without doubtful ones, which are not sent to an autopilot."""
         return None if self._belief is None or self._belief.doubts else self._belief.sighted
 
     def _update_belief(self, now: MonoNs) -> None:
@@ -354,7 +354,7 @@ def _version() -> str:
 
 @asynccontextmanager
 async def speaking(component: Component, autopilot: Autopilot, clock: Clock) -> AsyncIterator[None]:
-    """The component alive on the links of an autopilot."""
+    """Run the component on the links of an autopilot."""
 
     async def tick() -> None:
         while True:

@@ -1,4 +1,4 @@
-"""ONBOARD_COMPUTER_STATUS: load, memory and temperature of this host, as Linux tells them."""
+"""ONBOARD_COMPUTER_STATUS: the load, memory and temperature of this host, as Linux reports them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from estimator.contracts.time import MonoNs
 _UNKNOWN_8, _UNKNOWN_16, _UNKNOWN_32 = 255, 32767, 0xFFFFFFFF
 _NO_TEMPERATURE = 127
 _LONGEST = 1 << 20
-"""Characters read of one file."""
+"""The most characters that are read from one file."""
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class Computer:
-    """One reading; None where the host does not tell."""
+    """One reading; a field is None if the host does not report it."""
 
     cores_percent: tuple[int, ...]
     memory_used_mib: int | None
@@ -32,14 +32,14 @@ class Computer:
 
 
 class ComputerReader:
-    """Reads `/proc` and `/sys`; the load is that since the last reading."""
+    """Reads `/proc` and `/sys`; the load is the mean since the previous reading."""
 
     def __init__(self, root: Path = Path("/")) -> None:
         self._root = root
         self._before: list[tuple[int, int]] = []
 
     def read(self) -> Computer:
-        """Return the state now. It never raises: what cannot be read, or reads as nonsense, is None."""
+        """Return the current state. It never raises: a value that cannot be read or parsed is None."""
         memory = _tried(self._memory) or {}
         used = memory["MemTotal"] - memory["MemAvailable"] if {"MemTotal", "MemAvailable"} <= memory.keys() else None
         total = memory.get("MemTotal")
@@ -80,7 +80,7 @@ class ComputerReader:
         readings = []
         for entry in os.listdir(self._root / "sys/class/thermal"):
             if entry.startswith("thermal_zone"):
-                # A zone whose sensor does not answer says so by an error; the others are still worth reading.
+                # Reading a zone whose sensor does not answer raises an error; the other zones are still worth reading.
                 path = f"sys/class/thermal/{entry}/temp"
                 readings.append(_tried(partial(self._celsius, path)))
         told = [reading for reading in readings if reading is not None]
@@ -91,7 +91,7 @@ class ComputerReader:
 
 
 def _tried(read: Callable[[], T]) -> T | None:
-    """Return what `read` returns; None where the host does not tell it, or tells something else than a number.
+    """Return what `read` returns, or None if the host does not report it or reports something other than a number.
 
     Every reading goes through here, so that one that fails (no descriptors left, a sensor gone) costs only itself.
     """
@@ -102,7 +102,7 @@ def _tried(read: Callable[[], T]) -> T | None:
 
 
 def computer_status(computer: Computer, now: MonoNs) -> Message:
-    """The message for one reading."""
+    """Return the message for one reading."""
     cores = list(computer.cores_percent[:8])
     combined = round(sum(cores) / len(cores)) if cores else _UNKNOWN_8
     temperature = _NO_TEMPERATURE if computer.temperature_c is None else min(max(computer.temperature_c, -126), 126)

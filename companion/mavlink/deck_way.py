@@ -1,10 +1,10 @@
-"""How the pad itself moves over the ground, so that a vehicle whose velocities are over the ground can fly against the pad.
+"""Estimate the pad's velocity over the ground, so that a vehicle with ground-referenced velocities can fly relative to the pad.
 
-Guidance commands velocities as if what lies below stood still. An AR.Drone's own velocity and height are against what it sees
-below, which is the deck; an autopilot's are over the ground: a ship under way would leave it behind, and a deck that heaves would
-come up at it faster than guidance makes up for. The pad's velocity over the ground is the autopilot's own plus that of the pad
-against the body. Horizontally the mean of some seconds is taken, the ship's way without the waves, and held while the pad is out
-of sight; vertically the heave of this moment, and none without sight.
+Guidance commands velocities as if the surface below were still. An AR.Drone measures its velocity and height against the surface
+that it sees, which is the deck; an autopilot measures them over the ground, so a ship under way would leave it behind, and a
+heaving deck would rise faster than guidance corrects for. The pad's velocity over the ground is the autopilot's velocity plus the
+pad's velocity relative to the body. The horizontal part is a mean over some seconds, which keeps the ship's way and removes the
+waves; it is held while the pad is out of sight. The vertical part is the current heave; it is zero while the pad is out of sight.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from estimator.contracts.time import MonoNs, seconds_between
 MEAN_S = 2.0
 HEAVE_S = 0.15
 FORGET_S = 20.0
-"""A pad not seen for this long is another pad when it comes back."""
+"""The time after which a pad that comes back into sight counts as another pad, s."""
 _FRESH_S = 0.3
 _SIGMA_MAX_M_S = 0.6
 _MOST_M_S = 15.0
 
 
 class Moving(Protocol):
-    """What is needed to know of the autopilot."""
+    """The part of the autopilot's state that `DeckWay` reads."""
 
     @property
     def attitude(self) -> Attitude | None: ...
@@ -41,10 +41,10 @@ class Moving(Protocol):
 
 
 class DeckWay:
-    """Ask it at each command.
+    """Returns the pad's velocity over the ground; call it for each command.
 
     Args:
-        believe: what is known of the pad at an instant.
+        believe: returns the belief about the pad at an instant.
     """
 
     def __init__(self, believe: Callable[[MonoNs], RelativeState | None], autopilot: Moving) -> None:
@@ -54,7 +54,7 @@ class DeckWay:
         self._at: MonoNs | None = None
 
     def __call__(self, now: MonoNs) -> F64:
-        """(3,) m/s in ned; zeros while nothing is known of the pad."""
+        """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of the pad."""
         seen = self._seen(now)
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
             self._way, self._known_s, self._at = np.zeros(3), 0.0, None
@@ -71,7 +71,7 @@ class DeckWay:
         return self._way * min(1.0, _MOST_M_S / max(speed, 1e-9))
 
     def _seen(self, now: MonoNs) -> F64 | None:
-        """The pad's velocity over the ground at this instant, None where it cannot be told."""
+        """Return the pad's velocity over the ground at this instant, or None if it cannot be determined."""
         belief, attitude, positions = self._believe(now), self._autopilot.attitude, self._autopilot.positions
         if belief is None or attitude is None or not positions or not belief.consistent:
             return None

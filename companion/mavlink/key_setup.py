@@ -1,4 +1,4 @@
-"""Give an autopilot a signing key, or take it away, and look whether it did so.
+"""Give an autopilot a signing key or take it away, and check whether the autopilot applied the change.
 
     found = await meet(endpoint, current, system, clock, seconds)
     await send_key(endpoint, current, found, key, clock)
@@ -32,26 +32,26 @@ _NO_KEY = [0] * 32
 
 @dataclass(frozen=True, slots=True)
 class Met:
-    """An autopilot that was heard."""
+    """An autopilot from which a heartbeat was received."""
 
     system: int
     component: int
     stack: str
     armed: bool
     signs: bool
-    """Its messages are signed, by whatever key."""
+    """Whether the autopilot's messages are signed, by whatever key."""
 
 
 async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | None, clock: Clock, seconds: float) -> Met:
-    """Return the first autopilot that is heard on the link.
+    """Return the first autopilot whose heartbeat is received on the link.
 
     Args:
-        current: the key that the link is signed with already; None for none.
-        system: the one that is meant; None for the first.
+        current: the key that the link is already signed with; None if it is not signed.
+        system: the system id of the autopilot; None for the first one.
         seconds: how long to listen.
 
     Raises:
-        Recoverable: none was heard.
+        Recoverable: no heartbeat was received.
     """
     async with _opened(endpoint, current, clock) as links:
         try:
@@ -97,7 +97,7 @@ async def observe(endpoint: Endpoint, key: SigningKey | None, of: Met, clock: Cl
 async def _opened(endpoint: Endpoint, key: SigningKey | None, clock: Clock) -> AsyncIterator[Links]:
     signing = None if key is None else Signing(key, SigningTimes(None), 0)
     options = LinkOptions(endpoint, signing=signing, restart_first_s=0.1, restart_most_s=0.5)
-    # Whoever answers is spoken to: a person has said that this link leads to the autopilot.
+    # Every sender on this link is trusted, because a person stated that the link leads to the autopilot.
     async with (
         open_links([options], clock, _STATION, access=AccessOptions(everybody=True)) as links,
         asyncio.TaskGroup() as group,
@@ -116,7 +116,7 @@ async def _probe(links: Links, clock: Clock) -> None:
 
 
 def _is_signed(received: ReceivedMessage) -> bool:
-    """Return whether the frame says that it is signed; no key is needed to see that."""
+    """Return whether the frame's flags mark it as signed; no key is needed to read them."""
     frame = received.message.get_msgbuf()
     return frame[0] == mav.PROTOCOL_MARKER_V2 and bool(frame[2] & mav.MAVLINK_IFLAG_SIGNED)
 

@@ -1,8 +1,8 @@
-"""From where the pad is to the bytes that each autopilot obeys. No I/O, no clocks.
+"""Convert the pad's position to the messages that each autopilot obeys. No I/O, no clocks.
 
-All take the vector from the body's origin to the pad's centre in `ned` and the attitude of the same instant. What the receivers
-do with the fields: docs/mavlink.md. Source: AC_PrecLand_MAVLink.cpp and AC_PrecLand.cpp (ArduPilot), mavlink_receiver.cpp and
-LandingTargetEstimator.cpp (PX4); MAVLink messages LANDING_TARGET, TARGET_RELATIVE, DISTANCE_SENSOR.
+All functions take the vector from the body's origin to the pad's centre in `ned` and the attitude of the same instant. How
+receivers use the fields: docs/mavlink.md. Source: AC_PrecLand_MAVLink.cpp and AC_PrecLand.cpp (ArduPilot),
+mavlink_receiver.cpp and LandingTargetEstimator.cpp (PX4); MAVLink messages LANDING_TARGET, TARGET_RELATIVE, DISTANCE_SENSOR.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ VISION_OTHER = int(mav.LANDING_TARGET_TYPE_VISION_OTHER)
 TARGET_OBS_BODY_FRD = 1
 """TARGET_OBS_FRAME_BODY_FRD of the development dialect."""
 _NO_ROTATION_KNOWN = (0.0, 0.0, 0.0, 0.0)
-"""Not a rotation: receivers that read the quaternion take it as not given."""
+"""A quaternion that is no rotation: receivers that read it treat it as absent."""
 _LEAST_DEPTH_M = 0.02
 
 
 def angles_of(d_body: F64) -> tuple[float, float] | None:
-    """(angle_x, angle_y) in rad as ArduPilot turns them back: (-tan(angle_y), tan(angle_x), 1) points to the pad.
+    """Return (angle_x, angle_y) in rad as ArduPilot inverts them: (-tan(angle_y), tan(angle_x), 1) points to the pad.
 
-    None where the pad is not below the body.
+    The result is None if the pad is not below the body.
     """
     x, y, z = (float(v) for v in d_body)
     return (math.atan2(y, z), math.atan2(-x, z)) if z >= _LEAST_DEPTH_M else None
@@ -50,7 +50,7 @@ def _target(time_us: int, frame: int, xyz: F64, d_body: F64, q: tuple[float, ...
 def ardupilot_landing_target(
     time_us: int, d_body_pad_ned: F64, R_ned_body: Rotation, *, pad_radius_m: float, R_ned_pad: Rotation | None = None
 ) -> Message | None:
-    """LANDING_TARGET in MAV_FRAME_BODY_FRD with position, distance and angles that all say the same.
+    """Return LANDING_TARGET in MAV_FRAME_BODY_FRD with position, distance and angles that agree with each other.
 
     Firmware before 4.1 reads the angles only; later firmware reads the position and needs distance > 0.
 
@@ -76,7 +76,7 @@ def px4_landing_target(
     pad_radius_m: float,
     R_ned_pad: Rotation | None = None,
 ) -> Message | None:
-    """LANDING_TARGET in MAV_FRAME_LOCAL_NED: the pad's place in PX4's own local frame.
+    """Return LANDING_TARGET in MAV_FRAME_LOCAL_NED: the pad's position in PX4's own local frame.
 
     Args:
         time_us: when it was true, in the clock of our TIMESYNC answers; another clock makes PX4 ignore the target.
@@ -92,11 +92,11 @@ def px4_landing_target(
 def target_relative(
     time_us: int, d_body_pad_ned: F64, cov_ned: F64, R_ned_body: Rotation, R_ned_pad: Rotation | None, sigma_yaw_rad: float
 ) -> Message:
-    """TARGET_RELATIVE for PX4's vision target estimator: pad in the body's axes with standard deviations, capture time.
+    """Return TARGET_RELATIVE for PX4's vision target estimator: the pad in body axes, standard deviations, capture time.
 
     Args:
-        cov_ned: (3, 3) of `d_body_pad_ned`.
-        sigma_yaw_rad: of the pad's heading; large where it is not known.
+        cov_ned: the (3, 3) covariance of `d_body_pad_ned`.
+        sigma_yaw_rad: the standard deviation of the pad's heading; it is large if the heading is not known.
     """
     d_body = R_ned_body.inv @ d_body_pad_ned
     sigma = np.sqrt(np.maximum(np.diag(R_ned_body.inv.rotate_cov(cov_ned)), 0.0))
@@ -119,10 +119,10 @@ MIN_RANGE_CM, MAX_RANGE_CM = 5, 5000
 
 
 def distance_sensor(time_boot_ms: int, range_m: float | None, sigma_m: float, sensor_id: int) -> Message:
-    """DISTANCE_SENSOR looking down: what a lidar would read, for an autopilot that has none.
+    """Return a downward DISTANCE_SENSOR with the reading that a lidar would have, for an autopilot without one.
 
     Args:
-        range_m: along the body's down axis; None while nothing is seen, which is said and not left out.
+        range_m: the distance along the body's down axis; None while nothing is seen, which is sent as an invalid reading.
     """
     if range_m is None:
         reading, quality, covariance = MAX_RANGE_CM + 1, 1, 255
@@ -136,7 +136,7 @@ def distance_sensor(time_boot_ms: int, range_m: float | None, sigma_m: float, se
 
 
 def range_along_down(d_body_pad_ned: F64, R_ned_body: Rotation) -> float | None:
-    """Distance in m along the body's down axis to the level through the pad's centre; None when that axis does not meet it."""
+    """Return the distance in m along the body's down axis to the pad's level plane, or None if the axis does not meet it."""
     down = float(R_ned_body.matrix[2, 2])
     depth_m = float(d_body_pad_ned[2])
     return depth_m / down if down > 0.2 and depth_m >= 0.0 else None

@@ -1,4 +1,4 @@
-"""The service's vehicle where that is an autopilot: its links, the component that speaks over them, and the pilot's hand."""
+"""The service's vehicle if that is an autopilot: its links, the MAVLink component on them, and the pilot's operator."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class AutopilotPart:
     """Opens the autopilot with our component on its links. The component is an observer of the service.
 
     Args:
-        recording: switches the recorder; None where there is none.
-        tap: told of every MAVLink message; None for nobody.
+        recording: switches the recorder; None if there is no recorder.
+        tap: receives every MAVLink message; None if no one listens.
 
     Raises:
         BadInput: a signing key that cannot be read.
@@ -63,7 +63,7 @@ class AutopilotPart:
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[VehicleLink]:
-        """The autopilot as the daemon's link."""
+        """Open the autopilot as the daemon's link."""
         async with open_autopilot(self._options, self._clock) as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
             autopilot.carried = DeckWay(self._pilot.belief, autopilot)
@@ -87,7 +87,7 @@ class AutopilotPart:
         )
 
     def _counted(self) -> Mapping[str, float]:
-        """Of the links since they were opened last, and of targets that were due and not sent."""
+        """Return the counters of the links since they were opened last, and of targets that were due but not sent."""
         component = self.component
         out: dict[str, float] = {f"withheld_{why.replace(' ', '_')}": n for why, n in component.outputs.withheld.items()}
         out |= {"targets_sent": component.outputs.sent, "sends_ranges": component.sends_ranges}

@@ -1,4 +1,4 @@
-"""What a ground station may ask of the service. The daemon implements it; MAVLink commands end here."""
+"""The operations that a ground station may request. The daemon implements them; MAVLink commands end here."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ PATHS: tuple[PathName, ...] = ("median_mean", "dead_reckoning", "ekf")
 
 @dataclass(frozen=True, slots=True)
 class LandingProgress:
-    """How the landing that was asked for goes on."""
+    """The progress of the landing that was requested."""
 
     percent: int | None
-    """0..100; None where it cannot be told."""
+    """The progress in percent, 0..100; None if it is not known."""
     landed: bool | None = None
-    """None while it goes on; True when it stands on the pad; False when it ended otherwise."""
+    """The result: None while the landing goes on, True if the vehicle landed on the pad, False if it ended otherwise."""
     called_off: bool = False
-    """The operator ended it."""
+    """Whether the operator ended the landing."""
 
 
 class Operator(Protocol):
-    """Each deed returns None when it was done, or one line that says why not."""
+    """The operations; each returns None if it was carried out, or one line that gives the reason for refusing."""
 
     def begin(self) -> str | None:
         """Start the approach, or go on after a pause."""
         ...
 
     def pause(self) -> str | None:
-        """Hover where it is until `begin`."""
+        """Hover in place until `begin`."""
         ...
 
     def abort(self) -> str | None:
@@ -47,5 +47,5 @@ class Operator(Protocol):
         ...
 
     def progress(self) -> LandingProgress:
-        """Of the landing."""
+        """Return the progress of the landing."""
         ...

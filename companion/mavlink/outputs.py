@@ -1,4 +1,4 @@
-"""What the autopilot is told of the pad, by the kind of autopilot it is. No I/O; the clock comes with each call."""
+"""The messages about the pad that each kind of autopilot is sent. No I/O; each call brings the time."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from estimator.contracts.time import MonoNs, seconds_between
 DEFAULT_PLND_LAG_S, PLND_LAG_MAX_S = 0.02, 0.25
 """Default and largest PLND_LAG of ArduPilot, s."""
 _MAVLINK_RANGEFINDER = 10.0
-"""RNGFNDx_TYPE of a rangefinder that listens to DISTANCE_SENSOR."""
+"""The RNGFNDx_TYPE of a rangefinder that reads DISTANCE_SENSOR."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutputOptions:
-    """How the pad is told of.
+    """The options of the messages about the pad.
 
     Raises:
         ValueError: a number out of range.
@@ -37,19 +37,19 @@ class OutputOptions:
 
     pad_radius_m: float
     rate_hz: float = 25.0
-    """Of LANDING_TARGET; ArduPilot starts at 3 Hz, 10 to 50 are comfortable."""
+    """The rate of LANDING_TARGET; ArduPilot needs at least 3 Hz, 10 to 50 Hz are comfortable."""
     stale_s: float = 0.5
-    """A pad not seen for this long is no longer told of."""
+    """The time without a sighting after which the pad is no longer sent."""
     ranges: Literal["auto", "on", "off"] = "auto"
-    """Send DISTANCE_SENSOR: auto where an ArduPilot's parameters say that its rangefinder is a MAVLink one."""
+    """Whether DISTANCE_SENSOR is sent; "auto" sends it if an ArduPilot's parameters name a MAVLink rangefinder."""
     range_rate_hz: float = 20.0
     ground_clearance_m: float = 0.1
-    """What a rangefinder would read while the vehicle stands; ArduPilot refuses to arm without a reading."""
+    """The reading of a rangefinder while the vehicle is on the ground; ArduPilot refuses to arm without one."""
     range_id: int = 0
     vision_target_estimator: bool = False
-    """PX4 runs its vision target estimator: send TARGET_RELATIVE too."""
+    """Whether TARGET_RELATIVE is sent too, because PX4 runs its vision target estimator."""
     receiver_s: float = 0.5 / LOOP_RATE_HZ
-    """From the message's arrival until the autopilot takes it up."""
+    """The time from the message's arrival until the autopilot processes it."""
 
     def __post_init__(self) -> None:
         for name in ("pad_radius_m", "rate_hz", "stale_s", "range_rate_hz", "ground_clearance_m"):
@@ -60,7 +60,7 @@ class OutputOptions:
 
 
 class AutopilotView(Protocol):
-    """What is needed to know of the autopilot."""
+    """The part of the autopilot's state that `Outputs` reads."""
 
     @property
     def stack(self) -> Stack: ...
@@ -79,9 +79,9 @@ class AutopilotView(Protocol):
 
 
 class Outputs:
-    """LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR, each when it is due.
+    """Makes LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR, each when it is due.
 
-    Nothing is told of a pad while the vehicle stands: a target that moves on after touchdown can keep ArduPilot from disarming.
+    No target is sent while the vehicle is on the ground: a target that moves after touchdown can keep ArduPilot from disarming.
     """
 
     def __init__(self, options: OutputOptions, track: TargetTrack) -> None:
@@ -91,19 +91,19 @@ class Outputs:
         self._range_at: MonoNs | None = None
         self._newest: MonoNs | None = None
         self.sent = 0
-        """Targets."""
+        """The number of targets sent."""
         self.withheld: Counter[str] = Counter()
-        """Why a target that was due was not sent."""
+        """The reasons why targets that were due were not sent, counted."""
 
     def sends_ranges(self, vehicle: AutopilotView) -> bool:
-        """Whether this autopilot's rangefinder is us."""
+        """Return whether we serve as this autopilot's rangefinder."""
         if self._o.ranges != "auto":
             return self._o.ranges == "on"
         kinds = (vehicle.parameter_values.get(f"RNGFND{n}_TYPE") for n in range(1, 5))
         return vehicle.stack is Stack.ARDUPILOT and _MAVLINK_RANGEFINDER in kinds
 
     def due(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> list[Message]:
-        """The messages of this instant.
+        """Return the messages that are due at this instant.
 
         Args:
             sighted: when the pad was last seen, None for never.
@@ -117,7 +117,7 @@ class Outputs:
         return out
 
     def target(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> list[Message]:
-        """The target as it is to be told now, whether or not it is due; the next is due one period later."""
+        """Return the target to send now, whether or not it is due; the next one is due one period later."""
         self._target_at = now
         seen, why = self._seen(now, vehicle, sighted)
         if seen is None:
@@ -179,5 +179,5 @@ class Outputs:
 
     @staticmethod
     def _time_has_come(last: MonoNs | None, now: MonoNs, rate_hz: float) -> bool:
-        # A tick that comes a little early counts, or a rate near that of the ticks is halved.
+        # A tick that comes a little early counts; otherwise a rate near that of the ticks would be halved.
         return last is None or seconds_between(last, now) >= 0.9 / rate_hz

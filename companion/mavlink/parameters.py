@@ -1,4 +1,4 @@
-"""The parameter protocol as a server: list, read, set; every change is broadcast. No I/O.
+"""A server of the parameter protocol: it lists, reads and sets values and broadcasts every change. No I/O.
 
 All values are REAL32, so both encodings of the protocol (C cast and bytewise) mean the same bytes. Source: mavlink.io,
 "Parameter Protocol".
@@ -18,7 +18,7 @@ _REAL32 = int(mav.MAV_PARAM_TYPE_REAL32)
 
 
 class Store(Protocol):
-    """What holds the values."""
+    """The store that holds the values."""
 
     @property
     def names(self) -> tuple[str, ...]: ...
@@ -32,7 +32,7 @@ class ParameterServer:
     """Answers PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET.
 
     Args:
-        at_once: values of a list that go out in one call of `due`.
+        at_once: the number of values of a list that one call of `due` returns.
 
     Raises:
         ValueError: a name longer than 16 characters or not ASCII.
@@ -45,10 +45,10 @@ class ParameterServer:
         self._at_once = at_once
         self._listing: deque[str] = deque()
         self.refused: str | None = None
-        """Why the newest PARAM_SET was not taken, None when it was."""
+        """The reason why the newest PARAM_SET was refused; None if it was accepted."""
 
     def on_message(self, message: Message, us: tuple[int, int]) -> list[Message]:
-        """The values to broadcast in answer."""
+        """Return the values to broadcast in answer."""
         kind = message.get_type()
         if not kind.startswith("PARAM_") or not hasattr(message, "target_system"):
             return []
@@ -64,13 +64,13 @@ class ParameterServer:
         return []
 
     def in_force(self, message: Message) -> list[Message]:
-        """Return the value that stays in force where a PARAM_SET was refused."""
+        """Return the value that stays in force after a PARAM_SET was refused."""
         return (
             [self._value(message.param_id)] if message.get_type() == "PARAM_SET" and message.param_id in self._store.names else []
         )
 
     def due(self) -> list[Message]:
-        """The next values of a list that was asked for."""
+        """Return the next values of a list that was requested."""
         return [self._value(self._listing.popleft()) for _ in range(min(self._at_once, len(self._listing)))]
 
     def _named(self, message: Message) -> str | None:
@@ -88,7 +88,7 @@ class ParameterServer:
             self.refused = f"{name} takes a number of type REAL32"
         else:
             try:
-                self._store.set(name, float(f"{value:.7g}"))  # 0.3 in 32 bits is meant as 0.3
+                self._store.set(name, float(f"{value:.7g}"))  # 0.3 in 32 bits means 0.3.
                 self.refused = None
             except BadInput as why:
                 self.refused = str(why)

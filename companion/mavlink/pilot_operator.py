@@ -1,4 +1,4 @@
-"""MAVLink commands to the pilot, and how the landing goes on as percent of the height."""
+"""Pass MAVLink commands to the pilot, and report the landing's progress as percent of the height."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from estimator.contracts.estimates import PathName, RelativeState
 
 
 class PilotTower:
-    """An `Operator` over the pilot.
+    """An `Operator` that commands the pilot.
 
     Args:
-        believe: the steering path's newest belief.
-        recording: switches the recorder; None where there is none.
+        believe: returns the steering path's newest belief.
+        recording: switches the recorder; None if there is no recorder.
     """
 
     def __init__(

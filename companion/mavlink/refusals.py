@@ -1,4 +1,4 @@
-"""Commands and parameter writes of those who may not: answered where we speak to them, counted, and told once. No I/O."""
+"""Refuse commands and parameter writes of unauthorized senders: answer those that are peers, count all, report once. No I/O."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ class Refusals:
     """Decides for one component of ours whether a message is obeyed.
 
     Args:
-        setting: the key of the settings that names who may command, for the log.
+        setting: the key of the setting that names the operators, for the log.
     """
 
     def __init__(self, setting: str) -> None:
         self._setting = setting
         self._told: set[tuple[int, int]] = set()
         self.counts: Counter[str] = Counter()
-        """Messages that were refused, by name."""
+        """The numbers of refused messages, by message name."""
 
     def refuses(self, received: ReceivedMessage, us: tuple[int, int]) -> bool:
-        """Return whether this message asks us (system, component) for something that its sender may not have."""
+        """Return whether this message requests something of us (system, component) that its sender is not allowed."""
         message, name = received.message, received.message.get_type()
         if received.standing >= Standing.OPERATOR or name not in (*_COMMANDS, "PARAM_SET"):
             return False
@@ -40,13 +40,13 @@ class Refusals:
         return True
 
     def answer(self, received: ReceivedMessage) -> list[Message]:
-        """Return the answer to a command that was refused; a parameter's is its value in force."""
+        """Return the answer to a refused command; a refused parameter is answered elsewhere, with its value in force."""
         if received.standing < Standing.PEER or received.message.get_type() not in _COMMANDS:
             return []
         return [mav.MAVLink_command_ack_message(received.message.command, DENIED, 0, 0, received.system, received.component)]
 
     def news(self, received: ReceivedMessage) -> str | None:
-        """Return what a pilot is to be told, None where that sender was told of before; it is logged too, with the cure."""
+        """Return the text for the pilot, or None if that sender was reported before; log the refusal together with its fix."""
         sender = (received.system, received.component)
         if sender in self._told or len(self._told) >= _TOLD_MAX:
             return None
@@ -61,7 +61,7 @@ class Refusals:
 
 
 def link_counters(links: Links, refusals: Refusals) -> dict[str, float]:
-    """Return what health tells of all links together: their counters, and what was refused, held and not sent."""
+    """Return the counters of all links together for health, and the numbers of refusals, contained faults, unsent messages."""
     out: dict[str, float] = {}
     for link in links.all:
         for name, n in link.counters.as_dict().items():

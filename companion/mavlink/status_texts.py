@@ -1,4 +1,4 @@
-"""STATUSTEXT for what a pilot must know: few, in order of severity, long ones in chunks, none twice in a row. No I/O."""
+"""Send few STATUSTEXT messages to the pilot: in order of severity, long ones in chunks, none twice in a row. No I/O."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SAID_MAX = 64
 
 
 class MavSeverity(IntEnum):
-    """MAV_SEVERITY, the part of it that is used."""
+    """The values of MAV_SEVERITY that are used."""
 
     CRITICAL = 2
     ERROR = 3
@@ -30,10 +30,10 @@ class _Text:
 
 
 class StatusTexts:
-    """A bucket of `burst` texts that fills with `rate_hz`; what does not fit waits, the least severe is dropped first.
+    """A token bucket of `burst` texts that refills at `rate_hz`; excess texts wait, and the least severe is dropped first.
 
     Args:
-        repeat_s: the same text is not said again within this.
+        repeat_s: the time within which the same text is not sent again.
     """
 
     def __init__(self, *, rate_hz: float = 1.0, burst: int = 5, waiting: int = 10, repeat_s: float = 10.0) -> None:
@@ -44,10 +44,10 @@ class StatusTexts:
         self._said: dict[str, MonoNs] = {}
         self._id = 0
         self.dropped = 0
-        """Texts that never went out."""
+        """The number of texts that were never sent."""
 
     def say(self, severity: MavSeverity, text: str, now: MonoNs) -> None:
-        """Queue a text unless it was said a moment ago."""
+        """Queue a text unless it was queued within `repeat_s`."""
         last = self._said.get(text)
         if last is not None and seconds_between(last, now) < self._repeat_s:
             return
@@ -61,7 +61,7 @@ class StatusTexts:
             self.dropped += 1
 
     def due(self, now: MonoNs) -> list[Message]:
-        """The messages that may go out now, the most severe first."""
+        """Return the messages that may be sent now, the most severe first."""
         if self._filled is not None:
             self._tokens = min(float(self._burst), self._tokens + self._rate_hz * seconds_between(self._filled, now))
         self._filled = now
@@ -81,5 +81,5 @@ class StatusTexts:
         self._id = self._id % 65535 + 1
         pieces = [data[i : i + _CHUNK] for i in range(0, len(data), _CHUNK)]
         if len(pieces[-1]) == _CHUNK:
-            pieces.append(b"")  # a full last chunk would leave the reader waiting for more
+            pieces.append(b"")  # A full last chunk would leave the receiver waiting for more.
         return [mav.MAVLink_statustext_message(int(text.severity), piece, self._id, n) for n, piece in enumerate(pieces)]

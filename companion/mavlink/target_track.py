@@ -1,7 +1,7 @@
-"""Where the pad was, seen from the body, at any instant of the last second: beliefs and attitudes, each at its own time.
+"""Return the pad's position relative to the body at any instant of the last second, from timed beliefs and attitudes.
 
-ArduPilot joins a target with its attitude of exactly PLND_LAG before the message came, whatever the message says. So the vector
-is not sent as it was at the exposure but re-expressed for that instant: the target is locked to the lag.
+ArduPilot combines a target with its own attitude of exactly PLND_LAG before the message arrived, whatever the message contains.
+Therefore the vector is re-expressed for that instant instead of the exposure: the target is locked to the lag.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 
 LOOP_RATE_HZ = 400.0
-"""ArduCopter's main loop: the step of its inertial ring."""
+"""The rate of ArduCopter's main loop, which is the rate of its inertial ring, Hz."""
 
 
 def effective_lag_s(plnd_lag_s: float, loop_rate_hz: float = LOOP_RATE_HZ) -> float:
-    """How old the attitude is that ArduPilot takes: its ring has round(PLND_LAG * rate) entries, the newest is of now.
+    """Return the age of the attitude that ArduPilot uses, s: its ring has round(PLND_LAG * rate) entries, the newest is current.
 
     Source: AC_PrecLand::init and construct_pos_meas_using_rangefinder.
     """
@@ -34,18 +34,18 @@ def effective_lag_s(plnd_lag_s: float, loop_rate_hz: float = LOOP_RATE_HZ) -> fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """The pad from the body at one instant."""
+    """The pad's state relative to the body at one instant."""
 
     at: MonoNs
     d_body_pad_ned: F64
-    """(3,) m."""
+    """The (3,) vector from the body to the pad in ned, m."""
     v_pad_ned: F64
-    """(3,) m/s, of the pad less that of the body."""
+    """The (3,) velocity of the pad minus that of the body, m/s."""
     R_ned_body: Rotation
     R_ned_pad: Rotation | None
-    """Of a level pad, where its heading is known."""
+    """The attitude of the pad, which is taken as level; None if its heading is not known."""
     cov_ned: F64
-    """(3, 3) of `d_body_pad_ned`."""
+    """The (3, 3) covariance of `d_body_pad_ned`, m^2."""
     sigma_yaw_rad: float
 
 
@@ -60,12 +60,12 @@ class _Knot:
 
 
 class TargetTrack:
-    """Feed it attitudes and beliefs as they come; ask where the pad was.
+    """Keeps attitudes and beliefs as they arrive, and interpolates the pad's state between them.
 
     Args:
-        span_s: how far back it reaches; more than PLND_LAG.
-        ahead_s: how far the newest belief is carried on by its velocity.
-        gap_s: beliefs further apart than this are not joined.
+        span_s: the length of the history; it must exceed PLND_LAG.
+        ahead_s: the longest time that the newest belief is extrapolated by its velocity.
+        gap_s: the longest gap between two beliefs that is interpolated.
     """
 
     def __init__(self, span_s: float = 1.0, ahead_s: float = 0.15, gap_s: float = 0.25) -> None:
@@ -74,11 +74,11 @@ class TargetTrack:
         self._knots: deque[_Knot] = deque()
 
     def on_attitude(self, attitude: Attitude) -> None:
-        """The autopilot's own attitude."""
+        """Add an attitude of the autopilot."""
         self._attitudes = self._attitudes.add(attitude)
 
     def believe(self, state: RelativeState | None) -> None:
-        """One round of the estimator; None forgets the pad."""
+        """Add a belief of the estimator; None forgets the pad."""
         if state is None:
             self._knots.clear()
             return
@@ -106,7 +106,7 @@ class TargetTrack:
         return None if found is None else found.R_ned_body
 
     def at(self, instant: MonoNs) -> Seen | None:
-        """The pad at that instant, None where beliefs or attitudes do not reach it."""
+        """Return the pad at that instant, or None if beliefs or attitudes do not reach it."""
         R_ned_body = self.attitude_at(instant)
         place = self._place(instant)
         if R_ned_body is None or place is None:
@@ -134,9 +134,9 @@ class TargetTrack:
 
 
 def position_at(positions: tuple[LocalPosition, ...], instant: MonoNs, reach_s: float = 0.25) -> F64 | None:
-    """(3,) m, the autopilot's own local position at an instant: between its reports, or carried on by their velocity.
+    """Return the autopilot's local position at an instant, (3,) m: interpolate between its reports or extrapolate by velocity.
 
-    None where no report is within `reach_s`.
+    The result is None if no report is within `reach_s`.
     """
     if not positions:
         return None
@@ -154,9 +154,9 @@ def position_at(positions: tuple[LocalPosition, ...], instant: MonoNs, reach_s: 
 
 
 def lag_locked(track: TargetTrack, now: MonoNs, plnd_lag_s: float, transit_s: float) -> Seen | None:
-    """What to send now to an ArduPilot: the pad as it was PLND_LAG before this message will be taken up.
+    """Return the target to send to an ArduPilot now: the pad at PLND_LAG before ArduPilot processes this message.
 
     Args:
-        transit_s: from here to its precision landing: half of TIMESYNC's round trip and half a main loop.
+        transit_s: the time from here to its precision landing: half of TIMESYNC's round trip and half a main loop.
     """
     return track.at(after(now, transit_s - effective_lag_s(plnd_lag_s)))

@@ -1,4 +1,4 @@
-"""Settings that may be tuned in flight, under names that fit a MAVLink parameter (16 characters)."""
+"""The settings that may be tuned in flight, under names that fit a MAVLink parameter (16 characters)."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ NAMES: dict[str, str] = {
     "EST_MIN_CONF": "estimator.min_confidence",
     "EST_MAX_DELAY": "estimator.max_delay_s",
 }
-"""Parameter name to key of the settings file, in the order of the list; the order and the count never change while running."""
+"""The settings key of each parameter, in the order of the list; the order and the count never change while running."""
 
 
 class Tunables:
-    """The settings that are in force, seen as parameters.
+    """The settings in force, presented as parameters.
 
     Args:
         apply: puts changed settings into force; it may refuse by raising BadInput.
@@ -57,11 +57,11 @@ class Tunables:
 
     @property
     def settings(self) -> Settings:
-        """As they are in force."""
+        """The settings in force."""
         return self._settings
 
     def get(self, name: str) -> float:
-        """The value now.
+        """Return the current value.
 
         Raises:
             KeyError: no such parameter.
