@@ -1,4 +1,7 @@
-"""Aiding from the vehicle's own sensors: averaged over a short period, fused at once, let back in when refused for too long."""
+"""Aiding by the vehicle's own sensors: samples are averaged over a short period and fused together.
+
+A sensor that was rejected for too long is accepted again, with what it contradicts made uncertain.
+"""
 
 from __future__ import annotations
 
@@ -45,13 +48,13 @@ from estimator.ekf.state import (
 )  # fmt: skip
 
 _STUCK_S = 1.0
-"""A kind of aiding refused for so long without a break is let back in with what it contradicts made uncertain."""
+"""Length of a rejection streak after which a kind of aiding is accepted again, with what it contradicts made uncertain."""
 _OVER_MEMORY_S = 3.0
-"""How soon what the velocity samples told of what is below is forgotten."""
+"""Time constant with which the evidence of velocity samples about the surface below decays."""
 _OVER_EXPECTED = 3.0
-"""Log-odds of seeing the deck where the body is surely over it, of seeing the water where it surely is not."""
+"""Log-odds of measuring against the deck when the body is surely over it, and against the water when it surely is not."""
 _REFUTED = 6.0
-"""A reading that misfits more by its own doubt is refuted by that much: one true sample in twenty does."""
+"""NIS above which a hypothesis is refuted by its own covariance; one true sample in twenty exceeds it."""
 _ZERO3, _NO_DOUBT = np.zeros(3), np.zeros(())
 _CORRELATION = (
     "attitude_correlation_s", "velocity_correlation_s", "range_correlation_s", "baro_correlation_s",
@@ -59,7 +62,10 @@ _CORRELATION = (
 
 
 def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple[Belief, FusionResult]:
-    """Over the ground, or over the deck: where that is not given, the samples themselves tell, and doubt widens the noise."""
+    """Fuse a velocity over the ground or over the deck.
+
+    If the options do not say which, the samples decide between the two hypotheses, and the remaining doubt widens the noise.
+    """
     o = params.options
     b = propagated(b, event.stamp.measured_at, params)
     if o.velocity_is_over in ("auto", "either") and b.sighted >= 0:
@@ -90,7 +96,7 @@ def _share_over_pad(b: Belief, o: EkfOptions) -> float:
 
 
 def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
-    """Weigh the two readings of a velocity against each other. Samples alike for a time count as one."""
+    """Update the log-odds between the two hypotheses about a velocity. Correlated samples count as one."""
     since = 1.0 if b.t_velocity < 0 else (b.t - b.t_velocity) * 1e-9
     if since < 0.5 * o.velocity_correlation_s:
         return b
@@ -111,13 +117,13 @@ def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
 
 
 def _for_the_deck(ground: measure.LinearizedMeasurement, deck: measure.LinearizedMeasurement, P: F64) -> float:
-    """Log-odds, -3..3, that one sample gives to reading it as a velocity over the deck and not over the ground."""
+    """Return the log-odds, -3..3, by which one sample favours a velocity over the deck against one over the ground."""
     by_ground, by_deck = (row.H.dot(P).dot(row.H.T) + row.R for row in (ground, deck))
     misfit_ground, misfit_deck = nis_of(ground.innov, by_ground), nis_of(deck.innov, by_deck)
     least = _REFUTED
     if misfit_ground is not None and misfit_deck is not None and max(misfit_ground, misfit_deck) < _REFUTED:
-        # Neither is refuted. Both are held against the doubt of both: the reading that was believed so far would else win by
-        # having made itself certain.
+        # Neither hypothesis is refuted. Both are tested with the sum of both covariances; otherwise the current hypothesis would
+        # win because it has made itself certain.
         both, least = by_ground + by_deck - ground.R, 0.0
         misfit_ground, misfit_deck = nis_of(ground.innov, both), nis_of(deck.innov, both)
     if misfit_ground is None or misfit_deck is None:
@@ -130,7 +136,7 @@ def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, F
     if b.sighted < 0:
         return b, result(event, Verdict.GATED)
     x = motion.peek(b)
-    # Beyond the deck's edge there is water.
+    # There is water beyond the deck's edge.
     away, spread = _foot(b, x)
     row = None if away + 2.0 * spread > params.options.deck_radius_m else measure.distance(x, b.R, event.range_m, event.sigma_m)
     if row is None:
@@ -139,7 +145,7 @@ def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, F
 
 
 def _foot(b: Belief, x: F64) -> tuple[float, float]:
-    """How far from the pad's centre the body's down axis meets the deck, and how well that is known; m."""
+    """Return the distance from the pad's centre at which the body's down axis meets the deck, and its sigma, metres."""
     c = b.R[:, 2]
     foot = x[POS_REL] - c * float(x[POS_DOWN] / max(c[2], 0.3))
     spread = math.sqrt(max(float(b.P[POS_NORTH, POS_NORTH] + b.P[POS_EAST, POS_EAST]) / 2.0, 0.0))
@@ -157,14 +163,14 @@ def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, Fus
 def gather(
     b: Belief, kind: int, event: Event, innov: F64, R: F64, params: FilterParams, axes: tuple[int, ...] = (), share: float = 0.0
 ) -> tuple[Belief, FusionResult]:
-    """Add to what is fused at the end of the aiding period, unless it is implausible.
+    """Add a sample to those that are fused at the end of the aiding period, unless the gate rejects it.
 
-    How uncertain the prediction is changes little within a period, so it is worked out for the first sample of one.
+    The covariance of the prediction changes little within a period, so it is computed for the period's first sample only.
 
     Args:
-        innov: (m,) with its noise R (m, m).
-        axes: which components of a velocity they are.
-        share: of the pad's velocity in it.
+        innov: (m,) innovation with its noise R (m, m).
+        axes: components of a velocity that the innovation holds.
+        share: share of the pad's velocity in a measured velocity.
     """
     o = params.options
     aid = b.aids[kind]
@@ -196,7 +202,7 @@ def gather(
 
 
 def _stale(gathered: Gathered, t: int, o: EkfOptions) -> bool:
-    """From before a pause: compared with a state long past."""
+    """Tell whether the samples are from before a pause, so that their innovations belong to a state long past."""
     return (t - gathered.since) * 1e-9 > 2.0 * o.aiding_period_s
 
 
@@ -207,7 +213,7 @@ def _with_aid(b: Belief, kind: int, aid: Aid) -> Belief:
 
 
 def _predicted(b: Belief, kind: int, axes: tuple[int, ...], share: float) -> tuple[F64 | None, F64]:
-    """(m, N) Jacobian of what a kind of aiding reads, and (m, m) what a doubt about the velocity's share adds to its noise."""
+    """Return the (m, N) Jacobian of a kind of aiding and the (m, m) noise that an uncertain `share` adds."""
     if kind == ATTITUDE:
         return measure.BY_ATTITUDE, _NO_DOUBT
     if kind == HEIGHT:
@@ -229,12 +235,15 @@ def _predicted(b: Belief, kind: int, axes: tuple[int, ...], share: float) -> tup
 
 
 def _axes_only(axes: tuple[int, ...]) -> F64:
-    """(3, 3) covariance that says that these axes are measured."""
+    """Return a (3, 3) covariance that marks these axes as measured."""
     return np.diag([0.0 if i in axes else UNKNOWN_VAR for i in range(3)])
 
 
 def aided(b: Belief, params: FilterParams) -> Belief:
-    """Fuse the means of everything gathered, at once. Nothing gathered may outlive another correction: it would be made twice."""
+    """Fuse the means of all gathered samples together.
+
+    Gathered samples must be fused before any other correction; otherwise that correction would be applied twice.
+    """
     o = params.options
     if not any(aid.gathered for aid in b.aids):
         return b
@@ -246,7 +255,7 @@ def aided(b: Belief, params: FilterParams) -> Belief:
         if some is None or _stale(some, b.t, o):
             aids[kind] = Aid(None, aid.fused, aid.refused)
             continue
-        # Errors alike over a time tau leave one independent look in 2 tau, however many samples there are.
+        # Errors with correlation time tau leave one independent sample in 2 tau, however many samples there are.
         window = (b.t - aid.fused) * 1e-9 if aid.fused >= 0 else math.inf
         share = max(1.0 / some.n, 2.0 * float(getattr(o, _CORRELATION[kind])) / max(window, 1e-3))
         innov.append(some.innov / some.n)
@@ -266,10 +275,10 @@ def aided(b: Belief, params: FilterParams) -> Belief:
 
 
 def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
-    """Doubt what a stubborn sensor contradicts, in the directions in which the place of the pad does not suffer."""
+    """Inflate the covariance of what a rejected sensor contradicts, in directions that leave the pad's position certain."""
     P = b.P.copy()
     if kind == ATTITUDE:
-        # All directions turn together about the vertical: what an attitude with a new idea of north comes to.
+        # All directions turn together about the vertical, as they do when the attitude source redefines north.
         g = np.zeros(N)
         g[ATT_ERR] = b.R.T[:, 2]
         g[PAD_YAW] = 1.0

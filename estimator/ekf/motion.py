@@ -1,4 +1,4 @@
-"""How the belief moves on between measurements: at every IMU sample a little, and all of it where something is to be fused.
+"""Propagate the belief between measurements: the nominal state at every IMU sample, the rest just before a fusion.
 
 Derivation: docs/estimator.md, sections "Motion" and "Error".
 """
@@ -59,10 +59,11 @@ _I3 = np.eye(3)
 _IN = np.eye(N)
 _POS = np.array(POS_AXES)
 _SHORT_SHARE = 0.002
-"""Of a direction's energy, in waves too short for the learned oscillators: these leave next to nothing above twice their own
-frequency, a sea does not. It enters as white acceleration, the drive of a single oscillator with that energy."""
+"""Share of a direction's energy that lies in waves too short for the learned oscillators. The oscillators have almost no energy
+above twice their own frequency, but a sea has. The share enters as white acceleration, which drives one oscillator of that
+energy."""
 _SEA = slice(int(WAVES[0, 0]), int(WAVES[-1, -1]) + 1)
-# Places in a flattened (N, N) matrix: assigning by one list of them takes a third of the time of assigning by two.
+# These are indices into a flattened (N, N) matrix. Assignment by one index list takes a third of the time of assignment by two.
 _BLOCKS = (WAVES[:, :, None] * N + WAVES[:, None, :]).ravel()
 _POS_BY_WAVES = (_POS[:, None] * N + WAVES[:3]).ravel()
 _WAVES_BY_POS = (WAVES[:3] * N + _POS[:, None]).ravel()
@@ -74,11 +75,11 @@ _HEAVE = slice(int(WAVES[2, 0]), int(WAVES[2, 3]) + 1)
 _YAW = np.array([WAVE_YAW, YAW_RATE])
 _YAW_DAMPING = 0.5
 QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
-"""Turns a horizontal vector clockwise by 90 degrees; the rate of one that turns is this times it."""
+"""Rotation of a horizontal vector clockwise by 90 degrees. A vector v that turns at w rad/s has the rate w QUARTER v."""
 
 
 class ProcessNoise:
-    """Noise that enters in proportion to time: (N,) densities, computed once."""
+    """Process noise whose variance grows in proportion to time: (N,) densities, computed once."""
 
     def __init__(self, o: EkfOptions) -> None:
         self.options = o
@@ -103,9 +104,9 @@ class ProcessNoise:
 
 
 def propagate_state(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, **also: Any) -> Belief:
-    """To instant `t` (ns) with the rate and specific force as measured, or coasting where no IMU sample holds.
+    """Propagate the nominal state to instant `t`, ns, by the measured rate and specific force; coast if no IMU sample holds.
 
-    Fields of the belief given in `also` are replaced along the way.
+    The fields of the belief that `also` names are replaced in the same step.
     """
     dt = (t - b.t) * 1e-9
     if dt <= 0.0:
@@ -144,22 +145,25 @@ def propagate_covariance(b: Belief, process_noise: ProcessNoise, algebra: Algebr
 
 
 class Linear(NamedTuple):
-    """What moving on over some time does that the IMU has no part in. Shared by all who move so far: never written to."""
+    """The part of a propagation that does not depend on the IMU. The cache shares it between callers, so it is read-only."""
 
     A: F64
-    """(5, 4, 4) of the oscillators."""
+    """(5, 4, 4) transition of the oscillators."""
     A_yaw: F64
-    """(2, 2) of the yaw on waves and its rate."""
+    """(2, 2) transition of the yaw on waves and its rate."""
     F: F64
-    """(N, N) but for what is turned or pushed."""
+    """(N, N) transition of the error, without the blocks that depend on the attitude, the specific force or the turn."""
     Q: F64
-    """(N, N)"""
+    """(N, N) process noise."""
 
 
-# A late sighting has the same steps made again, and the sea's summary stays for some of them.
+# A late sighting repeats the same steps, and the summary of the sea stays the same for some of them.
 @lru_cache(maxsize=48)
 def _linear(process_noise: ProcessNoise, T: float, coast_s: float, summary: bytes) -> Linear:
-    """Over T s, `coast_s` of them without an IMU. `summary`: w_rad_s, zeta, sigma of the sea, one after the other."""
+    """Return the linear part of a propagation over T s, of which `coast_s` had no IMU.
+
+    `summary` holds the bytes of the sea's w_rad_s, zeta and sigma, one after the other.
+    """
     o = process_noise.options
     w, zeta, sigma = np.frombuffer(summary).reshape(3, 5)
     A, q_unit = transition(w, zeta, T)
@@ -189,7 +193,7 @@ def _linear(process_noise: ProcessNoise, T: float, coast_s: float, summary: byte
     q[VEL] = force
     q[POS_REL] = force * (T * T / 3.0)
     q[PAD_YAW] = q_yaw[0, 0] + q[TURN_RATE] * (T * T / 3.0)
-    # What the noise does to a pad's displacement it does to its distance as well.
+    # The noise changes the pad's relative position by as much as its displacement.
     q[POS_REL] += q_waves[:3, 0, 0]
     flat = Q.reshape(-1)
     flat[:: N + 1] = q
@@ -205,16 +209,16 @@ def _linear(process_noise: ProcessNoise, T: float, coast_s: float, summary: byte
 
 
 class Turned(NamedTuple):
-    """What a steady turn over some time does to a horizontal vector that turns with the vessel."""
+    """The effect of a steady turn on a horizontal vector that turns with the vessel."""
 
     by: F64
     """(2, 2) rotation."""
     reach: F64
-    """(2, 2) s, integral of the rotation."""
+    """(2, 2) integral of the rotation over time, s."""
 
 
 def turned(rate_rad_s: float, T: float) -> Turned:
-    """Turn at a steady rate, clockwise from above positive, for T s."""
+    """Return the turn by a steady rate over T s. A positive rate is clockwise from above."""
     angle = rate_rad_s * T
     s, c = math.sin(angle), math.cos(angle)
     along, across = T * (1.0 - angle * angle / 6.0), 0.5 * T * angle
@@ -224,7 +228,10 @@ def turned(rate_rad_s: float, T: float) -> Turned:
 
 
 def _yawing(w: float, T: float) -> tuple[F64, F64]:
-    """(2, 2) transition of yaw on waves and its rate over T s, a damped oscillator; (2, 2) noise for a unit rate."""
+    """Return the (2, 2) transition of yaw on waves and its rate over T s, and the (2, 2) noise for a unit rate.
+
+    The model is a damped oscillator.
+    """
     delta = _YAW_DAMPING * w
     wd = math.sqrt(w * w - delta * delta)
     e = math.exp(-delta * T)
@@ -235,7 +242,7 @@ def _yawing(w: float, T: float) -> tuple[F64, F64]:
 
 
 def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
-    """The belief with all but `P` brought from `t_cov` to `t`, and the (N, N) F and Q by which `P` goes there."""
+    """Return the belief with everything but `P` propagated from `t_cov` to `t`, and the (N, N) F and Q that propagate `P`."""
     T = (b.t - b.t_cov) * 1e-9
     sea = b.sea
     same = _linear(process_noise, T, b.coast_s, sea.w_rad_s.tobytes() + sea.zeta.tobytes() + sea.sigma.tobytes())
@@ -257,7 +264,7 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
     x[VEL_DOWN] += GRAVITY_M_S2 * T
     x[_YAW] = same.A_yaw.dot(b.x[_YAW])
     x[PAD_YAW] += rate * T + float(x[WAVE_YAW] - b.x[WAVE_YAW])
-    # Downwards the accelerometer's bias stays in: what is learned of it in flight would be a jerk of the deck.
+    # The downward accelerometer bias is not removed: a change of its estimate in flight would look like a jerk of the deck.
     biased = float(b.turned[2].dot(b.x[ACCEL_BIAS]))
     ins_p = b.ins_p + b.ins_v * T + b.dp
     ins_v = b.ins_v + b.dv
@@ -294,7 +301,7 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
     Q[POS_HORIZONTAL, POS_HORIZONTAL] += coupling[:, None] * coupling * push[0]
 
     if b.jolt_var_m2_s2 > 0.0 or b.jolt_var_rad2 > 0.0:
-        # As if all of it had come at the beginning: the place suffers most then.
+        # The whole jolt is assumed to have come at the beginning, which makes the position most uncertain.
         flat, jolt = Q.reshape(-1), b.jolt_var_m2_s2
         for att, pos, vel in zip(ATT_AXES, POS_AXES, VEL_AXES, strict=True):
             Q[att, att] += b.jolt_var_rad2
@@ -312,7 +319,10 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
 
 
 def peek(b: Belief) -> F64:
-    """(N,) the state at `t` without settling: exact in velocity, to (t - t_cov)^2 in the sea's motion."""
+    """Return the (N,) state at `t` without propagating the covariance.
+
+    The velocity is exact; the sea's motion has an error of order (t - t_cov)^2.
+    """
     T = (b.t - b.t_cov) * 1e-9
     if T <= 0.0:
         return b.x
@@ -329,14 +339,14 @@ def peek(b: Belief) -> F64:
 
 
 def peek_velocity(b: Belief) -> F64:
-    """(3,) of `peek`, v_body_ned alone."""
+    """Return only v_body_ned of `peek`, (3,) m/s."""
     v = b.x[VEL] + b.dv
     v[2] += GRAVITY_M_S2 * 1e-9 * (b.t - b.t_cov)
     return v
 
 
 def peek_height(b: Belief) -> float:
-    """Of `peek`, how far below the body the pad's mean level is, m."""
+    """Return only the depth of the pad's mean level below the body, as `peek` has it, metres."""
     T = (b.t - b.t_cov) * 1e-9
     x = b.x
     return float(x[POS_DOWN] - x[DECK_DISP[2]] - x[VEL_DOWN] * T - b.dp[2]) - 0.5 * GRAVITY_M_S2 * T * T

@@ -1,4 +1,4 @@
-"""What every step of the filter shares: the event's outcome, carrying the belief to an instant, putting a correction in."""
+"""The parts that every step of the filter shares: build an event's result, propagate the belief, apply a correction."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | Sighting
 
 
 class FilterParams(NamedTuple):
-    """What every step needs and none changes."""
+    """The parameters that every step needs and no step changes."""
 
     options: EkfOptions
     process_noise: motion.ProcessNoise
@@ -55,7 +55,10 @@ def result(
 
 
 def propagated(b: Belief, t: int, params: FilterParams) -> Belief:
-    """To instant `t` (ns) by the IMU sample that holds, coasting where none does; settled as often as the options ask."""
+    """Propagate to instant `t`, ns, by the IMU sample that holds, or coast if none does.
+
+    The covariance is propagated as often as the options ask.
+    """
     o = params.options
     hold_ns = round(o.hold_s * 1e9)
     if b.t_imu >= 0 and b.t < b.t_imu + hold_ns < t:
@@ -67,7 +70,7 @@ def propagated(b: Belief, t: int, params: FilterParams) -> Belief:
 
 
 def propagated_with_covariance(b: Belief, t: int, params: FilterParams) -> Belief:
-    """As `carried`, with the covariance at `t` too."""
+    """Propagate the state as `propagated` does, and the covariance to `t` as well."""
     return motion.propagate_covariance(propagated(b, t, params), params.process_noise, params.algebra)
 
 
@@ -78,29 +81,29 @@ def forgotten(b: Belief, o: EkfOptions) -> Belief:
 
 
 def partial(before: F64, fix: Correction, kept: F64) -> Correction:
-    """The share 1 - `kept` of a correction, by state, with the covariance that belongs to it.
+    """Return the share 1 - `kept` of a correction for each state, with the matching covariance.
 
-    A deck's sway and heave belong to one wave, and the model takes them as independent: from how they agree over a few waves it
-    would learn a tilt of the camera, or a delay, that is none.
+    A deck's sway and heave belong to one wave, but the model takes them as independent. From their correlation over a few waves
+    it would learn a camera tilt or a delay that does not exist.
     Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017.
 
     Args:
         before: (N, N) covariance before the correction.
-        kept: (N,) share of each state's correction that is not made.
+        kept: (N,) share of each state's correction that is not applied.
     """
     P = fix.P + kept[:, None] * (before - fix.P) * kept
     return fix._replace(dx=fix.dx * (1.0 - kept), P=P)
 
 
 def corrected(b: Belief, dx: F64, P: F64) -> Belief:
-    """Put a correction in: the attitude's part turns `R`, and turning it changes the covariance's axes by next to nothing."""
+    """Apply a correction. Its attitude part rotates `R`, and the covariance is rewritten about the new attitude."""
     x = b.x + dx
     x[ATT_ERR] = 0.0
     x[PAD_YAW] = measure.wrap(float(x[PAD_YAW]))
     x[VEL_SCALE] = min(max(float(x[VEL_SCALE]), 0.2), 3.0)
     turn = so3.exp(dx[ATT_ERR])
     R = b.R.dot(turn)
-    # The error is now small about the new attitude: its axes turn by half the step (Sola 2017, eq. 287).
+    # The error is now an error about the new attitude, so its axes turn by half the step (Sola 2017, eq. 287).
     G = np.eye(3) - 0.5 * skew(dx[ATT_ERR])
     P = P.copy()
     P[ATT_ERR, :] = G.dot(P[ATT_ERR, :])

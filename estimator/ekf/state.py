@@ -1,4 +1,4 @@
-"""What the filter believes at one instant, and where each quantity sits in its vectors. Derivation: docs/estimator.md."""
+"""The filter's state at one instant, and the index of each quantity in its vectors. Derivation: docs/estimator.md."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ G_NED = np.array([0.0, 0.0, GRAVITY_M_S2])
 G_NED.setflags(write=False)
 
 ATT_ERR = slice(0, 3)
-"""Attitude error, rad, in `body`: `R_true = R @ exp(x[ATT_ERR])`. The nominal is `Belief.R`, so `x[ATT_ERR]` is always zero."""
+"""Attitude error, rad, in `body`: `R_true = R @ exp(x[ATT_ERR])`. `Belief.R` is the nominal, so `x[ATT_ERR]` is always zero."""
 ATT_AXES = range(3)
 """Indices of the components of `ATT_ERR`."""
 POS_REL = slice(3, 6)
@@ -34,169 +34,170 @@ GYRO_BIAS = slice(9, 12)
 ACCEL_BIAS = slice(12, 15)
 """Accelerometer bias, m/s^2, in `body`: measured minus true."""
 VEL_SCALE = 15
-"""Measured over true horizontal velocity."""
+"""Scale of the horizontal velocity: measured over true."""
 VESSEL_VEL = slice(16, 18)
 """The vessel's steady velocity, north and east, m/s."""
 VESSEL_NORTH, VESSEL_EAST = 16, 17
 """Indices of the components of `VESSEL_VEL`."""
 WAVES = 18 + np.arange(20).reshape(5, 4)
-"""(5, 4) places of [displacement, rate, force, its rate] of the pad north, east, down (m) and the deck's roll, pitch (rad)."""
+"""(5, 4) indices of [displacement, rate, force, rate of the force] for the pad's motion north, east, down (m) and the deck's
+roll and pitch (rad)."""
 DECK_DISP, DECK_RATE = WAVES[:, 0], WAVES[:, 1]
 PAD_YAW = 38
-"""Heading of the arrow, rad clockwise from north."""
+"""Heading of the pad's arrow, rad clockwise from north."""
 YAW_RATE = 39
-"""Rate of its yawing on waves, rad/s; the steady turn is `TURN_RATE`."""
+"""Rate of the pad's yaw on waves, rad/s; the steady turn is `TURN_RATE`."""
 DECK_TRIM = np.arange(40, 42)
 """Constant list and trim of the deck, rad."""
 CAMERA_DELAY = 42
-"""s: sightings show the world this much later than their stamps say."""
+"""Camera delay, s: sightings show the world this much later than their stamps say."""
 CAMERA_MOUNT = slice(43, 46)
 """Rotation vector, rad, in `body`: the camera is rotated by `exp(x[CAMERA_MOUNT])` from the mounting in its file."""
 BARO_OFFSET = 46
-"""Height shown by the barometer less height over the pad's mean level, m."""
+"""Height that the barometer shows minus the height over the pad's mean level, m."""
 ATT_BIAS = np.arange(47, 49)
 """Constant error of the vehicle's own attitude about the body's x and y axes, rad: measured minus true."""
 RANGE_OFFSET = 49
-"""Constant error of the range sensor, m: measured minus true. Where it sits, and the air's temperature."""
+"""Constant error of the range sensor, m: measured minus true. The sensor's position and the air temperature cause it."""
 WAVE_YAW = 50
-"""Yaw on waves, rad; a part of `PAD_YAW`."""
+"""The vessel's yaw on waves, rad; it is a part of `PAD_YAW`."""
 TURN_RATE = 51
 """Steady rate at which the vessel turns, rad/s clockwise from above. Its velocity turns with it (coordinated turn)."""
 SWAY_PER_HEAVE = slice(52, 54)
-"""Metres the pad moves north and east in phase with each metre that it moves down: a pad away from the centre of motion does so
-when the deck rolls or pitches."""
+"""Metres that the pad moves north and east in phase with each metre that it moves down. A pad away from the centre of motion
+moves so when the deck rolls or pitches."""
 SWAY_NORTH, SWAY_EAST = 52, 53
 """Indices of the components of `SWAY_PER_HEAVE`."""
 N = 54
 """Number of states."""
 
 LOST_VAR_M2 = 1e4
-"""Of the pad's place before the first sighting."""
+"""Variance of the pad's relative position before the first sighting, per axis."""
 
 ATTITUDE, VELOCITY, RANGE, HEIGHT = range(4)
 """Kinds of aiding that are averaged before they are fused."""
 
 
 class Gathered(NamedTuple):
-    """Samples of one kind of aiding that wait to be fused at once."""
+    """The samples of one kind of aiding that wait to be fused together."""
 
     n: int
     since: int
-    """ns, of the first."""
+    """Instant of the first sample, ns."""
     axes: tuple[int, ...]
-    """Which components of a velocity were measured."""
+    """The components of a velocity that were measured."""
     share: float
-    """Of a velocity: how much of the pad's was taken to be in it."""
+    """Share of the pad's velocity that a measured velocity is taken to be relative to: 0 over the ground, 1 over the deck."""
     H: F64
     """(m, N) Jacobian at `since`."""
     doubt: F64
-    """(m, m) what a doubt about `share` adds to the noise."""
+    """(m, m) covariance that the uncertainty of `share` adds to the noise."""
     spread: F64
-    """(m, m) of what was predicted at `since`, with that doubt."""
+    """(m, m) covariance of the prediction at `since`, including `doubt`."""
     innov: F64
-    """(m,) sum."""
+    """(m,) sum of the innovations."""
     R: F64
-    """(m, m) sum of the covariances."""
+    """(m, m) sum of the samples' covariances."""
 
 
 class Aid(NamedTuple):
-    """One kind of aiding."""
+    """The state of one kind of aiding."""
 
     gathered: Gathered | None = None
     fused: int = -1
-    """ns, when last fused; -1 never."""
+    """Instant of the last fusion, ns; -1 if there was none."""
     refused: int = -1
-    """ns, of the first of an unbroken row of refusals; -1 none."""
+    """Instant of the first sample in the current rejection streak, ns; -1 if there is none."""
 
 
 class RejectionStreak(NamedTuple):
-    """Sightings refused in a row that agree with one another."""
+    """Consecutive rejected sightings that agree with one another."""
 
     n: int = 0
     since: int = 0
     last: int = 0
     offset_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of the newest, seen less believed, m."""
+    """Pad position of the newest sighting minus the predicted one, m, in ned."""
     var_m2: float = 0.0
 
 
 class Belief(NamedTuple):
-    """The state at `t`. Values in it are never written to: a step makes a new one.
+    """The state at `t`. Its values are never written to: each step makes a new one.
 
-    `x` and `P` stand at `t_cov`; what the IMU told since is gathered in `dv`, `dp`, `turned`, `coast_s` and enters with the next
-    `motion.settle`.
+    `x` and `P` hold at `t_cov`. `dv`, `dp`, `turned` and `coast_s` accumulate the IMU samples since then and enter with the next
+    `motion.propagate_covariance`.
     """
 
     t: int
     R: F64
     """(3, 3) R_ned_body at `t`."""
     x: F64
-    """(N,)"""
+    """(N,) state."""
     P: F64
-    """(N, N) of the error state."""
+    """(N, N) covariance of the error state."""
     t_cov: int
     R_cov: F64
     """`R` at `t_cov`."""
     dv: F64
-    """(3,) m/s, integral of the specific force in ned since `t_cov`."""
+    """(3,) integral of the specific force in ned since `t_cov`, m/s."""
     dp: F64
-    """(3,) m, its second integral."""
+    """(3,) second integral of the specific force in ned since `t_cov`, m."""
     turned: F64
-    """(3, 3) s, integral of `R` since `t_cov`."""
+    """(3, 3) integral of `R` since `t_cov`, s."""
     coast_s: float
     """Seconds since `t_cov` without an IMU."""
     t_imu: int
-    """ns, of the newest IMU sample; -1 none."""
+    """Instant of the newest IMU sample, ns; -1 if there is none."""
     w: F64
-    """(3,) rad/s as the gyro gave it."""
+    """(3,) rate as the gyro measured it, rad/s."""
     w_smooth: F64
-    """(3,) rad/s, the same through a first-order low-pass: one sample's noise, times the height, would pass for image motion."""
+    """(3,) gyro rate after a first-order low-pass, rad/s: one sample's noise, times the height, would look like image motion."""
     f: F64
-    """(3,) m/s^2 as the accelerometer gave it."""
+    """(3,) specific force as the accelerometer measured it, m/s^2."""
     levelled_by: F64 | None
-    """(3, 3) R_ned_body as the vehicle's own attitude has it, carried on by the gyro; None before the first."""
+    """(3, 3) R_ned_body of the vehicle's own attitude, propagated by the gyro; None before the first attitude sample."""
     cov_levelled_by: F64
-    """(3, 3) rad^2, what that sample claimed."""
+    """(3, 3) covariance that the attitude sample reported, rad^2."""
     heading_is_given: bool
-    """North comes from an attitude sample; else it is wherever the body first pointed."""
+    """Whether north comes from an attitude sample. If not, north is the direction in which the body first pointed."""
     ins_p: F64
-    """(3,) m, where the body has been carried by the IMU alone: what the learning of the sea reads."""
+    """(3,) position of the body by the IMU alone, m. The deck motion bank learns the sea from it."""
     ins_v: F64
     ins_var_m2_s2: float
-    """(m/s)^2 that its velocity became uncertain by, beyond the IMU's noise, since the sea was last shown the pad."""
+    """Variance, (m/s)^2, that `ins_v` gained beyond the IMU's noise since the deck motion bank last received a sighting."""
     jolt_var_m2_s2: float
-    """(m/s)^2 since `t_cov`, of what accelerometer samples said beyond what the vehicle can do."""
+    """Variance since `t_cov`, (m/s)^2, from accelerometer samples beyond what the vehicle can do."""
     jolt_var_rad2: float
-    """rad^2 since `t_cov`, the same of the gyro's."""
+    """Variance since `t_cov`, rad^2, from gyro samples beyond what the vehicle can do."""
     aids: tuple[Aid, ...]
-    """One of each kind."""
+    """One entry for each kind of aiding."""
     over_pad: float
     """Log-odds that the velocity sensor sees the pad's deck and not the ground."""
     t_velocity: int
-    """ns, of the newest velocity sample; -1 none."""
+    """Instant of the newest velocity sample, ns; -1 if there is none."""
     sea: DeckMotionBank
     rejections: RejectionStreak
     sighted: int
-    """ns, when the newest fused sighting was true; -1 none since the start or since it was forgotten."""
+    """Instant of measurement of the newest fused sighting, ns; -1 if there is none or it was forgotten."""
     agreed: int
-    """Sightings fused since the belief was last (re)opened."""
+    """Number of sightings fused since the belief was last initialized or reset."""
     nis_mean: float
-    """Recent mean of a sighting's NIS over its degrees of freedom, refused ones included."""
+    """Recent mean of the sightings' NIS over their degrees of freedom; rejected sightings count."""
     heading_known: bool
-    """Some sighting or report has told the arrow's heading."""
+    """Whether a sighting or a vessel report has given the heading of the pad's arrow."""
     heading_held_s: float
-    """Time for which sightings have agreed with the heading, minus the time for which they have contradicted it."""
+    """Time for which sightings have agreed with the heading minus the time for which they have contradicted it, s."""
     heading_seen: int
-    """ns, of the newest sighting that told a heading; -1 none."""
+    """Instant of the newest sighting that measured a heading, ns; -1 if there is none."""
 
 
 def waves_unknown(sea: DeckMotionBank) -> F64:
-    """(5, 4, 4) covariance of the oscillators while only their size is known."""
+    """Return the (5, 4, 4) covariance of the oscillators while only their amplitude is known."""
     return np.asarray((sea.sigma**2)[:, None, None] * sea.at_rest)
 
 
 def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_heading_rad: float, sea: DeckMotionBank) -> Belief:
-    """Knows an attitude and nothing else."""
+    """Return a belief that knows an attitude and nothing else."""
     x = np.zeros(N)
     x[VEL_SCALE] = options.velocity_scale
     P = np.zeros((N, N))
