@@ -1,4 +1,4 @@
-"""Navdata datagrams of UDP port 5554: decode and encode, without I/O.
+"""Decode and encode the navdata datagrams of UDP port 5554. No I/O.
 
 A datagram is a header of 16 bytes, options (tag, size with these four bytes, body) and last the checksum option: the sum of
 all bytes before it, modulo 2^32. Source: Parrot SDK 2.0.1; checked against a datagram of firmware 2.4.8.
@@ -98,13 +98,13 @@ _CHECKSUM = struct.Struct("<HHI")
 T = TypeVar("T")
 
 _LAYOUTS: dict[int, tuple[OptionLayout, ...]] = {}
-"""By tag, the longest first: a body is read by the longest layout it can fill."""
+"""The layouts of each tag, the longest first: a body is read by the longest layout that it can fill."""
 for _layout in sorted(LAYOUT_OF_CLASS.values(), key=lambda layout: -layout.size):
     _LAYOUTS[_layout.tag] = (*_LAYOUTS.get(_layout.tag, ()), _layout)
 
 
 class NavdataState(IntFlag):
-    """Bits of the header's state word."""
+    """The bits of the header's state field."""
 
     FLYING = 1 << 0
     VIDEO_ENABLED = 1 << 1
@@ -141,7 +141,7 @@ class NavdataState(IntFlag):
 
 
 class ControlState(IntEnum):
-    """High half of `Demo.ctrl_state`."""
+    """The control state, which is the high half of `Demo.ctrl_state`."""
 
     DEFAULT = 0
     INIT = 1
@@ -156,7 +156,7 @@ class ControlState(IntEnum):
 
     @property
     def word(self) -> int:
-        """As it stands in `Demo.ctrl_state`, with no detail."""
+        """The value of `Demo.ctrl_state` for this state, with no detail."""
         return self.value << 16
 
 
@@ -165,24 +165,24 @@ NO_OPTIONS: Mapping[int, Any] = {}
 
 @dataclass(frozen=True, slots=True)
 class Navdata:
-    """One datagram. `options` maps a tag to its option dataclass in the order of the wire."""
+    """One navdata datagram. `options` maps a tag to its option dataclass in the order of the wire."""
 
     state: int
-    """`NavdataState` bits."""
+    """The header's state field, whose bits are those of `NavdataState`."""
     sequence: int
     vision_defined: int
     options: Mapping[int, Any]
     skipped: tuple[int, ...] = ()
-    """Tags of options that were left out: unknown, shorter than known, or there twice."""
+    """The tags of the options that were left out: unknown, shorter than known, or present twice."""
 
     def get(self, cls: type[T]) -> T | None:
-        """The option of this class, where the datagram holds it."""
+        """Return the option of this class; None if the datagram does not hold it."""
         found = self.options.get(LAYOUT_OF_CLASS[cls].tag)
         return found if isinstance(found, cls) else None
 
     @property
     def control_state(self) -> ControlState | None:
-        """Of the `Demo` option; None without it or where the number is not known."""
+        """The control state of the `Demo` option; None if the option is absent or its number is not known."""
         demo = self.options.get(0)
         try:
             return None if demo is None else ControlState(demo.ctrl_state >> 16)
@@ -191,13 +191,13 @@ class Navdata:
 
     @staticmethod
     def of(state: int, sequence: int, options: tuple[Any, ...] = (), vision_defined: int = 1) -> Navdata:
-        """From option objects, ordered by tag as the drone orders them."""
+        """Build a datagram from option objects, ordered by tag as the drone orders them."""
         by_tag = {LAYOUT_OF_CLASS[type(o)].tag: o for o in options}
         return Navdata(state, sequence, vision_defined, {tag: by_tag[tag] for tag in sorted(by_tag)})
 
 
 def decode(datagram: bytes) -> Navdata | Refusal:
-    """One whole datagram. Never raises; unknown options are skipped by their size, longer bodies read as far as known."""
+    """Decode one whole datagram. Never raises; unknown options are skipped by size, longer bodies are read as far as known."""
     end = len(datagram)
     if end < _HEADER.size + _CHECKSUM.size:
         return Refusal.TOO_SHORT
@@ -228,10 +228,10 @@ def decode(datagram: bytes) -> Navdata | Refusal:
 
 
 def encode(navdata: Navdata) -> bytes:
-    """The datagram, checksum included; `skipped` options are not in it.
+    """Return the bytes of the datagram with its checksum; they do not hold the `skipped` options.
 
     Raises:
-        struct.error: a value that its field cannot hold.
+        struct.error: a value does not fit its field.
     """
     parts = [_HEADER.pack(MAGIC, navdata.state, navdata.sequence, navdata.vision_defined)]
     parts += [LAYOUT_OF_CLASS[type(option)].pack(option) for option in navdata.options.values()]

@@ -1,4 +1,4 @@
-"""Navdata off the wire: asks for the stream, keeps its order, maps its clock, makes samples."""
+"""The navdata channel requests the stream, keeps its order, maps its clock to ours and makes samples."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 
 OPENING = b"\x01\x00\x00\x00"
-"""Asks for the unicast stream."""
+"""The datagram that requests the unicast stream."""
 _REORDER = 64
-"""A datagram this far behind the newest was not overtaken on its way: the drone has begun anew."""
+"""A datagram this far behind the newest was not overtaken on its way: the drone has restarted."""
 _LOOK_S = 0.05
 
 
@@ -27,8 +27,8 @@ class NavdataChannel:
     """One navdata stream.
 
     Args:
-        received: is given every datagram in order with the samples it made.
-        restarted: is called when the drone has begun anew and knows nothing of what it was told.
+        received: is called with every datagram, in order, and the samples made from it.
+        restarted: is called when the drone has restarted and has lost the configuration that it was sent.
     """
 
     def __init__(
@@ -58,14 +58,14 @@ class NavdataChannel:
 
     @property
     def received_at(self) -> MonoNs | None:
-        """When the newest good datagram was heard."""
+        """The instant at which the newest good datagram was received; None before the first."""
         return self._received_at
 
     async def run(self) -> None:
-        """Until the stream is silent for `reopen_after_s`.
+        """Receive until the stream is silent for `reopen_after_s`.
 
         Raises:
-            Recoverable: silence, or a broken socket.
+            Recoverable: the stream is silent, or the socket is broken.
         """
         async with open_datagrams(self._o.host, self._o.navdata_port, self._clock, self.take) as socket:
             opened = asked = self._clock.now()
@@ -83,7 +83,7 @@ class NavdataChannel:
                     asked = now
 
     def take(self, datagram: bytes, received_at: MonoNs) -> None:
-        """One datagram as it came in. Never raises on any bytes."""
+        """Process one received datagram. Never raises on any bytes."""
         self._counters.navdata_datagrams += 1
         navdata = decode(datagram)
         if isinstance(navdata, Refusal):

@@ -18,21 +18,21 @@ _ZERO9 = (0.0,) * 9
 @option(0)
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """The short summary, also sent in demo mode."""
+    """The short summary, which is also sent in demo mode."""
 
     ctrl_state: U32
-    """High half: `ControlState`; low half: its detail."""
+    """The `ControlState` in the high half and its detail in the low half."""
     battery_percent: U32
     theta_mdeg: F32
     phi_mdeg: F32
     psi_mdeg: F32
     altitude_mm: I32
     vx_mm_s: F32
-    """Forward, without the tilt."""
+    """The forward velocity in the level frame, mm/s."""
     vy_mm_s: F32
-    """To the right."""
+    """The velocity to the right in the level frame, mm/s."""
     vz_mm_s: F32
-    """0 in every flight seen: not usable."""
+    """The vertical velocity, which was 0 in every flight seen and is not usable."""
     num_frames: U32 = 0
     detection_camera_rot: Annotated[Floats, "9f"] = _ZERO9
     detection_camera_trans: Annotated[Floats, "3f"] = _ZERO3
@@ -51,13 +51,13 @@ class NavdataTime:
 
     @staticmethod
     def of_us(time_us: int) -> NavdataTime:
-        """From microseconds of the drone's clock, wrapped as the drone wraps them."""
+        """Return the option for a time of the drone's clock, microseconds, wrapped as the drone wraps it."""
         seconds, micros = divmod(time_us, 1_000_000)
         return NavdataTime((seconds % 2048) << 21 | micros)
 
     @property
     def time_us(self) -> int:
-        """Microseconds, 0 to 2048 s."""
+        """The time of the drone's clock, microseconds, from 0 to 2048 s."""
         return (self.time >> 21) * 1_000_000 + (self.time & 0x1FFFFF)
 
 
@@ -109,7 +109,7 @@ class GyrosOffsets:
 @option(5)
 @dataclass(frozen=True, slots=True)
 class EulerAngles:
-    """Tilt as the accelerometer alone sees it, millidegrees."""
+    """The tilt that the accelerometer alone gives, millidegrees."""
 
     theta_a_mdeg: F32 = 0.0
     phi_a_mdeg: F32 = 0.0
@@ -118,7 +118,7 @@ class EulerAngles:
 @option(6)
 @dataclass(frozen=True, slots=True)
 class References:
-    """What the inner loops are asked for."""
+    """The setpoints of the inner loops."""
 
     ref_theta: I32 = 0
     ref_phi: I32 = 0
@@ -168,10 +168,10 @@ class RcReferences:
 @option(9)
 @dataclass(frozen=True, slots=True)
 class Pwm:
-    """Motor commands and what they are made of."""
+    """The motor commands and the terms that they are made of."""
 
     motor: Annotated[Ints, "4B"] = (0, 0, 0, 0)
-    """0..255; front left, front right, rear right, rear left."""
+    """The commands of the front left, front right, rear right and rear left motor, 0..255."""
     sat_motor: Annotated[Ints, "4B"] = (255, 255, 255, 255)
     gaz_feed_forward: F32 = 0.0
     gaz_altitude: F32 = 0.0

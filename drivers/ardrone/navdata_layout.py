@@ -22,11 +22,11 @@ Ints = tuple[int, ...]
 Floats = tuple[float, ...]
 
 OPTION_HEADER = struct.Struct("<HH")
-"""Tag, size in bytes of the whole option with this header."""
+"""The tag, and the size in bytes of the whole option with this header."""
 
 
 class OptionLayout:
-    """How one option class lies on the wire."""
+    """The wire layout of one option class."""
 
     def __init__(self, tag: int, cls: type[Any]) -> None:
         hints = get_type_hints(cls, include_extras=True)
@@ -45,17 +45,17 @@ class OptionLayout:
         self._flat = all(stop is None for _, stop in self._plan)
 
     def unpack(self, data: bytes, offset: int) -> Any:
-        """The option whose body begins at `offset`; the caller has checked that the body is whole."""
+        """Return the option whose body begins at `offset`; the caller has checked that the body is whole."""
         values = self.body.unpack_from(data, offset)
         if self._flat:
             return self.cls(*values)
         return self.cls(*[values[start] if stop is None else values[start:stop] for start, stop in self._plan])
 
     def pack(self, option: Any) -> bytes:
-        """Header and body.
+        """Return the option's header and body.
 
         Raises:
-            struct.error: a value that its field cannot hold.
+            struct.error: a value does not fit its field.
         """
         values: list[Any] = []
         for name, (_, stop) in zip(self.names, self._plan, strict=True):

@@ -38,7 +38,7 @@ class PressureRaw:
     up: I32
     ut: I16
     temperature_dc: I32
-    """Tenths of a degree Celsius."""
+    """The temperature, tenths of a degree Celsius."""
     pressure_pa: I32
 
 
@@ -66,7 +66,7 @@ class Magneto:
 @option(23)
 @dataclass(frozen=True, slots=True)
 class WindSpeed:
-    """Wind as the drone estimates it: m/s, and radians in the north-east plane."""
+    """The wind that the drone estimates: speed in m/s, direction in radians in the north-east plane."""
 
     wind_speed_m_s: F32 = 0.0
     wind_angle_rad: F32 = 0.0
@@ -155,7 +155,7 @@ class Gps:
     c_n0: F32 = 0.0
     nb_satellites: U32 = 0
     channels_sat_cn0: Annotated[Ints, "24B"] = (0,) * 24
-    """Twelve pairs of satellite number and carrier-to-noise ratio."""
+    """The satellite number and the carrier-to-noise ratio of each of twelve channels."""
     gps_plugged: I32 = 0
     ephemeris_status: U32 = 0
     vx_traj: F32 = 0.0

@@ -17,7 +17,7 @@ _ZERO5F = (0.0,) * 5
 @option(11)
 @dataclass(frozen=True, slots=True)
 class VisionRaw:
-    """Translation between two frames as the flow sensor saw it."""
+    """The translation between two frames that the flow sensor measured."""
 
     vision_t_raw: Annotated[Floats, "3f"] = (0.0, 0.0, 0.0)
 
@@ -34,7 +34,7 @@ class VisionOf:
 @option(13)
 @dataclass(frozen=True, slots=True)
 class Vision:
-    """State of the flow sensor, with the attitude at the frame it used last."""
+    """The state of the flow sensor, with the attitude at the frame that it used last."""
 
     vision_state: U32 = 0
     vision_misc: I32 = 0
@@ -48,9 +48,9 @@ class Vision:
     psi_capture_rad: F32 = 0.0
     altitude_capture_mm: I32 = 0
     time_capture_ms: U32 = 0
-    """Of the drone's clock; unlike `Time` it is plain milliseconds (both captures hold it 10 and 19 ms before `Time`)."""
+    """The capture time on the drone's clock; unlike `Time` it is plain milliseconds (in two captures 10 and 19 ms before it)."""
     body_v: Annotated[Floats, "3f"] = (0.0, 0.0, 0.0)
-    """mm/s."""
+    """The body velocity, mm/s."""
     delta_phi: F32 = 0.0
     delta_theta: F32 = 0.0
     delta_psi: F32 = 0.0
@@ -63,7 +63,7 @@ class Vision:
 @option(14)
 @dataclass(frozen=True, slots=True)
 class VisionPerf:
-    """Times of the vision stages."""
+    """The times that the vision stages took."""
 
     time_szo: F32 = 0.0
     time_corners: F32 = 0.0
@@ -86,7 +86,7 @@ class TrackersSend:
 @option(16)
 @dataclass(frozen=True, slots=True)
 class VisionDetect:
-    """Up to four tags the drone itself detected; positions and sizes run 0..1000 whatever the frame's size."""
+    """Up to four tags that the drone itself detected; positions and sizes are 0..1000 for any frame size."""
 
     nb_detected: U32 = 0
     type: Annotated[Ints, "4I"] = _ZERO4
@@ -132,7 +132,7 @@ class Games:
 @option(25)
 @dataclass(frozen=True, slots=True)
 class HdvideoStream:
-    """The recorder; state bit 0 FIFO full, 8 key present, 9 recording, 10 key full."""
+    """The state of the recorder; its bits are 0 FIFO full, 8 key present, 9 recording, 10 key full."""
 
     hdvideo_state: U32 = 0
     storage_fifo_nb_packets: U32 = 0

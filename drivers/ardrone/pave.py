@@ -1,6 +1,6 @@
-"""The PaVE stream of TCP port 5555: video headers and a parser that finds its way back after damage. No I/O.
+"""The PaVE stream of TCP port 5555: video headers and a parser that resynchronizes after damage. No I/O.
 
-A header of 64, 68 or 76 bytes (its own `header_size` field decides) stands before one H.264 access unit. Source: Parrot SDK 2.0.1
+A header of 64, 68 or 76 bytes (its own `header_size` field decides) precedes one H.264 access unit. Source: Parrot SDK 2.0.1
 `video_encapsulation.h`, checked against captures with 64 and 68-byte headers.
 """
 
@@ -15,7 +15,7 @@ _FIXED = struct.Struct("<4sBBHIHHHHIIBBBBQHBBBB2sI12s")
 HEADER_SIZE_MIN = _FIXED.size
 HEADER_SIZE_MAX = 256
 PAYLOAD_MAX = 1 << 20
-"""Bytes; a 720p key frame is below 200 kB, so more is a damaged header."""
+"""The largest payload accepted, bytes; a 720p key frame is below 200 kB, so a larger size means a damaged header."""
 CODEC_MPEG4 = 3
 CODEC_H264 = 4
 CONTROL_ADVERTISEMENT = 1
@@ -23,7 +23,7 @@ CONTROL_LAST_FRAME = 2
 
 
 class FrameType(IntEnum):
-    """What a frame can be decoded from."""
+    """The frame's type, which says what other frames its decoding needs."""
 
     UNKNOWN = 0
     IDR = 1
@@ -43,7 +43,7 @@ class PaveHeader:
     payload_size: int
     frame_number: int
     timestamp_ms: int
-    """Of the drone's clock, u32."""
+    """The time on the drone's clock, milliseconds, u32."""
     frame_type: int
     version: int = 2
     codec: int = CODEC_H264
@@ -56,19 +56,19 @@ class PaveHeader:
     chunk_index: int = 0
     control: int = 0
     stream_position: int = 0
-    """Bytes of the stream before this frame, parameter sets not counted."""
+    """The number of bytes of the stream before this frame, without parameter sets."""
     stream_id: int = 1
     total_slices: int = 1
     slice_index: int = 0
     sps_size: int = 0
-    """Bytes of the sequence parameter set inside the payload; 0 where it has none."""
+    """The size of the sequence parameter set inside the payload, bytes; 0 if the payload has none."""
     pps_size: int = 0
     padding: bytes = bytes(2)
     advertised_size: int | None = None
-    """Bytes; None packs as `payload_size`, as on every data frame."""
+    """The advertised size, bytes; None is packed as `payload_size`, which is what every data frame holds."""
     reserved: bytes = bytes(12)
     extension: bytes = b""
-    """What lies between byte 64 and `header_size`; undocumented."""
+    """The bytes from 64 to `header_size`, which are undocumented."""
 
     def __post_init__(self) -> None:
         if self.advertised_size is None:
@@ -80,7 +80,7 @@ class PaveHeader:
 
     @property
     def advertisement(self) -> bool:
-        """Announces a frame; no payload follows."""
+        """Whether the header announces a frame; no payload follows it then."""
         return bool(self.control & CONTROL_ADVERTISEMENT)
 
     @property
@@ -89,14 +89,14 @@ class PaveHeader:
 
     @property
     def following_bytes(self) -> int:
-        """How many payload bytes stand behind this header."""
+        """The number of payload bytes that follow this header."""
         return 0 if self.advertisement else self.payload_size
 
     def pack(self) -> bytes:
-        """The header's bytes.
+        """Return the header's bytes.
 
         Raises:
-            struct.error: a value that its field cannot hold.
+            struct.error: a value does not fit its field.
         """
         return (
             _FIXED.pack(
@@ -111,19 +111,19 @@ class PaveHeader:
 
     @staticmethod
     def unpack(data: bytes | bytearray, offset: int = 0) -> PaveHeader | None:
-        """The header at `offset`; None when it is not one, not plausible, or not whole."""
+        """Return the header at `offset`; None if the bytes there are no header, or one that is not plausible or not whole."""
         found = _examine(data, offset)
         return found if isinstance(found, PaveHeader) else None
 
 
 class _More(Enum):
-    """Answer of `_examine` where the bytes so far may become a header."""
+    """The answer of `_examine` when the bytes so far may become a header."""
 
     NEEDED = 1
 
 
 def _examine(data: bytes | bytearray, offset: int) -> PaveHeader | _More | None:
-    """What stands at `offset`: a header, the beginning of one, or None for something else."""
+    """Return the header at `offset`, `_More` for the beginning of one, or None for anything else."""
     head = data[offset : offset + len(MAGIC)]
     if head != MAGIC[: len(head)]:
         return None
@@ -164,49 +164,49 @@ class PaveFrame:
     header: PaveHeader
     payload: bytes
     discontinuity: bool
-    """Something before this frame is missing or damaged, or another stream begins: only an IDR may be decoded from here."""
+    """Whether data before this frame is missing or damaged, or another stream begins: only an IDR may be decoded then."""
 
 
 class PaveParser:
-    """Bytes in as they come, frames out in order.
+    """Takes the bytes of the stream as they arrive and returns the frames in order.
 
     Damage never raises and never costs the next whole frame: a header inside another frame's payload ends that frame, and after
-    a frame that is not followed by a header the search goes back into its tail. Attributes count what happened.
+    a frame that is not followed by a header the search goes back into its tail. The attributes count these events.
     """
 
     def __init__(self) -> None:
         self._data = bytearray()
         self._at = 0
-        """Where the next header is expected."""
+        """The offset at which the next header is expected."""
         self._floor = 0
-        """How far back a search may go: the header's end of the frame given out last."""
+        """The offset before which no search may go back: the end of the header of the frame that was returned last."""
         self._clean = True
         self._last: PaveHeader | None = None
         self._searched = 0
-        """Up to where the frame being collected was searched for a header inside it."""
+        """The offset up to which the unfinished frame was searched for a header inside it."""
         self.frames = 0
         self.skipped_bytes = 0
-        """Bytes that belonged to no frame given out."""
+        """The number of bytes that belonged to no returned frame."""
         self.torn = 0
-        """Frames cut short by the header of the next."""
+        """The number of frames that were cut short by the header of the next."""
         self.resyncs = 0
         self.number_gaps = 0
-        """Frame numbers that never came."""
+        """The number of frame numbers that never arrived."""
 
     @property
     def pending(self) -> int:
-        """Bytes of a frame that is not whole yet."""
+        """The number of bytes of the frame that is not whole yet."""
         return len(self._data) - self._at
 
     def reset(self) -> None:
-        """Another connection begins: forget the unfinished frame; what comes next is discontinuous."""
+        """Discard the unfinished frame, because another connection begins; the next frame is marked as a discontinuity."""
         self.skipped_bytes += self.pending
         self._data.clear()
         self._at = self._floor = self._searched = 0
         self._clean = False
 
     def feed(self, data: bytes) -> list[PaveFrame]:
-        """Take the next bytes of the stream; give out every frame they complete."""
+        """Take the next bytes of the stream and return every frame that they complete."""
         self._data += data
         out: list[PaveFrame] = []
         while self._step(out):
@@ -220,7 +220,7 @@ class PaveParser:
         return out
 
     def _step(self, out: list[PaveFrame]) -> bool:
-        """Advance by one frame or one search; False when more bytes are needed."""
+        """Advance by one frame or one search; return False when more bytes are needed."""
         header = _examine(self._data, self._at)
         if header is None:
             return self._resync(self._floor if self._floor < self._at else self._at + 1)
@@ -253,7 +253,7 @@ class PaveParser:
         return PaveFrame(header, payload, not continuous)
 
     def _overtaken(self, start: int, end: int) -> bool:
-        """Whether a whole header stands inside the frame being collected; if so the parser moves there."""
+        """Move to a whole header inside the unfinished frame; return whether there is one."""
         at = max(start, self._searched)
         while (at := self._data.find(MAGIC, at, end)) >= 0:
             found = _examine(self._data, at)
@@ -269,7 +269,7 @@ class PaveParser:
         return False
 
     def _resync(self, start: int) -> bool:
-        """Go to the next header at or after `start`; with none in sight keep what might be the beginning of one."""
+        """Go to the next header at or after `start`; if there is none, keep the bytes that may begin one."""
         at = start
         while (at := self._data.find(MAGIC, at)) >= 0:
             found = _examine(self._data, at)

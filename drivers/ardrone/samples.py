@@ -1,4 +1,4 @@
-"""Navdata to samples in SI units and aerospace axes. Pure; `NavdataSampler` alone remembers, to leave out repeats.
+"""Convert navdata to samples in SI units and aerospace axes. No I/O; only `NavdataSampler` has state, to leave out repeats.
 
 Signs: theta is nose up, phi right side down, psi clockwise, accelerometer and gyro are forward-right-down (a datagram at rest
 reads -942 mg downward and +80 mg forward with the nose 4.9 degrees up). Sigmas come from a flight under motion capture:
@@ -45,11 +45,11 @@ _MODES = {
 
 DEFAULT = ArDroneOptions()
 AS_REPORTED = ArDroneOptions(velocity_scale=1.0, sigma_velocity_fraction=0.2)
-"""Velocities are taken as the drone reports them, and the covariance holds the doubt about their scale."""
+"""Options that take velocities as the drone reports them; the covariance covers the uncertainty of their scale."""
 
 
 def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: ArDroneOptions = DEFAULT) -> list[Sample]:
-    """Every sample the datagram holds, all with the same stamp; readings that are absent or not finite are left out.
+    """Return every sample of the datagram, all with the same stamp; readings that are absent or not finite are left out.
 
     Returns:
         Imu (body), Attitude (R_ned_body, yaw from the drone's own heading), BodyVelocity (level; down has `UNKNOWN_VAR`),
@@ -80,20 +80,20 @@ def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: ArDroneOptions
 
 
 def height_of_pressure_m(pressure_pa: float) -> float:
-    """Pressure altitude of the international standard atmosphere (ISO 2533), troposphere."""
+    """Return the pressure altitude in metres, by the troposphere of the international standard atmosphere (ISO 2533)."""
     return float(44330.77 * (1.0 - (pressure_pa / 101325.0) ** 0.190263))
 
 
 def pressure_of_height_pa(height_m: float) -> float:
-    """The inverse of `height_of_pressure_m`."""
+    """Return the pressure at a pressure altitude, pascals: the inverse of `height_of_pressure_m`."""
     return float(101325.0 * (1.0 - height_m / 44330.77) ** (1.0 / 0.190263))
 
 
 class NavdataSampler:
-    """`samples_from_navdata` without repeats.
+    """Converts navdata as `samples_from_navdata` does, without repeats.
 
     The drone repeats a reading in every datagram until the sensor has a new one (ultrasound 25 Hz, barometer about 100 Hz in
-    200 datagrams a second). A range, height or status is given out when its source changed, or after `repeat_s`.
+    200 datagrams a second). A range, height or status is returned when its source changed, or after `repeat_s`.
     """
 
     def __init__(self, options: ArDroneOptions = DEFAULT, repeat_s: float = 0.1) -> None:
@@ -102,7 +102,7 @@ class NavdataSampler:
         self._given: dict[type[Any], tuple[Any, MonoNs]] = {}
 
     def samples(self, navdata: Navdata, stamp: Stamp) -> list[Sample]:
-        """What is new in this datagram."""
+        """Return the samples that are new in this datagram."""
         keys = {
             Range: _range_key(navdata),
             Baro: navdata.get(PressureRaw),
@@ -123,7 +123,7 @@ class NavdataSampler:
 
 
 def time_us(navdata: Navdata) -> int | None:
-    """The drone's own clock at this datagram, microseconds modulo 2048 s."""
+    """Return the drone's clock at this datagram, microseconds modulo 2048 s; None if the datagram does not hold it."""
     option = navdata.get(NavdataTime)
     return None if option is None else option.time_us
 
@@ -147,7 +147,7 @@ def _velocity(demo: Demo, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity
 
 
 def _range_m(navdata: Navdata) -> float | None:
-    """The ultrasound's own reading; in demo mode the drone's height turned back along the body's axis."""
+    """Return the ultrasound's own reading, metres; in demo mode, the drone's height rotated back to the body's down axis."""
     if navdata.state & NavdataState.ULTRASOUND_DEAF:
         return None
     altitude = navdata.get(Altitude)
