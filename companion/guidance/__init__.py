@@ -1,1 +1,1 @@
-"""From an estimate to a command: the sequential planner and the position controller, plain functions of time and state."""
+"""Guidance turns an estimate into a command: a sequential planner and a position controller, pure functions of time and state."""

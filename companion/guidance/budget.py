@@ -8,25 +8,25 @@ from companion.guidance.plan import Plan
 from estimator.contracts.time import MonoNs, seconds_between
 
 SIGHT_HOLDS_S = 5.0
-"""Unbroken sight for this long forgives the time without it before."""
+"""Unbroken sight for this long resets the time without sight, seconds."""
 _GAP_MAX_S = 1.0
-"""A planner that was not called for longer than this adds no more than this."""
+"""Longest time that one guidance cycle adds, seconds, even if the planner was not called for longer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spent:
-    """What a try has cost so far."""
+    """The part of the budget that a try has used so far."""
 
     began: MonoNs | None = None
-    """First sight."""
+    """Time of the first sight of the pad."""
     descending: MonoNs | None = None
-    """Beginning of the last leg."""
+    """Time at which the last leg began."""
     losses: int = 0
     """Number of losses of sight on the last leg or below the safe height."""
     blind_descent_m: float = 0.0
     without_sight_s: float = 0.0
     with_sight_s: float = 0.0
-    """Time of unbroken sight."""
+    """Time of unbroken sight, seconds."""
 
     def seen(self, now: MonoNs, since_last_s: float) -> Spent:
         """Add one guidance cycle with sight of the pad."""

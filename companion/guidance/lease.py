@@ -12,7 +12,7 @@ NO_LANDING = "no landing was reported"
 _RISEN_M = 0.4
 _ASIDE_M = 0.3
 _BELOW_DECK_M = 0.6
-"""A drone that stands on deck without sight may take itself to be some decimetres away from it."""
+"""A drone on deck without sight may be estimated some decimetres away from it."""
 _BLIND_MARGIN_M = 0.1
 
 
@@ -39,12 +39,12 @@ def renewed(
     """Renew the lease for one more guidance cycle, or say why it ends.
 
     Args:
-        estimate: the newest, carried on without sight if need be.
-        fit: the same where it is fit to steer by, else None.
+        estimate: the newest estimate, propagated without sight if necessary.
+        fit: the same estimate if it is fit to steer by, otherwise None.
 
     Returns:
         The lease, and why it ends; None while it goes on. From the height of the last way point down the pad leaves the camera's
-        view, so there the time alone ends it; higher up so does losing the pad.
+        view, so there only the time ends the lease; higher up the loss of the pad ends it too.
     """
     final = plan.way_points[-1]
     if seconds_between(lease.since, now) > plan.guidance.land_timeout_s:

@@ -1,8 +1,8 @@
-"""Position controller: where the pad is and where it should be, in; a velocity command, out.
+"""The position controller: it computes a velocity command from the pad's estimated and wanted positions.
 
 Source: Sundvoll 2020, sec. 4.5 (one PID for each of x, y, z and heading; table 4.2), with the derivative per second and on the
-measurement (the thesis' code took it per step and on the error), heading errors wrapped, and silence from the estimator
-answered by hovering instead of flying on.
+measurement (the thesis' code took it per step and on the error), heading errors wrapped, and a hover instead of further flight
+while the estimator is silent.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from estimator.contracts.samples import _vector
 from estimator.contracts.time import MonoNs, seconds_between
 
 _DT_MAX_S = 0.2
-"""A controller that was not called for longer than this integrates no more than this."""
+"""Longest time that one step integrates over, seconds, even if the controller was not called for longer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetPoint:
-    """Where the body should be against the pad."""
+    """The wanted position of the body relative to the pad."""
 
     d_body_pad_level: F64
     """(3,) m: the wanted vector from body to pad, so (0, 0, 2) is two metres above it."""
     yaw_rad: float | None = None
-    """The wanted heading against the arrow; None keeps whatever heading there is."""
+    """The wanted heading relative to the pad's arrow, rad; None keeps the present heading."""
     v_body_level: F64 = field(default_factory=lambda: np.zeros(3))
-    """(3,) m/s: how fast the set point itself flies relative to the pad."""
+    """(3,) m/s: the velocity of the set point itself relative to the pad."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "d_body_pad_level", _vector("SetPoint.d_body_pad_level", self.d_body_pad_level, (3,)))
@@ -46,9 +46,9 @@ class Pid:
     """The controller's memory."""
 
     integral: F64 = field(default_factory=lambda: np.zeros(4))
-    """(4,) m s, m s, m s, rad s: forward, right, down, heading."""
+    """(4,) m s, m s, m s, rad s: the integrals of the errors forward, right, down and in heading."""
     last: MonoNs | None = None
-    """When it last steered."""
+    """Time at which the controller last steered; None before."""
 
     @staticmethod
     def start() -> Pid:
@@ -56,7 +56,7 @@ class Pid:
 
 
 def fit_to_steer(estimate: RelativeState | None, now: MonoNs, stale_after_s: float) -> bool:
-    """Whether an estimate is there, of recent sight, computed recently, and in agreement with itself."""
+    """Return whether there is a consistent estimate, computed recently from a recent sighting."""
     if estimate is None or not estimate.consistent:
         return False
     return abs(estimate.age_s(now)) <= stale_after_s and abs(seconds_between(estimate.at, now)) <= stale_after_s
@@ -65,16 +65,16 @@ def fit_to_steer(estimate: RelativeState | None, now: MonoNs, stale_after_s: flo
 def pid_step(
     state: Pid, gains: PidOptions, now: MonoNs, estimate: RelativeState | None, set_point: SetPoint, stale_after_s: float
 ) -> tuple[Pid, Command]:
-    """One turn of the controller.
+    """Run one step of the controller.
 
-    Errors are taken in level axes, so no heading is needed to fly; without one (`yaw_rad` None) it does not turn.
+    Errors are in level axes, so flying needs no heading; without one (`yaw_rad` None) the controller does not turn.
     Anti-windup: an axis integrates only while its command is free or the error leads out of the limit.
 
     Args:
-        stale_after_s: age of the newest sighting, or of the estimate itself, beyond which nobody steers by it.
+        stale_after_s: age of the newest sighting, or of the estimate itself, beyond which the controller hovers, seconds.
 
     Returns:
-        The new state and `Velocity`, or `Hover` where `fit_to_steer` says no.
+        The new state and `Velocity`, or `Hover` if the estimate is not fit to steer by.
     """
     if estimate is None or not fit_to_steer(estimate, now, stale_after_s):
         silent = state.last is not None and seconds_between(state.last, now) > gains.forget_after_s
@@ -92,7 +92,7 @@ def pid_step(
     if estimate.yaw_rad is not None and set_point.yaw_rad is not None:
         yaw_error = wrap_pi(set_point.yaw_rad - estimate.yaw_rad)
     error = np.append(estimate.d_body_pad_level - set_point.d_body_pad_level, yaw_error)
-    # the measured rate, not the error's: a jump of the set point kicks nothing
+    # The rate is that of the measurement, not of the error, so a jump of the set point causes no kick.
     rate = estimate.v_pad_level + set_point.v_body_level
 
     level, down, turn = gains.horizontal, gains.vertical, gains.heading
@@ -111,7 +111,7 @@ def pid_step(
 
 
 def _limited(u: F64, gains: PidOptions) -> F64:
-    """(4,) the nearest command within the limits; horizontally the direction is kept."""
+    """Return the nearest command within the limits, (4,) m/s and rad/s; the horizontal direction is kept."""
     shrink = gains.speed_max_m_s / max(gains.speed_max_m_s, math.hypot(u[0], u[1]))
     return np.array(
         [

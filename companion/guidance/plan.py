@@ -1,4 +1,4 @@
-"""The planner's way points, with the options that it flies them by."""
+"""The planner's way points and the options of guidance."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from estimator.contracts.samples import _vector
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WayPoint:
-    """A place against the pad, and how near is near enough."""
+    """A position relative to the pad, with the tolerances for reaching it."""
 
     d_body_pad_level: F64
     """(3,) m: (0, 0, 2) is two metres above the pad; (0.1, 0, 2) has the pad ten centimetres ahead of the nose."""
     reached_m: float
-    """Horizontal distance of the drone."""
+    """Horizontal distance within which the drone counts as there, metres."""
     reached_height_m: float
     dwell_s: float
-    """It must stay that near for so long."""
+    """Time that the drone must stay that near, seconds."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "d_body_pad_level", _vector("WayPoint.d_body_pad_level", self.d_body_pad_level, (3,)))
@@ -33,10 +33,10 @@ class WayPoint:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Way points, and guidance's options.
+    """The way points and the options of guidance.
 
     Raises:
-        ValueError: no way point.
+        ValueError: there is no way point.
     """
 
     way_points: tuple[WayPoint, ...]

@@ -1,10 +1,10 @@
-"""The sequential planner: fly the set point from where the drone is over the way points, then land.
+"""The sequential planner: move the set point from the drone's position over the way points, then land.
 
-Source: Sundvoll 2020, sec. 4.6 (0.4 m/s, slower within 1 m, (0, 0, 2) then (0, 0, 0.3), then land). Unlike there the next way
-point is chosen when the drone is there, not the set point; and a pad that is lost from sight stops the descent.
+Source: Sundvoll 2020, sec. 4.6 (0.4 m/s, slower within 1 m, (0, 0, 2) then (0, 0, 0.3), then land). Unlike there, the next way
+point is chosen when the drone has arrived, not the set point, and losing sight of the pad stops the descent.
 
-Without sight it flies level towards the way point for `blind_s` by dead reckoning (the nose goes down to fly forward and takes
-the pad out of a fixed camera's view), then hovers; after `climb_after_s` it goes around.
+Without sight the drone flies level towards the way point for `blind_s` by dead reckoning (the nose goes down to fly forward and
+takes the pad out of a fixed camera's view), then hovers; after `climb_after_s` it goes around.
 
 A go-around ends a try: climb to `safe_height_m`, over the pad where it is seen, then begin with the first way point again. It is
 made when the pad stays lost low, when the try's budget is used up (`budget.Spent`), and when an ordered landing does not end in
@@ -34,20 +34,20 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _DT_MAX_S = 0.2
 _NEAR_SAFE_M = 0.25
-"""A height this far below the safe height counts as the safe height."""
+"""A height at most this far below the safe height counts as the safe height, metres."""
 _CLIMB_PATIENCE, _CLIMB_PATIENCE_S = 3.0, 10.0
-"""A go-around that takes so many times the expected time, and so many seconds more, is not climbing."""
+"""A go-around that takes this many times the expected time plus this many seconds is not climbing."""
 
 
 class Phase(Enum):
-    """What the planner is about."""
+    """The planner's phase."""
 
     WAITING = "waiting"
     """No estimate has come yet."""
     APPROACH = "approach"
-    """On the way to a way point that is not the last."""
+    """Flying to a way point that is not the last."""
     DESCEND = "descend"
-    """On the way to the last one."""
+    """Flying to the last way point."""
     LOST = "lost"
     """Hovering without sight."""
     BLIND = "by dead reckoning"
@@ -57,11 +57,11 @@ class Phase(Enum):
     GO_AROUND = "go-around"
     """Climbing over the pad, to begin again."""
     ANOTHER_PAD = "another pad"
-    """The pad is seen where no motion explains it: climbing, then hovering until the operator begins again."""
+    """The pad is seen at a place that no motion explains: climbing, then hovering until the operator begins again."""
     GAVE_UP = "gave up"
-    """Hovering for good; a new planner is a new try."""
+    """Hovering for good; a new planner begins a new try."""
     LAND = "land"
-    """The vehicle is told to land, in every round again for as long as time, height and sight say so."""
+    """Commanding the vehicle to land, in every guidance cycle for as long as time, height and sight allow it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +74,15 @@ class GoAround:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Another pad was seen."""
+    """An open question to the operator: another pad was seen."""
 
     since: MonoNs
     from_height_m: float
-    """Over the pad of before, when that was last seen."""
+    """Height over the earlier pad when that was last seen, metres."""
     track: int
-    """The newest."""
+    """Number of the newest track."""
     steady_since: MonoNs | None = None
-    """Since when it alone has been in unbroken sight."""
+    """Time since which this track alone has been in unbroken sight; None while it is not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,21 +90,21 @@ class Planner:
     """The planner's memory."""
 
     leg: int = 0
-    """Index of the way point it flies to."""
+    """Index of the way point that the drone flies to."""
     point: F64 | None = None
-    """(3,) m, the set point, `d_body_pad_level`; None before the first estimate and after the pad was lost."""
+    """The set point `d_body_pad_level`, (3,) m; None before the first estimate and after the pad was lost."""
     yaw_rad: float | None = None
-    """The body's heading that `point` was last written for."""
+    """The body's heading at the last update of `point`, rad."""
     near_since: MonoNs | None = None
     last: MonoNs | None = None
     since_last_s: float = 0.0
     seen: MonoNs | None = None
-    """When there last was an estimate to steer by."""
+    """Time of the last estimate that was fit to steer by."""
     seen_height_m: float = math.inf
     in_sight: bool = False
-    """The value of the guidance cycle before."""
+    """Whether the pad was in sight in the previous guidance cycle."""
     track: int | None = None
-    """The pad that this approach is to."""
+    """Track of the pad that this approach flies to."""
     spent: Spent = field(default_factory=Spent)
     go_arounds: int = 0
     questions: int = 0
@@ -113,7 +113,7 @@ class Planner:
     landing: Lease | None = None
     gave_up: bool = False
     reason: str = ""
-    """Why it last went around, asked or gave up, as text for the operator."""
+    """Why the planner last went around, asked or gave up, as text for the operator."""
 
     @staticmethod
     def start() -> Planner:
@@ -121,11 +121,11 @@ class Planner:
 
 
 Aim = SetPoint | Velocity | Hover | Land
-"""What the planner asks for: a set point for the position controller, or a command as it stands. `Velocity` never descends."""
+"""The planner's output: a set point for the position controller, or a finished command. `Velocity` never descends."""
 
 
 def planner_step(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState | None) -> tuple[Planner, Aim, Phase]:
-    """One round."""
+    """Run one guidance cycle; return the new state, the aim and the phase."""
     if state.gave_up:
         return state, Hover(), Phase.GAVE_UP
     since_last_s = 0.0 if state.last is None else max(0.0, seconds_between(state.last, now))
@@ -149,7 +149,7 @@ def planner_step(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeStat
 
 
 def _accounted(state: Planner, plan: Plan, now: MonoNs, fit: RelativeState | None) -> Planner:
-    """The round's cost."""
+    """Charge the guidance cycle to the try's budget."""
     spent, last_leg = state.spent, state.leg == len(plan.way_points) - 1
     if fit is None:
         if state.in_sight and (last_leg or state.seen_height_m < plan.options.safe_height_m - _NEAR_SAFE_M):
@@ -207,7 +207,7 @@ def _without_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeSt
 
 
 def _around(state: Planner, now: MonoNs, why: str) -> Planner:
-    """The try is over."""
+    """End the try and begin a go-around."""
     climb = GoAround(now, state.seen_height_m)
     return replace(
         state, landing=None, point=None, near_since=None, leg=0, going_around=climb, go_arounds=state.go_arounds + 1, reason=why
@@ -276,7 +276,7 @@ def _questioned(
 
 
 def _may_decide(state: Planner, question: Question, plan: Plan, fit: RelativeState) -> bool:
-    """Return whether no person has to agree: the first time, and neither then nor now below the safe height."""
+    """Return whether no person has to agree: this is the first question, and the drone is not below the safe height, then or now."""
     if plan.options.another_pad != "automatic" or state.questions > 1:
         return False
     return min(question.from_height_m, fit.height_m) >= plan.options.safe_height_m - _NEAR_SAFE_M
@@ -287,7 +287,7 @@ def _given_up(state: Planner, why: str) -> tuple[Planner, Aim, Phase]:
 
 
 def _towards(state: Planner, goal: F64, plan: Plan, estimate: RelativeState) -> tuple[Planner, F64]:
-    """The set point flown on towards a goal, and the velocity (of the body, in level) it moves with."""
+    """Move the set point towards a goal; return the new state and the body velocity of that motion in level axes, (3,) m/s."""
     previous = state.point
     dt = min(state.since_last_s, _DT_MAX_S)
     point = estimate.d_body_pad_level if previous is None else _turned_with_the_body(previous, state.yaw_rad, estimate)
@@ -296,7 +296,7 @@ def _towards(state: Planner, goal: F64, plan: Plan, estimate: RelativeState) -> 
 
 
 def _level_velocity(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState | None) -> F64:
-    """(3,) m/s, level towards the way point for as long as dead reckoning tells where it is; zeros after that."""
+    """Return a level velocity towards the way point, (3,) m/s, while dead reckoning locates it; zeros after that."""
     v = np.zeros(3)
     if state.seen is None or estimate is None or seconds_between(state.seen, now) > plan.options.blind_s:
         return v
@@ -309,12 +309,12 @@ def _level_velocity(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeS
 
 
 def _sigma_m(estimate: RelativeState) -> float:
-    """Largest horizontal 1-sigma."""
+    """Return the largest horizontal 1-sigma, metres."""
     return math.sqrt(float(np.linalg.eigvalsh(estimate.cov[:2, :2]).max()))
 
 
 def _turned_with_the_body(point: F64, yaw_rad: float | None, estimate: RelativeState) -> F64:
-    """The set point in today's level axes: it keeps its place against the pad while the body turns."""
+    """Return the set point in the present level axes, so that it keeps its position relative to the pad while the body turns."""
     if yaw_rad is None or estimate.yaw_rad is None:
         return point
     turned = wrap_pi(estimate.yaw_rad - yaw_rad)
@@ -324,7 +324,7 @@ def _turned_with_the_body(point: F64, yaw_rad: float | None, estimate: RelativeS
 
 
 def _flown_on(point: F64, drone: F64, goal: F64, plan: Plan, dt: float) -> tuple[F64, F64]:
-    """The set point `dt` later on its straight line to the goal, and the velocity (of the body, in level) it moves with."""
+    """Return the set point `dt` seconds later on its straight line to the goal, and the body velocity of that motion."""
     to_go = goal - point
     distance_m = float(np.linalg.norm(to_go))
     if float(np.linalg.norm(point - drone)) > plan.options.lead_m:

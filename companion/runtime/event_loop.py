@@ -1,11 +1,11 @@
-"""Run a program's main task on an event loop, ended by signals as `companion.runtime.signals` says, and always in bounded time.
+"""Run a program's main task on an event loop that signals end as `companion.runtime.signals` says, always in bounded time.
 
     run(main())                          # instead of asyncio.run
     with heeded({SIGTERM: daemon.stop, SIGUSR1: pilot.begin}): ...
 
 `asyncio.run` waits at its end for every task and every thread of the default executor, for as long as they take: one task that
 swallows its cancellation, or a thread inside getaddrinfo, and the program never ends. It also ends at a `SystemExit` of any
-task or callback, and leaves the others where they stand; here that is an error of its task as any other, and the loop goes on.
+task or callback and abandons the other tasks; here a `SystemExit` is an error of its task like any other, and the loop goes on.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _heeded: dict[int, Handler] = {}
 
 
 def run(main: Coroutine[Any, Any, T]) -> T:
-    """The main task's result.
+    """Run the main task and return its result.
 
     Raises:
-        Stopped: it was told to end, and was cancelled or abandoned.
+        Stopped: a signal ended the task, which was cancelled or abandoned.
         Whatever `main` raises.
     """
     loop = asyncio.new_event_loop()
@@ -39,7 +39,7 @@ def run(main: Coroutine[Any, Any, T]) -> T:
     task = loop.create_task(main, name="main")
 
     def into_loop(number: int) -> None:
-        with suppress(RuntimeError):  # closed at this very moment
+        with suppress(RuntimeError):  # the loop was closed just now
             loop.call_soon_threadsafe(_take, number, loop, task)
 
     PROCESS.standing, PROCESS.into_loop = lambda: _names(loop), into_loop
@@ -63,10 +63,10 @@ def run(main: Coroutine[Any, Any, T]) -> T:
 
 @contextmanager
 def heeded(handlers: Mapping[signal.Signals, Handler]) -> Iterator[None]:
-    """Inside `run`: what each signal does in place of cancelling the main task, called by the event loop.
+    """Let the event loop of `run` call these handlers for signals instead of cancelling the main task.
 
-    An ending signal that came before is heeded at once. SIGTERM's deadlines stand; SIGINT has none here, for somebody sits at
-    the keyboard who can press twice.
+    An ending signal that came before is handled at once. SIGTERM keeps its deadlines; SIGINT has none here, because a person at
+    the keyboard can press Ctrl-C twice.
     """
     before = dict(_heeded)
     _heeded.update({int(number): handler for number, handler in handlers.items()})
@@ -96,8 +96,8 @@ def _take(number: int, loop: asyncio.AbstractEventLoop, task: asyncio.Task[Any])
 def _complete(loop: asyncio.AbstractEventLoop, future: asyncio.Future[T]) -> T:
     """Run the loop until the future is done; return its result.
 
-    The loop throws a `SystemExit` through itself after it has given it to the task that raised it, with nothing lost: it is
-    begun again. A Ctrl-C that nobody handles ends it.
+    The loop re-raises a `SystemExit` after it has stored it in the task that raised it. Nothing is lost, so the loop is run
+    again. A Ctrl-C that nobody handles ends it.
     """
     while True:
         try:
@@ -118,7 +118,7 @@ def _close(loop: asyncio.AbstractEventLoop) -> None:
     tasks = asyncio.all_tasks(loop)
     for task in tasks:
         task.cancel()
-    with suppress(RuntimeError):  # stopped by the deadline
+    with suppress(RuntimeError):  # the deadline stopped the loop
         if tasks:
             _complete(loop, loop.create_task(asyncio.wait(tasks, timeout=max(_SHORTEST_S, PROCESS.left_s()))))
         generators = loop.create_task(loop.shutdown_asyncgens())

@@ -1,7 +1,7 @@
-"""What the service tells systemd: that it is ready, that its pipeline lives, that it ends (sd_notify, without libsystemd).
+"""Notify systemd that the service is ready, that its pipeline is alive, and that it ends (sd_notify, without libsystemd).
 
-The watchdog is fed out of the rounds of guidance, never by a timer of its own: a round that does not come, a frame that vision
-never gives back, or a flying vehicle that is no longer heard ends the pings, and systemd starts the service anew.
+The guidance cycles feed the watchdog, never a timer of its own: if a cycle does not come, if vision does not return a frame, or
+if a flying vehicle sends no more samples, the pings end and systemd restarts the service.
 
 Source: sd_notify(3), sd_watchdog_enabled(3).
 """
@@ -25,16 +25,16 @@ from estimator.contracts.time import MonoNs, seconds_between
 log = logging.getLogger(__name__)
 
 _EVERY = 4
-"""Pings within one interval of the watchdog: systemd asks for two, and a round may be late."""
+"""Number of pings within one watchdog interval: systemd asks for two, and a guidance cycle may be late."""
 _STATUS_S = 1.0
-"""Between two lines of status where there is no watchdog."""
+"""Time between two status lines if there is no watchdog, seconds."""
 
 
 class Manager:
-    """The service manager's socket. Datagrams that it does not take are lost: a service must not wait for its manager.
+    """The service manager's socket. Datagrams that it does not accept are lost: a service must not wait for its manager.
 
     Raises:
-        BadInput: `address` is no unix socket's.
+        BadInput: `address` is not the address of a unix socket.
     """
 
     def __init__(self, address: str) -> None:
@@ -47,12 +47,12 @@ class Manager:
 
     @staticmethod
     def of(environment: Mapping[str, str] = os.environ) -> Manager | None:
-        """The one that started us; None where none waits to hear."""
+        """Return the manager that started us; None if the environment names none."""
         address = environment.get("NOTIFY_SOCKET")
         return Manager(address) if address else None
 
     def say(self, **fields: str) -> None:
-        """One datagram of NAME=value lines."""
+        """Send one datagram of NAME=value lines."""
         text = "\n".join(f"{name}={' '.join(value.split())}" for name, value in fields.items())
         try:
             self._socket.sendto(text.encode(), self._address)
@@ -61,16 +61,16 @@ class Manager:
             log.debug("the service manager did not take %s: %s", next(iter(fields), ""), why)
 
     def close(self) -> None:
-        """Nothing more is said."""
+        """Close the socket."""
         self._socket.close()
 
 
 class Pulse(NullObserver):
-    """An observer that turns rounds of guidance into READY=1, WATCHDOG=1 and a line of status.
+    """An observer that turns guidance cycles into READY=1, WATCHDOG=1 and a status line.
 
     Args:
-        flying: whether the vehicle flew when it was last heard of.
-        interval_s: of the watchdog; None where there is none.
+        flying: returns whether the vehicle flew according to its latest status.
+        interval_s: the watchdog's interval, seconds; None if there is no watchdog.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Pulse(NullObserver):
         self._last: MonoNs | None = None
         self._said_why = ""
         self.pings = 0
-        """Times that the pipeline was found alive."""
+        """Number of times that the pipeline was found alive."""
 
     def on_decision(self, decision: Decision) -> None:
         now = self._clock.now()
@@ -114,7 +114,7 @@ class Pulse(NullObserver):
         self.pings += 1
 
     async def run(self) -> None:
-        """A part of the service: until cancelled, then say that the service ends."""
+        """Wait until cancelled, then notify the manager that the service ends."""
         try:
             await asyncio.Event().wait()
         finally:
@@ -123,7 +123,7 @@ class Pulse(NullObserver):
 
 
 def watchdog_interval_s(environment: Mapping[str, str] = os.environ, pid: int | None = None) -> float | None:
-    """How often systemd wants to hear from this process, seconds; None where it does not.
+    """Return the watchdog interval that systemd set for this process, seconds; None if it set none.
 
     Raises:
         BadInput: $WATCHDOG_USEC is not a positive whole number.

@@ -1,4 +1,4 @@
-"""The daemon as settings describe it, and its life as a process: signals in, logs out."""
+"""Make the daemon from settings, and run it as a process with signals and logs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does
 def make_daemon(
     settings: Settings, pilot: Pilot, *, clock: Clock | None = None, observers: Sequence[Observer] = (), once: bool = False
 ) -> Daemon:
-    """The daemon around a pilot, with the vehicle and the links that are set.
+    """Return a daemon around the pilot, with the vehicle and the links of the settings.
 
     Raises:
         BadInput: a secret, certificate or folder that a link needs cannot be read or used.
@@ -84,7 +84,7 @@ def make_daemon(
 
 
 def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:
-    """None where no manager waits to hear, or cannot be understood: that is no setting, and no reason to stay down."""
+    """Return the systemd observer, or None. A wrong environment is only logged: it is no setting and must not stop us."""
     try:
         interval_s, manager = watchdog_interval_s(), Manager.of()
     except BadInput as why:
@@ -96,14 +96,14 @@ def _pulse(pilot: Pilot, health: Health, clock: Clock) -> Pulse | None:
 
 
 def log_to_stderr(settings: Settings) -> None:
-    """One line a message, without wall time where journald adds it."""
+    """Log one line per message to standard error, without the wall time if journald adds it."""
     under_journald = not sys.stderr.isatty()
     form = "%(levelname)s %(name)s: %(message)s" if under_journald else "%(asctime)s %(levelname)s %(name)s: %(message)s"
     logging.basicConfig(level=settings.service.log_level.upper(), format=form, stream=sys.stderr, force=True)
 
 
 async def live(daemon: Daemon, pilot: Pilot) -> FlightOutcome | None:
-    """Run the daemon as a process does: SIGINT, SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
+    """Run the daemon; SIGINT and SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
     handlers = {
         signal.SIGINT: daemon.stop,
         signal.SIGTERM: daemon.stop,

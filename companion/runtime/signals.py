@@ -1,13 +1,12 @@
-"""Ends the process on SIGTERM or SIGINT: both set a flag and cancel, and a deadline enforces the end.
+"""End the process on SIGTERM or SIGINT: both set a flag and cancel the main task, and a deadline enforces the end.
 
-No exception is ever thrown through an event loop. While one runs (`companion.runtime.event_loop.run`), the first
-signal cancels its main task, or does what that was asked to do instead; tasks that have not ended `ABANDON_S` later are named in
-the log and abandoned.
-Outside a loop the first signal raises `Stopped` where the program stands.
+No exception is ever thrown through an event loop. While one runs (`companion.runtime.event_loop.run`), the first signal cancels
+its main task, or calls the handler that was set instead. Tasks that have not ended `ABANDON_S` later are named in the log and
+abandoned. Outside a loop the first signal raises `Stopped` at the program's present instruction.
 
-A thread of its own watches besides: `LAST_S` after SIGTERM, or at a second signal, it ends the process, whatever holds the
-others. It hears of signals from the interpreter's wakeup descriptor, so it does so even while the main thread is inside a long
-call of a library.
+A separate thread watches as well: `LAST_S` after SIGTERM, or at a second signal, it ends the process, whatever blocks the other
+threads. It reads signals from the interpreter's wakeup descriptor, so it works even while the main thread is inside a long
+library call.
 """
 
 from __future__ import annotations
@@ -30,17 +29,17 @@ LAST_S = 1.7
 LINGER_S = 1.0
 """Time that a program which ends by itself waits for remaining tasks and threads."""
 _ECHO_S = 0.1
-"""A second signal sooner than this is the first one again: shells and launchers pass on what the terminal has sent already."""
+"""A second signal within this time counts as a copy: shells and launchers pass on what the terminal has already sent."""
 _WORDS_S = 0.1
-"""Time for the last lines of the log: standard error may be a pipe that nobody reads."""
+"""Time for writing the last log lines, s: standard error may be a pipe that nobody reads."""
 ENDING = (signal.SIGTERM, signal.SIGINT)
 
 
 class Stopped(BaseException):
-    """The process was told to end. No `Exception`: what carries on after errors must not carry on after this.
+    """A signal asked the process to end. It is not an `Exception`, so that code which continues after errors does not catch it.
 
     Args:
-        number: of the signal.
+        number: the number of the signal.
     """
 
     def __init__(self, number: int) -> None:
@@ -49,7 +48,7 @@ class Stopped(BaseException):
 
     @property
     def exit_code(self) -> int:
-        """The exit code as shells write it."""
+        """The exit code by the convention of shells: 128 plus the signal's number."""
         return 128 + self.number
 
 
@@ -60,11 +59,11 @@ class Process:
         self.pid = 0
         """Process id of the process that handles signals; 0 while none does."""
         self.number: int | None = None
-        """The first ending signal; None before."""
+        """The first ending signal; None before it comes."""
         self.at_s = 0.0
         """Time of that signal on the monotonic clock, s."""
         self.into_loop: Callable[[int], None] | None = None
-        """Hands a signal to the running event loop; None while there is none."""
+        """Passes a signal to the running event loop; None while no loop runs."""
         self.standing: Callable[[], str] = str
         """Returns the names of the event loop's remaining tasks; empty if there are none."""
 
@@ -74,12 +73,12 @@ class Process:
         return self.pid == os.getpid()
 
     def heed(self, number: int, _: FrameType | None) -> None:
-        """The interpreter's handler, on the main thread, between two of its instructions."""
+        """Handle a signal; the interpreter calls this on the main thread between two instructions."""
         if not self.heeding:
-            os._exit(128 + number)  # a forked worker, which has nothing of its own to clear away
+            os._exit(128 + number)  # this is a forked worker, which has nothing to clean up
         if number in ENDING:
             if self.number is not None:
-                return  # the watching thread sees to it
+                return  # the watching thread handles it
             self.number, self.at_s = number, time.monotonic()
         if self.into_loop is not None:
             self.into_loop(number)
@@ -100,7 +99,7 @@ def install() -> None:
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     for number in ENDING:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as a shell has it for what it runs in the background
+        if signal.getsignal(number) is not signal.SIG_IGN:  # a shell sets this for its background jobs
             signal.signal(number, PROCESS.heed)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     os.register_at_fork(before=_hold, after_in_parent=_release, after_in_child=_release_child)
@@ -113,19 +112,19 @@ def ending_signal() -> int | None:
 
 
 def check() -> None:
-    """Go on, or not.
+    """Raise `Stopped` if an ending signal has come.
 
     Raises:
-        Stopped: we were told to end.
+        Stopped: an ending signal has come.
     """
     if PROCESS.number is not None:
         raise Stopped(PROCESS.number)
 
 
 def leave(code: int) -> int:
-    """The exit code for the interpreter to end with; where a thread would hold it, the process ends here.
+    """Return the interpreter's exit code, or end the process here if a thread would block the exit.
 
-    After a signal it ends here in any case: Python joins threads at its end, and one inside a library's call may take long.
+    After a signal the process always ends here: Python joins threads at exit, and one inside a library call may take long.
     """
     deadline_s = time.monotonic() + (LINGER_S if PROCESS.number is None else 0.0)
     for thread in _holding():
@@ -139,7 +138,7 @@ def leave(code: int) -> int:
 
 
 def _hold() -> None:
-    """A signal for a child that is just being forked would be lost there, and heard here over the common descriptor."""
+    """Block signals during a fork: the child would lose one, and the parent would read it from the shared descriptor."""
     signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
 
 
@@ -153,7 +152,7 @@ def _release_child() -> None:
 
 
 def _watch(descriptor: int) -> None:
-    """The thread that nothing else can hold."""
+    """Watch for signals and enforce the deadline, on a thread that nothing else can block."""
     first: int | None = None
     at_s = 0.0
     while True:
@@ -172,7 +171,7 @@ def _watch(descriptor: int) -> None:
 
 def _standing() -> str:
     words = []
-    with suppress(RuntimeError):  # the set of tasks changes meanwhile
+    with suppress(RuntimeError):  # the set of tasks may change meanwhile
         if names := PROCESS.standing():
             words.append(f"tasks {names}")
     frame = sys._current_frames().get(threading.main_thread().ident or 0)
@@ -187,7 +186,7 @@ def _holding() -> list[threading.Thread]:
 
 
 def _end(code: int, words: str) -> NoReturn:
-    """Without the interpreter's own end, which may wait."""
+    """End the process without the interpreter's shutdown, which may wait."""
 
     def say() -> None:
         with suppress(Exception):
@@ -198,7 +197,7 @@ def _end(code: int, words: str) -> NoReturn:
             sys.stderr.flush()
 
     saying = threading.Thread(target=say, daemon=True)
-    with suppress(RuntimeError):  # no thread to be had
+    with suppress(RuntimeError):  # no thread can be started
         saying.start()
         saying.join(_WORDS_S)
     os._exit(code)

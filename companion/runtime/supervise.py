@@ -1,9 +1,9 @@
-"""Lifetimes, in two fault domains.
+"""Supervise the service's parts in two fault domains.
 
-A vital part (the vehicle with the eyes and the filter, guidance) is started again when the outside world failed it; an error of
-ours ends it and with it the group, loudly, and whoever started the process starts it anew. A part beside the flight (recorder,
-links to people, metrics, the pulse for systemd) may fail in any way: it is started again, later and later, and given up when
-that does not help. Nothing of that reaches the vital parts.
+A vital part (the vehicle with vision and the filter; guidance) is restarted after a failure of the outside world. A bug of ours
+ends it and the whole group with an error, and the process manager restarts the process. A part beside the flight (recorder,
+links to people, metrics, the pulse for systemd) may fail in any way: it is restarted with growing back-off, and given up if
+that does not help. The vital parts are not affected.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Restart:
     """When a failed part is started again, and when it is given up."""
 
     first_s: float = 0.2
-    """The rest before the first restart, seconds."""
+    """The back-off before the first restart, seconds."""
     factor: float = 2.0
-    """Each further rest is this many times longer."""
+    """Each further back-off is this many times longer."""
     cap_s: float = 5.0
-    """The longest rest, seconds."""
+    """The longest back-off, seconds."""
     healthy_after_s: float = 5.0
     """A part that stayed up for this long starts over with `first_s`."""
     give_up_after: int = 10
@@ -46,7 +46,7 @@ class Restart:
 
     @property
     def back_off(self) -> BackOff:
-        """The rests, as `drivers.reconnect` takes them."""
+        """The back-off in the form that `drivers.reconnect` takes."""
         return BackOff(self.first_s, self.cap_s, self.healthy_after_s, self.factor)
 
 
@@ -61,9 +61,9 @@ async def keep_alive(name: str, body: Body, policy: Restart, health: Health, clo
 
 
 async def contain(name: str, body: Body, policy: Restart, health: Health, clock: Clock) -> None:
-    """Run a `body` beside the flight again after whatever it raises. Raises nothing but its own cancellation.
+    """Run a `body` beside the flight again after any error. This raises nothing but its own cancellation.
 
-    An error that is not the outside world's (`Recoverable`, `OSError`) is logged with its traceback the first time, and
+    An error that does not come from the outside world (`Recoverable`, `OSError`) is logged with its traceback the first time, and
     `policy.give_up_after` of them in a row end the part for good. A body that returns has finished.
     """
     in_a_row = 0
@@ -81,7 +81,7 @@ async def contain(name: str, body: Body, policy: Restart, health: Health, clock:
             raise
         except BaseException as error:
             why = error
-        if _cancelled():  # it failed on its way out
+        if _cancelled():  # it failed while it was being cancelled
             report("%s failed while it ended", name, why=why)
             raise asyncio.CancelledError from why
         if seconds_between(began, clock.now()) >= policy.healthy_after_s:
@@ -108,16 +108,16 @@ async def run(
     until: asyncio.Event | None = None,
     beside: Mapping[str, Body] | None = None,
 ) -> None:
-    """All parts until each vital one has returned, `until` is set, a vital one has failed for good, or we are cancelled.
+    """Run all parts until each vital one has returned, `until` is set, a vital one has failed for good, or we are cancelled.
 
-    The vital parts end first, so that the vehicle has its parting word whatever the others do; those have `CLOSE_S` then.
+    The vital parts end first, so that the vehicle gets its final hover burst whatever the others do; those then have `CLOSE_S`.
 
     Args:
-        parts: the vital ones.
-        beside: those that the flight does not need.
+        parts: the vital parts, by name.
+        beside: the parts that the flight does not need, by name.
 
     Raises:
-        ExceptionGroup: whatever escaped a vital part other than `Recoverable`.
+        ExceptionGroup: a vital part raised something other than `Recoverable`.
     """
     for name in parts:
         health.vital(name)
@@ -134,13 +134,13 @@ async def run(
 
 
 async def uncancelled(name: str, body: Body) -> None:
-    """Run `body`, where a cancellation that nobody asked for is a fault: a TaskGroup would take it for an orderly end.
+    """Run `body`, and treat a cancellation that nobody requested as a fault: a TaskGroup would take it for an orderly end.
 
-    So is `sys.exit`, in the body or in a task of its own: it would end the process in silence, and with 0 as if all were well.
-    That a task's `SystemExit` arrives here at all takes the loop of `companion.runtime.event_loop`; asyncio's own breaks.
+    `sys.exit` in the body or in one of its tasks is a fault too: it would end the process silently, and with exit code 0.
+    A task's `SystemExit` arrives here only with the loop of `companion.runtime.event_loop`; asyncio's own loop breaks.
 
     Raises:
-        RuntimeError: that fault.
+        RuntimeError: the body was cancelled by none of us, or called `sys.exit`.
     """
     try:
         await body()

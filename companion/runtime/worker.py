@@ -1,4 +1,4 @@
-"""One thread for long calls, that nobody ever waits for: neither a cancelled task nor the end of the process."""
+"""A thread for long calls. Neither a cancelled task nor the end of the process waits for it."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from typing import Any, TypeVar
 from estimator.contracts.errors import Recoverable
 
 WAITING = 4
-"""Calls that may wait behind one that does not come back."""
+"""Number of calls that may wait behind one that does not return."""
 
 T = TypeVar("T")
 
 
 class Worker:
-    """Runs one call after another on a daemon thread. A `ThreadPoolExecutor`'s threads are joined when Python ends: a call
-    that hangs in a library would hold the process, which then could not be started anew.
+    """Runs one call after another on a daemon thread. Python joins the threads of a `ThreadPoolExecutor` at exit, so a call
+    that hangs in a library would keep the process from ending and from being restarted.
 
     Args:
-        name: of the thread.
+        name: the name of the thread.
     """
 
     def __init__(self, name: str) -> None:
@@ -31,10 +31,10 @@ class Worker:
         self._thread.start()
 
     async def run(self, function: Callable[..., T], *args: Any) -> T:
-        """The function's result, computed on the thread. Cancelled, it leaves the call to itself.
+        """Run the function on the thread and return its result. After a cancellation the call goes on by itself.
 
         Raises:
-            Recoverable: `WAITING` calls wait behind one that does not come back.
+            Recoverable: `WAITING` calls wait behind one that does not return.
             Whatever the function raises.
         """
         loop = asyncio.get_running_loop()
@@ -56,7 +56,7 @@ class Worker:
                 result = function(*args)
             except BaseException as why:
                 error = why
-            with suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            with suppress(RuntimeError):  # the loop is closed, so nobody waits any more
                 loop.call_soon_threadsafe(settle, result, error)
 
         try:
@@ -67,7 +67,7 @@ class Worker:
 
     def close(self) -> None:
         """Take no more calls. The one that runs goes on by itself."""
-        with suppress(Full):  # then it never comes back, and ends with the process
+        with suppress(Full):  # then the running call never returns, and the thread ends with the process
             self._calls.put_nowait(None)
 
     def _work(self) -> None:
