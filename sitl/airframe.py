@@ -29,7 +29,7 @@ class Loops:
     """1/s."""
     climb_d: float = 1.0
     climb_i: float = 2.5
-    """1/s^2. Without it the cushion of air over the deck can hold the vehicle up for ever at a gentle landing speed."""
+    """1/s^2. Without it the ground effect over the deck can hold the vehicle up for ever at a gentle landing speed."""
     climb_i_max_m_s2: float = 4.0
     height_p: float = 1.0
     """1/s: climb rate asked per metre away from the height held."""
@@ -40,17 +40,17 @@ class Avionics:
     """How wrong the drone's own estimates are; these feed its own loops as well as its telemetry."""
 
     tilt_bias_sigma_rad: float = 0.009
-    """Of the constant part of the roll and pitch error, drawn once a flight."""
+    """Sigma of the constant part of the roll and pitch error, which is drawn once a flight."""
     tilt_drift_sigma_rad: float = 0.007
     tilt_drift_time_s: float = 1.0
-    """Correlation time of the wandering part."""
+    """Correlation time of the drifting part."""
     flow_scale: float = 0.83
-    """Velocity told over true velocity."""
+    """Measured velocity over true velocity."""
     flow_noise_sigma_m_s: float = 0.015
     flow_noise_time_s: float = 0.2
     flow_lag_s: float = 0.03
     flow_sees_deck: bool = True
-    """Over the deck the optical flow measures against the deck; False: always against the still water."""
+    """Whether the optical flow measures against the deck while over it. If False, it always measures against the still water."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,22 +58,22 @@ class Feet:
     """Four elastic feet, and the friction under them."""
 
     half_base_m: float = 0.13
-    """Each stands this far ahead or astern, and this far to the side."""
+    """Distance of each foot ahead or astern of the body's origin, and to the side of it."""
     below_m: float = 0.045
-    """Below the body's origin: its height over the deck when landed, as in the thesis' ground truth."""
+    """Distance of the feet below the body's origin: its height over the deck when landed, as in the thesis' ground truth."""
     top_m: float = 0.06
-    """Height of the hull over the body's origin: what it lies on when it came down the wrong way up."""
+    """Height of the hull's top over the body's origin: the vehicle lies on it after it came down upside down."""
     stiffness_n_m: float = 6000.0
-    """Of all four together: landed, they give 2.4 mm."""
+    """Stiffness of all four feet together: they give 2.4 mm when landed."""
     damping_ratio: float = 0.7
-    """Of critical: nearly no rebound."""
+    """Damping over critical damping: there is nearly no rebound."""
     friction: float = 0.6
     """Coulomb's coefficient, foam or rubber on painted steel (assumed)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """What does not change in flight. Mass, inertia and largest force are those of the thesis' simulator."""
+    """The figures that do not change in flight. Mass, inertia and largest force are those of the thesis' simulator."""
 
     mass_kg: float = 1.477
     inertia_kg_m2: tuple[float, float, float] = (0.01152, 0.01152, 0.0218)
@@ -83,12 +83,12 @@ class Airframe:
     motor_lag_s: float = 0.05
     """First-order lag of thrust and torque behind their commands."""
     command_delay_s: float = 0.04
-    """From the arrival of a stick command to its effect on the loops."""
+    """Delay from the arrival of a stick command to its effect on the loops."""
     arm_m: float = 0.127
-    """Of each rotor's axis, ahead or astern and to the side: 0.36 m between diagonal ones."""
+    """Distance of each rotor's axis ahead or astern and to the side: diagonal rotors are 0.36 m apart."""
     rotor_radius_m: float = 0.10
     rotors_above_m: float = 0.03
-    """Rotor plane above the body's origin."""
+    """Height of the rotor plane above the body's origin."""
     yaw_torque_per_thrust_m: float = 0.02
     """Drag torque of a rotor over its thrust (assumed)."""
     drag_per_s: tuple[float, float, float] = (0.35, 0.35, 0.2)
@@ -98,7 +98,7 @@ class Airframe:
     take_off_speed_m_s: float = 0.5
     take_off_height_m: float = 1.0
     motors_off_after_s: float = 0.2
-    """Of contact while landing by itself."""
+    """Time of contact after which an automatic landing stops the motors."""
     tilt_cut_off_rad: float = 1.2
     """Motors stop beyond this tilt, as the real drone's do."""
     loops: Loops = field(default_factory=Loops)
@@ -108,7 +108,7 @@ class Airframe:
 
 @dataclass(slots=True)
 class StickLimits:
-    """What a full stick means. Settable in flight."""
+    """The values that a full stick asks for. They can be set in flight."""
 
     euler_angle_max_rad: float = 0.21
     vz_max_m_s: float = 0.7

@@ -1,7 +1,7 @@
-"""The same formulae over plain floats (one vehicle) and over (B,) arrays (many): what the two need different words for.
+"""Elementary functions that let one formula run over plain floats (one vehicle) and over (B,) arrays (many vehicles).
 
 One vehicle in plain floats steps several times faster than numpy arrays of length one; a thousand vehicles need the arrays.
-Written once over this small vocabulary, a formula cannot differ between the two.
+A formula that is written once over these functions cannot differ between the two.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class MathBackend(Protocol):
 
 
 class Floats:
-    """One vehicle."""
+    """The backend for one vehicle: plain floats."""
 
     def where(self, flag: Flag, yes: Num, no: Num) -> Num:
         return yes if flag else no
@@ -66,7 +66,7 @@ class Floats:
 
 
 class Arrays:
-    """Many vehicles."""
+    """The backend for many vehicles: (B,) arrays."""
 
     def where(self, flag: Flag, yes: Num, no: Num) -> Num:
         return np.where(flag, yes, no)
@@ -97,7 +97,7 @@ class Arrays:
 
 
 def rotation_of(q: tuple[Num, Num, Num, Num]) -> tuple[Vec, Vec, Vec]:
-    """Rows of R_a_b of a unit Hamilton quaternion (w, x, y, z)."""
+    """Return the rows of R_a_b for a unit Hamilton quaternion (w, x, y, z)."""
     w, x, y, z = q
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
@@ -107,14 +107,14 @@ def rotation_of(q: tuple[Num, Num, Num, Num]) -> tuple[Vec, Vec, Vec]:
 
 
 def rotate(rows: tuple[Vec, Vec, Vec], v: Vec) -> Vec:
-    """R v."""
+    """Return R v."""
     a, b, c = rows
     x, y, z = v
     return (a[0] * x + a[1] * y + a[2] * z, b[0] * x + b[1] * y + b[2] * z, c[0] * x + c[1] * y + c[2] * z)
 
 
 def inverse_rotate(rows: tuple[Vec, Vec, Vec], v: Vec) -> Vec:
-    """R^T v."""
+    """Return R^T v."""
     a, b, c = rows
     x, y, z = v
     return (a[0] * x + b[0] * y + c[0] * z, a[1] * x + b[1] * y + c[1] * z, a[2] * x + b[2] * y + c[2] * z)
@@ -137,7 +137,7 @@ def product(p: tuple[Num, Num, Num, Num], q: tuple[Num, Num, Num, Num]) -> tuple
 
 
 def quaternion_of_rpy(m: MathBackend, roll: Num, pitch: Num, yaw: Num) -> tuple[Num, Num, Num, Num]:
-    """Of Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return the unit quaternion (w, x, y, z) of Rz(yaw) Ry(pitch) Rx(roll)."""
     cr, sr, cp, sp = m.cos(0.5 * roll), m.sin(0.5 * roll), m.cos(0.5 * pitch), m.sin(0.5 * pitch)
     cy, sy = m.cos(0.5 * yaw), m.sin(0.5 * yaw)
     return (
@@ -149,6 +149,6 @@ def quaternion_of_rpy(m: MathBackend, roll: Num, pitch: Num, yaw: Num) -> tuple[
 
 
 def rpy_of(m: MathBackend, rows: tuple[Vec, Vec, Vec]) -> Vec:
-    """(roll, pitch, yaw) of Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return (roll, pitch, yaw), rad, of the rows of Rz(yaw) Ry(pitch) Rx(roll)."""
     a, b, c = rows
     return m.atan2(c[1], c[2]), m.asin(m.clip(-c[0], -1.0, 1.0)), m.atan2(b[0], a[0])

@@ -1,4 +1,4 @@
-"""Standing and landing: what a moving deck, or the water, does to the vehicle that touches it."""
+"""Contact forces of a moving deck, and buoyancy in the water, for a vehicle that touches them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sitl.sea import GRAVITY_M_S2
 
 Rows = tuple[Vec, Vec, Vec]
 DEEPEST_M = 0.3
-"""Farther below the deck's plane is under it, not in it: more than the hardest fall reaches in a step."""
+"""Depth below the deck's plane beyond which a point is under the deck and not in contact. No fall reaches it in one step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class Ground:
 
     @staticmethod
     def of(p_ned: F64, v_ned: F64, R_ned_pad: F64, w_pad: F64, sea_z: Num = 0.0, sea_vz: Num = 0.0) -> Ground:
-        """From arrays (3,), (3,), (3, 3), (3,), or the same with a leading batch axis."""
+        """Return the ground for arrays (3,), (3,), (3, 3), (3,), or the same with a leading batch axis."""
         if p_ned.ndim == 1:
             a, b, c = R_ned_pad.tolist()
             return Ground(tuple(p_ned.tolist()), tuple(v_ned.tolist()), (tuple(a), tuple(b), tuple(c)), tuple(w_pad.tolist()),
@@ -80,14 +80,14 @@ class Ground:
 
     @staticmethod
     def nowhere() -> Ground:
-        """No deck and no water within reach: for flights that are to meet neither."""
+        """Return a ground without deck or water within reach, for flights that meet neither."""
         far = 1e6
         return Ground((0.0, 0.0, far), (0.0,) * 3, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0,) * 3, far)
 
 
 @dataclass(slots=True)
 class Relative:
-    """The body as the deck sees it, all in the pad frame."""
+    """The body's motion relative to the deck, all in the pad frame."""
 
     d: Vec
     """m, the body's origin from the pad's centre."""
@@ -108,7 +108,7 @@ class Relative:
 
 
 def relative(ground: Ground, p: Vec, v: Vec, body: Rows, w_body: Vec) -> Relative:
-    """Of a body at `p` with velocity `v` (ned), R_ned_body `body` and rates `w_body`."""
+    """Return the relative motion of a body at `p` with velocity `v` (ned), R_ned_body `body` and rates `w_body`."""
     d = inverse_rotate(ground.R, (p[0] - ground.p[0], p[1] - ground.p[1], p[2] - ground.p[2]))
     u = inverse_rotate(ground.R, (v[0] - ground.v[0], v[1] - ground.v[1], v[2] - ground.v[2]))
     carried = cross(ground.w, d)
@@ -126,22 +126,23 @@ def relative(ground: Ground, p: Vec, v: Vec, body: Rows, w_body: Vec) -> Relativ
 
 @dataclass(slots=True)
 class ContactForce:
-    """What the feet pass on to the body."""
+    """The force and torque that the feet exert on the body."""
 
     force: Vec
     """N, in the pad frame."""
     torque: Vec
     """N m, in the pad frame, about the body's origin."""
     touching: Num
-    """How many feet or corners."""
+    """Number of feet or corners in contact."""
 
 
 def contact_force(m: MathBackend, shape: DeckShape, airframe: Airframe, r: Relative, step_s: float) -> ContactForce:
-    """Spring and damper normal to the deck under each foot (and each upper corner of a body on its side), friction along it.
+    """Return the contact force of the deck on the body.
 
-    Friction is what would stop the foot within a few steps, but no more than the coefficient times the normal force: it
-    neither chatters nor depends on a made-up slip speed. What it cannot do is hold still on a slope for ever; `Vehicle`
-    ties a resting body to the deck.
+    A spring and a damper act normal to the deck under each foot (and each upper corner of a body on its side), and friction acts
+    along the deck. The friction would stop the foot within a few steps, but is at most the coefficient times the normal force: it
+    neither chatters nor depends on a made-up slip speed. It cannot hold a body still on a slope for ever, so `Vehicle` ties a
+    resting body to the deck.
     """
     feet = airframe.feet
     k = feet.stiffness_n_m / 4.0
@@ -175,7 +176,10 @@ def contact_force(m: MathBackend, shape: DeckShape, airframe: Airframe, r: Relat
 
 
 def buoyancy(m: MathBackend, airframe: Airframe, wet: Flag, depth: Num, v: Vec, w: Vec, sea_vz: Num) -> tuple[Vec, Vec]:
-    """Acceleration in ned and torque in body of what lies in the water `depth` m deep: buoyant, heavily damped, full of foam."""
+    """Return the acceleration in ned and the torque in body of a vehicle that lies `depth` m deep in the water.
+
+    The vehicle is full of foam, so it is buoyant, and it is heavily damped.
+    """
     up = m.clip(depth / 0.06, 0.0, 3.0) * GRAVITY_M_S2
     ix, iy, iz = airframe.inertia_kg_m2
     return (

@@ -27,7 +27,7 @@ class Wind:
     v_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """m/s, where the air moves to."""
     gust_sigma_m_s: float = 0.0
-    """Of each horizontal component; the vertical one has half of it."""
+    """Sigma of each horizontal component; the vertical component has half of it."""
     gust_time_s: float = 2.0
 
 

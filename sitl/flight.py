@@ -49,38 +49,38 @@ _WATCH_EACH = 10
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How late things are."""
+    """The delays of the simulated service."""
 
     frame_period_s: float = 1.0 / 30.0
     frame_delay_s: float = 0.09
-    """From mid-exposure to the frame in hand: half the exposure, encoder, link, decoder."""
+    """Delay from mid-exposure to the frame's arrival: half the exposure, encoder, link, decoder."""
     vision_s: float = 0.01
-    """That vision takes for a frame."""
+    """Time that vision takes for a frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class FlightResult:
-    """How it ended."""
+    """The result of one flight."""
 
     outcome: FlightOutcome | None
-    """None when the scenario's time ran out."""
+    """The pilot's outcome; None if the scenario's time ran out."""
     duration_s: float
     touchdown: Touchdown | None
     """The newest contact."""
     health: Health
     truth: Truth
-    """At the end."""
+    """The true state at the end of the flight."""
     blind: BlindDescent
     """The deepest descent without true sight of the pad."""
     unsafe: tuple[str, ...]
-    """What was unsafe, one line each."""
+    """The unsafe events, one line each."""
     grade: Grade
     because: str
-    """Why it is worth that."""
+    """The reason for the grade."""
     refused: str | None
-    """Why it gave up, None where it did not."""
+    """The reason why the pilot gave up; None if it did not."""
     faults: tuple[tuple[str, float], ...]
-    """The faults that began, by kind, and when in seconds after the start."""
+    """The kind of each fault that began, and the time at which it began, in seconds after the start."""
 
     @property
     def landed_on_pad(self) -> bool:
@@ -199,7 +199,7 @@ class Flight:
             self._send(self._arbiter.commands(now))
 
     def run(self) -> FlightResult:
-        """To the end."""
+        """Run the flight to its end."""
         while self.step():
             pass
         return self.result()
@@ -324,7 +324,7 @@ class Flight:
             observer.on_decision(decision)
 
     def result(self) -> FlightResult:
-        """How it ended, or how it stands."""
+        """Return the result of the flight: final if it has ended, else the result so far."""
         truth, outcome = self.world.truth(), self._pilot.outcome
         unsafe = dangers(self._watch.worst, truth.contacts, self._died)
         alone = self.world.active("service_killed") or self.world.active("link_lost")

@@ -1,4 +1,4 @@
-"""Light on the scene and what the sensor makes of it.
+"""The light on the scene and the sensor model.
 
 Everything between paint and frame is computed in linear light, because a lens and a sensor add up light and the tone curve
 comes last. Adding up sRGB values instead moves the place where an edge crosses half way, by a fifth of a pixel between dark and
@@ -27,9 +27,9 @@ class Light:
     """How the scene is lit, and what lies between it and the sensor."""
 
     colour_temperature_k: float = 6500.0
-    """Of the light, 1700 to 25000 K."""
+    """Colour temperature of the light, 1700 to 25000 K."""
     balanced_for_k: float | None = 6500.0
-    """What the camera takes for white; None when it follows the light without error."""
+    """Colour temperature that the camera takes for white; None if the camera follows the light without error."""
     white_balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Gains on red, green and blue beyond that: an error of 20 % is (1.2, 1, 1) or the like."""
     exposure_ev: float = 0.0
@@ -38,15 +38,15 @@ class Light:
     """Share of light lost in the corners of the frame."""
     sun_elevation_rad: float = math.radians(55.0)
     sun_azimuth_rad: float = math.radians(140.0)
-    """Clockwise from north, where the sun stands."""
+    """Azimuth of the sun, clockwise from north."""
     drone_shadow: float = 0.45
     """Share of light that the drone's own shadow takes away; 0 under a cloudy sky."""
     glare: float = 0.0
     """Mirrored sun on the pad: light added at the spot's centre, in units of white paint."""
     glare_centre_m: tuple[float, float] = (0.12, 0.08)
-    """In `pad`."""
+    """Centre of the glare spot in `pad`."""
     glare_radius_m: float = 0.225
-    """Where the spot has fallen to a half; 0.225 m covers a third of the thesis' disc."""
+    """Radius at which the spot has fallen to a half; 0.225 m covers a third of the thesis' disc."""
     wetness: float = 0.0
     """0 dry to 1 soaked: darker paint, and puddles that mirror the sky."""
     wear: float = 0.06
@@ -85,7 +85,7 @@ class Sensor:
 
     exposure_s: float = 0.008
     psf_sigma_px: float = 0.6
-    """Of the lens and the colour filter's interpolation together, Gaussian; the square pixel comes on top."""
+    """Sigma of the Gaussian blur of the lens and the colour filter's interpolation together; the square pixel adds to it."""
     full_well_e: float = 8000.0
     """Electrons at full scale: sets the shot noise."""
     read_noise_e: float = 12.0
@@ -152,7 +152,7 @@ def _noise_bank() -> F32:
 
 
 class Development:
-    """From paint values to light and from light to the frame, for one light and one sensor."""
+    """The sensor model: it turns paint values into light and light into the frame, for one light and one sensor."""
 
     def __init__(self, light: Light, sensor: Sensor) -> None:
         self._sensor = sensor
@@ -161,11 +161,11 @@ class Development:
         """(1, 256, 3) light of every paint value, light and exposure put in."""
 
     def expose(self, paint: U8) -> F32:
-        """(H, W, 3) paint values to light."""
+        """Return the light of (H, W, 3) paint values."""
         return np.asarray(cv2.LUT(paint, self.table), dtype=np.float32)
 
     def blur(self, light: F32) -> F32:
-        """The lens."""
+        """Return the light after the blur of the lens."""
         sigma = self._sensor.psf_sigma_px
         if sigma < 0.05:
             return light

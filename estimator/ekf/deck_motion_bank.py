@@ -24,16 +24,16 @@ ZETAS = np.array([0.2, 0.35, 0.55])
 SIGMAS_M = np.array([0.02, 0.055, 0.15, 0.42, 1.15])
 SIGMAS_RAD = np.radians([0.25, 0.7, 2.0, 5.5, 15.0])
 STATIC_PRIOR = 0.5
-"""Before anything is seen."""
+"""Probability, before the first sighting, that the deck stands still."""
 _REST_ODDS = math.log(STATIC_PRIOR / (1.0 - STATIC_PRIOR))
 MEMORY_S = 180.0
 """Evidence fades over this time, so that another sea is learned."""
 PERIOD_S = 0.2
 """Members look at most this often; a wave is seen dozens of times anyway."""
 _SHARE_OF_EVIDENCE = 0.6
-"""What the evidence for a member counts in a forecast."""
+"""Weight that a forecast gives to the evidence for a member."""
 _NIS_MAX = 16.0
-"""Beyond, a surprise counts no more against a member."""
+"""NIS beyond which an innovation counts no more against a member."""
 
 
 def _grid() -> tuple[F64, F64, F64, F64]:
@@ -75,9 +75,10 @@ class Carrying(NamedTuple):
 
 
 def carrying(asd_accel_m_s2: float, asd_gyro_rad_s: float, asd_accel_bias_m_s3: float) -> Carrying:
-    """Of an IMU: the accelerometer's noise everywhere, its bias's wandering downwards, and sideways the tilt's, times gravity.
+    """Return the dead-reckoning errors of an IMU.
 
-    A tilt that is held level wanders by the gyro's noise and by as much again that the levelling brings in.
+    The accelerometer's noise acts in every direction, its bias drift acts downwards, and the tilt drift times gravity acts
+    sideways. A tilt that is held level drifts by the gyro's noise and by as much again from the levelling.
     """
     sideways, asd_tilt = np.array([1.0, 1.0, 0.0, 0.0, 0.0]), math.sqrt(2.0) * asd_gyro_rad_s
     return Carrying(
@@ -110,7 +111,7 @@ class DeckMotionBank(NamedTuple):
 
 
 def unknown() -> DeckMotionBank:
-    """Nothing seen yet."""
+    """Return a bank that has received no sighting."""
     P = np.zeros((*SIGMA.shape, _SIZE, _SIZE))
     P[:, :, :4, :4] = (SIGMA**2)[:, :, None, None] * AT_REST
     for i in range(3):
@@ -120,7 +121,7 @@ def unknown() -> DeckMotionBank:
 
 
 def observe(sea: DeckMotionBank, t: int, y: F64, var: F64, by: Carrying, reach_m: float) -> DeckMotionBank:
-    """Take one look at the deck.
+    """Update the bank with one sighting of the deck.
 
     Args:
         t: ns.
@@ -183,7 +184,7 @@ class Ahead(NamedTuple):
 
 
 def ahead(sea: DeckMotionBank, t: int, rate: F64, horizons_s: F64) -> Ahead:
-    """Foretell the waves from `t` (ns) on.
+    """Forecast the waves from `t`, ns, on.
 
     Every member goes on from its own state: what pushes it belongs to its own period and damping, and another's would send it
     elsewhere. Only the present rate is the main filter's, which has seen more.

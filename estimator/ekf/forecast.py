@@ -1,4 +1,4 @@
-"""What the deck will do in the next seconds, with bands. Every member of the bank has its say, by its weight."""
+"""Forecast of the deck's motion in the next seconds, with bands. Every member of the bank contributes by its weight."""
 
 from __future__ import annotations
 
@@ -76,7 +76,10 @@ class Forecast:
 
 
 def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
-    """From a settled belief. Waves are the bank's: means and covariances are those of the mixture over its members."""
+    """Return the forecast from a settled belief.
+
+    The waves come from the bank: their means and covariances are those of the mixture over its members.
+    """
     h = np.asarray(horizons_s, dtype=float)
     n = h.size
     x, P = b.x, b.P
@@ -128,7 +131,7 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
 
 
 def probability_of_motion(b: Belief, prior_rest: float = 0.5) -> float:
-    """That the vessel is under way, or rocking: from the bank's evidence and from the steady velocity."""
+    """Return the probability that the vessel is under way or rocks, by the bank's evidence and the steady velocity."""
     evidence = deck_motion_bank.log_evidence_of_rest(b.sea)
     north, east = b.x[VESSEL_VEL].tolist()
     (nn, ne), (_, ee) = b.P[VESSEL_VEL, VESSEL_VEL].tolist()

@@ -1,4 +1,4 @@
-"""What is believed and what is refused; and the way back when it was the belief that was wrong."""
+"""The innovation gate, and the reset criterion for a belief that was wrong."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ _CHI2 = {
 """Chi-square by probability of exceeding it, for 1 to 9 degrees of freedom."""
 
 _GROWTH_M_S = 2.0
-"""By how much two looks at the same thing may come to differ a second, the belief drifting between them: a deck whose heave is
-not learned yet leaves it at 1 to 2 m/s."""
+"""Rate at which two sightings of the same object may come to differ because the belief drifts between them. A deck whose heave
+is not learned yet moves away from the belief at 1 to 2 m/s."""
 _GROWTH_MAX_M = 0.6
 
 
 def nis_max(probability: float, dof: int) -> float:
-    """What the NIS of an honest measurement of `dof` numbers exceeds with this probability."""
+    """Return the limit that the NIS of a consistent measurement of `dof` numbers exceeds with this probability."""
     return _CHI2[probability][dof - 1]
 
 
 def extended(streak: RejectionStreak, t: int, offset_ned: F64, var_m2: float) -> RejectionStreak:
-    """One more refused sighting: it joins the row when it says what the last one said, else it begins a new one.
+    """Return the streak with one more rejected sighting, or a new streak if the sighting contradicts the last one.
 
     Args:
-        t: ns, when it was true.
-        offset_ned: (3,) m, seen less believed.
-        var_m2: variance of one component of what was seen.
+        t: instant at which the sighting was measured, ns.
+        offset_ned: (3,) measured minus predicted position, m.
+        var_m2: variance of one component of the measured position.
     """
     x, y, z = offset_ned.tolist()
     fresh = RejectionStreak(1, t, t, (x, y, z), var_m2)
@@ -49,22 +49,22 @@ def extended(streak: RejectionStreak, t: int, offset_ned: F64, var_m2: float) ->
 
 
 def should_reset(streak: RejectionStreak, agreed: int, options: EkfOptions) -> bool:
-    """Whether the row of refusals outweighs the belief. A belief that few sightings made needs few to be overthrown."""
+    """Tell whether the rejection streak outweighs the belief. A belief made by few sightings is reset by few."""
     if agreed < 3:
         return streak.n > agreed
     return streak.n >= options.reopen_count and (streak.last - streak.since) * 1e-9 >= options.reopen_s
 
 
 def consistent(nis_mean: float) -> bool:
-    """Whether the recent mean of NIS over degrees of freedom is one that an honest covariance gives."""
+    """Tell whether the recent mean of NIS over degrees of freedom is one that a consistent covariance gives."""
     return nis_mean < 2.0
 
 
 def mean_of(nis_mean: float, nis: float, dof: int) -> float:
-    """The recent mean with one more: half of it is renewed by some fourteen sightings."""
+    """Return the recent mean after one more NIS. Some fourteen sightings renew half of it."""
     return nis_mean + 0.05 * (min(nis / dof, 20.0) - nis_mean)
 
 
 def sigma_of(cov: F64) -> float:
-    """Root of the mean variance of a (3, 3) covariance."""
+    """Return the root of the mean variance of a (3, 3) covariance."""
     return math.sqrt(max(float(np.trace(cov)) / 3.0, 0.0))

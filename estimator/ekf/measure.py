@@ -1,6 +1,7 @@
-"""What each measurement ought to read, and how that depends on the state: innovation, Jacobian, noise.
+"""The measurement models: innovation, Jacobian and noise of each sensor's sample.
 
-Derivation: docs/estimator.md, section "Measurements". Every function takes the settled state's parts and returns a `Row`.
+Derivation: docs/estimator.md, section "Measurements". Each model takes the parts of the settled state and returns a
+`LinearizedMeasurement`.
 """
 
 from __future__ import annotations
@@ -50,10 +51,10 @@ _NONE = np.zeros((0, N))
 _ROLL, _PITCH = int(DECK_DISP[3]), int(DECK_DISP[4])
 NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
 _NOT_A_PART = 1.5
-"""An attitude's error this many times the covariance that should hold it is no part of it; what vision linearises otherwise than
-the filter makes a few hundredths."""
+"""An attitude covariance above this many times the covariance that should contain it is no part of it. The different
+linearisations of vision and filter cause a few hundredths."""
 KNOWN_YAW_VAR = 2.0
-"""rad^2; a heading with more says nothing."""
+"""Variance, rad^2, above which a heading carries no information."""
 
 BY_ATTITUDE, BY_HEIGHT = np.zeros((3, N)), np.zeros((1, N))
 """(3, N), (1, N): the Jacobians of `attitude` and `height`, the same at any state."""
@@ -65,31 +66,31 @@ BY_HEIGHT.setflags(write=False)
 
 
 class LinearizedMeasurement(NamedTuple):
-    """A linearised measurement of m numbers."""
+    """A measurement of m numbers, linearised about the state."""
 
     innov: F64
-    """(m,) measured minus predicted."""
+    """(m,) innovation: measured minus predicted."""
     H: F64
-    """(m, N) of the prediction, by the error state."""
+    """(m, N) Jacobian of the prediction with respect to the error state."""
     R: F64
-    """(m, m)."""
+    """(m, m) covariance of the measurement noise."""
     G: F64
-    """(3, N) of a sighting: how the rate of what it shows depends on the state; (0, N) of all else."""
+    """(3, N) Jacobian of the rate of the position that a sighting shows; (0, N) for every other measurement."""
 
 
 class PadAttitude(NamedTuple):
-    """How the pad stands and turns."""
+    """The pad's attitude and angular velocity."""
 
     R: F64
     """(3, 3) R_ned_pad."""
     axes: F64
-    """(3, 3): its columns are the axes, in ned, about which roll, pitch and heading turn the pad."""
+    """(3, 3) matrix whose columns are the axes, in ned, about which roll, pitch and heading turn the pad."""
     w_ned: F64
-    """(3,) rad/s."""
+    """(3,) angular velocity in ned, rad/s."""
 
 
 def deck(x: F64) -> PadAttitude:
-    """From heading, list, and the oscillators of roll and pitch."""
+    """Return the pad's attitude by its heading, its list and trim, and the oscillators of roll and pitch."""
     roll, pitch, yaw = float(x[_ROLL] + x[DECK_TRIM[0]]), float(x[_PITCH] + x[DECK_TRIM[1]]), float(x[PAD_YAW])
     R = rpy_matrix(roll, pitch, yaw)
     c, s = math.cos(yaw), math.sin(yaw)
@@ -99,14 +100,14 @@ def deck(x: F64) -> PadAttitude:
 
 
 def v_pad_ned(x: F64) -> F64:
-    """(3,) m/s."""
+    """Return the velocity of the pad's centre in ned, (3,) m/s."""
     v = x[DECK_RATE[:3]].copy()
     v[:2] += x[VESSEL_VEL] + x[SWAY_PER_HEAVE] * v[2]
     return v
 
 
 def by_v_pad_ned(x: F64) -> F64:
-    """(3, N) Jacobian of `v_pad_ned`."""
+    """Return the (3, N) Jacobian of `v_pad_ned`."""
     J = np.zeros((3, N))
     J[[0, 1], [VESSEL_NORTH, VESSEL_EAST]] = 1.0
     J[[0, 1, 2], DECK_RATE[:3]] = 1.0
@@ -130,21 +131,22 @@ def sighting(
     *,
     place_only: bool = False,
 ) -> LinearizedMeasurement:
-    """Place of the pad in the body's own axes, and its heading or whole orientation.
+    """Return the measurement of the pad's position in body axes, and of its heading or whole orientation.
 
-    A sighting is written in `level`, which vision found with the vehicle's own attitude. Turned back by that attitude it is what
-    the camera saw, free of that attitude's error.
+    A sighting is written in `level`, which vision found with the vehicle's own attitude. The inverse rotation by that attitude
+    gives what the camera saw, without that attitude's error.
 
-    When the frame is later than its stamp, so is the deck in it. The state's deck is the one the camera shows: its waves cannot
-    be told from the same waves a little later, so only the body's motion is turned back by the delay (`aligned` does the rest).
+    When the frame is later than its stamp, the deck in it is later too. The state holds the deck that the camera shows: its waves
+    cannot be told from the same waves a little later. So only the body's motion is corrected by the delay; `aligned`
+    does the rest.
 
     Args:
         x: (N,), R: (3, 3) R_ned_body, at the sighting's stamp.
         w: (3,) rad/s, gyro as measured, smoothed.
         levelled_by: (3, 3) R_ned_body by the vehicle's own attitude; None when the filter's own must do.
-        cov_levelled_by: (3, 3) rad^2, part of the sighting's covariance that is that attitude's; zeros to leave it in.
-        yaw_sigma: rad, how well the relative heading is believed: an ambiguous heading is of use only when it is.
-        place_only: leave out what it says of heading and orientation.
+        cov_levelled_by: (3, 3) rad^2, the part of the sighting's covariance that comes from that attitude; zeros leave it in.
+        yaw_sigma: sigma of the relative heading, rad: an ambiguous heading is of use only when the sigma is small.
+        place_only: use the position only, without heading and orientation.
     """
     A = levelling(R, levelled_by)
     E = so3.exp(-x[CAMERA_MOUNT])
@@ -179,7 +181,7 @@ def sighting(
     H[:3] += late * by_rate
     H[:3, CAMERA_MOUNT] = E.dot(skew(shown)).dot(jl)
     H[:3, CAMERA_DELAY] = E.dot(rates)
-    # How an error of the levelling attitude, about body axes, moves what vision reports: by its tilt, never by its heading.
+    # An error of the levelling attitude, about body axes, changes what vision reports by its tilt and never by its heading.
     tilt = A - np.outer(_DOWN, so3.heading_row(A).dot(A))
     J = np.zeros((m, 3))
     d_level = s.d_body_pad_level if whole is None else whole.d_body_pad_level
@@ -225,9 +227,9 @@ def sighting(
 
 
 def aligned(b: Belief) -> tuple[F64, F64]:
-    """(N,) state with the deck brought from the camera's time to the body's, and (N, N) what that does to errors.
+    """Return the (N,) state with the deck moved from the camera's time to the body's, and the (N, N) Jacobian of that.
 
-    For what leaves the filter, not for going on.
+    The result is for the filter's output; the filter does not continue from it.
     """
     late, rate = float(b.x[CAMERA_DELAY]), b.x[DECK_RATE]
     x = b.x.copy()
@@ -246,22 +248,22 @@ def aligned(b: Belief) -> tuple[F64, F64]:
 
 
 def levelling(R: F64, levelled_by: F64 | None) -> F64:
-    """(3, 3) R_level_body that vision used."""
+    """Return the (3, 3) R_level_body that vision used."""
     source = R if levelled_by is None else levelled_by
     return np.asarray(so3.about_down(-so3.heading(source)).dot(source))
 
 
 def seen_from_body(s: Sighting, A: F64) -> F64:
-    """(3,) m, the pad in body axes as the camera's file has them."""
+    """Return the pad's position in body axes by the mounting in the camera's file, (3,) m."""
     d_level = s.d_body_pad_level if s.pose6 is None else s.pose6.d_body_pad_level
     return np.asarray(A.T.dot(d_level))
 
 
 def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
-    """`cov` less `J cov_attitude J'`, of every direction at least the share `keep` being left.
+    """Return `cov` minus `J cov_attitude J'`; at least the share `keep` of each direction remains.
 
-    A `cov` that is clearly too small to hold that part in some direction comes from an attitude that was taken as exact: it is
-    left whole.
+    A `cov` that is clearly too small to contain that part in some direction comes from an attitude that was taken as exact. It is
+    returned unchanged.
     """
     part = J.dot(cov_attitude).dot(J.T)
     if not part.any():
@@ -285,22 +287,24 @@ def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
 
 
 def attitude(x: F64, R: F64, seen: F64, cov_body: F64) -> LinearizedMeasurement:
-    """The vehicle's own attitude, (3, 3) R_ned_body, and its constant error of tilt."""
+    """Return the measurement of the vehicle's own attitude, (3, 3) R_ned_body, which has a constant tilt error."""
     return LinearizedMeasurement(attitude_innov(x, R, seen), BY_ATTITUDE, cov_body, _NONE)
 
 
 def attitude_innov(x: F64, R: F64, seen: F64) -> F64:
-    """(3,) of `attitude`."""
+    """Return only the innovation of `attitude`, (3,) rad."""
     innov = so3.log(R.T.dot(seen))
     innov[:2] -= x[ATT_BIAS]
     return innov
 
 
 def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> LinearizedMeasurement | None:
-    """Velocity in `level`: horizontally with the sensor's scale, vertically without; None when no axis was measured.
+    """Return the measurement of a velocity in `level`, or None if no axis was measured.
+
+    The sensor's scale applies to the horizontal components only.
 
     Args:
-        share_pad: 0 for a velocity over the ground, 1 for one over the pad's deck, between for a doubt between the two.
+        share_pad: 0 for a velocity over the ground, 1 for one over the pad's deck, and a value between if that is uncertain.
     """
     axes = measured_axes(cov_level)
     if not axes:
@@ -324,13 +328,13 @@ def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> 
 
 
 def measured_axes(cov_level: F64) -> tuple[int, ...]:
-    """Which of forward, right, down a velocity has."""
+    """Return the indices of the components, out of forward, right and down, that a velocity has."""
     var = cov_level.diagonal().tolist()
     return tuple([i for i in (0, 1, 2) if var[i] < NOT_MEASURED_VAR])
 
 
 def measured_velocity(v_ned: F64, R: F64, scale: float) -> F64:
-    """(3,) in `level`, what a sensor with that scale tells of a velocity."""
+    """Return what a sensor with that scale measures of a velocity, (3,) m/s in `level`."""
     x, y, z = v_ned.tolist()
     ahead, aside = float(R[0, 0]), float(R[1, 0])
     k = scale / math.hypot(ahead, aside)
@@ -338,7 +342,10 @@ def measured_velocity(v_ned: F64, R: F64, scale: float) -> F64:
 
 
 def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> LinearizedMeasurement | None:
-    """Along the body's down axis to the plane of the deck, plus an error of its own; None where that axis does not meet it."""
+    """Return the measurement of the distance along the body's down axis to the deck's plane, or None if they do not meet.
+
+    The sensor has a constant error, `RANGE_OFFSET`.
+    """
     pad = deck(x)
     n, c = pad.R[:, 2], R[:, 2]
     cosine = float(n.dot(c))
@@ -358,7 +365,7 @@ def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> LinearizedMeasur
 
 
 def height(x: F64, height_m: float, sigma_m: float) -> LinearizedMeasurement:
-    """Barometric height: over the pad's mean level, plus an offset of its own."""
+    """Return the measurement of the barometric height over the pad's mean level, which has an offset."""
     below = x[POS_DOWN] - x[DECK_DISP[2]]
     return LinearizedMeasurement(
         np.array([height_m - (below + x[BARO_OFFSET])]), BY_HEIGHT, np.array([[sigma_m * sigma_m]]), _NONE
@@ -366,12 +373,12 @@ def height(x: F64, height_m: float, sigma_m: float) -> LinearizedMeasurement:
 
 
 def vessel_velocity(x: F64, v_ned: F64, cov_ned: F64) -> LinearizedMeasurement:
-    """What the ship's own navigation says: steady and wave motion together."""
+    """Return the measurement of the velocity that the ship's own navigation reports: steady and wave motion together."""
     return LinearizedMeasurement(v_ned - v_pad_ned(x), by_v_pad_ned(x), cov_ned, _NONE)
 
 
 def vessel_heading(x: F64, heading_rad: float, sigma_rad: float) -> LinearizedMeasurement:
-    """Heading of the arrow as the ship tells it."""
+    """Return the measurement of the arrow's heading that the ship reports."""
     H = np.zeros((1, N))
     H[0, PAD_YAW] = 1.0
     return LinearizedMeasurement(np.array([wrap(heading_rad - float(x[PAD_YAW]))]), H, np.array([[sigma_rad * sigma_rad]]), _NONE)
