@@ -37,7 +37,7 @@ class OutputOptions:
 
     pad_radius_m: float
     rate_hz: float = 25.0
-    """The rate of LANDING_TARGET; ArduPilot needs at least 3 Hz, 10 to 50 Hz are comfortable."""
+    """The rate of LANDING_TARGET; ArduPilot starts at 3 Hz, and 10 to 50 Hz are comfortable."""
     stale_s: float = 0.5
     """The time without a sighting after which the pad is no longer sent."""
     ranges: Literal["auto", "on", "off"] = "auto"

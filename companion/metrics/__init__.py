@@ -1,1 +1,1 @@
-"""Health for Prometheus: `exposition` without I/O, `endpoint` over HTTP."""
+"""Health for Prometheus: `exposition` formats it without I/O, `endpoint` serves it over HTTP."""

@@ -1,4 +1,4 @@
-"""The metrics over HTTP, as a supervised part."""
+"""Serve the metrics over HTTP, as a supervised part."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ log = logging.getLogger(__name__)
 
 _SHORTEST_TOKEN = 16
 _PAGE_S = 0.2
-"""A page is made at most this often: a flood of requests must not cost the flight more than that."""
+"""The shortest time between two renderings of a page, s: a flood of requests must not cost the flight more than that."""
 
 
 class MetricsEndpoint:
     """Serves /metrics (Prometheus) and /health: 200 while what the flight needs is up and not stuck, else 503, and as JSON
     every part that is down. Whoever restarts the service on a 503 must not do so in flight because the broker is away.
 
-    With a token, /metrics answers 401 without it, and /health says no more than yes or no.
+    If a token is set, /metrics answers 401 to requests without it, and /health answers only yes or no.
 
     Raises:
         BadInput: the token cannot be read or is too short.
@@ -43,9 +43,9 @@ class MetricsEndpoint:
         self._page = b""
         self._made_s = -math.inf
         self.port: int | None = None
-        """Where it listens, while it does."""
+        """The port that the endpoint listens on; None while it does not listen."""
         self.refused = 0
-        """Requests for the metrics without the right token."""
+        """The number of requests for the metrics without the right token."""
         health.counters("metrics", self.counts)
 
     def counts(self) -> dict[str, float]:
@@ -118,7 +118,7 @@ class MetricsEndpoint:
 
 
 def _closing(answer: web.Response) -> web.Response:
-    """One request a connection: its time is bounded, and an idle one holds no descriptor."""
+    """Return the answer, set to close its connection: a connection's time is bounded, and an idle one holds no descriptor."""
     answer.force_close()
     return answer
 

@@ -1,4 +1,4 @@
-"""A health snapshot in Prometheus' text format. Pure."""
+"""Format a health snapshot in Prometheus' text format. No I/O."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class _Snapshot(Collector):
 
 
 def text(health: HealthSnapshot) -> bytes:
-    """Everything in a snapshot, version 0.0.4 of the format."""
+    """Return everything in a snapshot, in version 0.0.4 of the format."""
     registry = CollectorRegistry(auto_describe=False)
     registry.register(_Snapshot(health))
     return generate_latest(registry)
 
 
 def families(health: HealthSnapshot) -> Iterator[Metric]:
-    """What is not known has no sample."""
+    """Yield the metric families of a snapshot; an unknown value has no sample."""
     flight = GaugeMetricFamily("decklander_flight_up", "Whether the parts that the flight needs are up.")
     if any(part.vital for part in health.parts.values()):
         flight.add_metric([], float(health.flight_up))

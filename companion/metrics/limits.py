@@ -1,6 +1,6 @@
-"""Bounds for whoever connects to the metrics port: how many, for how long, how many bytes.
+"""Bound the connections to the metrics port: their number, their duration and their bytes.
 
-aiohttp itself waits for ever for the first byte of a request. Here each connection has one deadline from its opening to its
+aiohttp itself waits indefinitely for the first byte of a request. Here each connection has one deadline from its opening to its
 end, whatever it does meanwhile, and the newest connection is served: when there are too many, the oldest is closed.
 """
 
@@ -15,19 +15,19 @@ from aiohttp import web
 
 @dataclass(slots=True)
 class ConnectionLimits:
-    """The bounds, and how often each was met."""
+    """The bounds, and the number of times that each was reached."""
 
     connections: int = 16
-    """Open at once."""
+    """The most connections that are open at once."""
     connection_s: float = 5.0
-    """Longest life of a connection."""
+    """The longest duration of a connection."""
     request_bytes: int = 16_384
-    """A connection may send this many bytes in all."""
+    """The most bytes that a connection may send in all."""
     evicted: int = 0
     overdue: int = 0
     oversized: int = 0
     open: dict[_Bounded, asyncio.Transport] = field(default_factory=dict)
-    """Connections from the oldest to the newest."""
+    """The open connections from the oldest to the newest."""
 
 
 def bounded(server: web.Server, limits: ConnectionLimits) -> Callable[[], asyncio.Protocol]:
@@ -36,7 +36,7 @@ def bounded(server: web.Server, limits: ConnectionLimits) -> Callable[[], asynci
 
 
 class _Bounded(asyncio.Protocol):
-    """One connection: everything goes on to aiohttp's own protocol while the bounds hold."""
+    """One connection: it passes everything to aiohttp's own protocol while the bounds hold."""
 
     def __init__(self, inner: asyncio.Protocol, limits: ConnectionLimits) -> None:
         self._inner = inner

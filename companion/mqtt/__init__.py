@@ -1,4 +1,5 @@
-"""Telemetry, events and commands over MQTT. Topics and messages: docs/mqtt.md.
+"""Telemetry, events and commands over MQTT. docs/mqtt.md describes the topics and messages.
 
-Without I/O: `topics`, `messages`, `encode`, `commands`, `happenings`. With it: `spool` (disk), `connection` and `part` (sockets).
+These modules do no I/O: `topics`, `messages`, `encode`, `commands`, `events`. These do: `spool` (disk), `connection` and `part`
+(sockets).
 """

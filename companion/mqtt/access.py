@@ -1,4 +1,4 @@
-"""Secrets and trust: where the password and the certificates come from, and the TLS context they make."""
+"""Read the password and the certificates, and make the TLS context."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from estimator.contracts.errors import BadInput
 
 
 def password(settings: MqttSettings) -> str | None:
-    """Return the password, None where none is set.
+    """Return the password, or None if none is set.
 
     Raises:
         BadInput: the file cannot be read, is empty, or is not text.
@@ -22,7 +22,7 @@ def password(settings: MqttSettings) -> str | None:
 
 
 def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
-    """TLS 1.2 or newer, the broker's name checked against its certificate; None for plain TCP.
+    """Return a context for TLS 1.2 or newer that checks the broker's name against its certificate, or None for plain TCP.
 
     Raises:
         BadInput: a file of certificates or keys that cannot be read or used.
@@ -45,7 +45,7 @@ def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
 
 
 def spool_folder(settings: MqttSettings, environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Where events are spooled; None for in memory alone."""
+    """Return the folder that events are spooled in, or None if they stay in memory."""
     if settings.spool:
         return Path(settings.spool)
     state = environment.get("STATE_DIRECTORY", "").split(":")[0]

@@ -1,8 +1,8 @@
-"""Commands from the broker: read, judged, carried out once. Without sockets and without clocks of its own.
+"""Decode commands from the broker, check them and carry each out once. No sockets and no clocks.
 
-A command says for which run of the service it is meant and when it expires, both in the terms of the drone's own messages:
-no wall clock has to be right for a late command to be refused, and one from before a restart is never carried out. With a key
-it must be signed as well, and what is not leaves no trace but a count and an answer.
+A command names the run of the service that it is meant for and its expiry, both in the terms of the drone's own messages:
+no wall clock has to be right for a late command to be refused, and one from before a restart is never carried out. If a key is
+set, the command must be signed as well; an unsigned one leaves no trace but a count and an answer.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 
 LONGEST_BYTES = 4096
 FARTHEST_S = 60.0
-"""A command may not stay good for longer than this."""
+"""The longest time that a command may stay valid, s."""
 REMEMBERED = 4096
-"""Answers kept for repeated commands: more than can come in while one of them is still good."""
+"""The number of answers kept for repeated commands: more than can arrive while one of them is still valid."""
 
 _decoder = msgspec.json.Decoder(Command)
 
 
 class Operated(Protocol):
-    """The pilot, as far as an operator is concerned. Each says why it cannot, or None when it is done."""
+    """The pilot's operations for an operator; each returns None if it was carried out, else the reason why it cannot be."""
 
     def start(self) -> str | None: ...
 
@@ -54,24 +54,24 @@ class Operated(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class HandledCommand:
-    """What became of one message on the command topic."""
+    """The outcome of one message on the command topic."""
 
     reply: CommandReply
     topic: str
-    """Where the answer goes."""
+    """The topic that the answer is published on."""
     command: str | None
-    """Name of the command where it could be read."""
+    """The name of the command; None if it could not be read."""
     repeated: bool = False
 
 
 @dataclass(slots=True)
 class CommandHandler:
-    """Takes commands in.
+    """Checks, carries out and answers commands.
 
     Args:
-        session: this run of the service, as all may read it.
-        run: this run, as only those may read it who may command.
-        key: the key that commands are signed with; None where the broker decides who may send them.
+        session: the id of this run of the service that everyone may read.
+        run: the id of this run that only those who may command can read.
+        key: the key that commands are signed with; None if the broker decides who may send them.
     """
 
     topics: Topics
@@ -83,11 +83,11 @@ class CommandHandler:
     counts: Counter[str] = field(default_factory=Counter)
 
     def take(self, payload: bytes, now: MonoNs, *, retained: bool = False, reply_to: str | None = None) -> HandledCommand:
-        """Judge one message and carry it out if nothing stands against it.
+        """Check one message, and carry it out if every check passes.
 
         Args:
-            retained: the broker had kept it; whoever sent it may be long gone.
-            reply_to: the response topic of MQTT 5, where the command itself names none.
+            retained: whether the broker had retained the message; its sender may be long gone.
+            reply_to: the response topic of MQTT 5, used if the command itself names none.
         """
         handled = self._handle(payload, now, retained, reply_to)
         self.counts["repeated" if handled.repeated else handled.reply.reason or "accepted"] += 1
@@ -155,7 +155,7 @@ class CommandHandler:
 
 
 def _id_in(payload: bytes) -> str | None:
-    """The id of a command that is otherwise malformed, so that its sender can tell which one it was."""
+    """Return the id of a command that is otherwise malformed, so that its sender can recognize the command."""
     try:
         data = msgspec.json.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):

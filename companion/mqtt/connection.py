@@ -1,8 +1,8 @@
-"""One connection to the broker through aiomqtt, from opening to a sure end.
+"""One connection to the broker through aiomqtt, from its opening to a guaranteed end.
 
-What aiomqtt leaves open is closed here: connecting happens on a thread that cannot be cancelled, so it is bounded and waited
-for; a connection that fails half-way leaves a socket and a task, which are ended; and that a broker refused a publication
-(MQTT 5) is counted, since aiomqtt takes any answer for success.
+This module closes what aiomqtt leaves open. Connecting happens on a thread that cannot be cancelled, so it is bounded and
+awaited. A connection that fails half-way leaves a socket and a task, which are ended. Publications that a broker refused (MQTT 5)
+are counted, because aiomqtt takes any answer for success.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from companion.mqtt.settings import MqttSettings
 from estimator.contracts.errors import Recoverable
 
 INCOMING = 64
-"""Messages that may wait for us before further ones are discarded."""
+"""The number of incoming messages that may wait before further ones are discarded."""
 _LARGEST_BYTES = 65_536
 _FAREWELL_S = 1.0
 _THREAD_S = 0.02
 _quiet = logging.getLogger("companion.mqtt.paho")
 _quiet.setLevel(logging.CRITICAL)
-"""aiomqtt warns once for every message it discards: in a flood that is a second flood."""
+"""This logger is silenced because aiomqtt warns once for every message that it discards, which in a flood is a second flood."""
 
 
 @dataclass(frozen=True, slots=True)
 class BrokerEndpoint:
-    """Where the broker is and who we are to it."""
+    """The broker's address, and the identity and secrets that we connect with."""
 
     host: str
     port: int
@@ -54,7 +54,7 @@ class BrokerEndpoint:
 
     @staticmethod
     def of(settings: MqttSettings) -> BrokerEndpoint:
-        """As set, secrets read.
+        """Return the endpoint that the settings describe, and read its secrets.
 
         Raises:
             BadInput: a secret or certificate cannot be read or used.
@@ -114,20 +114,20 @@ class Connection(aiomqtt.Client):
         self._dialling: socket.socket | None = None
         self._interrupted = False
         self.dialling = False
-        """Whether the connecting thread is busy."""
-        # What paho leaves to the system or to the broker's good will is bounded here: how long connecting takes, on which
-        # addresses (its own look-up cannot be ended), and how large a packet may be that an MQTT 3.1.1 broker sends.
+        """Whether the connecting thread is running."""
+        # These bound what paho leaves to the system or to the broker: the duration of connecting, the addresses (paho's own
+        # look-up cannot be ended), and the size of a packet that an MQTT 3.1.1 broker sends.
         self._client._create_socket_connection = self._dial  # type: ignore[method-assign]
         self._receive = self._client._sock_recv
         self._client._sock_recv = self._receive_bounded  # type: ignore[method-assign]
         self._client.connect_timeout = endpoint.timeout_s
         self._mqtt5 = endpoint.mqtt5
         self.refusals = 0
-        """Publications that the broker refused."""
+        """The number of publications that the broker refused."""
         self.last_refusal = ""
 
     async def subscribe_to(self, topic: str, qos: int, *, retained: bool = False) -> None:
-        """Subscribe; without `retained`, MQTT 5 brokers are told to leave out what they had kept.
+        """Subscribe to a topic; unless `retained`, ask an MQTT 5 broker to leave out retained messages.
 
         Raises:
             Recoverable: the broker refuses.
@@ -141,7 +141,7 @@ class Connection(aiomqtt.Client):
                 raise Recoverable(f"the broker refuses the subscription to {topic}")
 
     async def publications(self) -> AsyncIterator[Publication]:
-        """Messages as they come. Only to be cancelled when the connection is to end: the next message would be lost."""
+        """Yield messages as they arrive. Cancel this only when the connection is to end: the next message would be lost."""
         async for message in self.messages:
             reply_to = getattr(message.properties, "ResponseTopic", None)
             correlation = getattr(message.properties, "CorrelationData", None)
@@ -151,7 +151,7 @@ class Connection(aiomqtt.Client):
     async def publish_message(
         self, topic: str, payload: bytes, *, qos: int = 0, retain: bool = False, correlation: bytes | None = None
     ) -> None:
-        """Publish; returns when it is written out (QoS 0) or answered (QoS 1)."""
+        """Publish a message; return when it is written out (QoS 0) or answered (QoS 1)."""
         properties = None
         if self._mqtt5 and correlation is not None:
             properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
@@ -161,8 +161,8 @@ class Connection(aiomqtt.Client):
 
     @asynccontextmanager
     async def _answered(self) -> AsyncIterator[None]:
-        """The time limit of an answer, ours in place of aiomqtt's: until Python 3.12 its `asyncio.wait_for` swallows a
-        cancellation that comes together with the answer, and whoever was to end goes on for ever."""
+        """Limit the time of an answer in place of aiomqtt: until Python 3.12 its `asyncio.wait_for` swallows a cancellation
+        that arrives together with the answer, and the cancelled task would run for ever."""
         try:
             async with asyncio.timeout(self.timeout):
                 yield
@@ -174,14 +174,14 @@ class Connection(aiomqtt.Client):
         self._addresses = addresses
 
     def interrupt(self) -> None:
-        """End an attempt to connect: the thread that waits for the broker meets an error at once."""
+        """End an attempt to connect: the thread that waits for the broker gets an error at once."""
         self._interrupted = True
         if (dialling := self._dialling) is not None:
             with suppress(OSError):
                 dialling.shutdown(socket.SHUT_RDWR)
 
     def _dial(self) -> socket.socket:
-        """Return a connected socket. On the connecting thread.
+        """Return a connected socket. This runs on the connecting thread.
 
         Raises:
             OSError: no address answers in time, or `interrupt` was called.
@@ -190,7 +190,7 @@ class Connection(aiomqtt.Client):
         failure = OSError("no address")
         for family, kind, protocol, _, address in self._addresses:
             made = socket.socket(family, kind, protocol)
-            # TLS takes the socket over; this one stands for the same connection, to be interrupted.
+            # TLS takes the socket over; this duplicate refers to the same connection, so that it can be interrupted.
             self._forget_dialling()
             self._dialling = made.dup()
             made.settimeout(max(0.05, give_up_s - time.monotonic()))
@@ -223,7 +223,7 @@ class Connection(aiomqtt.Client):
         return self._receive(bufsize)
 
     def abandon(self) -> None:
-        """Close whatever is still open, without ceremony."""
+        """Close whatever is still open, without a disconnect message."""
         self._forget_dialling()
         self._client._sock_close()
         if self._disconnected.done() and not self._disconnected.cancelled():
@@ -240,7 +240,7 @@ class Connection(aiomqtt.Client):
 async def connect(
     endpoint: BrokerEndpoint, identifier: str, will: aiomqtt.Will | None = None, incoming: int = INCOMING
 ) -> AsyncIterator[Connection]:
-    """A connection while the context is open.
+    """Open a connection, and keep it while the context is open.
 
     Raises:
         Recoverable: the broker cannot be reached, or refuses us.
@@ -263,14 +263,14 @@ async def connect(
 
 
 async def _entered(connection: Connection) -> str | None:
-    """Connect; why that failed. When cancelled, end the connecting thread first: nobody else would close its socket."""
+    """Connect, and return why that failed. When cancelled, end the connecting thread first: nobody else closes its socket."""
     async with asyncio.TaskGroup() as group:
         entering = group.create_task(_enter(connection))
         try:
             return await asyncio.shield(entering)
         except asyncio.CancelledError:
             connection.interrupt()
-            # The thread first, so that no socket is opened behind our back, then whoever waits for the broker's word.
+            # End the thread first, so that it opens no further socket, then the task that waits for the broker's answer.
             while connection.dialling and not entering.done():
                 await asyncio.wait({entering}, timeout=_THREAD_S)
             entering.cancel()
@@ -279,7 +279,7 @@ async def _entered(connection: Connection) -> str | None:
 
 
 async def _enter(connection: Connection) -> str | None:
-    connection.dialling = True  # before the thread itself can say so
+    connection.dialling = True  # This is set before the thread can set it itself.
     try:
         await connection.__aenter__()
     except (aiomqtt.MqttError, OSError, ValueError) as why:

@@ -1,4 +1,4 @@
-"""A thread for work on a disk that may stand still: who waits for it may stop waiting, and it keeps no process alive."""
+"""A thread for work on a disk that may stall: its callers can stop waiting, and it keeps no process alive."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from estimator.contracts.errors import Recoverable
 T = TypeVar("T")
 
 _WAITING = 64
-"""Pieces of work: few wait at a time, as who gives one waits for it."""
+"""The most tasks that may wait; few do at a time, because a caller waits for its task."""
 
 
 class DiskThread:
-    """Runs one piece of work after the other, in the order in which they were given.
+    """Runs tasks one after the other, in the order in which they were submitted.
 
     `concurrent.futures` would be joined when the interpreter ends, however long the disk takes; a daemon thread is not.
     """
@@ -28,10 +28,10 @@ class DiskThread:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     async def do(self, work: Callable[[], T]) -> T:
-        """Return what `work` returns, or raise what it raises. Cancelled, it is carried out all the same.
+        """Return what `work` returns, or raise what it raises. It is carried out even if the caller is cancelled.
 
         Raises:
-            Recoverable: too much work waits for the disk already.
+            Recoverable: too many tasks wait for the disk already.
         """
         if not self._thread.ident:
             self._thread.start()
@@ -45,7 +45,7 @@ class DiskThread:
                 outcome = work()
             except BaseException as why:
                 error = why
-            # The loop may have ended meanwhile.
+            # The loop may have ended in the meantime.
             with suppress(RuntimeError):
                 loop.call_soon_threadsafe(_settle, done, outcome, error)
 
@@ -56,7 +56,7 @@ class DiskThread:
         return await asyncio.shield(done)
 
     def end(self) -> None:
-        """End the thread after what it was given."""
+        """End the thread after the tasks that were submitted."""
         with suppress(queue.Full):
             self._work.put_nowait(None)
 

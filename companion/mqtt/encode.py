@@ -1,4 +1,4 @@
-"""From what the service knows to what it publishes. Pure."""
+"""Encode the service's state as the messages that it publishes. No I/O."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 
 def state(session: str, decision: Decision, vehicle: VehicleStatus | None) -> StateMessage:
-    """One round of guidance and the newest the vehicle said of itself."""
+    """Return the message for one guidance cycle and the vehicle's newest status."""
     at = decision.at
     return StateMessage(
         session=session,
@@ -55,7 +55,7 @@ def state(session: str, decision: Decision, vehicle: VehicleStatus | None) -> St
 
 
 def belief(of: RelativeState, decision: Decision) -> BeliefReport:
-    """Sigmas are the square roots of the covariance's diagonal."""
+    """Return the report of a belief; its sigmas are the square roots of the covariance's diagonal."""
     sigmas = np.sqrt(np.diag(of.cov))
     return BeliefReport(
         path=of.path,
@@ -71,7 +71,7 @@ def belief(of: RelativeState, decision: Decision) -> BeliefReport:
 
 
 def order(command: Command | None) -> CommandReport | None:
-    """What guidance asked of the vehicle."""
+    """Return the report of the command that guidance sent to the vehicle."""
     match command:
         case Velocity():
             return CommandReport(kind="velocity", v_level_m_s=_vector(command.v_level), yaw_rate_rad_s=command.yaw_rate_rad_s)
@@ -86,7 +86,7 @@ def order(command: Command | None) -> CommandReport | None:
 
 
 def sighting(session: str, processed: ProcessedFrame) -> SightingMessage:
-    """A frame and what each method saw in it."""
+    """Return the message for a frame and what each method detected in it."""
     look = processed.detection
     return SightingMessage(
         session=session,
@@ -113,7 +113,7 @@ def _found(of: Sighting | None) -> MethodReport | None:
 
 
 def fusion(session: str, at: MonoNs, states: Sequence[FusionState]) -> FusionMessage:
-    """The newest result of each source on each path."""
+    """Return the message with the newest result of each source on each path."""
     paths: dict[str, dict[str, SourceReport]] = {}
     for state in states:
         paths.setdefault(state.path, {})[state.source] = _source(state)
@@ -136,12 +136,12 @@ def _source(of: FusionState) -> SourceReport:
 
 
 def _finite(of: F64 | None) -> tuple[float, ...] | None:
-    """Return the numbers; None where there are none or one of them is not finite."""
+    """Return the numbers, or None if there are none or one of them is not finite."""
     return None if of is None or not np.all(np.isfinite(of)) else tuple(of.tolist())
 
 
 def health(session: str, of: HealthSnapshot) -> HealthReport:
-    """All of it."""
+    """Return the report of a whole health snapshot."""
     return HealthReport(
         session=session,
         at_ns=of.at,

@@ -1,4 +1,4 @@
-"""What is worth an event: changes, found by comparing what comes by with what was before. Pure."""
+"""Find the changes that are worth an event by comparing each new state with the previous one. No I/O."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from estimator.contracts.time import MonoNs, seconds_between
 Kind = Literal["service", "phase", "vehicle", "pad", "part", "command"]
 
 LOST_AFTER_S = 1.0
-"""Without a sighting for this long the pad counts as lost."""
+"""The time without a sighting after which the pad counts as lost, s."""
 BATTERY_LOW = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class PendingEvent:
-    """One event before it has a number."""
+    """An event that has no number yet."""
 
     at: MonoNs
     kind: Kind
@@ -30,7 +30,7 @@ class PendingEvent:
 
 @dataclass(slots=True)
 class Changes:
-    """Remembers just enough of the past to notice a change."""
+    """Keeps just enough of the previous state to detect a change."""
 
     _phase: str | None = None
     _mode: str | None = None
@@ -41,7 +41,7 @@ class Changes:
     _parts: dict[str, tuple[bool, int]] = field(default_factory=dict)
 
     def decision(self, decision: Decision) -> list[PendingEvent]:
-        """A new phase of guidance."""
+        """Return an event for a new phase of guidance."""
         before, self._phase = self._phase, decision.phase
         if before == decision.phase:
             return []
@@ -51,7 +51,7 @@ class Changes:
         return [PendingEvent(decision.at, "phase", decision.phase, data)]
 
     def vehicle(self, status: VehicleStatus) -> list[PendingEvent]:
-        """A new mode of the vehicle, an emergency, a battery that runs low."""
+        """Return events for a new mode of the vehicle, an emergency or a low battery."""
         at, found = status.stamp.received_at, []
         if status.mode != self._mode:
             found.append(PendingEvent(at, "vehicle", f"vehicle is {status.mode}", {"from": self._mode, "to": status.mode}))
@@ -67,7 +67,7 @@ class Changes:
         return found
 
     def frame(self, processed: ProcessedFrame) -> list[PendingEvent]:
-        """The pad comes in sight, or has been out of sight for a while."""
+        """Return an event if the pad comes into sight, or was out of sight for `LOST_AFTER_S`."""
         if processed.detection is not None and processed.detection.selected is not None:
             self._sighted = processed.done
             if not self._in_sight:
@@ -81,7 +81,7 @@ class Changes:
         return []
 
     def health(self, health: HealthSnapshot) -> list[PendingEvent]:
-        """A part that went down or came back; a failure between two looks shows by its restarts."""
+        """Return an event for each part that failed or recovered; its restarts show a failure between two calls."""
         found = []
         for name, part in health.parts.items():
             up, restarts = self._parts.get(name, (True, 0))

@@ -1,4 +1,4 @@
-"""Addresses of a host, asked for on a thread of its own: a resolver may hang for half a minute, and nobody can end it."""
+"""Resolve a host's addresses on a separate thread: a resolver may hang for half a minute, and nobody can end it."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any
 from estimator.contracts.errors import Recoverable
 
 Address = tuple[Any, Any, int, str, Any]
-"""Family, kind, protocol, canonical name and address, as `socket.getaddrinfo` gives them."""
+"""The family, kind, protocol, canonical name and address that `socket.getaddrinfo` returns."""
 
 _asking: set[str] = set()
-"""Hosts that a thread still asks for: one thread each, however often it is tried."""
+"""The hosts that a thread is still resolving: one thread each, however often a caller retries."""
 
 
 async def look_up(host: str, port: int, timeout_s: float) -> list[Address]:
-    """Return where to connect to, the best first.
+    """Return the addresses to connect to, the best first.
 
     Raises:
-        Recoverable: there is no such host, or nobody says within `timeout_s`.
+        Recoverable: there is no such host, or no answer came within `timeout_s`.
     """
     if host in _asking:
         raise Recoverable(f"broker {host}: its address is still being asked for")
@@ -37,7 +37,7 @@ async def look_up(host: str, port: int, timeout_s: float) -> list[Address]:
             why = str(getattr(error, "strerror", None) or error)
         finally:
             _asking.discard(host)
-        # The loop may have ended meanwhile.
+        # The loop may have ended in the meantime.
         with suppress(RuntimeError):
             loop.call_soon_threadsafe(settle, addresses, why)
 

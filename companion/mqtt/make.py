@@ -1,4 +1,4 @@
-"""From settings to the part."""
+"""Make the MQTT part from the settings."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from estimator.contracts.ports import Clock
 def make_mqtt(
     settings: MqttSettings, pilot: Pilot, health: Health, clock: Clock, recording: Callable[[bool], str | None] | None = None
 ) -> MqttPart:
-    """The part, its secrets read and its spool opened.
+    """Read the secrets, open the spool and return the part.
 
     Args:
-        recording: switches the recorder and says why it cannot; None where there is none.
+        recording: switches the recorder and returns why it cannot; None if there is no recorder.
 
     Raises:
         BadInput: a secret, a certificate or the spool cannot be read or used.

@@ -1,4 +1,4 @@
-"""What an operator may ask of the pilot, and why it may be refused."""
+"""The operations that an operator may request of the pilot, and the reasons for refusing them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from estimator.contracts.estimates import PathName
 
 
 class PilotOperator:
-    """Answers None when something is done, else why it cannot be.
+    """Carries out operations; each returns None if it was carried out, else the reason why it cannot be.
 
     Args:
-        recording: switches the recorder; None where there is none.
+        recording: switches the recorder; None if there is no recorder.
     """
 
     def __init__(self, pilot: Pilot, recording: Callable[[bool], str | None] | None = None) -> None:

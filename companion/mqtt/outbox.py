@@ -1,6 +1,6 @@
-"""Events from the moment they happen until the broker has them: a line in memory, the spool on disk, batches of QoS 1.
+"""Keep events until the broker has them: in a queue in memory, in the spool on disk, in batches of QoS 1.
 
-The disk is touched on a thread of its own only: a slow card holds up nobody but the events.
+Only a separate thread uses the disk, so a slow card delays nothing but the events.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from estimator.contracts.errors import Recoverable
 log = logging.getLogger(__name__)
 
 LINE = 1024
-"""Events that may wait for the disk."""
+"""The number of events that may wait for the disk."""
 BATCH = 16
-"""Events under way at once: below what brokers take unacknowledged (mosquitto: 20)."""
+"""The number of events in flight at once: fewer than brokers accept unacknowledged (mosquitto: 20)."""
 _SYNC_S = 1.0
 _CLOSE_S = 1.2
 _REFUSED_REST_S = 5.0
 
 
 class Outbox:
-    """Takes happenings from the loop's thread, gives them numbers, keeps them, hands them over in order."""
+    """Takes events from the loop's thread, numbers and stores them, and delivers them in order."""
 
     def __init__(self, spool: Spool, session: str, topic: str, fsync: Fsync) -> None:
         self._spool = spool
@@ -44,11 +44,11 @@ class Outbox:
         self.refused = 0
 
     def put(self, event: PendingEvent) -> None:
-        """Never blocks, never fails; beyond `LINE` waiting for the disk the oldest is dropped and counted."""
+        """Queue an event. This never blocks and never fails; beyond `LINE` waiting events the oldest is dropped and counted."""
         self._line.offer(event)
 
     def counts(self) -> Mapping[str, float]:
-        """Of events, for health."""
+        """Return the counters of events for health."""
         spool = self._spool
         return {
             "events_delivered": self.delivered,
@@ -61,7 +61,7 @@ class Outbox:
         }
 
     async def keep(self) -> None:
-        """Bring events from memory to disk, for ever."""
+        """Move events from memory to disk until cancelled."""
         while True:
             try:
                 async with asyncio.timeout(_SYNC_S if self._unsynced else None):
@@ -73,15 +73,15 @@ class Outbox:
             await self._append([event, *await self._waiting()])
 
     async def flush(self) -> None:
-        """Bring what waits in memory to disk now."""
+        """Move the events that wait in memory to disk now."""
         if len(self._line):
             await self._append(await self._waiting())
 
     async def deliver(self, connection: Connection) -> None:
-        """Publish events as they come, in order, for ever.
+        """Publish events as they come, in order, until cancelled.
 
         Raises:
-            aiomqtt.MqttError: the broker failed; what it has not acknowledged is sent again on the next connection.
+            aiomqtt.MqttError: the broker failed; events that it has not acknowledged are sent again on the next connection.
         """
         while True:
             self._more.clear()
@@ -94,7 +94,7 @@ class Outbox:
                 await self._more.wait()
 
     async def deliver_batch(self, connection: Connection) -> int:
-        """Publish the oldest events; how many the broker took, 0 when there are none or it refuses them.
+        """Publish the oldest events; return how many the broker took, 0 if there are none or it refuses them.
 
         Raises:
             aiomqtt.MqttError: the broker failed.
@@ -114,7 +114,7 @@ class Outbox:
         return len(records)
 
     async def close(self) -> None:
-        """Bring everything to disk, sync it and end the thread; a disk that takes longer than a second or so is left behind."""
+        """Move everything to disk, sync it and end the thread; abandon a disk that takes longer than about a second."""
         try:
             async with asyncio.timeout(_CLOSE_S):
                 await self.flush()
@@ -127,7 +127,7 @@ class Outbox:
         await connection.publish_message(self._topic, record.body, qos=1)
 
     async def _waiting(self) -> list[PendingEvent]:
-        """All that is in the line; does not pause, so nothing can be cancelled between taking and spooling."""
+        """Return all queued events without a pause, so that no cancellation can come between taking and spooling them."""
         return [await self._line.get() for _ in range(len(self._line))]
 
     async def _append(self, events: list[PendingEvent]) -> None:

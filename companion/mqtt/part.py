@@ -1,7 +1,7 @@
-"""MQTT as a part of the service: an observer that never waits, and a supervised body that talks to the broker.
+"""MQTT as a part of the service: an observer that never waits, and a supervised task that talks to the broker.
 
-A broker that is gone, slow, refusing or flooding is met by hanging up and coming back later, each rest twice the last; the
-flight goes on meanwhile. State, sighting and health are the newest of their kind at their own rates; events wait on disk.
+If a broker is gone, slow, refusing or flooding, the part disconnects and retries with a back-off that doubles; the flight
+continues. State, sighting and health are published as the newest of their kind at their own rates; events wait on disk.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 log = logging.getLogger(__name__)
 
 BROKER = "broker"
-"""The connection's own line in health: the part is up while it tries."""
+"""The connection's own name in health: the part is up while it tries to connect."""
 _GOODBYE_S = 0.4
-"""The service has 2 s to end in, and its parts 1 s of that."""
+"""The time for the farewell, s: the service has 2 s to end in, and its parts have 1 s of that."""
 _WATCH_PARTS_S = 0.5
 _HEALTHY_S = 10.0
 
 
 class MqttPart:
-    """Observer and body.
+    """The observer and the supervised task.
 
     Args:
-        session: this run of the service.
-        version: of the software, for the status.
+        session: the id of this run of the service.
+        version: the software's version, for the status.
     """
 
     def __init__(
@@ -101,17 +101,17 @@ class MqttPart:
         self.tell(*self._changes.decision(decision))
 
     def tell(self, *events: PendingEvent) -> None:
-        """Events, in order. Never waits, never fails."""
+        """Queue events in order. This never waits and never fails."""
         for event in events:
             self._outbox.put(event)
 
     def counts(self) -> Mapping[str, float]:
-        """For health."""
+        """Return the counters for health."""
         commands = {f"commands_{name}": n for name, n in self._command_handler.counts.items()}
         return {**self._counts, **commands, **self._outbox.counts()}
 
     async def run(self) -> None:
-        """Until cancelled; then what is left goes to the broker if it is there, else to disk."""
+        """Serve the broker until cancelled; then send what is left to the broker if it is there, else to disk."""
         try:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._outbox.keep())
@@ -135,7 +135,7 @@ class MqttPart:
             self._log_stopped()
 
     def _failed(self, why: BaseException) -> None:
-        """Count a failure, and tell health once: a broker may be absent for hours."""
+        """Count a failure, and report it to health once: a broker may be absent for hours."""
         self._counts["connection_failures"] += 1
         if not self._broker_down:
             self._health.down(BROKER, why)
@@ -197,7 +197,7 @@ class MqttPart:
         return None if processed is None else encoding.sighting(self._session, processed)
 
     def _newest_fusion(self) -> Message | None:
-        """Return the newest result of each source; None where none came since the last call."""
+        """Return the newest result of each source, or None if none came since the last call."""
         states = self._health.fusion_states()
         counted = sum(sum(state.verdicts.values()) for state in states)
         before, self._results_told = self._results_told, counted
@@ -232,7 +232,7 @@ class MqttPart:
         await connection.publish_message(handled.topic, encode(reply), qos=1, correlation=publication.correlation)
 
     async def _publish_stopped(self, connection: Connection) -> None:
-        """The last events and an orderly farewell, if the broker takes them in time."""
+        """Publish the last events and the final status, if the broker takes them in time."""
         self._log_stopped()
         try:
             async with asyncio.timeout(_GOODBYE_S):

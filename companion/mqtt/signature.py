@@ -1,4 +1,4 @@
-"""Signed commands: what is sent is the signature, a space, and the command as JSON. Pure.
+"""Sign and verify commands. The payload is the signature, a space, and the command as JSON. No I/O.
 
 The signature is HMAC-SHA-256 over the topic, a line feed and the very bytes of the JSON, written as 64 hexadecimal digits. The
 topic names the drone; the JSON names the run of the service, the command's own id and its expiry, so that a copy is worth nothing
@@ -19,11 +19,11 @@ class Unsigned(ValueError):
 
 
 class Forged(ValueError):
-    """The signature is not that of this topic, command and key."""
+    """The signature does not match this topic, command and key."""
 
 
 def signed(key: bytes, topic: str, command: bytes) -> bytes:
-    """Return what to publish on `topic` for a command in JSON."""
+    """Return the payload to publish on `topic` for a command in JSON."""
     return _digits(key, topic, command) + b" " + command
 
 

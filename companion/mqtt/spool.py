@@ -1,4 +1,4 @@
-"""Events on disk until the broker has them: append-only files, bounded, in order, readable after a crash.
+"""Store events on disk until the broker has them: in append-only files, bounded, in order, readable after a crash.
 
 A spool is a folder. `events-<first number>.log` holds one record a line: CRC-32 of the rest as 8 hexadecimal digits, the
 event's number, the event as JSON. `delivered` holds the number up to which the broker has acknowledged. Numbers count up
@@ -6,8 +6,8 @@ without a gap for the life of the folder, whose own name is in `name`. Only afte
 synced be given again; what identifies an event is in the event.
 
 A record torn by a power cut is cut off when the spool is opened; so is what follows a damaged one in the same file. Losing
-`delivered` only means that events are sent again. When the bound is hit the oldest file goes, and what was undelivered in it
-is counted. What cannot be written (a full or failing disk) waits in memory, bounded too, and is written when that works again.
+`delivered` only means that events are sent again. When the bound is reached, the oldest file is removed, and its undelivered
+events are counted. Events that cannot be written (a full or failing disk) wait in memory, bounded too, until writing works again.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ log = logging.getLogger(__name__)
 Fsync = Literal["always", "second", "never"]
 
 FILES = 8
-"""The bound is shared by this many files, so an eighth of it goes at a time."""
+"""The number of files that share the bound, so an eighth of it is removed at a time."""
 AHEAD = 512
-"""Events read at a time."""
+"""The number of events that are read at a time."""
 UNWRITTEN = 1000
-"""Events that may wait in memory while the disk refuses."""
+"""The number of events that may wait in memory while the disk fails."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,19 +51,19 @@ class _File:
     first: int
     count: int
     size: int
-    """Bytes of whole records."""
+    """The size of the whole records, bytes."""
     read_bytes: int = 0
 
 
 class Spool:
-    """A folder of undelivered events. Blocking: keep it off the event loop. One writer.
+    """A folder of undelivered events. Its methods block, so keep it off the event loop. It has one writer.
 
     Args:
-        folder: made when it is missing; None keeps events in memory alone.
-        max_bytes: bound of all files together.
+        folder: the folder, made if it is missing; None keeps events in memory only.
+        max_bytes: the bound of all files together.
 
     Raises:
-        BadInput: the folder cannot be made or read as it is named. A disk that fails is none: then events stay in memory.
+        BadInput: the named folder cannot be made or read. A failing disk raises nothing: events then stay in memory.
     """
 
     def __init__(self, folder: Path | None, max_bytes: int) -> None:
@@ -102,7 +102,7 @@ class Spool:
 
     @property
     def waiting(self) -> int:
-        """Events not yet delivered."""
+        """The number of events that are not delivered yet."""
         on_disk = sum(max(0, f.first + f.count - max(f.first, self.delivered + 1)) for f in self._files)
         return on_disk + len(self._unwritten)
 
@@ -111,7 +111,7 @@ class Spool:
         return sum(f.size for f in self._files)
 
     def append(self, bodies: list[bytes]) -> None:
-        """Take events in, in order. What the disk refuses waits in memory."""
+        """Append events in order. Events that the disk refuses wait in memory."""
         for body in bodies:
             self._unwritten.append(Record(self.next_number, body))
             self.next_number += 1
@@ -121,7 +121,7 @@ class Spool:
             self.dropped += 1
 
     def sync(self) -> None:
-        """Make what was appended survive a power cut."""
+        """Sync the appended events to disk, so that they survive a power cut."""
         dirty, self._dirty = self._dirty, None
         if dirty is not None:
             try:
@@ -132,7 +132,7 @@ class Spool:
                 os.close(dirty)
 
     def peek(self, most: int) -> list[Record]:
-        """The oldest undelivered events."""
+        """Return the oldest undelivered events."""
         while self._ahead and self._ahead[0].number <= self.delivered:
             self._ahead.popleft()
         if len(self._ahead) < most:
@@ -140,7 +140,7 @@ class Spool:
         return list(islice(self._ahead, most))
 
     def deliver(self, number: int) -> None:
-        """The broker has every event up to `number`."""
+        """Record that the broker has every event up to `number`."""
         if number <= self.delivered:
             return
         self.delivered = number
@@ -150,7 +150,7 @@ class Spool:
         self._tidy()
 
     def close(self) -> None:
-        """Write and sync what is left."""
+        """Write and sync the remaining events."""
         self._write_down()
         self.sync()
 
@@ -197,7 +197,7 @@ class Spool:
         return True
 
     def _refuses(self, why: OSError) -> None:
-        """Said once: the next event tries again, and a disk may refuse for the rest of the flight."""
+        """Log a failure of the disk once: each event tries again, and a disk may fail for the rest of the flight."""
         self.write_errors += 1
         if not self._refused:
             self._refused = True
@@ -214,7 +214,7 @@ class Spool:
         return newest
 
     def _tidy(self) -> None:
-        """Remove what is delivered, and the oldest while there is too much."""
+        """Remove delivered files, and the oldest file while the bound is exceeded."""
         while self._files and self._files[0].first + self._files[0].count <= self.delivered + 1 and len(self._files) > 1:
             self._remove(self._files.pop(0))
         while len(self._files) > FILES:
@@ -231,7 +231,7 @@ class Spool:
             self.write_errors += 1
 
     def _read_on(self) -> None:
-        """Fill `_ahead` from where reading stopped; every record is read once."""
+        """Fill `_ahead` from the position where reading stopped; every record is read once."""
         for file in self._files:
             if file.read_bytes < file.size and len(self._ahead) < AHEAD:
                 self._read_file(file)
@@ -260,7 +260,7 @@ class Spool:
             self._ahead.append(record)
 
     def _opened(self, path: Path) -> _File:
-        """What is whole in a file; the rest is cut off."""
+        """Return the file with its whole records; cut off the rest."""
         data = path.read_bytes()
         first = int(path.stem.rpartition("-")[2])
         size = count = 0

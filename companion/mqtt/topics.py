@@ -1,4 +1,4 @@
-"""Names of the topics: `decklander/v1/<drone>/...`. A fleet shares a broker; the version changes when a meaning does."""
+"""The names of the topics: `decklander/v1/<drone>/...`. A fleet shares a broker; the version changes when a meaning does."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ class Topics:
         return self.of("reply")
 
     def allows_reply(self, topic: str) -> bool:
-        """Whether an answer may go there: `reply` itself or one name below it, so that nobody makes us write elsewhere."""
+        """Return whether `topic` is `reply` or one name below it: nobody can make us publish an answer elsewhere."""
         below = topic.removeprefix(self.reply + "/")
         return topic == self.reply or (below != topic and _NAME.fullmatch(below) is not None)
 
 
 def split(topic: str) -> tuple[str, str] | None:
-    """(drone, leaf) of a topic of ours, None of any other."""
+    """Return (drone, leaf) of a topic of ours, or None for any other."""
     parts = topic.split("/", 3)
     if len(parts) != 4 or "/".join(parts[:2]) != ROOT or not _NAME.fullmatch(parts[2]):
         return None

@@ -1,4 +1,4 @@
-"""What `decklander watch` knows: the newest of each kind for each drone, and its events. Pure."""
+"""The state that `decklander watch` shows: the newest message of each kind for each drone, and its events. No I/O."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from companion.mqtt.messages import PUBLISHED, EventMessage, HealthReport, Sight
 from companion.mqtt.topics import split
 
 EVENTS = 200
-"""Kept for each drone."""
+"""The number of events kept for each drone."""
 DRONES = 256
-"""Kept at most: whoever else writes on the broker cannot fill our memory."""
+"""The most drones that are kept, so that other writers on the broker cannot fill our memory."""
 
 
 @dataclass(slots=True)
 class Arrivals:
-    """When messages of one kind came, by our own clock in seconds."""
+    """The arrival times of messages of one kind, by our own clock in seconds."""
 
     count: int = 0
     _recent: deque[float] = field(default_factory=lambda: deque(maxlen=20))
@@ -36,7 +36,7 @@ class Arrivals:
 
 @dataclass(slots=True)
 class DroneModel:
-    """One drone as far as it was heard."""
+    """The state of one drone, as received."""
 
     name: str
     status: StatusMessage | None = None
@@ -46,15 +46,15 @@ class DroneModel:
     events: deque[EventMessage] = field(default_factory=lambda: deque(maxlen=EVENTS))
     arrivals: dict[str, Arrivals] = field(default_factory=dict)
     copies: int = 0
-    """Events that came more than once."""
+    """The number of events that arrived more than once."""
     missing: int = 0
-    """Event numbers that were skipped: dropped by the drone or lost on the way."""
+    """The count of event numbers that were skipped: dropped by the drone or lost on the way."""
     malformed: int = 0
     _ids: deque[str] = field(default_factory=lambda: deque(maxlen=EVENTS))
     _last: tuple[str, int] | None = None
 
     def on_message(self, leaf: str, payload: bytes, now_s: float) -> EventMessage | None:
-        """Take a message; the event when it is a new one."""
+        """Take a message; return the event if it is a new one."""
         if leaf.partition("/")[0] not in PUBLISHED:
             return None
         message = decode(leaf, payload)
@@ -89,7 +89,7 @@ class DroneModel:
 
 @dataclass(slots=True)
 class WatchModel:
-    """All drones on the broker, or the one that is asked for."""
+    """All drones on the broker, or the one that is selected."""
 
     only: str | None = None
     drones: dict[str, DroneModel] = field(default_factory=dict)
@@ -98,7 +98,7 @@ class WatchModel:
     trouble: str = ""
 
     def on_message(self, topic: str, payload: bytes, now_s: float) -> tuple[DroneModel, EventMessage | None] | None:
-        """Take a message; whose it was, and the event when it is a new one. None for what is not ours."""
+        """Take a message; return its drone, and the event if it is a new one. Return None for a topic that is not ours."""
         parts = split(topic)
         if parts is None or (self.only is not None and parts[0] != self.only):
             self.ignored += 1
@@ -112,5 +112,5 @@ class WatchModel:
 
     @property
     def shown(self) -> DroneModel | None:
-        """The drone whose details are shown: the one asked for, else the first by name."""
+        """Return the drone whose details are shown: the selected one, else the first by name."""
         return self.drones[min(self.drones)] if self.drones else None

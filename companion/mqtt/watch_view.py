@@ -1,4 +1,4 @@
-"""How `decklander watch` looks: a model in, lines out. Pure; colours only as ANSI attributes around whole words."""
+"""Render the model of `decklander watch` as lines. No I/O; colours are ANSI attributes around whole words only."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Paint = Callable[[str, str], str]
 
 
 def screen(model: WatchModel, now_s: float, width: int, height: int, *, colour: bool = True) -> list[str]:
-    """One screen: `height` lines of at most `width` columns."""
+    """Return one screen: `height` lines of at most `width` columns."""
 
     def paint(text: str, code: str) -> str:
         return f"\x1b[{code}m{text}\x1b[0m" if colour and text else text
@@ -35,7 +35,7 @@ def screen(model: WatchModel, now_s: float, width: int, height: int, *, colour: 
 
 
 def line(drone: DroneModel, event: EventMessage | None) -> str:
-    """One plain line: the event, or else the drone's state."""
+    """Return one plain line: the event, or else the drone's state."""
     if event is not None:
         return f"{drone.name} event {event.sequence} {event.kind}: {_clean(event.text)}"
     if drone.state is None:
@@ -119,7 +119,7 @@ def _health(drone: DroneModel, width: int, paint: Paint) -> list[str]:
 
 
 def _wrapped(label: str, items: list[str], width: int) -> list[str]:
-    """Items side by side after a label, on as many lines as they need."""
+    """Return the items side by side after a label, on as many lines as they need."""
     lines = [f"{label:<9}" + ("" if items else "none")]
     for item in items:
         if len(lines[-1]) + len(item) > width and len(lines[-1]) > 9:
@@ -199,7 +199,7 @@ def _seconds(seconds: float) -> str:
 
 
 def _clean(text: str) -> str:
-    """Text from the wire without anything that could steer the terminal, one column a character."""
+    """Return received text without control characters for the terminal, one column per character."""
     return "".join((c if unicodedata.east_asian_width(c) not in "WF" else "?") if c.isprintable() else " " for c in text)
 
 
@@ -213,7 +213,7 @@ def _plain(text: str) -> str:
 
 
 def _cut(text: str, width: int) -> str:
-    """At most `width` columns; attributes take none."""
+    """Return the line cut to at most `width` columns; attributes take none."""
     if len(_plain(text)) <= width:
         return text
     shown, out, pieces = 0, "", text.split("\x1b[")
