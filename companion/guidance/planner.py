@@ -276,7 +276,7 @@ def _questioned(
 
 
 def _may_decide(state: Planner, question: Question, plan: Plan, fit: RelativeState) -> bool:
-    """Return whether no person has to agree: this is the first question, and the drone is not below the safe height, then or now."""
+    """Return whether no person has to agree: this is the first question, and the drone was and is not below the safe height."""
     if plan.options.another_pad != "automatic" or state.questions > 1:
         return False
     return min(question.from_height_m, fit.height_m) >= plan.options.safe_height_m - _NEAR_SAFE_M
