@@ -10,12 +10,12 @@ import re
 from collections.abc import Iterable, Mapping
 
 END = b"\x00"
-"""Stands after the last line."""
+"""The byte after the last line."""
 _LINE = re.compile(r"\s*([A-Za-z0-9_]+:[A-Za-z0-9_]+)\s*=[ \t]*(.*?)\s*")
 
 
 def parse(text: str | bytes) -> dict[str, str]:
-    """Keys and values of every readable line before the NUL byte; other lines are left out. Never raises."""
+    """Return the keys and values of every readable line before the NUL byte; other lines are left out. Never raises."""
     if isinstance(text, bytes):
         text = text.decode("utf-8", "replace")
     pairs = (_LINE.fullmatch(line) for line in text.split("\x00", 1)[0].split("\n"))
@@ -23,17 +23,17 @@ def parse(text: str | bytes) -> dict[str, str]:
 
 
 def render(configuration: Mapping[str, str]) -> bytes:
-    """The text as the drone sends it, with the NUL byte that ends it."""
+    """Return the text as the drone sends it, with the NUL byte that ends it."""
     return "".join(f"{key} = {value}\n" for key, value in configuration.items()).encode() + END
 
 
 def boolean(value: str) -> bool | None:
-    """TRUE or FALSE; None for anything else."""
+    """Return the value of TRUE or FALSE; None for anything else."""
     return {"TRUE": True, "FALSE": False}.get(value.upper())
 
 
 def number(value: str) -> float | None:
-    """A finite number; None for anything else."""
+    """Return a finite number; None for anything else."""
     try:
         parsed = float(value)
     except ValueError:
@@ -42,7 +42,7 @@ def number(value: str) -> float | None:
 
 
 def vector(value: str) -> tuple[float, ...] | None:
-    """The numbers of `{ a b c }`; None for anything else."""
+    """Return the numbers of `{ a b c }`; None for anything else."""
     if not (value.startswith("{") and value.endswith("}")):
         return None
     numbers = [number(word) for word in value[1:-1].split()]
@@ -50,5 +50,5 @@ def vector(value: str) -> tuple[float, ...] | None:
 
 
 def format_vector(values: Iterable[float]) -> str:
-    """`{ a b c }` with the eight digits the drone writes."""
+    """Return `{ a b c }` with the eight digits that the drone writes."""
     return "{ " + " ".join(f"{value:.7e}" for value in values) + " }"

@@ -1,4 +1,4 @@
-"""Reads the drone's configuration back over TCP port 5559 and compares it with what was asked for."""
+"""The control channel reads the drone's configuration back over TCP port 5559 and compares it with the one that was set."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _TEXT_MAX = 1 << 16
 _SILENCE_S = 0.5
 _LOOK_S = 0.1
 _TRIES = 3
-"""Times a key that reads back wrongly is asked for again."""
+"""The number of times that the drone is configured again because a key reads back wrongly."""
 
 
 class ControlChannel:
-    """`configuration` holds what the drone said last."""
+    """Reads the configuration after each setup; `configuration` holds the one that was read last."""
 
     def __init__(self, options: ArDroneOptions, counters: Counters, commands: CommandChannel, setup: Setup) -> None:
         self._o = options
@@ -58,7 +58,7 @@ class ControlChannel:
             writer.close()
 
     async def _read(self, reader: asyncio.StreamReader) -> bytes:
-        """Up to the NUL byte; a drone that sends none has ended when it falls silent after a whole line."""
+        """Read up to the NUL byte; a drone that sends none has ended when it falls silent after a whole line."""
         text = b""
         wait_s = self._o.config_timeout_s
         while control.END not in text and len(text) < _TEXT_MAX:
@@ -73,7 +73,7 @@ class ControlChannel:
 
     @staticmethod
     async def _more(reader: asyncio.StreamReader, wait_s: float) -> bytes:
-        """What comes within the time; nothing when nothing does."""
+        """Return the bytes that arrive within the time; none if nothing arrives."""
         try:
             async with asyncio.timeout(wait_s):
                 more = await reader.read(4096)

@@ -12,11 +12,11 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
 
 _BUFFER_MAX = 16384
-"""Bytes waiting to be sent beyond which a datagram is dropped instead."""
+"""The number of bytes waiting to be sent beyond which a datagram is dropped."""
 
 
 class Datagrams(asyncio.DatagramProtocol):
-    """Hands each datagram to `received` with the instant of hearing it; counts what the system reports as errors."""
+    """Passes each datagram to `received` with the instant at which it was received; counts the errors that the system reports."""
 
     def __init__(self, clock: Clock, received: Callable[[bytes, MonoNs], None]) -> None:
         self._clock = clock
@@ -44,7 +44,7 @@ class Datagrams(asyncio.DatagramProtocol):
         """Send now or drop; never blocks.
 
         Raises:
-            Recoverable: the socket is broken (a peer that refuses is not: it may come).
+            Recoverable: the socket is broken; a peer that refuses does not break it, as it may start later.
         """
         if self._lost is not None:
             raise Recoverable(f"socket: {self._lost}")
@@ -56,7 +56,7 @@ class Datagrams(asyncio.DatagramProtocol):
 async def open_datagrams(
     host: str, port: int, clock: Clock, received: Callable[[bytes, MonoNs], None]
 ) -> AsyncIterator[Datagrams]:
-    """A socket that talks to one peer only.
+    """Open a socket that talks to one peer only, and close it on leaving.
 
     Raises:
         OSError: the host is not known or not reachable.

@@ -1,9 +1,9 @@
 """The process that speaks to an AR.Drone's AT port: `python -m drivers.ardrone.sender FD OPTIONS`, started by the service.
 
-It is a process of its own so that nothing we sent outlives us. It owns the AT socket and its sequence, takes words with a
-deadline from the service over a stream socket (`FD`), and sends hover as soon as the newest word has run out: the service may be
-killed, stopped, swapped out or stuck. With the service gone it holds a flying drone in hover for `hold_s`, listening to navdata
-itself, until a new service's sender asks it for the sequence and takes over. It imports nothing large.
+It is a process of its own so that no command outlives the service that sent it. It owns the AT socket and its sequence, takes
+commands with a deadline from the service over a stream socket (`FD`), and sends hover as soon as the newest command has expired:
+the service may be killed, stopped, swapped out or stuck. When the service is gone it holds a flying drone in hover for `hold_s`,
+receiving navdata itself, until a new service's sender asks it for the sequence and takes over. It imports nothing large.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from drivers.ardrone.sender_wire import (
 from estimator.contracts.time import MonoNs
 
 PARTING = 5
-"""Datagrams of the last word: any one of them is enough."""
+"""The number of datagrams that carry the final command; any one of them is enough."""
 _NAVDATA_OPENING = b"\x01\x00\x00\x00"
 _OPENING_DATAGRAMS = 8
-"""Number of datagrams that begin with sequence number 1, which resets the drone's counter: losing one must not deafen it."""
+"""Number of datagrams that begin with sequence number 1, which resets the drone's counter; one of them may be lost."""
 (_NOTHING,) = as_text([HOVER])
-"""The command that carries that number. It must not reset the drone's watchdog, whose bit tells why a drone is landing."""
+"""The command that carries that number. It must not reset the drone's watchdog, whose bit shows why a drone is landing."""
 _ALONE_DATAGRAMS = 5
-"""Datagrams that carry what is sent on being left alone; nobody waits for an acknowledgement then."""
+"""Number of datagrams that repeat the commands for a lost or returned service, as nobody waits for an acknowledgement then."""
 _STATUS_S = 0.02
-"""Least time between two statuses; shorter than the usual period, as the service misses one that does not answer a word."""
+"""Least time between two statuses; shorter than the usual period, as the service expects a status for each command."""
 _SILENT_S = 1.0
-"""A service that is connected and silent for this long is as good as gone."""
+"""A service that is connected but silent for this long counts as gone."""
 _ASK_AGAIN_S = 0.5
 _REFUSED_S = 2.0
 """A port that refuses for so long belongs to a simulated drone that has ended: a real one out of reach does not answer."""
@@ -59,8 +59,8 @@ class Sender:
 
     Args:
         service: stream to the service that started it.
-        listener: where a successor asks to take over; None where this system has no such sockets.
-        sequence: number of the last command that the drone was sent by a predecessor; 0 for none that is known.
+        listener: the socket on which a successor asks to take over; None if there is none.
+        sequence: number of the last command that a predecessor sent to the drone; 0 if it is not known.
     """
 
     def __init__(self, options: SenderOptions, service: socket.socket, listener: socket.socket | None, sequence: int) -> None:
@@ -74,11 +74,11 @@ class Sender:
         self._navdata: socket.socket | None = None
         self._asked = self._status_at = self._due = 0
         self._in_force: int | None = None
-        """Deadline of the word that the drone was sent last; None when it was sent hover."""
+        """The deadline of the command that was sent to the drone last; None if that was hover."""
         self._buffer = b""
         self._datagrams = self._errors = 0
         self._refused: tuple[int, int] | None = None
-        """The first and the newest refusal of a series."""
+        """The instants of the first and the newest refusal of a series; None if there is no series."""
         self._alone = False
         self._telling: list[tuple[TextCommand, ...]] = []
         self._over = False
@@ -115,7 +115,7 @@ class Sender:
             self._take()
 
     def _take(self) -> None:
-        """Read what the service said; only its newest word counts, and one that has run out is not flown."""
+        """Read the service's lines; only its newest command counts, and an expired one is not flown."""
         assert self._service is not None
         try:
             said = self._service.recv(LINE_MAX)
@@ -169,7 +169,7 @@ class Sender:
             self._send((*told, *commands))
         word = self._arbiter.word
         self._in_force = word.until if fresh and word is not None else None
-        # While words come at the period's pace there is no need to repeat one just before the next.
+        # While commands arrive once a period there is no need to repeat one just before the next.
         self._due = now + round((4 / 3 if fresh else 1.0) * self._o.period_s * _NS)
 
     def _send(self, commands: Sequence[TextCommand]) -> None:
@@ -201,7 +201,7 @@ class Sender:
             self._at = None
 
     def _consider(self, now: int) -> None:
-        """Look at who is there: the service, the drone."""
+        """Check whether the service is present, and receive navdata while it is not."""
         instant = MonoNs(now)
         alone = self._service is None or self._arbiter.silent_s(instant) > _SILENT_S
         if alone != self._alone:
@@ -228,12 +228,12 @@ class Sender:
             return
         self._status_at = now
         status = SenderStatus(self._sequence, self._datagrams, self._errors, self._arbiter.hovers)
-        # A service that does not read is told later; of one that is gone the next read says so.
+        # A service that does not read gets a later status; the next read shows whether it is gone.
         with suppress(OSError):
             self._service.send(pack_status(status), socket.MSG_DONTWAIT)
 
     def _listen(self, now: int) -> None:
-        """Hear navdata oneself, and ask for it again where it does not come."""
+        """Receive navdata in this process, and request it again if it does not arrive."""
         try:
             if self._navdata is None:
                 self._navdata = _connected(self._o.host, self._o.navdata_port)
@@ -272,7 +272,7 @@ def _connected(host: str, port: int) -> socket.socket:
 
 
 def _stay_in_memory() -> None:
-    """Ask not to be swapped out; where that is not allowed it flies without."""
+    """Ask the system not to swap this process out; if that is not allowed, go on without."""
     try:
         import ctypes
 

@@ -1,4 +1,4 @@
-"""The service's end of its sender: starts the process, gives it words, and notices when it is gone."""
+"""The service's end of its sender: starts the process, sends it commands, and notices when it is gone."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, after, seconds_between
 
 _COMMANDS_S = 0.5
-"""Commands other than words are dropped when they have waited this long."""
+"""Further commands, those passed to `SenderClient.send`, are dropped when they have waited this long."""
 _READY_S = 5.0
 _SILENT_S = 0.1
-"""A sender answers each word by its status; when none has come for this long, the drone is told to hover past it."""
+"""A sender answers each command with its status; if none arrives for this long, hover is sent to the drone directly."""
 _SILENT_PERIODS = 3.5
-"""The same where words come more slowly."""
+"""The same limit in command periods, which applies if commands are sent more slowly."""
 _STUCK_S = 0.5
-"""A sender that has not told its status for this long is replaced."""
+"""A sender that has not sent its status for this long is replaced."""
 _END_S = 2.0
 _GONE_S = 0.02
-"""A process whose socket has closed needs this long to be gone altogether."""
+"""A process whose socket has closed needs this long to end."""
 _BURST = 3
 _LEFT: list[subprocess.Popen[bytes]] = []
-"""Senders that were left to a successor and may have ended since."""
+"""The senders that were left to a successor and may have ended since."""
 _START = "import sys; sys.path.append(sys.argv.pop(1)); from drivers.ardrone.sender import main; sys.exit(main(sys.argv[1:]))"
 
 
@@ -50,8 +50,8 @@ class SenderClient:
     """One running sender process.
 
     Args:
-        told: is given each status with the one before it.
-        hovered: is called whenever hover was said past a sender that is silent or gone.
+        told: is called with each status and the one before it.
+        hovered: is called whenever hover was sent to the drone directly, because the sender is silent or gone.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class SenderClient:
 
     @property
     def pid(self) -> int:
-        """Process id of the sender."""
+        """The process id of the sender."""
         return self._process.pid
 
     @property
@@ -104,7 +104,7 @@ class SenderClient:
         return self._received_at is not None
 
     def say(self, word: Word) -> None:
-        """Give the newest word; never blocks. While the sender is silent the drone is told to hover, word after word.
+        """Send the newest command; never blocks. While the sender is silent, each call sends hover to the drone directly.
 
         Raises:
             Recoverable: the sender is gone or stuck.
@@ -116,18 +116,18 @@ class SenderClient:
         self._write(pack(word))
 
     def send(self, commands: Sequence[AtCommand]) -> None:
-        """Further commands, all in one datagram, in order; dropped while the sender is not up yet.
+        """Send further commands, all in one datagram, in order; they are dropped while the sender is not up yet.
 
         Raises:
             Recoverable: the sender is gone or stuck.
         """
         self._look()
         if not self.up:
-            return  # dropped as a datagram may be: those that matter are repeated, and must not pile up
+            return  # dropped as a datagram may be: important ones are repeated, and must not pile up
         self._write(pack_commands(commands, after(self._clock.now(), _COMMANDS_S)))
 
     def reopen(self) -> None:
-        """Open the AT socket again, which takes this host's present address.
+        """Open the AT socket again; the new one takes this host's present address.
 
         Raises:
             Recoverable: the sender is gone or stuck.
@@ -136,21 +136,21 @@ class SenderClient:
         self._write(REOPEN)
 
     def end(self, word: Word) -> None:
-        """The service ends on purpose: the sender says this word and ends."""
+        """Let the sender send this command and end: the service ends on purpose."""
         with suppress(Recoverable):
             self._write(pack_end(word))
         self._close()
         self._kill(_END_S)
 
     def let_go(self) -> None:
-        """The service ends otherwise: the sender stays and holds a flying drone until a successor comes."""
+        """Leave the sender running, so that it holds a flying drone until a successor takes over: the service ends otherwise."""
         self._close()
         _LEFT.append(self._process)
 
     def _look(self) -> None:
         if self._lost is not None:
             raise Recoverable(self._lost)
-        self._read()  # after a standstill of ours its word lies here unread
+        self._read()  # after this process stood still, the sender's status lies here unread
         if self._lost is not None:
             raise Recoverable(self._lost)
         since, patience_s = (self._began, _READY_S) if self._received_at is None else (self._received_at, _STUCK_S)
@@ -190,7 +190,7 @@ class SenderClient:
             self._told(before, self._status)
 
     def _lose(self, why: str) -> None:
-        """The sender is not to be relied upon: make sure that it is gone, and let the drone hover until there is another."""
+        """Make sure that an unreliable sender is gone, and let the drone hover until there is another."""
         if self._lost is not None:
             return
         self._lost = why
@@ -207,9 +207,10 @@ class SenderClient:
             self._process.wait()
 
     def _hover(self) -> None:
-        """Without a sender the drone flies on by the last command it heard: number 1 makes it hear this one.
+        """Send hover to the drone directly: without a sender it would fly on by the last command that it received.
 
-        A sender that was only slow goes on with its own numbers, which are higher: the drone hears those as well.
+        Sequence number 1 makes the drone accept this command. It also accepts those of a sender that was only slow and continues
+        with its own numbers, which are higher.
         """
         self._hovered()
         data = encode(1, HOVER)
@@ -223,7 +224,7 @@ class SenderClient:
                 for _ in range(_BURST):
                     direct.sendto(data, address)
         except OSError:
-            return  # a name instead of an address, or no network: the next sender will say it
+            return  # a name instead of an address, or no network: the next sender will report it
 
     def _close(self) -> None:
         if not self._closed:

@@ -1,8 +1,8 @@
-"""One sender for a drone: who has it, and how it passes to a successor.
+"""Make sure that one sender at a time serves a drone, and pass the drone on to a successor.
 
-A sender listens on an abstract Unix socket that is named after user, host and port. A newcomer asks whoever listens to yield: a
+A sender listens on an abstract Unix socket that is named after user, host and port. A newcomer asks the listener to yield: a
 sender whose service is gone answers with its sequence number and ends, so that the newcomer goes on counting; one whose service
-is alive refuses. One that does not answer at all is stuck, and is killed. Systems without abstract sockets go without.
+is alive refuses. One that does not answer at all is stuck, and is killed. Systems without abstract sockets have no such lock.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ _ANSWER_S = 0.5
 _BIND_S = 1.0
 _RECEIVE_TIMEOUT_S = 0.05
 _CREDENTIALS = struct.Struct("3i")
-"""struct ucred: process, user, group."""
+"""The layout of struct ucred: process, user, group."""
 
 
 def claim(name: str) -> tuple[socket.socket | None, int] | None:
     """Become the sender of that name.
 
     Returns:
-        The listening socket (None where there can be none) and the sequence number of the predecessor's last command, 0 where
-        there was none; None where a sender with a living service has the name.
+        The listening socket (None if none can be opened) and the sequence number of the predecessor's last command, 0 if
+        there was none; None instead of both if a sender with a living service has the name.
     """
     if sys.platform != "linux":
         return None, 0
@@ -51,14 +51,14 @@ def claim(name: str) -> tuple[socket.socket | None, int] | None:
 
 
 def _ask(name: str) -> int | None:
-    """Ask whoever has the name to yield: its sequence number, 0 when it said none, None when it refuses."""
+    """Ask the holder of the name to yield; return its sequence number, 0 if it sent none, None if it refuses."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as other:
         other.settimeout(_ANSWER_S)
         try:
             other.connect(name)
             pid, user = _peer(other)
             if user != os.getuid():
-                return 0  # somebody else took the name; there is nothing of ours to hear
+                return 0  # somebody else took the name and has no sequence number of ours
             other.sendall(_ASK)
             answer = other.recv(32)
         except TimeoutError:
@@ -73,10 +73,10 @@ def _ask(name: str) -> int | None:
 
 
 def yield_to(listener: socket.socket, sequence: int | None) -> bool:
-    """Answer one newcomer: with the sequence number, after which we end, or by a refusal when it is None.
+    """Answer one newcomer: with the sequence number, after which this sender ends, or with a refusal if it is None.
 
     Returns:
-        Whether we yielded.
+        Whether this sender yielded.
     """
     try:
         other, _ = listener.accept()
@@ -94,6 +94,6 @@ def yield_to(listener: socket.socket, sequence: int | None) -> bool:
 
 
 def _peer(end: socket.socket) -> tuple[int, int]:
-    """Process and user at the other end."""
+    """Return the process id and the user id at the other end."""
     pid, user, _ = _CREDENTIALS.unpack(end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
     return pid, user

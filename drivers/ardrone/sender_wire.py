@@ -1,7 +1,7 @@
 """The protocol between a service and its sender: lines of JSON over a stream socket. No I/O.
 
-The service sends words (`pack`), further commands with a deadline (`pack_commands`), REOPEN, and at its end the last word
-(`pack_end`). The sender answers each word with its status.
+The service sends its command of each period (`pack`), further commands with a deadline (`pack_commands`), REOPEN, and at its end
+the final command (`pack_end`). The sender answers each command of a period with its status.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from estimator.contracts.time import MonoNs
 
 LINE_MAX = 1 << 16
 REOPEN = b'{"reopen": true}\n'
-"""Open the AT socket again: it then takes this host's present address."""
+"""The line that makes the sender open the AT socket again, which then takes this host's present address."""
 BUSY = b"busy"
-"""The line of a sender that ends at once, as another service, which is alive, flies this drone."""
+"""The line of a sender that ends at once, because another service, which is alive, flies this drone."""
 
 TextCommand = tuple[str, str]
-"""A command as text: its name, and its arguments as they stand after the sequence number."""
+"""A command as text: its name, and its arguments as they follow the sequence number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,17 +35,17 @@ class SenderOptions:
     period_s: float
     hold_s: float
     alone: tuple[TextCommand, ...] = ()
-    """Sent once the service is gone or silent."""
+    """The commands that are sent once the service is gone or silent."""
     again: tuple[TextCommand, ...] = ()
-    """Sent when the service is back, or the drone stands: undoes `alone`."""
+    """The commands that undo `alone`; they are sent when the service is back, or the drone is on the ground."""
 
     def as_json(self) -> str:
-        """The text that `of_json` reads."""
+        """Return the text that `of_json` reads."""
         return json.dumps(asdict(self))
 
     @staticmethod
     def of_json(text: str) -> SenderOptions:
-        """The options that `as_json` wrote."""
+        """Return the options that `as_json` wrote."""
         given = json.loads(text)
         for name in ("alone", "again"):
             given[name] = tuple((str(command), str(rest)) for command, rest in given[name])
@@ -53,25 +53,25 @@ class SenderOptions:
 
     @property
     def name(self) -> str:
-        """The abstract socket of whoever sends to this drone: one for each user, host and port."""
+        """The name of the abstract socket of the process that sends to this drone: one for each user, host and port."""
         return f"\0decklander-sender/{os.getuid()}/{self.host}:{self.at_port}"
 
 
 @dataclass(frozen=True, slots=True)
 class SenderStatus:
-    """What a sender has done since it began."""
+    """The totals of a sender since it began."""
 
     sequence: int
-    """Number of the newest command."""
+    """The sequence number of the newest command."""
     datagrams: int
     errors: int
     late_hovers: int
-    """Datagrams in which hover stood for a word that had run out."""
+    """Number of datagrams in which hover replaced an expired command."""
 
 
 @dataclass(frozen=True, slots=True)
 class SenderOrder:
-    """One line of the service, taken apart: at most one of the fields is set."""
+    """One parsed line of the service: at most one of the fields is set."""
 
     word: Word | None = None
     commands: tuple[TextCommand, ...] = ()
@@ -82,40 +82,40 @@ class SenderOrder:
 
 
 def as_text(commands: Sequence[AtCommand]) -> tuple[TextCommand, ...]:
-    """Commands as text.
+    """Return the commands as text.
 
     Raises:
-        ValueError: an argument that cannot travel.
+        ValueError: an argument cannot be encoded.
     """
     return tuple((command.NAME, arguments(command)) for command in commands)
 
 
 def pack(word: Word) -> bytes:
-    """The line of a word."""
+    """Return the line of the command of one period."""
     return json.dumps(_fields(word)).encode() + b"\n"
 
 
 def pack_end(word: Word) -> bytes:
-    """The line that ends the sender, with the last word."""
+    """Return the line that ends the sender, with the final command."""
     return json.dumps({"end": _fields(word)}).encode() + b"\n"
 
 
 def pack_commands(commands: Sequence[AtCommand], until: MonoNs) -> bytes:
-    """The line of further commands, which are dropped after `until`.
+    """Return the line of further commands, which are dropped after `until`.
 
     Raises:
-        ValueError: an argument that cannot travel.
+        ValueError: an argument cannot be encoded.
     """
     return json.dumps({"send": as_text(commands), "until": until}).encode() + b"\n"
 
 
 def pack_status(status: SenderStatus) -> bytes:
-    """The line of a status."""
+    """Return the line of a status."""
     return json.dumps([status.sequence, status.datagrams, status.errors, status.late_hovers]).encode() + b"\n"
 
 
 def order_of(line: bytes) -> SenderOrder:
-    """Take a line of the service apart."""
+    """Parse a line of the service."""
     said = json.loads(line)
     if isinstance(said, list):
         return SenderOrder(word=_word(said))
@@ -127,7 +127,7 @@ def order_of(line: bytes) -> SenderOrder:
 
 
 def status_of(line: bytes) -> SenderStatus:
-    """Take a line of the sender apart."""
+    """Parse a line of the sender."""
     return SenderStatus(*json.loads(line))
 
 

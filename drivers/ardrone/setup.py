@@ -1,4 +1,4 @@
-"""Brings the drone into the state we fly it in: bootstrap, and each configuration key by its acknowledge handshake."""
+"""Configure the drone for flight: end its bootstrap, and set each configuration key by its acknowledge handshake."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _LOOK_S = 0.005
 
 
 def configuration_commands(options: ArDroneOptions) -> Iterator[tuple[str, list[AtCommand]]]:
-    """Each key the drone is asked for, in order, with the commands that set it: CONFIG, and CONFIG_IDS before it once a
-    session is in use, without which the drone refuses the keys of that session.
+    """Yield each key that is set, in order, with the commands that set it: CONFIG, and CONFIG_IDS before it once a session is
+    in use, without which the drone refuses the keys of that session.
     """
     ids, in_use = options.ids, False
     for key, value in options.configuration().items():
@@ -32,7 +32,7 @@ def configuration_commands(options: ArDroneOptions) -> Iterator[tuple[str, list[
 
 
 class Setup:
-    """Configures the drone when the link is new and whenever the drone has begun anew.
+    """Configures the drone when the link is new and whenever the drone has restarted.
 
     `needed` is set while there is something to do, `done` while the drone is known to be configured; `handshake` is held by
     whoever uses the acknowledge bit.
@@ -51,22 +51,22 @@ class Setup:
         self.done = asyncio.Event()
         self.done_at: MonoNs | None = None
         self.rounds = 0
-        """How often the drone was configured."""
+        """The number of times that the drone was configured."""
         self.handshake = asyncio.Lock()
 
     def again(self) -> None:
-        """The drone has forgotten what it was told, or never heard it."""
+        """Configure the drone again, because it has lost its configuration or never received it."""
         self.done.clear()
         self.done_at = None
         self.needed.set()
 
     def on_state(self, state: int) -> None:
-        """State bits that a configured drone does not show."""
+        """Configure again if the state bits are not those of a configured drone."""
         if self.done.is_set() and state & (NavdataState.NAVDATA_BOOTSTRAP | NavdataState.NAVDATA_DEMO):
             self.again()
 
     async def run(self) -> None:
-        """Whenever needed.
+        """Configure the drone whenever that is needed.
 
         Raises:
             Recoverable: a key was not acknowledged in `config_timeout_s`; all of them are sent again.
@@ -117,10 +117,10 @@ class Setup:
         return 0 if newest is None else newest.state
 
     async def clear_acknowledge(self) -> None:
-        """For the control channel, with `handshake` held.
+        """Clear the acknowledge bit for the control channel, which holds `handshake`.
 
         Raises:
-            Recoverable: the bit did not fall in `config_timeout_s`.
+            Recoverable: the bit was not cleared within `config_timeout_s`.
         """
         await self._until(
             lambda state: not state & NavdataState.COMMAND_ACK, [Ctrl(CTRL_ACK)], self._clock.now(), "the acknowledge bit"

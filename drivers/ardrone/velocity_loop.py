@@ -1,9 +1,9 @@
-"""From a wanted velocity to the sticks of PCMD. Pure.
+"""Convert a commanded velocity to the sticks of PCMD. No I/O and no state.
 
 The drone takes roll and pitch as fractions of a tilt angle, so a velocity needs a loop here: a PI controller on the measured
-velocity with the drag of the wanted speed fed forward, solved for the tilt that gives that acceleration, limited as a vector.
-The tilt follows its command late; asking for more than the tilt still lacks (`velocity_lead`) makes up for part of that lateness.
-Climb and turn rates are closed by the drone itself and only scaled.
+velocity with the drag of the commanded speed fed forward, solved for the tilt that gives that acceleration, limited as a vector.
+The tilt follows its command late; commanding more than the tilt still lacks (`velocity_lead`) compensates part of that delay.
+The drone itself closes the loops of climb and turn rate, which are only scaled here.
 
 The default drag, 0.43 1/s, is the regression of acceleration on tilt and speed in a flight under motion capture.
 """
@@ -24,7 +24,7 @@ _G_M_S2 = 9.80665
 
 @dataclass(frozen=True, slots=True)
 class Sticks:
-    """Fractions -1..1 with PCMD's signs: roll + right, pitch + backward (nose up), gaz + up, yaw + clockwise."""
+    """Stick positions, -1..1 with PCMD's signs: roll + right, pitch + backward (nose up), gaz + up, yaw + clockwise."""
 
     roll: float = 0.0
     pitch: float = 0.0
@@ -34,7 +34,7 @@ class Sticks:
 
 @dataclass(frozen=True, slots=True)
 class LoopState:
-    """What the loop remembers: the integral's acceleration, m/s^2 forward and right."""
+    """The state of the loop: the integral's acceleration, m/s^2 forward and right."""
 
     forward_m_s2: float = 0.0
     right_m_s2: float = 0.0
@@ -44,7 +44,7 @@ RESET = LoopState()
 
 
 def acceleration_of(R_ned_body: Rotation) -> F64:
-    """(2,) m/s^2 forward and right: what hovering thrust gives at this tilt."""
+    """Return the acceleration that hovering thrust gives at this tilt, (2,) m/s^2 forward and right."""
     roll, pitch, _ = R_ned_body.rpy_rad
     return _G_M_S2 * np.array([-math.tan(pitch), math.tan(roll) / math.cos(pitch)])
 
@@ -52,14 +52,14 @@ def acceleration_of(R_ned_body: Rotation) -> F64:
 def step(
     state: LoopState, wanted: Velocity, v_level: F64, a_level: F64 | None, dt_s: float, options: ArDroneOptions
 ) -> tuple[LoopState, Sticks]:
-    """One period of the loop.
+    """Advance the loop by one period.
 
     Args:
-        v_level: (3,) m/s forward, right, down as measured; down is not looked at.
-        a_level: (2,) m/s^2 forward and right of the present tilt (`acceleration_of`); None for no lead.
-        dt_s: since the last step, for the integral; 0 on the first.
+        v_level: (3,) measured velocity, m/s forward, right, down; down is not used.
+        a_level: (2,) acceleration of the present tilt (`acceleration_of`), m/s^2 forward and right; None for no lead.
+        dt_s: time since the last step, for the integral, seconds; 0 on the first.
     Returns:
-        The next memory and the sticks. The integral stands still while the tilt is at its limit and it would push on.
+        The next state and the sticks. The integral is held while the tilt is at its limit and it would grow further.
     """
     error = np.asarray(wanted.v_level[:2] - v_level[:2])
     integral = np.array([state.forward_m_s2, state.right_m_s2])
@@ -83,7 +83,7 @@ def step(
 
 
 def _within(v: F64, length: float) -> F64:
-    """The vector, shortened to at most this length."""
+    """Return the vector, shortened to at most this length."""
     size = float(np.hypot(v[0], v[1]))
     return v * (length / size) if size > length else v
 

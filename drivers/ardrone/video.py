@@ -1,7 +1,7 @@
-"""H.264 access units of PaVE frames to frames.
+"""Decode the H.264 access units of PaVE frames.
 
-A decoder that lost a unit goes on with wrong frames and does not always say so, so after any gap, damage or error everything is
-dropped up to the next IDR. `VideoDecoder.newest` blocks for 1-2 ms a frame of 640x360: call it from one worker thread, in order.
+A decoder that lost a unit continues with wrong frames and does not always report it, so after any gap, damage or error everything
+is dropped up to the next IDR. `VideoDecoder.newest` blocks for 1-2 ms a frame of 640x360: call it in order from one thread.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ MAX_PIXELS = 1920 * 1088
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecodedImage:
-    """A decoded frame and where in the batch its unit stood."""
+    """A decoded frame and the index of its unit in the batch."""
 
     index: int
     px: NDArray[np.uint8]
-    """(H, W, 3) BGR."""
+    """The pixels, (H, W, 3) BGR."""
 
 
 class VideoDecoder:
-    """Access units in, the newest frame out. Every unit given to it ends in exactly one of the counters."""
+    """Takes access units and returns the newest frame. Every unit is counted by exactly one of the counters."""
 
     def __init__(self) -> None:
         self._codec: VideoCodecContext | None = None
         self.images = 0
-        """Given out."""
+        """Units whose frame was returned."""
         self.overtaken = 0
-        """A newer frame of the same batch was given out instead."""
+        """Units in whose place a newer frame of the same batch was returned."""
         self.waiting = 0
-        """Dropped: no IDR since the start, a gap or damage."""
+        """Units dropped because there was no IDR since the start, a gap or damage."""
         self.damaged = 0
-        """Dropped: the decoder refused it, marked it corrupt, or its size is not that of its header."""
+        """Units dropped because the decoder refused them or marked them corrupt, or their size is not that of their header."""
         self.unsupported = 0
-        """Dropped: not H.264, or a part of a frame."""
+        """Units dropped because they are not H.264, or a part of a frame."""
         self.empty = 0
-        """Announcements and parameter sets alone: nothing to see by design."""
+        """Units that are announcements or parameter sets alone and hold no frame by design."""
 
     @property
     def units(self) -> int:
-        """How many were given to it."""
+        """The number of units that were given to the decoder."""
         return self.images + self.overtaken + self.waiting + self.damaged + self.unsupported + self.empty
 
     def newest(self, batch: Sequence[PaveFrame]) -> DecodedImage | None:

@@ -1,4 +1,4 @@
-"""Video off the wire: TCP bytes to frames, decoded in one worker thread, in order, the newest only."""
+"""The video channel turns TCP bytes into frames: they are decoded in one worker thread, in order, and only the newest is kept."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MS = 1_000_000
 
 
 class VideoChannel:
-    """One video stream into `frames`. Frames are held back until the bottom camera is known to be selected."""
+    """Puts the frames of one video stream into `frames`, once the bottom camera is known to be selected."""
 
     def __init__(self, options: ArDroneOptions, clock: Clock, counters: Counters, setup: Setup, frames: Latest[Frame]) -> None:
         self._o = options
@@ -41,18 +41,18 @@ class VideoChannel:
             )
         )
         self._began = MonoNs(0)
-        """When the first byte of the unfinished frame was heard."""
+        """The instant at which the first byte of the unfinished frame was received."""
 
     def restarted(self) -> None:
-        """The drone has begun anew, and its clock with it."""
+        """Forget the drone's clock, because the drone has restarted."""
         self._map.reset()
 
     async def run(self) -> None:
-        """Until the stream ends or is silent for `video_silence_s`.
+        """Receive until the stream ends or is silent for `video_silence_s`.
 
         Raises:
-            Recoverable: end or silence.
-            OSError: no connection.
+            Recoverable: the stream ended or is silent.
+            OSError: there is no connection.
         """
         async with asyncio.timeout(self._o.connect_timeout_s):
             reader, writer = await asyncio.open_connection(self._o.host, self._o.video_port, limit=4 * _READ)
