@@ -1,1 +1,1 @@
-"""What the service heard, decided and said, as MCAP files: written beside the flight, read back for replay."""
+"""Record the service's inputs, decisions and outputs as MCAP files during the flight, and read them back for replay."""

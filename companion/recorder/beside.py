@@ -1,4 +1,4 @@
-"""The recorder as a part beside the flight: what the operator wants of it and what it is told of the links outlive a life."""
+"""The recorder as a restartable part beside the flight: the operator's switch and the links' messages survive a restart."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from estimator.contracts.time import MonoNs
 
 
 class RecorderBeside(RestartablePart[Recorder]):
-    """See `RestartablePart`."""
+    """The restartable recorder; see `RestartablePart`."""
 
     def __init__(self, make: Callable[[], Recorder], health: Health) -> None:
         self._wanted: bool | None = None
@@ -21,12 +21,12 @@ class RecorderBeside(RestartablePart[Recorder]):
         super().__init__(PART, lambda: self._as_wanted(make()))
 
     def switch(self, on: bool) -> str | None:
-        """The operator: record or do not; says why it cannot."""
+        """Start or stop recording for the operator; return the reason if that is impossible, else None."""
         self._wanted = on
         return self.now.switch(on) if self.now is not None else ("the recorder failed; it is being started again" if on else None)
 
     def on_link(self, at: MonoNs, link: str, direction: Literal["in", "out"], data: bytes, name: str | None = None) -> None:
-        """One message of a link. Links call this between the vehicle and guidance, so it never raises."""
+        """Record one message of a link. Links call this between the vehicle and guidance, so it never raises."""
         if self.now is not None:
             self._guard.call(self.now.on_link, at, link, direction, data, name)
 

@@ -1,4 +1,4 @@
-"""Which topic of a recording holds which message."""
+"""The topics of a recording and the messages that each holds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from estimator.contracts.fusion import Source
 IMAGE, ANNOTATIONS, CALIBRATION = "/camera/image", "/camera/annotations", "/camera/calibration"
 DETECTION, DECISION, TRUTH, LINK, HEALTH, LOG, TRANSFORMS = "/detection", "/decision", "/truth", "/link", "/health", "/log", "/tf"
 FIXED_TRANSFORMS = "/tf_static"
-"""Written once a file. A viewer that seeks takes the newest message of each topic, so nothing else may come on this one."""
+"""The topic of the transforms that are written once per file. A viewer that seeks takes a topic's newest message, so nothing
+else may be written to this one."""
 TRUE_POSE = "/pose/truth"
 PATHS = ("median_mean", "dead_reckoning", "ekf")
 
@@ -60,7 +61,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
 
 
 def schema_name(kind: type[msgspec.Struct]) -> str:
-    """`foxglove.PoseInFrame`, `decklander.Detection`."""
+    """Return the name of a record's schema, such as `foxglove.PoseInFrame` or `decklander.Detection`."""
     if kind.__module__ == fox.__name__:
         return f"foxglove.{kind.__name__}"
     return f"decklander.{kind.__name__.removesuffix('Record')}"

@@ -1,7 +1,7 @@
-"""The records of an MCAP file, whoever wrote it: every length is bounded before memory is taken for what it announces.
+"""Read the records of an untrusted MCAP file: every announced length is bounded before memory is allocated for it.
 
-An MCAP record says itself how long it and its parts are, and a chunk how large it will be once it is unpacked. The library
-believes both, so what it reads from knows where the file ends, and chunks are unpacked here.
+An MCAP record announces its own length and those of its parts, and a chunk announces its unpacked size. The library trusts both,
+so it reads from a stream that knows where the file ends, and chunks are unpacked here.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from estimator.contracts.errors import BadInput
 MAGIC = b"\x89MCAP0\r\n"
 MOST_RECORD_BYTES = 128 << 20
 MOST_CHUNK_BYTES = 64 << 20
-"""Largest size of an unpacked chunk: sixteen times the size of ours."""
+"""The largest size of an unpacked chunk: sixteen times the size of ours."""
 
 
 def records(stream: IO[bytes], path: Path, cut: dict[Path, str]) -> Iterator[McapRecord]:
-    """Yield all records in order; where the file ends early or is damaged, `cut` says why and the iteration ends.
+    """Yield all records in order; if the file ends early or is damaged, put the reason into `cut` and end the iteration.
 
     Args:
         stream: the file, open at its beginning.
 
     Raises:
-        BadInput: it does not even begin like an MCAP file.
+        BadInput: the file does not even begin like an MCAP file.
     """
     if stream.read(len(MAGIC)) != MAGIC:
         raise BadInput(f"{path}: not an MCAP file")
@@ -67,7 +67,7 @@ def _unpacked(chunk: Chunk) -> Chunk:
         raise McapError(f"a chunk announces {announced} bytes, at most {MOST_CHUNK_BYTES} are read")
     match chunk.compression:
         case "zstd":
-            # One byte more than announced, so that a chunk that holds more is noticed.
+            # Unpack one byte more than announced, so that a chunk that holds more is detected.
             unpacked = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(announced + 1)
         case "lz4":
             unpacked = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=announced + 1)
@@ -81,7 +81,7 @@ def _unpacked(chunk: Chunk) -> Chunk:
 
 
 class _Ending:
-    """A file that knows where it ends: asked for more than is left, it takes no memory for the rest."""
+    """A file that knows where it ends: a read beyond the end allocates no memory for the missing bytes."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._stream = stream

@@ -1,4 +1,4 @@
-"""From the messages of a recording back to what the service was told: the inverse of `companion.recorder.encode`."""
+"""Decode the messages of a recording to the service's inputs: the inverse of `companion.recorder.encode`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from estimator.vision.thesis.detection import Detection
 
 
 def sample(of: rec.SampleRecord) -> Sample:
-    """Raises ValueError where numbers are not what the sample takes."""
+    """Return the sample of a record. Raises ValueError if the sample does not accept its numbers."""
     t = stamp(of.stamp)
     match of:
         case rec.ImuRecord():
@@ -52,7 +52,7 @@ def attitude(of: rec.AttitudeRecord) -> Attitude:
 
 
 def detection(of: rec.DetectionRecord) -> Detection | None:
-    """None where vision was not asked. Features are not among it: they are annotations."""
+    """Return the detection of a record, or None if vision did not run. It has no features: those are annotations."""
     if of.tried is None:
         return None
     t = stamp(of.stamp)
@@ -100,7 +100,7 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
 
 
 def fusion(of: rec.FusionRecord) -> FusionResult:
-    """Raises ValueError where names or shapes are not those of a result."""
+    """Return the result of a record. Raises ValueError if names or shapes are not those of a result."""
     if of.path not in get_args(PathName):
         raise ValueError(f"no such estimator path: {of.path!r}")
     if of.source not in get_args(Source):
@@ -142,7 +142,7 @@ def command(of: rec.DecisionRecord) -> Command | None:
 
 
 def truth(of: rec.TruthRecord) -> None:
-    """Raises ValueError where numbers are not what truth takes."""
+    """Check a record of truth. Raises ValueError if its numbers are not valid."""
     _vector(of.d_body_pad_level)
     _vector(of.v_pad_level)
     if not -math.pi < of.yaw_rad <= math.pi:

@@ -1,4 +1,4 @@
-"""From what the service tells its observers to the messages of a recording."""
+"""Encode the events that the service passes to its observers as the messages of a recording."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def belief(of: RelativeState) -> rec.BeliefRecord:
 
 
 def fusion(at: MonoNs, of: FusionResult) -> rec.FusionRecord:
-    """Return the record of a result that the service met at `at`. Figures that are not finite are left out."""
+    """Return the record of a result that the service processed at `at`. Numbers that are not finite are left out."""
     return rec.FusionRecord(
         int(at),
         of.path,
@@ -146,7 +146,7 @@ def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:
 
 
 def _finite(a: NDArray[np.float64] | None) -> list[float] | None:
-    """Return the numbers row by row; None where there are none or one of them is not finite."""
+    """Return the numbers row by row, or None if there are none or one of them is not finite."""
     if a is None:
         return None
     flat = _flat(a)

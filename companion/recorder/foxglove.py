@@ -1,6 +1,6 @@
 """The Foxglove messages that this recorder writes: images, annotations, calibration, transforms, poses, log lines.
 
-Field names and meanings are those of the published `foxglove.*` schemas. Axes are handed over so that a viewer shows
+Field names and meanings are those of the published `foxglove.*` schemas. Axes are converted so that a viewer shows
 up as up: the fixed frame is `deck` (x along the arrow, y to port, z up), with `pad`, `level`, `body` and `cam` of
 docs/conventions.md below it.
 """
@@ -22,7 +22,7 @@ NS = 1_000_000_000
 POINTS, LINE_LOOP, LINE_STRIP = 1, 2, 3
 INFO, WARNING, ERROR = 2, 3, 4
 R_DECK_PAD = Rotation.from_rotvec([math.pi, 0.0, 0.0])
-"""Half a turn about the arrow: down becomes up, starboard becomes port."""
+"""The rotation from `pad` to `deck`, half a turn about the arrow: down becomes up, starboard becomes port."""
 
 
 class Time(Struct, frozen=True):
@@ -152,7 +152,7 @@ _POINT_TYPES = {"point": POINTS, "line": LINE_STRIP, "ellipse": LINE_LOOP, "outl
 
 
 def time_of(at_ns: int) -> Time:
-    """Of nanoseconds since the viewer's epoch, which are not negative."""
+    """Return the time of a non-negative number of nanoseconds since the viewer's epoch."""
     return Time(*divmod(max(0, at_ns), NS))
 
 
@@ -166,12 +166,12 @@ def quaternion(R: Rotation) -> Quaternion:
 
 
 def compressed_image(at_ns: int, data: bytes, form: str) -> CompressedImage:
-    """`form` is "jpeg" or "png"."""
+    """Return the message of an encoded image; `form` is "jpeg" or "png"."""
     return CompressedImage(time_of(at_ns), "cam", data, form)
 
 
 def calibration(at_ns: int, camera: Camera) -> CameraCalibration:
-    """Brown-Conrady distortion is what the viewers call "plumb_bob"."""
+    """Return the camera's calibration; viewers call Brown-Conrady distortion "plumb_bob"."""
     K = camera.K
     P = np.hstack([K, np.zeros((3, 1))])
     return CameraCalibration(
@@ -181,7 +181,7 @@ def calibration(at_ns: int, camera: Camera) -> CameraCalibration:
 
 
 def fixed_transforms(at_ns: int, camera: Camera) -> FrameTransforms:
-    """Those that never change: the deck's own axes and the camera's mount."""
+    """Return the transforms that never change: the deck's own axes and the camera's mount."""
     t = time_of(at_ns)
     mount = camera.T_body_cam
     return FrameTransforms(
@@ -193,13 +193,13 @@ def fixed_transforms(at_ns: int, camera: Camera) -> FrameTransforms:
 
 
 def _level_in_pad(d_body_pad_level: F64, yaw_rad: float) -> tuple[Vector3, Quaternion]:
-    """Place and heading of `level` in `pad`, from the (3,) m vector to the pad and the heading against the arrow."""
+    """Return the position and heading of `level` in `pad`, from the (3,) m vector to the pad and the heading from the arrow."""
     R_pad_level = Rotation.from_rpy(0.0, 0.0, yaw_rad)
     return vector(R_pad_level @ -d_body_pad_level), quaternion(R_pad_level)
 
 
 def belief_transform(at_ns: int, belief: RelativeState) -> FrameTransforms | None:
-    """`level` under `pad`; None while the heading is not known."""
+    """Return the transform of `level` in `pad`, or None while the heading is not known."""
     if belief.yaw_rad is None:
         return None
     p, q = _level_in_pad(belief.d_body_pad_level, belief.yaw_rad)
@@ -207,13 +207,13 @@ def belief_transform(at_ns: int, belief: RelativeState) -> FrameTransforms | Non
 
 
 def attitude_transform(at_ns: int, R_ned_body: Rotation) -> FrameTransforms:
-    """`body` under `level`."""
+    """Return the transform of `body` in `level`."""
     q = quaternion(R_ned_body.without_heading())
     return FrameTransforms([FrameTransform(time_of(at_ns), "level", "body", Vector3(0.0, 0.0, 0.0), q)])
 
 
 def pose_in_pad(at_ns: int, d_body_pad_level: F64, yaw_rad: float | None) -> PoseInFrame | None:
-    """The levelled body seen from the pad; None while the heading is not known."""
+    """Return the pose of the levelled body in `pad`, or None while the heading is not known."""
     if yaw_rad is None:
         return None
     p, q = _level_in_pad(d_body_pad_level, yaw_rad)
@@ -221,7 +221,7 @@ def pose_in_pad(at_ns: int, d_body_pad_level: F64, yaw_rad: float | None) -> Pos
 
 
 def image_annotations(at_ns: int, features: Iterable[tuple[str, Feature]], caption: str) -> ImageAnnotations:
-    """What each method saw, by method name, and one line of text. A viewer's pixel (0, 0) is the corner of ours."""
+    """Return the features of each method and one line of text. A viewer's pixel (0, 0) is the corner of ours."""
     t = time_of(at_ns)
     points = []
     for method, feature in features:

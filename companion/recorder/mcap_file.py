@@ -1,4 +1,4 @@
-"""One MCAP file while it is written. After each flush what lies on the disk is a sequence of whole chunks: it reads as it is."""
+"""Write one MCAP file. After each flush the file on the disk is a sequence of whole chunks, which can be read as it is."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What every file of a recording says of itself."""
+    """The metadata and attachments of every file of a recording."""
 
     metadata: Mapping[str, Mapping[str, str]]
-    """By name: versions, clock, whatever describes the flight."""
+    """The metadata by name: versions, clock, and anything else that describes the flight."""
     attachments: Sequence[Attachment] = ()
-    """Settings, camera and pad."""
+    """The settings, camera and pad files."""
     offset_ns: int = 0
-    """Added to an instant of the monotonic clock to place it on the viewer's time axis; 0 in virtual time."""
+    """The offset from the monotonic clock to the viewer's time axis, ns; it is 0 in virtual time."""
 
 
 class McapFile:
-    """Opens `path` for writing and writes what comes before the first message.
+    """Opens `path` for writing, and writes everything that precedes the first message.
 
     Raises:
         OSError: the file cannot be made or the disk is full; so do `add`, `flush` and `close`.
@@ -60,7 +60,7 @@ class McapFile:
         self._encoder = msgspec.json.Encoder()
         self._sequences = dict.fromkeys(TOPICS, 0)
         self.bytes = 0
-        """On the disk."""
+        """The number of bytes on the disk."""
         try:
             self._begin(about)
         except BaseException:
@@ -86,32 +86,32 @@ class McapFile:
         self._spill()
 
     def add(self, topic: str, at_ns: int, message: msgspec.Struct) -> None:
-        """Take one message; it is on the disk after the next `flush`."""
+        """Add one message; it is on the disk after the next `flush`."""
         sequence = self._sequences[topic]
         self._sequences[topic] = sequence + 1
         self._writer.add_message(self._channels[topic], max(0, at_ns), self._encoder.encode(message), max(0, at_ns), sequence)
 
     @property
     def pending_bytes(self) -> int:
-        """Finished chunks that wait for the next flush."""
+        """The size of the finished chunks that wait for the next flush, bytes."""
         return self._buffer.tell()
 
     def flush(self) -> None:
-        """End the chunk and hand it to the system in one piece; what a full disk took of it is taken back."""
+        """End the chunk and write it in one piece; if the disk is full, remove the part that was written."""
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._spill()
 
     @property
     def removed(self) -> bool:
-        """Return whether the file was removed from its folder: what is written to it is lost when it is closed."""
+        """Return whether the file was removed from its folder, so that everything in it is lost when it is closed."""
         return os.fstat(self._file.fileno()).st_nlink == 0
 
     def sync(self) -> None:
-        """Wait until the disk itself has it."""
+        """Wait until the disk itself has stored the file."""
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Write the index and close."""
+        """Write the index and close the file."""
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._spill()
@@ -119,7 +119,7 @@ class McapFile:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close without another write: the file stays readable up to its last flush."""
+        """Close the file without another write: it stays readable up to its last flush."""
         self._file.close()
 
     def _spill(self) -> None:
@@ -140,7 +140,7 @@ class McapFile:
 
 
 class _Counted:
-    """The writer's view of the stream: its offsets go on growing although the buffer below is emptied at each flush."""
+    """The writer's view of the stream: its offsets keep growing although the buffer below is emptied at each flush."""
 
     def __init__(self, buffer: io.BytesIO) -> None:
         self._buffer = buffer

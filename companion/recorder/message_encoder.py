@@ -1,4 +1,4 @@
-"""From one thing the service said to the messages that go into the file: ours for replay, Foxglove's for looking at."""
+"""Encode one event of the service as the messages of the file: ours for replay, Foxglove's for viewers."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _SAMPLES = (Imu, Attitude, BodyVelocity, Range, Baro, VesselReport, VehicleStatu
 
 
 class MessageEncoder:
-    """Remembers only what spares messages: the phase last logged, when transforms were last written.
+    """Encodes events; its only state avoids needless messages: the phase last logged, the time of the last transforms.
 
     Args:
-        offset_ns: from an instant of the monotonic clock to the viewer's time axis.
+        offset_ns: the offset from the monotonic clock to the viewer's time axis, ns.
     """
 
     def __init__(self, camera: Camera, offset_ns: int, frames: FrameForm, jpeg_quality: int) -> None:
@@ -42,18 +42,21 @@ class MessageEncoder:
         self.begin()
 
     def begin(self) -> None:
-        """A new file."""
+        """Reset the state for a new file."""
         self._phase: str | None = None
         self._turned: MonoNs | None = None
 
     def preamble(self, at: MonoNs) -> Iterator[Message]:
-        """What does not change, at the head of a file."""
+        """Yield the constant messages at the head of a file."""
         t = self._time(at)
         yield channels.CALIBRATION, t, fox.calibration(t, self._camera)
         yield channels.FIXED_TRANSFORMS, t, fox.fixed_transforms(t, self._camera)
 
     def messages(self, at: MonoNs, what: object) -> Iterator[Message]:
-        """Of a sample, a decision, a record, or a frame as (its look record, the frame where its frame is kept, its look)."""
+        """Yield the messages of a sample, a decision, a record, or a frame.
+
+        A frame is a tuple of its detection record, its processed frame if the image is kept, and its detection.
+        """
         t = self._time(at)
         match what:
             case Imu() | Attitude() | BodyVelocity() | Range() | Baro() | VesselReport() | VehicleStatus():
@@ -131,10 +134,10 @@ class MessageEncoder:
 
 
 def packed(px: NDArray[np.uint8], form: FrameForm, jpeg_quality: int) -> bytes:
-    """A frame as the bytes of a file; JPEG keeps the full resolution of colour, which the pad is found by.
+    """Return an image encoded as the bytes of a file; JPEG keeps the full resolution of colour, which detects the pad.
 
     Raises:
-        ValueError: OpenCV cannot pack it.
+        ValueError: OpenCV cannot encode it.
     """
     if form == "jpeg":
         flags = [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]

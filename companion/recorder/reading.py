@@ -1,4 +1,4 @@
-"""Reading recordings, whole ones and ones cut short: everything up to the first byte that is missing or wrong."""
+"""Read recordings, whole or truncated: everything up to the first byte that is missing or wrong."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from estimator.vision.thesis.detection import Detection
 SETTINGS, CAMERA, PAD = "settings.toml", "camera.toml", "pad.toml"
 _NOT_UNDERSTOOD = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
 _APART_NS = 24 * 3600 * NS_PER_S
-"""Two events in a row are not further apart than this: a single one that is has a damaged instant."""
+"""The longest time between two consecutive events, ns: a single event that is further away has a damaged instant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,7 @@ class RecordedFrame:
 
     record: rec.DetectionRecord
     image: bytes | None
-    """As a file (JPEG, PNG); None where it was not kept."""
+    """The bytes of the image file (JPEG, PNG); None if it was not kept."""
 
     @property
     def stamp(self) -> Stamp:
@@ -47,21 +47,21 @@ class RecordedFrame:
 
     @property
     def done(self) -> MonoNs:
-        """When vision was done with it."""
+        """The instant at which vision finished the frame."""
         return MonoNs(self.record.done_ns)
 
     @property
     def attitude(self) -> Attitude | None:
-        """At the exposure, as it was then known."""
+        """The attitude at the exposure, as the service then knew it."""
         return None if self.record.attitude is None else decode.attitude(self.record.attitude)
 
     def check(self) -> None:
-        """Raises ValueError where numbers or names are not what a frame and what was seen in it take."""
+        """Check the frame and its detection. Raises ValueError if numbers or names are not valid."""
         Verdict(self.record.verdict)
         _ = self.stamp, self.attitude, self.look()
 
     def look(self) -> Detection | None:
-        """What vision saw then, without the features in pixels; None where it was not asked."""
+        """Return the recorded detection without the features in pixels, or None if vision did not run."""
         return decode.detection(self.record)
 
     def frame(self, size: tuple[int, int]) -> Frame | None:
@@ -71,7 +71,7 @@ class RecordedFrame:
             size: width and height of the camera, px.
 
         Returns:
-            None where the image was not kept, is damaged, or claims another size.
+            The frame, or None if the image was not kept, is damaged, or claims another size.
         """
         if self.image is None:
             return None
@@ -86,7 +86,7 @@ Event = Sample | RecordedFrame | Decision | rec.FusionRecord | rec.TruthRecord |
 
 
 def instant(event: Event) -> MonoNs:
-    """Return when the service met it."""
+    """Return the instant at which the service processed the event."""
     match event:
         case RecordedFrame():
             return event.done
@@ -99,7 +99,7 @@ def instant(event: Event) -> MonoNs:
 
 
 class _Instants:
-    """Tells a damaged instant from a recording that goes on after days: the latter is not alone."""
+    """Distinguishes a damaged instant from a recording that resumes after days: the latter has more than one event."""
 
     def __init__(self) -> None:
         self._last: MonoNs | None = None
@@ -116,24 +116,24 @@ class _Instants:
 
 @dataclass(slots=True, eq=False)
 class Recording:
-    """One recording, in one file or in the several that a long one was parted into."""
+    """One recording, in one file or in the several files that a long one was split into."""
 
     paths: tuple[Path, ...]
     metadata: dict[str, dict[str, str]]
     attachments: dict[str, bytes]
     counts: Counter[str] = field(default_factory=Counter)
-    """Messages of the newest pass through `events`, by topic."""
+    """The number of messages in the newest pass through `events`, by topic."""
     skipped: Counter[str] = field(default_factory=Counter)
-    """Messages of it that this version does not understand, by topic."""
+    """The number of messages in that pass that this version does not understand, by topic."""
     cut: dict[Path, str] = field(default_factory=dict)
-    """Files that end before their end, and why."""
+    """The files that are truncated or damaged, and the reason for each."""
 
     @property
     def name(self) -> str:
         return self.paths[0].name
 
     def events(self) -> Iterator[Event]:
-        """Everything it holds, in the order in which it was told; frames are decoded when they are asked for."""
+        """Yield every event in the order of recording; a frame is decoded when it is requested."""
         self.counts, self.skipped, self.cut = Counter(), Counter(), {}
         for path in self.paths:
             with _opened(path) as stream:
@@ -160,7 +160,7 @@ class Recording:
                     yield event
 
     def settings(self) -> Settings | None:
-        """Those it was made with; None where it does not say.
+        """Return the settings that the recording was made with, or None if it holds none.
 
         Raises:
             BadInput: this version does not understand them.
@@ -169,12 +169,12 @@ class Recording:
         return None if data is None else from_mapping(data, f"{self.name}: {SETTINGS}")
 
     def camera(self) -> Camera | None:
-        """That it was made with; raises as `settings`."""
+        """Return the camera that the recording was made with, or None; raises as `settings`."""
         data = self._toml(CAMERA)
         return None if data is None else Camera.from_mapping(data, f"{self.name}: {CAMERA}")
 
     def pad(self) -> Pad | None:
-        """That it was made with; raises as `settings`."""
+        """Return the pad that the recording was made with, or None; raises as `settings`."""
         data = self._toml(PAD)
         return None if data is None else Pad.from_mapping(data, f"{self.name}: {PAD}")
 
@@ -227,7 +227,7 @@ def _too_old(path: Path) -> BadInput:
 
 
 class _Assembly:
-    """Puts together what was written as several messages: a frame and its look, beliefs and their decision."""
+    """Assembles events that were written as several messages: a frame and its detection, beliefs and their decision."""
 
     def __init__(self) -> None:
         self._decoders = {topic: msgspec.json.Decoder(kind) for topic, kind in channels.TOPICS.items()}
@@ -235,7 +235,7 @@ class _Assembly:
         self._beliefs: list[RelativeState] = []
 
     def event(self, topic: str, data: bytes) -> Event | None:
-        """None for what is only for viewers, or a part of something that is still to come."""
+        """Return the event that a message completes, or None if it is only for viewers or a part of a later event."""
         if topic in _FOR_VIEWERS or topic not in self._decoders:
             return None
         message = self._decoders[topic].decode(data)
@@ -281,7 +281,7 @@ _FOR_VIEWERS = {
     *(channels.pose(path) for path in channels.PATHS),
 }
 _OLD_TOPIC, _OLD_KEY = "/look", "taken_ns"
-"""Names of topics and keys before 0.1.0, by which a recording from before is told from a damaged one."""
+"""The topic and key names before 0.1.0, which distinguish an old recording from a damaged one."""
 
 
 def _opened(path: Path) -> IO[bytes]:

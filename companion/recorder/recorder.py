@@ -1,7 +1,7 @@
-"""The recorder: an observer that hands records to a thread of its own, which writes them to MCAP files.
+"""The recorder: an observer that passes records to a separate thread, which writes them to MCAP files.
 
 The service's loop never waits for it: when the thread is behind, records are dropped and counted by channel. A disk that is full,
-read-only or gone is said once, flown through, tried again with growing rests, and left behind when it is good again.
+read-only or gone is reported once and retried with a growing back-off, while the flight continues.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ from estimator.vision.camera import Camera
 log = logging.getLogger(__name__)
 PART = "recorder"
 _ROOM_AGAIN_MB = 20.0
-"""A disk that was full has room again when this much is free: less would be full again within seconds."""
+"""The free space at which a disk that was full is used again, MB: less would be full again within seconds."""
 P = ParamSpec("P")
 
 
 class RecorderState(Enum):
-    """What the writing thread is doing."""
+    """The state of the writing thread."""
 
     IDLE = "idle"
     RECORDING = "recording"
     BLOCKED = "blocked"
-    """The disk or the folder does not let it record; it tries again."""
+    """The disk or the folder prevents recording; the thread tries again."""
     PAUSED = "paused"
     CLOSED = "closed"
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How the recorder works.
+    """The options of the recorder.
 
     Raises:
         ValueError: a queue without room, or a period that is not positive.
@@ -61,24 +61,24 @@ class Options:
 
     frames: FrameForm = "jpeg"
     frames_each: int = 1
-    """Keep the frame of each n-th frame; what was seen in the others is kept too."""
+    """The step n that keeps each n-th image; the detections of the other frames are kept too."""
     jpeg_quality: int = 90
     max_file_s: float = 600.0
     queue_records: int = 4096
-    """That may wait for the thread."""
+    """The number of records that may wait for the thread."""
     queue_frames: int = 15
-    """Frames among them: 0.7 MB each at 640x360."""
+    """The number of frames among them: 0.7 MB each at 640x360."""
     flush_s: float = 1.0
-    """Between two flushes: what a killed process loses."""
+    """The time between two flushes, which a killed process loses."""
     sync_s: float = 5.0
-    """Between two waits for the disk itself: what a power cut loses."""
+    """The time between two syncs to the disk itself, which a power cut loses."""
     retry_s: float = 5.0
     retry_cap_s: float = 60.0
-    """Rests before it tries again after a fault of the disk or folder: doubled from the first to the cap."""
+    """The longest back-off after a fault of the disk or folder; it doubles from `retry_s` to this."""
     when_full: Literal["drop", "wait"] = "drop"
-    """Drop records when the thread is behind, or let the caller wait for it: for flights in virtual time."""
+    """Whether records are dropped when the thread is behind, or the caller waits for it, as in virtual time."""
     close_s: float = 10.0
-    """Closing may take this long before what is left is given up."""
+    """The longest time that closing may take before the remaining records are abandoned."""
 
     def __post_init__(self) -> None:
         if min(self.queue_records, self.queue_frames, self.frames_each) < 1:
@@ -94,11 +94,11 @@ class _Item:
 
 
 class Recorder:
-    """An observer (`companion.runtime.observer`). A context manager: its thread lives inside.
+    """An observer (`companion.runtime.observer`) and a context manager: its thread runs inside the context.
 
     Args:
-        about: what every file says of itself.
-        health: where its own state is shown, and which is recorded.
+        about: the metadata and attachments of every file.
+        health: the health that shows the recorder's own state, and that is recorded.
     """
 
     def __init__(
@@ -125,17 +125,17 @@ class Recorder:
         self._unflushed = 0
         self._state = RecorderState.IDLE
         self.why = ""
-        """Why nothing is being written, in words; empty while it is."""
+        """The reason why nothing is being written, in words; it is empty while records are written."""
         self.written = 0
-        """Messages handed to files."""
+        """The number of messages passed to files."""
         self.lost = 0
-        """Messages among them that a fault of the disk took back."""
+        """The number of messages among them that a fault of the disk lost."""
         self.blocked = 0
-        """Faults of the disk or folder, each attempt to begin a file among them."""
+        """The number of faults of the disk or folder, including each failed attempt to begin a file."""
         self.dropped: Counter[str] = Counter()
-        """Records given up, by kind: the thread was behind, or there was no room on the disk."""
+        """The number of dropped records, by kind: the thread was behind, or the disk had no space."""
         self.faults = 0
-        """Of its own, each of which cost a record at most."""
+        """The number of the recorder's own faults, each of which costs one record at most."""
         self.files = 0
 
     @property
@@ -144,7 +144,7 @@ class Recorder:
 
     @property
     def file(self) -> McapFile | None:
-        """That is being written."""
+        """The file that is being written."""
         return self._file
 
     def __enter__(self) -> Recorder:
@@ -170,16 +170,16 @@ class Recorder:
             await asyncio.to_thread(self.close)
 
     def watch(self, health: Health) -> None:
-        """From now on record this health, and show the recorder's own state in it.
+        """Record this health from now on, and show the recorder's own state in it.
 
-        What a flight in virtual time would show depends on the thread's luck, so there its counters are left out.
+        In virtual time the counters depend on the thread's timing, so there they are left out.
         """
         self._health = health
         if self._options.when_full == "drop":
             health.counters(PART, self.counted)
 
     def close(self) -> None:
-        """Write what waits and end the file. Gives up after `close_s`."""
+        """Write the waiting records and end the file. Stop waiting after `close_s`."""
         if self._state is RecorderState.CLOSED or not self._thread.is_alive():
             return
         give_up_s = time.monotonic() + self._options.close_s
@@ -190,15 +190,15 @@ class Recorder:
             log.error("recorder: the disk took nothing for %.1f s; the end of the recording is lost", self._options.close_s)
 
     def pause(self) -> None:
-        """Write nothing more until `resume`; the file ends."""
+        """End the file, and write nothing more until `resume`."""
         self._paused = True
 
     def resume(self) -> None:
-        """Go on with a new file."""
+        """Continue with a new file."""
         self._paused = False
 
     def switch(self, on: bool) -> str | None:
-        """The operator: record or do not; says why it cannot."""
+        """Start or stop recording for the operator; return the reason if that is impossible, else None."""
         self._paused = not on
         return self.why if on and self._state is RecorderState.BLOCKED else None
 
@@ -206,7 +206,7 @@ class Recorder:
         self._give(sample.stamp.received_at, sample)
 
     def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        """Record every result but those of IMU samples that were taken: they are compared with nothing and say nothing more."""
+        """Record every result except those of accepted IMU samples, which are compared with nothing and add no information."""
         if result.source != "imu" or result.verdict is not Verdict.FUSED:
             self._give(at, result)
 
@@ -231,11 +231,11 @@ class Recorder:
                 self._give(decision.at, encode.health(decision.at, self._health.snapshot()))
 
     def on_truth(self, truth: rec.TruthRecord) -> None:
-        """What a simulator or motion capture knows."""
+        """Record the truth from a simulator or motion capture."""
         self._give(MonoNs(truth.at_ns), truth)
 
     def on_link(self, at: MonoNs, link: str, direction: Literal["in", "out"], data: bytes, name: str | None = None) -> None:
-        """One message of a link (MAVLink, MQTT) as its bytes; `name` is for people."""
+        """Record one message of a link (MAVLink, MQTT) as its bytes; `name` is for readers."""
         self._give(at, rec.LinkRecord(int(at), link, direction, data, name))
 
     def _give(self, at: MonoNs, what: object) -> bool:
@@ -250,13 +250,13 @@ class Recorder:
         return True
 
     def counted(self) -> dict[str, float]:
-        """What it has counted, for health: dropped records by kind under `dropped_<kind>`."""
+        """Return the counters for health, with dropped records by kind under `dropped_<kind>`."""
         out: dict[str, float] = {"written": self.written, "lost": self.lost, "faults": self.faults, "files": self.files}
         out |= {"blocked": self.blocked, "not_removed": self._storage_policy.not_removed}
         return out | {f"dropped_{kind}": n for kind, n in sorted(self.dropped.items())}
 
     def _show(self) -> None:
-        """Own state into the common model of health, from the loop's thread."""
+        """Write the recorder's own state into the service's health, from the loop's thread."""
         if self._health is None or self._state is self._shown:
             return
         self._shown = self._state
@@ -282,7 +282,7 @@ class Recorder:
             self._state = RecorderState.CLOSED
 
     def _guarded(self, handler: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
-        """A fault of the disk ends the file, a fault of ours costs a record; neither ends the flight."""
+        """Run a handler: a fault of the disk ends the file, a fault of ours costs a record; neither ends the flight."""
         try:
             handler(*args, **kwargs)
         except OSError as why:
@@ -316,7 +316,7 @@ class Recorder:
         self._flush(item.at)
 
     def _ready(self, at: MonoNs) -> bool:
-        """Whether there is a file to write to, opening one where it may."""
+        """Return whether there is a file to write to, and open one if that is allowed."""
         if self._paused:
             if self._file is not None:
                 self._end_file()
@@ -352,7 +352,7 @@ class Recorder:
         self._storage_policy.tidy(self._file.path)
 
     def _flush(self, now: MonoNs | None) -> None:
-        """When it is due at `now`; at once without one."""
+        """Flush the file if that is due at `now`, or at once if `now` is None."""
         file = self._file
         if file is None or (now is not None and seconds_between(self._flushed, now) < self._options.flush_s):
             return

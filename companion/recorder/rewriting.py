@@ -1,4 +1,4 @@
-"""A recording written again: mended, shortened, thinned, reduced to its inputs."""
+"""Rewrite a recording: repair it, shorten it, thin it, or reduce it to its inputs."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """Which part of a recording is kept."""
+    """The part of a recording that is kept."""
 
     from_s: float = 0.0
     to_s: float | None = None
-    """Both after the recording's first event."""
+    """The end of the part; start and end are times after the recording's first event, s."""
     inputs: bool = False
-    """Samples, frames and truth alone; of what was seen only the sighting that spoke for the frame."""
+    """Whether only samples, frames and truth are kept; of each detection only the selected sighting is kept."""
     samples_each: int = 1
-    """Of each kind of sample; what the vehicle says of itself is always kept."""
+    """The step n that keeps each n-th sample of a kind; the vehicle's status is always kept."""
     frames_each: int = 1
     images: bool = True
 
 
 def rewrite(recording: Recording, output: Path, cut: Cut) -> int:
-    """Write the part into `output`, which is replaced; how many events it has.
+    """Write the part into `output`, which is replaced; return the number of its events.
 
     Raises:
-        BadInput: the recording does not say which camera it was made with, or what it says of itself cannot be read.
+        BadInput: the recording does not name the camera that it was made with, or its metadata cannot be read.
         OSError: the file cannot be written.
     """
     camera = recording.camera()

@@ -1,4 +1,4 @@
-"""JSON Schema of a record, in the part of the language that viewers of MCAP files read.
+"""Make the JSON Schema of a record, in the subset of the language that viewers of MCAP files read.
 
 Foxglove and Lichtblick know objects, arrays, numbers, integers, booleans, text and base64; no references, unions or
 nulls. A field that may be None is therefore left out of the message where it is None, and out of `required`.
@@ -13,7 +13,7 @@ from msgspec import inspect
 
 
 def json_schema(kind: type[msgspec.Struct], name: str) -> dict[str, Any]:
-    """The schema of a struct whose fields are numbers, text, bytes, lists and other structs, called `name`.
+    """Return the schema, called `name`, of a struct whose fields are numbers, text, bytes, lists and other structs.
 
     Raises:
         TypeError: a field of another type.

@@ -1,4 +1,4 @@
-"""Recorders as settings describe them, and what every recording says of itself."""
+"""Make the recorders that the settings describe, and the metadata of every recording."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PACKAGES = ("decklander", "numpy", "opencv-python-headless", "av", "mcap")
 
 
 def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> About:
-    """Versions, settings, camera and pad, and what `flight` says: scenario and seed of a simulation, source of an import.
+    """Return versions, settings, camera and pad, and the facts in `flight`: a simulation's scenario and seed, an import's source.
 
     Raises:
         BadInput: the camera or pad file is missing.
@@ -37,7 +37,7 @@ def about(settings: Settings, flight: Mapping[str, str], offset_ns: int = 0) -> 
 
 
 def versions() -> dict[str, str]:
-    """Of what a result may depend on."""
+    """Return the versions of everything that a result may depend on."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
     for name in _PACKAGES:
         try:
@@ -48,7 +48,7 @@ def versions() -> dict[str, str]:
 
 
 def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
-    """That of the service; paused where it is not enabled, so that an operator may start it.
+    """Return the service's recorder; it is paused if it is not enabled, so that an operator may start it.
 
     Raises:
         BadInput: the camera or pad file is missing.
@@ -75,13 +75,13 @@ def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
 
 
 def wall_offset_ns(clock: Clock) -> int:
-    """What to add to the clock's instants to get Unix time, as the two stand now; whole microseconds."""
+    """Return the current offset from the clock's instants to Unix time, ns, in whole microseconds."""
     return (time.time_ns() - clock.now()) // 1000 * 1000
 
 
 def recorder_to_file(
     path: Path, camera: Camera, described: About, *, frames: FrameForm = "jpeg", frames_each: int = 1, live: bool = False
 ) -> Recorder:
-    """One flight into one file. A flight in virtual time waits for the disk; a `live` one never does."""
+    """Return a recorder of one flight into one file. A flight in virtual time waits for the disk; a `live` one never does."""
     options = Options(frames=frames, frames_each=frames_each, when_full="drop" if live else "wait")
     return Recorder(SingleFile(path), camera, described, options)

@@ -1,4 +1,4 @@
-"""Where recordings lie: their names, how much room they may take, and what goes when there is too little."""
+"""Where recordings are stored: their names, the space that they may use, and the files that are removed first."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ _NAME = re.compile(r"decklander-\d{8}T\d{6}Z-\d{4}\.mcap")
 
 
 class StoragePolicy(Protocol):
-    """Gives out paths for files and says when there is no room."""
+    """Chooses paths for files and reports when there is no space."""
 
     def next_path(self) -> Path:
-        """A path that does not exist yet, in a folder that does. Raises OSError where that cannot be had."""
+        """Return a path that does not exist yet, in a folder that does. Raises OSError if there is none."""
         ...
 
     def tidy(self, current: Path | None) -> None:
-        """Take away what is too much, never `current`. It never raises: what cannot be removed is counted."""
+        """Remove surplus files, but never `current`. It never raises: a file that cannot be removed is counted."""
         ...
 
     def lacks_room(self, least_mb: float = 0.0) -> str | None:
-        """Why nothing may be written now, None when it may and at least this much is free. Raises OSError."""
+        """Return why nothing may be written now, or None if at least `least_mb` is free. Raises OSError."""
         ...
 
     @property
     def max_file_bytes(self) -> int | None:
-        """After this many a new file begins."""
+        """The size after which a new file begins, bytes; None sets no limit."""
         ...
 
     @property
     def not_removed(self) -> int:
-        """Number of times that a surplus file could not be removed."""
+        """The number of times that a surplus file could not be removed."""
         ...
 
 
 @dataclass(slots=True)
 class Folder:
-    """A folder of numbered files of one start of the service, beside those of earlier ones; the oldest go first.
+    """A folder of the numbered files of this and earlier starts of the service; the oldest are removed first.
 
     Only files named as this class names them are counted and taken away.
     """
 
     path: Path
     started_utc: str
-    """As YYYYMMDDTHHMMSSZ."""
+    """The service's start in UTC, as YYYYMMDDTHHMMSSZ."""
     max_file_mb: float
     max_total_mb: float
     min_free_mb: float
@@ -61,7 +61,7 @@ class Folder:
 
     def next_path(self) -> Path:
         _made(self.path)
-        # A link that leads nowhere takes its name as well.
+        # A dangling link occupies its name as well.
         while os.path.lexists(path := self.path / f"decklander-{self.started_utc}-{self._next:04d}.mcap"):
             self._next += 1
         return path
@@ -92,7 +92,7 @@ class Folder:
 
 @dataclass(slots=True)
 class SingleFile:
-    """One file of a given name, replaced when it is there, without bounds; after a pause or a full disk it goes on in NAME-2."""
+    """One file of a given name, replaced if it exists, without bounds; after a pause or a full disk, NAME-2 continues it."""
 
     path: Path
     not_removed: int = 0
@@ -119,20 +119,20 @@ class SingleFile:
 
 
 def in_words(why: OSError) -> str:
-    """Return what failed and on which file, for people."""
+    """Return a readable text that names the failure and its file."""
     reason = why.strerror or str(why)
     return f"{why.filename}: {reason}" if why.filename else reason
 
 
 def _made(folder: Path) -> None:
-    """Make the folder if it is absent. Raises OSError, which names a link that leads nowhere."""
+    """Make the folder if it is absent. Raises OSError, which names a dangling link."""
     if folder.is_symlink() and not folder.exists():
         raise OSError(f"{folder} is a link to {os.readlink(folder)}, which does not exist")
     folder.mkdir(parents=True, exist_ok=True)
 
 
 def _size(path: Path) -> int | None:
-    """Return the bytes of a file, those of a link itself; None when it is gone."""
+    """Return the size of a file (of a link itself) in bytes, or None if it is gone."""
     try:
         return path.lstat().st_size
     except OSError:
