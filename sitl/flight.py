@@ -88,7 +88,7 @@ class FlightResult:
 
 
 class _VirtualClock:
-    """Stands still until told."""
+    """A clock that advances only when its time is set."""
 
     def __init__(self, now: MonoNs) -> None:
         self.t = now
@@ -104,9 +104,9 @@ class Flight:
     """A flight that is stepped from outside.
 
     Args:
-        observers: told what the daemon would tell them.
-        renew: makes the pilot of a service that begins anew after it was killed.
-        contain: a bug of the service ends the flight and is part of the result, instead of being raised.
+        observers: objects that receive what the daemon's observers would receive.
+        renew: makes the pilot of a service that restarts after it was killed.
+        contain: whether a bug of the service ends the flight and is part of the result, instead of being raised.
 
     Raises:
         BadInput: the scenario kills the service for a while and there is no `renew`.
@@ -160,7 +160,7 @@ class Flight:
         self._frames = 0
 
     def step(self) -> bool:
-        """One tick of 5 ms; False when the flight is over."""
+        """Run one tick of 5 ms; return False when the flight is over."""
         now = after(self._clock.t, TICK_S)
         self._clock.t = now
         self._drone.tick(now)
@@ -185,7 +185,7 @@ class Flight:
         return self._pilot.outcome is None and seconds_between(self.world.started, now) < self._limit_s
 
     def _serve(self, now: MonoNs) -> None:
-        """What the service does in one tick."""
+        """Run the service for one tick."""
         if not self.world.active("navdata_silent") and not self.world.active("link_lost"):
             self._deliver_samples(now)
         self._film(now)
@@ -227,7 +227,7 @@ class Flight:
             self._send(self._arbiter.commands(now))
 
     def _begin_service(self, pilot: Pilot) -> None:
-        """What a process of the service holds, as it is when it has just begun."""
+        """Reset the state of the service's process to that of a new process."""
         now = self._clock.t
         self._pilot = pilot
         self._streamer = CommandStreamer(self._options, Counters())

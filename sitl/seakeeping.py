@@ -1,4 +1,4 @@
-"""How a hull answers a wave: closed-form complex responses in six degrees of freedom.
+"""The response of a hull to waves: closed-form complex responses in six degrees of freedom.
 
 Heave and pitch: Jensen, Mansour & Olsen, Estimation of ship motions using closed-form expressions, Ocean Engineering 31
 (2004) 61-85, sections 2.1-2.2, for a box-shaped hull. Roll: wave slope through one damped oscillator. Surge, sway and yaw:
@@ -21,7 +21,7 @@ from sitl.sea import GRAVITY_M_S2
 
 @dataclass(frozen=True, slots=True)
 class Hull:
-    """The few figures the responses need, and where the pad stands on it."""
+    """The figures that the responses need, and the position of the pad on the hull."""
 
     name: str
     length_m: float
@@ -31,13 +31,13 @@ class Hull:
     """Block coefficient: displaced volume over length x beam x draught."""
     roll_period_s: float
     roll_damping: float
-    """Of critical, waves and bilge together."""
+    """Roll damping over critical damping, waves and bilge together."""
     freeboard_m: float
     """Height of the deck over calm water."""
     bow_taper_m: float
     """Length over which the deck narrows to the stem; 0 for a barge."""
     d_vessel_pad_m: tuple[float, float]
-    """Pad's centre forward and to starboard of amidships; it lies on deck."""
+    """Position of the pad's centre forward and to starboard of amidships; the pad lies on deck."""
 
 
 OTTER = Hull("otter", 2.0, 1.08, 0.195, 0.19, 0.76, 0.45, 0.45, 0.0, (0.0, 0.0))
@@ -56,7 +56,7 @@ HULLS = {hull.name: hull for hull in (OTTER, FERRY, SUPPLY_SHIP)}
 
 
 def hull(name: str) -> Hull:
-    """The preset of that name.
+    """Return the preset of that name.
 
     Raises:
         BadInput: no such hull.
@@ -67,13 +67,16 @@ def hull(name: str) -> Hull:
 
 
 def encounter_rad_s(w_rad_s: F64, beta_rad: F64, speed_m_s: float) -> F64:
-    """Frequency at which a hull under way meets a wave, beta as in `responses`; negative for a wave that it overtakes."""
+    """Return the frequency at which a hull under way meets a wave; it is negative for a wave that the hull overtakes.
+
+    `beta_rad` is as in `responses`.
+    """
     w = np.asarray(w_rad_s, dtype=float)
     return np.asarray(w - w**2 / GRAVITY_M_S2 * speed_m_s * np.cos(beta_rad))
 
 
 def responses(hull: Hull, w_rad_s: F64, beta_rad: F64, speed_m_s: float = 0.0) -> NDArray[np.complex128]:
-    """Motions of amidships per metre of wave amplitude.
+    """Return the motions of amidships per metre of wave amplitude.
 
     A wave a exp(i theta), theta falling with time, gives the motion Re(a H exp(i theta)).
 

@@ -1,7 +1,7 @@
-"""What the vehicle's sensors say, with the errors measured on a real AR.Drone 2.0 (provenance: `sitl.scenario.SensorSettings`).
+"""The vehicle's sensors, with the errors measured on a real AR.Drone 2.0 (provenance: `sitl.scenario.SensorSettings`).
 
-Every sensor has its own random generator and advances with the physics, whether anyone reads it or not: the same seed gives
-the same readings to the bit. Roll, pitch and velocity are the drone's own estimates, the same that its loops fly by.
+Every sensor has its own random generator and advances with the physics, whether it is read or not: the same seed gives the same
+readings to the bit. Roll, pitch and velocity are the drone's own estimates, which its loops use too.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ EARTH_FIELD_NED_T = (1.36e-5, 0.9e-6, 5.0e-5)
 """Tesla north, east, down at Trondheim: 52 uT, 75 degrees dip, 4 degrees of declination, to the percent."""
 SEA_LEVEL_PA = 101325.0
 BOARD_TEMPERATURE_C = 43.5
-"""As in a captured navdata: the chip sits beside warm electronics."""
+"""Temperature of the board as in a captured navdata: the chip sits beside warm electronics."""
 HOVER_PWM = 170.0
-"""Of 255, as recorded in flight with a battery in mid-charge."""
+"""PWM in hover out of 255, as recorded in flight with a battery at half charge."""
 
 _BLOCK = 256
 _RAYS = (-0.5, 0.0, 0.5)
@@ -34,24 +34,24 @@ _FLOATS = Floats()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """The newest of each sensor. SI, body axes."""
+    """The newest reading of each sensor, in SI units and body axes."""
 
     at: MonoNs
-    """When the inertial values were true."""
+    """Instant at which the inertial values were measured."""
     f_body: F64
     """(3,) m/s^2, specific force."""
     w_body: F64
     """(3,) rad/s."""
     rpy_rad: F64
-    """(3,) the drone's own roll, pitch, heading."""
+    """(3,) roll, pitch and heading by the drone's own estimate."""
     v_level_m_s: F64
-    """(2,) forward and right as the drone tells them; it tells no vertical speed."""
+    """(2,) velocity forward and right that the drone reports; it reports no vertical speed."""
     ultrasound_m: float | None
-    """Distance to the nearest surface in the cone; None when nothing is heard."""
+    """Distance to the nearest surface in the cone; None if there is no echo."""
     pressure_pa: float
     temperature_c: float
     magnetometer: F64 | None
-    """(3,) tesla; None while it says nothing."""
+    """(3,) magnetic field, tesla; None while the magnetometer is silent."""
     battery_fraction: float
     motors_pwm: tuple[int, int, int, int]
     """0..255 of the front left, front right, rear right, rear left motor."""
@@ -62,7 +62,7 @@ class Sensors:
 
     Args:
         seed: parent of one child seed for each sensor.
-        step_s: of the physics; readings are as fresh as the newest step.
+        step_s: step of the physics; readings are as fresh as the newest step.
     """
 
     def __init__(self, settings: SensorSettings, shape: DeckShape, seed: np.random.SeedSequence, step_s: float) -> None:
@@ -87,7 +87,7 @@ class Sensors:
         self.magnetometer_works = True
 
     def step(self, vehicle: Vehicle, ground: Ground, motors_on: bool) -> None:
-        """Take part in one step of the physics, after the vehicle has."""
+        """Advance by one step of the physics. Call it after the vehicle's step."""
         s = self._s
         self._tick += 1
         self._imu.step()
@@ -112,7 +112,7 @@ class Sensors:
             self._echo = self._echoes.popleft()[1]
 
     def read(self, at: MonoNs, vehicle: Vehicle, motors_on: bool) -> Readings:
-        """Of the newest step. Reading changes nothing."""
+        """Return the readings of the newest step. Reading changes nothing."""
         s = self._s
         rows = rotation_of(vehicle.q)
         roll, pitch, yaw = (float(a) for a in rpy_of(_FLOATS, rows))
@@ -145,8 +145,10 @@ class Sensors:
 
 
 def nearest_surface(shape: DeckShape, vehicle: Vehicle, ground: Ground, cone_rad: float) -> float | None:
-    """Distance in m from the body's origin to the nearest surface within a cone about the body's down axis: deck where a ray
-    meets it, water elsewhere; None when no ray meets anything. Nine rays as in the thesis' simulator, and the plumb lines.
+    """Return the distance, m, from the body's origin to the nearest surface within a cone about the body's down axis.
+
+    A ray meets the deck or else the water; the result is None if no ray meets anything. There are nine rays as in the thesis'
+    simulator, and the plumb lines.
     """
     rows = rotation_of(vehicle.q)
     p, g = vehicle.p, ground.p
@@ -179,14 +181,14 @@ def _unit(v: Vec) -> Vec:
 
 
 def _pwm(vehicle: Vehicle) -> tuple[int, int, int, int]:
-    """Rotor thrust goes with the square of its speed, and that with the pulse width."""
+    """Return the motors' PWM. Rotor thrust is proportional to the square of the speed, and the speed to the pulse width."""
     hover = 0.25 * vehicle.airframe.mass_kg * 9.80665
     a, b, c, d = (min(255, round(HOVER_PWM * math.sqrt(max(0.0, float(t)) / hover))) for t in vehicle.rotors_n)
     return (a, b, c, d)
 
 
 class _White:
-    """Standard normal numbers, new with each step, drawn in blocks."""
+    """Standard normal numbers that are new at each step; they are drawn in blocks."""
 
     def __init__(self, rng: np.random.Generator, width: int) -> None:
         self._rng, self._width = rng, width

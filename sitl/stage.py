@@ -1,4 +1,4 @@
-"""From a scenario to the things of the world: seeds, vehicle, deck, wind, sea, vessel, camera."""
+"""Build the parts of the world for a scenario: seeds, vehicle, deck, wind, sea, vessel, camera."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from sitl.vessel import Mooring, Vessel
 
 
 class Seeds(NamedTuple):
-    """What each random part of one flight is drawn from."""
+    """The seeds of the random parts of one flight."""
 
     flight: np.random.SeedSequence
-    """Wind, and the vehicle's own errors."""
+    """Seed of the wind and of the vehicle's own errors."""
     sensors: np.random.SeedSequence
     sea: int
     camera: int
 
 
 def flight_seeds(seed: int) -> Seeds:
-    """Independent seeds of a flight's parts."""
+    """Return independent seeds for the parts of a flight."""
     flight, sensors, sea, camera = np.random.SeedSequence(seed).spawn(4)
     return Seeds(flight, sensors, int(sea.generate_state(1)[0]), int(camera.generate_state(1)[0]))
 
 
 def airframe(scenario: Scenario) -> Airframe:
-    """The vehicle a scenario asks for; inertia goes with the mass."""
+    """Return the vehicle that a scenario asks for; the inertia is scaled with the mass."""
     base, v, s = Airframe(), scenario.vehicle, scenario.sensors
     k = v.mass_kg / base.mass_kg
     ix, iy, iz = base.inertia_kg_m2
@@ -64,26 +64,26 @@ def airframe(scenario: Scenario) -> Airframe:
 
 
 def limits(scenario: Scenario) -> StickLimits:
-    """What a full stick means at first."""
+    """Return the initial values that a full stick asks for."""
     v = scenario.vehicle
     return StickLimits(math.radians(v.euler_angle_max_deg), v.vz_max_m_s, math.radians(v.yaw_rate_max_deg_s))
 
 
 def deck_shape(ship: Hull, pad_yaw_rad: float) -> DeckShape:
-    """The whole deck of a hull, as seen from its pad."""
+    """Return the outline of a hull's whole deck about its pad."""
     x, y = ship.d_vessel_pad_m
     length, beam = 0.5 * ship.length_m, 0.5 * ship.beam_m
     return DeckShape(length - x, length + x, beam + y, beam - y, ship.bow_taper_m, pad_yaw_rad)
 
 
 def wind(scenario: Scenario) -> Wind:
-    """The steady air and its gusts."""
+    """Return the steady wind with its gusts."""
     w = scenario.wind
     return Wind(wind_from(w.speed_m_s, w.from_deg), w.gust_sigma_m_s, w.gust_time_s)
 
 
 def renderer(scenario: Scenario, waves: Waves, vessel: Vessel) -> Renderer:
-    """The camera over the scenario's deck and sea."""
+    """Return the renderer of the camera over the scenario's deck and sea."""
     c, s = scenario.camera, scenario.light
     light = Light(
         colour_temperature_k=s.colour_temperature_k,
@@ -108,7 +108,7 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel) -> Renderer:
 
 
 def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]:
-    """B seas and the B vessels that ride on them, one a seed."""
+    """Return B seas and the B vessels that ride on them, one for each seed."""
     s, v = scenario.sea, scenario.vessel
     state = SeaState(s.significant_height_m, s.peak_period_s, s.peak_enhancement)
     waves = Waves.draw(state, seeds, towards_rad=math.radians(s.runs_to_deg), spreading=s.spreading)
@@ -125,7 +125,7 @@ def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]
 
 
 def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, R_ned_pad: F64) -> None:
-    """Put the vehicle, or each of B, where the scenario wants it against pads (..., 3) m and (..., 3, 3)."""
+    """Put the vehicle, or each of B, at the scenario's start position relative to pads (..., 3) m and (..., 3, 3)."""
     s, v = scenario.start, scenario.vessel
     yaw = math.radians(s.heading_deg)
     if s.where == "pad":
@@ -142,6 +142,6 @@ def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, 
 
 
 def wind_from(speed_m_s: float, from_deg: float) -> tuple[float, float, float]:
-    """m/s in ned, where the air moves to."""
+    """Return the velocity of the air in ned, m/s, for a wind that blows from `from_deg`."""
     a = math.radians(from_deg)
     return (-speed_m_s * math.cos(a), -speed_m_s * math.sin(a), 0.0)

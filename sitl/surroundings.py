@@ -1,4 +1,4 @@
-"""What lies around the pad: the deck's drawing, the sea's waves, and things that only look like a pad."""
+"""The surroundings of the pad: the deck's drawing, the sea's waves, and objects that only look like a pad."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Deck:
     length_m: float = 5.0
     width_m: float = 2.8
     centre_m: tuple[float, float] = (0.6, 0.0)
-    """Of the deck, in its own axes."""
+    """Centre of the deck, in its own axes."""
     pad_yaw_rad: float = 0.0
-    """The pad's arrow against the bow, clockwise from above."""
+    """Angle of the pad's arrow from the bow, clockwise from above."""
     bow_taper_m: float = 0.0
     freeboard_m: float = 0.55
     paint: RGB = (112, 118, 122)
@@ -43,12 +43,12 @@ class Deck:
 
     @staticmethod
     def of(hull: Hull, pad_yaw_rad: float = 0.0, seed: int = 1) -> Deck:
-        """The deck of a hull preset, the pad where the hull carries it."""
+        """Return the deck of a hull preset, with the pad where the hull carries it."""
         x, y = hull.d_vessel_pad_m
         return Deck(hull.length_m, hull.beam_m, (-x, -y), pad_yaw_rad, hull.bow_taper_m, hull.freeboard_m, seed=seed)
 
     def outline(self) -> F64:
-        """(N, 2) m in the deck's axes, clockwise seen from above from the port quarter."""
+        """Return the outline, (N, 2) m in the deck's axes. It starts at the port quarter and runs clockwise from above."""
         x0, x1 = self.centre_m[0] - self.length_m / 2, self.centre_m[0] + self.length_m / 2
         y, half = self.centre_m[1], self.width_m / 2
         if self.bow_taper_m == 0:
@@ -60,7 +60,7 @@ class Deck:
 
 @dataclass(frozen=True, slots=True)
 class Decal:
-    """A flat thing on deck (place in `pad`) or afloat (place in `ned`), `size_m` across."""
+    """A flat object on deck (position in `pad`) or on the water (position in `ned`), `size_m` across."""
 
     kind: DecalKind
     centre_m: tuple[float, float]
@@ -68,14 +68,14 @@ class Decal:
     yaw_rad: float = 0.0
     on: Literal["deck", "sea"] = "sea"
     colour: RGB | None = None
-    """Of its main part; None for the usual one."""
+    """Colour of its main part; None for the usual colour."""
 
     def __post_init__(self) -> None:
         if not (self.size_m > 0 and math.isfinite(self.size_m)):
             raise BadInput(f"decal {self.kind}: size_m must be positive, got {self.size_m!r}")
 
     def polygons(self) -> list[tuple[F64, RGB]]:
-        """((N, 2) m, sRGB) in paint order, in the plane it lies in."""
+        """Return the polygons ((N, 2) m, sRGB) in paint order, in the plane of the decal."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         turn = np.array([[c, s], [-s, c]]) * self.size_m / 2
         return [(np.asarray(p) @ turn + self.centre_m, rgb) for p, rgb in _DRAWINGS[self.kind](self.colour)]
@@ -83,17 +83,17 @@ class Decal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """Everything in the frame but the pad and the light."""
+    """Everything in the frame except the pad and the light."""
 
     deck: Deck | None = Deck()
-    """None for open sea."""
+    """The deck; None for open sea."""
     waves: Waves | None = None
-    """Batch 1; None for a calm that only ripples."""
+    """The sea's waves, a batch of 1; None for a calm sea that only ripples."""
     decals: tuple[Decal, ...] = ()
     water: RGB = (16, 52, 66)
-    """Of the deep, seen from straight above."""
+    """Colour of deep water, seen from straight above."""
     wake_speed_m_s: float = 0.0
-    """Of the ship through the water: draws a wake behind it."""
+    """Speed of the ship through the water, which draws a wake behind it."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -181,9 +181,9 @@ class DeckDrawing:
 
     levels: tuple[U8, ...]
     texels_per_m: float
-    """Of the first level."""
+    """Resolution of the first level."""
     corner_m: tuple[float, float]
-    """Of the first texel's outer corner, in the deck's axes; rows run with x, columns with y."""
+    """Position of the first texel's outer corner, in the deck's axes; rows run with x, columns with y."""
 
 
 @lru_cache(maxsize=8)

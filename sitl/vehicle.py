@@ -172,11 +172,11 @@ class Vehicle:
         )
 
     def take_off(self, which: Flag = True) -> None:
-        """Those of `which` that stand with their motors off."""
+        """Let those vehicles of `which` take off that are landed with their motors off."""
         self.phase = self._m.where((self.phase == VehiclePhase.LANDED) & which, float(VehiclePhase.TAKING_OFF), self.phase)
 
     def land(self, which: Flag = True) -> None:
-        """Those of `which` that fly."""
+        """Let those vehicles of `which` land that fly."""
         flies = (
             (self.phase == VehiclePhase.TAKING_OFF) | (self.phase == VehiclePhase.HOVERING) | (self.phase == VehiclePhase.FLYING)
         )
@@ -187,11 +187,11 @@ class Vehicle:
         self.phase = self._m.where((self.phase == VehiclePhase.LANDING) & which, float(VehiclePhase.HOVERING), self.phase)
 
     def cut_motors(self, which: Flag = True) -> None:
-        """At once, wherever it is."""
+        """Stop the motors of the vehicles of `which` at once, in any phase."""
         self.phase = self._m.where(which, float(VehiclePhase.EMERGENCY), self.phase)
 
     def leave_emergency(self, which: Flag = True) -> None:
-        """Those of `which` that lie still on deck, not in the water."""
+        """End the emergency of those vehicles of `which` that lie still on deck and not in the water."""
         rests = (self.phase == VehiclePhase.EMERGENCY) & self.tied & self._m.no(self.ditched)
         self.phase = self._m.where(rests & which, float(VehiclePhase.LANDED), self.phase)
 

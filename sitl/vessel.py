@@ -1,4 +1,4 @@
-"""The ship: steady course and speed, six-degree-of-freedom motion on the waves, and the pad it carries."""
+"""The ship: its steady course and speed, its six-degree-of-freedom motion on the waves, and the pad that it carries."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from sitl.seakeeping import Hull, encounter_rad_s, responses
 
 @dataclass(frozen=True, slots=True)
 class Mooring:
-    """Slow wandering of a hull at anchor: one harmonic each in surge, sway and yaw, of these amplitudes and periods."""
+    """Slow drift of a hull at anchor: one harmonic each in surge, sway and yaw, of these amplitudes and periods."""
 
     surge_m: float = 0.05
     sway_m: float = 0.15
     yaw_rad: float = 0.02
     period_s: float = 45.0
-    """Of the sway; surge is twice as quick and yaw half again as slow, so that the path does not close soon."""
+    """Period of the sway. Surge has half of it and yaw one and a half of it, so that the path does not close soon."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,11 +30,11 @@ class Motion:
     """[surge forward, sway to starboard, heave down, roll, pitch, yaw] about the steady course, and its two derivatives."""
 
     eta: F64
-    """(..., 6) m and rad."""
+    """(..., 6) displacement, m and rad."""
     eta_dot: F64
-    """(..., 6) per s."""
+    """(..., 6) rate, m/s and rad/s."""
     eta_ddot: F64
-    """(..., 6) per s^2."""
+    """(..., 6) acceleration, m/s^2 and rad/s^2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,14 +46,14 @@ class Mounted:
     v_ned: F64
     """(..., 3) m/s."""
     a_ned: F64
-    """(..., 3) m/s^2, of the motion: without gravity."""
+    """(..., 3) acceleration of the motion, without gravity, m/s^2."""
     R_ned: F64
     """(..., 3, 3), takes the mounted frame's coordinates to ned."""
     w: F64
     """(..., 3) rad/s, angular velocity written in the mounted frame."""
 
     def rotation(self) -> Rotation:
-        """`R_ned` of a single one.
+        """Return `R_ned` of a single mounted point.
 
         Raises:
             ValueError: this is a batch.
@@ -122,7 +122,7 @@ class Vessel:
         return self.waves.batch
 
     def motion(self, t_s: ArrayLike) -> Motion:
-        """Motion about the steady course at times (...): arrays (B, ..., 6), derivatives exact."""
+        """Return the motion about the steady course at times (...): arrays (B, ..., 6) with exact derivatives."""
         t = np.asarray(t_s, dtype=float)
         flat = t.reshape(-1)
         turn = np.exp(-1j * self._w[:, None, :] * flat[:, None])
@@ -132,7 +132,7 @@ class Vessel:
         return Motion(eta, dot, ddot)
 
     def mounted(self, t_s: ArrayLike, d_vessel_m: ArrayLike, R_vessel: Rotation | None = None) -> Mounted:
-        """A point (3,) m from the vessel's origin, with axes turned by `R_vessel` against it, at times (...).
+        """Return the motion at times (...) of a point (3,) m from the vessel's origin, with axes rotated by `R_vessel`.
 
         Every array of the result leads with (B, ...).
         """
@@ -160,29 +160,29 @@ class Vessel:
         )
 
     def pad(self, t_s: ArrayLike) -> Mounted:
-        """The pad's centre and frame at times (...): leading shape (B, ...)."""
+        """Return the pad's centre and frame at times (...), with the leading shape (B, ...)."""
         return self.mounted(t_s, self.d_vessel_pad, self.R_vessel_pad)
 
     def pad_at(self, t_s: float, index: int = 0) -> Mounted:
-        """The pad of one vessel at one instant: shapes (3,) and (3, 3)."""
+        """Return the pad of one vessel at one instant, with shapes (3,) and (3, 3)."""
         m = self.pad(t_s)
         return Mounted(m.p_ned[index], m.v_ned[index], m.a_ned[index], m.R_ned[index], m.w[index])
 
     def pose(self, t_s: float, index: int = 0) -> tuple[F64, Rotation]:
-        """(3,) m place of one vessel's origin, and `R_ned_vessel`."""
+        """Return the position in ned of one vessel's origin, (3,) m, and `R_ned_vessel`."""
         m = self.mounted(t_s, np.zeros(3))
         return m.p_ned[index], Rotation(m.R_ned[index])
 
 
 def _horizontal(axes: F64, v: F64) -> F64:
-    """(..., 3) of surge, sway, down turned into ned by the course's axes (..., 3, 2)."""
+    """Return (..., 3) surge, sway and down rotated into ned by the course's axes (..., 3, 2)."""
     out: F64 = np.einsum("...ij,...j->...i", axes, v[..., :2])
     out[..., 2] += v[..., 2]
     return out
 
 
 def _from_rpy(roll: F64, pitch: F64, yaw: F64) -> F64:
-    """(..., 3, 3): `Rotation.from_rpy` of arrays."""
+    """Return `Rotation.from_rpy` for arrays, (..., 3, 3)."""
     cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
     rows = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -193,7 +193,7 @@ def _from_rpy(roll: F64, pitch: F64, yaw: F64) -> F64:
 
 
 def _body_rates(m: Motion) -> tuple[F64, F64]:
-    """(..., 3) rad/s and rad/s^2 written in the vessel, from Euler angles and rates.
+    """Return the angular velocity and acceleration in the vessel's frame, (..., 3) rad/s and rad/s^2.
 
     Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.41, and its time derivative.
     """

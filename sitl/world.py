@@ -35,27 +35,27 @@ from sitl.vehicle import SEA, Vehicle, VehiclePhase
 __all__ = ["Readings", "RenderedFrame", "Stick", "Touchdown", "Truth", "VehiclePhase", "World"]
 
 STEP_NS = 4_000_000
-"""Of the physics: 250 Hz, some fifteen steps to a radian of the stiffest spring."""
+"""Step of the physics: 250 Hz, some fifteen steps to a radian of the stiffest spring."""
 
 _ORIGIN = MonoNs(0)
 _CHUNK = 100
-"""Steps of deck motion computed at once; few enough for the matrix product to stay in one thread, whose fellows would spin."""
+"""Steps of deck motion computed at once. They are few enough for the matrix product to stay in one thread; others would spin."""
 _SEA_EVERY = 5
 _ROTORS = ("front_left", "front_right", "rear_right", "rear_left")
 
 
 @dataclass(frozen=True, slots=True)
 class Stick:
-    """Fractions -1..1 with PCMD's signs. Without `progressive` the vehicle hovers and the fractions are ignored."""
+    """Stick fractions -1..1 with PCMD's signs. Without `progressive` the vehicle hovers and ignores the fractions."""
 
     roll: float = 0.0
-    """To the right."""
+    """Roll to the right."""
     pitch: float = 0.0
-    """Nose up, that is backward."""
+    """Pitch with the nose up, which flies backward."""
     gaz: float = 0.0
-    """Up."""
+    """Climb, upward positive."""
     yaw: float = 0.0
-    """Clockwise from above."""
+    """Yaw, clockwise from above."""
     progressive: bool = False
 
 
@@ -69,13 +69,13 @@ class Touchdown:
     p_body_pad: F64
     """(3,) m, the body's origin in the pad frame."""
     lateral_m: float
-    """From the pad's centre, along the deck."""
+    """Distance from the pad's centre, along the deck."""
     yaw_rad: float
-    """Heading against the arrow, clockwise from above."""
+    """Heading relative to the arrow, clockwise from above."""
     vertical_speed_m_s: float
     """Closing speed into the deck (into the water's mean level)."""
     lateral_speed_m_s: float
-    """Along the deck, against it."""
+    """Speed along the deck, relative to the deck."""
     phase: VehiclePhase = VehiclePhase.LANDING
     """The vehicle's phase just before the contact."""
     motors: bool = True
@@ -91,7 +91,7 @@ class Touchdown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedFrame:
-    """One exposure."""
+    """One rendered frame."""
 
     px: NDArray[np.uint8]
     """(H, W, 3) BGR."""
@@ -99,14 +99,14 @@ class RenderedFrame:
     """The middle of the exposure."""
     exposure_s: float
     stamp_error_s: float = 0.0
-    """Error of the stamp that is sent with it, s: the stamp minus `taken`."""
+    """Error of the stamp that is sent with the frame, s: the stamp minus `exposed_at`."""
     true_view: bool = True
-    """Whether it shows what the camera truly saw at `taken`."""
+    """Whether the frame shows what the camera truly saw at `exposed_at`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What is really so at one instant."""
+    """The true state of the world at one instant."""
 
     at: MonoNs
     p_body_ned: F64
@@ -176,7 +176,7 @@ class World:
         place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
         self._meet_sea()
         self.faults = FaultTimer(scenario.faults)
-        """Which faults are on now."""
+        """The faults that are active now."""
         self.guidance_phase: str | None = None
         """Phase of guidance, if whoever runs the flight knows it; for faults that begin in a phase."""
         self._held: dict[str, Readings] = {}
@@ -191,7 +191,7 @@ class World:
 
     @property
     def limits(self) -> StickLimits:
-        """What a full stick means; set its fields at any time."""
+        """The values that a full stick asks for; its fields may be set at any time."""
         return self._vehicle.limits
 
     @property
@@ -200,7 +200,7 @@ class World:
         return MonoNs(self.started + self._tick * STEP_NS)
 
     def stick(self, stick: Stick) -> None:
-        """Holds until the next."""
+        """Apply a stick command, which holds until the next one."""
         self._vehicle.command(stick.roll, stick.pitch, stick.gaz, stick.yaw, stick.progressive)
 
     def take_off(self) -> None:
@@ -220,7 +220,7 @@ class World:
         self._vehicle.cut_motors()
 
     def leave_emergency(self) -> None:
-        """Ready to take off again; nothing unless it lies still on deck."""
+        """Make the vehicle ready to take off again; do nothing unless it lies still on deck."""
         self._vehicle.leave_emergency()
 
     def active(self, kind: str) -> bool:
@@ -245,17 +245,17 @@ class World:
         self.now = max(self.now, to)
 
     def readings(self) -> Readings:
-        """What the sensors say, as of the newest step."""
+        """Return the sensors' readings of the newest step."""
         true = self._sensors.read(self.at, self._vehicle, self._motors_on)
         return distorted(true, self.faults, self._held) if self.faults.active_kinds else true
 
     def render(self) -> RenderedFrame:
-        """What the bottom camera sees, the newest step being the middle of the exposure."""
+        """Return the bottom camera's frame; the newest step is the middle of its exposure."""
         return self.expose()()
 
     @property
     def renderer(self) -> Renderer:
-        """Of the bottom camera."""
+        """The renderer of the bottom camera."""
         if self._renderer is None:
             self._renderer = renderer(self.scenario, self.waves, self.vessel)
         return self._renderer
@@ -305,7 +305,7 @@ class World:
         return np.array([sum(f.forward_m for f in shifts), sum(f.right_m for f in shifts), 0.0])
 
     def truth(self) -> Truth:
-        """As of the newest step."""
+        """Return the true state at the newest step."""
         v, g = self._vehicle, self._ground
         return Truth(
             at=self.at,
@@ -344,7 +344,7 @@ class World:
         self._sensors.step(self._vehicle, self._ground, self._motors_on)
 
     def _deck(self) -> Ground:
-        """The deck at this step, computed for many steps at once."""
+        """Return the deck at this step; it is computed for many steps at once."""
         i = self._tick - self._chunk_at - 1
         if i >= len(self._chunk):
             self._chunk_at = self._tick - 1
