@@ -1,4 +1,4 @@
-"""How well a set of views pins the camera down, and what it lacks, in words that say what to do next."""
+"""Assess how well a set of views determines the camera, and say what to add."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from companion.calibrate.views import BoardView
 
 VIEWS = 10
 CELLS = (6, 4)
-"""Columns and rows that the image is divided into to see where corners were."""
+"""Columns and rows of cells that the image is divided into for measuring the coverage by corners."""
 COVERED = 0.8
 """Share of the cells that must hold a corner."""
 REACH = 0.7
-"""How far towards each corner of the image, from its centre, the board's corners must have come."""
+"""Share of the way from the image's centre to each of its corners that the board's corners must reach."""
 TILT_DEG = 15.0
 TILTED = 2
-"""Views tilted at least `TILT_DEG` about each of the image's axes."""
+"""Required number of views tilted at least `TILT_DEG`, about each of the image's axes."""
 RMS_PX = 1.0
 SIGMA_F = 0.004
-"""One standard deviation of fx and fy as a share of them: a range error of this share."""
+"""Accepted standard deviation of fx and fy as a share of them; it causes a range error of the same share."""
 SIGMA_C = 0.004
-"""One standard deviation of the principal point as a share of the image's width."""
+"""Accepted standard deviation of the principal point as a share of the image's width."""
 NAMES = (("top left", "top right"), ("bottom left", "bottom right"))
 
 Grade = Literal["good", "fair", "poor"]
@@ -36,32 +36,32 @@ GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """What stands against a solution.
+    """The deficiencies of a solution.
 
-    `poor`: its numbers themselves are not known well enough, or contradict the views. `fair`: the numbers hold where the board
-    was, and are extrapolated where it was not, at the edges of the image or in tilt. `good`: neither.
+    It is `poor` if its numbers are too uncertain or contradict the views. It is `fair` if the numbers hold where the board
+    was but are extrapolated elsewhere, at the edges of the image or in tilt. Otherwise it is `good`.
     """
 
     imprecise: tuple[str, ...]
-    """Why the numbers are not to be trusted."""
+    """Reasons why the numbers cannot be trusted."""
     uncovered: tuple[str, ...]
     """Uncovered regions, where the distortion is extrapolated."""
 
     @property
     def grade(self) -> Grade:
-        """The worst that holds."""
+        """The worst grade that applies."""
         if self.imprecise:
             return "poor"
         return "fair" if self.uncovered else "good"
 
     @property
     def missing(self) -> list[str]:
-        """Everything that would make the set better, the gravest first."""
+        """Return everything that would improve the set, the most severe deficiency first."""
         return [*self.imprecise, *self.uncovered]
 
 
 def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.int64]:
-    """(rows, columns) of `CELLS`: how many corners lay in each cell of the image."""
+    """Return the number of corners in each cell of the image, (rows, columns) of `CELLS`."""
     w, h = size
     counts = np.zeros((CELLS[1], CELLS[0]), dtype=np.int64)
     for view in views:
@@ -72,7 +72,7 @@ def coverage(views: Sequence[BoardView], size: tuple[int, int]) -> NDArray[np.in
 
 
 def missing_before(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
-    """What can be said without solving: number of views and where in the image they are."""
+    """Return what is missing as far as it shows without solving: the number of views and their coverage of the image."""
     lacks = []
     if len(views) < VIEWS:
         lacks.append(f"{VIEWS - len(views)} more views ({len(views)} of {VIEWS})")

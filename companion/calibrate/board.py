@@ -1,4 +1,4 @@
-"""The calibration board: what is printed, and where its corners are in an image."""
+"""The calibration board: its printed shapes, and the detection of its corners in an image."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ U8 = NDArray[np.uint8]
 _DICTIONARY = cv2.aruco.DICT_5X5_250
 _MARKER_BITS = 5
 _LEAST_CORNERS = 8
-"""Of a ChArUco board in view; fewer say too little to be worth the risk of a wrong one."""
+"""Fewest corners of a ChArUco board for a view: fewer add too little information to risk a wrong one."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Board:
     """A ChArUco board or a plain chessboard. Its corner (0, 0) is the top-left inner one; x right, y down.
 
     Raises:
-        BadInput: squares or sizes that make no board.
+        BadInput: the squares or sizes do not make a board.
     """
 
     kind: Literal["charuco", "chessboard"] = "charuco"
@@ -50,7 +50,7 @@ class Board:
 
     @property
     def corners_m(self) -> F64:
-        """((rows - 1) * (columns - 1), 3) m, inner corners row by row, from the board's outer top-left corner, z = 0."""
+        """The inner corners row by row, from the board's outer top-left corner, ((rows - 1) * (columns - 1), 3) m, z = 0."""
         x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
         return np.asarray(np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square_m, dtype=float)
 
@@ -64,7 +64,7 @@ class Board:
         return cv2.aruco.CharucoDetector(self._charuco)
 
     def black_m(self) -> list[F64]:
-        """Every black rectangle as (4, 2) m, clockwise from its top-left corner, from the board's outer top-left corner."""
+        """Return each black rectangle as (4, 2) m, clockwise from its top-left corner, from the board's outer top-left corner."""
         s = self.square_m
         black = [_rectangle(c * s, r * s, s) for r in range(self.rows) for c in range(self.columns) if (r + c) % 2 == 0]
         if self.kind == "chessboard":
@@ -74,14 +74,14 @@ class Board:
             x, y = (float(v) for v in outline[0][:2])
             bits = dictionary.generateImageMarker(int(number), _MARKER_BITS + 2)
             for row, line in enumerate(bits):
-                # One rectangle a run, so that no hairline shows between cells.
+                # Each run of cells makes one rectangle, so that no hairline shows between cells.
                 edges = np.flatnonzero(np.diff(np.concatenate([[0], (line == 0).astype(np.int8), [0]])))
                 for begin, end in edges.reshape(-1, 2):
                     black.append(_rectangle(x + begin * cell, y + row * cell, (end - begin) * cell, cell))
         return black
 
     def find(self, grey: U8) -> tuple[NDArray[np.int64], F64] | None:
-        """Corners in an image: their (n,) indices into `corners_m` and (n, 2) px; None when it is not seen well enough."""
+        """Find the corners in an image: their (n,) indices into `corners_m` and (n, 2) px; None if too few are found."""
         if self.kind == "chessboard":
             pattern = (self.columns - 1, self.rows - 1)
             ok, corners = cv2.findChessboardCornersSB(grey, pattern, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
@@ -96,7 +96,7 @@ class Board:
         return numbers, corners.reshape(-1, 2).astype(float)
 
     def _refined(self, grey: U8, uv: NDArray[np.generic]) -> F64:
-        """Corners set by the gradients around them: the chessboard finder alone is off by a bias that bends the focal length.
+        """Refine corners by the gradients around them: the chessboard finder alone has a bias that affects the focal length.
 
         Source: Foerstner and Guelch, A fast operator for detection and precise location of distinct points, 1987.
         """

@@ -1,4 +1,4 @@
-"""The camera file, as `Camera.from_mapping` reads it, with where its numbers come from."""
+"""Write the camera file that `Camera.from_mapping` reads, with the source of its numbers."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from companion.calibrate.solve import Solution
 
 
 def text(solution: Solution, source: str, rpy_body_cam_deg: tuple[float, float, float]) -> str:
-    """TOML of the camera. The mount is written as it was given, for a person to put right.
+    """Return the camera as TOML. The mount is written as given, so that a person can correct it.
 
     Args:
-        source: what was calibrated from, one line.
+        source: one line that describes the images of the calibration.
         rpy_body_cam_deg: the mount's angles (the matrix in `solution.camera` may have several).
     """
     c, s = solution.camera, solution.sigma

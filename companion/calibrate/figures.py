@@ -1,4 +1,4 @@
-"""What a person looks at before trusting a calibration: where the corners were, and what the camera leaves unexplained."""
+"""Draw the figures for checking a calibration: the coverage by corners, and the residuals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from companion.calibrate.views import BoardView
 
 
 def write_coverage(views: Sequence[BoardView], size: tuple[int, int], path: Path) -> None:
-    """A PNG: every corner of every view in the image, and the cells that hold none."""
+    """Write a PNG with every corner of every view, and the cells that hold none."""
     w, h = size
     figure, axes = _figure(7.2, 6.6 * h / w + 0.9)
     counts = coverage(views, size)
@@ -38,7 +38,7 @@ def write_coverage(views: Sequence[BoardView], size: tuple[int, int], path: Path
 
 
 def write_residuals(solution: Solution, path: Path) -> None:
-    """A PNG: residuals as arrows over the image, enlarged, and each view's error."""
+    """Write a PNG with the residuals as enlarged arrows over the image, and each view's error."""
     size = (solution.camera.width, solution.camera.height)
     figure = Figure(figsize=(11.0, 4.4), layout="constrained")
     FigureCanvasAgg(figure)

@@ -1,4 +1,4 @@
-"""Views from images, from a video, or from a live camera that a person moves the board before."""
+"""Collect views from images, from a video, or from a live camera while a person moves the board."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ Told = Callable[[Collection], None]
 
 
 def image_files(paths: Sequence[Path]) -> list[Path]:
-    """The images and videos that the paths name; of folders all images in them.
+    """Return the images and videos that the paths name; a folder gives all images in it.
 
     Raises:
-        BadInput: a path that does not exist, or a folder without images.
+        BadInput: a path does not exist, or a folder holds no images.
     """
     files: list[Path] = []
     for path in paths:
@@ -47,7 +47,7 @@ def look_at(file: Path, collection: Collection, tell: Told) -> None:
     """Add an image, or every frame of a video.
 
     Raises:
-        BadInput: it is neither, or of another size than those before it.
+        BadInput: the file is neither, or its size differs from those before it.
     """
     if file.suffix.lower() in PICTURES:
         try:
@@ -71,11 +71,11 @@ def look_at(file: Path, collection: Collection, tell: Told) -> None:
 
 
 async def watch(options: CameraOptions, collection: Collection, tell: Told, timeout_s: float, first_s: float = 10.0) -> None:
-    """Add what a live camera shows until the views cover the image, or until `timeout_s`.
+    """Add frames of a live camera until the views cover the image, or until `timeout_s`.
 
     Raises:
-        Recoverable: no image within `first_s`; the text says why.
-        BadInput, SetupImpossible: as `open_camera`.
+        Recoverable: no image came within `first_s`; the text says why.
+        BadInput, SetupImpossible: `open_camera` raised it.
     """
     loop = asyncio.get_running_loop()
     async with open_camera(options, SystemClock()) as camera:

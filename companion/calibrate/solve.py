@@ -1,4 +1,4 @@
-"""From views of the board to a camera: bundle adjustment, choice of the distortion's length, rejection of bad views.
+"""Solve for the camera from views of the board: bundle adjustment, choice of distortion terms, rejection of bad views.
 
 Source: Zhang, A flexible new technique for camera calibration, PAMI 2000; Brown 1971 for the distortion; Schwarz, Estimating the
 dimension of a model, 1978, for how many of its terms the views support.
@@ -20,13 +20,13 @@ from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.vision.camera import Camera
 
 LEAST_VIEWS = 4
-"""Fewer cannot be solved at all."""
+"""Fewest views that can be solved."""
 _OUTLIER = 3.0
-"""Times the median view's error, beyond which a view is left out."""
+"""Multiple of the median view's error beyond which a view is rejected."""
 _OUTLIER_PX = 0.3
-"""A view this good is never left out."""
+"""Error up to which a view is never rejected, px."""
 _CORRELATED = 1.5
-"""Corners of one view err alike (blur, light, paper), so that they say this many times less than as many lone ones would."""
+"""Errors of one view's corners correlate (blur, light, paper), so they inform this many times less than independent ones."""
 _MODELS = {
     "k1": cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3,
     "k1 k2": cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3,
@@ -37,28 +37,28 @@ _MODELS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """One view as the camera explains it."""
+    """One view's fit to the camera."""
 
     view: BoardView
     residual_px: F64
-    """(n, 2) measured minus predicted."""
+    """Measured minus predicted corners, (n, 2) px."""
     tilt_deg: tuple[float, float]
-    """Of the board against the image's plane, about the image's x and y."""
+    """Tilt of the board relative to the image plane, about the image's x and y."""
     distance_m: float
 
     @property
     def rms_px(self) -> float:
-        """Root mean square length of the residuals."""
+        """The root mean square length of the residuals, px."""
         return float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=1))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """A camera and what it rests on."""
+    """A camera and the views that it was solved from."""
 
     camera: Camera
     sigma: F64
-    """(9,) one standard deviation of fx, fy, cx, cy (px), k1, k2, p1, p2, k3; 0 for a term that was not estimated."""
+    """Standard deviations of fx, fy, cx, cy (px), k1, k2, p1, p2, k3, (9,); 0 for a term that was not estimated."""
     model: str
     """Terms of the distortion that were estimated."""
     fits: tuple[Fit, ...]
@@ -66,19 +66,19 @@ class Solution:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square length of all residuals of the views used."""
+        """The root mean square length of all residuals of the used views, px."""
         return float(np.sqrt(np.mean(np.concatenate([np.sum(f.residual_px**2, axis=1) for f in self.fits]))))
 
 
 def solve(views: Sequence[BoardView], board: Board, size: tuple[int, int], mount: Transform | None = None) -> Solution:
-    """The camera that explains the views best.
+    """Return the camera that fits the views best.
 
     Args:
         size: (width, height) px of the images.
-        mount: `T_body_cam` of the camera; straight down with the nose at the top of the image when None.
+        mount: `T_body_cam` of the camera; None means straight down with the nose at the top of the image.
 
     Raises:
-        BadInput: too few views, or views that no camera explains (the wrong board, say).
+        BadInput: there are too few views, or no camera fits them (because of the wrong board, for example).
     """
     used = list(views)
     rejected: list[BoardView] = []
@@ -101,7 +101,7 @@ _Solved = tuple[Camera, F64, str, list[tuple[F64, F64]]]
 
 
 def _best_model(views: Sequence[BoardView], board: Board, size: tuple[int, int], mount: Transform | None) -> _Solved:
-    """The model with the least Bayesian information criterion."""
+    """Return the model with the lowest Bayesian information criterion."""
     points = board.corners_m
     object_points = [points[v.ids].astype(np.float32) for v in views]
     image_points = [v.uv_px.astype(np.float32) for v in views]
@@ -119,7 +119,7 @@ def _best_model(views: Sequence[BoardView], board: Board, size: tuple[int, int],
             continue
         parameters = 5 + [0, 1, 3, 4][terms] + 6 * len(views)
         criterion = n / _CORRELATED * np.log(max(rms**2 / 2, 1e-12)) + parameters * np.log(n)
-        # Without this an ill-posed set is explained best by a lens bent beyond use.
+        # Without this check an ill-posed set fits best with an unusably distorted lens.
         if _one_to_one(camera) and (best is None or criterion < best[0]):
             poses = [(_three(r), _three(t)) for r, t in zip(rvecs, tvecs, strict=True)]
             best = float(criterion), (camera, np.array(sigma, dtype=float).ravel()[:9], name, poses)
@@ -129,7 +129,7 @@ def _best_model(views: Sequence[BoardView], board: Board, size: tuple[int, int],
 
 
 def _one_to_one(camera: Camera) -> bool:
-    """Whether the distortion grows with the angle all over the image."""
+    """Return whether the distorted radius grows with the angle over the whole image."""
     w, h = camera.width, camera.height
     edge = np.array([(u, v) for u in (0, w / 2, w - 1) for v in (0, h / 2, h - 1)], dtype=float)
     reach = float(np.linalg.norm((edge - (camera.cx, camera.cy)) / (camera.fx, camera.fy), axis=1).max())

@@ -1,4 +1,4 @@
-"""Images that show the board, as many different ones as a calibration can use."""
+"""Collect images of the board that differ enough to be useful to a calibration."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from estimator.contracts.geometry import F64
 U8 = NDArray[np.uint8]
 
 MOST = 60
-"""Views kept; more only cost time."""
+"""Largest number of views kept; more only cost time."""
 _NEW = 0.06
 """Share of the image's diagonal that the board must have moved, shrunk or turned to be a new view."""
 _STILL = 0.004
-"""Share of the diagonal that the board may have moved since the frame before, in a moving image: more is blur."""
+"""Share of the diagonal that the board may have moved since the previous frame of a video: more causes blur."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,15 +28,15 @@ class BoardView:
 
     name: str
     ids: NDArray[np.int64]
-    """(n,) into `Board.corners_m`."""
+    """Indices into `Board.corners_m`, (n,)."""
     uv_px: F64
-    """(n, 2)."""
+    """Corners in the image, (n, 2) px."""
 
 
 class Collection:
-    """Views of one camera, gathered one image after the other.
+    """Views of one camera, collected image by image.
 
-    With `moving` (video, live camera) an image is taken only when the board stands still in it and shows something new.
+    With `moving` (video, live camera) an image is used only if the board is still in it and in a new pose.
     """
 
     def __init__(self, board: Board, moving: bool) -> None:
@@ -44,19 +44,19 @@ class Collection:
         self._moving = moving
         self._before: BoardView | None = None
         self.size: tuple[int, int] | None = None
-        """(width, height) px."""
+        """Size of the images, (width, height) px; None before the first."""
         self.views: list[BoardView] = []
         self.looked = 0
         self.without: list[str] = []
         """Names of images in which the board was not found."""
         self.repeated = 0
-        """Images that showed nothing new, or a moving board."""
+        """Number of images that showed nothing new, or a moving board."""
 
     def add(self, name: str, px: U8) -> BoardView | None:
-        """Look at one (H, W) or (H, W, 3) image; the view, when it was kept.
+        """Search one (H, W) or (H, W, 3) image for the board; return the view if it is kept.
 
         Raises:
-            BadInput: its size is not that of the others.
+            BadInput: its size differs from that of the others.
         """
         size = (px.shape[1], px.shape[0])
         if self.size is None:
@@ -84,7 +84,7 @@ class Collection:
 
 
 def _moved(a: BoardView, b: BoardView) -> float | None:
-    """Largest way in px of a corner that both show, None when there are too few of them."""
+    """Return the largest displacement of a corner that both views show, px; None if they share too few."""
     _, ia, ib = np.intersect1d(a.ids, b.ids, return_indices=True)
     if len(ia) < 4:
         return None

@@ -1,4 +1,4 @@
-"""All rules over one frame. Pure."""
+"""Apply all rules to one snapshot. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from companion.doctor.snapshot import Snapshot
 
 RULES: tuple[Rule, ...] = (*rules_links.RULES, *rules_ardupilot.RULES, *rules_px4.RULES)
 PARAMETERS = {"ArduPilot": rules_ardupilot.PARAMETERS, "PX4": rules_px4.PARAMETERS, "other": ()}
-"""What the rules want to know of an autopilot, by stack."""
+"""Parameters that the rules need from an autopilot, by stack."""
 
 
 def diagnose(snapshot: Snapshot) -> tuple[Finding, ...]:

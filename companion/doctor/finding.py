@@ -10,14 +10,14 @@ from companion.doctor.snapshot import Snapshot
 
 
 class Severity(IntEnum):
-    """How bad it is; the worst first."""
+    """The severity of a finding; the worst comes first."""
 
     ERROR = 0
-    """It will not work."""
+    """The setup will not work."""
     WARNING = 1
-    """It works until it matters."""
+    """The setup works until a critical moment."""
     ADVICE = 2
-    """It could work better."""
+    """The setup could work better."""
 
 
 @dataclass(frozen=True, slots=True)

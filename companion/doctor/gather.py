@@ -1,4 +1,4 @@
-"""Finding out: open the links, listen, ask, and write down what was seen. It judges nothing and changes nothing."""
+"""Take a snapshot: open the links, listen, send requests, and record the answers. It judges nothing and changes nothing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs, seconds_between
 
 _PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
-"""ArduCopter shows precision landing in it."""
+"""The SYS_STATUS bit in which ArduCopter reports precision landing."""
 _ASKING_MAX_S = 15.0
 _POLL_S = 0.05
 
@@ -25,7 +25,7 @@ Say = Callable[[str], None]
 
 @dataclass(slots=True)
 class _Notes:
-    """What goes by on the links that `Autopilot` does not keep."""
+    """Messages on the links that `Autopilot` does not keep."""
 
     systems: set[int] = field(default_factory=set)
     firmware: tuple[int, int, int] | None = None
@@ -45,11 +45,11 @@ class _Notes:
 
 
 async def examine(options: AutopilotOptions, clock: Clock, seconds: float, say: Say = lambda text: None) -> Snapshot:
-    """Listen and ask.
+    """Listen to the links, query the autopilot, and return the snapshot.
 
     Args:
         seconds: how long to wait for an autopilot, and again how long to count its messages.
-        say: told what is being done, for a terminal.
+        say: called with a progress line for a terminal.
     """
     notes = _Notes()
     began = clock.now()

@@ -1,4 +1,4 @@
-"""Finding out about the service itself: its files, its camera, broker and drone, and what it says where it runs already."""
+"""Take a snapshot of the service itself: its files, camera, broker and drone, and its metrics if it is running."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
 
 _FIRST_FRAME_S = 5.0
-"""What a camera may take to open."""
+"""Longest time until a camera's first frame, seconds."""
 _WITHHELD = "withheld_"
 
 
 async def examine_service(
     settings: Settings | None, broker: str | None, clock: Clock, seconds: float = 2.0, timeout_s: float = 2.0
 ) -> ServiceSnapshot:
-    """Files, broker and drone; of a service that runs and tells its metrics those, else of the camera what it sends.
+    """Check files, broker and drone; read the metrics of a running service, or else count the camera's frames.
 
     Args:
-        broker: HOST:PORT to look for; None for the one in the settings.
+        broker: HOST:PORT of the broker to check; None for the one in the settings.
         seconds: how long to count the camera's frames.
     """
     snapshot = ServiceSnapshot()
@@ -85,7 +85,7 @@ async def _of_camera(snapshot: ServiceSnapshot, settings: Settings, clock: Clock
 
 
 async def _scrape(settings: Settings, timeout_s: float) -> list[Sample] | None:
-    """The metrics of the service where it runs; None where nobody answers."""
+    """Return the metrics of the running service; None if nothing answers."""
     m = settings.metrics
     if m.endpoint == "off":
         return None
@@ -124,7 +124,7 @@ def _of_metrics(snapshot: ServiceSnapshot, scraped: list[Sample]) -> ServiceSnap
 
 
 async def _unreachable(host: str, port: int, timeout_s: float) -> str | None:
-    """Why a TCP connection cannot be made, None when it can."""
+    """Return why a TCP connection fails; None if it succeeds."""
     try:
         async with asyncio.timeout(timeout_s):
             _, writer = await asyncio.open_connection(host, port)

@@ -1,4 +1,4 @@
-"""Traps of ArduPilot: what it needs to be set to, and what it says when it is not."""
+"""Rules for ArduPilot: the settings that it needs, and the messages that it sends without them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Traps of links, streams and clocks: what stands between us and any autopilot."""
+"""Rules for links, streams and clocks, which apply to any autopilot."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.requests import INSTEAD
 
 ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
-"""Without these nothing can be told to, or flown by, an autopilot."""
+"""Messages without which the service can neither report to an autopilot nor fly it."""
 _REASONS = {
     "permission denied": "let the service's user open it: usermod -aG dialout USER, and log in anew",
     "could not exclusively lock": "another program has it: stop the daemon or ModemManager, or the other ground station",
@@ -21,7 +21,7 @@ _REASONS = {
 
 
 def link_down(p: Snapshot) -> Finding | None:
-    """A link that cannot be opened."""
+    """Find a link that cannot be opened."""
     for link in p.links:
         if link.down is not None:
             fix = next((c for text, c in _REASONS.items() if text in link.down.lower()), "check what the link's address names")
@@ -34,7 +34,7 @@ def _open(p: Snapshot) -> list[LinkSnapshot]:
 
 
 def link_silent(p: Snapshot) -> Finding | None:
-    """Open, and not a byte comes."""
+    """Find an open link on which no byte arrives."""
     for link in _open(p):
         if link.bytes_in == 0 and (p.seconds >= 2.0 or p.autopilot is None):
             serial = "check RX/TX wiring and, on the autopilot, SERIALn_PROTOCOL 2 (ArduPilot) or MAV_n_CONFIG (PX4)"
@@ -44,7 +44,7 @@ def link_silent(p: Snapshot) -> Finding | None:
 
 
 def link_garbage(p: Snapshot) -> Finding | None:
-    """Bytes, but no messages in them."""
+    """Find a link with bytes but no messages in them."""
     for link in _open(p):
         if link.bytes_in > 200 and link.damaged > 2 * max(link.messages, 1):
             return error(
@@ -56,7 +56,7 @@ def link_garbage(p: Snapshot) -> Finding | None:
 
 
 def link_signature(p: Snapshot) -> Finding | None:
-    """Signed on one side only, or with another key."""
+    """Find a link that is signed on one side only, or with another key."""
     for link in _open(p):
         if link.refused_signature > 0:
             return error(
@@ -68,7 +68,7 @@ def link_signature(p: Snapshot) -> Finding | None:
 
 
 def link_unsigned(p: Snapshot) -> Finding | None:
-    """A network link that believes addresses."""
+    """Find an unsigned network link, which trusts sender addresses."""
     for link in _open(p):
         if link.signed is False and not parse_endpoint(link.url).is_private:
             return advice(
@@ -80,7 +80,7 @@ def link_unsigned(p: Snapshot) -> Finding | None:
 
 
 def link_strangers(p: Snapshot) -> Finding | None:
-    """Somebody speaks and is not listened to."""
+    """Find a link with messages from senders that are not accepted."""
     for link in _open(p):
         if link.strangers > 20 and p.autopilot is not None:
             return advice(
@@ -92,7 +92,7 @@ def link_strangers(p: Snapshot) -> Finding | None:
 
 
 def link_old_version(p: Snapshot) -> Finding | None:
-    """MAVLink 1 cuts the position off a LANDING_TARGET."""
+    """Find a MAVLink 1 link: it cuts the position off a LANDING_TARGET."""
     for link in _open(p):
         if link.messages >= 20 and link.old_version > 0.5 * link.messages:
             return warning(
@@ -104,7 +104,7 @@ def link_old_version(p: Snapshot) -> Finding | None:
 
 
 def link_lossy(p: Snapshot) -> Finding | None:
-    """A link that loses messages."""
+    """Find a link that loses messages."""
     for link in _open(p):
         total = link.messages + link.lost
         if total >= 50 and link.lost > 0.05 * total:
@@ -117,7 +117,7 @@ def link_lossy(p: Snapshot) -> Finding | None:
 
 
 def no_autopilot(p: Snapshot) -> Finding | None:
-    """Messages, but nobody who flies."""
+    """Find links with messages but no autopilot."""
     if p.autopilot is None and any(link.messages > 0 for link in p.links):
         return error(
             "no-autopilot",
@@ -128,7 +128,7 @@ def no_autopilot(p: Snapshot) -> Finding | None:
 
 
 def several_autopilots(p: Snapshot) -> Finding | None:
-    """Two vehicles on one network, and the wrong one may be taken."""
+    """Find several vehicles on one network, where the service may choose the wrong one."""
     a = p.autopilot
     if a is not None and a.others:
         return warning(
@@ -140,7 +140,7 @@ def several_autopilots(p: Snapshot) -> Finding | None:
 
 
 def stream_refused(p: Snapshot) -> Finding | None:
-    """A stream that the autopilot will not send."""
+    """Find a stream that the autopilot refuses to send."""
     a = p.autopilot
     if a is None:
         return None
@@ -155,7 +155,7 @@ def stream_refused(p: Snapshot) -> Finding | None:
 
 
 def stream_silent(p: Snapshot) -> Finding | None:
-    """A stream that was accepted and does not come."""
+    """Find a stream that was accepted but does not arrive."""
     a = p.autopilot
     if a is None or p.seconds < 3.0:
         return None
@@ -171,7 +171,7 @@ def stream_silent(p: Snapshot) -> Finding | None:
 
 
 def stream_slow(p: Snapshot) -> Finding | None:
-    """Attitude too rare to take the tilt out."""
+    """Find an attitude stream too slow to correct for the tilt."""
     a = p.autopilot
     if a is None:
         return None
@@ -186,7 +186,7 @@ def stream_slow(p: Snapshot) -> Finding | None:
 
 
 def clock_not_locked(p: Snapshot) -> Finding | None:
-    """Without a common clock a stamp says nothing."""
+    """Find a clock that is not synchronized, which makes stamps meaningless."""
     if p.autopilot is None or p.sync is None or p.sync.locked:
         return None
     return error(
@@ -197,7 +197,7 @@ def clock_not_locked(p: Snapshot) -> Finding | None:
 
 
 def clock_far(p: Snapshot) -> Finding | None:
-    """A round trip that makes the clocks doubtful; PX4 refuses to converge beyond 10 ms."""
+    """Find a round trip that is too long for clock synchronization; PX4 refuses to converge beyond 10 ms."""
     if p.sync is None or p.autopilot is None or p.sync.round_trip_s is None:
         return None
     limit_s = 0.010 if p.autopilot.stack == "PX4" else 0.040
@@ -211,7 +211,7 @@ def clock_far(p: Snapshot) -> Finding | None:
 
 
 def clock_jumps(p: Snapshot) -> Finding | None:
-    """A clock that is set while we listen."""
+    """Find a clock that jumps while we listen."""
     if p.sync is not None and p.sync.jumps > 0:
         return warning(
             "clock-jumps",
@@ -222,14 +222,14 @@ def clock_jumps(p: Snapshot) -> Finding | None:
 
 
 def camera_fault(p: Snapshot) -> Finding | None:
-    """The camera or pad file."""
+    """Find a fault in the camera or pad file."""
     if p.service.camera_fault is not None:
         return error("camera-file", p.service.camera_fault, "correct the file; decklander config check names every key")
     return None
 
 
 def camera_device(p: Snapshot) -> Finding | None:
-    """A camera that is not there, not allowed, or cannot do what is asked."""
+    """Find a camera that is absent, not permitted, or not capable of the settings."""
     if p.service.device_fault is not None:
         return error(
             "camera-device",
@@ -241,7 +241,7 @@ def camera_device(p: Snapshot) -> Finding | None:
 
 
 def camera_size(p: Snapshot) -> Finding | None:
-    """A calibration of another resolution."""
+    """Find a calibration for another resolution."""
     s = p.service
     if s.frame_size is not None and s.camera_size is not None and s.frame_size != s.camera_size:
         return error(
@@ -253,7 +253,7 @@ def camera_size(p: Snapshot) -> Finding | None:
 
 
 def camera_slow(p: Snapshot) -> Finding | None:
-    """Too few frames."""
+    """Find a camera with too low a frame rate."""
     rate = p.service.frame_rate_hz
     if rate is not None and rate < 10.0:
         return warning(

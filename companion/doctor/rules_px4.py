@@ -1,4 +1,4 @@
-"""Traps of PX4, and of the service's own sending."""
+"""Rules for PX4, and for the messages that the service itself sends."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _RANGE_HEIGHT = 2.0
 
 
 def event_id(name: str) -> int:
-    """The number that EVENT carries: component 1 and 24 bits of the name's FNV-1a hash. Source: PX4, Tools/px4events."""
+    """Return the number that EVENT carries: component 1 and 24 bits of the name's FNV-1a hash. Source: PX4, Tools/px4events."""
     value = 0x811C9DC5
     for byte in name.encode():
         value = (value ^ byte) * 0x1000193 & 0xFFFFFFFF
@@ -109,7 +109,7 @@ def external_vision(p: Snapshot) -> Finding | None:
 
 
 def targets_withheld(p: Snapshot) -> Finding | None:
-    """Our own sending, whatever the autopilot."""
+    """Find targets that the service did not send, whatever the autopilot."""
     s = p.service
     if s.targets_sent is None or s.targets_sent > 0 or not s.withheld:
         return None

@@ -1,6 +1,6 @@
-"""What was found out about a set-up. Plain data that can be saved, sent to someone else and examined again.
+"""The snapshot of a setup: plain data that can be saved, sent to someone else and examined again.
 
-What could not be found out is None or absent: no rule speaks of what is not known.
+Unknown values are None or absent, and no rule judges them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class LinkSnapshot(Struct, frozen=True):
 
     url: str
     down: str | None = None
-    """Why it is not open."""
+    """Why the link is not open; None if it is."""
     bytes_in: int = 0
     messages: int = 0
     lost: int = 0
@@ -26,13 +26,13 @@ class LinkSnapshot(Struct, frozen=True):
     old_version: int = 0
     refused_signature: int = 0
     signed: bool | None = None
-    """Whether we sign on it and take only what is signed."""
+    """Whether we sign our messages on it and accept only signed ones."""
     strangers: int = 0
-    """Messages of senders that were not asked for."""
+    """Number of messages from senders that are not accepted."""
 
 
 class TimeSyncSnapshot(Struct, frozen=True):
-    """TIMESYNC."""
+    """The state of clock synchronization by TIMESYNC."""
 
     locked: bool
     round_trip_s: float | None = None
@@ -45,79 +45,79 @@ class AutopilotSnapshot(Struct, frozen=True):
     stack: Literal["ArduPilot", "PX4", "other"]
     system: int
     others: tuple[int, ...] = ()
-    """System ids of further autopilots that fly."""
+    """System ids of further autopilots."""
     firmware: tuple[int, int, int] | None = None
     mode: str = "unknown"
     armed: bool | None = None
     flying: bool | None = None
     parameters: dict[str, float] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
-    """Parameters that were asked for and that this firmware does not have."""
+    """Requested parameters that this firmware does not have."""
     rates_hz: dict[str, float] = field(default_factory=dict)
-    """How often each message came."""
+    """Measured rate of each message, Hz."""
     wanted_hz: dict[str, float] = field(default_factory=dict)
-    """How often it was asked for."""
+    """Requested rate of each message, Hz."""
     refused: dict[str, int] = field(default_factory=dict)
     """MAV_RESULT of message streams that were refused; -1 for no answer."""
     texts: tuple[str, ...] = ()
     """STATUSTEXTs, oldest first."""
     events: tuple[int, ...] = ()
-    """Numbers of EVENTs, oldest first: PX4 says so what others say in texts."""
+    """Numbers of EVENTs, oldest first; PX4 uses them where other autopilots send texts."""
     precland_enabled: bool | None = None
     precland_healthy: bool | None = None
-    """SYS_STATUS: precision landing enabled by parameter, and its backend running."""
+    """Whether SYS_STATUS reports precision landing as enabled by parameter and its backend as running."""
 
 
 class ServiceSnapshot(Struct, frozen=True):
-    """The service itself, where it runs or could be asked."""
+    """The service itself, as far as it runs or could be queried."""
 
     camera_fault: str | None = None
     """What is wrong with the camera or pad file."""
     device_fault: str | None = None
-    """Why the camera gives no frames."""
+    """Why the camera sends no frames."""
     frame_rate_hz: float | None = None
     frame_size: tuple[int, int] | None = None
-    """As the device sends them."""
+    """Size of the frames that the device sends, px."""
     camera_size: tuple[int, int] | None = None
-    """As the camera file says."""
+    """Size of the frames in the camera file, px."""
     exposure_to_belief_s: float | None = None
-    """Median delay from the exposure until the estimator knew."""
+    """Median delay from the exposure until the estimator has used the frame, seconds."""
     sends_ranges: bool | None = None
     """Whether DISTANCE_SENSOR is sent."""
     withheld: dict[str, int] = field(default_factory=dict)
     """Targets that were due and not sent, by reason."""
     targets_sent: int | None = None
     broker: str | None = None
-    """Address of the MQTT broker that is set."""
+    """Address of the MQTT broker in the settings."""
     broker_fault: str | None = None
     drone: str | None = None
-    """Address of the AR.Drone that is set."""
+    """Address of the AR.Drone in the settings."""
     drone_fault: str | None = None
 
 
 class Snapshot(Struct, frozen=True):
-    """Everything."""
+    """The complete snapshot of a setup."""
 
     seconds: float
-    """How long was listened."""
+    """Duration of the examination, seconds."""
     links: tuple[LinkSnapshot, ...] = ()
     autopilot: AutopilotSnapshot | None = None
     sync: TimeSyncSnapshot | None = None
     service: ServiceSnapshot = ServiceSnapshot()
     moving_pad: bool = True
-    """The pad is on something that moves."""
+    """Whether the pad is on something that moves."""
 
 
 def encode(snapshot: Snapshot) -> bytes:
-    """As JSON, for people too."""
+    """Return the snapshot as readable JSON."""
     return msgspec.json.format(msgspec.json.encode(snapshot), indent=2) + b"\n"
 
 
 def decode(data: bytes, where: str) -> Snapshot:
-    """The frame in a JSON text.
+    """Return the snapshot in a JSON text.
 
     Raises:
-        BadInput: it holds none; the text says where it is wrong.
+        BadInput: the text holds no snapshot; the message says where it is wrong.
     """
     try:
         return msgspec.json.decode(data, type=Snapshot)

@@ -1,1 +1,1 @@
-"""The pad and the calibration board on paper, true to scale."""
+"""Print the pad and the calibration board on paper, true to scale."""

@@ -1,4 +1,4 @@
-"""What is printed, as shapes in millimetres: x right, y down from the drawing's top-left corner, painted in order."""
+"""The printed shapes in millimetres: x right, y down from the drawing's top-left corner, painted in order."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BLACK: Rgb = (0, 0, 0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Polygon:
-    """Filled; (N, 2) mm."""
+    """A filled polygon, (N, 2) mm."""
 
     points_mm: F64
     fill: Rgb
@@ -24,7 +24,7 @@ class Polygon:
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """Filled."""
+    """A filled disc."""
 
     x_mm: float
     y_mm: float
@@ -37,7 +37,7 @@ Shape = Polygon | Disc
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """Something to print at 1:1."""
+    """A drawing to print at 1:1."""
 
     name: str
     width_mm: float
@@ -46,11 +46,11 @@ class Drawing:
 
 
 def pad_drawing(pad: Pad) -> Drawing:
-    """The pad with its arrow up, seen from above."""
+    """Return the pad with its arrow up, seen from above."""
     r = 1000 * pad.disc_radius_m
 
     def paper(p_pad: F64) -> F64:
-        """(N, 3) m in `pad` to (N, 2) mm: starboard is right, the arrow up."""
+        """Convert (N, 3) m in `pad` to (N, 2) mm: starboard is right, the arrow is up."""
         return np.stack([r + 1000 * p_pad[:, 1], r - 1000 * p_pad[:, 0]], axis=1)
 
     c = pad.colours
@@ -68,7 +68,7 @@ def pad_drawing(pad: Pad) -> Drawing:
 
 
 def board_drawing(board: Board) -> Drawing:
-    """The calibration board; the paper's margin is its white rim."""
+    """Return the calibration board; the paper's margin is its white rim."""
     shapes = tuple(Polygon(1000 * black, BLACK) for black in board.black_m())
     name = f"{board.kind} {board.columns}x{board.rows}, squares {1000 * board.square_m:g} mm"
     if board.kind == "charuco":
@@ -78,7 +78,7 @@ def board_drawing(board: Board) -> Drawing:
 
 
 def touches(shape: Shape, left: float, top: float, right: float, bottom: float) -> bool:
-    """Whether a shape may paint anything inside a window (exact for discs, by their boxes for polygons)."""
+    """Return whether a shape may paint anything inside a window (exact for discs, by bounding box for polygons)."""
     if isinstance(shape, Disc):
         x, y = min(max(shape.x_mm, left), right), min(max(shape.y_mm, top), bottom)
         return bool(np.hypot(x - shape.x_mm, y - shape.y_mm) < shape.radius_mm)

@@ -1,4 +1,4 @@
-"""Sheets as a PDF of vectors: exact to 0.001 mm, nothing rasterised, no fonts embedded.
+"""Write sheets as a vector PDF: exact to 0.001 mm, with nothing rasterised and no fonts embedded.
 
 Source: ISO 32000-1, sections 7.5 (file), 8.5 (paths), 9.6.2.2 (the standard fonts).
 """
@@ -18,7 +18,7 @@ _EIGHTH = 4.0 / 3.0 * math.tan(math.pi / 16.0)
 
 
 def pdf(drawing: Drawing, sheets: list[Sheet]) -> bytes:
-    """One page a sheet."""
+    """Return the PDF, with one page for each sheet."""
     objects: list[bytes] = [b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>", b""]
     objects.append(b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica /Encoding /WinAnsiEncoding >>")
     kids = []
@@ -44,7 +44,7 @@ def pdf(drawing: Drawing, sheets: list[Sheet]) -> bytes:
 
 
 def _page(drawing: Drawing, sheet: Sheet) -> str:
-    """Content with mm from the top-left corner as its unit."""
+    """Return the page's content, in mm from the top-left corner."""
     x, y, w, h = sheet.from_x_mm, sheet.from_y_mm, sheet.window_width_mm, sheet.window_height_mm
     lines = ["q", f"{_n(_PT)} 0 0 {_n(-_PT)} 0 {_n(sheet.height_mm * _PT)} cm", "q"]
     lines += [f"{_n(sheet.left_mm)} {_n(sheet.top_mm)} {_n(w)} {_n(h)} re W n"]

@@ -1,4 +1,4 @@
-"""A drawing spread over sheets of paper that overlap, each with marks to cut and join by and a ruler to check the printer by."""
+"""Divide a drawing over overlapping sheets of paper, with marks for cutting and joining and a ruler for checking the printer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RULER_MM = 100.0
 
 @dataclass(frozen=True, slots=True)
 class MarkLine:
-    """A thin mark, mm from the sheet's top-left corner."""
+    """A thin line, in mm from the sheet's top-left corner."""
 
     x0: float
     y0: float
@@ -28,7 +28,7 @@ class MarkLine:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A line of text; x, y mm of its left end on the base line."""
+    """A line of text; x and y are its left end on the base line, mm."""
 
     x: float
     y: float
@@ -45,10 +45,10 @@ class Sheet:
     width_mm: float
     height_mm: float
     left_mm: float
-    """Where the sheet's printed window begins on the paper."""
+    """Left edge of the printed window on the paper, mm."""
     top_mm: float
     from_x_mm: float
-    """Where the window begins in the drawing."""
+    """Left edge of the window in the drawing, mm."""
     from_y_mm: float
     window_width_mm: float
     window_height_mm: float
@@ -57,10 +57,10 @@ class Sheet:
 
 
 def sheets(drawing: Drawing, paper: Paper, margin_mm: float = 10.0, overlap_mm: float = 10.0) -> list[Sheet]:
-    """The pages, row by row; upright or lying, whichever takes fewer. Pages on which nothing would be painted are left out.
+    """Return the pages row by row, in portrait or landscape, whichever takes fewer. Empty pages are omitted.
 
     Raises:
-        BadInput: margins or overlap that leave no room.
+        BadInput: the margins or the overlap leave no room.
     """
     if not (6.0 <= margin_mm <= 50.0 and 0.0 <= overlap_mm <= 50.0):
         raise BadInput(f"margin must lie in 6..50 mm and overlap in 0..50 mm, got {margin_mm:g} and {overlap_mm:g}")
@@ -76,7 +76,7 @@ def sheets(drawing: Drawing, paper: Paper, margin_mm: float = 10.0, overlap_mm: 
 def _spread(drawing: Drawing, size: tuple[float, float], margin: float, overlap: float) -> list[Sheet]:
     wide, high = size[0] - 2 * margin, size[1] - 2 * margin
     columns, rows = _count(drawing.width_mm, wide, overlap), _count(drawing.height_mm, high, overlap)
-    # The drawing sits in the middle of all sheets, so that the outer ones hold alike.
+    # The drawing is centred on all sheets, so that the outer ones hold equal parts.
     x0 = -(columns * (wide - overlap) + overlap - drawing.width_mm) / 2
     y0 = -(rows * (high - overlap) + overlap - drawing.height_mm) / 2
     cells = []
@@ -105,7 +105,7 @@ def _count(length: float, sheet: float, overlap: float) -> int:
 
 
 def _marks(size: tuple[float, float], margin: float, overlap: float, neighbours: dict[str, bool]) -> list[MarkLine]:
-    """In the margins, where the middle of each overlap with a neighbour runs: cut there and butt the sheets."""
+    """Return marks in the margins at the middle of each overlap with a neighbour: cut there and butt the sheets."""
     w, h = size
     out = []
     for side, x in (("left", margin + overlap / 2), ("right", w - margin - overlap / 2)):

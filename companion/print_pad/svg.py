@@ -1,4 +1,4 @@
-"""One sheet as an SVG whose unit is the millimetre."""
+"""Write one sheet as an SVG whose unit is the millimetre."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from companion.print_pad.sheets import Sheet
 
 
 def svg(drawing: Drawing, sheet: Sheet) -> str:
-    """The sheet; its width and height say mm, so that it prints true to scale."""
+    """Return the sheet with width and height in mm, so that it prints true to scale."""
     x, y, w, h = sheet.from_x_mm, sheet.from_y_mm, sheet.window_width_mm, sheet.window_height_mm
     wide, high = _n(sheet.width_mm), _n(sheet.height_mm)
     window = f'x="{_n(sheet.left_mm)}" y="{_n(sheet.top_mm)}" width="{_n(w)}" height="{_n(h)}"'
