@@ -207,11 +207,11 @@ class Configuration:
         return self._home(KEYS[name])[name]
 
     def flag(self, name: str) -> bool:
-        """Of a key that is TRUE or FALSE."""
+        """Return the value of a key that is TRUE or FALSE."""
         return self[name] == "TRUE"
 
     def number(self, name: str) -> float:
-        """Of a key that is a number."""
+        """Return the value of a key that is a number."""
         return float(self[name])
 
     def set(self, name: str, value: str, ids: Ids | None = None) -> Answer:

@@ -22,5 +22,5 @@ class DroneClock:
         return (elapsed + round(elapsed * self.drift_ppm * 1e-6)) // 1000
 
     def milliseconds(self, at: MonoNs) -> int:
-        """As PaVE headers and the vision option carry it: whole milliseconds, 32 bits, wrapping."""
+        """Return the time as PaVE headers and the vision option carry it: whole milliseconds in 32 bits, which wrap."""
         return self.microseconds(at) // 1000 % 2**32

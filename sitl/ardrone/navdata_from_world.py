@@ -17,18 +17,18 @@ from sitl.world import Readings, Stick, VehiclePhase
 STANDARD_GRAVITY = 9.80665
 TESLA_PER_MILLIGAUSS = 1e-7
 MILLIGAUSS_PER_COUNT = 3.4
-"""As a captured datagram relates its counts to its field."""
+"""Scale of the magnetometer, as a captured datagram relates its counts to its field."""
 ALL_OPTIONS = (1 << 28) - 1
 """Mask of the 28 options of firmware 2.4.8."""
 
 
 @dataclass(frozen=True, slots=True)
 class SentFrame:
-    """The last frame that went out, as navdata speaks of it."""
+    """The last frame that was sent, as navdata reports it."""
 
     number: int = 0
     time_ms: int = 0
-    """Of the drone's clock, at mid-exposure."""
+    """Time of the drone's clock at mid-exposure."""
     rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     altitude_m: float = 0.0
     bytes_sent: int = 0
@@ -37,23 +37,23 @@ class SentFrame:
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Everything one datagram is made of."""
+    """The values of which one datagram is made."""
 
     state: int
     control_state: int
     readings: Readings
     phase: VehiclePhase
     altitude_m: float
-    """The drone's own idea: the last ultrasound echo that came back, upright."""
+    """Altitude by the drone's own estimate: the last ultrasound echo, corrected for the tilt."""
     time_us: int
-    """Of the drone's clock."""
+    """Time of the drone's clock."""
     stick: Stick
     limits: StickLimits
     shot: SentFrame
     echoes: int
-    """Ultrasound echoes so far: a new one may read the same as the last."""
+    """Number of ultrasound echoes so far; a new echo may read the same as the last."""
     ticks: int
-    """Of the drone's control loop, for its watchdog count."""
+    """Number of cycles of the drone's control loop, for its watchdog count."""
 
 
 def datagram(situation: Situation, sequence: int, mask: int) -> Navdata:

@@ -57,7 +57,7 @@ class Habits:
     clock_drift_ppm: float = 15.0
     """A crystal of its own."""
     video_delay_s: float = 0.04
-    """From mid-exposure to the frame's first byte: read-out, encoder, radio. A host slower than that adds its own delay."""
+    """Delay from mid-exposure to the frame's first byte: read-out, encoder, radio. A slower host adds its own delay."""
     crf: float = 23.0
     """Quality of the H.264 encoder, x264's scale."""
 

@@ -70,7 +70,7 @@ class NavdataPort(asyncio.DatagramProtocol):
                 self._clients[address] = self._now()
 
     def send(self, datagram: bytes) -> None:
-        """To every client whose lease runs."""
+        """Send a datagram to every client whose lease has not expired."""
         now = self._now()
         for address in [a for a, received_at in self._clients.items() if seconds_between(received_at, now) > NAVDATA_LEASE_S]:
             del self._clients[address]

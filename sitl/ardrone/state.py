@@ -246,7 +246,7 @@ def stick_of(command: at.Pcmd | at.PcmdMag) -> Stick:
 
 
 def _leds_of(value: str) -> Leds | None:
-    """From `animation,frequency bits,seconds`."""
+    """Return the LED animation of `animation,frequency bits,seconds`, or None if the value is not one."""
     words = value.split(",")
     try:
         animation, bits, seconds = (int(word) for word in words)

@@ -21,9 +21,11 @@ from sitl.world import Touchdown, Truth
 
 
 def record(truth: Truth) -> dict[str, Any]:
-    """Of one instant: `at_ns`, `phase`, `d_body_pad_level_m`, `v_pad_level_m_s`, `yaw_rad`, both bodies' `p_*_ned_m`,
-    `v_*_ned_m_s` and `quat_ned_*_wxyz`, `contacts` (all so far, with the fields of `sitl.world.Touchdown`), and `touchdown`,
-    the newest of them or null.
+    """Return the record of one instant.
+
+    Its keys are `at_ns`, `phase`, `d_body_pad_level_m`, `v_pad_level_m_s`, `yaw_rad`, both bodies' `p_*_ned_m`, `v_*_ned_m_s` and
+    `quat_ned_*_wxyz`, `contacts` (all so far, with the fields of `sitl.world.Touchdown`), and `touchdown`, the newest of them or
+    null.
     """
     return {
         "at_ns": int(truth.at),
@@ -92,7 +94,7 @@ def _contact(contact: Touchdown | None) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON takes it; what is not a number of this world (nan before any contact) becomes null."""
+    """Return a value that JSON can hold; a number that is not finite (nan before any contact) becomes null."""
     if isinstance(value, Rotation):
         value = value.quat_wxyz
     if isinstance(value, np.ndarray):

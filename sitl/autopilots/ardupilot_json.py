@@ -26,8 +26,8 @@ _MAGIC = {18458: 16, 29569: 32}
 """Magic number of a packet to its number of channels."""
 _HEADER = struct.Struct("<HHI")
 STEP_S = 0.00125
-"""Of the physics: half a turn of ArduCopter's main loop, which at whole turns misses one in four. The program starts out asking
-for 1200 Hz and takes up the rate of our timestamps."""
+"""Step of the physics: half a cycle of ArduCopter's main loop, which misses one in four at whole cycles. The program first asks
+for 1200 Hz and then adopts the rate of our timestamps."""
 CURVE = 0.65
 """MOT_THST_EXPO that ArduCopter assumes by default."""
 

@@ -46,11 +46,11 @@ class Landing:
     t_s: float
     on_deck: bool
     on_pad: bool
-    """On deck, with the body's origin over the pad's disc."""
+    """Whether it is on deck with the body's origin over the pad's disc."""
     lateral_m: float
-    """From the pad's centre, along the deck."""
+    """Distance from the pad's centre, along the deck."""
     yaw_rad: float
-    """Heading against the arrow, clockwise from above."""
+    """Heading relative to the arrow, clockwise from above."""
     speed_m_s: float
     """Closing speed into the deck."""
     slide_m_s: float
@@ -102,7 +102,7 @@ class Body:
         self._vehicle.step(self._ground)
 
     def state(self) -> BodyState:
-        """As of the newest step."""
+        """Return the body's state at the newest step."""
         v = self._vehicle
         rotation = Rotation(v.R_ned_body)
         return BodyState(self.t_s, v.p_ned, v.v_ned, rotation, v.w_body, v.f_body, self._range(rotation))

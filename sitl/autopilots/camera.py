@@ -25,9 +25,9 @@ class CameraTiming:
 
     period_s: float = 1.0 / 30.0
     delay_s: float = 0.05
-    """From mid-exposure to the frame in hand: half the exposure, read-out, driver; of a camera on a short cable."""
+    """Delay from mid-exposure to the frame's arrival, for a camera on a short cable: half the exposure, read-out, driver."""
     vision_s: float = 0.03
-    """That vision may take: the world waits for a slower machine."""
+    """Time that vision may take; the world waits for a slower machine."""
 
 
 class LockStepCamera:

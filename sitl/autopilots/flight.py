@@ -47,48 +47,48 @@ Name = Literal["arducopter", "px4"]
 HOST = "127.0.0.1"
 _STATION_S = 0.05
 _AFTER_S = 1.5
-"""Flown on after the end, so that a contact that follows is seen."""
+"""Time that the flight continues after its end, so that a later contact is recorded."""
 _SILENT_S = 60.0
-"""Of wall time without a step of the physics: the program hangs."""
+"""Wall time without a step of the physics after which the program counts as hung."""
 
 
 @dataclass(frozen=True, slots=True)
 class AutopilotProgram:
-    """Which program is flown, and how."""
+    """The autopilot program that is flown, and its settings."""
 
     name: Name
     binary: Path
     pace: float = 10.0
-    """Times real time that the program may run at; the lock step holds it to what the machine can do."""
+    """Largest speed of the program in multiples of real time; the lock step limits it to what the machine can do."""
     parameters: tuple[tuple[str, float], ...] = ()
-    """Of the program, beside those it is started with anyway."""
+    """Parameters of the program, in addition to those with which it is always started."""
 
 
 @dataclass(frozen=True, slots=True)
 class FlightEnd:
-    """How it ended."""
+    """The result of the flight."""
 
     outcome: FlightOutcome | None
-    """As the pilot saw it; None when the time ran out."""
+    """The pilot's outcome; None if the time ran out."""
     landing: Landing | None
     duration_s: float
-    """Since the landing was ordered."""
+    """Time since the landing was commanded."""
     health: Health
     texts: tuple[tuple[float, int, str], ...]
-    """What autopilot and companion said: s since the program's start, component, text."""
+    """Status texts of autopilot and companion: s since the program's start, component, text."""
     upright: bool
     failure: str = ""
-    """Why it never came to a landing."""
+    """The reason why no landing took place."""
 
 
 @dataclass(slots=True)
 class AutopilotFlight:
-    """See `fly`."""
+    """One flight of an autopilot program; `fly` runs it."""
 
     scenario: Scenario
     seed: int
     settings: Settings
-    """Of the daemon; the autopilot becomes its vehicle."""
+    """Settings of the daemon; the autopilot becomes its vehicle."""
     autopilot: AutopilotProgram
     folder: Path
     """The program's working directory."""
@@ -105,11 +105,11 @@ class AutopilotFlight:
 
     @property
     def height_m(self) -> float:
-        """Of the take-off."""
+        """Height of the take-off."""
         return max(self.scenario.start.height_m, 2.0)
 
     async def fly(self) -> FlightEnd:
-        """From the program's start to the landing or whatever comes instead.
+        """Run the flight from the program's start to the landing or another end.
 
         Raises:
             BadInput: the program cannot be run.

@@ -35,7 +35,7 @@ PERIOD_S = 0.04
 _STAMP_SIGMA_S = 0.002
 _OLD_S = 0.3
 _TRUTH_S = 3.0
-"""From the first place told until the simulator's truth is no longer waited for."""
+"""Time after the first reported position for which the simulator's truth is awaited."""
 _MEET_S, _PLACE_S = 30.0, 180.0
 _CLEAR_M = 0.15
 """Higher than this it is not down yet: the speed at which it came down is the last from there."""
@@ -95,14 +95,14 @@ class DeckUnder:
         return lambda: RenderedFrame(self._renderer.render(shot, rng), pose.at, self._exposure_s)
 
     def height_m(self, pose: AutopilotPose) -> float:
-        """Over the pad's centre."""
+        """Return the body's height over the pad's centre, metres."""
         return float((self._deck(pose.at)[1] - pose.p_ned - self._shift)[2])
 
     def landing(self, pose: AutopilotPose, descent_rate_m_s: float) -> Landing:
-        """As if it stood on the deck there.
+        """Return the landing that this pose would be if the body were on the deck there.
 
         Args:
-            descent_rate_m_s: at which it came down.
+            descent_rate_m_s: the descent rate before the contact.
         """
         t_s, p, v, R, _ = self._deck(pose.at)
         d = R.T @ (pose.p_ned + self._shift - p)
@@ -157,7 +157,7 @@ class _Watcher:
 
     @property
     def landing(self) -> Landing | None:
-        """As it stood when it was last heard of; None where it never was."""
+        """The landing by the last received pose; None if none was received."""
         if self._deck is None or self._last is None:
             return None
         return self._deck.landing(self._last, self._descent_rate_m_s)

@@ -22,7 +22,7 @@ _ASK_S, _ASKS = 5.0, 3
 _TRUTH_LAST_S = 1.0
 _GAP_S = 0.2
 _MEAN_S = 3.0
-"""Over which the distance between truth and estimate is averaged."""
+"""Time over which the distance between truth and estimate is averaged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,12 +31,12 @@ class AutopilotPose:
 
     at: MonoNs
     p_ned: F64
-    """(3,) m from where the source begins to count."""
+    """(3,) position from the source's origin, m."""
     v_ned: F64
     """(3,) m/s."""
     R_ned_body: Rotation
     w_body: F64
-    """(3,) rad/s; zeros where nobody says."""
+    """(3,) angular velocity, rad/s; zeros if no source reports it."""
     is_truth: bool
     """Its place is the simulator's; else the autopilot's own estimate."""
 
@@ -94,7 +94,7 @@ class PoseSource:
     def newest(
         self, now: MonoNs, positions: tuple[LocalPosition, ...], attitude: Attitude | None, *, by_truth: bool = True
     ) -> AutopilotPose | None:
-        """As of the newest attitude; None before the autopilot said where it is.
+        """Return the pose at the newest attitude, or None before the autopilot has reported its position.
 
         Args:
             positions: the autopilot's own, the newest last.

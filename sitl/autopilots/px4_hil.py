@@ -76,7 +76,7 @@ def gnss(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Genera
 
 
 def motors_of(message: Message) -> Motors:
-    """Of a HIL_ACTUATOR_CONTROLS; at rest while not armed or not finite."""
+    """Return the motors of a HIL_ACTUATOR_CONTROLS. All are at rest while not armed; one whose value is not finite is at rest."""
     if not message.mode & _ARMED:
         return (0.0, 0.0, 0.0, 0.0)
     a, b, c, d = (min(max(float(v), 0.0), 1.0) if math.isfinite(v) else 0.0 for v in message.controls[:4])

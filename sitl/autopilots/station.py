@@ -55,17 +55,17 @@ class OperatorView:
     """What the person sees."""
 
     to_start_level: F64
-    """(3,) m forward, right, down from the body to where the landing is to begin."""
+    """(3,) vector forward, right, down from the body to the position where the landing begins, m."""
     v_start_level: F64
-    """(3,) m/s, of that place."""
+    """(3,) velocity of that position, m/s."""
     v_rel_level: F64
-    """(3,) m/s, of that place less that of the body."""
+    """(3,) velocity of that position minus that of the body, m/s."""
     yaw_rad: float
     """Heading of the body in ned."""
     turn_rad: float
-    """From it to the heading wanted, clockwise."""
+    """Angle from the body's heading to the wanted heading, clockwise."""
     height_m: float
-    """Over the pad."""
+    """Height over the pad."""
 
 
 class GroundStation:
