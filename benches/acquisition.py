@@ -1,4 +1,4 @@
-"""How often the pad is found in a whole frame, by height and condition, how calibrated that is, and how long it takes.
+"""Measure how often the pad is found in a whole frame, by height and condition, with which calibration, and in what time.
 
 `python -m benches.acquisition [--frames N] [--seed S] [--failures DIR] [--write DIR]` from the repository's root. What is found
 is registered and judged as the eyes do. A pad is found when that keeps the judge's claim (centre, range, heading) with a
@@ -55,14 +55,14 @@ BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.001)
 
 
 def floor_ms(px: np.ndarray) -> float:
-    """One conversion to HSV and one mask."""
+    """Return the time of one conversion to HSV and one mask, ms."""
     began = time.process_time_ns()
     cv2.inRange(cv2.cvtColor(px, cv2.COLOR_BGR2HSV), (52, 217, 38), (68, 255, 153))
     return (time.process_time_ns() - began) * 1e-6
 
 
 def image_of(px: np.ndarray, camera: Camera, pad: Pad, truth: PadPose | None, best: PadCandidate | None, text: str) -> np.ndarray:
-    """The frame with the candidate's drawing in magenta; a far pad enlarged."""
+    """Return the frame with the candidate drawn in magenta; a far pad is enlarged."""
     im = px.copy()
     if best is not None:
         for points in (pad.circle(pad.disc_radius_m), pad.circle(pad.ring_radius_m), pad.h_corners(), pad.arrowhead()):
@@ -86,7 +86,7 @@ def sheet(images: list[np.ndarray], path: Path) -> None:
 
 
 def registered(scene: PadScene, candidates: list[PadCandidate], camera: Camera, pad: Pad) -> tuple[float, bool] | None:
-    """What the eyes make of the candidates: their confidence in the best registration, and whether it keeps the judge's claim."""
+    """Register the candidates; return the best one's confidence, and whether it keeps the verification's claim."""
     attitude = None
     if scene.R_level_body is not None:
         attitude = Attitude(Stamp(MonoNs(0), MonoNs(0), 0.0, "sim"), scene.R_level_body, np.eye(3) * math.radians(1.0) ** 2)
@@ -103,7 +103,7 @@ def registered(scene: PadScene, candidates: list[PadCandidate], camera: Camera, 
 
 
 def reliability(score: F64, right: NDArray[np.bool_], frames: int, path: Path) -> None:
-    """The diagram: of the frames called so, as many are right; with 95 % intervals (Wilson, JASA 22, 1927)."""
+    """Draw the share of right frames over the confidence, with 95 % intervals (Wilson, JASA 22, 1927)."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -146,7 +146,7 @@ def photographs(failures: Path | None) -> None:
     found = half_in_view = 0
     took, bad, corner_px, range_off = [], [], [], []
     with (folder / "corner_labels.csv").open() as file:
-        # The labels go round the H the other way.
+        # The labels run around the H in the opposite direction.
         labels = {row[0]: np.array(row[1:25], float).reshape(12, 2)[::-1] for row in itertools.islice(csv.reader(file), 1, None)}
     with (folder / "pose.csv").open() as file:
         for row in csv.DictReader(file):

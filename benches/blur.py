@@ -1,4 +1,4 @@
-"""What blur does to the range: `python -m benches.blur [--frames N] [--write FOLDER]`.
+"""Measure the effect of blur on the range: `python -m benches.blur [--frames N] [--write FOLDER]`.
 
 Registration and, on the same frames, the thesis' ellipse, from a sharp frame to one that the lens (Gaussian) or the
 drone's way during the exposure (a line with the same spread along it) has blurred by 3 px at one sigma. Even grey floor, the
@@ -37,13 +37,13 @@ HEIGHTS_M = (1.0, 3.0, 6.0, 12.0)
 BLURS_PX = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 EXPOSURE_S = 0.02
 LENS_PX = 0.5
-"""Sigma of the lens' own blur where motion is what is varied."""
+"""Sigma of the lens' own blur while motion is varied, px."""
 By = Literal["lens", "motion"]
 
 
 @dataclass(frozen=True, slots=True)
 class Bias:
-    """Of one method over some frames, in % of the range."""
+    """The bias of one method over some frames, in % of the range."""
 
     found: int
     mean: float
@@ -59,12 +59,12 @@ class Bias:
 
 
 def biases(by: By, height_m: float, blur_px: float, frames: int) -> tuple[Bias, Bias]:
-    """Of registration and of the ellipse method."""
+    """Return the biases of registration and of the ellipse method."""
     camera, pad = shipped_camera("sim"), shipped_pad("thesis")
     if by == "lens":
         sensor, speed = Sensor(exposure_s=0.0, psf_sigma_px=blur_px), 0.0
     else:
-        # A line of even weight spreads by its length over the root of 12.
+        # The standard deviation of an evenly weighted line is its length over the root of 12.
         sensor, speed = (
             Sensor(exposure_s=EXPOSURE_S, psf_sigma_px=LENS_PX),
             blur_px * math.sqrt(12.0) * height_m / camera.fx / EXPOSURE_S,

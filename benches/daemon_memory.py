@@ -1,4 +1,4 @@
-"""Memory and processor time of the daemon over some minutes: a simulated drone hovers over the pad, the daemon watches it.
+"""Measure the daemon's memory and processor time over some minutes while a simulated drone hovers over the pad.
 
 python -m benches.daemon_memory --minutes 10
 """

@@ -1,4 +1,4 @@
-"""The faults of configs/scenarios/faults, flown: outcome, and what was unsafe.
+"""Fly the faults of configs/scenarios/faults and report the outcome and what was unsafe.
 
     python -m benches.dangers --seeds 3                        # all, some 30 to 60 s of CPU a flight
     python -m benches.dangers --first 211 --only camera_freezes gust_8_m_s
@@ -32,11 +32,11 @@ from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
 
 SURFACES = ("pad", "deck", "water")
-"""From the best to the worst to touch."""
+"""Surfaces, from the best to the worst to touch."""
 
 
 def fly(name: str, seed: int, settings: Settings) -> dict[str, Any]:
-    """One flight of one fault, as `decklander simulate --json` says it, with `vision`, the method that it was flown with."""
+    """Fly one fault once; return the record of `decklander simulate --json` with `vision`, the method that was used."""
     scenario = load_scenario(f"{FAULTS}/{name}")
     own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
     settings = msgspec.structs.replace(settings, **own)
@@ -48,7 +48,7 @@ def fly(name: str, seed: int, settings: Settings) -> dict[str, Any]:
 
 
 def worst_touch(flights: list[dict[str, Any]]) -> str:
-    """The worst surface that was touched and the contact farthest from the pad's centre on it, and the hardest contact of all."""
+    """Return the worst surface touched, the contact on it farthest from the pad's centre, and the hardest contact of all."""
     touched = [(contact, flight["seed"]) for flight in flights for contact in flight["contacts"]]
     if not touched:
         return "none"
@@ -58,7 +58,7 @@ def worst_touch(flights: list[dict[str, Any]]) -> str:
 
 
 def table(flights: list[dict[str, Any]]) -> str:
-    """Markdown: one row a fault, and a line for all flights."""
+    """Return Markdown with one row for each fault and a line for all flights."""
     lines = ["| fault | seeds | expected | outcomes | unsafe | worst touch | why |", "|---|---|---|---|---|---|---|"]
     for name in sorted({flight["scenario"] for flight in flights}):
         its = [flight for flight in flights if flight["scenario"] == name]
@@ -79,7 +79,7 @@ def table(flights: list[dict[str, Any]]) -> str:
 
 
 def arguments() -> argparse.Namespace:
-    """The command line's arguments."""
+    """Return the command line's arguments."""
     names = shipped(f"scenarios/{FAULTS}")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="seeds to fly of each fault (default 1)")

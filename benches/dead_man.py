@@ -33,25 +33,25 @@ from companion.runtime.observer import Decision, NullObserver
 from companion.runtime.service import live, make_daemon
 
 ALONE_S = 3.0
-"""The drone is watched this long before a new daemon is started."""
+"""Time for which the drone is watched before a new daemon is started, seconds."""
 LAND_S = 90.0
-"""Time that the new daemon has to land it."""
+"""Time limit for the new daemon to land the drone, seconds."""
 REACH_S = 75.0
-"""Time to reach the phase."""
+"""Time limit for reaching the phase, seconds."""
 STANDS_S = 1.0
-"""A drone that stands is watched this long beside the new daemon."""
+"""Time for which a landed drone is watched with the new daemon, seconds."""
 TRIES = 3
-"""Flights for each one that is asked for."""
+"""Largest number of flights for each requested one."""
 LATE_MS = 150.0
 SANK_M = 0.5
 STARVED_S = 0.15
-"""A delay of this program while the drone is alone; as much and more is no measurement."""
+"""Delay of this program while the drone is alone from which on a flight is no measurement, seconds."""
 BEFORE_S = 4.0
-"""So long before the kill a starved machine shows in"""
+"""Time before the kill in which a starved machine is looked for, seconds."""
 SLOW_GUIDANCE_S = 0.4
-"""a gap between two guidance cycles, twenty of them long;"""
+"""Gap between two guidance cycles that shows a starved machine, seconds: twenty cycles."""
 STOOD_STILL_S = 0.2
-"""a gap in the simulated drone's physics."""
+"""Gap in the simulated drone's physics that shows a starved machine, seconds."""
 SETTINGS = """
 [vehicle]
 kind = "ardrone"
@@ -92,18 +92,18 @@ FINAL = ("landed", "landed by others", "gave up", "no landing reported", "emerge
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A phase, how to bring it about, and when in it the daemon is killed."""
+    """A phase, the way to reach it, and the condition at which the daemon is killed."""
 
     name: str
     phases: tuple[str, ...]
-    """Of guidance: one of these."""
+    """Phases of guidance, one of which must be reached."""
     after_s: float = 0.0
     below_m: float = math.inf
-    """True height of the body over the pad."""
+    """True height of the body over the pad below which the daemon is killed, metres."""
     place: str = NEAR
     start: str = "automatic"
     covered_below_m: float | None = None
-    """The lens is covered from this height on, for `covered_s`."""
+    """Height below which the lens is covered for `covered_s`, metres; None never covers it."""
     covered_s: float = 10.0
     give_up_s: float = 20.0
 
@@ -116,9 +116,9 @@ CASES = (
     Case("last half metre", ("descend",), below_m=0.5),
     Case("landing ordered", ("land",), after_s=0.1),
     Case("lost", ("lost", "by dead reckoning"), after_s=0.3, covered_below_m=1.5),
-    # Lost below the safe height, it climbs after 1.5 s: the lens stays covered for longer than that.
+    # The drone climbs 1.5 s after a loss below the safe height, so the lens stays covered for longer.
     Case("climb", ("climb",), after_s=0.3, covered_below_m=1.3),
-    # Lost above the safe height, it hovers until it gives up.
+    # The drone hovers after a loss above the safe height until it gives up.
     Case("gave up", ("gave up",), after_s=0.3, place=HIGH, covered_below_m=2.7, give_up_s=3.0),
     Case("after landing", ("landed",), after_s=0.5),
 )
@@ -133,7 +133,7 @@ class Teller(NullObserver):
 
 
 def fly(config: str) -> None:
-    """The daemon as `decklander run` has it, with an observer that tells what guidance is about."""
+    """Run the daemon of `decklander run` with an observer that prints the phase of guidance."""
     settings = load(config)
     pilot = make_pilot(settings)
     asyncio.run(live(make_daemon(settings, pilot, observers=[Teller()]), pilot))
@@ -141,20 +141,20 @@ def fly(config: str) -> None:
 
 @dataclass
 class Flight:
-    """What became of one flight."""
+    """The result of one flight."""
 
     case: Case
     seed: int
     reached: bool
     height_m: float = math.nan
-    """True height when the daemon was killed."""
+    """True height when the daemon was killed, metres."""
     hover_ms: float = 0.0
     drift_m: float = 0.0
-    """Largest horizontal way from the place of the kill in `ALONE_S`."""
+    """Largest horizontal distance from the place of the kill within `ALONE_S`, metres."""
     lowest_m: float = 0.0
-    """Smallest height against that of the kill in that time."""
+    """Smallest height relative to that of the kill within `ALONE_S`, metres."""
     took_over_s: float | None = None
-    """From the new daemon's start to its first command to move."""
+    """Time from the new daemon's start to its first command to move, seconds."""
     outcome: str = ""
     lateral_m: float | None = None
     unsafe: tuple[str, ...] = ()
@@ -175,7 +175,7 @@ HEADER = "phase                  seed  height m  hover ms  drift m  lowest m  to
 
 
 def run(case: Case, seed: int, how: signal.Signals) -> Flight:
-    """One flight: up to the phase, killed, watched, taken over."""
+    """Fly once: reach the phase, kill the daemon, watch the drone, and let a new daemon take over."""
     with tempfile.TemporaryDirectory(prefix="decklander-") as name:
         folder = Path(name)
         scenario, log = folder / "scenario.toml", folder / "truth.jsonl"
@@ -224,7 +224,7 @@ def _flown(case: Case, seed: int, how: signal.Signals, folder: Path, ports: dict
 
 
 def _starved(first: Daemon, truth: Truth, killed: float, back: float) -> tuple[str, ...]:
-    """Why this machine was too slow for what is measured in the seconds before the kill and while the drone is alone."""
+    """Return why this machine was too slow in the seconds before the kill and while the drone was alone."""
     why, began = [], killed - BEFORE_S
     if (slow_s := first.slowest_s(began, killed)) > SLOW_GUIDANCE_S:
         why.append(f"{slow_s:.2f} s between two guidance cycles")
@@ -236,7 +236,7 @@ def _starved(first: Daemon, truth: Truth, killed: float, back: float) -> tuple[s
 
 
 def _missed(case: Case, seed: int, truth: Truth) -> Flight:
-    """A flight that nobody killed; it may have gone wrong all the same."""
+    """Return the result of a flight whose daemon was not killed; it may have failed all the same."""
     why = tuple(f"touched {c['lateral_m']:.2f} m off, not on the pad" for c in truth.contacts if not c["on_pad"])
     if truth.phase == "emergency":
         why += ("its motors were cut",)
@@ -244,7 +244,7 @@ def _missed(case: Case, seed: int, truth: Truth) -> Flight:
 
 
 def _reach(case: Case, daemon: Daemon, truth: Truth) -> bool:
-    """Wait until it is time to kill it; give up when that cannot come any more."""
+    """Wait until it is time to kill the daemon; give up if that can no longer come."""
     deadline = time.monotonic() + REACH_S
     while time.monotonic() < deadline and daemon.alive:
         if daemon.phase in case.phases and truth.height_m <= case.below_m and time.monotonic() - daemon.since >= case.after_s:
@@ -256,7 +256,7 @@ def _reach(case: Case, daemon: Daemon, truth: Truth) -> bool:
 
 
 def _taken_over(daemon: Daemon, truth: Truth) -> None:
-    """Wait until the drone stands and the new daemon leaves it there, or that daemon has decided otherwise, or time is up."""
+    """Wait until the drone has landed and the new daemon leaves it there, or decides otherwise, or the time is up."""
     deadline, stands_since = time.monotonic() + LAND_S, math.inf
     while time.monotonic() < deadline and daemon.alive:
         now = time.monotonic()
@@ -268,7 +268,7 @@ def _taken_over(daemon: Daemon, truth: Truth) -> None:
 
 
 def _judge(flight: Flight, truth: Truth, killed: float, back: float) -> None:
-    """Measure in the truth how the drone moved while it was alone, and how the flight ended."""
+    """Measure from the truth log how the drone moved while it was alone, and how the flight ended."""
     records = truth.records[:]
     start = max((r for r in records if r["at_ns"] <= killed * 1e9), key=lambda r: r["at_ns"], default=records[0])
     alone = [r for r in records if killed * 1e9 <= r["at_ns"] <= back * 1e9]
@@ -305,7 +305,7 @@ class Count:
 
     @property
     def kills(self) -> list[Flight]:
-        """Those that count."""
+        """The flights that count."""
         return [f for f in self.flights if f.reached and not f.starved]
 
     def line(self) -> str:
@@ -324,7 +324,7 @@ class Count:
 
 
 class Table:
-    """Hands out flights so that every phase comes to its number, and says how they went."""
+    """Assigns flights so that every phase reaches its number, and prints the results."""
 
     def __init__(self, cases: list[Case], seeds: int, first: int) -> None:
         self._counts = [Count(case) for case in cases]
@@ -333,7 +333,7 @@ class Table:
         self.ended = False
 
     def next(self) -> tuple[Count, int] | None:
-        """The next flight to be flown and its seed: the phase with the fewest comes first."""
+        """Return the next phase to fly and its seed; the phase with the fewest flights comes first."""
         with self._lock:
             wanting = [c for c in self._counts if len(c.kills) + c.under_way < self._seeds and c.begun < TRIES * self._seeds]
             if not wanting or self.ended:
@@ -345,7 +345,7 @@ class Table:
             return count, seed
 
     def fly(self, how: signal.Signals) -> None:
-        """One flight after the other until every phase has its number."""
+        """Fly one flight after the other until every phase has its number."""
         while (given := self.next()) is not None:
             count, seed = given
             try:
@@ -390,7 +390,7 @@ def main() -> None:
     if args.fly:
         fly(args.fly)
         return
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # through every finally: no process of ours stays
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # this runs every finally, so that no process of ours remains
     os.environ.setdefault("MPLCONFIGDIR", tempfile.gettempdir())
     how = signal.SIGKILL if args.how == "kill" else signal.SIGSTOP
     table = Table([case for case in CASES if not args.phase or case.name in args.phase], args.seeds, args.first)

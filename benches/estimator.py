@@ -1,4 +1,4 @@
-"""How good the filter is over many seeded flights, beside the two other paths.
+"""Measure the filter over many seeded flights, beside the two other paths.
 
     python -m benches.estimator [--runs 200] [--workers 2]
 
@@ -33,40 +33,40 @@ from sitl.testing.approach_settings import DURATION_S, OPTIONS, setting
 from sitl.testing.estimator_truth import TruthFlight, events, ns
 
 HOLD_S = (12.0, 26.0)
-"""While the body stays about 2 m over the pad's mean place."""
+"""Begin and end of the hold, in which the body stays about 2 m over the pad's mean position, seconds."""
 HORIZONS_S = (1.0, 2.0, 3.0)
 MOUNT_GOAL_RAD = math.radians(0.3)
 CHI2_7 = (1.690, 16.013)
-"""2.5 % and 97.5 % of chi-square with 7 degrees of freedom."""
+"""The 2.5 % and 97.5 % quantiles of chi-square with 7 degrees of freedom."""
 CHI2_NIS = {3: (0.216, 9.348), 4: (0.484, 11.143), 6: (1.237, 14.449)}
 
 
 @dataclass
 class Result:
-    """Of one flight."""
+    """The result of one flight."""
 
     sea: int
     rate_hz: float
     position: dict[str, float] = field(default_factory=dict)
-    """Mean square over the hold by path, m^2."""
+    """Mean square position error over the hold by path, m^2."""
     velocity: dict[str, float] = field(default_factory=dict)
     nees: float = 0.0
     nees_inside: float = 0.0
     nis: float = 0.0
     nis_inside: float = 0.0
     covered: dict[tuple[str, float, float], list[int]] = field(default_factory=dict)
-    """By (what, horizon, probability): inside, all."""
+    """Number of forecasts inside the bound and of all, by (quantity, horizon, probability)."""
     delay_error_s: float = 0.0
     mount_error_rad: float = 0.0
-    """Of the worst axis."""
+    """Mount error of the worst axis, rad."""
     mount_expected: float = 0.0
     """Probability, by the filter's own covariance, that the worst axis is within 0.3 degrees."""
     scale_error: float = 0.0
     moving: float = 0.0
     cost_s: dict[str, float] = field(default_factory=dict)
-    """Median of a step by kind, of the processor's time."""
+    """Median processor time of a step by kind, seconds."""
     floor_s: float = 0.0
-    """Median of a product of two (50, 50) matrices, of which a sighting needs some twenty."""
+    """Median time of a product of two (50, 50) matrices, seconds; a sighting needs some twenty of them."""
     bytes: int = 0
     nodes: int = 0
     verdicts: dict[str, int] = field(default_factory=dict)
@@ -137,7 +137,7 @@ def fly(seed: int) -> Result:
 
 
 def floor() -> float:
-    """Processor time, s, of what this machine takes for a product of two (50, 50) matrices."""
+    """Return the processor time that this machine takes for a product of two (50, 50) matrices, seconds."""
     a, took = np.random.default_rng(0).standard_normal((50, 50)), []
     for _ in range(100):
         began = time.process_time()
@@ -148,7 +148,7 @@ def floor() -> float:
 
 
 def foretell(memory: ekf.Ekf, flight: TruthFlight, now_s: float, covered: dict[tuple[str, float, float], list[int]]) -> None:
-    """Compare one forecast with what came."""
+    """Compare one forecast with the truth."""
     predicted = ekf.forecast(memory, ns(now_s), HORIZONS_S)
     if predicted is None:
         return
@@ -176,7 +176,7 @@ def foretell(memory: ekf.Ekf, flight: TruthFlight, now_s: float, covered: dict[t
 
 
 def memory_of(memory: ekf.Ekf) -> tuple[int, int]:
-    """Bytes of all distinct arrays in the history, and its length."""
+    """Return the bytes of all distinct arrays in the history, and its length."""
     seen: dict[int, int] = {}
 
     def visit(x: object) -> None:

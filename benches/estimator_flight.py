@@ -24,12 +24,12 @@ from estimator.paths import DeadReckoningPath, MedianMeanPath
 from sitl.testing.mocap_flight import DELAY_S, FLYING_S, FOLDER, Event, MocapFilter, MocapRecording, load, run, sightings
 
 PULLED_S = 34.0
-"""From here on something pulls the drone aside: accelerometer and motion capture agree on up to 9 degrees of roll, of which its
-own attitude has none."""
+"""Time from which something pulls the drone aside, seconds: accelerometer and motion capture agree on up to 9 degrees of roll,
+while the drone's own attitude shows none."""
 
 
 class OtherPath:
-    """One of the thesis' paths, held the same way."""
+    """One of the thesis' paths, with the same interface."""
 
     def __init__(self, path: MedianMeanPath | DeadReckoningPath) -> None:
         self.path = path
@@ -49,7 +49,7 @@ PATHS: dict[str, Callable[[], MocapFilter | OtherPath]] = {
 
 
 def gaps(flight: MocapRecording, name: str, begin_s: Sequence[float], lengths_s: Sequence[float], rate_hz: float = 10.0) -> F64:
-    """(lengths, 3) m: error at the end of a gap, horizontal and vertical, and horizontal 0.5 s later; rms over the gaps."""
+    """Return the error at the end of a gap, horizontal and vertical, and horizontal 0.5 s later, rms, (lengths, 3) m."""
     rows = []
     for length in lengths_s:
         squares = []

@@ -2,9 +2,9 @@
 
 Looks through rendered frames of sea, wake, decks, orange rafts, green awnings, other helipads, an H without a ring, a ring
 without an H (in the pad's own colours too, from 0.25 to 30 m, in all lights, with and without attitude), and through the
-photographs of sea and of other things, with the eyes of a flight that has not found the pad yet: all methods, fused. Prints how
-sure they are of a frame at most, and how long it takes. A chunk is 100 frames and draws from its own random numbers, so that a
-long run can be made in parts (`--first`). Exit code 1 if any frame reaches 0.5.
+photographs of sea and of other things, with the pad tracker of a flight that has not found the pad yet: all methods, fused.
+Prints the highest confidence of any frame, and the time that a frame takes. A chunk is 100 frames and draws from its own random
+numbers, so that a long run can be made in parts (`--first`). Exit code 1 if any frame reaches 0.5.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def scene_of(chunk: int, i: int) -> PadScene:
 
 
 def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotation | None) -> float:
-    """Confidence of the sighting in a frame, 0 without one."""
+    """Return the confidence of the sighting in a frame, 0 without one."""
     tracker = TrackerConfig(camera, pad, COLOUR_SETS["simulator"], "fused", math.radians(2.0))
     attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, np.eye(3) * math.radians(1.0) ** 2)
     seen, _ = track(tracker, TrackerMemory(), Frame(STAMP, 0, px), attitude)
@@ -52,7 +52,7 @@ def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotat
 
 
 def best_scores(chunk: int) -> tuple[list[float], float]:
-    """Of the frames of a chunk; and milliseconds of processor time a frame, without rendering."""
+    """Return the best score of each frame of a chunk, and the processor time per frame without rendering, ms."""
     cv2.setNumThreads(1)
     camera, pad = load_camera("sim"), load_pad("thesis")
     scores, took = [], 0
@@ -65,7 +65,7 @@ def best_scores(chunk: int) -> tuple[list[float], float]:
 
 
 def photographs() -> list[tuple[str, float]]:
-    """(name, best score) at several sizes of the frame."""
+    """Return (name, best score) of each photograph over several frame sizes."""
     pad = load_pad("thesis")
     mount = Transform(Rotation.from_rpy(0.0, 0.0, math.pi / 2), np.zeros(3))
     out = []

@@ -1,7 +1,7 @@
 """Measure the shape of the code: `python -m benches.house [COMMIT ...]`.
 
 Prints, for the working tree and for each commit named, the modules and lines of each package, the import floors (the longest
-chain of imports among the package's own modules) and the public class names that stand for more than one thing.
+chain of imports among the package's own modules) and the public class names that several modules define.
 """
 
 from __future__ import annotations

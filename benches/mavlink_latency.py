@@ -1,4 +1,4 @@
-"""From a frame's arrival to the bytes of its LANDING_TARGET: eyes, estimator and speech in one process, over loopback UDP.
+"""Measure the time from a frame's arrival to its LANDING_TARGET: vision, estimator and MAVLink in one process over loopback UDP.
 
 python -m benches.mavlink_latency        p50 and p99 at 30 and 60 frames a second, with and without vision
 """
@@ -36,7 +36,7 @@ SECONDS = 6.0
 
 
 async def measure(rate_hz: float) -> None:
-    """One rate, printed."""
+    """Measure and print one frame rate."""
     clock = SystemClock()
     settings = settings_of.load("sim")
     pilot = make_pilot(settings)

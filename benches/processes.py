@@ -1,4 +1,4 @@
-"""A simulated drone, what is on the wire to it, its truth, and a daemon that tells its phase: each watched while it runs."""
+"""Run and watch a simulated drone, the datagrams to it, its truth log, and a daemon that prints its phase."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from drivers.ardrone import at
 
 _LOOK_S = 0.005
 _KEPT = ("at_ns", "phase", "d_body_pad_level_m", "p_body_ned_m", "contacts")
-"""Of a record of truth."""
+"""Fields of a truth record that are kept."""
 
 
 @dataclass
 class Wire:
-    """Passes AT datagrams on to the drone and keeps when it was told to move and when to hover."""
+    """Forwards AT datagrams to the drone and records the times of its move and hover commands."""
 
     port: int
     told: list[tuple[float, bool]] = field(default_factory=list)
@@ -53,7 +53,7 @@ class Wire:
                     self.told.append((now, bool(sticks[-1].flags)))
 
     def hover_after(self, instant: float) -> float:
-        """Seconds from an instant until nothing but hover was on the wire (of the next second); 0 where it was so before."""
+        """Return the seconds from an instant until only hover commands were sent, within the next second; 0 if none moved it."""
         moving = [t for t, moves in self.told if moves and instant <= t < instant + 1.0]
         if not moving:
             return 0.0
@@ -62,7 +62,7 @@ class Wire:
 
 @contextmanager
 def drone(scenario: Path, seed: int, truth: Path) -> Iterator[dict[str, int]]:
-    """The ports of a simulated drone in a process of its own, for as long as the body runs."""
+    """Run a simulated drone in its own process while the body runs; yield its ports."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
     words = [sys.executable, "-m", "sitl.ardrone.serve", str(scenario), f"--seed={seed}", f"--truth={truth}", *ports]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
@@ -81,7 +81,7 @@ class Truth:
     def __init__(self, path: Path) -> None:
         self.records: list[dict[str, Any]] = []
         self.late: list[tuple[float, float]] = []
-        """When this thread woke up by more than 50 ms too late, and by how many seconds."""
+        """Times at which this thread woke up more than 50 ms late, and by how many seconds."""
         self.ended = False
         self._path = path
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -89,25 +89,25 @@ class Truth:
 
     @property
     def phase(self) -> str:
-        """What the drone is doing; empty before the first record."""
+        """The drone's phase; empty before the first record."""
         return str(self.records[-1]["phase"]) if self.records else ""
 
     @property
     def height_m(self) -> float:
-        """Of the body over the pad."""
+        """True height of the body over the pad, metres."""
         return float(self.records[-1]["d_body_pad_level_m"][2]) if self.records else math.inf
 
     @property
     def contacts(self) -> list[dict[str, Any]]:
-        """All so far."""
+        """Return all contacts so far."""
         return list(self.records[-1]["contacts"]) if self.records else []
 
     def slowest_s(self, since: float, until: float) -> float:
-        """The longest time between two records: the drone's host had no time for it, and nothing was caught up."""
+        """Return the longest time between two records, seconds; the drone's host had no time for it, and it does not catch up."""
         return _longest_s([1e-9 * r["at_ns"] for r in self.records], since, until)
 
     def end(self) -> None:
-        """Read what is there and no more."""
+        """Read what is left and stop following."""
         self.ended = True
         self._thread.join()
 
@@ -128,13 +128,13 @@ class Truth:
 
 
 class Daemon:
-    """A process that prints its phase in each guidance cycle, and what it told last."""
+    """A daemon process that prints its phase in each guidance cycle, and the phase that it printed last."""
 
     def __init__(self, words: list[str]) -> None:
         self.process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, bufsize=1)
         self.phase, self.since = "", time.monotonic()
         self.cycles: list[float] = []
-        """When each cycle was told."""
+        """Time at which each cycle was printed."""
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
@@ -150,7 +150,7 @@ class Daemon:
         return self.process.poll() is None
 
     def slowest_s(self, since: float, until: float) -> float:
-        """The longest time between two guidance cycles."""
+        """Return the longest time between two guidance cycles, seconds."""
         return _longest_s(self.cycles, since, until)
 
     def kill(self) -> None:
@@ -158,7 +158,7 @@ class Daemon:
         self.process.wait()
 
     def end(self) -> None:
-        """As an operator ends it."""
+        """End the daemon as an operator does."""
         if self.alive:
             self.process.send_signal(signal.SIGCONT)
             self.process.terminate()

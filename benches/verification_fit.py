@@ -1,10 +1,10 @@
-"""Fit the judge's coefficients on rendered frames: `python -m benches.verification_fit [--frames N] [--workers K] [--keep FILE]`.
+"""Fit the verification on rendered frames: `python -m benches.verification_fit [--frames N] [--workers K] [--keep FILE]`.
 
 Half of the frames show a pad (of two kinds, 0.2 to 30 m, all conditions of `pad_scenes`), half show none. Every candidate of
-every stage is an example; it is right when its pose keeps the judge's claim. The fit is logistic regression with a small ridge,
-false candidates that score high counted several times, since a false pad costs more than a missed one. Prints the coefficients
-as they stand in estimator/vision/detect/verification.py, and how the fit does on frames it did not see. With `--registered` the
-examples are what registration makes of the best candidates, on other frames, and the coefficients stand in
+every stage is an example; it is right when its pose keeps the verification's claim. The fit is logistic regression with a small
+ridge, false candidates that score high counted several times, since a false pad costs more than a missed one. Prints the
+coefficients as they stand in estimator/vision/detect/verification.py, and how the fit does on frames it did not see. With
+`--registered` the examples are what registration makes of the best candidates, on other frames, and the coefficients stand in
 estimator/vision/register/fit_verification.py.
 """
 
@@ -38,12 +38,12 @@ from sitl.testing.pad_scenes import CONDITIONS, PadScene, empty_scene, load_came
 F64 = NDArray[np.float64]
 _CHUNK = 50
 _REGISTERED_FROM = 10_000
-"""Chunk that the frames of the second model begin with: the first has not seen them."""
+"""First chunk of the frames of the second model; the first model was not fitted to them."""
 _RIDGE = 1e-3
 _FALSE_FROM, _FALSE_WEIGHT = 0.25, 8.0
 _FALSE_FROM_REGISTERED, _FALSE_WEIGHT_REGISTERED = 0.02, 50.0
-"""From which probability on a pad where there is none counts how many times. For registrations fifty times costs one right one
-in seventy its 0.5, and a green disc with a ring and no letter is not called a pad."""
+"""Probability from which a false candidate counts more, and its weight. For registrations a weight of fifty puts one right one in
+seventy below 0.5, and a green disc with a ring and no H is not called a pad."""
 _ONE_WAY = (
     "white",
     "disc_place",
@@ -58,11 +58,11 @@ _ONE_WAY = (
     "whole_disc",
     "whole_orange",
 )
-"""Evidence that a fit must not turn round."""
+"""Features whose sign a fit must not reverse."""
 
 
 def scenes(seed: int) -> Iterator[tuple[int, bool, Pad, PadScene]]:
-    """Frame, whether it has a pad, which, and the scene; of one chunk of frames."""
+    """Yield the frame's number, whether it has a pad, the pad, and the scene, for one chunk of frames."""
     rng = np.random.default_rng([seed, 0x51DE])
     camera, pads = load_camera("sim"), [load_pad("thesis"), load_pad("printed")]
     for i in range(_CHUNK):
@@ -73,7 +73,7 @@ def scenes(seed: int) -> Iterator[tuple[int, bool, Pad, PadScene]]:
 
 
 def examples(seed: int) -> F64:
-    """(n, 3 + len(FEATURES)): frame, 1 for a right candidate, 1 for a frame with a pad, features; of one chunk of frames."""
+    """Return frame, 1 for a right candidate, 1 for a frame with a pad, and features, (n, 3 + len(FEATURES)), of one chunk."""
     cv2.setNumThreads(1)
     camera, rows = load_camera("sim"), []
     for frame, with_pad, pad, scene in scenes(seed):
@@ -84,7 +84,7 @@ def examples(seed: int) -> F64:
 
 
 def registered_examples(seed: int) -> F64:
-    """(n, 3 + len(EVIDENCE)), as `examples`."""
+    """Return the examples of registration, (n, 3 + len(EVIDENCE)), in the form of `examples`."""
     cv2.setNumThreads(1)
     camera, rows = load_camera("sim"), []
     for frame, with_pad, pad, scene in scenes(seed):
@@ -104,7 +104,7 @@ def registered_examples(seed: int) -> F64:
 
 
 def fit(x: F64, y: F64, weight: F64) -> F64:
-    """Newton's method on the penalised likelihood."""
+    """Fit by Newton's method on the penalised likelihood."""
     b = np.zeros(x.shape[1])
     for _ in range(50):
         p = 1.0 / (1.0 + np.exp(-np.clip(x @ b, -30, 30)))
@@ -118,10 +118,10 @@ def fit(x: F64, y: F64, weight: F64) -> F64:
 
 
 def fit_one_way(x: F64, y: F64, weight: F64, one_way: NDArray[np.bool_]) -> F64:
-    """The same where some of the evidence must not speak against its own kind, of which there are few examples.
+    """Fit with the signs of some features fixed, because there are few examples of them.
 
-    A letter that is not whiter than the disc is rare among pads and rare among strangers, and a letter unseen most often is one
-    under glare.
+    An H that is not whiter than the disc is rare among pads and among false candidates, and an unseen H is most often under
+    glare.
     """
     on = np.ones(x.shape[1], np.bool_)
     while True:

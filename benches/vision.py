@@ -1,4 +1,4 @@
-"""Our methods beside marker detectors on the same poses, noise and size, by height; the Cramer-Rao bound beside ours.
+"""Compare our methods with marker detectors on the same poses, noise and size, by height, and ours with the Cramer-Rao bound.
 
     python -m benches.vision --frames 40 --write docs
 
@@ -50,13 +50,13 @@ U8 = NDArray[np.uint8]
 T = TypeVar("T")
 HEIGHTS_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 FINE = 6
-"""Subsamples a pixel side for the markers' frames."""
+"""Subsamples along a pixel's side for the markers' frames."""
 FLOOR_LIGHT, WHITE_LIGHT, BLACK_LIGHT = 0.16, 0.8, 0.02
 
 
 _CLOSE = RegistrationOptions(coarse=False)
 APRILTAG = Detector(families="tag36h11", nthreads=1, quad_decimate=1.0)
-"""One for the whole run, and never taken down: its destructor corrupts the heap."""
+"""The detector of the whole run; it is never destroyed, because its destructor corrupts the heap."""
 
 
 @dataclass
@@ -83,7 +83,7 @@ class Tally:
             self.yaw_rad.append(math.remainder(turned, math.pi) if either_way else turned)
 
     def row(self, floor_ms: float) -> list[str]:
-        """found, lateral std, range std, range bias (mm), heading std (deg), ms, ratio."""
+        """Return the cells: found, lateral std, range std, range bias (mm), heading std (deg), ms, ratio."""
         n = len(self.d_m)
         share = f"{100 * n / max(1, self.tried):.0f} %"
         took = float(np.median(self.ms)) if self.ms else math.nan
@@ -101,7 +101,7 @@ def R_level_cam(view: RenderedView, camera: Camera) -> Rotation:
 
 
 def truth(view: RenderedView) -> F64:
-    """(3,) m from the lens to the pad in `level`; the mount is taken off, as it is the same for all."""
+    """Return the vector from the lens to the pad in `level`, (3,) m, without the mount, which is the same for all."""
     return in_level(view, shipped_camera("sim"), view.pose.t_cam_pad)
 
 
@@ -128,7 +128,7 @@ class MarkerScene:
         self._rng = np.random.default_rng(seed)
 
     def image(self, pose: PadPose) -> U8:
-        """(H, W, 3): the marker's top edge toward the arrow."""
+        """Return the image, (H, W, 3), with the marker's top edge toward the arrow."""
         h = self._half_m
         corners = np.array([(h, -h, 0.0), (h, h, 0.0), (-h, h, 0.0), (-h, -h, 0.0)])
         uv = self._camera.project(pose.points(corners))
@@ -152,7 +152,7 @@ class MarkerScene:
 
 
 def pnp(uv: F64, side_m: float, view: RenderedView, camera: Camera) -> tuple[F64, float]:
-    """From the four corners, clockwise from the corner at the arrow's port side."""
+    """Solve the pose from the four corners, clockwise from the corner at the arrow's port side."""
     h = side_m / 2
     square = np.array([(-h, h, 0), (h, h, 0), (h, -h, 0), (-h, -h, 0)])
     _, rvec, tvec = cv2.solvePnP(square, uv.astype(float), camera.K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
@@ -168,7 +168,7 @@ def timed(work: Callable[[], T]) -> tuple[T, float]:
 
 
 def at_height(height_m: float, frames: int, seed: int) -> tuple[dict[str, Tally], float, F64]:
-    """Tallies by method, the floor in ms, and the bound (x, y, range in m, heading in rad)."""
+    """Return the tallies by method, the floor in ms, and the bound (x, y, range in m, heading in rad)."""
     camera, pad, sensor = shipped_camera("sim"), shipped_pad("thesis"), Sensor(exposure_s=0.0)
     stage = Stage(camera, pad, PLAIN, FLAT, sensor, seed)
     side_m = pad.disc_radius_m * math.sqrt(2)

@@ -1,4 +1,4 @@
-"""All targets in turn, the time split between them: `python -m fuzz --seconds 60`, or `make fuzz HOURS=8`.
+"""Run all targets in turn and split the time between them: `python -m fuzz --seconds 60`, or `make fuzz HOURS=8`.
 
 Prints what each executed, the code it reached and what broke, and exits with 1 when anything did. The corpus grows in `.fuzz/`
 from run to run; crashers are kept in `.fuzz/crashes`. An input that is worth keeping goes to `fuzz/corpus/<target>/`, which the
@@ -28,14 +28,14 @@ _PROGRESS = re.compile(r"#(\d+)\s.*\bcov: (\d+) ft: (\d+) corp: (\d+)")
 _EXECUTED = re.compile(r"stat::number_of_executed_units:\s*(\d+)")
 _NATIVE = re.compile(r"ERROR: libFuzzer: (.*)")
 _SLOWEST = 6.0
-"""With CPU time as the measure, a target still ends after this many times as long by the clock."""
+"""Multiple of the time limit after which a target ends by the clock if CPU time is the measure."""
 _GRACE_S = 60.0
-"""A process that goes on for longer than this after its time is ended: it hangs where no alarm reaches it."""
+"""Time after its limit at which a process is ended, seconds: it hangs where no alarm reaches it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What one target did."""
+    """The result of one target."""
 
     name: str
     executions: int
@@ -133,7 +133,7 @@ def run(names: Sequence[str], seconds: float, jobs: int, work: Path, cpu: bool =
 
 
 def main() -> int:
-    """The command."""
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m fuzz", description="Fuzz every parser, the time split between them.")
     parser.add_argument("--seconds", type=float, default=0.0)
     parser.add_argument("--hours", type=float, default=0.0)

@@ -61,7 +61,7 @@ _ACTED_ON = {
 HANDLED = tuple(number for number in NUMBERS if mav.mavlink_map[number].msgname in _ACTED_ON)
 """Messages that something here acts on: half of the steps are about these."""
 SENDERS = ((1, 1), (255, 190), (66, 1), (1, 191), (2, 1), (0, 0), (255, 255), (1, 0))
-"""Autopilot, ground station, stranger, ourselves, the ship, nobody, broadcast, the autopilot's system."""
+"""Autopilot, ground station, unknown sender, ourselves, the ship, nobody, broadcast, the autopilot's system."""
 REALS = (math.nan, math.inf, -math.inf, 1e38, -1e38, 1e-45, -1.0, 0.0, 1.0, 2.0**31, 2.0**32, 2.0**63, 0.5, 1e9, -0.0, 244.0)
 AUTOPILOTS = (int(mav.MAV_AUTOPILOT_PX4), int(mav.MAV_AUTOPILOT_ARDUPILOTMEGA), int(mav.MAV_AUTOPILOT_GENERIC))
 TO_US = (1, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
@@ -254,7 +254,7 @@ def autopilot_seeds() -> Iterator[bytes]:
 
 
 def run_bridge(data: bytes) -> None:
-    """Stations at the face of a drone that speaks no MAVLink: commands in, what it says of itself out."""
+    """Run ground stations against the bridge of a drone without MAVLink: commands go in, its status comes out."""
     asyncio.run(_bridge(Choices(data)))
 
 

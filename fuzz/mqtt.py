@@ -43,7 +43,7 @@ KEY = bytes(range(32))
 
 
 class _Operated:
-    """A pilot that does everything it is told, or nothing."""
+    """A pilot that obeys every command, or none."""
 
     def __init__(self, refusal: str | None) -> None:
         self._refusal = refusal

@@ -36,7 +36,7 @@ _PATIENCE_S = 20.0
 
 @dataclass(slots=True)
 class Tally:
-    """What became of one file's mutants."""
+    """The results of one file's mutants."""
 
     path: str
     killed: int = 0
@@ -44,12 +44,12 @@ class Tally:
 
     @property
     def total(self) -> int:
-        """How many were tried."""
+        """The number of mutants tried."""
         return self.killed + len(self.survivors)
 
     @property
     def share(self) -> float:
-        """Killed of tried."""
+        """The share of killed mutants among those tried."""
         return self.killed / self.total if self.total else 1.0
 
 
@@ -123,7 +123,7 @@ def judge(path: str, tests: Sequence[str], share: float, seed: int, *, root: Pat
 
 
 def main() -> int:
-    """The command."""
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m mutants", description="Mutation tests of what decides.")
     parser.add_argument("--share", type=float, default=1.0, help="of the mutants, drawn by the seed")
     parser.add_argument("--seed", type=int, default=1)

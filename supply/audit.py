@@ -108,7 +108,7 @@ def ask_pypi() -> tuple[list[str] | None, str]:
 
 
 def main() -> int:
-    """The command."""
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m supply.audit", description="Look the pins up among known weaknesses.")
     parser.add_argument("--advisories", type=Path, help="zip or folder of OSV entries; without it PyPI is asked")
     parser.add_argument("--strict", action="store_true", help="end with 1 when the audit could not be made")

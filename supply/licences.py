@@ -53,7 +53,7 @@ def unknown(shipped: Sequence[Package]) -> list[str]:
 
 
 def main() -> int:
-    """The command."""
+    """Run the command."""
     shipped = packages(pins())
     if missing := unknown(shipped):
         print(f"no known licence: {', '.join(missing)}", file=sys.stderr)

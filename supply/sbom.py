@@ -83,7 +83,7 @@ def site_of(environment: Path) -> list[str]:
 
 
 def main() -> int:
-    """The command."""
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m supply.sbom", description="Write the bill of materials.")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--environment", type=Path, help="virtual environment to describe; this one by default")
