@@ -1,1 +1,1 @@
-"""Recorded inputs through the pilot again, on the recording's own clock."""
+"""Run recorded inputs through the pilot again, on the recording's own clock."""

@@ -1,7 +1,7 @@
-"""Replay: every recorded sample, frame and round of guidance through a pilot, in the order in which the service met them.
+"""Replay every recorded sample, frame and guidance cycle through a pilot, in the order in which the service processed them.
 
-Nothing here reads a clock: instants are the recording's. The same recording through the same pilot gives the same outputs to
-the bit, and a hash over them says so.
+Nothing here reads a clock: instants are the recording's. The same recording through the same pilot gives bit-identical outputs,
+and a hash over them proves it.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.vision.thesis.detection import Detection
 
 _GAP_S = 10.0
-"""A gap in the recording longer than this is not replayed through guidance."""
+"""The longest gap in the recording that is replayed through guidance, s."""
 _FLOWN = tuple(phase.value for phase in Phase if phase not in (Phase.ANOTHER_PAD, Phase.GAVE_UP))
-"""Phases of a flight that somebody has begun."""
+"""The phases of a flight that an operator has begun."""
 
 
 @dataclass(slots=True)
 class Counts:
-    """What went through."""
+    """The numbers of replayed events."""
 
     samples: int = 0
     frames: int = 0
     looked: int = 0
-    """Frames whose frame went through vision again."""
+    """The number of frames whose image went through vision again."""
     as_recorded: int = 0
-    """Frames of which the recorded sightings were taken."""
+    """The number of frames whose recorded sightings were used."""
     decisions: int = 0
 
 
@@ -49,10 +49,10 @@ class Replay:
     """One pass of a recording through a pilot.
 
     Args:
-        sightings: take what vision saw then instead of looking at the frames again; frames without a frame always do.
-        rate_hz: rounds of guidance a second where the recording holds none.
-        shift_ns: added to every instant, to play it as if it happened now.
-        observers: told what the service would tell them; frames whose frame was not kept come black.
+        sightings: use the recorded sightings instead of running vision again; frames without an image always use them.
+        rate_hz: the rate of guidance cycles if the recording holds none.
+        shift_ns: the time that is added to every instant, to replay the flight as if it happened now.
+        observers: receive the events that the service would send them; frames whose image was not kept are black.
     """
 
     def __init__(
@@ -80,21 +80,21 @@ class Replay:
 
     @property
     def digest(self) -> str:
-        """SHA-256 over every verdict, sighting, belief and command so far."""
+        """Return the SHA-256 over every verdict, sighting, belief and command so far."""
         return self._hash.hexdigest()
 
     @property
     def outcome(self) -> FlightOutcome | None:
-        """How the flight ended in the pilot's eyes."""
+        """Return how the flight ended according to the pilot."""
         return self._pilot.outcome
 
     def run(self) -> None:
-        """To the end."""
+        """Replay the recording to its end."""
         for _ in self.steps():
             pass
 
     def steps(self) -> Iterator[tuple[MonoNs, Event]]:
-        """Each event just before it is taken, with the instant at which the service met it (`shift_ns` added).
+        """Yield each event just before it is processed, with the instant of the service's processing plus `shift_ns`.
 
         Raises:
             BadInput: the recording holds numbers that the estimator cannot take.
@@ -105,7 +105,7 @@ class Replay:
             yield at, event
             try:
                 self._take(at, event)
-            # A vehicle's numbers are bounded where they come in; a file may hold any.
+            # A vehicle's numbers are bounded at their input; a file may hold any.
             except (ArithmeticError, ValueError) as why:
                 name, kind = self._recording.name, type(event).__name__
                 raise BadInput(f"{name}: {kind} at {instant(event)} ns: not what the estimator can take: {why}") from why
@@ -185,7 +185,7 @@ class Replay:
         return replace(look, selected=selected, methods=methods)
 
     def _follow_operator(self, phase: str) -> None:
-        """What the operator said is not recorded as such, but it shows in the phases."""
+        """Follow the operator's commands, which are not recorded as such but show in the phases."""
         if phase == "paused":
             self._pilot.pause()
         elif phase == FlightOutcome.ABORTED.value:
@@ -216,6 +216,6 @@ class Replay:
 
 
 def _black(recorded: RecordedFrame) -> Frame:
-    """A stand-in of the right size that takes no memory."""
+    """Return a black frame of the right size that takes no memory."""
     px = np.broadcast_to(np.zeros(1, np.uint8), (recorded.record.height, recorded.record.width, 3))
     return Frame(recorded.stamp, recorded.record.seq, px, recorded.record.exposure_s)

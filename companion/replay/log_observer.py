@@ -1,4 +1,4 @@
-"""What a replay leaves behind: its log for figures and report, and how it differs from other beliefs of the same flight."""
+"""Keep a replay's log for figures and report, and compare its beliefs with others of the same flight."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class BeliefLogObserver:
             log.commands.append(CommandRecord(decision.at, decision.command))
 
     def on_truth(self, truth: TruthRecord) -> None:
-        """What the simulator or motion capture knew."""
+        """Keep the truth from a simulator or motion capture."""
         d, v = np.array(truth.d_body_pad_level), np.array(truth.v_pad_level)
         self.log.truth.append(TruthSample(MonoNs(truth.at_ns), d, v, truth.yaw_rad))
         t = truth.touchdown
@@ -70,7 +70,7 @@ class BeliefLogObserver:
             self.log.touchdown = LoggedTouchdown(MonoNs(t.at_ns), lateral_m, sinking, sliding, t.on_pad)
 
     def attach_image(self, image: bytes | None) -> None:
-        """The newest frame's frame as it was recorded."""
+        """Attach the recorded image to the newest frame."""
         if image is not None and self.log.frames:
             last = self.log.frames[-1]
             self.log.frames[-1] = FrameRecord(last.exposed_at, last.seq, last.verdict, last.R_level_body, image)
@@ -78,14 +78,14 @@ class BeliefLogObserver:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Two sets of beliefs of one path, at the instants that both have."""
+    """The difference between two sets of beliefs of one path, at the instants that both have."""
 
     path: PathName
     both: int
     only_one: int
-    """Instants at which one of the two has no belief."""
+    """The number of instants at which one of the two has no belief."""
     identical: int
-    """To the bit: place, velocity, heading and covariance."""
+    """The number of beliefs with bit-identical position, velocity, heading and covariance."""
     d_median_m: float
     d_p95_m: float
     d_max_m: float
@@ -93,7 +93,7 @@ class Difference:
 
 
 def recorded_beliefs(recording: Recording) -> Beliefs:
-    """Those that were recorded."""
+    """Return the beliefs that were recorded."""
     out: Beliefs = {}
     for event in recording.events():
         if isinstance(event, Decision):
@@ -104,7 +104,7 @@ def recorded_beliefs(recording: Recording) -> Beliefs:
 
 
 def differences(ours: Beliefs, theirs: Beliefs) -> list[Difference]:
-    """Path by path, for paths that both have; nan where nothing coincides."""
+    """Return the difference for each path that both have; its numbers are nan if no instants coincide."""
     out = []
     for path in sorted({p for p, _ in ours} & {p for p, _ in theirs}):
         a = {at: b for (p, at), b in ours.items() if p == path}

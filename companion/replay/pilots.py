@@ -1,4 +1,4 @@
-"""The pilot that a recording is replayed through: as it was recorded, or with other settings or another path steering."""
+"""Make the pilot that replays a recording: as it was recorded, with other settings, or with another steering path."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from estimator.options import EstimatorOptions
 
 
 def available_paths() -> tuple[PathName, ...]:
-    """Those the estimator can run."""
+    """Return the paths that the estimator can run."""
     found: list[PathName] = []
     for name in get_args(PathName):
         try:
@@ -32,10 +32,10 @@ def available_paths() -> tuple[PathName, ...]:
 
 
 def settings_of(recording: Recording, config: str | None) -> Settings:
-    """Those of `config` where it is given, else those the recording was made with.
+    """Return the settings in `config` if it is given, else those that the recording was made with.
 
     Raises:
-        BadInput: neither can be had.
+        BadInput: neither is available.
     """
     if config is not None:
         return load(config)
@@ -49,10 +49,10 @@ def settings_of(recording: Recording, config: str | None) -> Settings:
 
 
 def pilot_of(recording: Recording, settings: Settings, path: PathName | None, *, own_camera: bool, alone: bool = False) -> Pilot:
-    """A pilot with every path running (or that one `alone`), `path` (else the settings' own) steering.
+    """Return a pilot that runs every path (or one `alone`) and steers by `path` (else by the settings' own).
 
     Args:
-        own_camera: look with the camera and at the pad of the recording instead of those that the settings name.
+        own_camera: use the camera and the pad of the recording instead of those that the settings name.
 
     Raises:
         BadInput: a camera or pad file is missing or has a fault, or there is no such path.
@@ -62,7 +62,7 @@ def pilot_of(recording: Recording, settings: Settings, path: PathName | None, *,
     if steering not in paths:
         raise BadInput(f"--path {steering}: there are {', '.join(paths)}")
     shadows = [] if alone else [p for p in paths if p != steering]
-    # The path goes round the settings' own check so that paths may be compared that settings do not offer.
+    # The path bypasses the settings' own check, so that paths that the settings do not offer can be compared.
     estimator = msgspec.structs.replace(settings.estimator, path=steering)
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         if own_camera and CAMERA in recording.attachments and PAD in recording.attachments:

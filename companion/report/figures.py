@@ -20,17 +20,17 @@ class Series:
 
     name: str
     is_path: bool
-    """An estimator's path, drawn as a line; else a vision method, drawn as dots."""
+    """Whether the series is an estimator's path, drawn as a line, and not a vision method, drawn as dots."""
     t_s: F64
-    """(n,) since the flight's start."""
+    """The (n,) times since the flight's start, s."""
     d: F64
-    """(n, 3) m, `d_body_pad_level`."""
+    """The (n, 3) values of `d_body_pad_level`, m."""
     yaw_rad: F64
-    """(n,) nan where not told."""
+    """The (n,) headings, rad; nan if not measured."""
     error: F64
-    """(n, 3) m, estimate less truth; nan where there is no truth."""
+    """The (n, 3) errors, estimate minus truth, m; nan where there is no truth."""
     yaw_error: F64
-    """(n,) rad."""
+    """The (n,) heading errors, rad."""
 
     @property
     def lateral_error_m(self) -> F64:
@@ -45,7 +45,7 @@ class ErrorRow:
     is_path: bool
     count: int
     share: float | None
-    """Of all frames; None for a path, which is not tied to frames."""
+    """The fraction of all frames; None for a path, which is not tied to frames."""
     lateral_median_m: float
     lateral_p95_m: float
     down_bias_m: float
@@ -67,7 +67,7 @@ class TimingRow:
 
 
 class TruthTrack:
-    """Truth at any instant between its samples; nan outside, and across holes of more than 0.2 s."""
+    """Interpolates truth at any instant between its samples; it is nan outside, and across gaps of more than 0.2 s."""
 
     def __init__(self, samples: Sequence[TruthSample]) -> None:
         self._at = np.array([s.at for s in samples], dtype=np.int64)
@@ -76,7 +76,7 @@ class TruthTrack:
             self._values[:, 3] = np.unwrap(self._values[:, 3])
 
     def at(self, instants: Iterable[MonoNs]) -> F64:
-        """(n, 4) forward, right, down in m, heading in rad (-pi, pi]."""
+        """Return the (n, 4) truth: forward, right and down in m, heading in rad (-pi, pi]."""
         t = np.array(list(instants), dtype=np.int64)
         out = np.full((len(t), 4), np.nan)
         if not len(self._at) or not len(t):
@@ -94,7 +94,7 @@ class TruthTrack:
 
 
 def all_series(log: FlightLog) -> list[Series]:
-    """Every method and path the log holds, methods first, each in order of time."""
+    """Return a series for every method and path in the log, methods first, each in order of time."""
     truth = TruthTrack(log.truth)
     methods: dict[str, list[Sighting]] = {}
     for sighting in log.sightings:
@@ -128,7 +128,7 @@ def _series(
 
 
 def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
-    """Statistics of each series against truth; nan where there is none."""
+    """Return the statistics of each series against truth; they are nan where there is none."""
     frames = sum(log.verdicts.values()) or len(log.frames)
     rows = []
     for s in series:
@@ -151,7 +151,7 @@ def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
 
 
 def timing_rows(log: FlightLog) -> list[TimingRow]:
-    """Each stage in the log's order, then the delay from exposure to command."""
+    """Return a row for each stage in the log's order, then one for the delay from exposure to command."""
     named = [*log.stage_s.items(), ("exposure to command", log.delay_s)]
     return [TimingRow(name, len(v), *(_quantile(np.array(v), q) for q in (0.5, 0.95, 0.99, 1.0))) for name, v in named if len(v)]
 
@@ -162,6 +162,6 @@ def _quantile(x: F64, q: float) -> float:
 
 
 def body_over_pad(d: F64, yaw_rad: F64) -> F64:
-    """(n, 3) m along the arrow, to starboard, up: where the body is seen from the pad, from (n, 3) `d_body_pad_level`."""
+    """Return the body's (n, 3) positions over the pad in m, along the arrow, to starboard, up, from `d_body_pad_level`."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     return np.stack([-(c * d[:, 0] - s * d[:, 1]), -(s * d[:, 0] + c * d[:, 1]), d[:, 2]], axis=1)

@@ -1,4 +1,4 @@
-"""What a flight leaves behind for its report. Plain records; whoever flies fills them in, nothing here computes."""
+"""The log of a flight for its report. These are plain records that a caller fills in; nothing here computes."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from estimator.vision.pad import Pad
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TruthSample:
-    """Where the pad really was, in the terms of an estimate; only a simulator or motion capture knows."""
+    """The pad's true position, in the terms of an estimate; only a simulator or motion capture knows it."""
 
     at: MonoNs
     d_body_pad_level: F64
-    """(3,) m forward, right, down."""
+    """The (3,) vector from the body to the pad: forward, right, down, m."""
     v_pad_level: F64
-    """(3,) m/s, velocity of the pad less that of the body."""
+    """The (3,) velocity of the pad minus that of the body, m/s."""
     yaw_rad: float
-    """Heading of the body against the arrow, clockwise from above positive, (-pi, pi]."""
+    """The heading of the body relative to the arrow, positive clockwise from above, in (-pi, pi]."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "d_body_pad_level", _vector("TruthSample.d_body_pad_level", self.d_body_pad_level, (3,)))
@@ -38,7 +38,7 @@ class TruthSample:
 
 @dataclass(frozen=True, slots=True)
 class CommandRecord:
-    """A command at the instant it was handed to the vehicle."""
+    """A command, and the instant at which it was sent to the vehicle."""
 
     at: MonoNs
     command: Command
@@ -54,15 +54,15 @@ class PhaseChange:
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """What became of one frame. Its sightings are those of `FlightLog.sightings` with the same `seq`."""
+    """The outcome of one frame. Its sightings are those of `FlightLog.sightings` with the same `seq`."""
 
     exposed_at: MonoNs
     seq: int
     verdict: Verdict
     R_level_body: Rotation | None = None
-    """Roll and pitch at the exposure, where known: places the drawn outline."""
+    """The roll and pitch at the exposure, which place the drawn outline; None if not known."""
     image: bytes | Path | None = None
-    """JPEG (or any format OpenCV reads) as bytes or file; None where it was not kept."""
+    """The image as bytes or a file, in JPEG or any format that OpenCV reads; None if it was not kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,48 +71,48 @@ class LoggedTouchdown:
 
     at: MonoNs
     lateral_m: float
-    """Horizontal distance of the body's origin from the pad's centre."""
+    """The horizontal distance of the body's origin from the pad's centre."""
     vertical_speed_m_s: float
-    """Closing speed of body and deck, positive downward."""
+    """The closing speed of body and deck, positive downward."""
     lateral_speed_m_s: float
     on_pad: bool
-    """Whether it stands on the disc, by the judgement of whoever knows."""
+    """Whether the vehicle is on the disc, according to the source of the truth."""
 
 
 @dataclass(slots=True, eq=False)
 class FlightLog:
-    """One flight. Lists are in order of time; every one of them may be empty, and the page then says so."""
+    """The log of one flight. Lists are in order of time; each may be empty, and the page then reports that."""
 
     title: str
     started: MonoNs
-    """Zero of the page's time axes."""
+    """The zero of the page's time axes."""
     pad: Pad
     camera: Camera
     outcome: str = "unfinished"
     """One word or two: landed, went around, gave up, unfinished."""
     facts: list[tuple[str, str]] = field(default_factory=list)
-    """Named lines for the head of the page: scenario, seed, wall time, version."""
+    """The named lines at the head of the page: scenario, seed, wall time, version."""
     truth: list[TruthSample] = field(default_factory=list)
     sightings: list[Sighting] = field(default_factory=list)
-    """Every method's, and the selected one under its own method name "selected"."""
+    """The sightings of every method, and the selected ones under the method name "selected"."""
     estimates: list[RelativeState] = field(default_factory=list)
-    """Of one path or several; `RelativeState.path` tells them apart."""
+    """The estimates of one path or several, distinguished by `RelativeState.path`."""
     results: list[FusionResult] = field(default_factory=list)
-    """What each path made of each measurement; filled by `add_result`."""
+    """The result of each measurement on each path; `add_result` fills the list."""
     steering: PathName | None = None
-    """The path that was steered by and whose pad is drawn into the video; None for the first one in `estimates`."""
+    """The steering path, whose pad is drawn into the video; None for the first path in `estimates`."""
     commands: list[CommandRecord] = field(default_factory=list)
     phases: list[PhaseChange] = field(default_factory=list)
     frames: list[FrameRecord] = field(default_factory=list)
     verdicts: Counter[Verdict] = field(default_factory=Counter)
-    """Of all frames, those without a `FrameRecord` included."""
+    """The counts of verdicts on all frames, including those without a `FrameRecord`."""
     stage_s: dict[str, list[float]] = field(default_factory=dict)
-    """Measured durations by stage (decode, look, filter, encode, ...), in the order they are to be shown."""
+    """The measured durations by stage (decode, look, filter, encode, ...), in the order of display."""
     delay_s: list[float] = field(default_factory=list)
-    """From mid-exposure to the command that used the frame, one a frame."""
+    """The delays from mid-exposure to the command that used the frame, one per frame."""
     touchdown: LoggedTouchdown | None = None
 
     def add_result(self, result: FusionResult) -> None:
-        """Keep a result. Those of IMU samples that were taken are left out: they are compared with nothing."""
+        """Keep a result. Results of accepted IMU samples are left out: they are compared with nothing."""
         if result.source != "imu" or result.verdict is not Verdict.FUSED:
             self.results.append(result)

@@ -17,25 +17,25 @@ from estimator.contracts.time import seconds_between
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InnovationSeries:
-    """What one path made of one source over time."""
+    """The results of one source on one path over time."""
 
     path: PathName
     source: Source
     verdicts: Counter[Verdict]
-    """Of all measurements, those included that were compared with nothing."""
+    """The counts of verdicts on all measurements, including those that were compared with nothing."""
     components: tuple[str, ...]
     t_s: F64
-    """(n,) s since the flight's start, of the measurements that were compared with a prediction."""
+    """The (n,) times since the flight's start of the measurements that were compared with a prediction, s."""
     innovation: F64
-    """(n, m); nan where a measurement lacked the component."""
+    """The (n, m) innovations; nan where a measurement lacked the component."""
     sigma: F64
-    """(n, m) standard deviation of the innovation that the filter claimed."""
+    """The (n, m) standard deviations of the innovations that the filter claimed."""
     normalized_nis: F64
-    """(n,) NIS over the number of components."""
+    """The (n,) values of NIS divided by the number of components."""
     test_ratio: F64
-    """(n,)"""
+    """The (n,) test ratios."""
     fused: np.ndarray[tuple[int], np.dtype[np.bool_]]
-    """(n,) whether the measurement was fused."""
+    """The (n,) flags of whether each measurement was fused."""
 
     @property
     def name(self) -> str:

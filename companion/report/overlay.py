@@ -1,4 +1,4 @@
-"""What is drawn over a frame: features, the pad as the estimate has it, and a line of figures below."""
+"""Draw over a frame: features, the estimated pad, and a line of figures below."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from estimator.vision.pad import Pad
 U8 = NDArray[np.uint8]
 
 PANEL_SHARE = 0.16
-"""Height of the figures' panel below the frame, of the frame's height."""
+"""The height of the figures' panel below the frame, as a fraction of the frame's height."""
 _SHIFT = 4
 _FAR_PX = 20_000.0
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -26,28 +26,28 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """What to draw over one frame."""
+    """The items to draw over one frame."""
 
     t_s: float
-    """Since the flight's start."""
+    """The time since the flight's start, s."""
     verdict: Verdict | None
     phase: str
     sightings: tuple[Sighting, ...] = ()
-    """Of this very frame."""
+    """The sightings of this frame."""
     estimate: RelativeState | None = None
     """The belief nearest to the exposure."""
     R_level_body: Rotation | None = None
-    """Roll and pitch at the exposure; taken as level where not known."""
+    """The roll and pitch at the exposure; the body is taken as level if they are not known."""
 
 
 def annotated_size(width: int, height: int, scale: float = 1.0) -> tuple[int, int]:
-    """(width, height) of what `annotate` returns: even numbers, as H.264 wants them."""
+    """Return the (width, height) of the image that `annotate` returns: even numbers, as H.264 requires."""
     w, h = round(width * scale), round(height * scale)
     return w + w % 2, (panel := h + round(h * PANEL_SHARE)) + panel % 2
 
 
 def annotate(image: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float = 1.0) -> U8:
-    """A copy of the frame, scaled, with everything drawn over it and the panel of figures below.
+    """Return a scaled copy of the frame with everything drawn over it and the panel of figures below.
 
     Args:
         frame: (H, W, 3) BGR of any size; drawings follow `camera`'s pixels.
@@ -86,7 +86,7 @@ class _Pen:
         return np.asarray(np.round(uv * 2**_SHIFT), dtype=np.int32)
 
     def polyline(self, uv_px: F64, ink: tuple[int, int, int], closed: bool) -> None:
-        """A line through (n, 2) points; points that are nan or far off break it."""
+        """Draw a line through (n, 2) points; points that are nan or far off break it."""
         good = np.all(np.isfinite(uv_px), axis=1) & np.all(np.abs(np.nan_to_num(uv_px)) < _FAR_PX, axis=1)
         if len(uv_px) < 2 or not good.any():
             return
@@ -116,7 +116,7 @@ class _Pen:
 
 
 def _pad_lines(estimate: RelativeState, R_level_body: Rotation, camera: Camera, pad: Pad) -> list[F64]:
-    """(n, 2) px each: the disc, and where the heading is known the ring, the arrowhead and the H."""
+    """Return lines of (n, 2) px: the disc, and if the heading is known the ring, the arrowhead and the H."""
     shapes = [pad.circle(pad.disc_radius_m)]
     if estimate.yaw_rad is not None:
         shapes += [pad.circle(pad.ring_radius_m), pad.arrowhead(), pad.h_corners()]

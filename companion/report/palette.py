@@ -21,15 +21,15 @@ SERIES: dict[str, str] = {
 MARKERS: dict[str, str] = {"ellipse": "o", "arrow": "^", "corners": "s", "registration": "D", "marker": "P", "selected": "x"}
 OTHER = "#888888"
 OUTLINE = "#f0e442"
-"""Of the pad as the estimate has it, in the video."""
+"""The colour of the estimated pad in the video."""
 
 
 def colour(series: str) -> str:
-    """Hex colour of a method or path."""
+    """Return the hex colour of a method or path."""
     return SERIES.get(series, OTHER)
 
 
 def bgr(hex_colour: str) -> tuple[int, int, int]:
-    """`#rrggbb` as OpenCV wants it."""
+    """Return the colour `#rrggbb` as the tuple that OpenCV takes."""
     value = int(hex_colour[1:], 16)
     return value & 255, value >> 8 & 255, value >> 16

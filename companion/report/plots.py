@@ -55,7 +55,7 @@ _STYLE: dict[Any, Any] = {
 
 
 def trajectory(log: FlightLog, series: Sequence[Series]) -> str:
-    """Where the body flew over the pad: from above, from port, from behind, and the last metre from above."""
+    """Draw the body's path over the pad: from above, from port, from behind, and the last metre from above."""
     tracks = _tracks(log, series)
 
     def draw(figure: Figure) -> None:
@@ -90,7 +90,7 @@ def trajectory(log: FlightLog, series: Sequence[Series]) -> str:
 
 
 def against_truth(log: FlightLog, series: Sequence[Series]) -> str:
-    """Every method's and path's forward, right, down and heading over time, with truth behind them."""
+    """Draw the forward, right, down and heading of every method and path over time, with truth behind them."""
     t_true = np.array([seconds_between(log.started, s.at) for s in log.truth])
     d_true = np.array([s.d_body_pad_level for s in log.truth]).reshape(-1, 3)
     yaw_true = np.degrees([s.yaw_rad for s in log.truth])
@@ -114,7 +114,7 @@ def against_truth(log: FlightLog, series: Sequence[Series]) -> str:
 
 
 def errors(log: FlightLog, series: Sequence[Series]) -> str:
-    """Size of the error of every method and path over time, on a logarithmic scale."""
+    """Draw the magnitude of the error of every method and path over time, on a logarithmic scale."""
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots(3, 1, sharex=True)
@@ -224,7 +224,7 @@ def _dots(ax: Axes, t_s: F64, y: F64, **ink: Any) -> None:
 
 
 def commands(log: FlightLog) -> str:
-    """What the vehicle was told: velocities and turn rate; hovering and landing as bands."""
+    """Draw the commands to the vehicle: velocities and yaw rate as lines, hovering and landing as bands."""
     t = np.array([seconds_between(log.started, c.at) for c in log.commands])
     rows = np.full((len(t), 4), np.nan)
     for i, record in enumerate(log.commands):
@@ -256,7 +256,7 @@ def commands(log: FlightLog) -> str:
 
 
 def verdicts(log: FlightLog) -> str:
-    """What became of the frames, as bars."""
+    """Draw the verdicts on the frames as bars."""
     ordered = sorted(log.verdicts.items(), key=lambda kv: kv[1])
     total = sum(log.verdicts.values())
 
@@ -275,7 +275,7 @@ def verdicts(log: FlightLog) -> str:
 
 
 def _tracks(log: FlightLog, series: Sequence[Series]) -> list[tuple[str, F64, dict[str, object]]]:
-    """(name, positions over the pad, line style): truth first, then every path that knew its heading."""
+    """Return (name, positions over the pad, line style) for truth first, then for every path that knew its heading."""
     out: list[tuple[str, F64, dict[str, object]]] = []
     if log.truth:
         d = np.array([s.d_body_pad_level for s in log.truth])
@@ -316,7 +316,7 @@ def _fit(ax: Axes, leading: Sequence[F64]) -> None:
 
 
 def _phases(axes: Sequence[Axes], log: FlightLog) -> None:
-    """Thin lines where a phase begins, its name above the uppermost panel; of a crowd only the first is named."""
+    """Draw a thin line where a phase begins, and its name above the top panel; of a crowd only the first is named."""
     low, high = axes[0].get_xlim()
     last = -math.inf
     for change in log.phases:
@@ -331,7 +331,7 @@ def _phases(axes: Sequence[Axes], log: FlightLog) -> None:
 
 
 def _broken_at_wraps(degrees: F64) -> F64:
-    """Degrees over time with a gap where they jump from one end of the circle to the other."""
+    """Return the degrees over time with a gap where they jump from one end of the circle to the other."""
     out = np.array(degrees, dtype=float)
     out[1:][np.abs(np.diff(degrees)) > 180.0] = np.nan
     return out
@@ -342,7 +342,7 @@ def _gid(name: str) -> str:
 
 
 def _svg(draw: Callable[[Figure], None], width_in: float, height_in: float, name: str) -> str:
-    """Draw into a transparent figure and give the bare `<svg>` element, ids made unique by `name`."""
+    """Draw into a transparent figure and return the bare `<svg>` element, with ids made unique by `name`."""
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(width_in, height_in), layout="constrained")
         FigureCanvasSVG(figure)

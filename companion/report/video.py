@@ -146,7 +146,7 @@ def video_from_log(log: FlightLog, path: Path, fps: float = 30.0, scale: float =
 
 
 def _nearest(states: list[RelativeState], instants: NDArray[np.int64], at: MonoNs) -> RelativeState | None:
-    """The state nearest in time, if within 0.1 s."""
+    """Return the state nearest in time, or None if none is within 0.1 s."""
     if not states:
         return None
     i = int(np.argmin(np.abs(instants - at)))
@@ -154,7 +154,7 @@ def _nearest(states: list[RelativeState], instants: NDArray[np.int64], at: MonoN
 
 
 def _decode(frame: FrameRecord) -> NDArray[np.uint8] | None:
-    """The frame, or None where its bytes are none or its file is gone."""
+    """Return the image of a frame, or None if its bytes are no image or its file is gone."""
     if isinstance(frame.image, Path):
         if not frame.image.is_file():
             return None
