@@ -32,10 +32,10 @@ def _zeros() -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposure:
-    """Where everything is in the middle of the exposure, and how it moves during it."""
+    """The pose of every object in the middle of the exposure, and its motion during the exposure."""
 
     t_s: float
-    """Moves the waves; the same time that the vessel's motion is asked at."""
+    """Time that moves the waves; it is the time at which the vessel's motion is computed."""
     R_ned_body: Rotation
     p_body_ned: F64
     """(3,) m; the surface of calm water is z = 0."""
@@ -84,11 +84,11 @@ class Renderer:
         self._to_sun = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
 
     def render(self, shot: Exposure, rng: np.random.Generator) -> U8:
-        """(H, W, 3) BGR, as the sensor gives it. Of `rng` one number is drawn, for the noise."""
+        """Return the sensor's image, (H, W, 3) BGR. One number is drawn from `rng`, for the noise."""
         return self._development.sensor_image(self.radiance(shot), rng)
 
     def radiance(self, shot: Exposure) -> F32:
-        """(H, W, 3) BGR linear light on the sensor before noise and tone curve; 1 is full scale, brighter is not cut off."""
+        """Return the linear light on the sensor before noise and tone curve, (H, W, 3) BGR; 1 is full scale, without clipping."""
         R_body_cam, p_body_cam = self.camera.T_body_cam.R.matrix, self.camera.T_body_cam.t
         poses = [_pose(shot, self.camera, 0.0)]
         R_cam_pad, t_cam_pad = poses[0]
@@ -126,7 +126,7 @@ class Renderer:
     def _scenery(
         self, shot: Exposure, R_ned_cam: F64, p_cam_ned: F64, R_cam_pad: F64, t_cam_pad: F64
     ) -> tuple[U8, F32, F32 | None]:
-        """Paint values of everything but the pad, factors on its light, and light added."""
+        """Return the paint values of everything except the pad, the factors on its light, and the added light."""
         h, w = self.camera.height, self.camera.width
         gain = self._vignette.copy()
         added: F32 | None = None
@@ -264,7 +264,7 @@ class Renderer:
 
 
 def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
-    """Rotation (3, 3) and place (3,) m of the pad in `cam`, `later_s` after the middle of the exposure."""
+    """Return the rotation (3, 3) and position (3,) m of the pad in `cam`, `later_s` after the middle of the exposure."""
     R_ned_body, R_ned_pad = shot.R_ned_body.matrix, shot.R_ned_pad.matrix
     p_body, p_pad = shot.p_body_ned, shot.p_pad_ned
     if later_s != 0.0:
@@ -278,14 +278,14 @@ def _pose(shot: Exposure, camera: Camera, later_s: float) -> tuple[F64, F64]:
 
 
 def _paint_codes(pad: Pad) -> NDArray[np.intp]:
-    """(5, 3) BGR of background (unused), rim, disc, orange, white."""
+    """Return the colours (5, 3) BGR of background (unused), rim, disc, orange, white."""
     c = pad.colours
     rim = c.rim if c.rim is not None else c.disc
     return np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1]], dtype=np.intp)
 
 
 def _vignette(lens: Lens, loss: float) -> F32:
-    """(H, W) falling with the fourth power of the cosine of the angle off the axis, scaled to the loss at the corners."""
+    """Return the (H, W) vignetting: the fourth power of the cosine of the angle off the axis, scaled to the corners' loss."""
     r2 = (lens.rays**2).sum(axis=-1)
     fall = 1.0 - (1.0 + r2) ** -2
     return np.asarray(1.0 - loss * fall / fall.max(), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""What pushes at the vehicle and misleads it at random: gusts, wandering attitude errors, optical-flow noise."""
+"""The random disturbances of the vehicle: gusts, drifting attitude errors, optical-flow noise."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Wind:
     """
 
     v_ned: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """m/s, where the air moves to."""
+    """Velocity of the steady air in ned, m/s."""
     gust_sigma_m_s: float = 0.0
     """Sigma of each horizontal component; the vertical component has half of it."""
     gust_time_s: float = 2.0
@@ -48,9 +48,9 @@ class Disturbances:
         self._drift = _Memory(av.tilt_drift_sigma_rad, av.tilt_drift_time_s, step_s)
         s = self._gust.sigma
         self.gust: Vec = (s * start[0], s * start[1], 0.5 * s * start[2])
-        """m/s in ned."""
+        """Velocity of the gust in ned, m/s."""
         self.flow: tuple[Num, Num] = (self._flow.sigma * start[3], self._flow.sigma * start[4])
-        """m/s forward and right."""
+        """Error of the optical flow forward and right, m/s."""
         self._tilt_bias = (av.tilt_bias_sigma_rad * bias[0], av.tilt_bias_sigma_rad * bias[1])
         self._tilt_drift: tuple[Num, Num] = (self._drift.sigma * start[5], self._drift.sigma * start[6])
 

@@ -1,4 +1,4 @@
-"""What faults do to the readings of a vehicle's sensors. Pure: the same readings and faults give the same result."""
+"""The effect of faults on a vehicle's sensor readings. It is pure: the same readings and faults give the same result."""
 
 from __future__ import annotations
 

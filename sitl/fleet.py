@@ -47,32 +47,32 @@ class Fleet:
 
     @property
     def seconds(self) -> float:
-        """Since the start."""
+        """Time since the start."""
         return self._tick * self.step_s
 
     @property
     def d_body_pad_level(self) -> F64:
-        """(B, 3) m forward, right, down."""
+        """The pad's position relative to the body: (B, 3) m forward, right, down."""
         return self._level(self._pad.p_ned - self.vehicle.p_ned)
 
     @property
     def v_pad_level(self) -> F64:
-        """(B, 3) m/s, velocity of the pad less that of the body."""
+        """The pad's velocity minus that of the body, (B, 3) m/s."""
         return self._level(self._pad.v_ned - self.vehicle.v_ned)
 
     @property
     def yaw_rad(self) -> F64:
-        """(B,) heading of the body against the arrow, clockwise from above, [-pi, pi)."""
+        """The body's heading relative to the arrow, (B,) rad clockwise from above, [-pi, pi)."""
         return np.asarray((_heading(self.vehicle.R_ned_body) - _heading(self._pad.R_ned) + math.pi) % math.tau - math.pi)
 
     @property
     def on_deck(self) -> F64:
-        """(B,) m from the pad's centre where the newest contact was with the deck; nan where it was not, or not yet."""
+        """Distance of the newest contact from the pad's centre, (B,) m; nan if it was not with the deck or there was none."""
         v = self.vehicle
         return np.where(np.asarray(v.touched_what) == DECK, np.hypot(v.touched_d[0], v.touched_d[1]), np.nan)
 
     def step(self) -> None:
-        """Advance all by `step_s`."""
+        """Advance all flights by `step_s`."""
         self._tick += 1
         n = self._tick % _EVERY
         if n == 0:
@@ -97,7 +97,7 @@ def _ground(pad: Mounted) -> Ground:
 
 
 def _carried_on(pad: Mounted, dt_s: float) -> Mounted:
-    """The pad a little later, its acceleration and turning taken as constant; second order in time."""
+    """Return the pad a little later, to second order in time: acceleration and angular velocity are taken as constant."""
     w, R = pad.w * dt_s, pad.R_ned
     turned = np.cross(R, w[..., None, :])
     twice = np.cross(turned, w[..., None, :])

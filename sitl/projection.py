@@ -1,4 +1,4 @@
-"""Where planes and polygons of the world fall in one frame."""
+"""Projection of the world's planes and polygons into one frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHIFT = 6
 """Fractional bits of the vertices handed to OpenCV's drawing: 1/64 px."""
 
 _NEAR_M = 0.002
-"""Nothing nearer is drawn; `Camera.project` refuses points nearer than half of it."""
+"""Least distance at which anything is drawn; `Camera.project` refuses points nearer than half of it."""
 
 _FAR_PX = 8000.0
 """OpenCV clips polygons to the frame by itself, reliably while their fixed-point coordinates fit into 32 bits."""
@@ -61,7 +61,7 @@ class Lens:
         return np.asarray(np.linalg.inv(cam_from_plane))
 
     def _straight(self, p: F64) -> F64 | None:
-        """(N, 2) px through a lens without distortion, or None when a point is behind it or too far out for OpenCV."""
+        """Return (N, 2) px for a lens without distortion, or None if a point is behind it or too far out for OpenCV."""
         z = p[:, 2]
         if z.min() < _NEAR_M:
             return None
@@ -140,5 +140,5 @@ def _cut(polygon: F64, planes: F64) -> F64:
 
 
 def fixed_point(uv_px: F64) -> I32:
-    """(N, 2) px to OpenCV's fixed-point vertices with `SHIFT` fractional bits."""
+    """Return OpenCV's fixed-point vertices with `SHIFT` fractional bits for (N, 2) px."""
     return np.round(uv_px * (1 << SHIFT)).astype(np.int32)

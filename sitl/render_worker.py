@@ -1,4 +1,4 @@
-"""Frames made by a process beside, while the flight goes on: the same bits as in place, on another processor."""
+"""A render worker: a process that makes the frames while the flight goes on, with the same bits as without it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ U8 = NDArray[np.uint8]
 Order = tuple[int, Exposure, np.random.Generator]
 """Shelf, scene, state of chance."""
 _SHELVES = 16
-"""Frames that may be under way: half a second's."""
+"""Number of frames that may be in progress: half a second of them."""
 _END_S = 5.0
 
 
@@ -34,7 +34,7 @@ class RenderWorker:
         self._kept: dict[int, U8] = {}
 
     def order(self, shot: Exposure, rng: np.random.Generator) -> Callable[[], U8]:
-        """Begin a frame; the call that comes back waits for it."""
+        """Begin a frame, and return a call that waits for it."""
         number = self._ordered
         if number - self._made >= len(self._frame_slots):
             self._receive()

@@ -23,9 +23,9 @@ BLIND_AFTER_S = 1.0
 BLIND_DESCENT_MAX_M = 0.5
 """Descent without sight that is allowed: what wind and the vehicle's own landing cause, and no more."""
 STAMP_ERROR_MAX_S = 0.5
-"""A frame whose stamp is farther from the truth says nothing of where the pad is now."""
+"""Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
 COMMIT_PHASES = frozenset({GuidancePhase.LAND.value})
-"""Phases of guidance in which contact is meant."""
+"""The phases of guidance in which contact is intended."""
 _IN_THE_AIR = (VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
 
 
@@ -76,7 +76,7 @@ class SightWatch:
 
 
 def dangers(worst: BlindDescent | None, contacts: Sequence[Touchdown], died: str | None) -> tuple[str, ...]:
-    """What was unsafe, one line each; empty for a safe flight.
+    """Return the unsafe events, one line each; the result is empty for a safe flight.
 
     Args:
         worst: the deepest descent without true sight, None where nobody watched for it.
@@ -100,12 +100,12 @@ def dangers(worst: BlindDescent | None, contacts: Sequence[Touchdown], died: str
 
 
 def outside_commit(contacts: Sequence[Touchdown]) -> int:
-    """How many contacts with turning motors came while guidance did not mean to land."""
+    """Return the number of contacts with turning motors while guidance did not intend to land."""
     return sum(contact.motors and contact.guidance_phase not in COMMIT_PHASES for contact in contacts)
 
 
 class Grade(Enum):
-    """What a flight is worth."""
+    """The grade of a flight."""
 
     ON_PAD = "on pad"
     REFUSED_RIGHTLY = "refused rightly"
@@ -113,7 +113,7 @@ class Grade(Enum):
 
 
 def on_pad_m(contacts: Sequence[Touchdown]) -> float | None:
-    """Distance of the newest contact from the pad's centre, None where it was not on the pad."""
+    """Return the distance of the newest contact from the pad's centre, or None if it was not on the pad."""
     return contacts[-1].lateral_m if contacts and contacts[-1].on_pad else None
 
 
@@ -125,7 +125,7 @@ def grade(
     *,
     left_alone: bool = False,
 ) -> tuple[Grade, str]:
-    """Say what a flight is worth, and why.
+    """Return the grade of a flight and the reason for it.
 
     Args:
         outcome: the pilot's outcome; None if the time ran out.
