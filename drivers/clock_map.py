@@ -1,8 +1,8 @@
-"""A remote clock on ours: minimum-delay filter with drift allowance.
+"""Map a remote clock to this host's clock: a minimum-delay filter with a drift allowance.
 
-A message stamped `remote` by its sender and heard here at `heard` gives `heard - remote = offset + delay`. Delays are never
-negative and now and then hardly more than their floor, so the least difference of the last seconds is the offset plus the floor.
-The two crystals drift against each other, so an old least difference is allowed to have grown by `drift_ppm` since.
+A message stamped `remote` by its sender and received here at `received_at` gives `received_at - remote = offset + delay`. Delays
+are never negative and sometimes hardly more than their floor, so the least difference of the last seconds is the offset plus the
+floor. The two crystals drift against each other, so an old least difference is allowed to have grown by `drift_ppm` since.
 
 Source: Mills, RFC 5905 section 10 (clock filter by minimum delay); Moon, Skelly and Towsley, Estimation and removal of clock skew
 from network delay measurements, INFOCOM 1999 (the lower envelope).
@@ -18,37 +18,37 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
 _SIGMA_MAX_S = 0.999
 _MEMORY = 200
-"""Messages over which the usual delay above the floor is averaged."""
+"""The number of messages over which the usual delay above the floor is averaged."""
 _FADE = 0.95
-"""Of the map's recent moves, per message."""
+"""The factor by which the memory of the map's recent moves decays with each message."""
 _PRIOR = 5
-"""Messages that `unknown_s` weighs as much as."""
+"""The number of messages whose weight `unknown_s` has."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockMapOptions:
-    """What is known of the remote clock and the way from it.
+    """The known properties of the remote clock and of the path from it.
 
     Raises:
-        ValueError: a number out of range.
+        ValueError: a number is out of range.
     """
 
     wrap_ns: int | None = None
-    """The remote counter begins again after this much; None for never."""
+    """The period after which the remote counter wraps, ns; None if it never wraps."""
     resolution_s: float = 0.0
-    """Least step of the remote counter."""
+    """The least step of the remote counter."""
     floor_s: float = 0.0
-    """The least possible delay from the stamped instant to hearing of it; it cannot be seen from here."""
+    """The least possible delay from the stamped instant to the message's arrival; it cannot be measured from this side."""
     floor_sigma_s: float = 0.001
-    """How well the floor is known."""
+    """The standard deviation of the floor."""
     window_s: float = 10.0
-    """How long a least difference counts; a path whose floor has grown is believed after this."""
+    """The time for which a least difference counts; a floor that has grown is accepted after this."""
     drift_ppm: int = 100
-    """Most the two clocks run apart; two ordinary crystals stay within this."""
+    """The largest drift between the two clocks; two ordinary crystals stay within this."""
     jump_s: float = 0.5
-    """A remote clock that steps back further than this, or ahead of the map by more, was set anew."""
+    """A remote clock that steps back further than this, or ahead of the map by more, counts as reset."""
     unknown_s: float = 0.02
-    """Delay above the floor to reckon with before any was seen."""
+    """The delay above the floor that is assumed before any was measured."""
 
     def __post_init__(self) -> None:
         for name in ("resolution_s", "floor_s", "floor_sigma_s", "window_s", "drift_ppm", "jump_s", "unknown_s"):
@@ -60,28 +60,28 @@ class ClockMapOptions:
 
 
 class ClockMap:
-    """Feed it every stamped message in the order heard; it answers with the message's instant on our clock.
+    """Maps the stamp of each message, given in the order received, to an instant of this host's clock.
 
-    The answers never lie after `heard`, and never run backwards while the remote counter does not: a new least difference puts
-    its own message the floor before now, later than any answer so far, and without one the map only moves forward. The sigma
-    holds the floor's doubt, the counter's step, the drift since the least difference, the doubt of few messages, and that of a
-    map that moves.
+    The instants never lie after `received_at`, and never run backwards while the remote counter does not: a new least difference
+    puts its own message the floor before now, later than any instant so far, and without one the map only moves forward. The
+    sigma covers the uncertainty of the floor, the counter's step, the drift since the least difference, the uncertainty from few
+    messages, and that of a map that moves.
     """
 
     def __init__(self, options: ClockMapOptions) -> None:
         self._o = options
         self._least: deque[tuple[int, int]] = deque()
-        """(heard, difference less the drift allowed up to then), ascending in both: the front is the least of the window."""
+        """Pairs (received_at, difference less the drift allowed until then), ascending in both: the front holds the least."""
         self._newest_remote: int | None = None
         self._received_at = 0
         self._count = 0
         self._excess_s = options.unknown_s
         self._fell_s = 0.0
         self.restarts = 0
-        """Times the remote clock was seen to be set anew."""
+        """The number of times that the remote clock was reset."""
 
     def reset(self) -> None:
-        """Forget the remote clock: the sender is known to have restarted."""
+        """Forget the remote clock, because the sender is known to have restarted."""
         self._least.clear()
         self._newest_remote = None
         self._count = 0
@@ -89,7 +89,10 @@ class ClockMap:
         self._fell_s = 0.0
 
     def stamp(self, remote_ns: int, received_at: MonoNs) -> Stamp:
-        """When `remote_ns` was on our clock. Never raises on any remote value; `heard` counts as not before the last."""
+        """Return the instant of `remote_ns` on this host's clock. Never raises on any remote value.
+
+        A `received_at` before that of the last message counts as equal to it.
+        """
         now = self._received_at = max(received_at, self._received_at)
         remote = self._unwrapped(remote_ns, now)
         if self._newest_remote is not None and self._set_anew(remote, now):
@@ -116,7 +119,7 @@ class ClockMap:
         return Stamp(MonoNs(measured_at), MonoNs(now), min(sigma_s, _SIGMA_MAX_S), "synced")
 
     def _unwrapped(self, remote_ns: int, now: int) -> int:
-        """The counter without its wraps: the value nearest to what the time since the last message leads to expect."""
+        """Return the counter without its wraps: the value nearest to the one expected from the time since the last message."""
         wrap = self._o.wrap_ns
         if wrap is None or self._newest_remote is None:
             return remote_ns

@@ -1,4 +1,4 @@
-"""Back-pressure by type: one slot where only the newest counts, a bounded line where every item counts until it is full."""
+"""Back-pressure by type: a slot for the newest item alone, and a bounded queue that keeps every item until it is full."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 SAMPLE_QUEUE_ITEMS = 4096
-"""Samples kept for a slow reader before the oldest are dropped, where nothing else is said: two seconds and more."""
+"""The default number of samples kept for a slow reader before the oldest are dropped: those of at least two seconds."""
 
 
 class Latest(Generic[T]):
@@ -41,7 +41,7 @@ class Latest(Generic[T]):
         self._ready.set()
 
     async def get(self) -> T:
-        """The newest item, waiting for one."""
+        """Wait for an item and return the newest."""
         while True:
             await self._ready.wait()
             item, self._item = self._item, None
@@ -88,7 +88,7 @@ class Line(Generic[T]):
         return len(self._items)
 
     async def get(self) -> T:
-        """The oldest item, waiting for one."""
+        """Wait for an item and return the oldest."""
         while True:
             await self._ready.wait()
             if self._items:

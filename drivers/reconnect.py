@@ -1,8 +1,8 @@
-"""Run what depends on the outside world, and run it again when that fails: the back-off and the log of every connection.
+"""Run a connection to the outside world, and run it again with back-off when it fails; log each outage.
 
 The vehicle's channels, MAVLink links, cameras, the MQTT broker and the parts of the service all use `reconnect`. A device may be
-absent for hours, so the log has three lines for an outage: its first failure, the moment when the rests stop growing, and the
-recovery. The counters and the health of whoever called count every failure.
+absent for hours, so the log has three lines for an outage: its first failure, the moment when the back-off stops growing, and
+the recovery. The caller's counters and health count every failure.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from estimator.contracts.time import seconds_between
 _log = logging.getLogger(__name__)
 
 _REASONS_MAX = 4
-"""Different reasons of one outage that are logged."""
+"""The number of different reasons of one outage that are logged."""
 
 
 @dataclass(frozen=True, slots=True)
 class BackOff:
-    """The rests between attempts: `first_s`, then `factor` times longer each time up to `cap_s`.
+    """The waits between attempts: `first_s`, then `factor` times longer each time up to `cap_s`.
 
     Raises:
-        ValueError: a number out of range.
+        ValueError: a number is out of range.
     """
 
     first_s: float
     cap_s: float
     healthy_after_s: float
-    """A run of at least this length ends the outage: the next rest is `first_s` again."""
+    """A run of at least this length ends the outage: the next wait is `first_s` again."""
     factor: float = 2.0
     jitter: float = 0.0
-    """The part of each rest that is random, so that many clients of one server do not return at the same instant."""
+    """The fraction of each wait that is random, so that many clients of one server do not return at the same instant."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.first_s <= self.cap_s or not self.healthy_after_s >= 0.0:
@@ -57,8 +57,8 @@ async def reconnect(
     """Run `body` until it returns, and run it again after each failure of the outside world. Any other error passes through.
 
     Args:
-        name: what the log calls it, with its address.
-        on_failure: called with each failure before the rest.
+        name: the name in the log, with the address.
+        on_failure: called with each failure before the wait.
         failures: the errors that count as the outside world's. A group of only such errors counts too.
     """
     outage = _Outage(name)
@@ -84,7 +84,7 @@ async def reconnect(
 
 
 class _Outage:
-    """The failures in a row of one body, and which of them the log has had."""
+    """The successive failures of one body, and which of them were logged."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -1,4 +1,4 @@
-"""Encoded images to pixels, their size read from the header before any memory is taken for them.
+"""Decode images to pixels; the size is read from the header before any memory is allocated for them.
 
 A JPEG or PNG of 700 bytes can claim 30000 by 30000 pixels, and a decoder believes it: 2.7 GB. Here the claim is compared with
 the camera's size, or with an upper bound, before the decoder sees the first byte.
@@ -26,7 +26,7 @@ _JPEG_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})
 
 
 class ImageRefused(ValueError):
-    """The bytes are no image that may be decoded; the text says why, without naming the source."""
+    """The bytes are not an image that may be decoded; the text gives the reason without the source."""
 
 
 def decode(data: bytes | memoryview, size: tuple[int, int] | None = None, *, turned: bool = False) -> U8:
@@ -34,13 +34,13 @@ def decode(data: bytes | memoryview, size: tuple[int, int] | None = None, *, tur
 
     Args:
         size: width and height that it must have; None allows any size up to `MOST_PIXELS`.
-        turned: obey the orientation that a JPEG of a phone tells, so that `size` may hold the other way round in the file.
+        turned: apply the orientation tag of a phone's JPEG, so that width and height of `size` may be swapped in the file.
 
     Returns:
         (H, W, 3) uint8, BGR.
 
     Raises:
-        ImageRefused: not an image, of another size, too large, or damaged.
+        ImageRefused: the data are not an image, or one of another size, too large, or damaged.
     """
     claimed = claimed_size(data)
     if claimed is None:
@@ -77,7 +77,7 @@ def load(path: Path) -> bytes:
 
 
 def claimed_size(data: bytes | memoryview) -> tuple[int, int] | None:
-    """Return the width and height that the header claims; None for a torn one, or no JPEG, PNG, BMP, TIFF, WebP or PNM."""
+    """Return the width and height that the header claims; None if it is torn, or not of a JPEG, PNG, BMP, TIFF, WebP or PNM."""
     head = bytes(data[:16])
     for magic, read in _READERS:
         if head.startswith(magic):

@@ -1,4 +1,4 @@
-"""What every camera driver fills and every reader of frames holds: the open camera, and the error of one that is lost."""
+"""The interface between camera drivers and readers of frames: the open camera, and the error of a lost one."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Frames from a V4L2 camera, stamped by the kernel, decoded on one worker thread, the newest only.
+"""Read frames from a V4L2 camera: the kernel stamps them, one worker thread decodes them, and only the newest is kept.
 
-Source of what buffers mean: Linux media documentation, struct v4l2_buffer (flags, timestamp, sequence).
+Source for the meaning of buffers: Linux media documentation, struct v4l2_buffer (flags, timestamp, sequence).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 log = logging.getLogger(__name__)
 
 _OLDEST_S = 2.0
-"""A buffer stamped longer ago than this was not stamped by our clock."""
+"""A buffer whose stamp is older than this was not stamped by this host's monotonic clock."""
 _AHEAD_S = 0.005
-"""A driver that stamps by the kernel's tick may be ahead by one; further ahead nothing can have happened yet."""
+"""A driver that stamps by the kernel's tick may be ahead by one tick; a stamp further ahead is refused."""
 _WRAP = 1 << 32
 
 OpenDevice = Callable[[str, V4l2Options], Device]
@@ -47,11 +47,11 @@ class V4l2Channel:
         self._h264 = H264Decoder()
 
     async def run(self) -> None:
-        """Until the camera is gone or silent.
+        """Read frames until the camera is gone or silent.
 
         Raises:
-            CameraLost: absent, unplugged or silent.
-            BadInput, SetupImpossible: as `KernelDevice`.
+            CameraLost: the camera is absent, unplugged or silent.
+            BadInput, SetupImpossible: raised as by `KernelDevice`.
         """
         loop = asyncio.get_running_loop()
         self._h264.broken()
@@ -111,11 +111,11 @@ class V4l2Channel:
             counters.frames_replaced += self._camera.frames.offer(frame) is not None
 
     async def _readable(self, device: Device) -> MonoNs:
-        """When the device had something to say."""
+        """Wait until the device is readable and return that instant."""
         loop = asyncio.get_running_loop()
         ready: asyncio.Future[MonoNs] = loop.create_future()
         fd = device.fileno()
-        # Level-triggered: left in place it would spin for as long as a frame is being decoded.
+        # The reader is level-triggered: left in place it would spin while a frame is being decoded.
         loop.add_reader(fd, lambda: None if ready.done() else ready.set_result(self._clock.now()))
         try:
             async with asyncio.timeout(self._o.timeouts.silence_s):
@@ -151,7 +151,7 @@ class V4l2Channel:
         return None
 
     def _note_size(self, data: bytes, layout: FrameLayout) -> None:
-        """Count a JPEG of another size than was agreed; the first is named in the log."""
+        """Count a JPEG of another size than was agreed, and log the first."""
         claimed = claimed_size(data) if layout.format == "MJPG" else None
         if claimed is None or claimed == (layout.width, layout.height):
             return
@@ -183,10 +183,10 @@ class V4l2Channel:
 
 
 def stamp_of(buffer: Buffer, received_at: MonoNs, options: V4l2Options, exposure_s: float) -> tuple[Stamp, bool]:
-    """The middle of the exposure, and whether the kernel's stamp had to be refused (future, or older than 2 s).
+    """Return the stamp of mid-exposure, and whether the kernel's stamp had to be refused (future, or older than 2 s).
 
     A stamp of the start of the exposure lies half an exposure before its middle, one of the end of the transfer half an exposure
-    behind it; `latency_s` comes on top. Where the exposure is not known, half a frame's time is added to the variance.
+    after it; `latency_s` is added to that. If the exposure is not known, half a frame's time is added to the variance.
     """
     unknown_s = 0.5 / options.rate_hz / math.sqrt(3.0) if exposure_s == 0.0 else 0.0
     sigma_s = math.hypot(options.latency_sigma_s, unknown_s)

@@ -1,6 +1,6 @@
-"""One V4L2 capture device through linuxpy: the only module that knows the kernel's calls.
+"""Open and read one V4L2 capture device through linuxpy; no other module knows the kernel's calls.
 
-A device speaks `OSError`; what it cannot do is `BadInput`, and a file that is no camera is `SetupImpossible`.
+A failing device raises `OSError`, a request that it cannot fulfil `BadInput`, and a file that is no camera `SetupImpossible`.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ _MMAP = kernel.Memory.MMAP
 _EXPOSURE_ABSOLUTE = 0x009A0902
 _EXPOSURE_AUTO = 0x009A0901
 _MANUAL = (1, 2)
-"""Of V4L2_CID_EXPOSURE_AUTO: manual, and shutter priority, which fixes the time too."""
+"""The values of V4L2_CID_EXPOSURE_AUTO for manual, and for shutter priority, which fixes the time too."""
 _NUMBERS = {kernel.ControlType.INTEGER, kernel.ControlType.INTEGER64}
 _CHOICES = {kernel.ControlType.BOOLEAN, kernel.ControlType.MENU, kernel.ControlType.INTEGER_MENU}
 
 
 @dataclass(frozen=True, slots=True)
 class Buffer:
-    """One buffer as the kernel handed it over, copied out."""
+    """A copy of one buffer of the kernel."""
 
     data: bytes
     sequence: int
     """The device's own count of frames."""
     stamp_ns: int
     monotonic: bool
-    """`stamp_ns` is CLOCK_MONOTONIC; otherwise its clock is not known."""
+    """Whether `stamp_ns` is of CLOCK_MONOTONIC; otherwise its clock is not known."""
     at_start: bool
-    """`stamp_ns` is of the start of the exposure; otherwise of the end of the transfer."""
+    """Whether `stamp_ns` is of the start of the exposure; otherwise it is of the end of the transfer."""
     error: bool
-    """The kernel says the content is damaged."""
+    """Whether the kernel reports damaged content."""
 
 
 class Device(Protocol):
-    """What the driver asks of a device."""
+    """The interface of a device that the driver uses."""
 
     layout: FrameLayout
     rate_hz: float
@@ -56,7 +56,7 @@ class Device(Protocol):
     def fileno(self) -> int: ...
 
     def dequeue(self) -> Buffer | None:
-        """The oldest waiting buffer, None when none waits.
+        """Return the oldest waiting buffer, None if none waits.
 
         Raises:
             OSError: the device is gone.
@@ -67,12 +67,12 @@ class Device(Protocol):
 
 
 class KernelDevice:
-    """An open device, set as asked and streaming.
+    """An open device that has the options' settings and streams.
 
     Raises:
         OSError: it cannot be opened, is busy or went away.
-        BadInput: it cannot do what the options ask; the text says what it can.
-        SetupImpossible: no permission, or not a camera.
+        BadInput: it cannot do what the options ask; the text lists what it can.
+        SetupImpossible: permission is missing, or the device is not a camera.
     """
 
     def __init__(self, path: str, options: V4l2Options) -> None:
@@ -166,7 +166,7 @@ class KernelDevice:
         except OSError as why:
             if why.errno not in (errno.ENOTTY, errno.EINVAL):
                 raise
-            rate_hz = o.rate_hz  # it has no say over its rate
+            rate_hz = o.rate_hz  # it does not let its rate be set
         except ZeroDivisionError:
             rate_hz = o.rate_hz
         got = kernel.get_raw_format(self._device, _CAPTURE).fmt.pix
@@ -221,7 +221,7 @@ class KernelDevice:
         raise BadInput(f"camera {self._path}: control {name!r} must be {known}, got {label!r}")
 
     def _exposure(self) -> float | None:
-        """Seconds, when the camera holds its exposure fixed and says how long it is."""
+        """Return the exposure in seconds; None unless the camera holds it fixed and reports it."""
         try:
             if kernel.get_control(self._device, _EXPOSURE_AUTO) not in _MANUAL:
                 return None
@@ -238,5 +238,5 @@ class KernelDevice:
 
 
 def _control_name(text: str) -> str:
-    """As v4l2-ctl writes it: lower case, each run of other characters one underscore."""
+    """Return the control's name as v4l2-ctl writes it: lower case, one underscore for each run of other characters."""
     return "_".join("".join(c if c.isalnum() else " " for c in text.lower()).split())

@@ -1,4 +1,4 @@
-"""Bytes of a V4L2 buffer to a BGR frame. Wire input never raises: what cannot be read is None."""
+"""Decode the bytes of a V4L2 buffer to a BGR image. Wire input never raises: the result for unreadable bytes is None."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class FrameLayout:
-    """What the device said it will send."""
+    """The format of the frames that the device agreed to send."""
 
     format: str
     width: int
     height: int
     bytes_per_line: int
-    """0 for compressed formats."""
+    """The length of an image line, bytes; 0 for compressed formats."""
 
 
 def to_bgr(data: bytes, layout: FrameLayout) -> U8 | None:
-    """One buffer of a format whose frames stand alone, as (H, W, 3) BGR; None when it is torn, damaged or of another size.
+    """Decode one buffer of a format whose frames are independent to (H, W, 3) BGR; None if torn, damaged or of another size.
 
-    YUYV and NV12 are taken as BT.601 with studio swing, what webcams send and V4L2 assumes for standard definition.
+    YUYV and NV12 are read as BT.601 with studio swing, which webcams send and V4L2 assumes for standard definition.
     """
     if layout.format == "MJPG":
         return _jpeg(data, layout)
@@ -48,7 +48,7 @@ def to_bgr(data: bytes, layout: FrameLayout) -> U8 | None:
 
 
 def _jpeg(data: bytes, layout: FrameLayout) -> U8 | None:
-    # The decoder fills what a torn frame lacks with grey and says nothing, hence the end mark; drivers pad with zeros.
+    # The decoder silently fills the missing part of a torn frame with grey, hence the end mark; drivers pad with zeros.
     whole = data.rstrip(b"\0")
     if not (whole.startswith(b"\xff\xd8") and whole.endswith(b"\xff\xd9")):
         return None
@@ -63,22 +63,22 @@ def _u8(px: NDArray[np.generic]) -> U8:
 
 
 class H264Decoder:
-    """Access units in Annex B, in order. After damage everything is dropped up to the next frame that stands alone."""
+    """Decodes access units in Annex B, in order. After damage everything is dropped up to the next IDR."""
 
     def __init__(self) -> None:
         self._codec: VideoCodecContext | None = None
 
     def broken(self) -> None:
-        """Units were lost: what follows cannot be read until the next IDR."""
+        """Drop all units up to the next IDR, because units were lost."""
         self._codec = None
 
     @property
     def waiting(self) -> bool:
-        """For an IDR."""
+        """Whether the decoder waits for an IDR."""
         return self._codec is None
 
     def decode(self, unit: bytes, layout: FrameLayout) -> U8 | None:
-        """One access unit as (H, W, 3) BGR; None while waiting, or when it is damaged (then it waits)."""
+        """Decode one access unit to (H, W, 3) BGR; None while waiting for an IDR, or if the unit is damaged (then it waits)."""
         if self._codec is None:
             if not stands_alone(unit):
                 return None
@@ -104,7 +104,7 @@ class H264Decoder:
 
 
 def stands_alone(unit: bytes) -> bool:
-    """Whether an access unit holds an IDR slice (NAL type 5) and can be read without those before it."""
+    """Return whether an access unit holds an IDR slice (NAL type 5) and can be decoded without those before it."""
     at = unit.find(b"\0\0\1")
     while at != -1 and at + 3 < len(unit):
         if unit[at + 3] & 0x1F == 5:

@@ -1,4 +1,4 @@
-"""Which cameras are there, and which of them a name means. Device numbers move with each boot and each plug; names do not."""
+"""List the cameras and find the one that a name means. Device numbers change with each boot and each plug; names do not."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ class CaptureDevice:
     """A capture device of this machine."""
 
     path: Path
-    """The most stable path there is: by-id, by-path, else /dev/videoN."""
+    """The most stable path that exists: by-id, by-path, else /dev/videoN."""
     node: Path
-    """/dev/videoN as of now."""
+    """The present device node /dev/videoN."""
     card: str
-    """What the driver calls it."""
+    """The name that the kernel driver gives the device."""
     body: Path
-    """The piece of hardware in sysfs; several nodes may be of one."""
+    """The hardware device in sysfs, which may have several nodes."""
     index: int = 0
-    """Among the nodes of one body: the first gives frames, a second often metadata."""
+    """The index among the nodes of one hardware device: the first gives frames, a second often metadata."""
 
 
 def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path = Path("/dev")) -> list[CaptureDevice]:
-    """Every video device with its most stable path, in order of that path."""
+    """Return every video device with its most stable path, in order of that path."""
     stable: dict[Path, Path] = {}
     for folder in reversed(by_name):
         for link in sorted(folder.iterdir()) if folder.is_dir() else ():
@@ -44,13 +44,13 @@ def cameras(by_name: tuple[Path, ...] = BY_NAME, sysfs: Path = SYSFS, dev: Path 
 
 
 def find(text: str, there: list[CaptureDevice]) -> Path | None:
-    """The path that `text` means: itself when it is a path, else the one camera whose stable name or card holds it.
+    """Return the path that `text` means: itself if it is a path, else the one camera whose stable name or card contains it.
 
-    Of several nodes of one camera (many have one for frames and one for metadata) the first is meant.
-    None when there is no such camera at the moment.
+    If a camera has several nodes (many have one for frames and one for metadata) the first is returned.
+    The result is None if there is no such camera at the moment.
 
     Raises:
-        BadInput: more than one camera answers to it.
+        BadInput: more than one camera matches.
     """
     if "/" in text:
         path = Path(text)

@@ -1,4 +1,4 @@
-"""A camera of its own, beside the vehicle: V4L2 device, network camera or video file behind one door.
+"""Open a camera that is not part of the vehicle: a V4L2 device, a network camera or a video file.
 
 async with open_camera(V4l2Options("/dev/v4l/by-id/usb-...", 640, 480), clock) as camera:
     async for frame in camera.frames: ...
@@ -21,12 +21,12 @@ from estimator.contracts.ports import Clock
 async def open_camera(options: CameraOptions, clock: Clock) -> AsyncIterator[VideoSource]:
     """Open the camera and keep it open; it does not wait for the first frame.
 
-    A camera that is unplugged, silent or not there yet is tried again with growing rests and counted; the reader of `frames`
-    just waits. What trying again cannot cure comes out of the `async with` block.
+    A camera that is unplugged, silent or absent is opened again with back-off, and counted; the reader of `frames` just waits.
+    The `async with` block raises the errors that another attempt cannot fix.
 
     Raises:
         BadInput: the device cannot do what the options ask (size, format, control).
-        SetupImpossible: no permission, or not a camera.
+        SetupImpossible: permission is missing, or the device is not a camera.
     """
     camera = VideoSource()
     # Each kind loads its own library (linuxpy, PyAV) only when it is used.

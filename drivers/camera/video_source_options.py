@@ -1,4 +1,4 @@
-"""What a person may choose about a camera that is not part of the vehicle, and what became of its frames."""
+"""The options of a camera that is not part of the vehicle, and the counters of its frames."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
 FORMATS = ("YUYV", "NV12", "MJPG", "H264", "GREY")
-"""Pixel formats of a V4L2 device that are understood, as `auto` prefers them: whole colour first, then compressed, then none."""
+"""The supported pixel formats of a V4L2 device, in the order in which `auto` prefers them: raw colour, compressed, grey."""
 
 
 @dataclass(frozen=True, slots=True)
 class SourceTimeouts:
-    """When a camera counts as gone and how soon it is tried again.
+    """The times after which a camera counts as gone and is opened again.
 
     Raises:
-        ValueError: a time that is not positive.
+        ValueError: a time is not positive.
     """
 
     silence_s: float = 2.0
-    """Without a frame for this long the camera is opened anew."""
+    """A camera without a frame for this long is opened again."""
     first_s: float = 0.2
     most_s: float = 2.0
-    """Rests between attempts: doubled from the first to the most, and the first again after a run longer than the most."""
+    """The longest back-off between attempts: it doubles from the first to this, and starts again after a run longer than this."""
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -32,10 +32,10 @@ class SourceTimeouts:
 
 @dataclass(frozen=True, slots=True)
 class V4l2Options:
-    """One V4L2 camera and how it is set.
+    """One V4L2 camera and its settings.
 
     Raises:
-        ValueError: a number out of range or a format that is not understood.
+        ValueError: a number is out of range, or a format is not supported.
     """
 
     device: str
@@ -46,14 +46,14 @@ class V4l2Options:
     format: str = "auto"
     """One of `FORMATS`, or auto: the first of them that the camera offers in this size at this rate."""
     controls: Mapping[str, int | bool | str] = field(default_factory=dict)
-    """Controls by name (exposure_time_absolute, gain, white_balance_automatic) that are fixed; all others stay the camera's."""
+    """The controls that are set, by name (exposure_time_absolute, gain, white_balance_automatic); all others are left alone."""
     latency_s: float = 0.0
-    """How much later the kernel stamps than half an exposure after (where the driver stamps the start: before) its middle."""
+    """The delay of the kernel's stamp beyond half an exposure after mid-exposure (before it, if the driver stamps the start)."""
     latency_sigma_s: float = 0.005
     arrival_sigma_s: float = 0.02
-    """Of frames without a monotonic time stamp of the kernel, whose arrival must do."""
+    """The standard deviation of the stamp of frames without a monotonic kernel stamp, for which the arrival is used."""
     exposure_s: float = 0.0
-    """How long the shutter is open, 0 for not known; a fixed exposure_time_absolute of the camera itself goes before."""
+    """The exposure time, 0 if not known; a fixed exposure_time_absolute of the camera itself takes precedence."""
     buffers: int = 4
     timeouts: SourceTimeouts = field(default_factory=SourceTimeouts)
 
@@ -78,19 +78,19 @@ class StreamOptions:
     """A network camera or a video file.
 
     Raises:
-        ValueError: a number out of range.
+        ValueError: a number is out of range.
     """
 
     source: str
     """An address (rtsp://..., udp://...) or the path of a file."""
     latency_s: float = 0.0
-    """From mid-exposure to the arrival of the frame's last byte; for a file from its time in the file."""
+    """The delay from mid-exposure to the arrival of the frame's last byte; for a file it counts from the time in the file."""
     sigma_s: float = 0.02
     exposure_s: float = 0.0
     size: tuple[int, int] | None = None
-    """Width and height that are expected, px: frames of more than four times as many pixels are not decoded."""
+    """The expected width and height, px: frames of more than four times as many pixels are not decoded."""
     repeat: bool = False
-    """Begin a file again at its end."""
+    """Whether a file starts again at its end."""
     timeouts: SourceTimeouts = field(default_factory=lambda: SourceTimeouts(silence_s=5.0))
 
     def __post_init__(self) -> None:
@@ -104,7 +104,7 @@ class StreamOptions:
 
     @property
     def is_address(self) -> bool:
-        """A live stream; else a file."""
+        """Whether the source is a live stream, as opposed to a file."""
         return "://" in self.source
 
 
@@ -113,31 +113,31 @@ CameraOptions = V4l2Options | StreamOptions
 
 @dataclass(slots=True)
 class CameraCounters:
-    """Running totals since the camera was opened. Every buffer ends as given out, overtaken, damaged or waiting."""
+    """Running totals since the camera was opened. Every buffer is counted as given out, overtaken, damaged or waiting."""
 
     buffers: int = 0
-    """Heard from the device or the stream."""
+    """Buffers received from the device or the stream."""
     frames: int = 0
-    """Given out."""
+    """Frames that were given out."""
     frames_overtaken: int = 0
-    """A newer one was already there before this one was looked at."""
+    """Frames that were skipped because a newer one had already arrived."""
     frames_damaged: int = 0
-    """Marked bad by the kernel, torn, of another size than was agreed, or refused by the decoder."""
+    """Frames marked bad by the kernel, torn, of another size than was agreed, or refused by the decoder."""
     frames_wrong_size: int = 0
-    """Claimed another size than was agreed, and were not decoded: a part of `frames_damaged`."""
+    """Frames that claimed another size than was agreed and were not decoded: a part of `frames_damaged`."""
     frames_waiting: int = 0
-    """Dropped until the next frame that stands alone (H.264)."""
+    """Frames dropped until the next IDR (H.264)."""
     frames_lost: int = 0
-    """Missing in the device's own count; never heard, so not among `buffers`."""
+    """Frames missing in the device's own count; they were never received and are not among `buffers`."""
     frames_replaced: int = 0
-    """Given out and overtaken before anyone read them: a part of `frames`."""
+    """Frames that were given out and replaced by a newer one before anyone read them: a part of `frames`."""
     stamps_refused: int = 0
-    """Time stamps of the kernel that could not be; the arrival was taken."""
+    """Kernel time stamps that were impossible; the arrival was used instead."""
     restarts: Counter[str] = field(default_factory=Counter)
-    """By reason: unplugged, silent, absent, failed."""
+    """Restarts by reason: unplugged, silent, absent, failed."""
 
     def as_dict(self) -> dict[str, int]:
-        """Flat, for records and telemetry; restarts as `restarts.unplugged`."""
+        """Return the counters as a flat dict for records and telemetry; restarts have keys like `restarts.unplugged`."""
         out: dict[str, int] = {}
         for f in fields(self):
             value = getattr(self, f.name)

@@ -1,6 +1,6 @@
-"""Frames from a network camera or a video file through PyAV.
+"""Read frames from a network camera or a video file through PyAV.
 
-A file is played at its own speed. A live stream's frames are stamped by its own clock, mapped to ours by the least delay seen.
+A file is played at its own speed. A live stream's clock stamps its frames; it is mapped to ours by the least delay measured.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ class StreamChannel:
         self._seq = 0
 
     async def run(self) -> None:
-        """Until the stream breaks or the file is over.
+        """Read frames until the stream breaks or the file ends.
 
         Raises:
-            CameraLost: absent, silent, failed, or ended with a file that is not repeated.
-            BadInput: no such file, or nothing to see in it.
+            CameraLost: the source is absent, silent, failed, or a file that ended and is not repeated.
+            BadInput: the file does not exist, or holds no video.
         """
         loop = asyncio.get_running_loop()
         pool = ThreadPoolExecutor(1, "stream")
@@ -72,7 +72,7 @@ class StreamChannel:
                     raise CameraLost(reason, f"{self._o.source}: the stream is over")
                 await loop.run_in_executor(pool, reader.rewind)
         finally:
-            # A read that hangs may last for the whole of `silence_s`; nobody waits for it.
+            # A read that hangs may last for the whole of `silence_s`, so nothing waits for it.
             pool.submit(reader.close)
             pool.shutdown(wait=False)
 
@@ -105,7 +105,7 @@ class StreamChannel:
 
 
 class _Reader:
-    """The blocking half; every method on one worker thread."""
+    """The blocking half, whose methods all run on one worker thread."""
 
     def __init__(self, options: StreamOptions, clock: Clock, counters: CameraCounters) -> None:
         self._o = options
@@ -159,7 +159,7 @@ class _Reader:
         self._ready, self._waiting = [], True
 
     def next(self) -> _Image | None:
-        """The next frame, None at the end."""
+        """Return the next frame, None at the end."""
         while not self._ready:
             try:
                 packet = next(self._packets)

@@ -1,4 +1,4 @@
-"""Video files and streams opened with a bound on the size of their frames, which the decoder obeys before it takes memory."""
+"""Open video files and streams with a bound on their frame size, which the decoder obeys before it allocates memory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from av.container import InputContainer
 from drivers.camera.images import MOST_PIXELS, ImageRefused
 
 MOST_PACKET_BYTES = 32 << 20
-"""Largest size of an encoded frame: that of an uncompressed one of 10 million pixels."""
+"""Largest size of an encoded frame, bytes: that of an uncompressed one of 10 million pixels."""
 _MARGIN = 4
 """Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
 
@@ -32,12 +32,12 @@ def open_video(
 
     Args:
         size: width and height that are expected; None where they are not known.
-        options: of the container.
-        codec_options: of the decoders.
-        timeout: for opening and for each read, s.
+        options: options of the container.
+        codec_options: options of the decoders.
+        timeout: limits for opening and for each read, seconds.
 
     Raises:
-        FFmpegError, OSError: as `av.open`.
+        FFmpegError, OSError: raised as by `av.open`.
         ImageRefused: the frames are larger than the bound; the text says so.
     """
     bound = {"max_pixels": str(most_pixels(size))}

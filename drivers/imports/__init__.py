@@ -1,4 +1,4 @@
-"""What others recorded, as samples and frames: autopilots' logs, captures of AR.Drones, videos and attitude tables.
+"""Read recordings of other programs as samples and frames: autopilot logs, AR.Drone captures, videos and attitude tables.
 
-Each source keeps its own clock, which begins at 0 with its first datum. Whoever puts sources together knows their offsets.
+Each source keeps its own clock, which begins at 0 with its first datum. The caller that combines sources knows their offsets.
 """

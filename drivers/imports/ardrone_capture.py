@@ -1,4 +1,4 @@
-"""Captures of an AR.Drone's own streams: video as it came over TCP (PaVE), and navdata datagrams one after the other."""
+"""Read captures of an AR.Drone's own streams: video as received over TCP (PaVE), and concatenated navdata datagrams."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from estimator.contracts.samples import Frame, Sample
 NAVDATA_MAGIC = b"\x88\x77\x66\x55"
 _NAVDATA_WRAP_US = 2048 * 1_000_000
 _NAVDATA_PERIOD_S = 0.005
-"""Of a datagram that does not say its time: full navdata come 200 times a second."""
+"""The period assumed for datagrams without a time: full navdata are sent 200 times a second."""
 _CHECKSUM_TAG = 0xFFFF
 _OPTION = struct.Struct("<HH")
 
 
 def frames(path: Path) -> Iterator[Frame]:
-    """The frames of a PaVE capture that decode, at the times of their headers; from the first key frame on.
+    """Yield the frames of a PaVE capture that decode, from the first key frame on, at the times of their headers.
 
     Raises:
         BadInput: the file cannot be read, or no frame in it decodes.
@@ -44,7 +44,7 @@ def frames(path: Path) -> Iterator[Frame]:
 
 
 def samples(path: Path) -> list[Sample]:
-    """The samples of a navdata capture, at the drone's own time.
+    """Return the samples of a navdata capture, at the drone's own time.
 
     Raises:
         BadInput: the file cannot be read, or no datagram in it is whole.
@@ -71,7 +71,7 @@ def samples(path: Path) -> list[Sample]:
 
 
 def datagrams(data: bytes) -> Iterator[bytes]:
-    """Parts a run of datagrams at their ends: each closes with its checksum option. Bytes between them are passed over."""
+    """Split concatenated datagrams, each of which ends with its checksum option. Bytes between them are skipped."""
     begin = 0
     while True:
         begin = data.find(NAVDATA_MAGIC, begin)

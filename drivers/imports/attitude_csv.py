@@ -1,4 +1,4 @@
-"""A table of attitudes: CSV with the header `time_s,roll_deg,pitch_deg` and, where the heading is known, `yaw_deg`."""
+"""Read a table of attitudes: CSV with the header `time_s,roll_deg,pitch_deg` and, if the heading is known, `yaw_deg`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HEADER = ("time_s", "roll_deg", "pitch_deg")
 
 
 def read(path: Path) -> list[Sample]:
-    """The attitudes in order of time.
+    """Return the attitudes in order of time.
 
     Raises:
         BadInput: the file cannot be read, a column is missing, or a cell is not a finite number; the text names the line.

@@ -1,4 +1,4 @@
-"""IMU, attitude, velocity, range and baro of an ArduPilot dataflash log, through pymavlink.
+"""Read IMU, attitude, velocity, range and baro samples of an ArduPilot dataflash log, through pymavlink.
 
 Source: ArduPilot's log message documentation, Copter 3.2 to 4.6. Angles are in degrees, velocities NED; the time is
 `TimeUS`, in logs of 2014 `TimeMS`.
@@ -22,13 +22,13 @@ from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, 
 
 MAGIC = b"\xa3\x95"
 _VELOCITIES = ("XKF1", "NKF1", "EKF1")
-"""Newest generation of the filter first; the first that a log has is taken, its first core."""
+"""The velocity messages, the newest generation of the filter first; the first core of the first one in the log is used."""
 _LANDED, _NOT_LANDED = (17, 18), 28
-"""LogEvent: land complete maybe, land complete; not landed."""
+"""The values of LogEvent for "land complete maybe" and "land complete", and for "not landed"."""
 
 
 def read(path: Path) -> list[Sample]:
-    """All samples in order; what is not finite is left out.
+    """Return all samples in order; values that are not finite are left out.
 
     Raises:
         BadInput: the file cannot be read, is no dataflash log, or holds neither IMU nor attitude.
@@ -39,7 +39,7 @@ def read(path: Path) -> list[Sample]:
         log = _Log(str(path)) if binary else None
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
-    except Exception as why:  # pymavlink raises whatever its parser stumbled on
+    except Exception as why:  # pymavlink lets any error of its parser through
         raise BadInput(f"{path}: not a readable dataflash log: {why}") from why
     if log is None:
         raise BadInput(f"{path}: not a dataflash log (its text form is not read: keep the .bin)")
@@ -55,7 +55,7 @@ def read(path: Path) -> list[Sample]:
 
 
 class _Log(DFReader.DFReader_binary):  # type: ignore[misc]
-    """Ends at a message of no length, at which pymavlink's own reader stands still for ever, and closes what it cannot read."""
+    """A reader that ends at a message of length 0, at which pymavlink's own loops forever, and closes unreadable files."""
 
     def __init__(self, filename: str) -> None:
         try:
@@ -65,7 +65,7 @@ class _Log(DFReader.DFReader_binary):  # type: ignore[misc]
             raise
 
     def give_up(self, why: BaseException) -> None:
-        """Close the file after an error, whose frames still point into it."""
+        """Close the file after an error whose stack frames still refer to it."""
         traceback.clear_frames(why.__traceback__)
         for name in ("filehandle", "data_map"):
             if (opened := getattr(self, name, None)) is not None:
@@ -104,7 +104,7 @@ class _Reader:
                 self._now_ns = max(0, at_us - self._first_us) * 1000
             try:
                 sample = self._makers[message.get_type()](message, self._now_ns)
-            except (AttributeError, TypeError, ValueError):  # a field is missing, text, or no value that a sensor gives
+            except (AttributeError, TypeError, ValueError):  # a field is missing, is text, or has a value that no sensor gives
                 continue
             if sample is not None:
                 out.append(sample)

@@ -1,4 +1,4 @@
-"""IMU, attitude, velocity, range and baro of a PX4 log (ULog), through pyulog.
+"""Read IMU, attitude, velocity, range and baro samples of a PX4 log (ULog), through pyulog.
 
 Source: the topics' definitions in PX4 v1.7 to v1.16: SI, FRD body, NED world, Hamilton quaternion from body to world.
 """
@@ -24,11 +24,11 @@ _TOPICS = (
     "vehicle_land_detected",
 )  # fmt: skip
 _SIGMA_V_M_S = 0.3
-"""Where the log does not say how well the velocity is known."""
+"""The standard deviation of the velocity that is assumed if the log gives none."""
 
 
 def read(path: Path) -> list[Sample]:
-    """All samples in order; what is not finite is left out.
+    """Return all samples in order; values that are not finite are left out.
 
     Raises:
         BadInput: the file cannot be read, is no ULog, or holds neither IMU nor attitude.
@@ -39,7 +39,7 @@ def read(path: Path) -> list[Sample]:
             log = ULog(_Bounded(file, size), message_name_filter_list=list(_TOPICS))
     except OSError as why:
         raise BadInput(f"{path}: {why.strerror or why}") from why
-    except Exception as why:  # pyulog raises whatever its parser stumbled on
+    except Exception as why:  # pyulog lets any error of its parser through
         raise BadInput(f"{path}: not a readable PX4 log: {why}") from why
     topics = {data.name: data.data for data in reversed(log.data_list)}
     if not topics.keys() & {"sensor_combined", "vehicle_attitude"}:
@@ -51,7 +51,7 @@ def read(path: Path) -> list[Sample]:
 
 
 class _Bounded:
-    """A file that pyulog cannot read for ever: after damage it goes back, and at some damage again and again."""
+    """A file whose reading is bounded: pyulog seeks back after damage, and repeats that forever after some damage."""
 
     def __init__(self, file: BinaryIO, size: int) -> None:
         self._file = file
@@ -104,7 +104,7 @@ def _attitude(data: dict[str, Any], i: int, at: int) -> Sample | None:
 
 
 def _yaw(data: dict[str, Any] | None) -> Callable[[int], float | None]:
-    """Heading at a timestamp in microseconds, of the newest attitude."""
+    """Return a function that gives the heading of the newest attitude at a timestamp in microseconds."""
     if data is None or not len(data["timestamp"]):
         return lambda at_us: None
     at = np.asarray(data["timestamp"], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Frames of a video file, at its own time stamps."""
+"""Read the frames of a video file, at its own time stamps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from estimator.contracts.samples import Frame
 
 
 def frames(path: Path, size: tuple[int, int] | None = None) -> Iterator[Frame]:
-    """Every frame in order, the first at 0; a file that breaks off ends there.
+    """Yield every frame in order, the first at 0; a truncated file ends where it breaks off.
 
     Args:
         size: width and height that are expected; frames that are far larger are refused before they are decoded.
