@@ -1,4 +1,4 @@
-"""An autopilot as vehicle: links open, the autopilot found, streams asked for, samples out, commands in."""
+"""An autopilot as vehicle: open the links, find the autopilot, request its streams, return samples, send commands."""
 
 from __future__ import annotations
 
@@ -36,29 +36,29 @@ _KNOCK_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class AutopilotOptions:
-    """Everything about an autopilot link that a person may choose.
+    """The options of an autopilot link.
 
     Raises:
-        ValueError: a number out of range.
+        ValueError: a number is out of range.
     """
 
     links: tuple[LinkOptions, ...]
     system: int | None = None
-    """System id of the autopilot; None takes the first that flies."""
+    """System id of the autopilot; None takes the first system that flies."""
     vessel_system: int | None = None
-    """System id of the ship's own reports; None for no ship that reports."""
+    """System id of the ship's own reports; None if no ship reports."""
     operators: tuple[Named, ...] = ()
-    """Systems that may command us from elsewhere than the autopilot's own link."""
+    """Systems that may command this program from elsewhere than the autopilot's own link."""
     component: int = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
     """Our own component id; our system id is the autopilot's."""
     silence_s: float = 3.0
-    """An autopilot not heard for this long is lost; when it comes back everything is asked for again."""
+    """An autopilot that sends nothing for this long is lost; when it comes back everything is requested again."""
     period_s: float = 0.04
-    """Of commands and requests."""
+    """The period of commands and requests."""
     parameters: tuple[str, ...] = ()
-    """Read on each connect."""
+    """Names of the parameters that are read on each connect."""
     ranges: bool = True
-    """Take the autopilot's DISTANCE_SENSOR; off where we are its source."""
+    """Whether the autopilot's DISTANCE_SENSOR is used; off if this program is its source."""
     sample_line: int = 4096
     samples: SampleOptions = field(default_factory=SampleOptions)
     sync: TimeSyncOptions = field(default_factory=TimeSyncOptions)
@@ -76,7 +76,7 @@ class AutopilotOptions:
 
 @dataclass(slots=True)
 class _Known:
-    """What belongs to the autopilot once it is found."""
+    """The state that belongs to the autopilot once it is found."""
 
     identity: Identity
     sync: TimeSync
@@ -86,13 +86,13 @@ class _Known:
     parameters: Parameters
     streamer: SetpointStreamer
     source: Source
-    """The link and the peer that it is heard on; from elsewhere nobody is believed to be it."""
+    """The link and the peer that its messages come from; a message with its ids from elsewhere is not accepted as its own."""
     received_at: MonoNs
     lost: bool = False
 
 
 class Autopilot:
-    """What a person can do with an open link: read `samples`, give a `command`, `listen`, `send`. See `open_autopilot`."""
+    """An open link to an autopilot: read `samples`, give a `command`, add a listener, `send` messages. See `open_autopilot`."""
 
     def __init__(self, options: AutopilotOptions, links: Links, clock: Clock) -> None:
         self._o = options
@@ -108,28 +108,28 @@ class Autopilot:
         """An autopilot has no frames; a camera driver offers them here."""
         self.samples: Line[Sample] = Line(options.sample_line)
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=100)
-        """The newest STATUSTEXTs of the autopilot: when, severity, text."""
+        """The newest STATUSTEXTs of the autopilot, each as (received_at, severity, text)."""
         self.events: deque[int] = deque(maxlen=100)
-        """Numbers of the newest EVENTs: PX4 says so what ArduPilot says in texts."""
+        """The numbers of the newest EVENTs, by which PX4 reports what ArduPilot reports in texts."""
         self.counts: Counter[str] = Counter()
-        """Messages of the autopilot, by name."""
+        """The number of messages of the autopilot, by name."""
         self.connects = 0
         self.carried: Callable[[MonoNs], F64] = lambda now: np.zeros(3)
-        """(3,) m/s in ned, of what the commanded velocities are against: a deck under way. Still ground unless it is set."""
+        """Returns the velocity that commanded velocities are relative to, a moving deck's: (3,) m/s in ned; 0 by default."""
 
     @property
     def identity(self) -> Identity | None:
-        """Who the autopilot is, None until one was heard."""
+        """The identity of the autopilot, None until one was found."""
         return None if self._known is None else self._known.identity
 
     @property
     def connected(self) -> bool:
-        """Whether it was heard lately."""
+        """Whether the autopilot sent a message lately."""
         return self._known is not None and not self._known.lost
 
     @property
     def condition(self) -> Condition:
-        """What it says it does."""
+        """The condition that the autopilot reports."""
         return Condition() if self._known is None else self._known.sampler.condition
 
     @property
@@ -143,7 +143,7 @@ class Autopilot:
 
     @property
     def refused(self) -> int:
-        """Messages of the autopilot whose values no sensor can have measured."""
+        """The number of messages of the autopilot whose values no sensor can have measured."""
         return 0 if self._known is None else self._known.sampler.refused.total()
 
     @property
@@ -163,10 +163,10 @@ class Autopilot:
         return None if self._known is None else self._known.streamer
 
     def command(self, command: Command) -> None:
-        """Take the newest command; it is flown as `Helm` says.
+        """Take the newest command; it is flown as `SetpointStreamer` says.
 
         Raises:
-            Recoverable: the link was closed, or no autopilot is heard.
+            Recoverable: the link was closed, or no autopilot is connected.
         """
         if not self._open:
             raise Recoverable("the link to the autopilot is closed")
@@ -180,10 +180,10 @@ class Autopilot:
         self._known.streamer.take(command, now, way_level)
 
     def release(self) -> None:
-        """Do nothing: on closing, the autopilot is commanded to hold, and then holds by itself."""
+        """Do nothing, because closing commands the autopilot to hold, and it then holds by itself."""
 
     def engage(self) -> None:
-        """The operator starts: a vehicle that a person took from us may be taken back."""
+        """Allow a vehicle that a person took over to be taken back, because the operator starts."""
         if self._known is not None:
             self._known.streamer.engage()
 
@@ -192,12 +192,12 @@ class Autopilot:
         return self._known is not None and self.links.send(message, self._known.source)
 
     def take_ranges(self, take: bool) -> None:
-        """Whether its DISTANCE_SENSOR is a measurement; it is none where the autopilot only echoes what we sent it."""
+        """Set whether its DISTANCE_SENSOR is used; it is no measurement if the autopilot only echoes what this program sent."""
         if self._known is not None:
             self._known.sampler.ranges = take and self._o.ranges
 
     def add_listener(self, listener: Callable[[ReceivedMessage], None]) -> None:
-        """Call this with every message of every link, ours excepted, before it becomes samples. It must be quick."""
+        """Call `listener` with every message of every link except our own, before it becomes samples. It must be quick."""
         self._listeners.append(listener)
 
     async def _read(self) -> None:
@@ -221,7 +221,7 @@ class Autopilot:
                 self._offer(known.sampler.vessel(message, received.received_at))
             return
         if received.source != known.source:
-            return  # the same message by another way, or somebody who uses its ids
+            return  # the same message by another path, or another sender that uses its ids
         known.received_at = received.received_at
         self.counts[name] += 1
         if name == "TIMESYNC":
@@ -248,7 +248,7 @@ class Autopilot:
             return False
         known = self._known
         if known is not None:
-            # Where it was heard last it is believed; elsewhere once it has been silent there.
+            # The autopilot is accepted on the source of its last message, and elsewhere once that source has been silent.
             return (received.system, received.component) == known.identity.address and (
                 received.source == known.source or known.lost
             )
@@ -290,7 +290,7 @@ class Autopilot:
             if known is not None:
                 self._period(known, now)
             elif self._knocked is None or seconds_between(self._knocked, now) >= _KNOCK_S:
-                # Who listens for us cannot know of us before we have sent something.
+                # A listening peer does not know this program's address before it has received something.
                 self._knocked = now
                 self.links.send(TimeSyncV2(0, now))
 
@@ -331,8 +331,8 @@ class Autopilot:
 async def open_autopilot(options: AutopilotOptions, clock: Clock) -> AsyncIterator[Autopilot]:
     """Open the links and keep them open; it does not wait for the autopilot (see `Autopilot.connected`).
 
-    On leaving, however that comes about, the vehicle is told to hold, or to go on with a commanded landing. Until the autopilot
-    is heard we speak as system 1.
+    Leaving the block for any reason commands the vehicle to hold, or to continue a commanded landing. Until the autopilot is
+    found, messages are sent as system 1.
     """
     identity = (options.system or 1, options.component)
     reporters = frozenset(() if options.vessel_system is None else (options.vessel_system,))

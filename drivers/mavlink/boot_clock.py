@@ -1,4 +1,4 @@
-"""The autopilot's time since boot on our clock: by TIMESYNC once that is locked, by the least delay heard until then."""
+"""Map the autopilot's time since boot to our clock: by TIMESYNC once that is locked, by the least delay measured until then."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ BootNs = NewType("BootNs", int)
 
 MS_WRAP_NS = 2**32 * 1_000_000
 _LATE_MAX_S = 2.0
-"""A message that TIMESYNC says is older was not stamped by the clock that TIMESYNC tells of."""
+"""A message that is older than this by TIMESYNC was not stamped by the clock that TIMESYNC measures."""
 
 
 def boot_ms(time_boot_ms: int) -> BootNs:
-    """A 32-bit millisecond stamp; milliseconds are cut off, so the middle of the one that was meant."""
+    """Convert a 32-bit millisecond stamp; its fraction was cut off, so the result is the middle of the millisecond."""
     return BootNs(time_boot_ms * 1_000_000 + 500_000)
 
 
 def boot_us(time_usec: int) -> BootNs:
-    """A 64-bit microsecond stamp."""
+    """Convert a 64-bit microsecond stamp."""
     return BootNs(time_usec * 1_000)
 
 
 class BootClock:
-    """Stamps messages. Feed it every stamped message in the order heard."""
+    """Stamps messages. It must be given every stamped message in the order received."""
 
     def __init__(self, sync: TimeSync) -> None:
         self._sync = sync
@@ -38,7 +38,7 @@ class BootClock:
         """Times the autopilot was seen to have booted."""
 
     def stamp(self, boot: BootNs, received_at: MonoNs) -> Stamp:
-        """When `boot` was on our clock; never later than `heard`."""
+        """Return the instant of `boot` on our clock; it is never later than `received_at`."""
         if self._newest is not None and boot < self._newest - NS_PER_S and self._newest - boot < MS_WRAP_NS // 2:
             self.restarts += 1
             self._newest = None

@@ -35,20 +35,20 @@ class Unfit(ValueError):
 
 @dataclass(slots=True)
 class CodecCounters:
-    """What became of the bytes of one stream."""
+    """The counters of one stream."""
 
     messages: int = 0
-    """Decoded."""
+    """Messages that were decoded."""
     old_version: int = 0
-    """Of these, MAVLink 1."""
+    """Decoded messages of MAVLink 1."""
     lost: int = 0
-    """Sequence numbers that never came."""
+    """Sequence numbers that never arrived."""
     unknown: int = 0
     """Well-formed messages of a number the dialect does not have."""
     damaged: int = 0
     """Times the search for a frame had to go on with the next byte."""
     refused_signature: int = 0
-    """Unsigned, wrongly signed or out of date where a key is set."""
+    """Messages that were unsigned, wrongly signed or out of date although a key is set."""
     packed: Counter[str] = field(default_factory=Counter)
     """Messages sent, by name."""
 
@@ -67,7 +67,7 @@ class Codec:
         self._buffer = bytearray()
         self._sequences: dict[tuple[int, int], int] = {}
         self._spoken: dict[int, int] = {}
-        """Next sequence number of each component we speak as."""
+        """The next sequence number of each component that messages are sent as."""
         self.counters = CodecCounters()
         if signing is not None:
             self._mav.signing.secret_key = signing.key.secret
@@ -77,19 +77,19 @@ class Codec:
             self._mav.signing.timestamp = signing.times.next()
 
     def restart(self) -> None:
-        """The stream was interrupted: what is half heard will not be completed, and the sequences begin anew."""
+        """Discard a partly received message and restart the sequences, because the stream was interrupted."""
         self._buffer.clear()
         self._sequences.clear()
 
     def identify(self, system: int, component: int) -> None:
-        """Speak as another system and component from now on."""
+        """Send as another system and component from now on."""
         self._mav.srcSystem, self._mav.srcComponent = system, component
 
     def pack(self, message: Message, component: int | None = None) -> bytes:
-        """The message as MAVLink 2 bytes with its sender's next sequence number; signed where a key is set.
+        """Return the message as MAVLink 2 bytes with its sender's next sequence number; signed if a key is set.
 
         Args:
-            component: speak as this component of our system; None for the usual one. Each counts its own sequence.
+            component: send as this component of our system; None for the usual one. Each counts its own sequence.
 
         Raises:
             Unfit: a field does not fit its type on the wire.
@@ -110,7 +110,7 @@ class Codec:
         return data
 
     def feed(self, data: bytes) -> list[Message]:
-        """The messages that are complete now, in order."""
+        """Take the next bytes and return the messages that are complete now, in order."""
         self._buffer += data
         out: list[Message] = []
         start = 0
@@ -137,7 +137,7 @@ class Codec:
         return out
 
     def _decode(self, frame: bytearray, ends_well: bool) -> tuple[bool, Message | None]:
-        """Whether the frame was one, and what it held."""
+        """Return whether the bytes were a frame, and the message that it held."""
         if frame[0] == _V2 and frame[2] & ~_SIGNED:
             self.counters.damaged += 1
             return False, None
@@ -161,7 +161,7 @@ class Codec:
             self.counters.damaged += 1
             return False, None
         if message.get_type().startswith("UNKNOWN_"):
-            # Its checksum cannot be verified: believed only where another frame, or nothing, follows.
+            # Its checksum cannot be verified, so it is accepted only if another frame, or nothing, follows.
             if not ends_well:
                 self.counters.damaged += 1
                 return False, None
@@ -202,7 +202,7 @@ def _next_marker(buffer: bytearray, start: int) -> int:
 
 
 def _frame_length(buffer: bytearray, start: int) -> int | None:
-    """Bytes of the frame that begins at `start`, as its header says; None while the header is not complete."""
+    """Return the header's length of the frame at `start`, bytes; None while the header is not complete."""
     if len(buffer) - start < 3:
         return None
     if buffer[start] == _V1:

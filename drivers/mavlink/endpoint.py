@@ -1,4 +1,4 @@
-"""Where a MAVLink link goes, as people write it.
+"""Parse the address of a MAVLink link from its URL.
 
 udpin://0.0.0.0:14550            listen; whoever sends is a peer and is answered
 udpout://192.168.1.10:14550      send there from a port of our own
@@ -29,9 +29,9 @@ class Endpoint:
 
     scheme: Scheme
     host: str
-    """Of a serial port: its device file."""
+    """The host, or the device file of a serial port."""
     port: int
-    """Of a serial port: its speed, bit/s."""
+    """The port, or the speed of a serial port, bit/s."""
 
     @property
     def is_private(self) -> bool:
@@ -44,10 +44,10 @@ class Endpoint:
 
 
 def parse_endpoint(url: str) -> Endpoint:
-    """The endpoint that a URL means.
+    """Return the endpoint that a URL means.
 
     Raises:
-        BadInput: it is none; the text says what is wrong and how one is written.
+        BadInput: it is not an endpoint; the text says what is wrong and how one is written.
     """
     scheme, separator, rest = url.strip().partition("://")
     known: tuple[Scheme, ...] = get_args(Scheme)

@@ -1,7 +1,7 @@
-"""Several MAVLink links at once: what any of them hears comes out in one line, what is said goes to all, to one, or to one peer.
+"""Several MAVLink links at once: received messages share one queue; a message is sent to all links, to one, or to one peer.
 
-Each link is kept open alone, with back-off; each peer of a link has its own codec, hence its own sequence numbers. Who is a
-peer and who a stranger is decided in `access`: strangers share one codec, and nothing is sent to them.
+Each link is kept open alone, with back-off; each peer of a link has its own codec, hence its own sequence numbers. `access`
+decides which senders are peers: unknown senders share one codec, and nothing is sent to them.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ class LinkOptions:
     endpoint: Endpoint
     signing: Signing | None = None
     peers_max: int = 16
-    """Of a socket that listens; the one silent for longest goes first."""
+    """The most peers of a listening socket; the peer that was silent for longest is dropped first."""
     peer_timeout_s: float = 30.0
-    """A peer silent for this long is no longer spoken to."""
+    """Nothing more is sent to a peer that was silent for this long."""
     restart_first_s: float = 0.2
     restart_most_s: float = 5.0
     """Back-off of a link that broke: doubled from the first to the most."""
@@ -55,12 +55,12 @@ class LinkOptions:
 
 @dataclass(slots=True)
 class LinkCounters:
-    """What became of everything that crossed one link, over all its peers and reconnections."""
+    """The counters of one link, over all its peers and reconnections."""
 
     bytes_in: int = 0
     bytes_out: int = 0
     dropped: int = 0
-    """Messages not sent because the way was full or closed, or nobody is spoken to."""
+    """Messages not sent because the wire was full or closed, or the link had no peer."""
     strangers: int = 0
     """Messages of senders that were not asked for."""
     restarts: int = 0
@@ -143,7 +143,7 @@ class Link:
 
     @property
     def peers(self) -> int:
-        """How many are spoken to."""
+        """The number of peers that messages are sent to."""
         return len(self._peers)
 
     def send(self, message: Message, component: int | None = None, only: Source | None = None) -> bool:
@@ -167,7 +167,7 @@ class Link:
         return went
 
     def admit(self, address: Address | None, received_at: MonoNs) -> None:
-        """Speak to this peer from now on."""
+        """Send to this peer from now on."""
         if address in self._peers:
             return
         self._forget_silent()
@@ -178,7 +178,7 @@ class Link:
         self._peers[address] = _Peer(self._codec(), received_at)
 
     def dismiss(self, address: Address | None) -> None:
-        """Speak to this peer no more, unless we were told to connect to it."""
+        """Send nothing more to this peer, unless the link's own address names it."""
         if not self._asked_for:
             self._peers.pop(address, None)
 
@@ -248,7 +248,7 @@ class Link:
         if standing is Standing.STRANGER:
             self.counters.strangers += 1
             access.refuse_stranger(ids, address, received_at)
-            # A flood of strangers may fill half of the line, never push out what was asked for.
+            # A flood from unknown senders may fill half of the queue, and never pushes out messages of known ones.
             if message.get_type() == "HEARTBEAT" and 2 * len(line) < line.capacity:
                 line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, standing))
             return
@@ -319,7 +319,7 @@ class Links:
         self.unfit[why.field] += 1
 
     def identify(self, system: int, component: int) -> None:
-        """Speak as another system and component from now on."""
+        """Send as another system and component from now on."""
         self.identity = (system, component)
         for link in self.all:
             link.identify(system, component)
@@ -330,7 +330,7 @@ class Links:
         It never blocks, and no value in the message makes it raise.
 
         Args:
-            component: speak as this component of our system instead of the usual one.
+            component: send as this component of our system instead of the usual one.
         """
         if isinstance(to, tuple):
             return self.all[to[0]].send(message, component, to)

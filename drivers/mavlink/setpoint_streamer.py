@@ -1,13 +1,13 @@
-"""What to send to an autopilot in each period, from the newest command and what it says of itself. No I/O.
+"""Choose what an autopilot is sent in each period, from the newest command and the state that it reports. No I/O.
 
 It steers only after it was asked to fly: the first velocity takes the vehicle into its velocity mode (ArduPilot GUIDED, PX4
 OFFBOARD, whose setpoints must stream for a while first). From then on every period carries a setpoint. A person who chooses
-another mode has the vehicle, and is not argued with: nothing is sent until the mode is chosen again, the
-operator starts anew, or the vehicle has landed.
-Nothing that guidance asked for is flown for long without its being asked for again. A velocity or a landing that is not
-renewed becomes a hold at the deck's own velocity, then one over the ground, then the autopilot's hold mode, and our stream ends.
-A landing by velocity is bounded by time and by height as well, renewed or not. A person's needs no renewing and may begin at any
-height; when its time is used up our stream ends all the same, and the autopilot's own landing mode goes on with it.
+another mode takes the vehicle over: nothing is sent until the mode is chosen again, the operator starts again, or the vehicle
+has landed.
+A command of guidance is flown only for a short time unless guidance renews it. A velocity or a landing that is not renewed
+becomes a hold at the deck's own velocity, then one over the ground, then the autopilot's hold mode, and our stream ends.
+A landing by velocity is bounded by time and by height as well, renewed or not. A landing that a person ordered needs no renewal
+and may begin at any height; when its time is used up our stream ends too, and the autopilot's own landing mode continues it.
 When the process itself falls silent the autopilot's own failsafe acts: ArduPilot flies on for 3 s and brakes, PX4 brakes after
 1 s. A landing by the autopilot's own mode (ArduPilot LAND) goes on then, by its own rules for a lost target (PLND_STRICT).
 """
@@ -31,41 +31,41 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 STILL = Velocity(np.zeros(3), 0.0)
 _CARRY_S = 1.0
-"""Over which the velocity that a landing is carried on with is averaged."""
+"""The time over which the velocity that a landing continues with is averaged."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamerOptions:
-    """How commands are flown.
+    """The options for flying commands.
 
     Raises:
-        ValueError: a number out of range.
+        ValueError: a number is out of range.
     """
 
     command_timeout_s: float = 0.25
-    """A velocity older than this is flown as standing still."""
+    """A velocity older than this is replaced by a hold."""
     attitude_timeout_s: float = 0.5
     """Without a heading younger than this no setpoint is sent."""
     prestream_s: float = 2.0
     """Setpoints stream this long before PX4 is asked for OFFBOARD; it refuses before about 1.5 s."""
     repeat_s: float = 1.0
-    """A mode, arming or take-off that did not come about is asked for again."""
+    """A mode, arming or take-off that did not happen is requested again after this."""
     tries: int = 5
-    """And then given up."""
+    """The number of requests after which it is given up."""
     take_off_height_m: float = 3.0
     take_off_timeout_s: float = 15.0
     landing: Literal["by stack", "mode", "velocity"] = "by stack"
-    """Land by the autopilot's own mode (with LANDING_TARGET on ArduPilot), or sink with the mean of the last horizontal
-    velocities, which is the deck's: PX4's own modes hold still over the ground and lose a moving one."""
+    """Land by the autopilot's own mode (with LANDING_TARGET on ArduPilot), or descend with the mean of the last horizontal
+    velocities, which is the deck's: PX4's own modes hold still over the ground and lose a moving deck."""
     descent_rate_m_s: float = 0.4
-    """Of a landing by velocity."""
+    """The descent rate of a landing by velocity."""
     landing_timeout_s: float = 0.5
-    """A landing that guidance has not asked for again for this long is called off."""
+    """A landing that guidance has not renewed for this long is called off."""
     landing_most_s: float = 15.0
-    """A landing by velocity that has not ended after this is over, asked for or not; a person's is the autopilot's own then."""
+    """A landing by velocity ends after this, renewed or not; the autopilot then continues one that a person ordered."""
     landing_depth_m: float = 3.0
-    """A landing by velocity that has come down this far since it began is over too: there is no deck. Not so a person's, which
-    may begin at any height."""
+    """A landing by velocity also ends after descending this far, as there is no deck. This does not bound a landing that a person
+    ordered, which may begin at any height."""
     carry_s: float = 3.0
     """Time after the last velocity in which a hold moves with the deck; later it holds over the ground."""
     hold_mode_after_s: float = 6.0
@@ -79,12 +79,12 @@ class StreamerOptions:
 
 
 class Hand(Enum):
-    """Who has the vehicle."""
+    """The party that controls the vehicle, and how far a change of control has come."""
 
     IDLE = "idle"
-    """We have not been asked to fly it."""
+    """This program has not been asked to fly the vehicle."""
     TAKING = "taking"
-    """We asked for the velocity mode."""
+    """This program has requested the velocity mode."""
     OURS = "ours"
     LANDING = "landing"
     HOLDING = "holding"
@@ -102,9 +102,9 @@ class SetpointStreamer:
         self._motion: Velocity = STILL
         self._motion_at: MonoNs | None = None
         self._carried = np.zeros(3)
-        """(3,) m/s, mean of the velocities asked for lately: what follows the deck, without the corrections."""
+        """The mean of the velocities commanded lately, (3,) m/s: it follows the deck without the corrections."""
         self._way = np.zeros(3)
-        """(3,) m/s in level: what lies below, as it was under the last velocity asked for."""
+        """The velocity of the surface below at the last commanded velocity, (3,) m/s in the level frame."""
         self._steered_at: MonoNs | None = None
         self._streaming_since: MonoNs | None = None
         self._take_off_at: MonoNs | None = None
@@ -117,18 +117,18 @@ class SetpointStreamer:
         self._down_m: float | None = None
         self._land_from_m: float | None = None
         self._paused = False
-        """It is not asked for just now; asked for again, it goes on."""
+        """Whether the landing is paused because it is not renewed; it continues when it is renewed."""
         self._spent = False
-        """The landing under way has used up its time or its height."""
+        """Whether the landing under way has used up its time or its height."""
         self._condition = Condition()
         self._attitude: Attitude | None = None
         self.hand = Hand.IDLE
         self.blind_periods = 0
-        """Periods without a setpoint for want of a fresh heading."""
+        """The number of periods without a setpoint because no recent heading was known."""
         self.stale_periods = 0
-        """Periods in which a velocity was too old to be flown."""
+        """The number of periods in which a velocity was too old to be flown."""
         self.landings_called_off = 0
-        """Landings that ended without the ground: not asked for again, or their time or height used up."""
+        """The number of landings that ended in the air: not renewed, or with their time or height used up."""
 
     @property
     def _mode(self) -> str | None:
@@ -140,10 +140,10 @@ class SetpointStreamer:
         return chosen == "velocity" or (chosen == "by stack" and self._id.stack is Stack.PX4)
 
     def take(self, command: Command, now: MonoNs, way_level: F64 | None = None) -> None:
-        """The newest command.
+        """Take the newest command.
 
         Args:
-            way_level: (3,) m/s, the velocity of what lies below, which a velocity command already holds; None for still ground.
+            way_level: (3,) m/s, velocity of the surface below, which a velocity command already includes; None for still ground.
         """
         if isinstance(command, TakeOff):
             self._take_off_at, self._asked, self._asks = now, None, 0
@@ -174,17 +174,17 @@ class SetpointStreamer:
                 self._ask_anew(Hand.TAKING)
 
     def _call_off(self) -> None:
-        """The velocity mode holds it where it is."""
+        """End the landing; the velocity mode then holds the vehicle in place."""
         self.landings_called_off += 1
         self._ask_anew(Hand.TAKING)
 
     def engage(self) -> None:
-        """The operator starts again: what a person took from us may be taken back."""
+        """Allow a vehicle that a person took over to be taken back, because the operator starts again."""
         if self.hand is Hand.RELEASED:
             self._ask_anew(Hand.IDLE)
 
     def on_condition(self, condition: Condition) -> None:
-        """What the autopilot says it does."""
+        """Take the condition that the autopilot reports."""
         self._condition = condition
         in_mode = condition.mode == self._mode
         held_modes = (self._mode, HOLD_MODE.get(self._id.stack))
@@ -204,14 +204,14 @@ class SetpointStreamer:
             self.hand = Hand.RELEASED
 
     def on_position(self, down_m: float) -> None:
-        """Take how far below its origin the autopilot holds itself to be, metres."""
+        """Take the autopilot's position below its own origin, metres."""
         self._down_m = down_m
 
     def on_attitude(self, attitude: Attitude) -> None:
         self._attitude = attitude
 
     def period(self, now: MonoNs) -> list[Message]:
-        """The messages of this period; at 10 Hz and more."""
+        """Return the messages of this period; call it at 10 Hz or more."""
         out: list[Message] = []
         if self._take_off_at is not None:
             out += self._take_off(now)
@@ -226,7 +226,7 @@ class SetpointStreamer:
         return out
 
     def leave(self, now: MonoNs) -> list[Message]:
-        """The last word: hold where it is. A landing that nobody renews any more is called off; a person's goes on."""
+        """Return the final messages, a hold in place. A landing of guidance is called off; one that a person ordered goes on."""
         if self.hand is Hand.LANDING and self._land.standing:
             sinking = self._descending
             return [set_mode(self._id.stack, self._id.address, LAND_MODE[self._id.stack])] if sinking else []
@@ -241,7 +241,7 @@ class SetpointStreamer:
         self.hand, self._asked, self._asks = hand, None, 0
 
     def _may_ask(self, now: MonoNs) -> bool:
-        """Whether to (re)ask; counts."""
+        """Return whether a request may be sent or repeated now, and count it."""
         if self._asks >= self._o.tries or (self._asked is not None and seconds_between(self._asked, now) < self._o.repeat_s):
             return False
         self._asked, self._asks = now, self._asks + 1
@@ -268,13 +268,13 @@ class SetpointStreamer:
         return out
 
     def _held(self, now: MonoNs) -> Velocity:
-        """Stand still over what lies below, as long as it is known; then over the ground."""
+        """Return the velocity that holds over the surface below while its velocity is known, later over the ground."""
         if self._steered_at is None or seconds_between(self._steered_at, now) > self._o.carry_s:
             return STILL
         return Velocity(self._way * (1.0, 1.0, 0.0), 0.0)
 
     def _descend(self, now: MonoNs) -> list[Message]:
-        """A landing under way: go on with it while it is asked for and within its bounds, else hold."""
+        """Continue a landing while it is renewed and within its bounds, else hold."""
         if not self._wanted(now):
             if not self._descending:
                 self._call_off()
@@ -301,7 +301,7 @@ class SetpointStreamer:
         return [set_mode(self._id.stack, self._id.address, mode)]
 
     def _wanted(self, now: MonoNs) -> bool:
-        """Return whether the landing is to go on, by velocity or by mode."""
+        """Return whether the landing continues, by velocity or by mode."""
         if self._land.standing:
             return True
         if self._spent or seconds_between(self._land_at, now) > self._o.landing_timeout_s:
@@ -313,7 +313,7 @@ class SetpointStreamer:
         return not self._spent
 
     def _hold(self, now: MonoNs) -> list[Message]:
-        """Ask for the autopilot's own hold mode, standing still until it has come about, and then say nothing."""
+        """Request the autopilot's own hold mode, hold until it is active, and then send nothing."""
         name = HOLD_MODE.get(self._id.stack)
         if name is None or self._condition.mode == name or self._asks >= self._o.tries:
             return []

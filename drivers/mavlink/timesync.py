@@ -29,7 +29,7 @@ class TimeSyncOptions:
 
     period_s: float = 1.0
     first_period_s: float = 0.1
-    """Until locked."""
+    """The period of requests until the offset is locked."""
     window_s: float = 10.0
     """How long a round trip counts."""
     round_trip_max_s: float = 0.25
@@ -60,11 +60,11 @@ class TimeSync:
         self._next = MonoNs(0)
         self._odd = 0
         self.answers = 0
-        """Believed."""
+        """The number of accepted answers."""
         self.refused = 0
         """Answers too slow, impossible, or not asked for."""
         self.jumps = 0
-        """Times the remote clock was set anew."""
+        """The number of times that the remote clock was reset."""
         self.jitter_s = 0.0
         """Running deviation of the round trip."""
 
@@ -75,11 +75,11 @@ class TimeSync:
 
     @property
     def round_trip_s(self) -> float | None:
-        """The shortest of the window."""
+        """The shortest round trip of the window."""
         return min(a.round_trip_ns for a in self._answers) / NS_PER_S if self._answers else None
 
     def offset_ns(self, now: MonoNs) -> tuple[int, float] | None:
-        """(remote less ours in ns, one sigma of it in s), None until locked.
+        """Return the offset (remote minus ours, ns) and its standard deviation (s), None until locked.
 
         The true offset is uniform within half the round trip at worst; drift since then is added.
         """

@@ -16,7 +16,7 @@ from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
 
 Received = Callable[[bytes, MonoNs, Address | None], None]
-"""Bytes, when they were heard, and on a socket that listens: from whom."""
+"""A function that takes received bytes, the instant of their arrival and, on a listening socket, the sender's address."""
 
 _WAITING_MAX = 16_384
 """Bytes waiting to be sent beyond which a message is dropped instead; 0.2 s at 921600 bit/s."""
