@@ -1,4 +1,4 @@
-"""What a run found: each fault once, with the shortest input that shows it."""
+"""Record the faults that a run found, each once, with the shortest input that shows it."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ _LONGEST = 20_000
 
 
 def innermost(why: BaseException) -> BaseException:
-    """The first error that is no group."""
+    """Return the first error that is not a group."""
     while isinstance(why, BaseExceptionGroup):
         why = why.exceptions[0]
     return why
 
 
 def signature(why: BaseException, root: Path) -> str:
-    """The error's kind and the innermost line of ours that it came through: what makes two crashes the same."""
+    """Return the error's kind and the innermost line of ours in its traceback; equal ones count as the same crash."""
     inner = innermost(why)
     ours = [frame for frame in traceback.extract_tb(inner.__traceback__) if Path(frame.filename).is_relative_to(root)]
     ours = [frame for frame in ours if ".venv" not in frame.filename] or ours
@@ -41,7 +41,7 @@ class Finds:
     lengths: dict[str, int] = field(default_factory=dict)
 
     def note(self, data: bytes, why: BaseException) -> None:
-        """One input that broke the contract."""
+        """Record one input that broke the contract."""
         said = signature(why, self.root)
         if len(data) >= self.lengths.get(said, len(data) + 1):
             return

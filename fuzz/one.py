@@ -1,4 +1,4 @@
-"""One target under atheris, as a process of its own: `python -m fuzz.one NAME ...`, started by `python -m fuzz`.
+"""Run one target under atheris, in its own process: `python -m fuzz.one NAME ...`, started by `python -m fuzz`.
 
 Errors that break the contract, twice for the same input, are written down and the run goes on, so that the first fault does not
 hide the rest. A crash in native code, a hang or too much memory end the process; libFuzzer leaves the input beside the others.
@@ -26,7 +26,7 @@ _MEMORY_MB = 2500
 
 
 def main() -> None:
-    """Never returns: libFuzzer ends the process."""
+    """Run the target. This never returns: libFuzzer ends the process."""
     parser = argparse.ArgumentParser()
     parser.add_argument("name", choices=sorted(target.MODULES))
     parser.add_argument("--until", type=float, required=True, help="instant of CLOCK_MONOTONIC, s")

@@ -1,4 +1,4 @@
-"""Writes the seeds of every target into `fuzz/corpus`: `python -m fuzz.seeds`. What else is kept there stays."""
+"""Write the seeds of every target into `fuzz/corpus`: `python -m fuzz.seeds`. Other files there are kept."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from fuzz.target import CORPUS, MODULES, target
 
 
 def main() -> None:
-    """Named by content, so that a seed that changed shows as one gone and one new."""
+    """Write the seeds. Files are named by content, so a changed seed shows as one removed and one added."""
     for name in MODULES:
         folder = CORPUS / name
         folder.mkdir(parents=True, exist_ok=True)

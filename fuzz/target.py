@@ -1,4 +1,4 @@
-"""What is fuzzed: the table of targets, and how a target reads the fuzzer's bytes.
+"""The table of fuzz targets, and the reader of the fuzzer's bytes.
 
 A target is a function of bytes that returns when the code under it kept its contract, and raises when it did not. It suppresses
 the errors that the contract names (a `BadInput` of a file, a `Recoverable` of a link) and nothing else. It keeps nothing between
@@ -46,7 +46,7 @@ MODULES = {
 SHARED_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """Where inputs that must be files are written, so that no disk is worn."""
 CORPUS = Path(__file__).parent / "corpus"
-"""Kept inputs, a folder a target: what the seeds make, and every input that once failed."""
+"""Kept inputs, one folder for each target: the seeds, and every input that once failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +62,10 @@ class Target:
 
 
 def target(name: str) -> Target:
-    """The target of this name.
+    """Return the target of this name.
 
     Raises:
-        KeyError: there is none.
+        KeyError: there is no such target.
     """
     found: Target = importlib.import_module(MODULES[name]).TARGETS[name]
     return found
@@ -79,46 +79,46 @@ class Choices:
         self._at = 0
 
     def __bool__(self) -> bool:
-        """Whether anything is left."""
+        """Return whether any bytes are left."""
         return self._at < len(self._data)
 
     def number(self, size: int) -> int:
-        """An unsigned number of `size` bytes, little endian."""
+        """Return an unsigned number of `size` bytes, little endian."""
         return int.from_bytes(self.take(size), "little")
 
     def signed(self, size: int) -> int:
-        """A signed number of `size` bytes, little endian."""
+        """Return a signed number of `size` bytes, little endian."""
         return int.from_bytes(self.take(size).ljust(size, b"\0"), "little", signed=True)
 
     def real(self) -> float:
-        """Any 64-bit float, infinities and NaN among them."""
+        """Return any 64-bit float, including infinities and NaN."""
         value: float = struct.unpack("<d", self.take(8).ljust(8, b"\0"))[0]
         return value
 
     def take(self, size: int) -> bytes:
-        """The next bytes, fewer at the end."""
+        """Return the next bytes, fewer at the end."""
         part = self._data[self._at : self._at + size]
         self._at += size
         return part
 
     def block(self) -> bytes:
-        """Bytes behind their own length, 16 bits."""
+        """Return bytes that follow their own length, 16 bits."""
         return self.take(self.number(2))
 
     def rest(self) -> bytes:
-        """Everything that is left."""
+        """Return all bytes that are left."""
         return self.take(max(0, len(self._data) - self._at))
 
 
 def block(data: bytes) -> bytes:
-    """What `Choices.block` reads back."""
+    """Return the bytes in the form that `Choices.block` reads."""
     return struct.pack("<H", len(data)) + data
 
 
 def refused(why: Exception) -> None:
-    """A refusal is one line: what and where.
+    """Check that a refusal is one line that says what is wrong and where.
 
     Raises:
-        AssertionError: it is not.
+        AssertionError: the refusal is not one such line.
     """
     assert "\n" not in str(why).strip(), f"a refusal of more than one line: {why}"

@@ -54,7 +54,7 @@ class Tally:
 
 
 def in_child(work: Callable[[], int], timeout_s: float) -> int | None:
-    """The exit code of `work` in a fork; None when it does not end in time."""
+    """Return the exit code of `work` in a fork; None if it does not end in time."""
     sys.stdout.flush()
     pid = os.fork()
     if pid == 0:
@@ -76,16 +76,16 @@ def in_child(work: Callable[[], int], timeout_s: float) -> int | None:
 
 
 def chosen(path: str, mutant: Mutant, share: float, seed: int) -> bool:
-    """Whether this one is in the sample; the same for the same seed, whatever else changes in the file."""
+    """Return whether a mutant is in the sample; it depends on the seed, not on other changes in the file."""
     digest = hashlib.sha256(f"{seed} {path} {mutant.change}".encode()).digest()
     return int.from_bytes(digest[:6], "big") < share * 2**48
 
 
 def judge(path: str, tests: Sequence[str], share: float, seed: int, *, root: Path = ROOT) -> Tally:
-    """Every mutant of one file, or a sample.
+    """Test every mutant of one file, or a sample.
 
     Raises:
-        SystemExit: the tests fail on the file as it is.
+        SystemExit: the tests fail on the original file.
     """
     file = root / path
     source = file.read_text()

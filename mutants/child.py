@@ -1,4 +1,4 @@
-"""Tests in a forked process: on the module as it is, noting which test meets which line, or on a mutant of it.
+"""Run tests in a forked process: on the original module, recording which test runs which line, or on a mutant of it.
 
 The parent has imported pytest and the libraries but nothing of ours, so a child starts in a tenth of a second and finds the
 module changed without a file being written. Nobody reads what a failing test says, so nothing is spent on it: asserts are not
@@ -43,7 +43,7 @@ class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 class _Lines:
-    """A plugin that notes the lines of one file that each test meets, and how long it takes."""
+    """A plugin that records the lines of one file that each test runs, and the test's duration."""
 
     def __init__(self, path: Path) -> None:
         self._path = str(path)
@@ -71,7 +71,7 @@ class _Lines:
 
 
 def baseline(path: Path, tests: Sequence[str], report: Path) -> int:
-    """Run the tests as things are and write what each meets; the exit code of pytest."""
+    """Run the tests on the original module and write the lines that each runs; return the exit code of pytest."""
     _no_shrinking()
     lines = _Lines(path)
     sys.settrace(lines.trace)
@@ -82,7 +82,7 @@ def baseline(path: Path, tests: Sequence[str], report: Path) -> int:
 
 
 def on_mutant(name: str, path: Path, source: str, tests: Sequence[str]) -> int:
-    """Run tests on the changed module up to the first that fails; 0 when none notices."""
+    """Run tests on the changed module up to the first failure; return 0 if none fails."""
     try:
         _no_shrinking()
         sys.meta_path.insert(0, _Changed(name, path, source))

@@ -1,4 +1,4 @@
-"""Looks the runtime's pins up among known weaknesses: `python -m supply.audit [--advisories FILE]`.
+"""Look up the runtime's pins among known weaknesses: `python -m supply.audit [--advisories FILE]`.
 
 With a file of advisories (the OSV database of PyPI: a zip, or a folder, of its JSON entries, which a CI without a network can
 keep) it is read; without one pip-audit asks PyPI. Ends with 1 when a pinned version has a known weakness. When PyPI cannot be
@@ -25,11 +25,11 @@ _NETWORK_S = 60
 
 
 def entries(source: Path) -> Iterator[Mapping[str, Any]]:
-    """Every advisory of a zip or folder of OSV entries.
+    """Yield every advisory of a zip or folder of OSV entries.
 
     Raises:
-        OSError: it cannot be read.
-        ValueError: an entry is no JSON, or the file no zip.
+        OSError: the source cannot be read.
+        ValueError: an entry is not JSON, or the file is not a zip.
     """
     if source.is_dir():
         texts: Iterable[bytes] = (path.read_bytes() for path in sorted(source.glob("**/*.json")))
@@ -45,7 +45,7 @@ def entries(source: Path) -> Iterator[Mapping[str, Any]]:
 
 
 def hits(advisories: Iterable[Mapping[str, Any]], wanted: Iterable[Pin]) -> list[str]:
-    """One line for each advisory that is about a pinned version."""
+    """Return one line for each advisory that affects a pinned version."""
     by_name = {normal(pin.name): pin for pin in wanted}
     found = []
     for advisory in advisories:

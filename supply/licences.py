@@ -1,4 +1,4 @@
-"""Lists the licences of everything that is shipped: `python -m supply.licences` prints docs/licences.md."""
+"""List the licences of everything that is shipped: `python -m supply.licences` prints docs/licences.md."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ alone; PyAV decodes the AR.Drone's video and network cameras.
 
 
 def page(shipped: Sequence[Package]) -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     rows = [f"| {p.pin.name} | {p.pin.version} | {p.licence} |" for p in shipped]
     return _HEAD + "\n".join(rows) + "\n" + _COPYLEFT + "\n".join(copyleft(shipped)) + "\n"
 
 
 def copyleft(shipped: Sequence[Package]) -> list[str]:
-    """Rows of distributions and carried libraries under the GPL or LGPL."""
+    """Return rows of distributions and carried libraries under the GPL or LGPL."""
     rows = [f"| {p.pin.name} | {p.licence} | a distribution of its own |" for p in shipped if "GPL" in (p.licence or "")]
     for p in shipped:
         by_licence: dict[str, list[str]] = {}
@@ -48,7 +48,7 @@ def copyleft(shipped: Sequence[Package]) -> list[str]:
 
 
 def unknown(shipped: Sequence[Package]) -> list[str]:
-    """Names of distributions without a known licence."""
+    """Return the names of distributions without a known licence."""
     return [p.pin.name for p in shipped if p.licence is None]
 
 

@@ -70,7 +70,7 @@ class Package:
 
     pin: Pin
     licence: str | None
-    """SPDX expression; None where nothing tells."""
+    """SPDX expression; None if the licence is unknown."""
     summary: str
     requires: tuple[str, ...]
     """Names of other pinned distributions that it needs."""
@@ -90,7 +90,7 @@ class Package:
 
 
 def pins(path: Path = PINS) -> tuple[Pin, ...]:
-    """Every pin of a requirements file, in its order."""
+    """Return every pin of a requirements file, in the file's order."""
     found = re.findall(
         r"^([a-z0-9._-]+)==(\S+) \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n?)+)", path.read_text(), re.MULTILINE
     )
@@ -98,20 +98,20 @@ def pins(path: Path = PINS) -> tuple[Pin, ...]:
 
 
 def packages(wanted: Sequence[Pin], site: Sequence[str] | None = None) -> tuple[Package, ...]:
-    """The pinned distributions that are installed, by name.
+    """Return the pinned distributions that are installed, in the order of `wanted`.
 
     Args:
         site: folders of another environment's packages; None for this one's.
 
     Raises:
-        LookupError: one is missing or of another version than its pin; the text names it.
+        LookupError: a distribution is missing or differs in version from its pin; the text names it.
     """
     found = {normal(d.name): d for d in (metadata.distributions() if site is None else metadata.distributions(path=list(site)))}
     return tuple(_package(pin, found, {p.name for p in wanted}) for pin in wanted)
 
 
 def normal(name: str) -> str:
-    """A distribution's name as indexes compare it."""
+    """Return a distribution's name in the form that indexes compare."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
@@ -130,7 +130,7 @@ def _package(pin: Pin, installed: Mapping[str, metadata.Distribution], known: se
 
 
 def _field(told: metadata.PackageMetadata, name: str) -> str:
-    """Return one field of the metadata, empty where there is none; older Pythons return None for it, newer ones raise."""
+    """Return one field of the metadata, empty if it is absent; older Pythons return None for it, newer ones raise."""
     return (told[name] or "") if name in told else ""
 
 

@@ -25,7 +25,7 @@ from supply.packages import ROOT, Package, packages, pins
 
 
 def bill(shipped: Sequence[Package], version: str) -> str:
-    """The bill as JSON."""
+    """Return the bill as JSON."""
     licences = LicenseFactory()
     root = Component(
         name="decklander", version=version, type=ComponentType.APPLICATION, bom_ref="decklander",
@@ -71,10 +71,10 @@ def _component(package: Package, licences: LicenseFactory) -> Component:
 
 
 def site_of(environment: Path) -> list[str]:
-    """Folders of packages of a virtual environment.
+    """Return the package folders of a virtual environment.
 
     Raises:
-        FileNotFoundError: it has none.
+        FileNotFoundError: the environment has none.
     """
     found = [str(path) for path in sorted(environment.glob("lib/python3.*/site-packages"))]
     if not found:
