@@ -5,8 +5,8 @@ MAVLink's ids prove nothing, so an id counts only together with the link and the
 - the autopilot is one (link, peer, system, component); what comes over its peer, a router's included, may command;
 - a system that the settings name is held to the first peer that uses its id, until that one falls silent;
 - whoever signs with the link's key may command;
-- an address that we were told to connect to is spoken to, and may not command;
-- everybody else is a stranger: only the HEARTBEATs are looked at, to find the autopilot, and nothing is sent.
+- an address that the settings connect to is sent telemetry, and may not command;
+- every other sender is unknown: only its HEARTBEATs are read, to find the autopilot, and nothing is sent to it.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ Source = tuple[int, Address | None]
 
 _STRANGERS_MAX = 64
 _STRANGE_AFTER_S = 3.0
-"""A stranger this long is told of: an autopilot becomes known with its first HEARTBEAT."""
+"""A sender that is unknown for this long is logged: an autopilot becomes known with its first HEARTBEAT."""
 
 
 class Standing(IntEnum):
     """What the sender of a message may do; a higher one may do what a lower one may."""
 
     STRANGER = 0
-    """Only its HEARTBEATs are looked at."""
+    """Only its HEARTBEATs are read."""
     REPORTER = 1
-    """A ship that the settings name: it is heard."""
+    """It is a ship that the settings name, and its messages are read."""
     PEER = 2
-    """It is at an address that we were told to connect to: it is heard and spoken to."""
+    """It is at an address that the settings connect to; its messages are read and it is sent telemetry."""
     OPERATOR = 3
     """It may command."""
 
@@ -107,7 +107,7 @@ class Access:
     autopilot: tuple[Source, tuple[int, int]] | None = None
     """The autopilot's peer and its (system, component)."""
     refused: Counter[str] = field(default_factory=Counter)
-    """Messages by why their sender was not believed: impostor, stranger."""
+    """The number of messages that were refused, by reason: impostor, stranger."""
     _held: dict[int, _Held] = field(default_factory=dict)
     _strangers: dict[tuple[int, int], _Stranger] = field(default_factory=dict)
 
@@ -117,7 +117,7 @@ class Access:
         Args:
             source: where it came from.
             ids: its (system, component).
-            asked_for: the link leads to an address that we were told of, or is a cable.
+            asked_for: the link leads to an address of the settings, or is a cable.
             signed: the link takes nothing that is not signed with its key.
         """
         system, component = ids

@@ -84,9 +84,9 @@ class MavlinkSampler:
         self.ranges = ranges
         self.condition = Condition()
         self.attitude: Attitude | None = None
-        """The newest."""
+        """The newest attitude sample."""
         self.positions: deque[LocalPosition] = deque(maxlen=64)
-        """The newest, oldest first."""
+        """The newest local positions, oldest first."""
         self.refused: Counter[str] = Counter()
         """Messages that made no sense, by name."""
         self._landed_state = 0

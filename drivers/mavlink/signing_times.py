@@ -1,4 +1,4 @@
-"""Times of signed messages that outlive a restart: our own newest, and the newest heard of each stream.
+"""Keep the times of signed messages over a restart: our own newest, and the newest received of each stream.
 
 A message that is not later than what was heard of its stream is a replay. The file is written behind the flight's back, by a
 thread: a disk that hangs or is full costs the memory of a restart, never a message.
@@ -57,7 +57,7 @@ class SigningTimes:
         self._failed = False
         self._writer: threading.Thread | None = None
         self.streams: dict[Stream, int] = {}
-        """Newest time heard of each stream."""
+        """The newest time received of each stream."""
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
