@@ -95,7 +95,7 @@ class ClockMap:
         """
         now = self._received_at = max(received_at, self._received_at)
         remote = self._unwrapped(remote_ns, now)
-        if self._newest_remote is not None and self._set_anew(remote, now):
+        if self._newest_remote is not None and self._reset_if_restarted(remote, now):
             self.restarts += 1
             self.reset()
         difference = now - remote
@@ -129,7 +129,7 @@ class ClockMap:
     def _newest_received(self) -> int:
         return self._least[-1][0]
 
-    def _set_anew(self, remote: int, now: int) -> bool:
+    def _reset_if_restarted(self, remote: int, now: int) -> bool:
         jump = round(self._o.jump_s * NS_PER_S)
         assert self._newest_remote is not None
         return remote < self._newest_remote - jump or now - remote < self._offset(now) - jump

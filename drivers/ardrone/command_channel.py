@@ -56,7 +56,7 @@ class CommandChannel:
             Recoverable: one of the two happened; the next run has a new sender, or a new socket with this host's present address.
         """
         if self._sender is None:
-            self._sender = SenderClient(self._options(), self._clock, self._told, self._hovered)
+            self._sender = SenderClient(self._options(), self._clock, self._on_status, self._hovered)
             self._counters.at_senders += 1
         else:
             self._sender.reopen()
@@ -91,7 +91,7 @@ class CommandChannel:
             as_text(o.timeouts(o.hold_com_watchdog_s)), as_text(o.timeouts(o.com_watchdog_s)),
         )  # fmt: skip
 
-    def _told(self, before: SenderStatus, now: SenderStatus) -> None:
+    def _on_status(self, before: SenderStatus, now: SenderStatus) -> None:
         self._counters.at_datagrams += now.datagrams - before.datagrams
         self._counters.at_commands += max(0, now.sequence - before.sequence)
         self._counters.at_errors += now.errors - before.errors

@@ -164,9 +164,9 @@ class Sender:
         instant = MonoNs(now)
         fresh = self._arbiter.fresh(instant)
         commands = as_text(self._arbiter.commands(instant))
-        told = self._telling.pop(0) if self._telling else ()
-        if commands or told:
-            self._send((*told, *commands))
+        queued = self._telling.pop(0) if self._telling else ()
+        if commands or queued:
+            self._send((*queued, *commands))
         word = self._arbiter.word
         self._in_force = word.until if fresh and word is not None else None
         # While commands arrive once a period there is no need to repeat one just before the next.

@@ -50,7 +50,7 @@ class SenderClient:
     """One running sender process.
 
     Args:
-        told: is called with each status and the one before it.
+        on_status: is called with each status and the one before it.
         hovered: is called whenever hover was sent to the drone directly, because the sender is silent or gone.
     """
 
@@ -58,12 +58,12 @@ class SenderClient:
         self,
         options: SenderOptions,
         clock: Clock,
-        told: Callable[[SenderStatus, SenderStatus], None],
+        on_status: Callable[[SenderStatus, SenderStatus], None],
         hovered: Callable[[], None] = lambda: None,
     ) -> None:
         self._o = options
         self._clock = clock
-        self._told = told
+        self._on_status = on_status
         self._status = SenderStatus(0, 0, 0, 0)
         self._hovered = hovered
         self._silent_s = max(_SILENT_S, _SILENT_PERIODS * options.period_s)
@@ -153,9 +153,9 @@ class SenderClient:
         self._read()  # after this process stood still, the sender's status lies here unread
         if self._lost is not None:
             raise Recoverable(self._lost)
-        since, patience_s = (self._began, _READY_S) if self._received_at is None else (self._received_at, _STUCK_S)
-        if seconds_between(since, self._clock.now()) > patience_s:
-            self._lose(f"the sender of AT commands says nothing for {patience_s} s")
+        since, timeout_s = (self._began, _READY_S) if self._received_at is None else (self._received_at, _STUCK_S)
+        if seconds_between(since, self._clock.now()) > timeout_s:
+            self._lose(f"the sender of AT commands says nothing for {timeout_s} s")
             raise Recoverable(self._lost or "")
 
     def _write(self, line: bytes) -> None:
@@ -187,7 +187,7 @@ class SenderClient:
             return
         for line in lines:
             before, self._status = self._status, status_of(line)
-            self._told(before, self._status)
+            self._on_status(before, self._status)
 
     def _lose(self, why: str) -> None:
         """Make sure that an unreliable sender is gone, and let the drone hover until there is another."""
@@ -199,9 +199,9 @@ class SenderClient:
         if not self._busy and self._word is not None and self._received_at is not None:
             self._hover()
 
-    def _kill(self, patience_s: float) -> None:
+    def _kill(self, timeout_s: float) -> None:
         try:
-            self._process.wait(patience_s)
+            self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

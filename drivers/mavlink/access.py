@@ -94,7 +94,7 @@ class _Held:
 
 
 @dataclass(slots=True)
-class _Stranger:
+class _UnknownSender:
     since: MonoNs
     told: bool = False
 
@@ -109,7 +109,7 @@ class Access:
     refused: Counter[str] = field(default_factory=Counter)
     """The number of messages that were refused, by reason: impostor, stranger."""
     _held: dict[int, _Held] = field(default_factory=dict)
-    _strangers: dict[tuple[int, int], _Stranger] = field(default_factory=dict)
+    _strangers: dict[tuple[int, int], _UnknownSender] = field(default_factory=dict)
 
     def standing(self, source: Source, ids: tuple[int, int], now: MonoNs, *, asked_for: bool, signed: bool) -> Standing:
         """Return the standing of a message's sender.
@@ -146,7 +146,7 @@ class Access:
         self._held[system] = _Held(source, now)  # as many as the settings name
         return True
 
-    def refuse_stranger(self, ids: tuple[int, int], peer: Address | None, now: MonoNs) -> None:
+    def refuse_unknown(self, ids: tuple[int, int], peer: Address | None, now: MonoNs) -> None:
         """Count a message that was not looked at, and log once for each sender how it would be."""
         self.refused["stranger"] += 1
         if peer is None:
@@ -154,7 +154,7 @@ class Access:
         stranger = self._strangers.get(ids)
         if stranger is None:
             if len(self._strangers) < _STRANGERS_MAX:
-                self._strangers[ids] = _Stranger(now)
+                self._strangers[ids] = _UnknownSender(now)
         elif not stranger.told and seconds_between(stranger.since, now) >= _STRANGE_AFTER_S:
             stranger.told = True
             _log.warning(

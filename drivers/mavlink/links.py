@@ -247,7 +247,7 @@ class Link:
         standing = access.standing(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
         if standing is Standing.STRANGER:
             self.counters.strangers += 1
-            access.refuse_stranger(ids, address, received_at)
+            access.refuse_unknown(ids, address, received_at)
             # A flood from unknown senders may fill half of the queue, and never pushes out messages of known ones.
             if message.get_type() == "HEARTBEAT" and 2 * len(line) < line.capacity:
                 line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, standing))

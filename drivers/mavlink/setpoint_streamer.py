@@ -158,7 +158,7 @@ class SetpointStreamer:
                 self._land, self._land_at, self._land_began, self._land_from_m = command, now, now, self._down_m
                 self._landed_from = self._condition.mode
                 self._descending = self._lands_by_velocity and self._landed_from == self._mode
-                self._ask_anew(Hand.LANDING)
+                self._request_again(Hand.LANDING)
         elif isinstance(command, Hover):
             self._motion, self._motion_at, self._spent = STILL, now, False
             if self.hand is Hand.LANDING:
@@ -171,17 +171,17 @@ class SetpointStreamer:
             self._motion, self._motion_at, self._steered_at, self._spent = command, now, now, False
             willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING)
             if self.hand in willing and self._mode is not None and self._condition.flying is not False:
-                self._ask_anew(Hand.TAKING)
+                self._request_again(Hand.TAKING)
 
     def _call_off(self) -> None:
         """End the landing; the velocity mode then holds the vehicle in place."""
         self.landings_called_off += 1
-        self._ask_anew(Hand.TAKING)
+        self._request_again(Hand.TAKING)
 
     def engage(self) -> None:
         """Allow a vehicle that a person took over to be taken back, because the operator starts again."""
         if self.hand is Hand.RELEASED:
-            self._ask_anew(Hand.IDLE)
+            self._request_again(Hand.IDLE)
 
     def on_condition(self, condition: Condition) -> None:
         """Take the condition that the autopilot reports."""
@@ -197,7 +197,7 @@ class SetpointStreamer:
         if condition.flying and self._take_off_at is not None:
             self._take_off_at = None
         if condition.flying is False and self._take_off_at is None and self.hand is not Hand.IDLE:
-            self._ask_anew(Hand.IDLE)
+            self._request_again(Hand.IDLE)
         elif self.hand in (Hand.TAKING, Hand.RELEASED) and in_mode:
             self.hand = Hand.OURS
         elif taken_away:
@@ -237,7 +237,7 @@ class SetpointStreamer:
         hold = [set_mode(self._id.stack, self._id.address, name)] if by_mode and name is not None else []
         return self._setpoint(now, STILL) + hold
 
-    def _ask_anew(self, hand: Hand) -> None:
+    def _request_again(self, hand: Hand) -> None:
         self.hand, self._asked, self._asks = hand, None, 0
 
     def _may_ask(self, now: MonoNs) -> bool:
@@ -252,7 +252,7 @@ class SetpointStreamer:
         fresh = silent_s <= self._o.command_timeout_s
         self.stale_periods += not fresh
         if self.hand is Hand.OURS and silent_s > self._o.hold_mode_after_s:
-            self._ask_anew(Hand.HOLDING)
+            self._request_again(Hand.HOLDING)
             return self._hold(now)
         out = self._setpoint(now, self._motion if fresh and self._motion is not STILL else self._held(now))
         if not out:
@@ -284,14 +284,14 @@ class SetpointStreamer:
                 self.landings_called_off += 1
             silent_s = seconds_between(self._land_at, now)
             if silent_s > self._o.hold_mode_after_s:
-                self._ask_anew(Hand.HOLDING)
+                self._request_again(Hand.HOLDING)
                 return self._hold(now)
             carried = self._carried * (1.0, 1.0, 0.0) if silent_s <= self._o.carry_s else np.zeros(3)
             return self._setpoint(now, Velocity(carried, 0.0))
         self._paused = False
         if self._descending and self._land.standing and seconds_between(self._land_began, now) > self._o.landing_most_s:
             self._descending = False
-            self._ask_anew(Hand.LANDING)
+            self._request_again(Hand.LANDING)
         if self._descending:
             v = np.array([self._carried[0], self._carried[1], self._o.descent_rate_m_s])
             return self._setpoint(now, Velocity(v, 0.0))

@@ -85,8 +85,8 @@ class TimeSync:
         """
         if not self.locked:
             return None
-        best = min(self._answers, key=lambda a: self._doubt_s(a, now))
-        return best.offset_ns, self._doubt_s(best, now) / math.sqrt(3.0)
+        best = min(self._answers, key=lambda a: self._uncertainty_s(a, now))
+        return best.offset_ns, self._uncertainty_s(best, now) / math.sqrt(3.0)
 
     def reset(self) -> None:
         """Forget the remote clock."""
@@ -133,11 +133,11 @@ class TimeSync:
     def _agrees(self, answer: _Answer) -> bool:
         if not self._answers:
             return True
-        best = min(self._answers, key=lambda a: self._doubt_s(a, answer.received_at))
-        room_s = self._doubt_s(best, answer.received_at) + 0.5 * answer.round_trip_ns / NS_PER_S + _SLACK_S
+        best = min(self._answers, key=lambda a: self._uncertainty_s(a, answer.received_at))
+        room_s = self._uncertainty_s(best, answer.received_at) + 0.5 * answer.round_trip_ns / NS_PER_S + _SLACK_S
         return abs(answer.offset_ns - best.offset_ns) <= room_s * NS_PER_S
 
-    def _doubt_s(self, answer: _Answer, now: MonoNs) -> float:
+    def _uncertainty_s(self, answer: _Answer, now: MonoNs) -> float:
         return 0.5 * answer.round_trip_ns / NS_PER_S + 1e-6 * self._o.drift_ppm * abs(seconds_between(answer.received_at, now))
 
 

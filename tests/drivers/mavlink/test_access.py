@@ -78,10 +78,10 @@ def test_a_stranger_that_stays_is_told_of_once_with_the_cure(caplog: pytest.LogC
     access = Access(AccessOptions())
     with caplog.at_level(logging.WARNING):
         for n in range(100):
-            access.refuse_stranger(STATION, A[1], at(0.1 * n))
+            access.refuse_unknown(STATION, A[1], at(0.1 * n))
         for system in range(1, 250):
             for n in range(2):
-                access.refuse_stranger((system, 200), B[1], at(20.0 + 5.0 * n))
+                access.refuse_unknown((system, 200), B[1], at(20.0 + 5.0 * n))
     assert [r.getMessage() for r in caplog.records if "system 255" in r.getMessage() and "`operators`" in r.getMessage()]
     assert len(caplog.records) <= 64, "a flood of ids neither fills the log nor the memory"
     assert len(access._strangers) <= 64
