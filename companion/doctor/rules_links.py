@@ -79,7 +79,7 @@ def link_unsigned(p: Snapshot) -> Finding | None:
     return None
 
 
-def link_strangers(p: Snapshot) -> Finding | None:
+def link_unknown_senders(p: Snapshot) -> Finding | None:
     """Find a link with messages from senders that are not accepted."""
     for link in _open(p):
         if link.strangers > 20 and p.autopilot is not None:
@@ -286,7 +286,7 @@ def drone_fault(p: Snapshot) -> Finding | None:
 
 RULES: tuple[Rule, ...] = (
     link_down, link_silent, link_garbage, link_signature, link_old_version, link_lossy, link_unsigned,
-    link_strangers, no_autopilot, several_autopilots,
+    link_unknown_senders, no_autopilot, several_autopilots,
     stream_refused, stream_silent, stream_slow, clock_not_locked, clock_far, clock_jumps, camera_fault, camera_device,
     camera_size, camera_slow,
     broker_fault, drone_fault,

@@ -95,7 +95,7 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
         of.consistent,
         tuple((d.name, d.value) for d in of.details),
         of.track,
-        tuple(_doubt(name) for name in of.doubts),
+        tuple(_doubt_named(name) for name in of.doubts),
     )
 
 
@@ -122,7 +122,7 @@ def fusion(of: rec.FusionRecord) -> FusionResult:
     )
 
 
-def _doubt(name: str) -> Doubt:
+def _doubt_named(name: str) -> Doubt:
     try:
         return Doubt[name.upper()]
     except KeyError as why:

@@ -62,7 +62,7 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
     if turned_round or (dof > 3 and nis <= gate.nis_max(o.gate_probability, dof)):
         b = _heading_weighed(b, event, o, agrees=not turned_round)
         if turned_round and b.heading_held_s <= 0.0:
-            b = _headed_anew(b, event)
+            b = _with_new_heading(b, event)
             row, fix = _compared(b, event, params)
             if fix is None:
                 return b, result(event, Verdict.SINGULAR, row.innov)
@@ -107,7 +107,7 @@ def _heading_weighed(b: Belief, event: Sighting, o: EkfOptions, *, agrees: bool)
     return b._replace(heading_held_s=min(held, o.heading_memory_s), heading_seen=t)
 
 
-def _headed_anew(b: Belief, event: Sighting) -> Belief:
+def _with_new_heading(b: Belief, event: Sighting) -> Belief:
     """The heading is the one that this sighting tells."""
     yaw = event.yaw_rad
     if event.pose6 is not None:

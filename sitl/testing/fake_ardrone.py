@@ -95,7 +95,7 @@ class FakeArDrone:
             self.openings += 1
             self.client = addr
 
-    def _told(self, data: bytes, addr: Any) -> None:
+    def _on_datagram(self, data: bytes, addr: Any) -> None:
         for result in at.decode(data):
             if isinstance(result, Refusal):
                 self.refused.append(result)
@@ -160,7 +160,7 @@ class FakeArDrone:
         """Serve; yields options that lead here, patient for milliseconds only."""
         loop = asyncio.get_running_loop()
         navdata_transport, self._navdata = await loop.create_datagram_endpoint(lambda: _Udp(self._opened), (HOST, 0))
-        at_transport, self._at = await loop.create_datagram_endpoint(lambda: _Udp(self._told), (HOST, 0))
+        at_transport, self._at = await loop.create_datagram_endpoint(lambda: _Udp(self._on_datagram), (HOST, 0))
         video = await asyncio.start_server(self._video, HOST, 0)
         controlled = await asyncio.start_server(self._controlled, HOST, 0)
         fast: dict[str, Any] = {

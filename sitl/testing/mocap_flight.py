@@ -54,7 +54,7 @@ class MocapRecording:
         """R_ned_body by the motion capture."""
         return Rotation.from_rpy(*(float(np.interp(t_s, self.t, self.rpy_rad[:, k])) for k in range(3)))
 
-    def attitude_told(self, t_s: float) -> Rotation:
+    def attitude_measured(self, t_s: float) -> Rotation:
         return Rotation.from_rpy(*(float(np.interp(t_s, self.t_told, self.rpy_told_rad[:, k])) for k in range(3)))
 
     def d_ned(self, t_s: float) -> F64:
@@ -140,7 +140,7 @@ def sightings(flight: MocapRecording, rate_hz: float, blind: Sequence[tuple[floa
         noise = rng.standard_normal(4)
         if any(a <= measured_at < b for a, b in blind):
             continue
-        body, level = flight.attitude(measured_at), flight.attitude_told(measured_at).without_heading()
+        body, level = flight.attitude(measured_at), flight.attitude_measured(measured_at).without_heading()
         d = level @ (body.inv @ flight.d_ned(measured_at) + SIGMA_M * noise[:3])
         yaw = (level @ body.inv).inv.rpy_rad[2] + SIGMA_YAW_RAD * float(noise[3])
         lever = skew(d) @ np.diag([1.0, 1.0, 0.0])

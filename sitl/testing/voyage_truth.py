@@ -279,9 +279,9 @@ def events(voyage: Voyage) -> tuple[list[Event], SensorErrors]:
 
     error = coloured(rng, t.size, step, math.radians(0.3), 1.0, 3)
     constant = np.radians([s.attitude_bias_deg, s.attitude_bias_deg, s.heading_bias_deg]) * rng.standard_normal(3)
-    told = Spin.from_matrix(R) * Spin.from_rotvec(error + constant)
+    measured = Spin.from_matrix(R) * Spin.from_rotvec(error + constant)
     cov_att = np.eye(3) * math.radians(0.4) ** 2
-    out += [Attitude(stamp(t[k]), Rotation(told[k].as_matrix()), cov_att) for k in range(0, t.size, 2)]
+    out += [Attitude(stamp(t[k]), Rotation(measured[k].as_matrix()), cov_att) for k in range(0, t.size, 2)]
 
     sensors = SensorErrors(scale=float(rng.uniform(0.82, 1.0)), delay_s=s.hidden_delay_s)
     every = slice(0, t.size, 4)
@@ -305,7 +305,7 @@ def events(voyage: Voyage) -> tuple[list[Event], SensorErrors]:
     sensors.mount = math.radians(s.mount_deg) * axis / float(np.linalg.norm(axis))
     away = [(b, b + float(rng.uniform(0.5, 1.5))) for b in rng.uniform(6.0, s.duration_s - 3.0, s.gaps).tolist()]
     away += list(s.blind)
-    tilted = RotationSpline(t, told)
+    tilted = RotationSpline(t, measured)
     for seq, x in enumerate(np.arange(0.2, s.duration_s - 0.1, 1.0 / s.sighting_hz).tolist()):
         draw, wrong, late = rng.standard_normal(4), rng.random() < s.outliers, rng.standard_normal()
         elsewhere = rng.uniform(-3.0, 3.0, 4)
@@ -316,12 +316,12 @@ def events(voyage: Voyage) -> tuple[list[Event], SensorErrors]:
 
 
 def _sighting(
-    voyage: Voyage, sensors: SensorErrors, x: float, seq: int, told: Spin, draw: F64, elsewhere: F64 | None, late_s: float
+    voyage: Voyage, sensors: SensorErrors, x: float, seq: int, measured: Spin, draw: F64, elsewhere: F64 | None, late_s: float
 ) -> Sighting:
     at = np.array([x + sensors.delay_s])
     (p, *_), (pp, _, Rp), R = voyage.body(at), voyage.pad(at), Spin.from_matrix(voyage.attitude(at)[0])
     camera = R * Spin.from_rotvec(sensors.mount)
-    _, pitch, roll = told.as_euler("ZYX")
+    _, pitch, roll = measured.as_euler("ZYX")
     level = Spin.from_euler("ZYX", [0.0, pitch, roll])
     d = camera.inv().apply((pp - p)[0])
     sigma = 0.001 + float(np.linalg.norm(d)) * np.array([0.002, 0.002, 0.005])

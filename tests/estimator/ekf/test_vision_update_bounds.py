@@ -312,7 +312,7 @@ def test_a_heading_given_up_is_the_one_shown_and_owes_nothing_to_the_old(told: s
     R = rpy_matrix(0.03, -0.05, 0.4)
     pose6 = whole((1.0, 0.0, 2.0), R) if told == "whole" else None
     seen = sighting((1.0, 0.0, 2.0), 1.1 if told == "heading" else None, pose6=pose6)
-    after = vision_update._headed_anew(b, seen)
+    after = vision_update._with_new_heading(b, seen)
     if told == "nothing":
         assert after is b
         return
@@ -325,7 +325,7 @@ def test_a_heading_given_up_is_the_one_shown_and_owes_nothing_to_the_old(told: s
     np.testing.assert_allclose(after.x, x, atol=1e-12)
     np.testing.assert_allclose(after.P, P)
     assert after.heading_held_s == 0.0
-    far = vision_update._headed_anew(b, sighting((1.0, 0.0, 2.0), -3.0))
+    far = vision_update._with_new_heading(b, sighting((1.0, 0.0, 2.0), -3.0))
     assert far.x[PAD_YAW] == pytest.approx(0.8 + 3.0 - math.tau)
 
 
