@@ -1,4 +1,6 @@
-"""An error-state Kalman filter for a body over a heaving deck. Values in, values out: docs/estimator.md.
+"""An error-state Kalman filter that estimates a vehicle's pose relative to a heaving deck (docs/estimator.md).
+
+Every function is pure: it takes a filter and returns another.
 
 ekf = start(EkfOptions())
 ekf, outcomes = step(ekf, sample)

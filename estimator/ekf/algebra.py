@@ -24,10 +24,14 @@ class Correction(NamedTuple):
 
 
 def nis_of(innov: F64, S: F64) -> float | None:
-    """Return innov' inv(S) innov of (m,) and (m, m), or None if S is not positive definite.
+    """Return the normalised innovation squared, `innov' inv(S) innov`, or None if S is not positive definite.
 
-    It eliminates as Cholesky does, in plain numbers: for the one to three numbers of a sensor's sample this takes a third of the
-    time of a call to LAPACK.
+    The function eliminates as Cholesky does, with Python floats: for the one to three components of a sensor's sample this takes
+    a third of the time of a call to LAPACK.
+
+    Args:
+        innov: (m,) innovation.
+        S: (m, m) covariance of the innovation.
     """
     rest, rows = innov.tolist(), S.tolist()
     m = len(rest)
@@ -58,13 +62,20 @@ class Algebra:
         self._identity.setflags(write=False)
 
     def predict(self, P: F64, F: F64, Q: F64) -> F64:
-        """Return the symmetric part of `F P F' + Q`; all of them are (n, n)."""
+        """Return the symmetric part of `F P F' + Q`; all matrices are (n, n)."""
         moved = F.dot(P).dot(F.T) + Q
         return np.asarray(0.5 * (moved + moved.T))
 
     def correct(self, P: F64, innov: F64, H: F64, R: F64) -> Correction | None:
-        """Return the correction by an innovation (m,) with Jacobian (m, n) and noise (m, m), or None if S cannot be inverted."""
-        # Metres beside radians and certain beside unknown: rows scaled to unit innovation variance keep S well conditioned.
+        """Return the Kalman correction, or None if S cannot be inverted.
+
+        Args:
+            P: (n, n) covariance before the correction.
+            innov: (m,) innovation.
+            H: (m, n) Jacobian of the measurement.
+            R: (m, m) covariance of the measurement noise.
+        """
+        # Units and variances differ by many orders of magnitude: rows scaled to unit innovation variance keep S well conditioned.
         var = np.einsum("ij,ij->i", H.dot(P), H) + R.diagonal()
         if not all(0.0 < v < math.inf for v in var.tolist()):
             return None

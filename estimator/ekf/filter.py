@@ -1,4 +1,4 @@
-"""The filter's face: start, step, at, forecast, moving."""
+"""The filter's public functions: start, step, at, forecast, moving."""
 
 from __future__ import annotations
 
@@ -47,18 +47,19 @@ _LIMITS = IntegrityOptions()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ekf:
-    """The whole memory. Immutable: `step` gives the next one, and an old one stays what it was."""
+    """The whole state of the filter. It is immutable: `step` returns the next one and leaves this one as it was."""
 
     options: EkfOptions
     params: FilterParams
     history: History
     limits: IntegrityOptions | None = None
-    """The limits that an IMU sample must keep; None where `estimator.integrity` stands before the filter."""
+    """The limits that an IMU sample must keep; None if `estimator.integrity` checks the samples before the filter."""
     imu: SensorWatch = field(default_factory=SensorWatch)
+    """The recent IMU samples, from which frozen ones are recognised."""
 
     @property
     def belief(self) -> Belief | None:
-        """The newest, None before there is an attitude."""
+        """The newest belief, or None before the first attitude."""
         return self.history.newest()
 
 
@@ -66,24 +67,25 @@ def start(options: EkfOptions | None = None, limits: IntegrityOptions | None = _
     """Return a filter that has received nothing yet.
 
     Args:
-        limits: the limits that an IMU sample must keep. The other sensors have their gates, an IMU sample has none. Give None
-            where `estimator.integrity.admit` has checked every sample before, as in `estimator.pipeline`.
+        options: the filter's options, by default `EkfOptions()`.
+        limits: the limits that an IMU sample must keep: every other sensor has a gate, the IMU has none. Pass None if
+            `estimator.integrity.admit` has already checked every sample, as in `estimator.pipeline`.
     """
     o = options or EkfOptions()
     return Ekf(o, FilterParams(o, motion.ProcessNoise(o), Algebra(N)), History(), limits)
 
 
 def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
-    """Take one sample or sighting, late or not, in any order.
+    """Process one sample or sighting; events may be out of sequence.
 
     Returns:
-        The new memory, and one result: FUSED; GATED (implausible, or nothing to compare it with yet); IMPOSSIBLE (an IMU sample
-        beyond the limits); FROZEN (one that repeats the one before for too long); TOO_OLD (before the history); TOO_NEW (later
-        than anything heard); SINGULAR; NO_ATTITUDE (nothing has told which way is down yet).
-        A measurement that was compared with a prediction has its innovation, the innovation's covariance, NIS and test ratio,
-        whatever the verdict.
+        The next filter, and a list of one result. Its verdict is FUSED; GATED (implausible, or nothing to compare it with yet);
+        IMPOSSIBLE (an IMU sample beyond the limits); FROZEN (an IMU sample that has repeated itself for too long); TOO_OLD
+        (before the history); TOO_NEW (measured after every time of reception so far); SINGULAR; or NO_ATTITUDE (no sample has
+        shown which way is down yet). A measurement that was compared with a prediction has its innovation, the innovation's
+        covariance, NIS and test ratio, whatever the verdict.
     Raises:
-        TypeError: an object that is no measurement (a frame, say).
+        TypeError: the event is not a measurement (a frame, for example).
     """
     imu = ekf.imu
     if ekf.limits is not None and isinstance(event, Imu):
@@ -94,15 +96,15 @@ def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
     return replace(ekf, history=history, imu=imu), [outcome]
 
 
-@lru_cache(maxsize=4)  # guidance, recorder and links ask for one instant in turn; nothing in the answer can be written to
+@lru_cache(maxsize=4)  # guidance, recorder and links each ask for the same instant; the answer is read-only
 def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
-    """The belief about the pad at an instant: carried on from the last event not later than it. None without a pad."""
+    """Return the estimate of the pad at an instant, propagated from the last event before it, or None if no pad is tracked."""
     b = ekf.history.before(now)
     if b is None or b.sighted < 0 or (now - b.sighted) * 1e-9 > ekf.options.forget_s:
         return None
     b = propagated(b, now, ekf.params)
     P = b.P
-    # Seven numbers leave: their covariance is brought here, not the whole state's.
+    # Only seven components are returned, so only their covariance is propagated, not that of the whole state.
     b, F, Q = motion.moved(b, ekf.params.process_noise)
     x, T = measure.aligned(b)
     psi = so3.heading(b.R)
@@ -140,16 +142,21 @@ def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
 
 
 def _confirmed(b: Belief, now: MonoNs, cov: F64, o: EkfOptions) -> bool:
-    """Return whether something other than the IMU confirms the estimate and it is still of use.
+    """Return whether a recent aiding measurement confirms the estimate and its position is certain enough to use.
 
-    A sighting does, or a velocity that was fused: it bounds how far the place can have drifted.
+    Either a sighting or a fused velocity confirms it: both bound the drift of the position.
     """
     newest = max(b.sighted, b.aids[VELOCITY].fused)
     return (now - newest) * 1e-9 <= o.confirm_s and float(cov.diagonal()[:3].max()) <= o.consistent_sigma_m**2
 
 
 def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:
-    """The deck at `now` plus each of the horizons (s, 0 or more); None without a pad.
+    """Return the forecast of the deck at `now` plus each of the horizons, or None if no pad is tracked.
+
+    Args:
+        ekf: the filter.
+        now: the instant from which the horizons count.
+        horizons_s: (H,) s, each 0 or more.
 
     Raises:
         ValueError: a horizon that is negative or not finite.
@@ -167,7 +174,7 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
 
 
 def moving(ekf: Ekf) -> float | None:
-    """Probability, 0..1, that the vessel moves: under way, or rocking on waves. None while no pad has been seen."""
+    """Return the probability, 0..1, that the vessel moves (under way or on waves), or None before the first sighting."""
     b = ekf.belief
     if b is None or b.sighted < 0:
         return None

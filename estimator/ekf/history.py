@@ -1,7 +1,7 @@
-"""Late measurements: a bounded past is kept, a late one is put in at its own instant, and what followed is done again.
+"""Out-of-sequence measurements: insert a late event at the instant when it was measured and re-propagate the later events.
 
-The result is the one of having heard everything in order, because what is kept is every event with the belief after it, and
-nothing in folding an event depends on when it was heard.
+The result equals the one of events received in order: the history keeps every recent event with the belief after it, and
+`process_event` does not depend on when an event was received.
 """
 
 from __future__ import annotations
@@ -22,36 +22,40 @@ class Node(NamedTuple):
     """An event and the belief after it."""
 
     key: tuple[int, int, int, str]
-    """Instant in ns, kind, sequence number, method: one order whatever the order of arrival."""
+    """Sort key (instant in ns, rank of the type, sequence number, method), the same for every order of arrival."""
     event: Event
     after: Belief | None
 
 
 class Leap(NamedTuple):
-    """Events in a row whose times of arrival agree with one another and not with those before."""
+    """Consecutive events whose times of reception agree with one another but not with the earlier ones."""
 
     received_at: int
-    """ns, of the newest."""
+    """Time of reception of the newest of them, ns."""
     n: int
+    """Number of these events."""
 
 
 class History(NamedTuple):
-    """The recent past, oldest first; `base` is the belief before its first node."""
+    """The recent events and the beliefs after them."""
 
     base: Belief | None = None
+    """The belief before the first node."""
     nodes: tuple[Node, ...] = ()
+    """The events, oldest first."""
     forgotten: int = -1
-    """ns, the newest instant that is no longer kept; -1 none."""
+    """Instant of the newest event that was dropped, ns; -1 if none was."""
     received_at: int = -1
-    """ns, the newest arrival."""
+    """The latest time of reception, ns; -1 before the first event."""
     leapt: Leap | None = None
-    """Arrivals in a row that put themselves far from `heard`."""
+    """The consecutive events whose time of reception is far from `received_at`, if there are any."""
 
     def newest(self) -> Belief | None:
+        """Return the belief after the last event, or None before the first attitude."""
         return self.nodes[-1].after if self.nodes else self.base
 
     def before(self, t: int) -> Belief | None:
-        """The belief after the last event not later than `t` (ns)."""
+        """Return the belief after the last event not later than `t` (ns), or None if the history does not reach back so far."""
         for node in reversed(self.nodes):
             if node.key[0] <= t:
                 return node.after
@@ -59,10 +63,13 @@ class History(NamedTuple):
 
 
 def put(history: History, event: Event, params: FilterParams) -> tuple[History, FusionResult]:
-    """Take one event, late or not.
+    """Insert one event at its instant and process it and every later event of the history.
+
+    Returns:
+        The next history and the result of this event.
 
     Raises:
-        TypeError: an object that is no measurement.
+        TypeError: the event is not a measurement.
     """
     rank = _RANK.get(type(event))
     if rank is None:
@@ -70,7 +77,7 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
     stamp, o = event.stamp, params.options
     leap_ns = round(o.leap_s * 1e9)
     if history.received_at >= 0 and abs(stamp.received_at - history.received_at) > leap_ns:
-        # One wrong stamp must not make everything after it too old; when all agree, it is time that leapt.
+        # One wrong stamp must not make all later events too old; when several agree, the clock itself has leapt.
         before = history.leapt
         n = before.n + 1 if before is not None and abs(stamp.received_at - before.received_at) <= leap_ns else 1
         if n < o.leap_count:

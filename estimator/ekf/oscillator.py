@@ -1,9 +1,10 @@
-"""How a deck moves on waves, in one direction: a damped oscillator pushed by the rate of another one like it.
+"""Model of a deck's motion on waves in one direction: a damped oscillator driven by the rate of a second, equal one.
 
     x'' = -w^2 x - 2 zeta w x' + f'        f'' = -w^2 f - 2 zeta w f' + white noise
 
-One alone has a jump in its acceleration at every instant, which no hull has; pushed by f itself it would wander slowly, where a
-sea has no energy (docs/estimator.md). The noise is such that x keeps the standard deviation `sigma`. States: [x, x', f, f'].
+A single oscillator driven by white noise has a discontinuous acceleration, which no hull has. Driven by f instead of f' it would
+have power at low frequencies, where a sea has none (docs/estimator.md). The noise intensity is such that x has the standard
+deviation `sigma`. The states are [x, x', f, f'].
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ ORDER = 4
 
 
 class Transition(NamedTuple):
-    """Over some time T: state(t + T) = A state(t) + noise of covariance sigma^2 q."""
+    """The discrete transition over a time T: state(t + T) = A state(t) + noise of covariance sigma^2 q."""
 
     A: F64
-    """(..., 4, 4)"""
+    """(..., 4, 4) transition matrix."""
     q: F64
-    """(..., 4, 4), for sigma = 1."""
+    """(..., 4, 4) covariance of the noise for sigma = 1."""
 
 
 def stationary(w_rad_s: F64, zeta: F64) -> F64:
-    """(..., 4, 4) covariance for sigma = 1, of parameters of any one shape.
+    """Return the stationary covariance of the states for sigma = 1, (..., 4, 4), for parameters of any one shape (...).
 
-    Solution of the Lyapunov equation by hand; docs/estimator.md, section "Waves".
+    It is the closed-form solution of the Lyapunov equation; see docs/estimator.md, section "Waves".
     """
     w, delta = np.asarray(w_rad_s), np.asarray(zeta * w_rad_s)
     w2, force = w * w, 8.0 * delta * delta
@@ -44,13 +45,16 @@ def stationary(w_rad_s: F64, zeta: F64) -> F64:
 
 
 def transition(w_rad_s: F64, zeta: F64, dt_s: float, at_rest: F64 | None = None) -> Transition:
-    """Exact over `dt_s`, for 0 < zeta < 1.
+    """Return the exact transition over `dt_s`, for 0 < zeta < 1.
 
-    The two blocks on the diagonal are the single oscillator's exp(J T), J = K - delta, K^2 = -wd^2; the one above is the integral
-    of exp(J (T - s)) B exp(J s), B passing the force's rate on to the acceleration.
+    Both diagonal blocks are the single oscillator's exp(J T), with J = K - delta and K^2 = -wd^2. The upper right block is the
+    integral of exp(J (T - s)) B exp(J s), where B adds the force's rate to the acceleration.
 
     Args:
-        at_rest: `stationary(w_rad_s, zeta)` where it is at hand.
+        w_rad_s: (...) natural frequency, rad/s.
+        zeta: (...) damping ratio.
+        dt_s: length of the step, s.
+        at_rest: `stationary(w_rad_s, zeta)` if the caller has it already.
     """
     w = np.asarray(w_rad_s)
     delta = zeta * w
@@ -64,7 +68,7 @@ def transition(w_rad_s: F64, zeta: F64, dt_s: float, at_rest: F64 | None = None)
     A[..., 0, 1] = A[..., 2, 3] = s
     A[..., 1, 0] = A[..., 3, 2] = -w2 * s
     A[..., 1, 1] = A[..., 3, 3] = c - delta * s
-    # The integral for a force that pushes by itself, [[fa, fb], [fc, fd]], times J: its rate is one J further.
+    # [[fa, fb], [fc, fd]] is the integral for a drive by f; multiplied by J it becomes the integral for a drive by f'.
     fa, fb, fc, fd = cs + delta * ss, ss, cc - delta * delta * ss, cs - delta * ss
     A[..., 0, 2], A[..., 0, 3] = -w2 * fb, fa - 2.0 * delta * fb
     A[..., 1, 2], A[..., 1, 3] = -w2 * fd, fc - 2.0 * delta * fd

@@ -1,4 +1,4 @@
-"""One event into the belief. Events come here in the order of their instants; history.py sees to that."""
+"""Process one event: propagate the belief to its instant and fuse it. `history.py` passes events in order of their instants."""
 
 from __future__ import annotations
 
@@ -33,14 +33,18 @@ from estimator.ekf.vision_update import fuse_sighting
 
 _FORCE_AT_REST = 9.80665
 _DIVERGED_VAR = 0.35**2
-"""rad^2, of an attitude that small angles no longer describe."""
+"""Variance of the attitude error, rad^2, above which the small-angle approximation no longer holds."""
 _FELT_TILT_RAD = math.radians(12.0)
-"""Standard deviation of down as the accelerometer shows it: a rotorcraft in flight feels its thrust, which leans with it."""
+"""Standard deviation of the tilt from the accelerometer alone: a multirotor measures its thrust, which tilts with the body."""
 _SMOOTH_S = 0.03
+"""Time constant of the smoothed body rate, s."""
 
 
 def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple[Belief | None, FusionResult]:
-    """Take one event, not older than the belief. An event that nothing can be made of leaves the belief as it was."""
+    """Return the belief after one event, which must not be older than the belief, and the event's result.
+
+    A refused event leaves the belief unchanged. `b` is None before the first attitude.
+    """
     if b is None:
         return _first(event, params)
     match event:
@@ -61,7 +65,7 @@ def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple
 
 
 def _first(event: Event, params: FilterParams) -> tuple[Belief | None, FusionResult]:
-    """The belief begins with an attitude, or with which way an accelerometer says is down."""
+    """Initialize the belief from an attitude, or from the tilt that an accelerometer at about 1 g shows."""
     o = params.options
     t = event.stamp.measured_at
     if isinstance(event, Attitude):
@@ -81,7 +85,7 @@ def _first(event: Event, params: FilterParams) -> tuple[Belief | None, FusionRes
 
 
 def _correlated(b: Belief, o: EkfOptions) -> Belief:
-    """The attitude now believed is the one told, so it errs by what that one errs."""
+    """Correlate the attitude error with the attitude bias: the belief was just set from the vehicle's own attitude."""
     P = b.P.copy()
     var = o.sigma_attitude_bias_rad**2
     P[ATT_BIAS, :] = P[:, ATT_BIAS] = 0.0
@@ -100,7 +104,7 @@ def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, FusionRes
     o, t = params.options, event.stamp.measured_at
     hold_ns = round(o.hold_s * 1e9)
     w_body, f_body = event.w_body, event.f_body
-    # In plain numbers: for three of them numpy's calls cost more than the whole step may.
+    # Python floats: for three components, numpy's calls cost more time than the whole step is allowed.
     (fx, fy, fz), (wx, wy, wz) = f_body.tolist(), w_body.tolist()
     alive = b.t_imu >= 0 and t - b.t_imu <= hold_ns
     if alive:
@@ -120,7 +124,10 @@ def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, FusionRes
 
 
 def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions) -> tuple[Belief, F64, F64]:
-    """A sample that leaves the one before it by more than the vehicle can do follows part of the way; the rest is doubt."""
+    """Return the belief, rate and force of a sample whose change was cut to what the vehicle can do.
+
+    The part that was cut off is added to the belief's jolt variances.
+    """
     dt = (event.stamp.measured_at - b.t) * 1e-9
     share_f, share_w = o.accel_step_m_s2 / max(step_f, o.accel_step_m_s2), o.gyro_step_rad_s / max(step_w, o.gyro_step_rad_s)
     b = b._replace(
@@ -145,7 +152,7 @@ def _attitude(b: Belief, event: Attitude, params: FilterParams) -> tuple[Belief,
 
 
 def _turned_to(b: Belief, R: F64, o: EkfOptions) -> Belief:
-    """North is known at last: the whole world turns about the vertical; the attitude given replaces the one guessed."""
+    """Rotate the whole belief about the vertical to a heading that is now known, and set the attitude."""
     angle = so3.heading(R) - so3.heading(b.R)
     Z = so3.about_down(angle)
     T = np.eye(N)
@@ -161,7 +168,7 @@ def _turned_to(b: Belief, R: F64, o: EkfOptions) -> Belief:
 
 
 def _set_attitude(b: Belief, R: F64, o: EkfOptions) -> Belief:
-    """The attitude told is taken outright: the one believed is too far off for small angles."""
+    """Replace the attitude outright: the error of the old one is too large for the small-angle approximation."""
     P = b.P.copy()
     P[ATT_ERR, :] = P[:, ATT_ERR] = 0.0
     down = R.T[:, 2]

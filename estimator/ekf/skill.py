@@ -1,7 +1,8 @@
-"""How much of a forecast of the waves comes true: each is kept until its time has come, and compared with what came.
+"""Forecast skill: compare past wave forecasts with what happened and scale new forecasts accordingly.
 
-A sea of two systems is no single oscillator, so the member of the bank that explains the last moments best may foretell the next
-seconds badly, at full height. The slope of what came over what was foretold is the share that makes the squared error least.
+A sea with two wave systems is no single oscillator, so the member of the bank that fits the recent motion best may forecast the
+next seconds badly, with full amplitude. The regression slope of the observed on the forecast motion is the factor that minimises
+the squared error.
 """
 
 from __future__ import annotations
@@ -16,36 +17,37 @@ from estimator.contracts.geometry import F64
 
 HORIZONS_S = np.array([1.0, 2.0, 3.0])
 PERIOD_S = 0.5
-"""Forecasts are made and compared this often."""
+"""Interval between forecasts, and between comparisons, s."""
 _MEMORY_S = 60.0
+"""Time constant with which old comparisons fade, s."""
 _PRIOR, _PRIOR_COUNT = 0.7, 20.0
-"""The share before anything was compared, and how many comparisons it weighs as much as."""
+"""The factor before the first comparison, and the number of comparisons that this prior weighs."""
 
 
 class IssuedForecast(NamedTuple):
-    """What was foretold at one instant."""
+    """The forecast that was made at one instant."""
 
     t: int
-    """ns"""
+    """Instant of the forecast, ns."""
     waves: F64
-    """(3, 5, 2) by horizon and direction: displacement and rate."""
+    """(3, 5, 2) displacement and rate by horizon and direction (m, m/s; rad, rad/s for roll and pitch)."""
 
 
 class Skill(NamedTuple):
-    """Sums over the comparisons, fading."""
+    """The sums over past comparisons, which fade with time."""
 
     told: tuple[IssuedForecast, ...]
-    """Oldest first; those whose longest horizon has not come yet."""
+    """The forecasts whose longest horizon has not passed yet, oldest first."""
     n: F64
-    """(3,) comparisons by horizon."""
+    """(3,) faded number of comparisons by horizon."""
     product: F64
-    """(3, 5, 2) of what was foretold and what came."""
+    """(3, 5, 2) faded sum of forecast times observed motion."""
     square: F64
-    """(3, 5, 2) of what was foretold."""
+    """(3, 5, 2) faded sum of the squared forecast motion."""
 
 
 def unknown() -> Skill:
-    """Return a skill that nothing was compared for."""
+    """Return the skill before the first comparison."""
     return Skill((), np.zeros(3), np.zeros((3, 5, 2)), np.zeros((3, 5, 2)))
 
 
@@ -55,18 +57,19 @@ def due(skill: Skill, t: int) -> bool:
 
 
 def compared(skill: Skill, t: int, now: F64, ahead: F64) -> Skill:
-    """Compare what came with what was foretold for now.
+    """Return the skill after comparing the present motion with earlier forecasts of it, with a new forecast added.
 
     Args:
-        t: ns.
-        now: (5, 2) displacement and rate by direction.
-        ahead: (3, 5, 2) the same foretold from here on, by horizon.
+        skill: the skill so far.
+        t: the present instant, ns.
+        now: (5, 2) present displacement and rate by direction.
+        ahead: (3, 5, 2) new forecast of displacement and rate by horizon and direction.
     """
     told = skill.told
     fade = math.exp(-(t - told[-1].t) * 1e-9 / _MEMORY_S) if told else 1.0
     n, product, square = fade * skill.n, fade * skill.product, fade * skill.square
     for k, horizon in enumerate(HORIZONS_S.tolist()):
-        # Looks come at any time: the value for now lies between those of the two forecasts around it.
+        # Sightings are irregular in time: interpolate between the two forecasts that were made before and after `then`.
         then = t - round(horizon * 1e9)
         for a, b in pairwise(told):
             if a.t <= then < b.t and b.t - a.t <= 2e9 * PERIOD_S:
@@ -80,7 +83,14 @@ def compared(skill: Skill, t: int, now: F64, ahead: F64) -> Skill:
 
 
 def share(skill: Skill, horizons_s: F64) -> F64:
-    """(H, 5, 2) share of a forecast to be kept, 0 to 1; all of it for now, that of the longest horizon beyond it."""
+    """Return the factor, 0..1, by which to scale a forecast, (H, 5, 2) by horizon, direction and displacement or rate.
+
+    It is 1 at horizon 0 and constant beyond the longest compared horizon.
+
+    Args:
+        skill: the past comparisons.
+        horizons_s: (H,) horizons, s.
+    """
     n = skill.n[:, None, None]
     slope = skill.product / np.maximum(skill.square, 1e-12)
     known = np.clip((_PRIOR_COUNT * _PRIOR + n * slope) / (_PRIOR_COUNT + n), 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Small rotations as plain (3, 3) arrays: what the filter needs thousands of times a second, without the checks of `Rotation`."""
+"""Rotations as plain (3, 3) arrays. The filter needs them thousands of times a second, so they skip the checks of `Rotation`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from estimator.contracts.geometry import F64, skew
 
 
 def exp(v: F64) -> F64:
-    """(3, 3) rotation by the vector `v` (rad): the exponential map of SO(3), Rodrigues' formula."""
+    """Return the rotation (3, 3) by the rotation vector `v` (3,), rad: the exponential map of SO(3), by Rodrigues' formula."""
     x, y, z = v.tolist()
     t2 = x * x + y * y + z * z
     if t2 < 1e-8:
@@ -30,7 +30,7 @@ def exp(v: F64) -> F64:
 
 
 def log(m: F64) -> F64:
-    """(3,) rad, the inverse of `exp` for angles below pi; at pi one of the two axes."""
+    """Return the rotation vector (3,), rad: the inverse of `exp` for angles below pi; at pi it has one of the two signs."""
     (a, b, c), (d, e, f), (g, h, i) = m.tolist()
     sx, sy, sz = 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b)
     s = math.sqrt(sx * sx + sy * sy + sz * sz)
@@ -47,7 +47,7 @@ def log(m: F64) -> F64:
 
 
 def left_jacobian(v: F64) -> F64:
-    """(3, 3): `exp(v + dv) == exp(left_jacobian(v) @ dv) @ exp(v)` to first order in `dv`.
+    """Return the left Jacobian (3, 3) of SO(3): `exp(v + dv) == exp(left_jacobian(v) @ dv) @ exp(v)` to first order in `dv`.
 
     Source: Sola, Deravat, Atchuthan, A micro Lie theory for state estimation in robotics, 2018, eq. 145.
     """
@@ -61,18 +61,18 @@ def left_jacobian(v: F64) -> F64:
 
 
 def heading(m: F64) -> float:
-    """Yaw of `from_rpy`: the direction of the first axis seen from above."""
+    """Return the heading, rad: the direction of the first axis seen from above, the yaw of `from_rpy`."""
     return math.atan2(float(m[1, 0]), float(m[0, 0]))
 
 
 def heading_row(m: F64) -> F64:
-    """(3,): how a small rotation of `m`, written in m's outer frame, changes its heading."""
+    """Return the derivative (3,) of the heading of `m` with respect to a small rotation in m's outer frame."""
     c, s, down = float(m[0, 0]), float(m[1, 0]), float(m[2, 0])
     flat = max(c * c + s * s, 1e-12)
     return np.array([-down * c / flat, -down * s / flat, 1.0])
 
 
 def about_down(angle_rad: float) -> F64:
-    """(3, 3): Rz(angle)."""
+    """Return the rotation (3, 3) by an angle about the down axis, Rz(angle)."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

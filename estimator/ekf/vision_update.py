@@ -1,4 +1,4 @@
-"""A sighting into the belief: compared, gated with a way back, fused, and shown to the sea's oscillators."""
+"""The vision update: gate a sighting, reset the filter after a consistent streak of rejections, fuse, and feed the wave bank."""
 
 from __future__ import annotations
 
@@ -33,14 +33,15 @@ from estimator.ekf.state import (
 )  # fmt: skip
 
 _KEPT = 0.95
+"""Fraction of the correction of the camera's mounting and delay that is withheld on a rough sea."""
 _ROUGH_M_S = 0.1
-"""Heave rate of the deck at which this changes: far above it a sighting corrects the camera's mounting and delay by the share
-1 - `_KEPT` alone, far below it in full."""
+"""Heave rate of the deck, m/s, separating a rough sea from a calm one: far below it, no part of the correction is withheld."""
 _RATE_KNOWN_VAR = 0.35**2
 """Variance of the rate of what a sighting measures, (m/s)^2, above which the camera's delay is not corrected."""
 
 
 def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Belief, FusionResult]:
+    """Return the belief after one sighting, which must not be older than the belief, and the sighting's result."""
     o, t = params.options, event.stamp.measured_at
     if event.confidence < o.min_confidence:
         return b, result(event, Verdict.GATED)
@@ -92,7 +93,7 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
 
 
 def _kept(b: Belief) -> F64:
-    """(N,) share of a correction that is not made."""
+    """Return the fraction (N,) of a correction that is withheld, by state."""
     heave = float(b.sea.sigma[2] * b.sea.w_rad_s[2]) ** 2
     kept = np.zeros(N)
     kept[CAMERA_MOUNT] = kept[CAMERA_DELAY] = _KEPT * heave / (heave + _ROUGH_M_S**2)
@@ -100,7 +101,7 @@ def _kept(b: Belief) -> F64:
 
 
 def _heading_weighed(b: Belief, event: Sighting, o: EkfOptions, *, agrees: bool) -> Belief:
-    """A sighting whose place is believed agrees with the heading or contradicts it: what the longer of the two said is held."""
+    """Count the time for which sightings agreed with the heading, minus the time for which they contradicted it."""
     t = event.stamp.measured_at
     since = 0.0 if b.heading_seen < 0 else min((t - b.heading_seen) * 1e-9, 0.5)
     held = b.heading_held_s + since if agrees else b.heading_held_s - since
@@ -108,7 +109,7 @@ def _heading_weighed(b: Belief, event: Sighting, o: EkfOptions, *, agrees: bool)
 
 
 def _with_new_heading(b: Belief, event: Sighting) -> Belief:
-    """The heading is the one that this sighting tells."""
+    """Set the pad's yaw from this sighting, with a uniform prior on it."""
     yaw = event.yaw_rad
     if event.pose6 is not None:
         yaw = -so3.heading(event.pose6.R_level_pad.matrix)
@@ -128,8 +129,8 @@ def _compared(
     yaw_sigma = math.sqrt(float(b.P[PAD_YAW, PAD_YAW])) if b.heading_known else math.inf
     cov = b.cov_levelled_by if params.options.sighting_has_attitude_error else np.zeros((3, 3))
     row = measure.sighting(b.x, b.R, b.w_smooth, event, b.levelled_by, cov, yaw_sigma, place_only=place_only)
-    # How fast the frame moves decides how much of an innovation is delay: while that rate is poorly known, nothing is learned
-    # of the delay, and what the delay may cost is noise.
+    # The part of an innovation that is due to the delay grows with the rate of the measured position. While that rate is
+    # poorly known, the delay is not corrected and its effect counts as noise.
     cov_rate = row.G.dot(b.P).dot(row.G.T)
     if float(np.trace(cov_rate)) > _RATE_KNOWN_VAR:
         rate, var = row.H[:, CAMERA_DELAY], float(b.P[CAMERA_DELAY, CAMERA_DELAY])
@@ -141,9 +142,9 @@ def _compared(
 
 
 def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> Belief:
-    """The pad's place is whatever this sighting says. `anew`: all that was believed of the pad was wrong and is dropped.
+    """Initialize the pad's position from this sighting. With `reset`, drop the rest of the belief about the pad as well.
 
-    What the body knows of itself stays.
+    The states of the body itself stay.
     """
     P, x = b.P.copy(), b.x.copy()
     seen = measure.seen_from_body(event, measure.levelling(b.R, b.levelled_by))
@@ -167,7 +168,7 @@ def _initialized(b: Belief, event: Sighting, o: EkfOptions, *, reset: bool) -> B
 
 
 def _learned(b: Belief, event: Sighting, row: measure.LinearizedMeasurement, params: FilterParams) -> Belief:
-    """Show the bank of oscillators where the pad was seen, and how it stood."""
+    """Update the bank of wave oscillators with the pad's measured position and tilt."""
     if b.sea.t >= 0 and (b.t - b.sea.t) * 1e-9 < 0.9 * deck_motion_bank.PERIOD_S:
         return b
     A = measure.levelling(b.R, b.levelled_by)
