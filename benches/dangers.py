@@ -13,21 +13,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from companion.cli.simulate import ending_of
 from companion.cli.soak_parts import without_thesis_methods
-from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
 from companion.runtime.signals import Stopped, install
 from estimator.contracts.errors import BadInput
-from sitl.flight import Flight
+from sitl.one_flight import fly as fly_once
 from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
 
@@ -40,11 +37,7 @@ def fly(name: str, seed: int, settings: Settings) -> dict[str, Any]:
     scenario = load_scenario(f"{FAULTS}/{name}")
     own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
     settings = msgspec.structs.replace(settings, **own)
-    began = time.process_time()
-    flight = Flight(scenario, seed, settings, make_pilot(settings), renew=lambda: make_pilot(settings), contain=True)
-    return ending_of(name, seed, scenario, flight.run(), time.process_time() - began).as_json() | {
-        "vision": settings.vision.method
-    }
+    return fly_once(name, scenario, seed, settings).as_json() | {"vision": settings.vision.method}
 
 
 def worst_touch(flights: list[dict[str, Any]]) -> str:

@@ -19,9 +19,7 @@ import msgspec
 import numpy as np
 
 from companion.cli import record_option, report_option
-from companion.cli.machine_load import Load
 from companion.cli.progress import ProgressObserver
-from companion.cli.verdict import Contact, Ending
 from companion.cli.version import version
 from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings, Settings
@@ -41,6 +39,8 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.truth_log import read as read_truth
+from sitl.ending import Contact, Ending
+from sitl.machine_load import Load
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 

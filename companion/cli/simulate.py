@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
-import os
 import sys
 import time
-from functools import partial
 from pathlib import Path
-
-import msgspec
 
 from companion.cli import record_option, report_option
 from companion.cli.progress import ProgressObserver
-from companion.cli.verdict import Contact, Ending, FlightGrade
-from companion.config.build_pilot import make_pilot
-from companion.config.model import CameraSettings, PadSettings
-from companion.config.settings import load, shipped
+from companion.config.settings import camera_model, pad_model, shipped
 from companion.report.drawing import require_drawing
 from companion.report.flight_log import FlightLog, TruthSample
 from companion.report.log_observer import LogObserver
@@ -27,16 +19,13 @@ from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
-from sitl.flight import Flight, FlightResult
-from sitl.render_worker import render_worker
-from sitl.safety import outside_commit
-from sitl.scenario import FAULTS, Scenario
+from sitl.one_flight import PERCEPTIONS, fly, perception_level, settings_for
+from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
+from sitl.world import Truth
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
 """Estimator paths that run beside the steering one, for the comparison in the report."""
-TRUTH_EACH = 4
-"""Number of 5 ms steps between two samples of the truth in the report."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -55,6 +44,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of all random numbers (default: 0)")
     parser.add_argument(
         "--config", metavar="FILE", help="settings file to fly with (default: the profile sim with the scenario's camera and pad)"
+    )
+    parser.add_argument(
+        "--perception",
+        default="pixels",
+        metavar="LEVEL",
+        help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
@@ -77,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
+    perception = perception_level(args.perception)
     if args.follow is not None:
         from companion.cli import simulate_follow
 
@@ -93,43 +89,46 @@ def run(args: argparse.Namespace) -> int:
         require_drawing("--report")
     report_option.prepare_folder(args.report)
     scenario = load_scenario(args.scenario)
-    settings = load(args.config or "sim")
-    if args.config is None:
-        own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
-        settings = msgspec.structs.replace(settings, **own)
+    settings = settings_for(scenario, args.config)
     kept = args.report is not None or args.record is not None
-    pilot = make_pilot(settings, shadows=SHADOWS if kept else ())
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
-    log = FlightLog(scenario.title, started=MonoNs(0), pad=pilot.pad, camera=pilot.camera, steering=settings.estimator.path)
+    log = FlightLog(
+        scenario.title,
+        started=MonoNs(0),
+        pad=pad_model(settings),
+        camera=camera_model(settings),
+        steering=settings.estimator.path,
+    )
     if args.report is not None:
         observers.append(LogObserver(log))
-    began, spent_s = time.monotonic(), _cpu_s()
-    steps = 0
+    began = time.monotonic()
     facts = {"kind": "simulate", "scenario": args.scenario, "seed": str(args.seed)}
     with record_option.recording(args, settings, facts, live=False) as recorder:
         if recorder is not None:
             observers.append(recorder)
-        renew = partial(make_pilot, settings, shadows=SHADOWS if kept else ())
-        flight = Flight(scenario, args.seed, settings, pilot, observers=observers, renew=renew, contain=True)
-        if recorder is not None:
-            recorder.watch(flight.health)
-        with render_worker(flight.world.renderer) as flight.room:
-            while flight.step():
-                steps += 1
-                if steps % TRUTH_EACH:
-                    continue
-                truth = flight.world.truth()
-                if recorder is not None:
-                    recorder.on_truth(record_option.truth_record(truth))
-                if args.report is not None:
-                    log.truth.append(TruthSample(truth.at, truth.d_body_pad_level, truth.v_pad_level, truth.yaw_rad))
-        if recorder is not None:
-            recorder.on_truth(record_option.truth_record(flight.world.truth()))
+
+        def on_truth(truth: Truth) -> None:
+            if recorder is not None:
+                recorder.on_truth(record_option.truth_record(truth))
+            if args.report is not None:
+                log.truth.append(TruthSample(truth.at, truth.d_body_pad_level, truth.v_pad_level, truth.yaw_rad))
+
+        ending = fly(
+            args.scenario,
+            scenario,
+            args.seed,
+            settings,
+            perception,
+            observers=observers,
+            shadows=SHADOWS if kept else (),
+            on_start=None if recorder is None else recorder.watch,
+            on_truth=on_truth if kept else None,
+            render_beside=True,
+        )
     wall_s = time.monotonic() - began
     if progress is not None:
         progress.close()
-    ending = ending_of(args.scenario, args.seed, scenario, flight.result(), _cpu_s() - spent_s)
     if args.report is not None:
         ending.write_into(log)
         log.facts += [("scenario", args.scenario), ("seed", str(args.seed)), ("flown in", f"{wall_s:.1f} s, virtual time")]
@@ -143,39 +142,3 @@ def run(args: argparse.Namespace) -> int:
         if args.report is not None:
             sys.stdout.write(f"report: {args.report / PAGE}\n")
     return 0 if ending.good else 1
-
-
-def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
-    """Return how a flight in virtual time ended, with the simulator's grade."""
-    contacts = tuple(
-        Contact(
-            t.at,
-            t.surface,
-            t.lateral_m,
-            t.yaw_rad,
-            t.vertical_speed_m_s,
-            t.lateral_speed_m_s,
-            t.phase.name.lower(),
-            t.motors,
-            t.guidance_phase,
-        )
-        for t in result.truth.contacts
-    )
-    judged = FlightGrade(
-        result.grade.value,
-        result.because,
-        result.unsafe,
-        result.refused,
-        outside_commit(result.truth.contacts),
-        round(result.blind.lowest_m, 3) if math.isfinite(result.blind.lowest_m) else None,
-        result.faults,
-        scenario.expect,
-        cpu_s,
-    )
-    return Ending(name, seed, result.outcome, contacts, result.duration_s, result.health.frames, judged=judged)
-
-
-def _cpu_s() -> float:
-    """Return the CPU time of this process and of its ended children, s."""
-    spent = os.times()
-    return spent.user + spent.system + spent.children_user + spent.children_system

@@ -14,12 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import msgspec
-
 from companion.cli.progress import ProgressObserver
-from companion.cli.verdict import Contact, Ending
-from companion.config.model import CameraSettings, PadSettings, Settings
-from companion.config.settings import load
 from companion.runtime import event_loop
 from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
@@ -27,6 +22,8 @@ from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
 from sitl.autopilots.follow import FollowEnd
 from sitl.autopilots.program import executable
+from sitl.ending import Contact, Ending
+from sitl.one_flight import settings_for
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 
@@ -38,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     binary = executable(args.binary, args.autopilot)
     scenario = load_scenario(args.scenario)
     refuse_faults(args.scenario, scenario)
-    settings = rig(scenario, args.config)
+    settings = settings_for(scenario, args.config)
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
     autopilot = AutopilotProgram(args.autopilot, binary, parameters=parameters(args.param))
@@ -89,15 +86,6 @@ def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:
             raise BadInput(f"--param {text!r}: write NAME=VALUE, a name in capitals and a number")
         out.append((found[1], value))
     return tuple(out)
-
-
-def rig(scenario: Scenario, config: str | None) -> Settings:
-    """Return the given settings, or the profile `sim` with the camera and pad of the scenario."""
-    settings = load(config or "sim")
-    if config is not None:
-        return settings
-    own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
-    return msgspec.structs.replace(settings, **own)
 
 
 def ending_of(scenario: str, seed: int, end: FlightEnd | FollowEnd) -> Ending:

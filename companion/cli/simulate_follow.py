@@ -7,12 +7,13 @@ import json
 import sys
 
 from companion.cli.progress import ProgressObserver
-from companion.cli.simulate_autopilot import ending_of, refuse_faults, rig
+from companion.cli.simulate_autopilot import ending_of, refuse_faults
 from companion.runtime import event_loop
 from companion.runtime.observer import Observer
 from drivers.mavlink.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from sitl.autopilots.follow import follow
+from sitl.one_flight import settings_for
 from sitl.scenario import load as load_scenario
 
 
@@ -23,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     parse_endpoint(args.follow)
     scenario = load_scenario(args.scenario)
     refuse_faults(args.scenario, scenario)
-    settings = rig(scenario, args.config)
+    settings = settings_for(scenario, args.config)
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]
     end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))

@@ -11,7 +11,6 @@ import time
 from collections import Counter
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,8 @@ from companion.cli.soak_judge import Findings, Reading, findings, read
 from companion.cli.soak_parts import cpu_at, start_time_s, without_thesis_methods
 from companion.cli.soak_plot import plot
 from companion.config.build_pilot import make_pilot
-from companion.config.model import CameraSettings, PadSettings, Settings
-from companion.config.settings import load, shipped
+from companion.config.model import Settings
+from companion.config.settings import shipped
 from companion.report.drawing import require_drawing
 from companion.runtime import event_loop
 from companion.runtime.health import Health
@@ -35,7 +34,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from sitl.ardrone.again import faulty
-from sitl.flight import Flight
+from sitl.one_flight import fly, settings_for
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 
@@ -176,10 +175,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _profile(args: argparse.Namespace, scenario: Scenario) -> Settings:
-    settings = load(args.config or "sim")
-    if args.config is None:
-        own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
-        settings = msgspec.structs.replace(settings, **own)
+    settings = settings_for(scenario, args.config)
     if args.virtual and not args.all_methods:
         settings = without_thesis_methods(settings)
     service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")
@@ -190,12 +186,11 @@ def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings,
     seed = args.seed
     while tally.flights < args.flights if args.flights is not None else tally.flown_s < 3600.0 * args.hours:
         wanted = scenario if args.no_faults else faulty(scenario, seed, virtual=True)
-        renew = partial(make_pilot, settings)
-        result = Flight(wanted, seed, settings, make_pilot(settings), renew=renew, contain=True).run()
-        flight = virtual(time.monotonic() - tally.began, seed, wanted.title, result)
-        tally.flown("time is up" if result.outcome is None else result.outcome.value, flight)
-        tally.flown_s += result.duration_s
-        del result, flight
+        ending = fly(args.scenario, wanted, seed, settings)
+        flight = virtual(time.monotonic() - tally.began, wanted.title, ending)
+        tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
+        tally.flown_s += ending.duration_s
+        del ending, flight
         gc.collect()  # what is left now is kept by something; what waited to be collected would hide a small leak
         tally.take(None, args.json)
         seed += 1

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import Any
 
-from companion.cli.machine_load import Load
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
-from sitl.flight import FlightResult
+from sitl.ending import Ending
+from sitl.machine_load import Load
 from sitl.safety import Grade, grade
 
 STARVED_MAX = 0.5
@@ -45,9 +45,10 @@ class Flown:
         return {**asdict(self), "worth": self.worth.value}
 
 
-def virtual(at_s: float, seed: int, title: str, result: FlightResult) -> Flown:
+def virtual(at_s: float, title: str, ending: Ending) -> Flown:
     """Return the result of a flight in virtual time, for which no machine is too slow."""
-    return Flown(at_s, seed, title, Class(result.grade.value), result.because, result.duration_s)
+    assert ending.judged is not None
+    return Flown(at_s, ending.seed, title, Class(ending.judged.grade), ending.judged.because, ending.duration_s)
 
 
 def real(

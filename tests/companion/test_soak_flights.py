@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
-from companion.cli.machine_load import Load
 from companion.cli.soak_flights import Class, Flown, Outcomes, by_fault, real
 from companion.cli.soak_judge import Reading
 from companion.cli.soak_plot import plot
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
+from sitl.machine_load import Load
 from tests.sitl.near import NEAR
 
 GOOD = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 50})

@@ -7,11 +7,11 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from companion.cli.machine_load import Load
 from companion.report.flight_log import FlightLog, LoggedTouchdown
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
+from sitl.machine_load import Load
 
 _ZERO = MonoNs(0)
 _WHERE = {"pad": "on the pad", "deck": "on deck, off the pad", "water": "in the water"}

@@ -1,0 +1,146 @@
+"""Fly one scenario once, in virtual time: the same scenario, seed, settings and perception give the same ending to the bit.
+
+`simulate`, `soak --virtual`, the benches and campaigns all fly by `fly`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
+from typing import Literal, get_args
+
+import msgspec
+
+from companion.config.build_pilot import make_pilot
+from companion.config.model import CameraSettings, PadSettings, Settings
+from companion.config.settings import load
+from companion.runtime.health import Health
+from companion.runtime.observer import Observer
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName
+from sitl.ending import Contact, Ending, FlightGrade
+from sitl.flight import Flight, FlightResult
+from sitl.render_worker import render_worker
+from sitl.safety import outside_commit
+from sitl.scenario import Scenario
+from sitl.world import Truth
+
+Perception = Literal["pixels"]
+"""How the service perceives the pad: `pixels` renders frames for the real detectors."""
+PERCEPTIONS: tuple[str, ...] = get_args(Perception)
+TRUTH_EACH = 4
+"""Number of 5 ms steps between two samples of the truth."""
+
+
+def perception_level(text: str) -> Perception:
+    """Return the level of perception of this name.
+
+    Raises:
+        BadInput: there is none; the message names those that exist.
+    """
+    for level in get_args(Perception):
+        if text == level:
+            found: Perception = level
+            return found
+    raise BadInput(f"--perception: there is no level {text!r}; known are {', '.join(PERCEPTIONS)}")
+
+
+def settings_for(scenario: Scenario, config: str | None) -> Settings:
+    """Return the settings of a file, or without one the profile `sim` with the scenario's camera and pad.
+
+    Raises:
+        BadInput: as `companion.config.settings.load`.
+    """
+    settings = load(config or "sim")
+    if config is not None:
+        return settings
+    own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
+    return msgspec.structs.replace(settings, **own)
+
+
+def fly(
+    name: str,
+    scenario: Scenario,
+    seed: int,
+    settings: Settings,
+    perception: Perception = "pixels",
+    *,
+    observers: Sequence[Observer] = (),
+    shadows: Sequence[PathName] = (),
+    on_start: Callable[[Health], None] | None = None,
+    on_truth: Callable[[Truth], None] | None = None,
+    render_beside: bool = False,
+) -> Ending:
+    """Fly a scenario once and return how it ended.
+
+    Args:
+        name: what the caller calls the scenario: the name of a shipped one or a path. It does not change the flight.
+        seed: of all random numbers, 0 or more.
+        perception: how the service perceives the pad.
+        observers: receive what the daemon's observers would receive.
+        shadows: estimator paths that run beside the steering one; they do not change the flight.
+        on_start: receives the counters of the flight's health before the first step.
+        on_truth: receives the true state every 20 ms and at the end.
+        render_beside: frames are rendered in a process of their own. The same bits, sooner where a second core is idle.
+
+    Raises:
+        BadInput: the settings name a camera or pad file with a fault.
+        SetupImpossible: the simulated drone refuses a key of the configuration.
+    """
+    if perception not in PERCEPTIONS:
+        raise BadInput(f"there is no perception {perception!r}; known are {', '.join(PERCEPTIONS)}")
+    renew = partial(make_pilot, settings, shadows=shadows)
+    began_s = _cpu_s()
+    flight = Flight(scenario, seed, settings, renew(), observers=observers, renew=renew, contain=True)
+    if on_start is not None:
+        on_start(flight.health)
+    with ExitStack() as stack:
+        if render_beside:
+            flight.room = stack.enter_context(render_worker(flight.world.renderer))
+        steps = 0
+        while flight.step():
+            steps += 1
+            if on_truth is not None and steps % TRUTH_EACH == 0:
+                on_truth(flight.world.truth())
+    if on_truth is not None:
+        on_truth(flight.world.truth())
+    return ending_of(name, seed, scenario, flight.result(), _cpu_s() - began_s)
+
+
+def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cpu_s: float) -> Ending:
+    """Return how a flight in virtual time ended, with the simulator's grade."""
+    contacts = tuple(
+        Contact(
+            t.at,
+            t.surface,
+            t.lateral_m,
+            t.yaw_rad,
+            t.vertical_speed_m_s,
+            t.lateral_speed_m_s,
+            t.phase.name.lower(),
+            t.motors,
+            t.guidance_phase,
+        )
+        for t in result.truth.contacts
+    )
+    judged = FlightGrade(
+        result.grade.value,
+        result.because,
+        result.unsafe,
+        result.refused,
+        outside_commit(result.truth.contacts),
+        round(result.blind.lowest_m, 3) if math.isfinite(result.blind.lowest_m) else None,
+        result.faults,
+        scenario.expect,
+        cpu_s,
+    )
+    return Ending(name, seed, result.outcome, contacts, result.duration_s, result.health.frames, judged=judged)
+
+
+def _cpu_s() -> float:
+    """Return the CPU time of this process and of its ended children, s."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system

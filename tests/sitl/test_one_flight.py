@@ -1,0 +1,49 @@
+"""One flight is a function of scenario, seed, settings and perception."""
+
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+
+from companion.cli import main as cli
+from companion.config.settings import load as load_settings
+from estimator.contracts.errors import BadInput
+from sitl.one_flight import TRUTH_EACH, fly, perception_level, settings_for
+from sitl.scenario import Scenario, from_mapping
+from sitl.world import Truth
+from tests.sitl.near import NEAR
+
+
+def short(**over: object) -> Scenario:
+    return from_mapping({**tomllib.loads(NEAR), "duration_limit_s": 1.0, **over}, "near")
+
+
+def test_the_same_arguments_give_the_same_ending() -> None:
+    scenario = short()
+    settings = settings_for(scenario, None)
+    truth: list[Truth] = []
+    first = fly("near", scenario, 3, settings, on_truth=truth.append).as_json()
+    again = fly("near", scenario, 3, settings, render_beside=True).as_json()
+    assert first.pop("cpu_s") > 0
+    again.pop("cpu_s")
+    assert first == again
+    assert first["outcome"] == "time ran out"
+    assert len(truth) == 200 // TRUTH_EACH, "one each 20 ms, the last one at the end"
+    assert fly("near", scenario, 4, settings).as_json()["seed"] == 4
+
+
+def test_the_settings_take_the_scenarios_camera_and_pad_unless_a_file_is_given() -> None:
+    scenario = short(pad={"file": "printed"}, camera={"file": "photos"})
+    settings = settings_for(scenario, None)
+    assert (settings.pad.file, settings.camera.file) == ("printed", "photos")
+    assert settings_for(scenario, "sim") == load_settings("sim")
+
+
+def test_an_unknown_level_of_perception_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(BadInput, match="known are pixels"):
+        perception_level("thoughts")
+    assert cli.main(["simulate", "calm", "--perception", "thoughts"]) == 2
+    said = capsys.readouterr().err
+    assert "--perception: there is no level 'thoughts'; known are pixels" in said
+    assert said.count("\n") == 1
