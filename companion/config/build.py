@@ -10,7 +10,6 @@ from msgspec import structs
 from companion.config.model import Settings
 from companion.config.settings import camera_model, pad_model
 from companion.config.vehicle import AutopilotSettings
-from companion.runtime.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput
 from estimator.options import EstimatorOptions
@@ -51,9 +50,3 @@ def estimator_options(settings: Settings) -> EstimatorOptions:
         return options
     over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotSettings) else "either"
     return structs.replace(options, ekf=structs.replace(options.ekf, velocity_is_over=over))
-
-
-def restart(settings: Settings) -> Restart:
-    """How a failed part comes back."""
-    s = settings.service
-    return Restart(s.restart_first_s, s.restart_factor, s.restart_cap_s, s.restart_healthy_after_s)

@@ -12,11 +12,12 @@ from typing import Annotated, Literal
 from msgspec import Struct
 
 from companion.config.camera import CameraSettings as CameraSettings
-from companion.config.recorder import RecorderSettings
 from companion.config.vehicle import AutopilotSettings, BridgeSettings
 from companion.guidance.options import GuidanceOptions
 from companion.metrics.settings import MetricsSettings
 from companion.mqtt.settings import MqttSettings
+from companion.recorder.options import RecorderOptions
+from companion.runtime.supervise import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mailbox import SAMPLE_QUEUE_ITEMS
 from estimator.contracts.keys import choice, number, text
@@ -49,7 +50,7 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
     threads: Annotated[int, number("threads OpenCV may use for one frame", "threads", 1, 64)] = 1
 
 
-class ServiceSettings(Struct, frozen=True, forbid_unknown_fields=True):
+class ServiceSettings(RestartOptions, frozen=True, forbid_unknown_fields=True):
     """The process: logging, queues, restarts, health."""
 
     log_level: Annotated[Literal["debug", "info", "warning", "error"], choice("least important messages that are logged")] = (
@@ -58,19 +59,7 @@ class ServiceSettings(Struct, frozen=True, forbid_unknown_fields=True):
     sample_queue_items: Annotated[
         int, number("inertial samples that may wait; the oldest is dropped and counted", "samples", 16, 100_000)
     ] = SAMPLE_QUEUE_ITEMS
-    restart_first_s: Annotated[float, number("rest of a failed part before its first restart", "s", 0.01, 60.0)] = 0.2
-    restart_factor: Annotated[float, number("how much longer each further rest is", "1", 1.0, 10.0)] = 2.0
-    restart_cap_s: Annotated[float, number("longest rest", "s", 0.01, 600.0)] = 5.0
-    restart_healthy_after_s: Annotated[
-        float, number("a part that stayed up this long starts over with the first rest", "s", 0.1, 3600.0)
-    ] = 5.0
     health_period_s: Annotated[float, number("how often health is written to the log; 0 for never", "s", 0.0, 3600.0)] = 10.0
-
-    def __post_init__(self) -> None:
-        if self.restart_cap_s < self.restart_first_s:
-            raise ValueError(
-                f"restart_cap_s ({self.restart_cap_s:g} s) must not be shorter than restart_first_s ({self.restart_first_s:g} s)"
-            )
 
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -83,7 +72,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     estimator: EstimatorOptions = EstimatorOptions()
     guidance: GuidanceOptions = GuidanceOptions()
     service: ServiceSettings = ServiceSettings()
-    recorder: RecorderSettings = RecorderSettings()
+    recorder: RecorderOptions = RecorderOptions()
     mqtt: MqttSettings = MqttSettings()
     metrics: MetricsSettings = MetricsSettings()
     bridge: BridgeSettings = BridgeSettings()

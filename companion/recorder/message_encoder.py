@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
+from companion.recorder.options import FrameForm
 from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.fusion import FusionResult
@@ -21,7 +21,6 @@ from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.thesis.detection import Detection
 
-FrameForm = Literal["jpeg", "png", "none"]
 Message = tuple[str, int, Struct]
 _TF_PERIOD_S = 0.02
 _SAMPLES = (Imu, Attitude, BodyVelocity, Range, Baro, VesselReport, VehicleStatus)

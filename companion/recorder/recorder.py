@@ -22,7 +22,8 @@ from typing import Literal, ParamSpec
 from companion.recorder import encode
 from companion.recorder import records as rec
 from companion.recorder.mcap_file import About, McapFile
-from companion.recorder.message_encoder import FrameForm, MessageEncoder
+from companion.recorder.message_encoder import MessageEncoder
+from companion.recorder.options import RecorderOptions
 from companion.recorder.storage_policy import StoragePolicy, in_words
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision, ProcessedFrame
@@ -52,42 +53,6 @@ class RecorderState(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
-    """The options of the recorder.
-
-    Raises:
-        ValueError: a queue without room, or a period that is not positive.
-    """
-
-    frames: FrameForm = "jpeg"
-    frames_each: int = 1
-    """The step n that keeps each n-th image; the detections of the other frames are kept too."""
-    jpeg_quality: int = 90
-    max_file_s: float = 600.0
-    queue_records: int = 4096
-    """The number of records that may wait for the thread."""
-    queue_frames: int = 15
-    """The number of frames among them: 0.7 MB each at 640x360."""
-    flush_s: float = 1.0
-    """The time between two flushes, which a killed process loses."""
-    sync_s: float = 5.0
-    """The time between two syncs to the disk itself, which a power cut loses."""
-    retry_s: float = 5.0
-    retry_cap_s: float = 60.0
-    """The longest back-off after a fault of the disk or folder; it doubles from `retry_s` to this."""
-    when_full: Literal["drop", "wait"] = "drop"
-    """Whether records are dropped when the thread is behind, or the caller waits for it, as in virtual time."""
-    close_s: float = 10.0
-    """The longest time that closing may take before the remaining records are abandoned."""
-
-    def __post_init__(self) -> None:
-        if min(self.queue_records, self.queue_frames, self.frames_each) < 1:
-            raise ValueError("queue_records, queue_frames and frames_each must be 1 or more")
-        if min(self.max_file_s, self.flush_s, self.sync_s, self.retry_s, self.retry_cap_s, self.close_s) <= 0:
-            raise ValueError("periods of the recorder must be positive")
-
-
-@dataclass(frozen=True, slots=True)
 class _Item:
     at: MonoNs
     what: object
@@ -99,13 +64,25 @@ class Recorder:
     Args:
         about: the metadata and attachments of every file.
         health: the health that shows the recorder's own state, and that is recorded.
+        lossless: the caller waits for the thread when it is behind, as in virtual time; else records are dropped and counted.
+        close_s: the longest time that closing may take before the remaining records are abandoned, seconds.
     """
 
     def __init__(
-        self, storage_policy: StoragePolicy, camera: Camera, about: About, options: Options, health: Health | None = None
+        self,
+        storage_policy: StoragePolicy,
+        camera: Camera,
+        about: About,
+        options: RecorderOptions,
+        health: Health | None = None,
+        *,
+        lossless: bool = False,
+        close_s: float = 10.0,
     ) -> None:
         self._storage_policy = storage_policy
         self._options = options
+        self._lossless = lossless
+        self._close_s = close_s
         self._message_encoder = MessageEncoder(camera, about.offset_ns, options.frames, options.jpeg_quality)
         self._about = about
         self._health: Health | None = None
@@ -175,19 +152,19 @@ class Recorder:
         In virtual time the counters depend on the thread's timing, so there they are left out.
         """
         self._health = health
-        if self._options.when_full == "drop":
+        if not self._lossless:
             health.counters(PART, self.counted)
 
     def close(self) -> None:
         """Write the waiting records and end the file. Stop waiting after `close_s`."""
         if self._state is RecorderState.CLOSED or not self._thread.is_alive():
             return
-        give_up_s = time.monotonic() + self._options.close_s
+        give_up_s = time.monotonic() + self._close_s
         with suppress(queue.Full):
-            self._queue.put(None, timeout=self._options.close_s)
+            self._queue.put(None, timeout=self._close_s)
             self._thread.join(max(0.0, give_up_s - time.monotonic()))
         if self._thread.is_alive():
-            log.error("recorder: the disk took nothing for %.1f s; the end of the recording is lost", self._options.close_s)
+            log.error("recorder: the disk took nothing for %.1f s; the end of the recording is lost", self._close_s)
 
     def pause(self) -> None:
         """End the file, and write nothing more until `resume`."""
@@ -213,7 +190,7 @@ class Recorder:
     def on_frame(self, processed: ProcessedFrame) -> None:
         self._seen += 1
         keep = self._options.frames != "none" and (self._seen - 1) % self._options.frames_each == 0
-        if keep and not self._frames_waiting.acquire(blocking=self._options.when_full == "wait"):
+        if keep and not self._frames_waiting.acquire(blocking=self._lossless):
             self.dropped["frame"] += 1
             keep = False
         if (
@@ -239,7 +216,7 @@ class Recorder:
         self._give(at, rec.LinkRecord(int(at), link, direction, data, name))
 
     def _give(self, at: MonoNs, what: object) -> bool:
-        if self._options.when_full == "wait" and self._state is not RecorderState.CLOSED:
+        if self._lossless and self._state is not RecorderState.CLOSED:
             self._queue.put(_Item(at, what))
             return True
         try:
@@ -271,7 +248,7 @@ class Recorder:
                 try:
                     item = self._queue.get(timeout=self._options.flush_s)
                 except queue.Empty:
-                    if self._options.when_full == "drop":
+                    if not self._lossless:
                         self._guarded(self._flush, None)
                     continue
                 if item is None:

@@ -12,9 +12,9 @@ from companion.config import reference
 from companion.config.model import Settings
 from companion.config.settings import camera_model, find_file
 from companion.recorder.mcap_file import About, Attachment
-from companion.recorder.message_encoder import FrameForm
+from companion.recorder.options import FrameForm, RecorderOptions
 from companion.recorder.reading import CAMERA, PAD, SETTINGS
-from companion.recorder.recorder import Options, Recorder
+from companion.recorder.recorder import Recorder
 from companion.recorder.storage_policy import Folder, SingleFile
 from companion.runtime.health import Health
 from estimator.contracts.ports import Clock
@@ -55,20 +55,9 @@ def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
     """
     r = settings.recorder
     started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-    options = Options(
-        frames=r.frames,
-        frames_each=r.frames_each,
-        jpeg_quality=r.jpeg_quality,
-        max_file_s=r.max_file_s,
-        queue_records=r.queue_records,
-        queue_frames=r.queue_frames,
-        flush_s=r.flush_s,
-        sync_s=r.sync_s,
-        close_s=1.5,
-    )
     storage_policy = Folder(Path(r.folder), started, r.max_file_mb, r.max_total_mb, r.min_free_mb)
     described = about(settings, {"kind": "service"}, wall_offset_ns(clock))
-    recorder = Recorder(storage_policy, camera_model(settings), described, options, health)
+    recorder = Recorder(storage_policy, camera_model(settings), described, r, health, close_s=1.5)
     if not r.enabled:
         recorder.pause()
     return recorder
@@ -83,5 +72,5 @@ def recorder_to_file(
     path: Path, camera: Camera, described: About, *, frames: FrameForm = "jpeg", frames_each: int = 1, live: bool = False
 ) -> Recorder:
     """Return a recorder of one flight into one file. A flight in virtual time waits for the disk; a `live` one never does."""
-    options = Options(frames=frames, frames_each=frames_each, when_full="drop" if live else "wait")
-    return Recorder(SingleFile(path), camera, described, options)
+    options = RecorderOptions(frames=frames, frames_each=frames_each)
+    return Recorder(SingleFile(path), camera, described, options, lossless=not live)

@@ -22,7 +22,7 @@ from companion.runtime.health import Health
 from companion.runtime.missing_inputs import missing_inputs
 from companion.runtime.observer import Decision, Observer, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
-from companion.runtime.supervise import Body, Restart, run, uncancelled
+from companion.runtime.supervise import Body, RestartOptions, run, uncancelled
 from companion.runtime.worker import Worker
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command
@@ -78,7 +78,7 @@ class Daemon:
         pilot: Pilot,
         clock: Clock,
         *,
-        restart: Restart,
+        restart: RestartOptions,
         guidance_rate_hz: float,
         health_period_s: float = 0.0,
         threads: int = 1,

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from companion.config import build
 from companion.config.build_vehicle import vehicle_parts
 from companion.config.model import Settings
 from companion.config.vehicle import AutopilotSettings
@@ -72,7 +71,7 @@ def make_daemon(
         vehicle.open_link,
         pilot,
         ticking,
-        restart=build.restart(settings),
+        restart=settings.service,
         guidance_rate_hz=settings.guidance.rate_hz,
         health_period_s=settings.service.health_period_s,
         threads=settings.vision.threads,

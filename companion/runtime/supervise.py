@@ -11,12 +11,15 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from typing import Annotated
+
+from msgspec import Struct
 
 from companion.runtime.containment import report
 from companion.runtime.health import Health
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
+from estimator.contracts.keys import check_ranges, number
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
 
@@ -28,29 +31,43 @@ CLOSE_S = 1.0
 """Time that the parts beside the flight have to end, once the vital ones have ended."""
 
 
-@dataclass(frozen=True, slots=True)
-class Restart:
-    """When a failed part is started again, and when it is given up."""
+class RestartOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """When a failed part is started again, and when it is given up.
 
-    first_s: float = 0.2
-    """The back-off before the first restart, seconds."""
-    factor: float = 2.0
-    """Each further back-off is this many times longer."""
-    cap_s: float = 5.0
-    """The longest back-off, seconds."""
-    healthy_after_s: float = 5.0
-    """A part that stayed up for this long starts over with `first_s`."""
-    give_up_after: int = 10
-    """Failures in a row after which a part beside the flight is given up. Failures of the outside world do not count, because
-    it may come back at any time."""
+    Raises:
+        ValueError: a number outside its range, or back-offs that do not go together.
+    """
+
+    restart_first_s: Annotated[float, number("rest of a failed part before its first restart", "s", 0.01, 60.0)] = 0.2
+    restart_factor: Annotated[float, number("how much longer each further rest is", "1", 1.0, 10.0)] = 2.0
+    restart_cap_s: Annotated[float, number("longest rest", "s", 0.01, 600.0)] = 5.0
+    restart_healthy_after_s: Annotated[
+        float, number("a part that stayed up this long starts over with the first rest", "s", 0.1, 3600.0)
+    ] = 5.0
+    restart_give_up_after: Annotated[
+        int,
+        number(
+            "failures in a row after which a part beside the flight is given up; those of the outside world do not count",
+            "1",
+            1,
+            1000,
+        ),
+    ] = 10
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.restart_cap_s < self.restart_first_s:
+            raise ValueError(
+                f"restart_cap_s ({self.restart_cap_s:g} s) must not be shorter than restart_first_s ({self.restart_first_s:g} s)"
+            )
 
     @property
     def back_off(self) -> BackOff:
         """The back-off in the form that `drivers.reconnect` takes."""
-        return BackOff(self.first_s, self.cap_s, self.healthy_after_s, self.factor)
+        return BackOff(self.restart_first_s, self.restart_cap_s, self.restart_healthy_after_s, self.restart_factor)
 
 
-async def keep_alive(name: str, body: Body, policy: Restart, health: Health, clock: Clock) -> None:
+async def keep_alive(name: str, body: Body, policy: RestartOptions, health: Health, clock: Clock) -> None:
     """Run a vital `body` again after each `Recoverable`; anything else propagates. A body that returns has finished."""
 
     async def attempt() -> None:
@@ -60,11 +77,11 @@ async def keep_alive(name: str, body: Body, policy: Restart, health: Health, clo
     await reconnect(name, attempt, policy.back_off, clock, lambda why: health.down(name, why), (Recoverable,))
 
 
-async def contain(name: str, body: Body, policy: Restart, health: Health, clock: Clock) -> None:
+async def contain(name: str, body: Body, policy: RestartOptions, health: Health, clock: Clock) -> None:
     """Run a `body` beside the flight again after any error. This raises nothing but its own cancellation.
 
     An error that does not come from the outside world (`Recoverable`, `OSError`) is logged with its traceback the first time, and
-    `policy.give_up_after` of them in a row end the part for good. A body that returns has finished.
+    `policy.restart_give_up_after` of them in a row end the part for good. A body that returns has finished.
     """
     in_a_row = 0
 
@@ -84,13 +101,13 @@ async def contain(name: str, body: Body, policy: Restart, health: Health, clock:
         if _cancelled():  # it failed while it was being cancelled
             report("%s failed while it ended", name, why=why)
             raise asyncio.CancelledError from why
-        if seconds_between(began, clock.now()) >= policy.healthy_after_s:
+        if seconds_between(began, clock.now()) >= policy.restart_healthy_after_s:
             in_a_row = 0
         if not _of_the_world(why):
             in_a_row += 1
             if health.contain(name) == 1:
                 report("%s failed and will be restarted; the flight goes on", name, why=why)
-        if in_a_row >= policy.give_up_after:
+        if in_a_row >= policy.restart_give_up_after:
             words = f"off after {in_a_row} failures: {in_words(why)}"
             health.down(name, RuntimeError(words))
             log.error("%s is %s", name, words)
@@ -102,7 +119,7 @@ async def contain(name: str, body: Body, policy: Restart, health: Health, clock:
 
 async def run(
     parts: Mapping[str, Body],
-    policy: Restart,
+    policy: RestartOptions,
     health: Health,
     clock: Clock,
     until: asyncio.Event | None = None,

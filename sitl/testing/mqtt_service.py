@@ -22,7 +22,7 @@ from companion.mqtt.spool import Spool
 from companion.mqtt.topics import Topics
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision
-from companion.runtime.supervise import Restart, run
+from companion.runtime.supervise import RestartOptions, run
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.estimates import PathName, RelativeState
@@ -110,7 +110,7 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     )
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
-        group.create_task(run({"mqtt": part.run}, Restart(), health, clock, until=ended))
+        group.create_task(run({"mqtt": part.run}, RestartOptions(), health, clock, until=ended))
         try:
             yield Rig(part, health, operator, clock, spool)
         finally:

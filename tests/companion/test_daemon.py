@@ -12,7 +12,7 @@ from companion.guidance.options import GuidanceOptions
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
-from companion.runtime.supervise import Restart
+from companion.runtime.supervise import RestartOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Hover
@@ -90,7 +90,7 @@ def daemon_of(
         open_link,
         pilot,
         CLOCK,
-        restart=Restart(0.01, 1.0, 0.01, 5.0),
+        restart=RestartOptions(0.01, 1.0, 0.01, 5.0),
         guidance_rate_hz=50.0,
         observers=[] if diary is None else [diary],
         once=once,
@@ -217,7 +217,7 @@ async def test_the_log_names_the_part_that_is_waited_for(caplog: pytest.LogCaptu
     vehicle = FakeVehicle()
     pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
     daemon = Daemon(
-        vehicle.open, pilot, CLOCK, restart=Restart(), guidance_rate_hz=50.0, health_period_s=0.05
+        vehicle.open, pilot, CLOCK, restart=RestartOptions(), guidance_rate_hz=50.0, health_period_s=0.05
     )  # fmt: skip
 
     def said(text: str) -> bool:

@@ -24,7 +24,7 @@ from companion.runtime.daemon import Daemon
 from companion.runtime.health import Health
 from companion.runtime.notify import Pulse
 from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
-from companion.runtime.supervise import Restart
+from companion.runtime.supervise import RestartOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample
@@ -147,7 +147,7 @@ async def flown(
         vehicle.open,
         SeeingPilot(vehicle),
         clock,
-        restart=Restart(0.02, 2.0, 0.1, 5.0),
+        restart=RestartOptions(0.02, 2.0, 0.1, 5.0),
         guidance_rate_hz=50.0,
         health_period_s=0.3,
         observers=[failing, Curious()],

@@ -20,8 +20,9 @@ from companion.metrics.exposition import text
 from companion.mqtt import encode as mqtt_encode
 from companion.mqtt import messages
 from companion.recorder import channels, decode, encode
+from companion.recorder.options import RecorderOptions
 from companion.recorder.reading import open_recording
-from companion.recorder.recorder import Options, Recorder
+from companion.recorder.recorder import Recorder
 from companion.recorder.records import FusionRecord
 from companion.recorder.rewriting import Cut, rewrite
 from companion.recorder.setup import about
@@ -116,7 +117,7 @@ def test_every_result_is_recorded_but_those_of_imu_samples_that_were_taken(tmp_p
         result("attitude", Verdict.GATED, test_ratio=1.5),
     ]
     path = tmp_path / "flight.mcap"
-    with Recorder(SingleFile(path), CAMERA, ABOUT, Options(frames="none", when_full="wait")) as recorder:
+    with Recorder(SingleFile(path), CAMERA, ABOUT, RecorderOptions(frames="none"), lossless=True) as recorder:
         for i, one in enumerate(told):
             recorder.on_fusion(MonoNs(T + i), one)
     recording = open_recording([path])
@@ -141,8 +142,8 @@ def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
     settings = sim_settings()
     settings = msgspec.structs.replace(settings, estimator=msgspec.structs.replace(settings.estimator, path="ekf"))
     flown, again, path = Results(), Results(), tmp_path / "flown.mcap"
-    lossless = Options(frames="none", when_full="wait")
-    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), lossless) as recorder:
+    options = RecorderOptions(frames="none")
+    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as recorder:
         flight = Flight(load_scenario("demo"), 1, settings, make_pilot(settings), observers=[flown, recorder])
         for _ in range(150):
             flight.step()

@@ -20,7 +20,7 @@ from companion.runtime.liveness import LivenessLimits, stuck
 from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
 from companion.runtime.observer import NullObserver, Observer
 from companion.runtime.pilot import Pilot
-from companion.runtime.supervise import Restart
+from companion.runtime.supervise import RestartOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
@@ -66,7 +66,7 @@ def watched(
         vehicle.open,
         pilot,
         CLOCK,
-        restart=Restart(0.01, 1.0, 0.01, 5.0),
+        restart=RestartOptions(0.01, 1.0, 0.01, 5.0),
         guidance_rate_hz=50.0,
         observers=(*more, pulse),
         health=health,

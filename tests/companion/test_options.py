@@ -18,6 +18,8 @@ import estimator
 from companion.config.model import Settings
 from companion.config.refusal import unit_of, walk
 from companion.guidance.options import GuidanceOptions, PidOptions, PlannerOptions
+from companion.recorder.options import RecorderOptions
+from companion.runtime.supervise import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.keys import check_ranges
 from estimator.ekf.options import EkfOptions
@@ -33,6 +35,8 @@ IN_THE_FILE = {
     "guidance": GuidanceOptions,
     "guidance.pid": PidOptions,
     "guidance.planner": PlannerOptions,
+    "recorder": RecorderOptions,
+    "service": RestartOptions,
 }
 STILL_TWICE = {
     "AutopilotOptions": {"links", "operators", "ranges", "silence_s"},
@@ -41,14 +45,11 @@ STILL_TWICE = {
     "V4l2Options": {"controls", "device", "exposure_s", "format", "latency_s", "latency_sigma_s", "rate_hz"},
     "StreamOptions": {"exposure_s", "latency_s", "source"},
     "SourceTimeouts": {"silence_s"},
-    "Options": {
-        "flush_s", "frames", "frames_each", "jpeg_quality", "max_file_s", "queue_frames", "queue_records", "sync_s",
-    },
 }  # fmt: skip
 """What is left to do, by class: this may only shrink. A section's keys are compared with the classes of its consumer."""
 SECTIONS = {
     "AutopilotOptions": "vehicle.", "StreamerOptions": "vehicle.", "OutputOptions": "vehicle.",
-    "V4l2Options": "camera.", "StreamOptions": "camera.", "SourceTimeouts": "camera.", "Options": "recorder.",
+    "V4l2Options": "camera.", "StreamOptions": "camera.", "SourceTimeouts": "camera.",
 }  # fmt: skip
 
 

@@ -17,8 +17,9 @@ from mcap.reader import make_reader
 
 from companion.recorder import channels
 from companion.recorder.channels import TOPICS
+from companion.recorder.options import RecorderOptions
 from companion.recorder.reading import RecordedFrame, open_recording
-from companion.recorder.recorder import Options, Recorder, RecorderState
+from companion.recorder.recorder import Recorder, RecorderState
 from companion.recorder.records import TruthRecord
 from companion.recorder.storage_policy import Folder, SingleFile
 from companion.runtime.observer import Decision
@@ -198,9 +199,10 @@ def test_what_a_killed_process_leaves_reads_up_to_its_last_flush(tmp_path: Path)
         import time
         from pathlib import Path
         from tests.companion.test_recorder import ABOUT, CAMERA, imu
-        from companion.recorder.recorder import Options, Recorder
+        from companion.recorder.options import RecorderOptions
+        from companion.recorder.recorder import Recorder
         from companion.recorder.storage_policy import SingleFile
-        recorder = Recorder(SingleFile(Path({str(path)!r})), CAMERA, ABOUT, Options(flush_s=0.1))
+        recorder = Recorder(SingleFile(Path({str(path)!r})), CAMERA, ABOUT, RecorderOptions(flush_s=0.1))
         with recorder:
             for i in range(100_000):
                 recorder.on_sample(imu(i * 0.005))
@@ -230,7 +232,7 @@ def test_files_follow_one_another_and_the_oldest_go(tmp_path: Path) -> None:
     precious.write_bytes(bytes(3_000_000))
     folder = Folder(tmp_path, "20261120T050000Z", max_file_mb=0.2, max_total_mb=0.65, min_free_mb=0.0)
     rng = np.random.default_rng(3)
-    with Recorder(folder, CAMERA, ABOUT, Options(flush_s=0.1, sync_s=0.1, when_full="wait")) as recorder:
+    with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.1), lossless=True) as recorder:
         for i in range(12_000):
             at = MonoNs(i * 5_000_000)
             recorder.on_sample(Imu(Stamp(at, at, 0.001, "sim"), rng.normal(size=3), rng.normal(size=3)))
@@ -248,7 +250,7 @@ def test_files_follow_one_another_and_the_oldest_go(tmp_path: Path) -> None:
 
 
 def test_pause_ends_the_file_and_resume_begins_another(tmp_path: Path) -> None:
-    with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, Options(when_full="wait")) as recorder:
+    with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, RecorderOptions(), lossless=True) as recorder:
         for i in range(30):
             if i == 10:
                 wait_for(lambda: recorder._queue.empty())
@@ -269,7 +271,7 @@ def test_the_same_flight_makes_the_same_file_to_the_byte(tmp_path: Path) -> None
 
 
 def test_link_bytes_are_kept_both_ways(tmp_path: Path) -> None:
-    with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, Options(when_full="wait")) as recorder:
+    with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, RecorderOptions(), lossless=True) as recorder:
         recorder.on_link(MonoNs(5), "autopilot", "out", b"\xfd\x00\xff", "LANDING_TARGET")
         recorder.on_link(MonoNs(6), "autopilot", "in", bytes(range(256)))
     with io.BytesIO((tmp_path / "a.mcap").read_bytes()) as stream:

@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from companion.recorder import mcap_file
+from companion.recorder.options import RecorderOptions
 from companion.recorder.reading import RecordedFrame, open_recording
-from companion.recorder.recorder import Options, Recorder, RecorderState
+from companion.recorder.recorder import Recorder, RecorderState
 from companion.recorder.storage_policy import Folder, SingleFile
 from estimator.contracts.samples import Imu
 from sitl.testing.descriptors import no_descriptors
@@ -50,7 +51,7 @@ def test_a_full_disk_is_said_once_flown_through_and_left_behind(
     tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "a.mcap"
-    with Recorder(SingleFile(path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0, retry_cap_s=1.0)) as recorder:
+    with Recorder(SingleFile(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0, retry_cap_s=1.0)) as recorder:
         for i in range(100):
             recorder.on_sample(imu(0.01 * i))
         wait_for(lambda: recorder.written == 100)
@@ -77,7 +78,7 @@ def test_a_full_disk_is_said_once_flown_through_and_left_behind(
 
 
 def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_path: Path, disk: Disk) -> None:
-    options = Options(flush_s=0.05, queue_records=50, queue_frames=3)
+    options = RecorderOptions(flush_s=0.05, queue_records=50, queue_frames=3)
     with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, options) as recorder:
         recorder.on_sample(imu(0.0))
         wait_for(lambda: recorder.written == 1)
@@ -107,7 +108,7 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
         "companion.recorder.storage_policy.shutil.disk_usage", lambda _: type("Usage", (), {"free": free["bytes"]})
     )
     folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=500.0)
-    with Recorder(folder, CAMERA, ABOUT, Options(flush_s=0.1, retry_s=0.5)) as recorder:
+    with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(300):
             if i == 100:
                 wait_for(lambda: recorder._queue.empty())
@@ -134,7 +135,7 @@ def test_a_full_disk_with_a_little_room_is_left_alone(
 ) -> None:
     monkeypatch.setattr("companion.recorder.storage_policy.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000}))
     folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=0.0)
-    with Recorder(folder, CAMERA, ABOUT, Options(flush_s=0.1, retry_s=0.5)) as recorder:
+    with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(500):
             disk.full = 50 < i < 90
             recorder.on_sample(imu(0.01 * i))
@@ -159,7 +160,7 @@ def test_a_link_that_leads_nowhere_among_the_recordings_is_stepped_over(tmp_path
     """One such file under a name of ours ended every recording at its first look at the folder's size."""
     for name in ("decklander-20200101T000000Z-0001.mcap", "decklander-20261120T050000Z-0001.mcap"):
         (tmp_path / name).symlink_to(tmp_path / "nowhere")
-    with Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.1, sync_s=0.1)) as recorder:
+    with Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.1)) as recorder:
         told(recorder, 0.0, 2.0)
         wait_for(lambda: recorder.written == 200)
         assert recorder.state is RecorderState.RECORDING
@@ -191,7 +192,7 @@ def test_a_folder_that_cannot_be_used_is_tried_until_it_can(
 ) -> None:
     path = tmp_path / "recordings"
     spoil(path)
-    with Recorder(folder(path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0, retry_cap_s=4.0)) as recorder:
+    with Recorder(folder(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0, retry_cap_s=4.0)) as recorder:
         at_s = told(recorder, 0.0, 30.0)
         assert recorder.state is RecorderState.BLOCKED
         assert re.search(why, recorder.why)
@@ -208,7 +209,7 @@ def test_a_folder_that_cannot_be_used_is_tried_until_it_can(
 
 def test_a_folder_that_is_taken_away_in_flight_is_begun_anew(tmp_path: Path) -> None:
     path = tmp_path / "recordings"
-    with Recorder(folder(path), CAMERA, ABOUT, Options(flush_s=0.1, sync_s=0.5, retry_s=1.0)) as recorder:
+    with Recorder(folder(path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.5, retry_s=1.0)) as recorder:
         at_s = told(recorder, 0.0, 2.0)
         shutil.rmtree(path)
         told(recorder, at_s, 4.0)
@@ -219,7 +220,7 @@ def test_a_folder_that_is_taken_away_in_flight_is_begun_anew(tmp_path: Path) -> 
 
 
 def test_without_descriptors_nothing_is_recorded_for_a_while(tmp_path: Path) -> None:
-    with Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.1, retry_s=1.0)) as recorder:
+    with Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=1.0)) as recorder:
         with no_descriptors():
             at_s = told(recorder, 0.0, 2.0)
             assert recorder.state is RecorderState.BLOCKED
@@ -239,7 +240,7 @@ def test_a_file_that_cannot_be_removed_does_not_end_the_recording(tmp_path: Path
         unlink(path, missing_ok)
 
     monkeypatch.setattr(Path, "unlink", refusing)
-    with Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.1, sync_s=0.5)) as recorder:
+    with Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.1, sync_s=0.5)) as recorder:
         told(recorder, 0.0, 2.0)
         wait_for(lambda: recorder.written == 200)
         assert recorder.counted()["not_removed"] >= 1
@@ -247,7 +248,7 @@ def test_a_file_that_cannot_be_removed_does_not_end_the_recording(tmp_path: Path
 
 
 def test_a_disk_that_hangs_holds_up_the_end_of_the_service_for_a_moment_only(tmp_path: Path, disk: Disk) -> None:
-    recorder = Recorder(folder(tmp_path), CAMERA, ABOUT, Options(flush_s=0.05, queue_records=16, close_s=0.3))
+    recorder = Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.05, queue_records=16), close_s=0.3)
     with recorder:
         disk.moving.clear()
         recorder.on_sample(imu(0.0))

@@ -18,8 +18,9 @@ import pytest
 from companion.cli import main as cli
 from companion.config.build_pilot import make_pilot
 from companion.config.settings import camera_model
+from companion.recorder.options import RecorderOptions
 from companion.recorder.reading import open_recording
-from companion.recorder.recorder import Options, Recorder
+from companion.recorder.recorder import Recorder
 from companion.recorder.setup import about
 from companion.recorder.storage_policy import SingleFile
 from companion.replay.engine import Replay
@@ -115,8 +116,8 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
     settings = sim_settings()
     settings = msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="signal"))
     pilot, told, path = make_pilot(settings), ObservedCalls(), tmp_path / "told.mcap"
-    options = Options(frames="none", when_full="wait")
-    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options) as recorder:
+    options = RecorderOptions(frames="none")
+    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as recorder:
         flight = Flight(load_scenario(SCENARIO), 2, settings, pilot, observers=[told, recorder])
         for step in range(240):
             if step == 100:
@@ -137,7 +138,8 @@ def test_the_operators_words_are_followed_again(tmp_path: Path) -> None:
 
 def test_without_recorded_guidance_it_runs_at_its_own_rate(flown: tuple[Path, ObservedCalls], tmp_path: Path) -> None:
     settings, path, told = sim_settings(), tmp_path / "inputs.mcap", ObservedCalls()
-    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), Options(frames="none", when_full="wait")) as out:
+    options = RecorderOptions(frames="none")
+    with Recorder(SingleFile(path), camera_model(settings), about(settings, {}), options, lossless=True) as out:
         for sample in flown[1].samples:
             out.on_sample(sample)
     recording = open_recording([path])

@@ -22,7 +22,6 @@ from companion.guidance.options import GuidanceOptions
 from companion.guidance.plan import Plan
 from companion.mavlink.component import ComponentOptions
 from companion.mavlink.outputs import OutputOptions
-from companion.runtime.supervise import Restart
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.video_source_options import CameraOptions
 from drivers.mavlink.autopilot import AutopilotOptions
@@ -31,11 +30,10 @@ from estimator.options import EstimatorOptions
 
 READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
-    "service.log_level", "service.health_period_s", "service.sample_queue_items",
     "bridge.links", "bridge.system_id", "bridge.operators",
     *(f"{table}.signing_{what}_file" for table in ("vehicle", "bridge") for what in ("key", "time")),
 }  # fmt: skip
-TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.")
+TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.", "service.")
 """Sections that a part takes as they are."""
 MINIMAL = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
 MINIMALS = {
@@ -50,7 +48,7 @@ def parts(settings: Settings) -> list[object]:
         plain(part)
         for part in (
             *vehicle(settings), build.tracker(settings), build.estimator_options(settings), settings.guidance,
-            Plan.over_the_pad(settings.guidance), build.restart(settings), settings.camera.source, *cameras(settings),
+            Plan.over_the_pad(settings.guidance), settings.camera.source, *cameras(settings),
         )
     ]  # fmt: skip
 
@@ -142,7 +140,6 @@ def test_defaults_are_those_of_the_parts() -> None:
     settings = from_mapping(MINIMAL, "default")
     assert settings.guidance == GuidanceOptions()
     assert settings.estimator == EstimatorOptions()
-    assert build.restart(settings) == Restart()
     assert settings.vehicle == ArDroneOptions()
 
 

@@ -141,6 +141,7 @@ GAINS_AND_RATIOS = {
     "slow_floor",
     "soft_least",
     "restart_factor",
+    "restart_give_up_after",
     "sigma_velocity_scale",
     "sigma_velocity_fraction",
     "sigma_range_fraction",
@@ -201,7 +202,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
     estimator.update(max_delay_s=0.5, history_s=1.0)
     estimator.setdefault("ekf", {}).update(gate_probability=1e-3)
     service.update(restart_first_s=0.1, restart_cap_s=1.0)
-    data.setdefault("recorder", {}).update(max_file_mb=1.0, max_total_mb=10.0)
+    data.setdefault("recorder", {}).update(max_file_mb=1.0, max_total_mb=10.0, retry_s=0.1, retry_cap_s=1.0)
     data.setdefault("mqtt", {}).update(reconnect_first_s=0.1, reconnect_cap_s=1.0, user="a", certificate_file="", key_file="")
     data["mqtt"].update(commands="off", command_key_file="")
     data.setdefault("metrics", {}).update(endpoint="off")

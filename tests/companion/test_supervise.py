@@ -7,7 +7,7 @@ import pytest
 
 from companion.runtime import event_loop
 from companion.runtime.health import Delays, Health
-from companion.runtime.supervise import Restart, contain, keep_alive, run
+from companion.runtime.supervise import RestartOptions, contain, keep_alive, run
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs
 
@@ -41,7 +41,7 @@ async def test_a_recoverable_failure_restarts_that_part_alone_with_growing_rests
     async def strong() -> None:
         lives["strong"] += 1
 
-    await run({"weak": weak, "strong": strong}, Restart(0.2, 2.0, 1.0, 5.0), health, clock)
+    await run({"weak": weak, "strong": strong}, RestartOptions(0.2, 2.0, 1.0, 5.0), health, clock)
     assert lives == {"weak": 6, "strong": 1}
     assert clock.slept == [0.2, 0.4, 0.8, 1.0, 1.0]
     assert health.parts["weak"].restarts == 5
@@ -61,7 +61,7 @@ async def test_a_part_that_was_healthy_for_long_rests_shortly_again() -> None:
         if lives < 5:
             raise Recoverable("gone")
 
-    await keep_alive("part", body, Restart(0.1, 2.0, 9.0, 5.0), Health(clock), clock)
+    await keep_alive("part", body, RestartOptions(0.1, 2.0, 9.0, 5.0), Health(clock), clock)
     assert clock.slept == [0.1, 0.2, 0.1, 0.2]
 
 
@@ -80,7 +80,7 @@ async def test_a_recoverable_inside_a_task_group_of_the_part_counts_as_recoverab
         async with asyncio.TaskGroup() as group:
             group.create_task(inner())
 
-    await keep_alive("part", body, Restart(), Health(clock), clock)
+    await keep_alive("part", body, RestartOptions(), Health(clock), clock)
     assert lives == 2
 
 
@@ -99,7 +99,7 @@ async def test_a_bug_takes_everything_down() -> None:
             stopped.set()
 
     with pytest.raises(ExceptionGroup) as caught:
-        await run({"buggy": buggy, "innocent": innocent}, Restart(), Health(clock), clock)
+        await run({"buggy": buggy, "innocent": innocent}, RestartOptions(), Health(clock), clock)
     assert caught.value.subgroup(KeyError) is not None
     assert stopped.is_set()
 
@@ -111,7 +111,7 @@ async def test_a_bug_beside_a_recoverable_still_surfaces() -> None:
         raise ExceptionGroup("both", [Recoverable("socket"), KeyError("ours")])
 
     with pytest.raises(ExceptionGroup) as caught:
-        await keep_alive("part", body, Restart(), Health(clock), clock)
+        await keep_alive("part", body, RestartOptions(), Health(clock), clock)
     assert caught.value.subgroup(KeyError) is not None
 
 
@@ -120,7 +120,7 @@ async def test_a_cancellation_that_nobody_asked_for_is_a_bug_of_a_vital_part_and
         raise asyncio.CancelledError
 
     with pytest.raises(ExceptionGroup) as caught:
-        await run({"vehicle": body}, Restart(), Health(FakeClock()), FakeClock())
+        await run({"vehicle": body}, RestartOptions(), Health(FakeClock()), FakeClock())
     assert caught.value.subgroup(RuntimeError) is not None
 
 
@@ -143,7 +143,7 @@ def test_a_vital_part_whose_task_calls_sys_exit_ends_loudly_after_the_others_hav
             ended.append("guidance")
 
     with pytest.raises(ExceptionGroup) as caught:
-        event_loop.run(run({"vehicle": vehicle, "guidance": guidance}, Restart(), Health(FakeClock()), FakeClock()))
+        event_loop.run(run({"vehicle": vehicle, "guidance": guidance}, RestartOptions(), Health(FakeClock()), FakeClock()))
     assert [str(why) for why in caught.value.exceptions] == ["vehicle called sys.exit(0)"]
     assert ended == ["guidance"]
 
@@ -163,7 +163,7 @@ async def test_a_part_beside_the_flight_that_does_not_end_is_abandoned(caplog: p
         await asyncio.sleep(0)
 
     before = asyncio.all_tasks()
-    await run({"vital": vital}, Restart(), Health(FakeClock()), FakeClock(), beside={"stubborn": stubborn})
+    await run({"vital": vital}, RestartOptions(), Health(FakeClock()), FakeClock(), beside={"stubborn": stubborn})
     assert swallowed == 1
     assert "stubborn did not end within 1.0 s and is abandoned" in caplog.text
     swallowed = 1000
@@ -184,7 +184,7 @@ async def test_the_vital_parts_have_ended_before_the_others_are_told_to() -> Non
     ended = asyncio.Event()
     asyncio.get_running_loop().call_soon(ended.set)
     parts = {"vehicle": lambda: part("vehicle")}
-    await run(parts, Restart(), Health(FakeClock()), FakeClock(), until=ended, beside={"mqtt": lambda: part("mqtt")})
+    await run(parts, RestartOptions(), Health(FakeClock()), FakeClock(), until=ended, beside={"mqtt": lambda: part("mqtt")})
     assert said == ["vehicle", "mqtt"]
 
 
@@ -194,7 +194,7 @@ async def test_a_failing_part_has_one_traceback_in_the_log_however_often_it_fail
     async def body() -> None:
         raise KeyError("ours")
 
-    await contain("mqtt", body, Restart(), health, FakeClock())
+    await contain("mqtt", body, RestartOptions(), health, FakeClock())
     assert sum(record.exc_info is not None for record in caplog.records) == 1
     assert health.contained["mqtt"] == 10
     assert health.flight_fault() is None

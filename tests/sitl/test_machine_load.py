@@ -14,7 +14,7 @@ from companion.cli import demo
 from companion.runtime.daemon import Daemon
 from companion.runtime.health import Health
 from companion.runtime.pilot import FlightOutcome
-from companion.runtime.supervise import Restart
+from companion.runtime.supervise import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
 from sitl.ending import Contact, Ending
@@ -83,7 +83,7 @@ class LateClock(VirtualClock):
 def test_the_daemon_measures_how_late_guidance_comes(clock: VirtualClock, late_s: float) -> None:
     vehicle = FakeFlight(clock)
     daemon = Daemon(
-        vehicle.open, SeeingPilot(vehicle), clock, restart=Restart(), guidance_rate_hz=50.0, health_period_s=0.0,
+        vehicle.open, SeeingPilot(vehicle), clock, restart=RestartOptions(), guidance_rate_hz=50.0, health_period_s=0.0,
     )  # fmt: skip
     asyncio.run(fly(daemon, vehicle, clock, 0.6))
     stage = daemon.health.snapshot().stages["guidance_late"]

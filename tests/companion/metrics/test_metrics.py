@@ -19,7 +19,7 @@ from companion.metrics.exposition import text
 from companion.metrics.limits import ConnectionLimits
 from companion.metrics.settings import MetricsSettings
 from companion.runtime.health import Health
-from companion.runtime.supervise import Restart, run
+from companion.runtime.supervise import RestartOptions, run
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
@@ -107,7 +107,7 @@ async def serving(health: Health, limits: ConnectionLimits | None = None, token_
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(
-            run({}, Restart(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended, beside={"metrics": endpoint.run})
+            run({}, RestartOptions(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=ended, beside={"metrics": endpoint.run})
         )
         async with asyncio.timeout(60):
             while endpoint.port is None:  # noqa: ASYNC110 (the endpoint says nothing when it is ready)
