@@ -146,7 +146,7 @@ def run_settings(data: bytes) -> None:
 def _options(settings: Settings) -> None:
     """What `run` makes of settings before it opens anything."""
     Plan.over_the_pad(settings.guidance)
-    build.restart(settings)
+    assert settings.service.back_off.cap_s > 0
     build.estimator_options(settings)
     build_camera.controls(settings.camera.controls)
     if isinstance(settings.vehicle, ArDroneOptions):

@@ -157,7 +157,7 @@ async def cpu_at(rate_hz: int, scenario: Scenario, settings: Settings, duration_
         reel.open,
         make_pilot(settings),
         clock,
-        restart=build.restart(settings),
+        restart=settings.service,
         guidance_rate_hz=settings.guidance.rate_hz,
         threads=settings.vision.threads,
     )

@@ -8,7 +8,6 @@ from typing import Literal
 
 import msgspec
 
-from companion.config import build
 from companion.config.build_vehicle import vehicle_parts
 from companion.config.model import CameraSettings, Settings
 from companion.config.vehicle import AutopilotSettings
@@ -36,7 +35,7 @@ class FlightDaemon:
             self._open,
             pilot,
             clock,
-            restart=build.restart(settings),
+            restart=settings.service,
             guidance_rate_hz=settings.guidance.rate_hz,
             threads=settings.vision.threads,
             observers=(*self._parts.observers, *observers),

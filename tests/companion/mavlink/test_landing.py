@@ -10,7 +10,6 @@ from contextlib import asynccontextmanager
 import numpy as np
 
 import companion.config.settings as settings_of
-from companion.config import build
 from companion.config.build_pilot import make_pilot
 from companion.config.vehicle import AutopilotSettings
 from companion.mavlink.make import AutopilotPart
@@ -61,7 +60,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
         open_link,
         pilot,
         clock,
-        restart=build.restart(loaded),
+        restart=loaded.service,
         guidance_rate_hz=50.0,
         observers=(part.component,),
         once=True,
