@@ -23,28 +23,19 @@ from estimator.contracts.keys import choice, number, text
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.faults import AnyFault
+from sitl.sea_settings import EXCLUDES
+from sitl.sea_settings import Sea as Sea
 from sitl.seakeeping import HULLS
 
 _MEASURED = "a recorded AR.Drone 2.0 flight against motion capture"
 _THESIS = "the thesis' simulator"
+_EXCLUDES = {"sea": EXCLUDES}
 FAULTS = "faults"
 """Folder of the shipped scenarios with a fault each."""
 
 
 def _switch(meaning: str) -> Meta:
     return Meta(description=meaning)
-
-
-class Sea(Struct, frozen=True, forbid_unknown_fields=True):
-    """The waves, which also move the vessel."""
-
-    significant_height_m: Annotated[float, number("significant wave height, 4 sqrt(m0); 0 is flat water", "m", 0.0, 10.0)] = 0.3
-    peak_period_s: Annotated[float, number("period of the spectrum's peak", "s", 1.0, 20.0)] = 3.5
-    peak_enhancement: Annotated[float, number("JONSWAP's gamma; 1 is a fully grown sea", "1", 1.0, 10.0, "mean JONSWAP")] = 3.3
-    runs_to_deg: Annotated[float, number("mean direction the waves run to, clockwise from north", "deg", -360.0, 360.0)] = 0.0
-    spreading: Annotated[
-        float, number("exponent s of the cos^2s spread of directions; 10 a wind sea, 75 a swell", "1", 1.0, 100.0)
-    ] = 10.0
 
 
 class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -279,12 +270,15 @@ def _with_base(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """The tables of both, key by key; the faults of the base come first."""
+    """The tables of both, key by key; the faults of the base come first.
+
+    A key of `over` that takes the place of others, such as `sea.sea_state` of a height, takes them out of the base."""
     out = dict(base)
     for key, value in over.items():
         under = out.get(key)
         if isinstance(under, dict) and isinstance(value, dict):
-            out[key] = {**under, **value}
+            gone = {name for said in value for name in _EXCLUDES.get(key, {}).get(said, ())} - value.keys()
+            out[key] = {**{name: kept for name, kept in under.items() if name not in gone}, **value}
         elif key == "faults" and isinstance(under, list) and isinstance(value, list):
             out[key] = [*under, *value]
         else:

@@ -1,4 +1,4 @@
-"""The sea as a sum of harmonics: spectra, sea states, and the surface's height at any place and time.
+"""The sea as a sum of harmonics: sea states, and the surface's height at any place and time.
 
 Waves are linear and run over deep water. `towards_rad` is the compass direction a wave runs to, clockwise from north.
 """
@@ -7,35 +7,60 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
+from sitl.spectra import GRAVITY_M_S2 as GRAVITY_M_S2
+from sitl.spectra import fully_grown_period_s, jonswap, most_probable_ochi_hubble, ochi_hubble_part
 
-GRAVITY_M_S2 = 9.80665
+Components = Literal["geometric", "equal_energy"]
+"""How the frequencies of the harmonics are chosen: a random place inside each of geometric bins, or of bins of equal energy."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeaState:
-    """Significant height 4 sqrt(m0), peak period of the spectrum, and the peak's enhancement.
+    """One system of waves: significant height 4 sqrt(m0), peak period of the spectrum, and its shape.
 
     Raises:
-        ValueError: a negative height, or a period or enhancement that is not positive.
+        ValueError: a negative height, a period or shape that is not positive, or an enhancement below 1.
     """
 
     hs_m: float
     tp_s: float
     gamma: float = 3.3
     """1 gives the ITTC (Bretschneider) shape, 3.3 the mean JONSWAP one."""
+    shape: float | None = None
+    """The shape parameter of an Ochi-Hubble part, in place of JONSWAP; 3 is a swell, 1.5 a wind sea."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.hs_m) and self.hs_m >= 0):
             raise ValueError(f"hs_m must be a height of 0 m or more, got {self.hs_m!r}")
         if not (math.isfinite(self.tp_s) and self.tp_s > 0 and math.isfinite(self.gamma) and self.gamma >= 1):
             raise ValueError(f"tp_s must be positive and gamma 1 or more, got {self.tp_s!r}, {self.gamma!r}")
+        if self.shape is not None and not (math.isfinite(self.shape) and self.shape > 0):
+            raise ValueError(f"shape must be positive, got {self.shape!r}")
+
+    def density(self, w_rad_s: F64) -> F64:
+        """Return the spectrum, m^2 s, at angular frequencies, positive, of any shape."""
+        if self.shape is not None:
+            return ochi_hubble_part(w_rad_s, self.hs_m, self.tp_s, self.shape)
+        return jonswap(w_rad_s, self.hs_m, self.tp_s, self.gamma)
+
+    @staticmethod
+    def fully_grown(hs_m: float) -> SeaState:
+        """Return the one-parameter Pierson-Moskowitz sea: the height sets the period."""
+        return SeaState(hs_m, fully_grown_period_s(hs_m) if hs_m > 0 else 2.0, 1.0)
+
+    @staticmethod
+    def swell_and_wind_sea(hs_m: float) -> tuple[SeaState, SeaState]:
+        """Return the two parts of the most probable Ochi-Hubble spectrum of this significant height."""
+        swell, wind = (SeaState(h, tp, 1.0, shape) for h, tp, shape in most_probable_ochi_hubble(hs_m))
+        return swell, wind
 
 
 SEA_STATES: dict[int, SeaState] = {
@@ -47,7 +72,16 @@ SEA_STATES: dict[int, SeaState] = {
     5: SeaState(3.25, 9.7),
     6: SeaState(5.00, 12.4),
 }
-"""Mean heights of the WMO 3700 bands with the modal periods usual for the open North Atlantic (NATO type tables)."""
+"""Mean heights of the WMO 3700 bands with the most probable modal periods of the open North Atlantic.
+
+Source: Bales, Designing ships to the natural environment, Naval Engineers Journal 1983, as in STANAG 4194; the periods of 0, 1
+and 2 are assumed (waves that low have no typical period there).
+"""
+
+WMO_3700_M: dict[int, tuple[float, float]] = {
+    0: (0.0, 0.0), 1: (0.0, 0.1), 2: (0.1, 0.5), 3: (0.5, 1.25), 4: (1.25, 2.5), 5: (2.5, 4.0), 6: (4.0, 6.0)
+}  # fmt: skip
+"""Lowest and highest significant height of each sea state: WMO Manual on Codes (WMO-No. 306), code table 3700."""
 
 SHELTERED_SLIGHT = SeaState(0.20, 3.0)
 """Sea state 2 in sheltered water, where the period is 2 to 4 s: what a boat at anchor in a bay feels."""
@@ -64,28 +98,6 @@ def sea_state(code: int) -> SeaState:
     return SEA_STATES[code]
 
 
-def ittc(w_rad_s: F64, hs_m: float, tp_s: float) -> F64:
-    """ITTC's modified Pierson-Moskowitz spectrum, m^2 s, of the angular frequency (same shape as `w_rad_s`, positive).
-
-    Source: ITTC 1978 two-parameter spectrum with the modal period, A = 487 Hs^2 / T0^4, B = 1949 / T0^4.
-    """
-    w = np.asarray(w_rad_s, dtype=float)
-    return np.asarray(487.0 * hs_m**2 / tp_s**4 * w**-5 * np.exp(-1949.0 / tp_s**4 * w**-4))
-
-
-def jonswap(w_rad_s: F64, hs_m: float, tp_s: float, gamma: float = 3.3) -> F64:
-    """JONSWAP spectrum, m^2 s, of the angular frequency (same shape as `w_rad_s`, positive).
-
-    Source: Hasselmann et al. 1973; scaled to a significant height as in DNV-RP-C205 (2010), 3.5.5, good to 1 %.
-    """
-    w = np.asarray(w_rad_s, dtype=float)
-    wp = math.tau / tp_s
-    sigma = np.where(w <= wp, 0.07, 0.09)
-    peak = gamma ** np.exp(-0.5 * ((w - wp) / (sigma * wp)) ** 2)
-    scale = (1.0 - 0.287 * math.log(gamma)) * 5.0 / 16.0 * hs_m**2 * wp**4
-    return np.asarray(scale * w**-5 * np.exp(-1.25 * (wp / w) ** 4) * peak)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Waves:
     """B seas of N harmonics each; the surface stands at sum a cos(k.p - w t + phase) above mean water."""
@@ -98,6 +110,8 @@ class Waves:
     """(B, N)."""
     phase_rad: F64
     """(B, N)."""
+    current_ne_m_s: tuple[float, float] = (0.0, 0.0)
+    """Velocity of the water itself, m/s north and east, which carries the waves along; `w_rad_s` is as seen from the water."""
 
     @staticmethod
     def draw(
@@ -107,22 +121,29 @@ class Waves:
         towards_rad: float = 0.0,
         spreading: float = 10.0,
         harmonics: int = 60,
+        components: Components = "geometric",
+        stream: int = 0,
     ) -> Waves:
         """One sea a seed. The same seed gives the same sea, alone or in a batch, and `hs_m` is met exactly.
 
-        Frequencies lie at random places inside geometric bins from 0.5 to 5 times the peak's, so that the sum does not
-        repeat itself within a flight; amplitudes come from the spectrum's energy in the bin.
+        Frequencies lie at random places inside bins from 0.5 to 5 times the peak's, so that the sum does not repeat itself
+        within a flight; amplitudes come from the spectrum's energy in the bin.
 
         Args:
+            components: geometric bins show the tail that moves small vessels; bins of equal energy lie close around the peak.
+            stream: tells systems of waves of one seed apart.
             towards_rad: mean direction the waves run to.
             spreading: exponent s of the cos^2s((towards - mean) / 2) spread; 10 is a wind sea, 75 a long swell.
         Source: spread after Longuet-Higgins, Cartwright & Smith 1963; random phases and places as in DNV-RP-C205, 3.3.2.
         """
         edges = np.geomspace(0.5, 5.0, harmonics + 1) * math.tau / state.tp_s
         grid = np.geomspace(edges[0], edges[-1], 8 * harmonics + 1)
-        density = jonswap(grid, state.hs_m, state.tp_s, state.gamma)
+        density = state.density(grid)
         energy = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(grid))])
-        in_bin = np.diff(energy[::8])
+        if components == "equal_energy" and energy[-1] > 0:
+            in_bin = np.full(harmonics, energy[-1] / harmonics)
+        else:
+            in_bin = np.diff(energy[::8])
         total = float(in_bin.sum())
         amplitude = np.sqrt(2.0 * in_bin * ((state.hs_m / 4.0) ** 2 / total)) if total > 0 else np.zeros(harmonics)
         angle = np.linspace(-math.pi, math.pi, 721)
@@ -130,9 +151,12 @@ class Waves:
         cdf = cdf / cdf[-1]
         w, towards, phase = [], [], []
         for seed in [seeds] if isinstance(seeds, int) else seeds:
-            rng = np.random.default_rng([seed, 0x5EA])
+            rng = np.random.default_rng([seed, 0x5EA, stream] if stream else [seed, 0x5EA])
             place, direction, start = rng.random((3, harmonics))
-            w.append(edges[:-1] + place * np.diff(edges))
+            if components == "equal_energy" and total > 0:  # a place by energy, or the tail of the last bin would be overstated
+                w.append(np.interp((np.arange(harmonics) + place) / harmonics, energy / energy[-1], grid))
+            else:
+                w.append(edges[:-1] + place * np.diff(edges))
             towards.append(towards_rad + np.interp(direction, cdf, angle))
             phase.append(math.tau * start)
         w_all = np.array(w)
@@ -143,6 +167,20 @@ class Waves:
         """No waves at all."""
         zero = np.zeros((batch, 1))
         return Waves(zero, zero + 1.0, zero, zero)
+
+    @staticmethod
+    def together(systems: Sequence[Waves]) -> Waves:
+        """Return the sum of systems of waves of the same batch, such as a swell and a wind sea."""
+        first = systems[0]
+        amplitude, w, towards, phase = (
+            np.concatenate([getattr(s, name) for s in systems], axis=1)
+            for name in ("amplitude_m", "w_rad_s", "towards_rad", "phase_rad")
+        )
+        return Waves(amplitude, w, towards, phase, first.current_ne_m_s)
+
+    def carried(self, current_ne_m_s: tuple[float, float]) -> Waves:
+        """Return the same waves on water that moves with this velocity, m/s north and east."""
+        return replace(self, current_ne_m_s=current_ne_m_s)
 
     @property
     def batch(self) -> int:
@@ -159,12 +197,19 @@ class Waves:
         k = self.w_rad_s**2 / GRAVITY_M_S2
         return np.stack([k * np.cos(self.towards_rad), k * np.sin(self.towards_rad)], axis=-1)
 
+    @property
+    def seen_rad_s(self) -> F64:
+        """(B, N) rad/s, the frequencies at a place fixed over the ground: w + k . current (Doppler)."""
+        north, east = self.current_ne_m_s
+        return self.w_rad_s if north == 0.0 and east == 0.0 else self.w_rad_s + self.k_ne @ np.array([north, east])
+
     def longest(self, n: int) -> Waves:
         """The n harmonics of greatest amplitude, those that a frame from some metres up shows as swell."""
         order = np.argsort(-self.amplitude_m, axis=1, kind="stable")[:, :n]
-        return Waves(
-            *(np.take_along_axis(v, order, 1) for v in (self.amplitude_m, self.w_rad_s, self.towards_rad, self.phase_rad))
+        amplitude, w, towards, phase = (
+            np.take_along_axis(v, order, 1) for v in (self.amplitude_m, self.w_rad_s, self.towards_rad, self.phase_rad)
         )
+        return Waves(amplitude, w, towards, phase, self.current_ne_m_s)
 
     def elevation(self, p_ne: ArrayLike, t_s: ArrayLike = 0.0) -> F64:
         """(B, ...) m above mean water at places (..., 2) m north and east and times broadcast to (...)."""
@@ -182,7 +227,7 @@ class Waves:
         p = np.asarray(p_ne, dtype=float)[..., None, None, :]
         t = np.asarray(t_s, dtype=float)[..., None, None]
         k = self.k_ne
-        return np.asarray(p[..., 0] * k[..., 0] + p[..., 1] * k[..., 1] - self.w_rad_s * t + self.phase_rad)
+        return np.asarray(p[..., 0] * k[..., 0] + p[..., 1] * k[..., 1] - self.seen_rad_s * t + self.phase_rad)
 
     @staticmethod
     def _order(p_ne: ArrayLike, t_s: ArrayLike) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ from sitl.contact import DeckShape, Ground
 from sitl.disturbances import Wind
 from sitl.light import Light, Sensor
 from sitl.scenario import Scenario, camera_model, pad_model
-from sitl.sea import SeaState, Waves
+from sitl.sea import Waves
 from sitl.seakeeping import Hull, hull
 from sitl.surroundings import Deck, Surroundings
 from sitl.vehicle import Vehicle
@@ -110,8 +110,7 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel) -> Renderer:
 def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]:
     """Return B seas and the B vessels that ride on them, one for each seed."""
     s, v = scenario.sea, scenario.vessel
-    state = SeaState(s.significant_height_m, s.peak_period_s, s.peak_enhancement)
-    waves = Waves.draw(state, seeds, towards_rad=math.radians(s.runs_to_deg), spreading=s.spreading)
+    waves = s.waves(seeds)
     vessel = Vessel(
         hull(v.hull),
         waves,

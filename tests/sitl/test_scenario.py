@@ -15,6 +15,7 @@ from companion.config.settings import shipped
 from estimator.contracts.errors import BadInput
 from sitl.faults import KINDS
 from sitl.scenario import Scenario, camera_model, from_mapping, load, pad_model, shipped_scenarios
+from sitl.sea import SEA_STATES
 
 
 @pytest.mark.parametrize("name", ["calm", "demo", "moderate", "sea_state_4"])
@@ -39,6 +40,25 @@ def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pyte
     [
         ({"sea": {"significant_height_m": -1}}, "sea.significant_height_m must be a number from 0 to 10 m, found -1"),
         ({"sea": {"peak_period_s": "long"}}, 'sea.peak_period_s must be a number from 1 to 20 s, found "long"'),
+        ({"sea": {"sea_state": 7}}, "sea.sea_state must be a whole number from 0 to 6, found 7"),
+        ({"sea": {"sea_state": 4, "significant_height_m": 1.0}}, "sea: sea_state sets the height and the period: give either it"),
+        ({"sea": {"spreading": 20.0}}, "sea: spreading needs runs_to_deg"),
+        (
+            {"sea": {"spectrum": "pierson_moskowitz", "peak_period_s": 8.0}},
+            "sea: peak_period_s does not go with pierson_moskowitz",
+        ),
+        ({"sea": {"spectrum": "ochi_hubble", "peak_enhancement": 2.0}}, "sea: peak_enhancement is JONSWAP's"),
+        ({"sea": {"swell": {"height_m": 1.0, "period_s": 9.0}}}, "sea: swell belongs to the spectrum ochi_hubble"),
+        ({"sea": {"swell": {"height_m": 1.0}}}, "sea.swell.period_s is missing: it must be a number from 1 to 25 s"),
+        (
+            {"sea": {"spectrum": "ochi_hubble", "significant_height_m": 1.0, "swell": {"height_m": 1.0, "period_s": 9.0}}},
+            "sea: significant_height_m follows from swell and wind_sea",
+        ),
+        (
+            {"sea": {"spectrum": "ochi_hubble", "wind_sea": {"height_m": 1.0, "period_s": 9.0, "spreading": 5.0}}},
+            "sea: wind_sea.spreading needs runs_to_deg",
+        ),
+        ({"sea": {"current_m_s": 1.0}}, "sea: current_m_s needs current_to_deg"),
         ({"wind": {"speed_m_s": float("nan")}}, "wind.speed_m_s must be a number from 0 to 25 m/s, found nan"),
         ({"start": {"hieght_m": 5.0}}, "start.hieght_m is not a known key; did you mean start.height_m?"),
         ({"start": {"where": "sea"}}, 'start.where must be one of "air", "pad", found "sea"'),
@@ -104,6 +124,20 @@ def test_a_base_gives_what_is_not_said_and_its_faults_come_first(tmp_path: Path)
     assert (scenario.start.height_m, scenario.start.pad_right_m) == (3.0, rough.start.pad_right_m)
     assert scenario.camera.exposure_s == 0.004
     assert [fault.kind for fault in scenario.faults] == ["flow_blind", "low_battery"]
+
+
+def test_a_sea_state_takes_the_place_of_the_height_of_a_base(tmp_path: Path) -> None:
+    rough = load("sea_state_4")
+    for code in range(7):
+        scenario = load(f"sea_state_{code}")
+        (system,) = scenario.sea.systems()
+        assert system.state == SEA_STATES[code]
+        assert (scenario.sea.runs_to_deg, scenario.vessel, scenario.wind) == (rough.sea.runs_to_deg, rough.vessel, rough.wind)
+    (tmp_path / "lower.toml").write_text(
+        'title = "l"\nbase = "sea_state_5"\n[sea]\nsignificant_height_m = 2.9\npeak_period_s = 9.0\n'
+    )
+    (system,) = load(tmp_path / "lower.toml").sea.systems()
+    assert (system.state.hs_m, system.state.tp_s) == (2.9, 9.0)
 
 
 def test_an_error_beside_a_base_is_named_in_the_file_it_is_in(tmp_path: Path) -> None:
