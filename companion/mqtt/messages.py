@@ -1,7 +1,7 @@
-"""What travels over MQTT: one immutable struct a message, JSON on the wire (UTF-8, numbers in SI and radians).
+"""The messages on MQTT: one immutable struct for each, JSON on the wire (UTF-8, SI units and radians).
 
-Times are `*_ns`: nanoseconds of the drone's monotonic clock, comparable within one `session` (one run of the service). What
-is not known is null. The JSON Schema in docs/mqtt.md is made from here.
+Times are `*_ns`: nanoseconds of the drone's monotonic clock, comparable within one `session` (one run of the service). Unknown
+values are null. The JSON Schema in docs/mqtt.md is generated from this module.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ Word = Annotated[str, Meta(min_length=1, max_length=64)]
 
 
 class Message(Struct, frozen=True, kw_only=True):
-    """What every message from the drone begins with."""
+    """The fields that every message from the drone has."""
 
     session: str
-    """One run of the service."""
+    """Identifier of one run of the service."""
     at_ns: int
-    """When it was true."""
+    """Instant that the content describes, ns."""
 
 
 class StatusMessage(Message, frozen=True, kw_only=True):
-    """Retained. Whether the service is there; the last will says `online: false` for it."""
+    """Retained. Whether the service is online; the last will publishes `online: false` when it is not."""
 
     online: bool
     reason: Literal["up", "stopped", "lost"]
     version: str
     started_unix_s: float
-    """Wall time of `started_ns`, to put dates on the times of this session."""
+    """Unix time of `started_ns`, s, to date the times of this session."""
     started_ns: int
 
 
 class BeliefReport(Struct, frozen=True, kw_only=True):
-    """Where the pad is believed to be; axes forward, right, down of the body without roll and pitch."""
+    """The estimated pose of the pad; axes forward, right, down of the body without roll and pitch."""
 
     path: str
     d_body_pad_level_m: Vector3
@@ -49,12 +49,12 @@ class BeliefReport(Struct, frozen=True, kw_only=True):
     sigma_v_m_s: Vector3
     sigma_yaw_rad: float
     sighted_age_s: float
-    """Since the newest fused sighting was true."""
+    """Time since the exposure of the newest fused sighting, s."""
     consistent: bool
 
 
 class CommandReport(Struct, frozen=True, kw_only=True):
-    """What guidance asked of the vehicle."""
+    """The command that guidance sent to the vehicle."""
 
     kind: Literal["velocity", "hover", "takeoff", "land"]
     v_level_m_s: Vector3 | None = None
@@ -62,7 +62,7 @@ class CommandReport(Struct, frozen=True, kw_only=True):
 
 
 class VehicleState(Struct, frozen=True, kw_only=True):
-    """What the vehicle says of itself."""
+    """The vehicle's own report of its state."""
 
     mode: str
     flying: bool | None
@@ -73,67 +73,67 @@ class VehicleState(Struct, frozen=True, kw_only=True):
 
 
 class StateMessage(Message, frozen=True, kw_only=True):
-    """The newest round of guidance."""
+    """The newest guidance cycle."""
 
     phase: str
     belief: BeliefReport | None
     shadows: tuple[BeliefReport, ...]
-    """Beliefs of the paths that do not steer."""
+    """Estimates of the paths that do not steer."""
     order: CommandReport | None
-    """null while guidance leaves the vehicle to itself."""
+    """The command; null while guidance sends none."""
     vehicle: VehicleState | None
 
 
 class MethodReport(Struct, frozen=True, kw_only=True):
-    """One method's answer about one frame."""
+    """The result of one detection method for one frame."""
 
     d_body_pad_level_m: Vector3
     yaw_rad: float | None
     yaw_ambiguous: bool
     cov: tuple[float, ...]
-    """4x4 row-major of [forward, right, down, yaw] in m and rad."""
+    """4x4 covariance, row-major, of [forward, right, down, yaw] in m and rad."""
     confidence: float
 
 
 class SightingMessage(Message, frozen=True, kw_only=True):
-    """The newest frame and what became of it. `at_ns` is when vision had done with it."""
+    """The newest frame and its result. `at_ns` is the instant when vision finished the frame."""
 
     measured_at_ns: int
-    """Mid-exposure."""
+    """Instant of mid-exposure, ns."""
     sequence: int
     verdict: str
     chosen: str | None
-    """The method that speaks for the frame."""
+    """The detection method that was selected for the frame."""
     selected: MethodReport | None
     methods: dict[str, MethodReport | None]
 
 
 class SourceReport(Struct, frozen=True, kw_only=True):
-    """What the estimator makes of one source of measurements: the newest result and the counts so far."""
+    """The estimator's results for one source of measurements: the newest result and the counts so far."""
 
     measured_at_ns: int
     verdict: str
     components: tuple[str, ...]
     """Names of the innovation's components, each with its unit."""
     innovation: tuple[float, ...] | None
-    """Measured minus predicted; null where nothing was compared."""
+    """Measured minus predicted value of each component; null if nothing was compared."""
     innovation_var: tuple[float, ...] | None
-    """Variance of each component that the estimator claims."""
+    """Variance of each component of the innovation, as the estimator claims it."""
     nis: float | None
-    """Normalized innovation squared."""
+    """Normalised innovation squared."""
     test_ratio: float | None
-    """NIS over the gate's limit: above 1 the gate refuses."""
+    """NIS divided by the gate's limit; the gate refuses a value above 1."""
     nis_mean: float | None
-    """Recent mean of NIS over the number of components: 1 when the covariance is honest."""
+    """Recent mean of NIS divided by the number of components; it is 1 when the covariance is consistent."""
     verdicts: dict[str, int]
-    """Measurements so far by verdict."""
+    """Number of measurements so far by verdict."""
 
 
 class FusionMessage(Message, frozen=True, kw_only=True):
-    """What each path of the estimator makes of each source of measurements."""
+    """The estimator's results for each path and source of measurements."""
 
     paths: dict[str, dict[str, SourceReport]]
-    """By path, then by source."""
+    """Reports by path, then by source."""
 
 
 class PartReport(Struct, frozen=True, kw_only=True):
@@ -156,12 +156,12 @@ class StageReport(Struct, frozen=True, kw_only=True):
 
 
 class HealthReport(Message, frozen=True, kw_only=True):
-    """How the service is."""
+    """Health of the service."""
 
     all_up: bool
-    """Every part of the service."""
+    """Whether every part of the service is up."""
     flight_up: bool = True
-    """The parts that the flight needs; left out by drones that did not tell them apart."""
+    """Whether the parts that the flight needs are up; drones that did not distinguish them leave it out."""
     parts: dict[str, PartReport]
     flows: dict[str, FlowReport]
     frames: dict[str, int]
@@ -171,42 +171,45 @@ class HealthReport(Message, frozen=True, kw_only=True):
 
 
 class EventMessage(Message, frozen=True, kw_only=True):
-    """Something that happened once. `id` is unique for ever and the same in every delivery; `sequence` counts without a gap
-    within one `spool`, so that a consumer sees what was dropped."""
+    """An event that happened once.
+
+    `id` is globally unique and the same in every delivery. `sequence` counts without a gap within one `spool`, so that a consumer
+    sees what was dropped.
+    """
 
     id: str
     spool: str
     sequence: int
     kind: Literal["service", "phase", "vehicle", "pad", "part", "command"]
     text: str
-    """In words."""
+    """Description of the event in English."""
     data: dict[str, str | float | bool | None]
 
 
 class OperatorNotice(Message, frozen=True, kw_only=True):
-    """Retained. What whoever commands has to know; an access list keeps it from all others."""
+    """Retained. What senders of commands have to know; an access list hides it from all others."""
 
     run: str
-    """This run of the service, in commands and nowhere else: 128 random bits."""
+    """Identifier of this run of the service, used only in commands: 128 random bits."""
     commands: Literal["signed", "broker"]
-    """Whether commands are signed, or the broker answers for who may send them."""
+    """Whether commands must be signed, or the broker controls who may send them."""
 
 
 class OperatorCommand(Struct, frozen=True, kw_only=True, tag_field="command", forbid_unknown_fields=True):
-    """What every command carries."""
+    """The fields that every command has."""
 
     id: Word
-    """Chosen by the sender; a repeated one is answered again and not carried out again."""
+    """Identifier chosen by the sender; a repeated command is answered again but executed once."""
     run: Annotated[str, Meta(max_length=64)]
-    """The run that the topic `operator` names; a command meant for an earlier run is refused."""
+    """The run that the topic `operator` names; a command for an earlier run is refused."""
     expires_ns: int
-    """On the drone's clock: the newest `at_ns` heard plus how long the command may take to arrive."""
+    """Expiry on the drone's clock, ns: the newest `at_ns` received plus the time that the command may take to arrive."""
     reply_to: str | None = None
-    """`decklander/v1/<drone>/reply` (the default) or one name below it."""
+    """Topic of the reply: `decklander/v1/<drone>/reply` (the default) or a topic one level below it."""
 
 
 class StartCommand(OperatorCommand, frozen=True, kw_only=True, tag="start"):
-    """Begin the approach, or go on with it."""
+    """Begin or resume the approach."""
 
 
 class PauseCommand(OperatorCommand, frozen=True, kw_only=True, tag="pause"):
@@ -214,17 +217,17 @@ class PauseCommand(OperatorCommand, frozen=True, kw_only=True, tag="pause"):
 
 
 class AbortCommand(OperatorCommand, frozen=True, kw_only=True, tag="abort"):
-    """Hover, and leave it at that."""
+    """Hover and end the approach."""
 
 
 class SetPathCommand(OperatorCommand, frozen=True, kw_only=True, tag="path"):
-    """Steer by this estimator."""
+    """Select the estimator path that steers."""
 
     path: PathName
 
 
 class SetRecordingCommand(OperatorCommand, frozen=True, kw_only=True, tag="record"):
-    """Recording on or off."""
+    """Switch recording on or off."""
 
     on: bool
 
@@ -249,11 +252,11 @@ class CommandReply(Message, frozen=True, kw_only=True):
     """The answer to a command."""
 
     id: str | None
-    """Of the command; null where it could not be read."""
+    """Identifier of the command; null if it could not be read."""
     accepted: bool
     reason: Refusal | None
     text: str
-    """In words."""
+    """Description of the result in English."""
 
 
 PUBLISHED: dict[str, type[Message]] = {
@@ -266,13 +269,13 @@ PUBLISHED: dict[str, type[Message]] = {
     "operator": OperatorNotice,
     "reply": CommandReply,
 }
-"""Last part of the topic to the message that travels there."""
+"""Last level of the topic to the type of its messages."""
 
 encode = msgspec.json.Encoder().encode
 
 
 def decode(leaf: str, payload: bytes) -> Message | None:
-    """A message of the drone, None when the payload is not one of `leaf`."""
+    """Return the decoded message of the drone, or None if the payload does not fit the topic `leaf`."""
     model = PUBLISHED.get(leaf.partition("/")[0])
     if model is None:
         return None
@@ -283,7 +286,7 @@ def decode(leaf: str, payload: bytes) -> Message | None:
 
 
 def schema() -> str:
-    """JSON Schema of every message under `$defs`, one property a line."""
+    """Return the JSON Schema of every message under `$defs`, with one property per line."""
     models = (*PUBLISHED.values(), StartCommand, PauseCommand, AbortCommand, SetPathCommand, SetRecordingCommand)
     _, definitions = msgspec.json.schema_components(models, ref_template="#/$defs/{name}")
     whole = []

@@ -1,7 +1,7 @@
-"""Our own messages in a recording: flat enough to plot, complete enough to replay to the bit.
+"""The project's own message types in a recording. They can be plotted directly and replayed bit for bit.
 
-Vectors and matrices (row by row) are lists of numbers in SI and radians, named as in `estimator.contracts`; instants are whole
-nanoseconds of the recording host's monotonic clock. What is not known is left out.
+Vectors and matrices (row by row) are lists of numbers in SI units and radians, named as in `estimator.contracts`; instants are
+whole nanoseconds of the recording host's monotonic clock. Unknown values are left out.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from msgspec import Meta, Struct
 
 _FARTHEST_NS = 1 << 62
 Instant = Annotated[int, Meta(ge=-_FARTHEST_NS, le=_FARTHEST_NS)]
-"""Nanoseconds; half of what 64 bits hold, so that sums and differences of two fit as well."""
+"""An instant, ns. Half the range of 64 bits is allowed, so that the sum or difference of two instants fits as well."""
 Count = Annotated[int, Meta(ge=0, le=_FARTHEST_NS)]
 Pixels = Annotated[int, Meta(ge=1, le=65_535)]
 
 
 class StampRecord(Struct, frozen=True):
-    """When it was true, when it was heard, how well the first is known."""
+    """Time of measurement, time of reception, and the uncertainty of the former."""
 
     measured_at_ns: Instant
     received_at_ns: Instant
@@ -83,7 +83,7 @@ class Pose6Record(Struct, frozen=True):
 
 
 class SightingRecord(Struct, frozen=True, omit_defaults=True):
-    """Of one method; stamp and number are those of the look it belongs to."""
+    """The sighting of one method; its stamp and number are those of the detection that contains it."""
 
     method: str
     d_body_pad_level: list[float]
@@ -95,7 +95,7 @@ class SightingRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class DetectionRecord(Struct, frozen=True, omit_defaults=True):
-    """One frame: when, what every method saw, and what became of it."""
+    """One frame: its stamp, the sighting of every method, and the verdict."""
 
     stamp: StampRecord
     seq: Count
@@ -106,9 +106,9 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
     began_ns: Instant
     done_ns: Instant
     attitude: AttitudeRecord | None = None
-    """At the exposure."""
+    """The vehicle's attitude at the exposure."""
     tried: list[str] | None = None
-    """Methods that were asked; left out where vision was not."""
+    """Methods that were tried; left out if vision did not run."""
     chosen: str | None = None
     selected: SightingRecord | None = None
     ellipse: SightingRecord | None = None
@@ -137,16 +137,16 @@ class BeliefRecord(Struct, frozen=True, omit_defaults=True):
     details: list[NamedNumber]
     yaw_rad: float | None = None
     track: int = 0
-    """Number of the pad that it is about; it goes up at every place that motion does not explain."""
+    """Number of the tracked pad; it increases at each jump of the position that motion does not explain."""
     doubts: list[str] = []
-    """Names of what spoke against it."""
+    """Names of the checks that doubted the estimate."""
 
 
 class FusionRecord(Struct, frozen=True, omit_defaults=True):
-    """What one path of the estimator made of one measurement; figures are left out where nothing was compared."""
+    """The result of one measurement on one path of the estimator; figures are left out if nothing was compared."""
 
     at_ns: Instant
-    """When the service met the measurement."""
+    """Instant at which the service processed the measurement."""
     path: str
     source: str
     verdict: str
@@ -158,26 +158,26 @@ class FusionRecord(Struct, frozen=True, omit_defaults=True):
     innovation_cov: list[float] | None = None
     nis: float | None = None
     test_ratio: float | None = None
-    """NIS over the gate's limit: above 1 the gate refuses."""
+    """NIS divided by the gate's limit; the gate refuses a value above 1."""
 
 
 class DecisionRecord(Struct, frozen=True, omit_defaults=True):
-    """One round of guidance; the beliefs it had are the messages of the same instant before it."""
+    """One guidance cycle; the estimates that it used are the messages of the same instant that precede it."""
 
     at_ns: Instant
     phase: str
     steering: str | None = None
-    """Path of the belief that was steered by; left out where there was none."""
+    """Path of the estimate that steered; left out if there was none."""
     command: str | None = None
-    """velocity, hover, take_off or land; left out while the vehicle was left to itself."""
+    """velocity, hover, take_off or land; left out if no command was sent."""
     v_level: list[float] | None = None
     yaw_rate_rad_s: float | None = None
     reason: str = ""
-    """Why it was not simply on its way down."""
+    """Reason for anything other than a plain descent."""
 
 
 class ContactRecord(Struct, frozen=True, omit_defaults=True):
-    """The first contact after flight."""
+    """The first contact with a surface after flight."""
 
     at_ns: Instant
     surface: str
@@ -189,24 +189,24 @@ class ContactRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class TruthRecord(Struct, frozen=True, omit_defaults=True):
-    """Where the pad really was; only a simulator or motion capture knows."""
+    """The true pose of the pad, known only to a simulator or motion capture."""
 
     at_ns: Instant
     d_body_pad_level: list[float]
     v_pad_level: list[float]
     yaw_rad: float
     phase: str | None = None
-    """Of the vehicle itself."""
+    """Phase of the flight as the simulated vehicle knows it."""
     touchdown: ContactRecord | None = None
 
 
 class LinkRecord(Struct, frozen=True, omit_defaults=True):
-    """One message of a link, as its bytes went over the wire."""
+    """One message of a link, with the bytes as they were on the wire."""
 
     at_ns: Instant
     link: str
     direction: str
-    """`in` or `out`."""
+    """Direction of the message: `in` or `out`."""
     data: bytes
     name: str | None = None
 
@@ -245,7 +245,7 @@ class CounterRecord(Struct, frozen=True):
 
 
 class HealthRecord(Struct, frozen=True):
-    """Health of the service (`companion.runtime.health.HealthSnapshot`), once a second."""
+    """Health of the service (`companion.runtime.health.HealthSnapshot`), recorded once a second."""
 
     at_ns: Instant
     parts: list[PartRecord]

@@ -1,7 +1,7 @@
 """Keep a bug in the handling of one message from ending the service.
 
-A message that makes no sense is refused by its handler, by value. What still raises is a bug of ours: it is counted and logged
-here, once with its traceback, and the next message is handled as if nothing had happened.
+Handlers refuse a senseless message by value. An exception that still escapes a handler is a bug of this program: it is counted
+and logged once with its traceback, and the next message is handled as usual.
 """
 
 from __future__ import annotations
@@ -22,29 +22,30 @@ _QUIET_S = 10.0
 
 
 class Containment:
-    """Runs handlers, and holds what escapes them.
+    """Run handlers and contain the exceptions that escape them.
 
     Args:
-        clock: tells when the last line was logged.
+        clock: source of the time, which limits how often an error is logged.
     """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._logged: dict[str, MonoNs] = {}
         self.faults: Counter[str] = Counter()
-        """Errors that escaped a handler, by place."""
+        """Number of errors that escaped a handler, by place."""
 
     @property
     def total(self) -> int:
-        """Number of errors that were held."""
+        """Number of errors that were contained."""
         return sum(self.faults.values())
 
     def run(self, place: str, source: str, handler: Callable[[], _Result]) -> _Result | None:
-        """Return the handler's result, or None where it raised.
+        """Return the handler's result, or None if it raised an exception.
 
         Args:
-            place: what was being done; the message's name belongs to it. The counter goes by it.
-            source: where the message came from, for the log.
+            place: what is being done, with the name of the message; errors are counted under it.
+            source: sender of the message, for the log.
+            handler: the function to run.
         """
         try:
             return handler()

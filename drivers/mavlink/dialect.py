@@ -1,11 +1,12 @@
-"""The one MAVLink dialect in use: `common` as pymavlink ships it, plus the messages it lacks (and TIMESYNC with its target
-fields), built from their definitions.
+"""The MAVLink dialect in use: `common` as pymavlink ships it, plus the messages that it lacks.
+
+TIMESYNC with its target fields and four further messages are built here from their definitions.
 
     message = mav.MAVLink_heartbeat_message(...)     # any message of `common`
-    message = ComponentInformationBasic(...)         # one that was added here
+    message = ComponentInformationBasic(...)         # a message added by this module
 
-Source of the added definitions: mavlink.io message definitions, `common` (396, 410) and `development` (510, 511). The wire
-order and the CRC seed of a message follow from its fields: mavlink.io, "MAVLink serialization".
+Source of the added definitions: mavlink.io message definitions, `common` (396, 410) and `development` (510, 511). The wire order
+and the CRC seed of a message follow from its fields: mavlink.io, "MAVLink serialization".
 """
 
 from __future__ import annotations
@@ -40,18 +41,23 @@ _ARRAY = re.compile(r"^(\w+)\[(\d+)\]$")
 
 
 def _split(kind: str) -> tuple[str, int]:
-    """Base type and array length (0 for a plain field) of a type as a definition writes it."""
+    """Return the base type and the array length (0 for a scalar) of a type as a definition writes it."""
     array = _ARRAY.match(kind)
     return (array[1], int(array[2])) if array else (kind, 0)
 
 
 def _wire_order(fields: list[tuple[str, str]]) -> list[int]:
-    """Field numbers in the order of the wire: larger elements first, otherwise as defined."""
+    """Return the indices of the fields in wire order: larger elements first, otherwise as defined."""
     return sorted(range(len(fields)), key=lambda i: -_FORMATS[_split(fields[i][0])[0]][1])
 
 
 def crc_extra_of(name: str, fields: list[tuple[str, str]]) -> int:
-    """The CRC seed of a message without extension fields; `fields` are (type, name) in the order of the definition."""
+    """Return the CRC seed of a message.
+
+    Args:
+        name: name of the message.
+        fields: (type, name) of each field in the order of the definition, without the extension fields.
+    """
     crc = mav.x25crc()
     crc.accumulate((name + " ").encode())
     for i in _wire_order(fields):
@@ -65,15 +71,17 @@ def crc_extra_of(name: str, fields: list[tuple[str, str]]) -> int:
 def define(
     msg_id: int, name: str, fields: list[tuple[str, str]], extensions: list[tuple[str, str]] | None = None, *, again: bool = False
 ) -> Any:
-    """A message class like those of the dialect, known to its parser from here on.
+    """Return a new message class like those of the dialect, and register it with the dialect's parser.
 
     Args:
-        fields: (type, name) in the order of the definition, types as the definition writes them ("float[3]").
-        extensions: the fields behind `<extensions/>`: numbers that are 0 where a sender leaves them out.
+        msg_id: number of the message.
+        name: name of the message.
+        fields: (type, name) of each field in the order of the definition, types as the definition writes them ("float[3]").
+        extensions: the fields after `<extensions/>`; they are numbers and 0 if a sender leaves them out.
         again: replace a message of the dialect.
 
     Raises:
-        ValueError: the dialect has a message of that number already, or its CRC seed is another.
+        ValueError: the dialect already has a message of that number and `again` is False, or its CRC seed differs.
     """
     extensions = extensions or []
     known = mav.mavlink_map.get(msg_id)
@@ -130,7 +138,7 @@ def define(
 
 
 def unfit_field(message: Message) -> str:
-    """Return the name of the first field whose value does not fit its type on the wire, "?" where each alone does."""
+    """Return the name of the first field whose value does not fit its wire type, or "?" if every single value fits."""
     kinds = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
     for name, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True):
         value = getattr(message, name)

@@ -1,6 +1,6 @@
-"""What is asked of the autopilot and must be answered: message streams and parameters. No I/O.
+"""Requests to the autopilot that need an answer: message streams and parameters. This module does no I/O.
 
-Both ask again until answered and note what was refused; a lost answer costs a repeat, nothing else.
+Both classes repeat a request until it is answered and note what was refused, so a lost answer only costs a repetition.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ _ACCEPTED = int(mav.MAV_RESULT_ACCEPTED)
 _BUSY = int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
 _REAL = (int(mav.MAV_PARAM_TYPE_REAL32), int(mav.MAV_PARAM_TYPE_REAL64))
 _VALUES_MAX = 4096
-"""Parameters of an autopilot that are kept; ArduPilot has some 1,500."""
+"""Largest number of parameters kept of an autopilot; ArduPilot has about 1,500."""
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
-"""MAV_PARAM_TYPE to layout, for values that travel as bytes in a float."""
+"""MAV_PARAM_TYPE to struct layout, for integers that travel as bytes in a float."""
 
 COMMON_RATES_HZ = {"EXTENDED_SYS_STATE": 5.0, "SYS_STATUS": 1.0, "ATTITUDE_QUATERNION": 100.0, "LOCAL_POSITION_NED": 50.0}
 RATES_HZ: dict[Stack, dict[str, float]] = {
@@ -29,16 +29,16 @@ RATES_HZ: dict[Stack, dict[str, float]] = {
     Stack.PX4: COMMON_RATES_HZ | {"HIGHRES_IMU": 100.0, "DISTANCE_SENSOR": 20.0},
     Stack.OTHER: COMMON_RATES_HZ,
 }
-"""What a fresh link is asked for; ArduPilot sends HEARTBEAT and TIMESYNC only until then."""
+"""Message rates, Hz, to request on a new link. Until then ArduPilot sends only HEARTBEAT and TIMESYNC."""
 INSTEAD = {"ATTITUDE_QUATERNION": "ATTITUDE"}
-"""What is asked for where the first is refused: ArduCopter 4.0 has no stream of the quaternion."""
+"""The message to request if the first is refused: ArduCopter 4.0 does not stream the quaternion."""
 
 
 def message_id(name: str) -> int:
-    """Number of a message of the dialect.
+    """Return the number of a message of the dialect.
 
     Raises:
-        KeyError: it has none of that name.
+        KeyError: the dialect has no message of that name.
     """
     found = {cls.msgname: number for number, cls in mav.mavlink_map.items()}
     return int(found[name])
@@ -54,12 +54,15 @@ class _Stream:
 
 
 class Streams:
-    """MAV_CMD_SET_MESSAGE_INTERVAL for every message wanted, one at a time: the answer does not say which one it is for.
+    """Request each message stream with MAV_CMD_SET_MESSAGE_INTERVAL.
+
+    Requests go out one at a time because the acknowledgement does not name the message that it is for.
 
     Args:
-        rates_hz: by message name.
-        retry_s: an unanswered request is repeated after this.
-        silence_s: an accepted message not heard for this long, or ten intervals, is asked for again.
+        rates_hz: rate by message name, Hz.
+        retry_s: time after which an unanswered request is repeated, s.
+        tries: number of requests after which an unanswered message is given up.
+        silence_s: an accepted message that does not arrive for this long, and for ten of its intervals, is requested again.
     """
 
     def __init__(self, rates_hz: Mapping[str, float], *, retry_s: float = 0.5, tries: int = 4, silence_s: float = 3.0) -> None:
@@ -70,22 +73,22 @@ class Streams:
 
     @property
     def refused(self) -> dict[str, int]:
-        """MAV_RESULT of each message the autopilot would not send; -1 where it never answered."""
+        """MAV_RESULT of each message that the autopilot refused to send; -1 if it never answered."""
         given_up = {n: -1 for n, s in self._streams.items() if s.result is None and s.tries >= self._tries}
         return given_up | {n: s.result for n, s in self._streams.items() if s.result not in (None, _ACCEPTED)}
 
     @property
     def settled(self) -> bool:
-        """Whether every request has been answered or given up."""
+        """Whether every request was answered or given up."""
         return all(s.result is not None or s.tries >= self._tries for s in self._streams.values())
 
     def restart(self) -> None:
-        """Ask for everything again: the link or the autopilot was restarted."""
+        """Request every message again, because the link or the autopilot was restarted."""
         self._streams = {name: _Stream(s.interval_s) for name, s in self._streams.items()}
         self._waiting = None
 
     def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
-        """The request to send now, if there is one."""
+        """Return the request to send now as a list of at most one message."""
         if self._waiting is not None:
             waiting = self._streams[self._waiting]
             if waiting.asked is not None and seconds_between(waiting.asked, now) < self._retry_s:
@@ -106,7 +109,7 @@ class Streams:
         return []
 
     def on_message(self, message: Message, received_at: MonoNs) -> None:
-        """Any message of the autopilot."""
+        """Process any message of the autopilot: note acknowledgements and the streams that arrive."""
         kind = message.get_type()
         if kind == "COMMAND_ACK":
             if message.command == mav.MAV_CMD_SET_MESSAGE_INTERVAL and self._waiting is not None:
@@ -124,16 +127,16 @@ class Streams:
         if stream.result != _ACCEPTED or stream.received_at is None:
             return
         if seconds_between(stream.received_at, now) > max(self._silence_s, 10.0 * stream.interval_s):
-            # Asked for again, but a message with nothing to say (no lidar) is not asked for all the time.
+            # A message that has nothing to send (no lidar is fitted) must not be requested all the time.
             stream.result, stream.tries = None, min(stream.tries, self._tries - 1)
             stream.received_at = MonoNs(now + round(4 * self._silence_s * NS_PER_S))
 
 
 class Parameters:
-    """PARAM_REQUEST_READ for each name wanted, a few at a time.
+    """Read parameters with PARAM_REQUEST_READ, a few at a time.
 
     Args:
-        stack: ArduPilot sends integers as their value in a float, PX4 as their bytes in a float.
+        stack: the autopilot's stack. ArduPilot sends an integer as its value in a float, PX4 as its bytes in a float.
     """
 
     def __init__(
@@ -144,23 +147,23 @@ class Parameters:
         self._asked: dict[str, tuple[MonoNs, int]] = {}
         self._retry_s, self._tries, self._at_once = retry_s, tries, at_once
         self.values: dict[str, float] = {}
-        """What the autopilot said, wanted or not."""
+        """Every parameter that the autopilot sent, requested or not."""
         self.absent: set[str] = set()
-        """Asked for and never answered, or refused: this firmware has no such parameter."""
+        """Parameters that were requested and never answered, or refused: this firmware does not have them."""
 
     @property
     def settled(self) -> bool:
         return not self._wanted and not self._asked
 
     def want(self, names: Iterable[str]) -> None:
-        """Read these (again)."""
+        """Read these parameters, again if they were read before."""
         for name in names:
             if name not in self._wanted and name not in self._asked:
                 self.absent.discard(name)
                 self._wanted.append(name)
 
     def due(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
-        """The requests to send now."""
+        """Return the requests to send now."""
         out = []
         for name, (at, tries) in list(self._asked.items()):
             if seconds_between(at, now) < self._retry_s:
@@ -178,7 +181,7 @@ class Parameters:
         return [mav.MAVLink_param_request_read_message(*target, name.encode(), -1) for name in out]
 
     def on_message(self, message: Message) -> None:
-        """Any message of the autopilot."""
+        """Process any message of the autopilot."""
         kind = message.get_type()
         if kind == "PARAM_VALUE":
             name, value = message.param_id, self._value(message)

@@ -1,8 +1,8 @@
-"""Velocity setpoints: SET_POSITION_TARGET_LOCAL_NED with the frame and mask that both stacks obey. No I/O.
+"""Build velocity setpoints: SET_POSITION_TARGET_LOCAL_NED with the frame and mask that both stacks obey. This module does no I/O.
 
-Measured on ArduCopter 4.5.7 and PX4 1.16.2: frame MAV_FRAME_LOCAL_NED and mask 0x05C7 (velocity and yaw rate used) move both;
-with yaw and its rate both ignored ArduCopter turns the nose into the direction of travel, so a rate is always given; a mask
-that ignores one velocity axis stops it.
+Measured on ArduCopter 4.5.7 and PX4 1.16.2: the frame MAV_FRAME_LOCAL_NED and the mask 0x05C7 (velocity and yaw rate used) move
+both. If yaw and yaw rate are both ignored, ArduCopter turns the nose into the direction of travel, so a yaw rate is always given.
+A mask that ignores one velocity axis stops ArduCopter.
 """
 
 from __future__ import annotations
@@ -14,18 +14,20 @@ from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import Rotation
 
 VELOCITY_AND_YAW_RATE = 0x05C7
-"""POSITION_TARGET_TYPEMASK: position (0x7), acceleration (0x1C0) and yaw (0x400) ignored."""
+"""POSITION_TARGET_TYPEMASK that ignores position (0x7), acceleration (0x1C0) and yaw (0x400)."""
 
 
 def velocity_setpoint(time_boot_ms: int, target: tuple[int, int], command: Velocity, yaw_rad: float) -> Message:
-    """The setpoint that flies `command`.
+    """Return the setpoint that flies `command`.
 
     Args:
-        time_boot_ms: our own clock; it wraps at 32 bit.
-        yaw_rad: heading of the body in the autopilot's own frame, which turns `v_level` into north and east.
+        time_boot_ms: time of this program's own clock, ms; it wraps at 32 bits.
+        target: system and component of the autopilot.
+        command: velocity in the level frame and yaw rate.
+        yaw_rad: heading of the body in the autopilot's own frame; it rotates `v_level` into north and east.
 
     Raises:
-        ValueError: a heading that is not finite.
+        ValueError: the heading is not finite.
     """
     if not math.isfinite(yaw_rad):
         raise ValueError(f"a heading must be finite, got {yaw_rad!r}")

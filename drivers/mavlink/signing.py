@@ -1,4 +1,4 @@
-"""Message signing: the key from a file or a systemd credential, and what one endpoint signs with.
+"""Message signing: load the key from a file or a systemd credential, and keep the signing state of an endpoint.
 
 Source: mavlink.io, "Message signing". The key is never printed, logged or offered as a parameter.
 """
@@ -21,7 +21,7 @@ _LONGEST = 4096
 
 @dataclass(frozen=True, slots=True)
 class SigningKey:
-    """32 secret bytes that do not show when printed."""
+    """A secret key of 32 bytes whose representation does not show them."""
 
     secret: bytes = field(repr=False)
 
@@ -31,18 +31,21 @@ class SigningKey:
 
     @property
     def fingerprint(self) -> str:
-        """Sixteen digits by which people tell keys apart; they do not give the key away."""
+        """Sixteen digits that identify the key without revealing it."""
         return ":".join(f"{byte:02x}" for byte in hashlib.sha256(self.secret).digest()[:8])
 
 
 def load_key(where: str, environment: Mapping[str, str] | None = None) -> SigningKey:
-    """The key in a file: 32 raw bytes, 64 hexadecimal digits, or `passphrase: ...` (its SHA-256, as ground stations make it).
+    """Load the key from a file: 32 raw bytes, 64 hexadecimal digits, or `passphrase: ...`.
+
+    The key of a passphrase is its SHA-256, as ground stations compute it.
 
     Args:
         where: a path, or `credential:NAME` for a file that systemd put into `$CREDENTIALS_DIRECTORY`.
+        environment: the environment variables, by default those of the process.
 
     Raises:
-        BadInput: no such file, others may read it, or it holds no key. The text never shows what is in the file.
+        BadInput: the file does not exist, other users may read it, or it holds no key. The text never shows the file's content.
     """
     environment = os.environ if environment is None else environment
     if where.startswith(_CREDENTIAL):
@@ -58,10 +61,10 @@ def load_key(where: str, environment: Mapping[str, str] | None = None) -> Signin
     try:
         mode = path.stat().st_mode
         with path.open("rb") as file:
-            content = file.read(_LONGEST)  # a setting may name any file, also one without an end
-    except (OSError, ValueError) as why:  # a path with a NUL character is a plain ValueError
+            content = file.read(_LONGEST)  # a setting may name any file, also one without an end, such as a device
+    except (OSError, ValueError) as why:  # open() raises a plain ValueError for a path with a NUL character
         raise BadInput(f"signing key {str(path)!r}: {getattr(why, 'strerror', None) or why}") from why
-    # systemd guards credentials by an access list, which shows as a group that may read.
+    # systemd protects credentials by an access list, which looks like a group that may read.
     if not where.startswith(_CREDENTIAL) and stat.S_IMODE(mode) & 0o077:
         raise BadInput(f"signing key {path}: others may read it; chmod 600 {path}")
     if len(content) == 32:
@@ -83,8 +86,9 @@ class Signing:
     """The key and the state with which one endpoint signs.
 
     Args:
-        times: shared by all endpoints, so that a message heard on one is no news on another.
-        link_id: this endpoint's own number, 0..255, different from the other endpoints'.
+        key: the secret key.
+        times: the timestamps seen, shared by all endpoints, so that a message received on one cannot be replayed on another.
+        link_id: number of this endpoint, 0..255, different from those of the other endpoints.
     """
 
     key: SigningKey

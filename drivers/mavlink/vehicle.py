@@ -1,4 +1,4 @@
-"""Which autopilot this is and what it says it is doing: stack, modes, landed state."""
+"""The autopilot's identity and condition from HEARTBEAT: stack, modes, landed state."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.mavlink.dialect import Message, mav
 
 
 class Stack(Enum):
-    """The autopilot's firmware family: it decides which messages are obeyed."""
+    """The autopilot's firmware family, which decides what messages it obeys."""
 
     ARDUPILOT = "ArduPilot"
     PX4 = "PX4"
@@ -17,7 +17,7 @@ class Stack(Enum):
 
 
 MULTICOPTERS = frozenset({2, 3, 4, 13, 14, 15, 19, 20, 21, 22, 23, 24, 25, 29, 35})
-"""MAV_TYPEs that can hover: multicopters, helicopters, convertible ones."""
+"""MAV_TYPEs that can hover: multicopters, helicopters and convertibles."""
 
 ARMED = int(mav.MAV_MODE_FLAG_SAFETY_ARMED)
 CUSTOM = int(mav.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
@@ -28,34 +28,34 @@ COPTER_MODES = {
     21: "smart_rtl", 22: "flowhold", 23: "follow", 24: "zigzag", 25: "systemid", 26: "heli_autorotate", 27: "auto_rtl",
     28: "turtle",
 }  # fmt: skip
-"""ArduCopter's custom_mode; source: ArduCopter/mode.h."""
+"""ArduCopter's custom_mode by name of the mode. Source: ArduCopter/mode.h."""
 
 PX4_MODES = {
     (1, 0): "manual", (2, 0): "altctl", (3, 0): "posctl", (4, 1): "auto.ready", (4, 2): "auto.takeoff", (4, 3): "auto.loiter",
     (4, 4): "auto.mission", (4, 5): "auto.rtl", (4, 6): "auto.land", (4, 8): "auto.follow_target", (4, 9): "auto.precland",
     (4, 10): "auto.vtol_takeoff", (5, 0): "acro", (6, 0): "offboard", (7, 0): "stabilized", (8, 0): "rattitude",
 }  # fmt: skip
-"""PX4's (main, sub) mode; source: px4_custom_mode.h."""
+"""PX4's (main, sub) mode by name of the mode. Source: px4_custom_mode.h."""
 
 _COPTER_NUMBERS = {name: number for number, name in COPTER_MODES.items()}
 _PX4_NUMBERS = {name: number for number, name in PX4_MODES.items()}
 
 VELOCITY_MODE = {Stack.ARDUPILOT: "guided", Stack.PX4: "offboard"}
-"""The mode in which velocity setpoints fly the vehicle."""
+"""The mode in which each stack follows velocity setpoints."""
 LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PX4: "auto.land"}
 HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PX4: "auto.loiter"}
 TAKE_OFF_MODE = {Stack.ARDUPILOT: "guided", Stack.PX4: "auto.takeoff"}
 
 
 def stack_of(heartbeat: Message) -> Stack:
-    """The firmware family that a HEARTBEAT tells of."""
+    """Return the firmware family that sent a HEARTBEAT."""
     if heartbeat.autopilot == mav.MAV_AUTOPILOT_ARDUPILOTMEGA:
         return Stack.ARDUPILOT
     return Stack.PX4 if heartbeat.autopilot == mav.MAV_AUTOPILOT_PX4 else Stack.OTHER
 
 
 def mode_name(stack: Stack, custom_mode: int) -> str:
-    """The mode's name in lower case; its number where it has none."""
+    """Return the mode's name in lower case, or its number if it has no name."""
     if stack is Stack.ARDUPILOT:
         return COPTER_MODES.get(custom_mode, f"mode {custom_mode}")
     if stack is Stack.PX4:
@@ -65,7 +65,7 @@ def mode_name(stack: Stack, custom_mode: int) -> str:
 
 
 def custom_mode(stack: Stack, name: str) -> int:
-    """The number that HEARTBEAT shows in the mode of that name.
+    """Return the custom_mode that HEARTBEAT shows in the named mode.
 
     Raises:
         KeyError: the stack has no such mode.
@@ -77,7 +77,7 @@ def custom_mode(stack: Stack, name: str) -> int:
 
 
 def set_mode(stack: Stack, target: tuple[int, int], name: str) -> Message:
-    """MAV_CMD_DO_SET_MODE for a mode by name.
+    """Return the MAV_CMD_DO_SET_MODE that selects a mode by name.
 
     Raises:
         KeyError: the stack has no such mode.
@@ -91,13 +91,13 @@ def set_mode(stack: Stack, target: tuple[int, int], name: str) -> Message:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The autopilot that was chosen."""
+    """The identity of the selected autopilot."""
 
     system: int
     component: int
     stack: Stack
     kind: int
-    """MAV_TYPE."""
+    """MAV_TYPE of the vehicle."""
 
     @property
     def address(self) -> tuple[int, int]:
@@ -105,19 +105,19 @@ class Identity:
 
 
 def is_autopilot(heartbeat: Message, component: int) -> bool:
-    """Whether this HEARTBEAT comes from something that flies and can hover, not from a station, a gimbal or a ship."""
+    """Return whether a HEARTBEAT comes from an autopilot of a vehicle that can hover, not from a station, a gimbal or a ship."""
     return component == mav.MAV_COMP_ID_AUTOPILOT1 and heartbeat.autopilot != 8 and heartbeat.type in MULTICOPTERS
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What it is doing, as far as it said."""
+    """The condition of the vehicle as far as the autopilot reported it."""
 
     mode: str = "unknown"
     armed: bool | None = None
     flying: bool | None = None
     terminated: bool = False
-    """It cut its motors in flight."""
+    """Whether the autopilot cut its motors in flight."""
     battery_fraction: float | None = None
 
 
@@ -125,7 +125,10 @@ _FLYING = {1: False, 2: True, 3: True, 4: True}
 
 
 def flying_of(landed_state: int, system_status: int, armed: bool) -> bool | None:
-    """Whether it is in the air: by MAV_LANDED_STATE, and where that is undefined by MAV_STATE and the motors."""
+    """Return whether the vehicle is in the air, or None if unknown.
+
+    MAV_LANDED_STATE decides; if it is undefined, MAV_STATE and the state of the motors do.
+    """
     if landed_state in _FLYING:
         return _FLYING[landed_state]
     if not armed or system_status == mav.MAV_STATE_STANDBY:

@@ -265,7 +265,7 @@ def test_the_spool_is_where_it_is_set_else_where_systemd_says_else_nowhere() -> 
 
 def test_the_page_holds_the_schema_and_its_examples_are_good() -> None:
     page = (ROOT / "docs/mqtt.md").read_text()
-    assert messages.schema() in page, "run: python -m companion.mqtt.messages"
+    assert messages.schema() in page, "copy companion.mqtt.messages.schema() into docs/mqtt.md"
     blocks = [block.split("```")[0] for block in page.split("```json\n")[1:]]
     examples = [json.loads(block) for block in blocks if "$schema" not in block]
     commands = [e for e in examples if "command" in e and "expires_ns" in e]
