@@ -50,6 +50,8 @@ class FakeAutopilot:
     p_ned: F64 = field(default_factory=lambda: np.array([0.0, 0.0, -5.0]))
     v_ned: F64 = field(default_factory=lambda: np.zeros(3))
     rpy: Callable[[float], tuple[float, float, float]] = lambda t: (0.0, 0.0, 0.0)
+    gyro_mrad_s: tuple[int, int, int] = (100, -200, 300)
+    """What its gyro reads, forward, right, down."""
     epoch_ns: int = EPOCH_NS
     clock: Clock = field(default_factory=SystemClock)
     messages: list[Message] = field(default_factory=list)
@@ -170,10 +172,11 @@ class FakeAutopilot:
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda: mav.MAVLink_extended_sys_state_message(0, self.landed_state),
             mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, 83, 0, 0, 0, 0, 0, 0),
             mav.MAVLINK_MSG_ID_RAW_IMU: lambda: mav.MAVLink_raw_imu_message(
-                self.boot_ns // 1000, 10, -20, -1000 + least, 100, -200, 300, 0, 0, 0
+                self.boot_ns // 1000, 10, -20, -1000 + least, *self.gyro_mrad_s, 0, 0, 0
             ),
             mav.MAVLINK_MSG_ID_HIGHRES_IMU: lambda: mav.MAVLink_highres_imu_message(
-                self.boot_ns // 1000, 0.1, -0.2, -9.8 + 1e-3 * least, 0.1, -0.2, 0.3, 0, 0, 0, 1000.0, 0, 0, 20.0, 0xFFFF
+                *(self.boot_ns // 1000, 0.1, -0.2, -9.8 + 1e-3 * least, *(1e-3 * w for w in self.gyro_mrad_s)),
+                *(0, 0, 0, 1000.0, 0, 0, 20.0, 0xFFFF),
             ),
         }
         if self.distance_cm is not None:
