@@ -1,7 +1,7 @@
-"""The camera: a pad on a deck on a sea, through a lens, onto a sensor; the same shot and random state give the same bits.
+"""The simulated camera: a pad on a deck on a sea, through a lens, onto a sensor.
 
-Geometry of the pad is exact (pinhole and distortion per pixel, coverage integrated over pixel and exposure); sea, deck and
-decals are scenery.
+The same exposure and random state give the same bits. The geometry of the pad is exact (pinhole and distortion per pixel,
+coverage integrated over pixel and exposure); sea, deck and decals are scenery.
 """
 
 from __future__ import annotations
@@ -35,28 +35,28 @@ class Exposure:
     """The pose of every object in the middle of the exposure, and its motion during the exposure."""
 
     t_s: float
-    """Time that moves the waves; it is the time at which the vessel's motion is computed."""
+    """Time, s, at which the waves and the vessel's motion are computed."""
     R_ned_body: Rotation
     p_body_ned: F64
-    """(3,) m; the surface of calm water is z = 0."""
+    """Position (3,) of the body, m; the surface of calm water is z = 0."""
     R_ned_pad: Rotation
     p_pad_ned: F64
-    """(3,) m."""
+    """Position (3,) of the pad's centre, m."""
     v_body_ned: F64 = field(default_factory=_zeros)
-    """(3,) m/s."""
+    """Velocity (3,) of the body, m/s."""
     w_body: F64 = field(default_factory=_zeros)
-    """(3,) rad/s written in `body`."""
+    """Angular velocity (3,) of the body in `body`, rad/s."""
     v_pad_ned: F64 = field(default_factory=_zeros)
-    """(3,) m/s."""
+    """Velocity (3,) of the pad's centre, m/s."""
     w_pad: F64 = field(default_factory=_zeros)
-    """(3,) rad/s written in `pad`."""
+    """Angular velocity (3,) of the pad in `pad`, rad/s."""
 
 
 class Renderer:
-    """Frames of one scene through one camera.
+    """Renders frames of one scene through one camera.
 
     Args:
-        pad: None for scenes without one; the deck then lies where the pad would.
+        pad: the pad, or None for a scene without one; the deck then lies where the pad would be.
     """
 
     def __init__(
@@ -184,7 +184,7 @@ class Renderer:
         return canvas, gain, added
 
     def _ship_on_water(self, shot: Exposure) -> list[F64]:
-        """Hull at the waterline, the shadow it casts, and its wake: outlines on calm water, (N, 3) m ned."""
+        """Return the outlines on calm water, (N, 3) m ned: the hull at the waterline, the shadow that it casts, and its wake."""
         deck, painter = self.surroundings.deck, self._deck
         if deck is None or painter is None:
             return []
@@ -292,7 +292,7 @@ def _vignette(lens: Lens, loss: float) -> F32:
 
 
 def _smear(canvas: U8, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64, F64]]) -> U8:
-    """The scenery blurred along its motion in the middle of the frame, where that is a pixel or more."""
+    """Return the scenery blurred along its motion in the middle of the frame, if that is a pixel or more."""
     camera = lens.camera
     R, t = middle
     axis = np.array([0.0, 0.0, 1.0])

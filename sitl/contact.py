@@ -19,16 +19,16 @@ DEEPEST_M = 0.3
 
 @dataclass(frozen=True, slots=True)
 class DeckShape:
-    """Outline of the deck about the pad's centre: a rectangle in the hull's axes whose fore end may be rounded to the stem."""
+    """Outline of the deck around the pad's centre: a rectangle in the hull's axes whose fore end may taper to the stem."""
 
     fore_m: float
     aft_m: float
     port_m: float
     starboard_m: float
     taper_m: float = 0.0
-    """Length over which the fore end draws in, as `sitl.surroundings.Deck.outline` has it; 0 for a square one."""
+    """Length over which the fore end tapers as in `sitl.surroundings.Deck.outline`, m; 0 for a square end."""
     pad_yaw_rad: float = 0.0
-    """The arrow against the hull's axis, clockwise from above."""
+    """Angle of the arrow from the hull's axis, clockwise from above, rad."""
 
     def __post_init__(self) -> None:
         sides = (self.fore_m, self.aft_m, self.port_m, self.starboard_m)
@@ -36,7 +36,7 @@ class DeckShape:
             raise ValueError(f"a deck needs a length and a width, got fore, aft, port, starboard = {sides}")
 
     def holds(self, x: Num, y: Num) -> Flag:
-        """Whether a point of the pad's plane (m along the arrow, to starboard of it) lies on the deck."""
+        """Return whether a point of the pad's plane (m along the arrow, m to starboard of it) lies on the deck."""
         c, s = math.cos(self.pad_yaw_rad), math.sin(self.pad_yaw_rad)
         along = c * x - s * y
         middle = 0.5 * (self.starboard_m - self.port_m)
@@ -51,20 +51,20 @@ class DeckShape:
 
 @dataclass(slots=True)
 class Ground:
-    """What lies under the vehicle at one instant: the pad's frame (which is the deck's) and the water."""
+    """The pad's frame (which is also the deck's) and the water under the vehicle at one instant."""
 
     p: Vec
-    """m, the pad's centre in ned."""
+    """Position of the pad's centre in ned, m."""
     v: Vec
-    """m/s."""
+    """Velocity of the pad's centre in ned, m/s."""
     R: Rows
     """Rows of R_ned_pad."""
     w: Vec
-    """rad/s, angular velocity written in the pad frame."""
+    """Angular velocity in the pad frame, rad/s."""
     sea_z: Num = 0.0
-    """m down, of the water's surface under the vehicle."""
+    """Height of the water's surface under the vehicle, m down."""
     sea_vz: Num = 0.0
-    """m/s down."""
+    """Velocity of the water's surface under the vehicle, m/s down."""
 
     @staticmethod
     def of(p_ned: F64, v_ned: F64, R_ned_pad: F64, w_pad: F64, sea_z: Num = 0.0, sea_vz: Num = 0.0) -> Ground:
@@ -87,20 +87,20 @@ class Ground:
 
 @dataclass(slots=True)
 class Relative:
-    """The body's motion relative to the deck, all in the pad frame."""
+    """The body's motion relative to the deck, in the pad frame."""
 
     d: Vec
-    """m, the body's origin from the pad's centre."""
+    """Vector from the pad's centre to the body's origin, m."""
     v: Vec
-    """m/s, against the deck's own motion at that place."""
+    """Velocity relative to the deck at that place, m/s."""
     R: Rows
     """Rows of R_pad_body."""
     w: Vec
-    """rad/s, against the deck's own turning."""
+    """Angular velocity relative to the deck, rad/s."""
 
     @property
     def height(self) -> Num:
-        """m over the deck's plane."""
+        """Height over the deck's plane, m."""
         return -self.d[2]
 
     def yaw(self, m: MathBackend) -> Num:
@@ -129,9 +129,9 @@ class ContactForce:
     """The force and torque that the feet exert on the body."""
 
     force: Vec
-    """N, in the pad frame."""
+    """Force in the pad frame, N."""
     torque: Vec
-    """N m, in the pad frame, about the body's origin."""
+    """Torque about the body's origin in the pad frame, N m."""
     touching: Num
     """Number of feet or corners in contact."""
 

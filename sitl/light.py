@@ -68,7 +68,7 @@ class Light:
             raise BadInput(f"light: sun_elevation_rad must lie in 0.05..pi/2, got {self.sun_elevation_rad!r}")
 
     def gains_bgr(self) -> F32:
-        """(3,) factors from paint to the sensor's full scale in blue, green, red."""
+        """Factors (3,) from paint to the sensor's full scale in blue, green, red."""
         rgb = planck_rgb(self.colour_temperature_k)
         rgb = rgb / (rgb if self.balanced_for_k is None else planck_rgb(self.balanced_for_k))
         rgb = rgb / rgb[1] * np.array(self.white_balance) * 0.8 * 2.0**self.exposure_ev
@@ -76,7 +76,7 @@ class Light:
 
 
 FLAT = Light(vignetting=0.0, drone_shadow=0.0, wear=0.0)
-"""Even light on perfect paint: for measuring geometry."""
+"""Even light on perfect paint, to measure geometry."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +99,11 @@ class Sensor:
 
 
 IDEAL = Sensor(exposure_s=0.0, psf_sigma_px=0.0, full_well_e=math.inf, read_noise_e=0.0)
-"""No blur, no noise."""
+"""A sensor without blur and noise."""
 
 
 def planck_rgb(kelvin: float) -> NDArray[np.float64]:
-    """(3,) linear sRGB of a black body, greatest component 1; 6500 K is white to about 1 %.
+    """Return the linear sRGB (3,) of a black body, with its greatest component 1; 6500 K is white to about 1 %.
 
     Source: Kim et al., US patent 7024034 B2 (2006), cubic fit of the Planckian locus, 1667 to 25000 K; IEC 61966-2-1 for sRGB.
     """
@@ -125,7 +125,7 @@ def planck_rgb(kelvin: float) -> NDArray[np.float64]:
 
 
 def linear_from_srgb(value: NDArray[np.floating] | NDArray[np.integer]) -> NDArray[np.float64]:
-    """sRGB values 0..255 to linear light 0..1. Source: IEC 61966-2-1."""
+    """Return linear light 0..1 for sRGB values 0..255. Source: IEC 61966-2-1."""
     v = np.asarray(value, dtype=float) / 255.0
     return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
 
@@ -138,7 +138,7 @@ def _decode(blend: str) -> F32:
 
 @lru_cache(maxsize=2)
 def _encode(blend: str) -> U8:
-    """(65536,) from light in 1/65535 of full scale to the value of the frame."""
+    """Return the frame's value (65536,) for light in steps of 1/65535 of full scale."""
     light = np.arange(65536) / 65535.0
     if blend == "linear":
         light = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
@@ -147,7 +147,7 @@ def _encode(blend: str) -> U8:
 
 @lru_cache(maxsize=1)
 def _noise_bank() -> F32:
-    """(4194304,) standard normal numbers, always the same: a frame takes a stretch of them from a random place on."""
+    """Return 4194304 standard normal numbers, always the same; each frame uses a part that begins at a random place."""
     return np.random.default_rng(0x0153).standard_normal(1 << 22, dtype=np.float32)
 
 
@@ -158,7 +158,7 @@ class Development:
         self._sensor = sensor
         self.gains_bgr = light.gains_bgr() if sensor.blend == "linear" else light.gains_bgr() ** np.float32(1 / 2.2)
         self.table: F32 = np.ascontiguousarray(_decode(sensor.blend)[None, :, None] * self.gains_bgr)
-        """(1, 256, 3) light of every paint value, light and exposure put in."""
+        """Light (1, 256, 3) of every paint value under this light and exposure."""
 
     def expose(self, paint: U8) -> F32:
         """Return the light of (H, W, 3) paint values."""
@@ -173,7 +173,10 @@ class Development:
         return np.asarray(cv2.GaussianBlur(light, (size, size), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
 
     def sensor_image(self, light: F32, rng: np.random.Generator) -> U8:
-        """Shot and read noise, tone curve, eight bits. Draws one number from `rng`; changes `light`."""
+        """Return the frame of eight bits: add shot and read noise and apply the tone curve.
+
+        One number is drawn from `rng`. The function modifies `light`.
+        """
         s = self._sensor
         if math.isfinite(s.full_well_e) or s.read_noise_e > 0:
             bank = _noise_bank()

@@ -1,4 +1,4 @@
-"""Projection of the world's planes and polygons into one frame."""
+"""Project the world's planes and polygons into one frame."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
 SHIFT = 6
-"""Fractional bits of the vertices handed to OpenCV's drawing: 1/64 px."""
+"""Fractional bits of the vertices for OpenCV's drawing: 1/64 px."""
 
 _NEAR_M = 0.002
-"""Least distance at which anything is drawn; `Camera.project` refuses points nearer than half of it."""
+"""Least distance at which anything is drawn, m; `Camera.project` refuses points nearer than half of it."""
 
 _FAR_PX = 8000.0
-"""OpenCV clips polygons to the frame by itself, reliably while their fixed-point coordinates fit into 32 bits."""
+"""Largest coordinate of a vertex, px. OpenCV clips polygons to the frame reliably only if their fixed-point coordinates fit into
+32 bits."""
 
 
 class Lens:
-    """The viewing ray of every pixel of a camera, kept, and polygons through the same lens."""
+    """The viewing ray of every pixel of a camera, precomputed, and the projection of polygons through the same lens."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
@@ -34,7 +35,7 @@ class Lens:
         rays = camera.rays(uv)
         self.rays: F32 = rays.reshape(h, w, 2).astype(np.float32)
         self.jacobian: F32 = _ray_change(camera, rays).reshape(h, w, 2, 2).astype(np.float32)
-        """(H, W, 2, 2) change of the ray for one pixel to the right and one down."""
+        """Change of the ray for one pixel to the right and one down, (H, W, 2, 2)."""
         low, high = rays.min(axis=0), rays.max(axis=0)
         margin = 0.15 * (high - low)
         low, high = low - margin, high + margin
@@ -49,12 +50,13 @@ class Lens:
         self.corner_rays = rays.reshape(h, w, 2)[[0, 0, -1, -1], [0, -1, 0, -1]]
 
     def plane_from_ray(self, cam_from_plane: F64) -> F64 | None:
-        """The homography taking (x/z, y/z, 1) of a ray to (x, y, 1) on a plane, up to a positive factor before the camera.
+        """Return the homography from (x/z, y/z, 1) of a ray to (x, y, 1) on a plane, up to a factor positive before the camera.
 
         Args:
             cam_from_plane: (3, 3) columns: the plane's x and y axes, unit vectors, and its origin in m, written in `cam`.
+
         Returns:
-            None when the camera lies in the plane to within a millimetre.
+            The homography (3, 3), or None if the camera lies in the plane to within a millimetre.
         """
         if abs(np.linalg.det(cam_from_plane)) < 1e-3:
             return None
@@ -70,7 +72,7 @@ class Lens:
         return uv if max(uv.max(), -uv.min()) < _FAR_PX else None
 
     def outlines(self, polygons_cam: list[F64], steps: int = 1) -> list[F64]:
-        """`outline` of several polygons, at once where none needs cutting."""
+        """Return `outline` of several polygons, in one call if none needs cutting."""
         if not self._bent:
             uv = self._straight(np.concatenate(polygons_cam))
             if uv is not None:
@@ -78,10 +80,11 @@ class Lens:
         return [self.outline(p, steps) for p in polygons_cam]
 
     def outline(self, points_cam: F64, steps: int = 1) -> F64:
-        """(N, 3) m polygon in `cam` to (M, 2) px, cut to a little more than the frame; M is 0 when nothing is left.
+        """Return the polygon (N, 3) m in `cam` as (M, 2) px, cut to a little more than the frame; M is 0 if nothing is left.
 
         Args:
-            steps: pieces to cut each edge of a polygon of few corners into, where the lens bends straight lines.
+            points_cam: vertices of the polygon.
+            steps: number of pieces into which each edge is divided where the lens bends straight lines.
         """
         p = np.asarray(points_cam, dtype=float)
         if not self._bent:
@@ -103,7 +106,7 @@ class Lens:
 
 
 def _ray_change(camera: Camera, rays: F64) -> F64:
-    """(N, 2, 2): the inverse of the distortion's derivative at rays (N, 2), over the focal lengths."""
+    """Return the inverse of the distortion's derivative at rays (N, 2) divided by the focal lengths, (N, 2, 2)."""
     per_px = np.array([1.0 / camera.fx, 1.0 / camera.fy])
     if not camera.distorted:
         return np.broadcast_to(np.diag(per_px), (len(rays), 2, 2))
@@ -115,12 +118,12 @@ def _ray_change(camera: Camera, rays: F64) -> F64:
 
 @lru_cache(maxsize=8)
 def lens_of(camera: Camera) -> Lens:
-    """The lens of a camera object, made once."""
+    """Return the lens of a camera object, computed once."""
     return Lens(camera)
 
 
 def _cut(polygon: F64, planes: F64) -> F64:
-    """The part of a polygon (N, 3) on the positive side of every plane through the origin.
+    """Return the part of a polygon (N, 3) on the positive side of every plane through the origin.
 
     Source: Sutherland & Hodgman, Reentrant polygon clipping, CACM 17(1), 1974.
     """

@@ -1,4 +1,4 @@
-"""The deck in the frame: its drawing, edges and side, decals, the drone's shadow, wear and puddles."""
+"""Render the deck: its drawing, edges and side, decals, the drone's shadow, wear and puddles."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ U8 = NDArray[np.uint8]
 
 
 class DeckPainter:
-    """A deck seen through one lens."""
+    """Renders a deck through one lens."""
 
     def __init__(self, lens: Lens, deck: Deck, light: Light) -> None:
         self._lens, self._deck, self._light = lens, deck, light
@@ -30,11 +30,11 @@ class DeckPainter:
         self._R_deck_pad = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
     def rim_pad(self) -> F64:
-        """(N, 3) m, the deck's edge in `pad`."""
+        """Outline of the deck, (N, 3) m in `pad`."""
         return np.asarray(self._rim @ self._R_deck_pad)
 
     def mask(self, R_cam_pad: F64, t_cam_pad: F64) -> U8:
-        """(H, W) share of each pixel that the deck covers, 0..255; edges anti-aliased by OpenCV's drawing."""
+        """Return the deck's coverage of each pixel, (H, W), 0..255; OpenCV's drawing antialiases the edges."""
         camera = self._lens.camera
         out = np.zeros((camera.height, camera.width), np.uint8)
         uv = self._lens.outline(self.rim_pad() @ R_cam_pad.T + t_cam_pad, 12)
@@ -43,7 +43,7 @@ class DeckPainter:
         return out
 
     def paint(self, rays: F32, pad_from_ray: F64, footprint_m: float) -> U8:
-        """(h, w, 3) BGR where rays (h, w, 2) meet the deck, through the homography from rays to `pad`."""
+        """Return the paint (h, w, 3) BGR where rays (h, w, 2) meet the deck, by the homography from rays to `pad`."""
         drawing = self._drawing
         level = min(len(drawing.levels) - 1, max(0, round(math.log2(max(footprint_m * drawing.texels_per_m, 1e-3)))))
         image = drawing.levels[level]
@@ -55,17 +55,17 @@ class DeckPainter:
         index: F32 = np.asarray(cv2.perspectiveTransform(rays, texel_from_deck @ self.to_deck(pad_from_ray)), dtype=np.float32)
         corners = index[[0, 0, -1, -1], [0, -1, 0, -1]]
         if np.abs(corners).max() > 1e4 or (pad_from_ray[2, :2] @ self._lens.corner_rays.T + pad_from_ray[2, 2]).min() <= 0:
-            # Near the horizon texels are far away, and OpenCV reflects them back one length at a time.
+            # Near the horizon texels are far away; OpenCV's border mode would reflect them back one length at a time.
             np.clip(index, -1e4, 1e4, out=index)
         nothing = np.empty(0, np.float32)
         return np.asarray(cv2.remap(image, index, nothing, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), dtype=np.uint8)
 
     def to_deck(self, pad_from_ray: F64) -> F64:
-        """The homography from rays to the deck's axes."""
+        """Return the homography from rays to the deck's axes."""
         return np.asarray(self._R_deck_pad @ pad_from_ray)
 
     def wear(self, rays: F32, pad_from_ray: F64, footprint_m: float) -> tuple[F32 | None, F32 | None]:
-        """Factors on the light from the surface and light added to it, each (h, w) or None; found at half resolution."""
+        """Return factors on the light from the surface and light added to it, each (h, w) or None, at half resolution."""
         light = self._light
         if light.wear == 0 and light.wetness == 0:
             return None, None
@@ -88,9 +88,10 @@ class DeckPainter:
 def drone_shadow(
     lens: Lens, R_cam_pad: F64, t_cam_pad: F64, R_pad_body: F64, p_body_pad: F64, to_sun_pad: F64
 ) -> tuple[F32, slice, slice] | None:
-    """Share of sunlight taken away by a quadcopter half a metre wide, and the part of the frame it is in.
+    """Return the fraction of sunlight that the drone's shadow takes away, and the part of the frame that it covers.
 
-    Four rotors inside guards and a slim hull, cast along the sun onto the pad's plane; the edge is as soft as the sun is wide.
+    The shadow is that of a quadcopter half a metre wide, with four rotors inside guards and a slim hull, cast along the sun onto
+    the pad's plane. The width of the sun softens its edge.
     """
     if to_sun_pad[2] > -0.05 or p_body_pad[2] > -0.01:
         return None
@@ -105,7 +106,7 @@ def drone_shadow(
     polygons = [uv for uv in lens.outlines(cast) if len(uv)]
     if not polygons:
         return None
-    # The sun's disc is half a degree wide: a penumbra of 0.0093 of the way, with a deviation of a quarter of that.
+    # The sun's disc is half a degree wide: the penumbra is 0.0093 of the distance wide, its standard deviation a quarter of that.
     depth = max(0.05, float(t_cam_pad[2]))
     way = float(-p_body_pad[2] / -to_sun_pad[2])
     sigma = float(np.clip(0.0023 * way * lens.camera.fx / depth, 0.7, 6.0))
@@ -125,7 +126,7 @@ def drone_shadow(
 
 
 def draw(canvas: U8, lens: Lens, points_cam: F64, rgb: RGB) -> None:
-    """Fill a polygon (N, 3) m in `cam` on the frame, anti-aliased by OpenCV's drawing."""
+    """Fill a polygon (N, 3) m in `cam` on the frame, antialiased by OpenCV's drawing."""
     uv = lens.outline(points_cam, 6)
     if len(uv) >= 3:
         cv2.fillPoly(canvas, [fixed_point(uv)], rgb[::-1], cv2.LINE_AA, SHIFT)

@@ -1,10 +1,10 @@
-"""The pad in the frame: what share of each pixel each paint covers.
+"""Render the pad: compute the coverage of each pixel by each paint.
 
-Whole pixels are filled as polygons. A pixel that an edge may touch is integrated: each of s x s subpixels and each
-sub-exposure asks every edge of the drawing for its signed distance, and turns it into a covered share. A square seen along a
-straight edge's normal is a box of its wider side blurred by a box of its narrower one; the wider is integrated exactly, the
-narrower by two-point Gauss quadrature, so that mean, variance and skewness are the square's own: edges lie where the drawing
-has them in any direction, and areas add up also where a shape is thinner than a pixel.
+Pixels inside one paint are filled as polygons. A pixel that an edge may touch is integrated: for each of s x s subpixels and each
+sub-exposure, the signed distance to every edge of the drawing is converted to a coverage. Seen along the normal of a straight
+edge, a square subpixel is a box of its wider side blurred by a box of its narrower one. The wider is integrated exactly, the
+narrower by two-point Gauss quadrature, so that mean, variance and skewness are those of the square: edges lie where the drawing
+has them in any direction, and areas add up even if a shape is thinner than a pixel.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from sitl.projection import F32, I32, SHIFT, Lens, fixed_point
 BACKGROUND, RIM, DISC, ORANGE, WHITE = range(5)
 
 _BUDGET = 24_000
-"""Subsamples a frame may cost: 5 x 5 a pixel at 10 m, 8 x 8 from 20 m on, one where the pad fills the frame."""
+"""Largest number of subsamples of a frame: 5 x 5 a pixel at 10 m, 8 x 8 from 20 m on, one if the pad fills the frame."""
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PadInImage:
-    """Fills for the whole pixels, in paint order, and shares for the others."""
+    """The pad in one frame: polygons for the pixels of one paint, in paint order, and coverages for the others."""
 
     fills: tuple[tuple[int, I32], ...]
-    """(paint, fixed-point polygon)."""
+    """Polygons as (paint, fixed-point vertices)."""
     rows: NDArray[np.intp]
-    """(N,) of the pixels that edges touch."""
+    """(N,) row numbers of the pixels that edges touch."""
     cols: NDArray[np.intp]
     shares: F32
-    """(N, 5) of background, rim, disc, orange, white; each row sums to 1."""
+    """(N, 5) coverage by background, rim, disc, orange and white; each row sums to 1."""
 
 
 class PadPainter:
@@ -52,12 +52,13 @@ class PadPainter:
         self._arrow, self._h = pad.arrowhead(), pad.h_corners()
 
     def place(self, cam_from_pad: Sequence[tuple[F64, F64]]) -> PadInImage | None:
-        """The pad at the poses of the sub-exposures, the middle one of which gives the fills.
+        """Return the pad at the poses of the sub-exposures; the middle pose gives the filled polygons.
 
         Args:
-            cam_from_pad: rotation (3, 3) and pad's centre (3,) m in `cam`, one for each sub-exposure.
+            cam_from_pad: rotation (3, 3) and pad's centre (3,) m in `cam` for each sub-exposure.
+
         Returns:
-            None when no part of the pad is in the frame, or the camera looks at it from below.
+            The pad, or None if no part of it is in the frame or the camera is below it.
         """
         cam_from_pad = [(R, t) for R, t in cam_from_pad if float(R[:, 2] @ t) > 1e-3]
         if not cam_from_pad:
@@ -97,18 +98,18 @@ class PadPainter:
         return PadInImage(painted, rows, cols, np.ascontiguousarray(total.T) * np.float32(1.0 / len(cam_from_pad)))
 
     def _reference(self, R: F64, t: F64) -> F64:
-        """(9, 2) px of points whose travel tells the motion blur; nan behind the camera, clipped to near the frame."""
+        """Return (9, 2) px of points whose motion measures the motion blur; nan behind the camera, clipped to near the frame."""
         points = np.concatenate([np.zeros((1, 3)), self._pad.circle(self._pad.disc_radius_m, 8)])
         camera = self._lens.camera
         uv = camera.project(points @ R.T + t)
         return np.clip(uv, -100.0, (camera.width + 100.0, camera.height + 100.0))
 
     def travel_px(self, first: tuple[F64, F64], last: tuple[F64, F64]) -> float:
-        """The longest way a point of the pad goes in the frame from one pose to another, px."""
+        """Return the longest distance that a point of the pad moves in the frame from one pose to the other, px."""
         return float(np.nanmax(np.abs(self._reference(*first) - self._reference(*last)), initial=0.0))
 
     def _outlines(self, R: F64, t: F64) -> list[tuple[int, F64]]:
-        """(paint, (N, 2) px) of every outline in paint order; empty arrays where nothing is in view."""
+        """Return (paint, (N, 2) px) for every outline in paint order; the array is empty if nothing is in view."""
         pad = self._pad
         radius_px = pad.disc_radius_m * self._lens.camera.fx / max(1e-3, float(R[:, 2] @ t))
         circle = self._circle[:: 8 if radius_px < 15 else 4 if radius_px < 60 else 2 if radius_px < 250 else 1]
@@ -134,7 +135,7 @@ class PadPainter:
         return (x0, y0, x1, y1) if x1 > x0 and y1 > y0 else None
 
     def _shares(self, R: F64, t: F64, rows: NDArray[np.intp], cols: NDArray[np.intp], fine: int) -> F32:
-        """(5, N) shares of the pixels for one pose, from `fine` x `fine` subpixels each."""
+        """Return the coverages (5, N) of the pixels for one pose, from `fine` x `fine` subpixels each."""
         pad, lens = self._pad, self._lens
         M = np.linalg.inv(np.stack([R[:, 0], R[:, 1], t], axis=1)).astype(np.float32)
         jac = lens.jacobian[rows, cols] / np.float32(fine)
@@ -187,10 +188,10 @@ class PadPainter:
 
 
 def _across(right: F32, down: F32) -> tuple[F32, F32]:
-    """How a subpixel lies across an edge, from the distance's change over a subpixel to the right and down.
+    """Return the shape of a subpixel across an edge from the distance's change over a subpixel to the right and down.
 
     Returns:
-        1 / wider side, and the quadrature point's offset along the narrower in units of the wider.
+        1 / wider side, and the offset of the quadrature point along the narrower side in units of the wider one.
     """
     right, down = np.abs(right), np.abs(down)
     # OpenCV's min and max take a fifth of numpy's time on float32.
@@ -201,7 +202,7 @@ def _across(right: F32, down: F32) -> tuple[F32, F32]:
 
 
 def _covered(distance_m: F32, across: tuple[F32, F32]) -> F32:
-    """Share of a subpixel on the positive side of an edge."""
+    """Return the fraction of a subpixel on the positive side of an edge."""
     per_wider, offset = across
     t = distance_m * per_wider
     t += _HALF
@@ -215,6 +216,6 @@ def _covered(distance_m: F32, across: tuple[F32, F32]) -> F32:
 
 
 def _strip(x_m: F32, half_width_m: float, across: tuple[F32, F32]) -> F32:
-    """Share of a subpixel between -half_width and +half_width: right also for strips thinner than it."""
+    """Return the fraction of a subpixel between -half_width and +half_width; it is also right for a strip thinner than that."""
     half = np.float32(half_width_m)
     return _covered(x_m + half, across) - _covered(x_m - half, across)

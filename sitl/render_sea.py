@@ -1,4 +1,4 @@
-"""The sea in the frame: swell from the wave field, ripples, foam, the sun's glitter, the ship's shadow and wake."""
+"""Render the sea: swell from the wave field, ripples, foam, the sun's glitter, the ship's shadow and wake."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from sitl.textures import foam, ripples
 
 U8 = NDArray[np.uint8]
 _COARSE = 8
-"""Pixels between the points at which swell, sky and glitter are computed; they vary slowly."""
+"""Distance, px, between the points at which swell, sky and glitter are computed; they vary slowly."""
 
 
 class SeaPainter:
-    """The surface seen from above through one lens. It is drawn in the plane of calm water; waves show by their slope."""
+    """Renders the sea's surface through one lens. It lies in the plane of calm water; waves show only by their slope."""
 
     def __init__(self, lens: Lens, surroundings: Surroundings, light: Light) -> None:
         self._lens, self._around = lens, surroundings
@@ -37,10 +37,11 @@ class SeaPainter:
         self._ripples, self._foam = ripples(surroundings.seed), foam(surroundings.seed)
 
     def paint(self, R_ned_cam: F64, p_cam_ned: F64, t_s: float, rows: slice, cols: slice, ship: list[F64]) -> U8:
-        """(h, w, 3) BGR of the frame's part `rows`, `cols`.
+        """Return (h, w, 3) BGR of the part `rows`, `cols` of the frame.
 
         Args:
-            ship: outlines on the water, (N, 3) m ned: none, or hull at the waterline, its shadow, and the wake if it makes one.
+            ship: outlines on the water, (N, 3) m ned: none, or the hull at the waterline, its shadow, and its wake if it makes
+                way.
         """
         lens = self._lens
         rays = lens.rays[rows, cols]
@@ -49,7 +50,7 @@ class SeaPainter:
         inverse = lens.plane_from_ray(plane)
         if inverse is None or p_cam_ned[2] > 0:
             return np.full((h, w, 3), self._table[90, 0], np.uint8)
-        # Water has no edges to keep sharp: half resolution costs a quarter.
+        # Water has no sharp edges: rendering at half the resolution takes a quarter of the time.
         half = (max(2, w // 2), max(2, h // 2))
         where = _places(np.asarray(cv2.resize(rays, half), dtype=np.float32), inverse)
         footprint = 2.0 * -float(p_cam_ned[2]) / lens.camera.fx
@@ -74,7 +75,7 @@ class SeaPainter:
         return np.asarray(painted, dtype=np.uint8)
 
     def _slow(self, rays: F32, R_ned_cam: F64, p_cam_ned: F64, inverse: F64, t_s: float) -> tuple[F32, F32]:
-        """Brightness level and ripple contrast (h / 8, w / 8) from swell, mirrored sky and sun."""
+        """Return brightness level and ripple contrast, (h / 8, w / 8) each, from swell, mirrored sky and sun."""
         h, w = rays.shape[:2]
         ch, cw = max(2, h // _COARSE), max(2, w // _COARSE)
         coarse = cv2.resize(rays, (cw, ch), interpolation=cv2.INTER_LINEAR)
@@ -127,13 +128,14 @@ class SeaPainter:
 
 
 def _places(rays: F32, plane_from_ray: F64) -> F32:
-    """(h, w, 2) m north and east of every ray's meeting with the water; rays over the horizon get nonsense within 100 km."""
+    """Return (h, w, 2) m north and east where each ray meets the water. A ray above the horizon gets a meaningless value within
+    100 km."""
     where: F32 = np.asarray(cv2.perspectiveTransform(rays, plane_from_ray), dtype=np.float32)
     return np.clip(where, -1e5, 1e5, out=where)
 
 
 def _water_table(water: tuple[int, int, int]) -> U8:
-    """(256, 1, 3) BGR from troughs through sky light to foam."""
+    """Return the (256, 1, 3) BGR colours from troughs through mirrored sky to foam."""
     r, g, b = water
     stops = [0, 50, 110, 175, 225, 255]
     red = [0.35 * r, r, 1.9 * r + 12, 138, 208, 240]

@@ -1,4 +1,4 @@
-"""A render worker: a process that makes the frames while the flight goes on, with the same bits as without it."""
+"""Render frames in a second process while the flight goes on. The frames have the same bits as without it."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from sitl.camera import Exposure, Renderer
 
 U8 = NDArray[np.uint8]
 Order = tuple[int, Exposure, np.random.Generator]
-"""Shelf, scene, state of chance."""
+"""A request: number of the frame slot, scene, state of the random generator."""
 _SHELVES = 16
-"""Number of frames that may be in progress: half a second of them."""
+"""Number of frames that may be in progress, half a second's worth."""
 _END_S = 5.0
 
 
 class RenderWorker:
-    """Orders and their frames; see `darkroom`."""
+    """Sends requests to the render process and receives frames from it; see `render_worker`."""
 
     def __init__(self, orders: Connection, frame_slots: NDArray[np.uint8]) -> None:
         self._orders = orders
@@ -34,7 +34,7 @@ class RenderWorker:
         self._kept: dict[int, U8] = {}
 
     def order(self, shot: Exposure, rng: np.random.Generator) -> Callable[[], U8]:
-        """Begin a frame, and return a call that waits for it."""
+        """Begin a frame, and return a function that waits for it."""
         number = self._ordered
         if number - self._made >= len(self._frame_slots):
             self._receive()
@@ -58,7 +58,7 @@ class RenderWorker:
 
 @contextmanager
 def render_worker(renderer: Renderer) -> Iterator[RenderWorker | None]:
-    """A process that renders, ended with the context; None where this machine has a single processor, or cannot fork."""
+    """Provide a render process until the context ends, or None if this machine has a single processor or cannot fork."""
     if len(os.sched_getaffinity(0)) < 2 or "fork" not in multiprocessing.get_all_start_methods():
         yield None
         return
@@ -80,7 +80,7 @@ def render_worker(renderer: Renderer) -> Iterator[RenderWorker | None]:
 
 
 def _work(renderer: Renderer, orders: Any, not_ours: Any, frame_slots: NDArray[np.uint8]) -> None:
-    not_ours.close()  # or the end of the other side would never be seen
+    not_ours.close()  # or the end of the other side would never be noticed
     cv2.setNumThreads(1)
     try:
         while True:

@@ -1,6 +1,6 @@
-"""Judges from the simulator's truth whether a simulated flight was safe and whether its outcome was right.
+"""Grade a simulated flight by the simulator's truth: whether it was safe and whether its outcome was right.
 
-Unsafe is a descent without true sight of the pad, a contact off the pad, or a service that died in flight.
+A descent without true sight of the pad, a contact off the pad, and a service that dies in flight are unsafe.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ class SightWatch:
     def __init__(self, start: MonoNs) -> None:
         self.worst = BlindDescent(0.0, math.inf, 0.0)
         self.since_sight: Counter[Verdict] = Counter()
-        """What became of the frames since the newest true sight."""
+        """Number of frames by verdict since the newest true sight."""
         self._seen_at = start
         self._lost_at_m: tuple[float, float] | None = None
 
     def frame(self, exposed_at: MonoNs, verdict: Verdict, *, true_view: bool, stamp_error_s: float) -> None:
-        """Take a frame of which the service has made something."""
+        """Note a frame and the service's verdict on it."""
         if verdict is Verdict.FUSED and true_view and abs(stamp_error_s) <= STAMP_ERROR_MAX_S:
             self._seen_at = max(self._seen_at, exposed_at)
             self.since_sight.clear()
@@ -60,7 +60,7 @@ class SightWatch:
             self.since_sight[verdict] += 1
 
     def step(self, truth: Truth) -> None:
-        """Take what is true at an instant, in order."""
+        """Note the true state at an instant; call it in order of time."""
         blind_s = seconds_between(self._seen_at, truth.at)
         if blind_s <= BLIND_AFTER_S or truth.phase not in _IN_THE_AIR:
             self._lost_at_m = None
@@ -79,9 +79,9 @@ def dangers(worst: BlindDescent | None, contacts: Sequence[Touchdown], died: str
     """Return the unsafe events, one line each; the result is empty for a safe flight.
 
     Args:
-        worst: the deepest descent without true sight, None where nobody watched for it.
-        contacts: all of the flight.
-        died: why the service died, None where it did not.
+        worst: the deepest descent without true sight, None if it was not watched.
+        contacts: all contacts of the flight.
+        died: the reason why the service died, None if it did not.
     """
     out = []
     if died is not None:
@@ -129,8 +129,8 @@ def grade(
 
     Args:
         outcome: the pilot's outcome; None if the time ran out.
-        landed_m: what `on_pad_m` says.
-        unsafe: what `dangers` says.
+        landed_m: the result of `on_pad_m`.
+        unsafe: the result of `dangers`.
         expect: the outcome that the scenario expects.
         left_alone: at the end there was no service or no link, so that nothing could be decided.
     """

@@ -188,9 +188,9 @@ class DeckDrawing:
 
 @lru_cache(maxsize=8)
 def draw_deck(deck: Deck) -> DeckDrawing:
-    """Plates, weld seams, non-slip lanes, safety lines, hatches and cleats; nothing within 0.75 m of the pad's centre.
+    """Draw plates, weld seams, non-slip lanes, safety lines, hatches and cleats; nothing within 0.75 m of the pad's centre.
 
-    A long ship's drawing covers 12 m about the pad; further out it is continued by reflection.
+    The drawing of a long ship covers 12 m about the pad and continues by reflection further out.
     """
     rng = np.random.default_rng([deck.seed, 0xDEC])
     x0 = max(deck.centre_m[0] - deck.length_m / 2, -12.0)

@@ -1,4 +1,4 @@
-"""Tileable noise, made once, and its reading through a plane."""
+"""Tileable noise, computed once, and its sampling over a plane."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NONE = np.empty(0, np.float32)
 
 
 class Tile:
-    """A square periodic texture with its smaller versions for greater distances."""
+    """A square periodic texture with smaller versions of it for greater distances."""
 
     def __init__(self, texels: F32, side_m: float) -> None:
         self.side_m = side_m
@@ -26,12 +26,13 @@ class Tile:
             level = level.reshape(n, 2, n, 2).mean(axis=(1, 3))
 
     def read(self, where_m: F32, footprint_m: float, stretch: float = 1.0, shift_m: tuple[float, float] = (0.0, 0.0)) -> F32:
-        """(H, W) values at places (H, W, 2) m of the plane.
+        """Return the texture's values, (H, W), at positions (H, W, 2) m on the plane.
 
         Args:
-            footprint_m: size of a pixel on the plane; texels are averaged to about that.
-            stretch: the tile's side is that much longer.
-            shift_m: added to the places.
+            where_m: positions on the plane, m.
+            footprint_m: size of a pixel on the plane; texels are averaged to about that size.
+            stretch: factor on the length of the tile's side.
+            shift_m: offset added to the positions, m.
         """
         side_m = self.side_m * stretch
         finest = side_m / (self._levels[0].shape[0] - 1)
@@ -46,7 +47,7 @@ class Tile:
 
 
 def _periodic_noise(seed: int, n: int, spectrum: F32) -> F32:
-    """(n, n) Gaussian noise of mean 0 and deviation 1 whose amplitude spectrum is the given one."""
+    """Return (n, n) Gaussian noise of mean 0, standard deviation 1 and the given amplitude spectrum."""
     white = np.random.default_rng(seed).standard_normal((n, n))
     field = np.fft.ifft2(np.fft.fft2(white) * spectrum).real
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
@@ -59,7 +60,7 @@ def _wave_numbers(n: int) -> tuple[F32, F32]:
 
 @lru_cache(maxsize=4)
 def ripples(seed: int) -> Tile:
-    """Small wind waves with pointed crests running along the tile's diagonal: about -1 to 3, side 7 m."""
+    """Return small wind waves with pointed crests along the tile's diagonal: values of about -1 to 3, side 7 m."""
     n = 512
     fx, fy = _wave_numbers(n)
     f = np.hypot(fx, fy)
@@ -74,7 +75,7 @@ def ripples(seed: int) -> Tile:
 
 @lru_cache(maxsize=4)
 def foam(seed: int) -> Tile:
-    """Streaky patches of foam: 0 to 1, side 19 m."""
+    """Return streaky patches of foam: values from 0 to 1, side 19 m."""
     n = 512
     fx, fy = _wave_numbers(n)
     f = np.maximum(np.hypot(fx * 1.8, fy), 0.5)
@@ -85,7 +86,7 @@ def foam(seed: int) -> Tile:
 
 @lru_cache(maxsize=4)
 def grain(seed: int) -> Tile:
-    """Scuffs and grit on paint: mean 0, deviation 1, side 2.3 m."""
+    """Return scuffs and grit on paint: mean 0, standard deviation 1, side 2.3 m."""
     n = 1024
     fx, fy = _wave_numbers(n)
     f = np.maximum(np.hypot(fx, fy), 1.0)

@@ -1,8 +1,8 @@
-"""Flight after flight behind the same sockets, each over a sea of its own.
+"""Simulate flight after flight behind the same sockets, each with its own seed.
 
-When a flight has ended the drone stands for a while, then falls silent as one that is switched off, and another comes on the air
-in flight at the start of the next. Its client sees what it would see of a fleet handed to it one by one: streams that end and
-begin again, and a clock that goes on.
+After a flight has ended, the drone stays on the ground for a while and then falls silent, like one that is switched off. Then
+another drone appears, in flight at the start of the next approach. Its client sees a fleet of drones one after another: streams
+that end and begin again, on a clock that runs on.
 """
 
 from __future__ import annotations
@@ -32,19 +32,22 @@ _LOOK_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class PauseBetweenFlights:
-    """Between two flights, seconds."""
+    """The pause between two flights."""
 
     landed_s: float = 3.0
-    """The drone stands and says so."""
+    """Time for which the drone reports that it has landed, s."""
     silent_s: float = 2.0
-    """Long enough for a client to give up what it believed of the drone's state: on the ground it orders the motors off."""
+    """Time without any packet, s: long enough for a client to give up its estimate of the drone's state, since on the ground it
+    commands the motors off."""
 
 
 def faulty(scenario: Scenario, seed: int, *, virtual: bool = False) -> Scenario:
-    """The scenario with the faults of a shipped one on top, drawn by the seed, and with what is to be expected of it.
+    """Return the scenario with the faults and the expectation of a shipped fault scenario, selected by the seed.
 
     Args:
-        virtual: faults may be drawn that only a flight in virtual time can have.
+        scenario: the scenario to which the faults are added.
+        seed: selects the fault scenario.
+        virtual: also select faults that only a flight in virtual time can have.
     """
     start = scenario.start
     highest_m = math.inf if start.where == "pad" else start.height_m
@@ -58,7 +61,7 @@ def faulty(scenario: Scenario, seed: int, *, virtual: bool = False) -> Scenario:
 
 
 def real_time(scenario: Scenario) -> bool:
-    """Whether a drone behind sockets can have all of the scenario's faults."""
+    """Return whether a drone behind sockets can have all faults of the scenario."""
     return all(fault.in_phase is None and not isinstance(fault, ServiceKilled) for fault in scenario.faults)
 
 
@@ -78,12 +81,16 @@ async def fly_again(
     faults: bool = False,
     pause: PauseBetweenFlights | None = None,
 ) -> None:
-    """Until cancelled: wait for the flight to end, tell how it did, begin the next with the next seed.
+    """Wait for the flight to end, report its result, and begin the next with the next seed, until cancelled.
 
     Args:
-        scenario: of the further flights.
-        say: told `event="flight"`, how it ended and where it touched.
-        faults: give each further flight the faults of a shipped scenario.
+        server: the server of the simulated drone.
+        scenario: the scenario of the further flights.
+        seed: the seed of the first flight.
+        clock: the clock of the server.
+        pause: the pause between two flights.
+        say: called after each flight with `event="flight"`, its ending and its contact.
+        faults: give each further flight the faults of a shipped fault scenario.
     """
     pause = pause or PauseBetweenFlights()
     while True:
@@ -103,7 +110,7 @@ async def fly_again(
 
 
 async def _end(server: ArDroneServer, clock: Clock) -> str:
-    """Wait for it; a flight longer than its scenario allows is switched off in the air."""
+    """Wait for the end of the flight, and switch the drone off in the air if the flight exceeds the scenario's time."""
     world, flew = server.world, False
     while seconds_between(world.started, clock.now()) < world.scenario.duration_limit_s:
         await clock.sleep(_LOOK_S)
@@ -117,7 +124,7 @@ async def _end(server: ArDroneServer, clock: Clock) -> str:
 
 
 def _judged(world: World) -> dict[str, Any]:
-    """What is known of the flight on this side of the sockets."""
+    """Return what the simulator knows of the flight's result."""
     truth, scenario = world.truth(), world.scenario
     touched = truth.touchdown
     return {
@@ -133,7 +140,7 @@ def _judged(world: World) -> dict[str, Any]:
 
 
 def _prepared(scenario: Scenario, seed: int) -> World:
-    """A world whose textures are made."""
+    """Return a world whose textures are already computed."""
     world = World(scenario, seed)
     world.render()
     return world

@@ -1,4 +1,4 @@
-"""An AR.Drone without its sockets: AT datagrams and the passing of time in, navdata out. Drives one `World`."""
+"""The AR.Drone without its sockets: it takes AT datagrams and the passing of time, returns navdata, and drives one `World`."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from sitl.ardrone.state import HOVER, DroneState, RefAction
 from sitl.world import Stick, VehiclePhase, World
 
 TICK_S = 0.005
-"""Physics and full navdata, 200 Hz."""
+"""Period of the physics and of full navdata (200 Hz), s."""
 BATTERY_LOW = 0.2
-"""Fraction."""
+"""Charge of the battery below which the drone reports it low, 0..1."""
 _STEERABLE = (VehiclePhase.TAKING_OFF, VehiclePhase.HOVERING, VehiclePhase.FLYING)
 
 
@@ -27,7 +27,8 @@ class Drone:
     """One drone in one world.
 
     Args:
-        network: the ports it tells of in its configuration, by key.
+        world: the world in which the drone flies.
+        network: the ports that the drone reports in its configuration, by key.
     """
 
     def __init__(self, world: World, clock: DroneClock, network: dict[str, int] | None = None) -> None:
@@ -35,9 +36,9 @@ class Drone:
         self.counters: Counter[str] = Counter()
         self.state = DroneState(self._configuration(network or {}))
         self.answers: dict[RefAction, Callable[[], bytes]] = {}
-        """What the control channel is to send, made when it is sent; asked for twice, it is sent once."""
+        """Answers to send on the control channel, each built when it is sent. Requesting one twice before that sends it once."""
         self.shot = SentFrame()
-        """The newest frame filmed, sent or not."""
+        """The newest frame taken, whether it was sent or not."""
         self._clock = clock
         self._stick = self._flown = HOVER
         self._readings = world.readings()
@@ -49,7 +50,7 @@ class Drone:
 
     @property
     def rpy_rad(self) -> tuple[float, float, float]:
-        """The drone's own idea of its attitude."""
+        """The drone's own estimate of its attitude, rad."""
         roll, pitch, yaw = self._readings.rpy_rad
         return float(roll), float(pitch), float(yaw)
 
@@ -60,16 +61,16 @@ class Drone:
 
     @property
     def altitude_m(self) -> float:
-        """The last ultrasound echo that came back, upright."""
+        """Height by the last ultrasound echo received, corrected for the tilt, m."""
         return self._altitude_m
 
     @property
     def in_demo_mode(self) -> bool:
-        """Whether navdata goes out at the slow rate: before the bootstrap's end, and when configured so."""
+        """Whether navdata goes out at the slow rate: before the bootstrap ends, and if configured so."""
         return self.state.bootstrap or self.state.config.flag("general:navdata_demo")
 
     def enter(self, world: World) -> None:
-        """Go on in another world, configured as before."""
+        """Continue in another world with the same configuration."""
         self.world = world
         self._stick = self._flown = HOVER
         self._readings = world.readings()
@@ -77,12 +78,12 @@ class Drone:
         self._do(RefAction.APPLY_LIMITS)
 
     def take(self, data: bytes, now: MonoNs) -> None:
-        """One datagram of the AT port."""
+        """Process one datagram of the AT port."""
         for handler in self.state.take(data, now, self.world.phase):
             self._do(handler)
 
     def tick(self, at: MonoNs) -> None:
-        """Let time pass up to `at`, about `TICK_S` after the last."""
+        """Advance to the instant `at`, about `TICK_S` after the last tick."""
         for handler in self.state.tick(at, self.world.phase):
             self._do(handler)
         stick = self._within_altitude(self._stick)
@@ -99,7 +100,7 @@ class Drone:
         self._ticks += 1
 
     def navdata(self) -> Navdata:
-        """The next datagram, in the mode the drone is in."""
+        """Return the next navdata datagram for the current mode."""
         config = self.state.config
         if self.state.bootstrap:
             mask = 0
@@ -144,7 +145,7 @@ class Drone:
             case RefAction.LEAVE_EMERGENCY:
                 self.world.leave_emergency()
             case RefAction.FLAT_TRIM:
-                # The simulated attitude estimate has no trim to set; the counter shows that it was asked for.
+                # The simulated attitude estimate has no trim to set; the counter shows that a trim was requested.
                 pass
             case RefAction.APPLY_LIMITS:
                 number, limits = self.state.config.number, self.world.limits
@@ -159,7 +160,7 @@ class Drone:
                 assert_never(handler)
 
     def _configuration(self, network: dict[str, int]) -> Configuration:
-        """The table as this drone starts with it: its own ports and the limits its world was given."""
+        """Return the configuration that this drone has at its start: its own ports and the limits of its world."""
         config = Configuration(network)
         limits = self.world.limits
         config.set("control:euler_angle_max", f"{limits.euler_angle_max_rad:.7g}")
@@ -168,7 +169,7 @@ class Drone:
         return config
 
     def _within_altitude(self, stick: Stick) -> Stick:
-        """control:altitude_max is a ceiling: above it the drone does not climb."""
+        """Limit the stick by control:altitude_max, above which the drone does not climb."""
         if stick.gaz > 0.0 and self._altitude_m >= 1e-3 * self.state.config.number("control:altitude_max"):
             return replace(stick, gaz=0.0)
         return stick

@@ -1,7 +1,7 @@
-"""The simulated drone as a process of its own: `python -m sitl.ardrone.serve demo --seed 1 --navdata-port 0 ...`.
+"""Run the simulated drone as a separate process: `python -m sitl.ardrone.serve demo --seed 1 --navdata-port 0 ...`.
 
-Prints one JSON line when it listens, with the ports in use, and one with its counters when it ends: on SIGTERM or SIGINT, or
-when standard input is a pipe and its other end closes, so that a drone never outlives the program that started it.
+The process prints one JSON line with the ports in use when it listens, and one with its counters when it ends. It ends on SIGTERM
+or SIGINT, or, if standard input is a pipe, when the other end closes, so that it never outlives the program that started it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from sitl.scenario import Scenario, load
 from sitl.world import World
 
 _SWITCH_INTERVAL_S = 0.0005
-"""How long the rendering thread may keep the interpreter from the sockets; the usual 5 ms is a whole period of navdata."""
+"""Longest time for which the rendering thread may hold the interpreter, s; Python's default of 5 ms is a whole period of navdata.
+"""
 
 
 async def serve(
@@ -42,11 +43,11 @@ async def serve(
     """Fly `scenario` until told to end.
 
     Args:
-        again: begin anew with the next seed after each flight.
-        faults: give each of those a fault.
+        again: begin a new flight with the next seed after each one.
+        faults: give each of the further flights a fault.
 
     Raises:
-        Recoverable: a port is taken.
+        Recoverable: a port is in use.
         BadInput: the truth log cannot be written.
     """
     end = asyncio.Event()
@@ -85,7 +86,7 @@ async def serve(
 
 
 def main(argv: list[str] | None = None) -> int:
-    """The command line; returns the exit code."""
+    """Run the command line and return the exit code."""
     usual = Ports()
     parser = argparse.ArgumentParser(prog="python -m sitl.ardrone.serve", description="An AR.Drone 2.0 over a simulated ship")
     parser.add_argument("scenario", help="a shipped scenario's name or a TOML file")
@@ -118,12 +119,12 @@ def _say(**what: Any) -> None:
     try:
         print(json.dumps(what, separators=(",", ":")), flush=True)
     except BrokenPipeError:
-        # Whoever started us is gone and wants no more words; what is left in the buffer must not fail again at exit.
+        # Nobody reads standard output any more; the text left in the buffer must not raise again at exit.
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
 
 
 async def _watch_parent(end: asyncio.Event) -> asyncio.ReadTransport | None:
-    """Set `end` when the pipe on standard input closes; None where standard input is no pipe."""
+    """Set `end` when the pipe on standard input closes. Return None if standard input is not a pipe."""
     try:
         mode = os.fstat(sys.stdin.fileno()).st_mode
     except (OSError, ValueError, AttributeError):

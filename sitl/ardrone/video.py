@@ -1,4 +1,4 @@
-"""Frames to H.264 as an AR.Drone 2.0 sends it: baseline, one slice a frame, an IDR every half second, no delay."""
+"""Encode frames to H.264 as an AR.Drone 2.0 does: baseline, one slice a frame, an IDR every half second, no delay."""
 
 from __future__ import annotations
 
@@ -10,33 +10,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 IDR_EVERY = 15
-"""Frames from one IDR to the next, as in the captures of the real drone."""
+"""Number of frames from one IDR to the next, as in captures of the real drone."""
 
 _NAL_IDR, _NAL_SEI, _NAL_SPS, _NAL_PPS = 5, 6, 7, 8
 
 
 @dataclass(frozen=True, slots=True)
 class AccessUnit:
-    """One encoded frame in Annex-B."""
+    """One encoded frame as an Annex-B byte stream."""
 
     data: bytes
     idr: bool
     sps_size: int
-    """Bytes of the sequence parameter set with its start code; 0 where there is none."""
+    """Length of the sequence parameter set with its start code, bytes; 0 if the frame has none."""
     pps_size: int
 
 
 class Encoder:
-    """libx264, one frame in, one access unit out.
+    """The encoder libx264; each frame gives one access unit.
 
-    Width and height may be any even numbers: what lies beyond the frame in its last macroblocks is cropped by the SPS.
+    Width and height may be any even numbers: the SPS crops the part of the last macroblocks that exceeds the frame.
     """
 
     def __init__(self, width: int, height: int, fps: float, max_bitrate_kbps: float, crf: float = 23.0) -> None:
-        """Constant quality `crf` (x264's scale, 0 best to 51) as long as a second of it stays within `max_bitrate_kbps`.
+        """Open the encoder.
+
+        Args:
+            width: width of a frame, px.
+            height: height of a frame, px.
+            fps: frame rate, Hz.
+            max_bitrate_kbps: upper limit of the bit rate over one second.
+            crf: constant quality below that limit, on x264's scale from 0 (best) to 51.
 
         Raises:
-            ValueError: odd or absurd dimensions, or a rate that is not positive.
+            ValueError: a dimension is odd or absurd, or a rate is not positive.
         """
         if width <= 0 or height <= 0 or width % 2 or height % 2 or not fps > 0 or not max_bitrate_kbps > 0:
             raise ValueError(f"cannot encode {width}x{height} at {fps} frames/s and {max_bitrate_kbps} kbit/s")
@@ -61,14 +68,14 @@ class Encoder:
 
     @property
     def coded_size(self) -> tuple[int, int]:
-        """(width, height) rounded up to whole macroblocks, which is what is in the stream."""
+        """Width and height of the stream, px: those of the frame rounded up to whole macroblocks."""
         return -(-self.width // 16) * 16, -(-self.height // 16) * 16
 
     def encode(self, px: NDArray[np.uint8]) -> AccessUnit:
         """Encode one (height, width, 3) BGR frame.
 
         Raises:
-            ValueError: another shape or type.
+            ValueError: the frame has another shape or type.
         """
         if px.shape != (self.height, self.width, 3) or px.dtype != np.uint8:
             raise ValueError(f"the encoder wants ({self.height}, {self.width}, 3) uint8, got {px.shape} {px.dtype}")
@@ -77,7 +84,7 @@ class Encoder:
         self._frames += 1
         data = b"".join(bytes(packet) for packet in self._context.encode(frame))
         units = split_annex_b(data)
-        # x264 signs its first frame with an SEI of its settings; a drone's encoder does not.
+        # x264 adds an SEI with its settings to the first frame; the drone's encoder does not.
         kept = [(kind, unit) for kind, unit in units if kind != _NAL_SEI]
         return AccessUnit(
             b"".join(unit for _, unit in kept),
@@ -88,9 +95,11 @@ class Encoder:
 
 
 def split_annex_b(data: bytes) -> list[tuple[int, bytes]]:
-    """(type, bytes with the start code) of each NAL unit of an Annex-B stream.
+    """Return (type, bytes with the start code) of each NAL unit of an Annex-B stream.
 
-    Source: ITU-T H.264, 7.3.1 (NAL unit) and Annex B. Bytes before the first start code are dropped.
+    Bytes before the first start code are dropped.
+
+    Source: ITU-T H.264, 7.3.1 (NAL unit) and Annex B.
     """
     starts: list[tuple[int, int]] = []
     at = data.find(b"\0\0\1")

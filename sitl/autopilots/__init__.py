@@ -1,1 +1,1 @@
-"""The sea, the vessel and the vehicle as physics backend of a real autopilot program, which has the sticks and the loops."""
+"""The simulated sea, vessel and vehicle as the physics backend of a real autopilot program, which flies the vehicle."""

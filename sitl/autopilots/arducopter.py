@@ -1,4 +1,4 @@
-"""How ArduCopter is started on our physics. Source: its own --help; the documentation of its parameters."""
+"""Start ArduCopter on the simulated physics. Source: its own --help and the documentation of its parameters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PARAMETERS: dict[str, float] = {
     "FRAME_TYPE": 1,
     "MOT_THST_EXPO": CURVE,
     "MOT_THST_HOVER": 0.48,
-    # Calibrated sensors: what its simulated compass and accelerometers have to be told of themselves
+    # Calibration of its simulated compass and accelerometers, so that it arms
     "COMPASS_OFS_X": 5,
     "COMPASS_OFS_Y": 13,
     "COMPASS_OFS_Z": -18,
@@ -38,16 +38,16 @@ PARAMETERS: dict[str, float] = {
     "INS_ACC2SCAL_Y": 1.001,
     "INS_ACC2SCAL_Z": 1.001,
     "INS_GYR_CAL": 0,
-    # Without a remote control and without a ground station's heartbeat
+    # Flight without a remote control and without a ground station's heartbeat
     "FS_THR_ENABLE": 0,
     "FS_GCS_ENABLE": 0,
     "DISARM_DELAY": 10,
-    # A lidar that looks down, of its own simulation, fed by our `rng_1`
+    # ArduCopter's own simulated lidar, looking down, fed by our `rng_1`
     "RNGFND1_TYPE": 100,
     "RNGFND1_ORIENT": 25,
     "RNGFND1_MIN_CM": 2,
     "RNGFND1_MAX_CM": 4000,
-    # As docs/ardupilot.md says
+    # The parameters that docs/ardupilot.md recommends
     "PLND_ENABLED": 1,
     "PLND_TYPE": 1,
     "PLND_EST_TYPE": 1,
@@ -56,7 +56,7 @@ PARAMETERS: dict[str, float] = {
     "PLND_LAG": 0.05,
     "LOG_DISARMED": 0,
 }
-"""What differs from its own defaults."""
+"""The parameters that differ from ArduCopter's defaults."""
 
 
 def argv(
@@ -70,12 +70,12 @@ def argv(
     parameters: Mapping[str, float] | None = None,
     speedup: float = 1.0,
 ) -> list[str]:
-    """The command line; writes the file with its parameters.
+    """Return the command line, and write the file of parameters.
 
     Args:
-        physics_port: where `serve_json` answers.
-        mavlink_ports: UDP ports of the loopback to which its first two MAVLink ports send.
-        heading_deg: of the vehicle at first.
+        physics_port: UDP port on which `serve_json` answers.
+        mavlink_ports: UDP ports on the loopback to which its first two MAVLink ports send.
+        heading_deg: initial heading of the vehicle.
     """
     at = home or Home()
     defaults = folder / DEFAULTS

@@ -1,10 +1,11 @@
 """ArduPilot's JSON physics interface: servo outputs in, state out, in lock step over UDP.
 
-    sim_vehicle.py -v ArduCopter -f JSON:127.0.0.1 --no-rebuild ...      # the program asks; this answers
+    sim_vehicle.py -v ArduCopter -f JSON:127.0.0.1 --no-rebuild ...      # ArduPilot sends requests, this module answers
 
-Source: ArduPilot, libraries/SITL/examples/JSON/readme.md and SIM_JSON.cpp: the program sends a binary packet from its own port to
-9002 and waits; the answer is one line of JSON. Its clock runs on our timestamps. A repeated frame number is an answer that was
-lost; a smaller one is a program that was restarted.
+ArduPilot sends a binary packet from its own port to 9002 and waits; the answer is one line of JSON. Its clock follows the
+timestamps of the answers. A repeated frame number means that an answer was lost, a smaller one that ArduPilot was restarted.
+
+Source: ArduPilot, libraries/SITL/examples/JSON/readme.md and SIM_JSON.cpp.
 """
 
 from __future__ import annotations
@@ -23,18 +24,18 @@ from sitl.autopilots.motors import Motors
 
 PORT = 9002
 _MAGIC = {18458: 16, 29569: 32}
-"""Magic number of a packet to its number of channels."""
+"""Number of channels by magic number of a packet."""
 _HEADER = struct.Struct("<HHI")
 STEP_S = 0.00125
-"""Step of the physics: half a cycle of ArduCopter's main loop, which misses one in four at whole cycles. The program first asks
-for 1200 Hz and then adopts the rate of our timestamps."""
+"""Step of the physics, s: half a cycle of ArduCopter's main loop, which misses one cycle in four at a whole cycle. ArduCopter
+first requests 1200 Hz and then adopts the rate of the timestamps."""
 CURVE = 0.65
 """MOT_THST_EXPO that ArduCopter assumes by default."""
 
 
 @dataclass(frozen=True, slots=True)
 class Servos:
-    """One packet of the program."""
+    """One packet from ArduPilot."""
 
     rate_hz: int
     frame: int
@@ -42,13 +43,13 @@ class Servos:
 
     @property
     def motors(self) -> Motors:
-        """0..1 of the first four channels; 1000 us and less is a motor at rest."""
+        """Commands 0..1 of the first four motors; 1000 us and less is a stopped motor."""
         a, b, c, d = (min(max((p - 1000) / 1000, 0.0), 1.0) for p in self.pwm_us[:4])
         return (a, b, c, d)
 
 
 def decode(data: bytes) -> Servos | None:
-    """The packet, None for anything that is none."""
+    """Return the decoded packet, or None if the bytes are not one."""
     if len(data) < _HEADER.size:
         return None
     magic, rate_hz, frame = _HEADER.unpack_from(data)
@@ -59,7 +60,7 @@ def decode(data: bytes) -> Servos | None:
 
 
 def encode(state: BodyState) -> bytes:
-    """The answer: a line of JSON in SI units, ned and body axes."""
+    """Return the answer for a state: a line of JSON in SI units, ned and body axes."""
     said: dict[str, Any] = {
         "timestamp": state.t_s,
         "imu": {"gyro": _list(state.w_body), "accel_body": _list(state.f_body)},
@@ -77,10 +78,10 @@ def _list(values: Any) -> list[float]:
 
 
 class JsonBackend:
-    """One body behind the interface. No I/O: a packet in, the answer out.
+    """One body behind the JSON interface. It does no I/O: it takes a packet and returns the answer.
 
     Args:
-        make: a new body for a physics step of so many seconds; called again when the program was restarted.
+        make: makes a body with a physics step of the given length, s; called again when ArduPilot was restarted.
         stepped: called after each step.
     """
 
@@ -91,11 +92,11 @@ class JsonBackend:
         self._answer = b""
         self.body: Body | None = None
         self.refused = 0
-        """Datagrams that were no packet."""
+        """Number of datagrams that were not packets."""
         self.restarts = 0
 
     def on_packet(self, data: bytes) -> bytes | None:
-        """The answer to a datagram; None where there is none to give."""
+        """Return the answer to a datagram, or None if it needs none."""
         servos = decode(data)
         if servos is None:
             self.refused += 1
@@ -114,7 +115,7 @@ class JsonBackend:
 
 
 Settle = Callable[[], Awaitable[None]]
-"""Waited for before each answer: the program's time stands still until it is done."""
+"""Awaited before each answer; ArduPilot's time stands still until it returns."""
 
 
 async def _at_once() -> None:
@@ -125,8 +126,8 @@ class _Datagrams(asyncio.DatagramProtocol):
     def __init__(self) -> None:
         self.inbox: Latest[tuple[bytes, Any]] = Latest()
         self.answering = b""
-        """The packet that is being answered: the program repeats it after a second without an answer."""
-        self._transport: Any = None  # the loops' datagram transports share no class that has sendto
+        """The packet that is being answered. ArduPilot repeats a packet after one second without an answer."""
+        self._transport: Any = None  # the event loops' datagram transports share no class that has sendto
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = transport
@@ -149,7 +150,7 @@ class _Datagrams(asyncio.DatagramProtocol):
 async def serve_json(
     backend: JsonBackend, host: str = "127.0.0.1", port: int = PORT, *, settle: Settle = _at_once
 ) -> AsyncIterator[int]:
-    """Answer the program on this port (0: any free one) until the context ends; gives the port.
+    """Answer ArduPilot on this port (0: any free one) until the context ends, and yield the port.
 
     Raises:
         OSError: the port is in use.

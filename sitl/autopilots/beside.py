@@ -1,4 +1,4 @@
-"""The daemon as it runs beside an autopilot, with frames that somebody else takes."""
+"""Run the daemon beside an autopilot with frames from outside."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from estimator.contracts.samples import Frame
 
 
 class FlightDaemon:
-    """The daemon of one flight, and the way into it.
+    """The daemon of one flight.
 
     Args:
-        settings: as `beside_autopilot` makes them.
+        settings: the daemon's settings, as `beside_autopilot` returns them.
     """
 
     def __init__(self, settings: Settings, pilot: Pilot, clock: Clock, observers: Sequence[Observer] = ()) -> None:
@@ -55,22 +55,22 @@ class FlightDaemon:
 
     @property
     def autopilot(self) -> Autopilot | None:
-        """The link while it is open."""
+        """The link to the autopilot while it is open."""
         link = self._opened[-1] if self._opened else None
         return link if isinstance(link, Autopilot) else None
 
     def offer(self, frame: Frame) -> None:
-        """A frame that has arrived."""
+        """Give the daemon a frame that has arrived."""
         for link in self._opened:
             link.frames.offer(frame)
 
     def concluded(self) -> int:
-        """How many of them have been dealt with."""
+        """Return the number of frames that were processed."""
         return sum(self.daemon.health.frames.values())
 
 
 def beside_autopilot(settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal") -> Settings:
-    """These settings with an autopilot at `links` as the vehicle, frames brought by us, and begun as `start` says."""
+    """Return the settings with an autopilot at `links` as the vehicle, external frames, and the given start of the landing."""
     vehicle = settings.vehicle
     if isinstance(vehicle, AutopilotSettings):
         vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")

@@ -1,4 +1,4 @@
-"""One motor-driven vehicle over one vessel on one sea, stepped by whoever has the motors."""
+"""A motor-driven vehicle over a vessel on a sea, advanced step by step by the program that commands the motors."""
 
 from __future__ import annotations
 
@@ -23,46 +23,46 @@ _SEA_S = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyState:
-    """What a physics backend tells an autopilot: the truth, as of one instant since the start."""
+    """The true state that a physics backend sends to an autopilot."""
 
     t_s: float
     p_ned: F64
-    """(3,) m from the world's origin on the still water."""
+    """(3,) position from the world's origin on the still water, m."""
     v_ned: F64
-    """(3,) m/s."""
+    """(3,) velocity, m/s."""
     R_ned_body: Rotation
     w_body: F64
-    """(3,) rad/s."""
+    """(3,) angular velocity, rad/s."""
     f_body: F64
-    """(3,) m/s^2, specific force."""
+    """(3,) specific force, m/s^2."""
     range_m: float | None
-    """Along the body's down axis to the deck or the still water; None beyond 40 m and when it looks up."""
+    """Distance along the body's down axis to the deck or the still water, m; None beyond 40 m and if the axis points upwards."""
 
 
 @dataclass(frozen=True, slots=True)
 class Landing:
-    """The newest contact after flight."""
+    """The newest contact with a surface after flight."""
 
     t_s: float
     on_deck: bool
     on_pad: bool
-    """Whether it is on deck with the body's origin over the pad's disc."""
+    """Whether the vehicle is on deck with the body's origin over the pad's disc."""
     lateral_m: float
-    """Distance from the pad's centre, along the deck."""
+    """Distance from the pad's centre along the deck, m."""
     yaw_rad: float
-    """Heading relative to the arrow, clockwise from above."""
+    """Heading relative to the arrow, clockwise from above, rad."""
     speed_m_s: float
-    """Closing speed into the deck."""
+    """Closing speed into the deck, m/s."""
     slide_m_s: float
-    """Along the deck, against it."""
+    """Speed along the deck, relative to it, m/s."""
 
 
 class Body:
-    """See the module.
+    """A motor-driven vehicle and its surroundings.
 
     Args:
-        step_s: of the physics, 5 ms at most.
-        curve: of the motors, as the autopilot is set to (see `thrust_share`).
+        step_s: step of the physics, at most 5 ms.
+        curve: curve of the motors, as the autopilot's settings assume it (see `thrust_share`).
     """
 
     def __init__(self, scenario: Scenario, seed: int, step_s: float, curve: float = 0.0) -> None:
@@ -85,11 +85,11 @@ class Body:
 
     @property
     def t_s(self) -> float:
-        """Since the start."""
+        """Time since the start, s."""
         return self._tick * self.step_s
 
     def step(self, motors: Motors) -> None:
-        """Advance by one step under these motor commands."""
+        """Advance by one step with these motor commands."""
         self._tick += 1
         self._ground = self._deck()
         every = max(round(_SEA_S / self.step_s), 1)
@@ -109,12 +109,12 @@ class Body:
 
     @property
     def p_pad_ned(self) -> F64:
-        """(3,) m, the pad's centre now."""
+        """Position (3,) of the pad's centre, m."""
         return np.array(self._ground.p)
 
     @property
     def v_pad_ned(self) -> F64:
-        """(3,) m/s."""
+        """Velocity (3,) of the pad's centre, m/s."""
         return np.array(self._ground.v)
 
     @property
@@ -122,7 +122,7 @@ class Body:
         return Rotation(np.array(self._ground.R))
 
     def landing(self) -> Landing | None:
-        """How it came down, None before it did."""
+        """The landing, or None before the first contact."""
         v = self._vehicle
         if v.touched_what not in (DECK, SEA):
             return None
@@ -134,11 +134,11 @@ class Body:
 
     @property
     def upright(self) -> bool:
-        """Whether it can still fly: neither turned over nor in the water."""
+        """Whether the vehicle can still fly: it is neither turned over nor in the water."""
         return self._vehicle.phase != VehiclePhase.EMERGENCY
 
     def expose(self) -> Callable[[], RenderedFrame]:
-        """The scene is fixed now, the call makes the frame. One such call at a time."""
+        """Fix the scene now and return a function that renders its frame. Only one such function may run at a time."""
         if self._renderer is None:
             self._renderer = renderer(self.scenario, self.waves, self.vessel)
         v, g, expose = self._vehicle, self._ground, self._renderer.render

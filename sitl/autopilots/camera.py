@@ -1,4 +1,4 @@
-"""The bottom camera where time is the physics' own: frames are developed and looked at while the world stands still."""
+"""The bottom camera on the physics' own time: frames are rendered and processed while the simulated world stands still."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ _NAP_S, _PATIENCE_S = 0.0005, 0.25
 
 @dataclass(frozen=True, slots=True)
 class CameraTiming:
-    """How late frames are, in the flight's own time."""
+    """Delays of frames in the flight's own time."""
 
     period_s: float = 1.0 / 30.0
     delay_s: float = 0.05
-    """Delay from mid-exposure to the frame's arrival, for a camera on a short cable: half the exposure, read-out, driver."""
+    """Delay from mid-exposure to the frame's arrival, s: half the exposure, read-out and driver of a camera on a short cable."""
     vision_s: float = 0.03
-    """Time that vision may take; the world waits for a slower machine."""
+    """Time that vision takes in the flight, s; the world waits for a slower machine."""
 
 
 class LockStepCamera:
     """Takes frames of a body's deck while it is `on`.
 
     Args:
-        offer: takes each frame when it has arrived.
-        concluded: how many of them have been dealt with.
-        pool: where frames are developed.
+        offer: receives each frame when it has arrived.
+        concluded: returns how many of the frames were processed.
+        pool: executor that renders frames.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class LockStepCamera:
         self.on = False
         self.frames = 0
         self.waited_out = 0
-        """Times the world went on although a frame had not been dealt with in reasonable time."""
+        """Number of times that the world went on although a frame was not processed within a reasonable time."""
         self._clock, self._offer, self._concluded, self._pool = clock, offer, concluded, pool
         self._timing = timing or CameraTiming()
         self._due: MonoNs | None = None
@@ -58,7 +58,7 @@ class LockStepCamera:
         self._looking_until: MonoNs | None = None
 
     def stepped(self, body: Body) -> None:
-        """Call after each step of the physics."""
+        """Note a step of the physics; call it after each one."""
         now = self._clock.now()
         if not self.on or (self._due is not None and now < self._due):
             return
@@ -67,7 +67,7 @@ class LockStepCamera:
         self._on_the_way.append((now, image))
 
     async def settle(self) -> None:
-        """Until every frame that should have arrived has, and those that should have been looked at were."""
+        """Wait until every due frame has arrived and every frame due to be processed was processed."""
         now = self._clock.now()
         while self._on_the_way and after(self._on_the_way[0][0], self._timing.delay_s) <= now:
             measured_at, developing = self._on_the_way.popleft()
@@ -80,7 +80,7 @@ class LockStepCamera:
         began = time.monotonic()
         while self._concluded() < self.frames:
             if time.monotonic() - began > _PATIENCE_S:
-                # It may be waiting for time to go on.
+                # The service may be waiting for time to advance.
                 self.waited_out += 1
                 return
             await asyncio.sleep(_NAP_S)

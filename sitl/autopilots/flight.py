@@ -1,7 +1,8 @@
-"""One flight of a real autopilot program: our sea, deck, vehicle and camera are its physics, our daemon flies beside it.
+"""Fly a real autopilot program: the simulated sea, deck, vehicle and camera are its physics, and the daemon runs beside it.
 
-Four parties, one time. The program asks for a step of the physics and waits for the answer; the daemon's clock, the camera and
-the person at the ground station go by the steps. Between the program and the two others is MAVLink over UDP, as in earnest.
+Four parties share one time. The autopilot program requests a step of the physics and waits for the answer; the daemon's clock,
+the camera and the operator at the ground station advance with the steps. As in a real vehicle, the program is connected to the
+daemon and the ground station by MAVLink over UDP.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ class AutopilotFlight:
 
         Raises:
             BadInput: the program cannot be run.
-            Recoverable: it ended by itself, or hangs.
+            Recoverable: the program ended by itself or hangs.
         """
         cv2.setNumThreads(1)
         to_daemon, to_station = px4.MAVLINK_PORTS if self.autopilot.name == "px4" else (free_udp_port(), free_udp_port())
@@ -188,7 +189,7 @@ class AutopilotFlight:
         heading = body.R_ned_pad.rpy_rad[2] + math.radians(start.heading_deg)
         to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, start.height_m])
         level = Rotation.from_rpy(0.0, 0.0, yaw).inv
-        # The ship's steady way, without what the waves do to the pad.
+        # The ship's steady velocity, without the motion of the pad on the waves.
         v_start = self._way() if start.with_vessel else np.zeros(3)
         return OperatorView(
             level @ (body.p_pad_ned - to_pad - state.p_ned),
@@ -208,7 +209,7 @@ class AutopilotFlight:
             self.station.on_message(received.message, received.received_at)
 
     async def _watch(self, program: Program) -> None:
-        """Whether the program goes on stepping."""
+        """Raise an error if the program stops stepping the physics."""
         while True:
             await asyncio.sleep(1.0)
             if time.monotonic() - self._stepped_at > _SILENT_S:
@@ -234,7 +235,7 @@ class AutopilotFlight:
 
     @asynccontextmanager
     async def _program(self, ports: tuple[int, int]) -> AsyncIterator[Program]:
-        """The physics served and the program running on it."""
+        """Serve the physics and run the program on it until the context ends."""
         chosen = self.autopilot
         if chosen.name == "px4":
             hil = HilBackend(self._make(px4.STEP_S, 0.0), seed=self.seed, stepped=self._stepped)

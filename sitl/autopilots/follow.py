@@ -1,5 +1,8 @@
-"""A vehicle that another simulator flies, over our deck: its pose is taken over MAVLink, our camera looks from there, our daemon
-works. The deck moves, the ground of that simulator does not: touchdown is judged by place alone where the deck heaves."""
+"""Add a simulated deck and camera to a vehicle that another simulator flies.
+
+The vehicle's pose comes over MAVLink, the camera renders from that pose, and the daemon flies the landing. The deck moves, but
+the ground of the other simulator does not: if the deck heaves, only the horizontal position of a touchdown counts.
+"""
 
 from __future__ import annotations
 
@@ -38,29 +41,29 @@ _TRUTH_S = 3.0
 """Time after the first reported position for which the simulator's truth is awaited."""
 _MEET_S, _PLACE_S = 30.0, 180.0
 _CLEAR_M = 0.15
-"""Higher than this it is not down yet: the speed at which it came down is the last from there."""
+"""Height over the pad, m, above which the vehicle is not down yet: the last descent rate above it is that of the touchdown."""
 
 
 @dataclass(frozen=True, slots=True)
 class FollowEnd:
-    """How it ended."""
+    """The result of the flight."""
 
     outcome: FlightOutcome | None
     landing: Landing | None
     duration_s: float
-    """Since the vehicle was first seen to fly."""
+    """Time since the vehicle was first seen flying, s."""
     health: Health
     by_truth: bool
-    """The simulator told where the vehicle really was; else it is what the autopilot thinks."""
+    """Whether the simulator reported the true position; otherwise it is the autopilot's estimate."""
     failure: str = ""
 
 
 class DeckUnder:
-    """The scenario's sea and vessel, laid under a vehicle whose place counts from somewhere else.
+    """The scenario's sea and vessel under a vehicle whose position has another origin.
 
     Args:
-        first: where the vehicle is at first; the pad lies from there as the scenario's start says.
-        on_ground: it is on its feet: then the pad lies at their height.
+        first: the vehicle's first pose; the pad lies relative to it as at the scenario's start.
+        on_ground: the vehicle stands on the ground, so the pad is placed at the height of its feet.
     """
 
     def __init__(self, scenario: Scenario, seed: int, first: AutopilotPose, on_ground: bool) -> None:
@@ -72,7 +75,7 @@ class DeckUnder:
         self._began, self._images = first.at, 0
         start, pad = scenario.start, self._vessel.pad_at(0.0)
         below_m = Airframe().feet.below_m if on_ground else start.height_m
-        # The arrow keeps its heading in the world; the vehicle has the one it has.
+        # The arrow keeps the scenario's heading and the vehicle its own.
         heading = first.R_ned_body.rpy_rad[2]
         to_pad = Rotation.from_rpy(0.0, 0.0, heading) @ np.array([start.pad_forward_m, start.pad_right_m, below_m])
         self._shift = pad.p_ned - (first.p_ned + to_pad)
@@ -84,7 +87,7 @@ class DeckUnder:
         return t_s, pad.p_ned, pad.v_ned, pad.R_ned, pad.w
 
     def look(self, pose: AutopilotPose) -> Callable[[], RenderedFrame]:
-        """The frame from there, made when it is called."""
+        """Return a function that renders the frame from this pose."""
         t_s, p, v, R, w = self._deck(pose.at)
         shot = Exposure(
             t_s=t_s, R_ned_body=pose.R_ned_body, p_body_ned=pose.p_ned + self._shift, R_ned_pad=Rotation(R), p_pad_ned=p,
@@ -115,10 +118,10 @@ class DeckUnder:
 
 
 async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, observers: Sequence[Observer] = ()) -> FollowEnd:
-    """Until the daemon's flight has ended or the scenario's time is over.
+    """Run the daemon until its flight has ended or the scenario's time is over.
 
     Raises:
-        BadInput: the URL is none.
+        BadInput: the URL is not valid.
     """
     cv2.setNumThreads(1)
     clock = SystemClock()
@@ -139,7 +142,7 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
 
 
 class _Watcher:
-    """Takes poses, makes frames, notes how it came down."""
+    """Receives poses, makes frames and records the touchdown."""
 
     def __init__(self, scenario: Scenario, seed: int, side: FlightDaemon, clock: SystemClock) -> None:
         self._scenario, self._seed, self._side, self._clock = scenario, seed, side, clock
@@ -148,7 +151,7 @@ class _Watcher:
         self._flew: MonoNs | None = None
         self._newest: AutopilotPose | None = None
         self._placed: MonoNs | None = None
-        """When it first told where it is."""
+        """Instant of the first pose with a position."""
         self._descent_rate_m_s = 0.0
         self._listening: object = None
         self._last: AutopilotPose | None = None
@@ -167,7 +170,7 @@ class _Watcher:
         return 0.0 if self._flew is None else seconds_between(self._flew, self._clock.now())
 
     async def film(self, pool: ThreadPoolExecutor, daemon: asyncio.Task[FlightOutcome | None]) -> str:
-        """Frames, period by period; why there was no flight, empty where there was one."""
+        """Make frames, one a period, and return the reason why there was no flight, or an empty text."""
         loop, began = asyncio.get_running_loop(), self._clock.now()
         while not daemon.done():
             turn = self._clock.now()
@@ -190,7 +193,7 @@ class _Watcher:
         return ""
 
     def _ready_for(self, pose: AutopilotPose) -> bool:
-        """Whether there is something new to see, and the eyes are free: a machine that is too slow sees less often, not later."""
+        """Return whether a new frame can be made and vision is free: a slow machine gets fewer frames, not later ones."""
         if self._deck is None or (self._newest is not None and pose.at <= self._newest.at):
             return False
         waited_s = _OLD_S if self._newest is None else seconds_between(self._newest.at, pose.at)
@@ -214,7 +217,7 @@ class _Watcher:
         if self._deck is None:
             self._placed = self._placed or now
             if not pose.is_truth and seconds_between(self._placed, now) < _TRUTH_S:
-                return None  # the simulator may tell where it really is: that is another place to count from
+                return None  # the simulator may still report the true position, which has another origin
             self._deck, self.by_truth = DeckUnder(self._scenario, self._seed, pose, not flying), pose.is_truth
         if pose.is_truth is not self.by_truth:
             return None

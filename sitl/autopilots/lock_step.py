@@ -1,6 +1,6 @@
-"""Time that the physics makes: the daemon's clock where an autopilot program is stepped in lock step.
+"""The daemon's clock in lock step: the physics advances it.
 
-However slow the machine is, no part sees more time go by than the autopilot does.
+However slow the machine is, every part sees the same time as the autopilot.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from estimator.contracts.time import MonoNs, after
 
 _START = MonoNs(1_000_000_000_000)
 _ROUNDS = 4
-"""Turns of the event loop in which what the step woke can act: a message goes from socket to line to reader to part."""
+"""Passes of the event loop after a step, enough for a message to go from socket to link to reader to part."""
 
 
 class LockStepClock:
     """A `Clock` that stands still until it is advanced.
 
     Args:
-        start: its first instant; not zero, so that it is not the autopilot's own time since boot.
+        start: its first instant; it is not zero, so that it differs from the autopilot's time since boot.
     """
 
     def __init__(self, start: MonoNs = _START) -> None:
@@ -37,7 +37,7 @@ class LockStepClock:
         await sleeper
 
     def advance(self, seconds: float) -> None:
-        """Wake whoever's time has come."""
+        """Advance the time and wake the tasks whose time has come."""
         self._now = after(self._now, seconds)
         while self._sleepers and self._sleepers[0][0] <= self._now:
             sleeper = heapq.heappop(self._sleepers)[2]
@@ -46,6 +46,6 @@ class LockStepClock:
 
     @staticmethod
     async def settle() -> None:
-        """Let those act that were woken."""
+        """Let the woken tasks run."""
         for _ in range(_ROUNDS):
             await asyncio.sleep(0)

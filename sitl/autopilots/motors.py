@@ -1,4 +1,4 @@
-"""The vehicle flown by four motor commands instead of its own loops."""
+"""A vehicle flown by four motor commands instead of its own control loops."""
 
 from __future__ import annotations
 
@@ -10,25 +10,28 @@ from sitl.contact import Ground, Relative, Rows
 from sitl.vehicle import Vehicle, VehiclePhase
 
 Motors = tuple[float, float, float, float]
-"""0..1 of the front right, rear left, front left and rear right motor: the order in which ArduPilot and PX4 number a quad X."""
+"""Commands 0..1 of the front right, rear left, front left and rear right motor: the order in which ArduPilot and PX4 number a
+quad X."""
 
 _SPINS = 0.01
 _NONE: Motors = (0.0, 0.0, 0.0, 0.0)
 
 
 def thrust_share(command: float, curve: float) -> float:
-    """Share of the largest thrust at a command of 0..1: linear for a `curve` of 0, quadratic for 1.
+    """Return the thrust as a fraction of the largest thrust for a command of 0..1: linear for a `curve` of 0, quadratic for 1.
 
-    Source: ArduPilot's MOT_THST_EXPO and PX4's THR_MDL_FAC describe a motor so; the autopilot inverts the curve it is set to.
+    Source: ArduPilot's MOT_THST_EXPO and PX4's THR_MDL_FAC describe a motor in this way; the autopilot inverts its configured
+    curve.
     """
     c = min(max(command, 0.0), 1.0)
     return (1.0 - curve) * c + curve * c * c
 
 
 def wrench(airframe: Airframe, motors: Sequence[float], curve: float) -> tuple[float, Vec]:
-    """Thrust in N and torque in N m about the body's axes.
+    """Return the thrust, N, and the torque about the body's axes, N m.
 
-    The front right and rear left propellers turn counter-clockwise seen from above and so push the nose clockwise.
+    The front right and rear left propellers turn counter-clockwise seen from above, so their drag torque turns the nose
+    clockwise.
     """
     most_n = airframe.thrust_max_n / 4.0
     fr, rl, fl, rr = (most_n * thrust_share(c, curve) for c in motors)
@@ -43,10 +46,10 @@ class MotorVehicle(Vehicle):
     curve: float = 0.0
 
     def step(self, ground: Ground) -> None:
-        """One step; with every motor at rest it may come to rest on the deck and be carried with it."""
+        """Advance by one step. With every motor stopped, the vehicle may come to rest on the deck and move with it."""
         if self.phase != VehiclePhase.EMERGENCY:
             self.phase = float(VehiclePhase.FLYING if max(self.motors) > _SPINS else VehiclePhase.LANDED)
-            # The inherited rule turns flying into hovering unless the stick says otherwise.
+            # The inherited rule changes flying to hovering unless the stick commands otherwise.
             self.command(0.0, 0.0, 0.0, 0.0, True)
         super().step(ground)
 

@@ -1,4 +1,4 @@
-"""Where a vehicle is that somebody else simulates, from what its simulator or its autopilot says over MAVLink. No I/O."""
+"""The pose of a vehicle in another simulator, from the MAVLink messages of that simulator or of its autopilot. No I/O here."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
 
 TRUTH = {Stack.ARDUPILOT: "SIM_STATE", Stack.PX4: "HIL_STATE_QUATERNION"}
-"""The message in which a simulated vehicle's simulator tells the truth."""
+"""The message in which the simulator of each stack reports the true state."""
 _EARTH_M = 6_371_000.0
 _ASK_S, _ASKS = 5.0, 3
 _TRUTH_LAST_S = 1.0
@@ -33,19 +33,20 @@ class AutopilotPose:
     p_ned: F64
     """(3,) position from the source's origin, m."""
     v_ned: F64
-    """(3,) m/s."""
+    """(3,) velocity, m/s."""
     R_ned_body: Rotation
     w_body: F64
     """(3,) angular velocity, rad/s; zeros if no source reports it."""
     is_truth: bool
-    """Its place is the simulator's; else the autopilot's own estimate."""
+    """Whether the position is the simulator's true one; otherwise it is the autopilot's estimate."""
 
 
 class PoseSource:
-    """Feed it every message; ask it for the newest pose.
+    """Estimate the vehicle's pose from all its messages.
 
-    The pose is the autopilot's own, which is smooth and stamped. Where the simulator tells the truth it is shifted by the mean of
-    how far the two lie apart: truth comes in steps of a centimetre and without a stamp of the autopilot's clock.
+    The pose is the autopilot's own, which is smooth and stamped. If the simulator reports the true position, the pose is shifted
+    by the mean difference of the two, because the true position comes in steps of a centimetre and without a stamp of the
+    autopilot's clock.
     """
 
     def __init__(self) -> None:
@@ -53,13 +54,13 @@ class PoseSource:
         self._told: MonoNs | None = None
         self._w_body = np.zeros(3)
         self._apart = np.zeros(3)
-        """(3,) m, mean of truth less the autopilot's own."""
+        """(3,) mean of the true position minus the autopilot's, m."""
         self._known_s = 0.0
         self._asked: MonoNs | None = None
         self._asks = 0
 
     def ask(self, stack: Stack, target: tuple[int, int], now: MonoNs, rate_hz: float = 50.0) -> list[Message]:
-        """The request for the truth, when it is due; a simulator that has none leaves it at that."""
+        """Return the request for the true state when it is due, or None; a simulator without one ignores it."""
         name = TRUTH.get(stack)
         waits = self._asked is not None and seconds_between(self._asked, now) < _ASK_S
         if name is None or self.truthful(now) or waits or self._asks >= _ASKS:
@@ -72,14 +73,14 @@ class PoseSource:
         ]
 
     def truthful(self, now: MonoNs) -> bool:
-        """Whether the simulator itself tells lately."""
+        """Whether the simulator reported the true position recently."""
         return self._told is not None and seconds_between(self._told, now) < _TRUTH_LAST_S
 
     def on_message(self, message: Message, now: MonoNs, positions: tuple[LocalPosition, ...]) -> None:
-        """Any message of the vehicle.
+        """Process any message of the vehicle.
 
         Args:
-            positions: the autopilot's own at that time, the newest last.
+            positions: the autopilot's own positions at that time, the newest last.
         """
         kind = message.get_type()
         if kind == "SIM_STATE":
@@ -97,9 +98,9 @@ class PoseSource:
         """Return the pose at the newest attitude, or None before the autopilot has reported its position.
 
         Args:
-            positions: the autopilot's own, the newest last.
-            attitude: its newest.
-            by_truth: shifted onto the truth where that is told.
+            positions: the autopilot's own positions, the newest last.
+            attitude: the autopilot's newest attitude.
+            by_truth: shift the pose to the true position if it is reported.
         """
         if not positions or attitude is None:
             return None

@@ -1,4 +1,4 @@
-"""An autopilot program as a child of ours: started in a folder of its own, on loopback, ended in any case."""
+"""Run an autopilot program as a child process in a folder of its own, on the loopback, and end it in any case."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ class Program:
 
     @property
     def last_line(self) -> str:
-        """The newest that it printed, for people."""
+        """The newest line that the program printed, for people."""
         with contextlib.suppress(OSError):
             lines = [line.strip() for line in (self.folder / OUTPUT).read_text(errors="replace").splitlines()]
             return next((line for line in reversed(lines) if line), "nothing")[:200]
         return "nothing"
 
     async def ended(self) -> None:
-        """Wait until it is no more.
+        """Wait until the program ends.
 
         Raises:
-            Recoverable: always, with the last that it said.
+            Recoverable: always, with the last line that the program printed.
         """
         code = await self._process.wait()
         raise Recoverable(f"the autopilot program ended with code {code}; it said last: {self.last_line} (see {GUIDE})")
 
 
 def executable(path: str | None, name: str) -> Path:
-    """The program at a path.
+    """Return the path of the program.
 
     Raises:
-        BadInput: none given, or nothing that can be run.
+        BadInput: no path is given, or the file cannot be executed.
     """
     if not path:
         raise BadInput(f"--autopilot {name} needs --binary PATH, the program itself: {GUIDE} says which one and where from")
@@ -62,13 +62,15 @@ def executable(path: str | None, name: str) -> Path:
 
 @asynccontextmanager
 async def running(argv: Sequence[str], folder: Path, environment: Mapping[str, str] | None = None) -> AsyncIterator[Program]:
-    """The program while the context is open. It ends with us, even if we are killed (on Linux).
+    """Run the program while the context is open. On Linux it ends with this process, even if this process is killed.
 
     Args:
-        folder: its working directory; what it prints goes to a file there.
+        argv: the command line.
+        folder: the working directory; the program's output goes to a file in it.
+        environment: variables to add to the environment.
 
     Raises:
-        BadInput: it cannot be run on this machine.
+        BadInput: the program cannot be run on this machine.
     """
     with (folder / OUTPUT).open("wb") as output:
         try:
@@ -97,7 +99,7 @@ async def _end(process: asyncio.subprocess.Process) -> None:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_END_S):
                 await process.wait()
-    # Children of its own may be left behind even where it is gone itself.
+    # The program's own children may outlive it.
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     await process.wait()
@@ -108,7 +110,7 @@ def _die_with_parent() -> None:
 
 
 def free_udp_port() -> int:
-    """A UDP port of the loopback that nobody uses at this moment."""
+    """Return a UDP port of the loopback that is free at this moment."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

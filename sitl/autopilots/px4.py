@@ -1,6 +1,8 @@
-"""How PX4 is started on our physics. Source: PX4 1.16, ROMFS/px4fmu_common/init.d-posix (rcS, px4-rc.simulator, px4-rc.mavlink).
+"""Start PX4 on the simulated physics.
 
-Its ports are fixed: it calls 4560 for the physics, speaks to companions on 14540 and to ground stations on 14550.
+PX4's ports are fixed: it connects to 4560 for the physics, and sends to companions on 14540 and to ground stations on 14550.
+
+Source: PX4 1.16, ROMFS/px4fmu_common/init.d-posix (rcS, px4-rc.simulator, px4-rc.mavlink).
 """
 
 from __future__ import annotations
@@ -15,14 +17,14 @@ from sitl.autopilots.px4_hil import PORT, Home
 PHYSICS_PORT = PORT
 MAVLINK_PORTS = (14540, 14550)
 STEP_S = 0.004
-"""IMU_INTEG_RATE is set to 250 Hz where it is simulated."""
+"""Step of the physics, s: PX4's start-up files set IMU_INTEG_RATE to 250 Hz in simulation."""
 PARAMETERS: dict[str, float] = {
-    # Without a remote control; a lost ground station does nothing
+    # Flight without a remote control; the loss of a ground station has no effect
     "COM_RC_IN_MODE": 4,
     "NAV_DLL_ACT": 0,
     "COM_OF_LOSS_T": 1.0,
     "COM_OBL_RC_ACT": 5,
-    # Thrust goes linearly with the command, as in our motors
+    # Thrust is linear in the command, as for the simulated motors
     "THR_MDL_FAC": 0.0,
     "MPC_THR_HOVER": 0.48,
 }
@@ -31,13 +33,13 @@ PARAMETERS: dict[str, float] = {
 def start(
     binary: Path, *, height_m: float, home: Home | None = None, parameters: Mapping[str, float] | None = None
 ) -> tuple[list[str], dict[str, str]]:
-    """The command line and what is added to the environment.
+    """Return the command line and the variables to add to the environment.
 
     Args:
-        height_m: that AUTO.TAKEOFF climbs to.
+        height_m: height to which AUTO.TAKEOFF climbs.
 
     Raises:
-        BadInput: its start-up files do not lie where a build puts them.
+        BadInput: the start-up files are not where PX4's build puts them.
     """
     etc = binary.parent.parent / "etc"
     if not (etc / "init.d-posix" / "rcS").is_file():

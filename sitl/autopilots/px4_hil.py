@@ -1,9 +1,11 @@
 """PX4's simulator interface: HIL_SENSOR and HIL_GPS out, HIL_ACTUATOR_CONTROLS in, in lock step over TCP.
 
-    PX4_SIM_HOSTNAME=127.0.0.1 px4 -i 0 ...      # with the airframe of "none_iris"; the program connects to port 4560
+    PX4_SIM_HOSTNAME=127.0.0.1 px4 -i 0 ...      # with the airframe of "none_iris"; PX4 connects to port 4560
 
-Source: PX4, SimulatorMavlink.cpp and docs "Simulator MAVLink API": the simulator listens, PX4 connects; each HIL_SENSOR sets
-PX4's clock, and in lock step PX4 answers it with one HIL_ACTUATOR_CONTROLS before the next is sent.
+The simulator listens and PX4 connects. Each HIL_SENSOR sets PX4's clock; in lock step PX4 answers it with one
+HIL_ACTUATOR_CONTROLS before the next is sent.
+
+Source: PX4, SimulatorMavlink.cpp and docs "Simulator MAVLink API".
 """
 
 from __future__ import annotations
@@ -30,18 +32,18 @@ _EARTH_M = 6_371_000.0
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Where on earth the world's origin lies, and how the magnetic field points there."""
+    """The position on earth of the world's origin, and the magnetic field there."""
 
     latitude_deg: float = 63.44
     longitude_deg: float = 10.40
     altitude_m: float = 0.0
     field_ned_gauss: tuple[float, float, float] = (0.136, 0.008, 0.497)
-    """Trondheim, of the World Magnetic Model, rounded."""
+    """The magnetic field at Trondheim by the World Magnetic Model, rounded."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorNoise:
-    """One sigma of each reading: PX4's filter takes sensors without noise for stuck."""
+    """Standard deviation of each reading: PX4's filter takes a sensor without noise for a stuck one."""
 
     acc_m_s2: float = 0.02
     gyro_rad_s: float = 0.001
@@ -51,7 +53,7 @@ class SensorNoise:
 
 
 def sensors(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Generator) -> Message:
-    """HIL_SENSOR as of a state."""
+    """Return the HIL_SENSOR message for a state."""
     acc = state.f_body + rng.normal(0.0, noise.acc_m_s2, 3)
     gyro = state.w_body + rng.normal(0.0, noise.gyro_rad_s, 3)
     mag = state.R_ned_body.inv @ np.array(home.field_ned_gauss) + rng.normal(0.0, noise.mag_gauss, 3)
@@ -63,7 +65,7 @@ def sensors(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Gen
 
 
 def gnss(state: BodyState, home: Home, noise: SensorNoise, rng: np.random.Generator) -> Message:
-    """HIL_GPS as of a state."""
+    """Return the HIL_GPS message for a state."""
     north, east, down = (float(v) for v in state.p_ned + rng.normal(0.0, noise.gnss_m, 3))
     latitude = home.latitude_deg + math.degrees(north / _EARTH_M)
     longitude = home.longitude_deg + math.degrees(east / (_EARTH_M * math.cos(math.radians(home.latitude_deg))))
@@ -88,10 +90,10 @@ def _us(state: BodyState) -> int:
 
 
 class HilBackend:
-    """One body behind the interface. No I/O: messages in, messages out.
+    """One body behind the simulator interface. It does no I/O: it takes messages and returns messages.
 
     Args:
-        gnss_hz: of HIL_GPS.
+        gnss_hz: rate of HIL_GPS.
         stepped: called after each step.
     """
 
@@ -113,17 +115,17 @@ class HilBackend:
         self._stepped = stepped
 
     def begin(self) -> list[Message]:
-        """The first readings: PX4 says nothing before it has the time from them."""
+        """Return the first readings; PX4 sends nothing before it has the time from them."""
         return self._readings()
 
     def nudge(self) -> list[Message]:
-        """The readings one step on, the motors at rest."""
+        """Return the readings one step later, with all motors stopped."""
         self.body.step((0.0, 0.0, 0.0, 0.0))
         self._stepped(self.body)
         return self._readings()
 
     def on_message(self, message: Message) -> list[Message]:
-        """The readings one step after an actuator message; nothing for any other message."""
+        """Return the readings one step after an actuator message, or nothing for any other message."""
         if message.get_type() != "HIL_ACTUATOR_CONTROLS":
             return []
         self.body.step(motors_of(message))
@@ -140,7 +142,7 @@ class HilBackend:
 
 
 Settle = Callable[[], Awaitable[None]]
-"""Waited for after each step, before PX4 hears of it: its time stands still until it is done."""
+"""Awaited after each step, before PX4 gets the readings; its time stands still until it returns."""
 
 
 async def _at_once() -> None:
@@ -160,7 +162,7 @@ async def _converse(
                 async with asyncio.timeout(nudge_s if first else None):
                     data = await reader.read(4096)
             except TimeoutError:
-                # Before its loops run PX4 answers nothing, yet needs time to pass.
+                # Before its loops run, PX4 answers nothing but needs time to advance.
                 messages = backend.nudge()
                 await settle()
                 for message in messages:
@@ -186,10 +188,10 @@ async def _converse(
 async def serve_hil(
     backend: HilBackend, host: str = "127.0.0.1", port: int = PORT, nudge_s: float = 0.004, *, settle: Settle = _at_once
 ) -> AsyncIterator[int]:
-    """Wait for PX4 on this port (0: any free one) and step with it until the context ends; gives the port.
+    """Wait for PX4 on this port (0: any free one), step with it until the context ends, and yield the port.
 
     Args:
-        nudge_s: until PX4 sends its first actuator message, the world moves one step this often.
+        nudge_s: interval, s, at which the world moves one step until PX4 sends its first actuator message.
 
     Raises:
         OSError: the port is in use.

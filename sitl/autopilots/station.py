@@ -1,6 +1,6 @@
-"""The person at the ground station: arms, takes off, flies to where the landing is to begin, orders it. No I/O.
+"""The operator at the ground station: arms, takes off, flies to the start of the landing and commands the landing. No I/O.
 
-Where the vehicle is against the ship this person sees, as people do: what is told here is the truth.
+The operator sees where the vehicle is relative to the ship, as people do: the view given here is the true one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _HEAVE_M = 2.0
 
 
 class Task(Enum):
-    """What is being done."""
+    """The operator's current task."""
 
     MEET = "waiting for the autopilot"
     ARM = "arming"
@@ -41,7 +41,7 @@ class Task(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StationTimeouts:
-    """How long each task may take, in s."""
+    """Longest duration of each task, s."""
 
     meet_s: float = 60.0
     arm_s: float = 90.0
@@ -52,7 +52,7 @@ class StationTimeouts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OperatorView:
-    """What the person sees."""
+    """The true state that the operator sees."""
 
     to_start_level: F64
     """(3,) vector forward, right, down from the body to the position where the landing begins, m."""
@@ -69,11 +69,11 @@ class OperatorView:
 
 
 class GroundStation:
-    """Hears the autopilot and the companion, and says what is to be sent.
+    """Processes the messages of autopilot and companion and returns those to send.
 
     Args:
-        height_m: that is climbed to before going to the start.
-        flies_there: steer to the start by velocities in GUIDED; else the landing begins where the take-off ends.
+        height_m: height of the take-off, before going to the start.
+        flies_there: fly to the start by velocity setpoints in GUIDED; otherwise the landing begins where the take-off ends.
     """
 
     def __init__(
@@ -87,18 +87,18 @@ class GroundStation:
         self._there_since: MonoNs | None = None
         self.task = Task.MEET
         self.failure = ""
-        """Why it came to nothing."""
+        """Reason why no landing took place; empty if none."""
         self.mode = ""
         self.armed = False
         self.began: MonoNs | None = None
-        """When the companion took the order."""
+        """Instant at which the companion accepted the command to land."""
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=400)
-        """STATUSTEXTs: when, from which component, text."""
+        """The STATUSTEXTs as (time, component, text)."""
         self.results: list[tuple[int, int]] = []
-        """COMMAND_ACKs of the autopilot other than accepted ones: command, result."""
+        """The autopilot's COMMAND_ACKs that are not accepted, as (command, result)."""
 
     def on_message(self, message: Message, now: MonoNs) -> None:
-        """Any message of the vehicle's system."""
+        """Process any message of the vehicle's system."""
         kind, component = message.get_type(), message.get_srcComponent()
         if message.get_srcSystem() != self._autopilot[0]:
             return
@@ -125,7 +125,7 @@ class GroundStation:
             self._fail(f"the companion refused the landing with result {result}")
 
     def period(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        """What to send; call it at 10 Hz and more."""
+        """Return the messages to send; call it at 10 Hz or more."""
         if self._since is None:
             self._since = now
         out = [_heartbeat()] if self._due("heartbeat", now) else []
@@ -155,7 +155,7 @@ class GroundStation:
 
     def _go(self, now: MonoNs, view: OperatorView) -> list[Message]:
         self._give_up_after(self._timeouts.go_s, now, "it did not reach the start of the landing")
-        # The place heaves with the pad: nobody flies after that.
+        # The start heaves with the pad, so the vehicle does not follow it after that.
         close = math.hypot(*view.to_start_level[:2]) < 0.6 and abs(view.to_start_level[2]) < _HEAVE_M
         near = close and math.hypot(*view.v_rel_level[:2]) < 0.5 and abs(view.turn_rad) < math.radians(8.0)
         self._there_since = (self._there_since or now) if near else None
