@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from companion.config import build, build_camera, build_mavlink, reference
+from companion.config import build, build_mavlink, reference
 from companion.config.model import Settings
 from companion.config.settings import SHIPPED, from_mapping, read_toml, shipped
 from companion.guidance.plan import Plan
@@ -148,14 +148,13 @@ def _options(settings: Settings) -> None:
     Plan.over_the_pad(settings.guidance)
     assert settings.service.back_off.cap_s > 0
     build.estimator_options(settings)
-    build_camera.controls(settings.camera.controls)
     if isinstance(settings.vehicle, ArDroneOptions):
         build.ardrone_options(settings)
     else:
         said = build_mavlink.component_options(settings.vehicle, 0.39, settings.guidance.stale_after_s)
         build_mavlink.autopilot_options(settings.vehicle, settings.service.sample_queue_items, said.parameters, {})
     build.tracker(settings)
-    build_camera.camera_options(settings)
+    settings.camera.control_values()
 
 
 def run_scenario(data: bytes) -> None:

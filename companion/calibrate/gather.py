@@ -12,8 +12,8 @@ import numpy as np
 from companion.calibrate.assess import missing_before
 from companion.calibrate.views import Collection
 from drivers.camera import images
+from drivers.camera.options import CameraOptions, Size
 from drivers.camera.video_source import open_camera
-from drivers.camera.video_source_options import CameraOptions
 from drivers.camera.videos import open_video
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
@@ -70,15 +70,20 @@ def look_at(file: Path, collection: Collection, tell: Told) -> None:
         raise BadInput(f"{file}: neither an image nor a video that can be read") from why
 
 
-async def watch(options: CameraOptions, collection: Collection, tell: Told, timeout_s: float, first_s: float = 10.0) -> None:
+async def watch(
+    options: CameraOptions, size: Size | None, collection: Collection, tell: Told, timeout_s: float, first_s: float = 10.0
+) -> None:
     """Add frames of a live camera until the views cover the image, or until `timeout_s`.
+
+    Args:
+        size: the width and height of the camera's frames, px; None where a stream decides.
 
     Raises:
         Recoverable: no image came within `first_s`; the text says why.
         BadInput, SetupImpossible: `open_camera` raised it.
     """
     loop = asyncio.get_running_loop()
-    async with open_camera(options, SystemClock()) as camera:
+    async with open_camera(options, size, SystemClock()) as camera:
         try:
             async with asyncio.timeout(first_s):
                 frame = await camera.frames.get()

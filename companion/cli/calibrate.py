@@ -20,7 +20,7 @@ from companion.calibrate.views import Collection
 from companion.cli import board_option
 from companion.report.drawing import require_drawing
 from companion.runtime import event_loop
-from drivers.camera.video_source_options import FORMATS, CameraOptions, StreamOptions, V4l2Options
+from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform
 
@@ -130,7 +130,7 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
 
     if args.device is not None:
         collection = Collection(board, moving=True)
-        event_loop.run(watch(_camera(args), collection, tell, args.seconds))
+        event_loop.run(watch(*_camera(args), collection, tell, args.seconds))
     else:
         files = image_files([Path(p) for p in args.paths])
 
@@ -142,14 +142,15 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
     return collection
 
 
-def _camera(args: argparse.Namespace) -> CameraOptions:
+def _camera(args: argparse.Namespace) -> tuple[CameraOptions, Size | None]:
     if "://" in args.device:
-        return StreamOptions(args.device)
+        return CameraOptions(source="stream", device=args.device), None
     match = re.fullmatch(r"(\d+)[xX](\d+)", args.size or "")
     if match is None:
         raise BadInput(f"--size must be the image to calibrate, such as 640x480, got {args.size!r}")
     try:
-        return V4l2Options(args.device, int(match[1]), int(match[2]), args.rate, args.format)
+        size = check_size((int(match[1]), int(match[2])))
+        return CameraOptions(source="v4l2", device=args.device, format=args.format, rate_hz=args.rate), size
     except ValueError as why:
         raise BadInput(f"the camera: {why}") from why
 

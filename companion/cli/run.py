@@ -7,7 +7,6 @@ import logging
 import sys
 
 from companion.cli.config import not_checked
-from companion.config.build_camera import camera_options
 from companion.config.build_pilot import make_pilot
 from companion.config.effect import without_effect
 from companion.config.proven import Proven
@@ -55,7 +54,6 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
     pilot = make_pilot(settings)
     if args.check:
         c = pilot.camera
-        camera_options(settings)  # parses camera.controls, which `load` does not
         unchecked = check_files(settings)
         sys.stdout.write(
             f"{_vehicle(settings)}\n"

@@ -8,15 +8,18 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from companion.config import build
-from companion.config.build_camera import camera_options, with_camera
 from companion.config.model import Settings
+from companion.config.settings import camera_model
 from companion.config.vehicle import AutopilotSettings
 from companion.runtime.daemon import OpenLink, VehicleLink
 from companion.runtime.health import Health
+from companion.runtime.link_with_camera import with_camera
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import Pilot
 from companion.runtime.supervise import Body
 from drivers.ardrone.link import open_ardrone
+from drivers.camera.options import check_size
+from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 
 if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does not need it
@@ -48,7 +51,7 @@ def vehicle_parts(
         tap: told of every MAVLink message; None for nobody.
 
     Raises:
-        BadInput: a signing key or a camera's controls that cannot be read.
+        BadInput: a signing key or the camera file cannot be read.
     """
     vehicle = settings.vehicle
     if isinstance(vehicle, AutopilotSettings):
@@ -58,10 +61,15 @@ def vehicle_parts(
         parts = VehicleParts(autopilot.open, (autopilot.component,))
     else:
         parts = _ardrone(settings, pilot, health, clock, tap)
-    beside = camera_options(settings)
-    if beside is None:
+    if settings.camera.source == "vehicle":
         return parts
-    return VehicleParts(with_camera(parts.open_link, beside, clock), parts.observers, parts.extras)
+    camera = camera_model(settings)
+    try:
+        size = check_size((camera.width, camera.height))
+    except ValueError as why:
+        raise BadInput(f"{settings.camera.file}: {why}") from why
+    open_link = with_camera(parts.open_link, settings.camera, size, clock)
+    return VehicleParts(open_link, parts.observers, parts.extras)
 
 
 def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None) -> VehicleParts:

@@ -50,9 +50,19 @@ _RULES = (
         lambda s: not isinstance(s.vehicle, ArDroneOptions) and s.vehicle.landing == "mode",
         'vehicle.landing is "mode"',
     ),
-    _Rule("camera.format,camera.rate_hz,camera.controls", lambda s: s.camera.source != "v4l2", 'camera.source is not "v4l2"'),
     _Rule(
-        "camera.latency_s,camera.latency_sigma_s,camera.exposure_s,camera.silence_s",
+        "camera.format,camera.rate_hz,camera.controls,camera.buffers,camera.arrival_sigma_s",
+        lambda s: s.camera.source != "v4l2",
+        'camera.source is not "v4l2"',
+    ),
+    _Rule(
+        "camera.repeat",
+        lambda s: s.camera.source != "stream" or s.camera.is_address,
+        "camera.source and camera.device do not name a video file",
+    ),
+    _Rule(
+        "camera.latency_s,camera.latency_sigma_s,camera.exposure_s,camera.silence_s,camera.reconnect_first_s,"
+        "camera.reconnect_most_s",
         lambda s: s.camera.source == "vehicle",
         'camera.source is "vehicle", whose own keys say this',
     ),

@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.config.camera import CameraSettings as CameraSettings
 from companion.config.vehicle import AutopilotSettings, BridgeSettings
 from companion.guidance.options import GuidanceOptions
 from companion.metrics.settings import MetricsSettings
@@ -19,12 +18,19 @@ from companion.mqtt.settings import MqttSettings
 from companion.recorder.options import RecorderOptions
 from companion.runtime.supervise import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
+from drivers.camera.options import CameraOptions
 from drivers.mailbox import SAMPLE_QUEUE_ITEMS
 from estimator.contracts.keys import choice, number, text
 from estimator.options import EstimatorOptions
 
 _TUNED = "tuned in simulation"
 _SHIPPED_OR_PATH = "the name of a shipped one, or a path relative to the settings file"
+
+
+class CameraSettings(CameraOptions, frozen=True, forbid_unknown_fields=True):
+    """Which camera looks down and where its frames come from; intrinsics, distortion and mount are in a file of their own."""
+
+    file: Annotated[str, text(f"camera file: {_SHIPPED_OR_PATH}", 4096)]
 
 
 class PadSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -79,8 +85,6 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
 
     def fault(self) -> str | None:
         """What does not go together, beginning with the key; None when all does."""
-        if fault := self.camera.fault():
-            return f"camera.{fault}"
         if isinstance(self.vehicle, AutopilotSettings):
             if self.camera.source == "vehicle":
                 return 'camera.source must be "v4l2" or "stream": an autopilot has no frames'

@@ -10,7 +10,6 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from companion.config import secret_files
-from companion.config.build_camera import camera_options
 from companion.config.model import Settings
 from companion.config.settings import camera_model, pad_model
 from companion.doctor.snapshot import ServiceSnapshot
@@ -66,10 +65,9 @@ async def _of_rig(settings: Settings, clock: Clock, seconds: float, timeout_s: f
 
 async def _of_camera(snapshot: ServiceSnapshot, settings: Settings, clock: Clock, seconds: float) -> ServiceSnapshot:
     try:
-        options = camera_options(settings)
-        if options is None:
+        if settings.camera.source == "vehicle":
             return snapshot
-        async with open_camera(options, clock) as camera:
+        async with open_camera(settings.camera, snapshot.camera_size, clock) as camera:
             try:
                 async with asyncio.timeout(_FIRST_FRAME_S):
                     frame = await camera.frames.get()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.camera.video_source_options import CameraCounters
+from drivers.camera.counters import CameraCounters
 from drivers.mailbox import Latest
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Frame

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.images import claimed_size
+from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.v4l2_device import Buffer, Device, KernelDevice
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from drivers.camera.v4l2_names import cameras, find
-from drivers.camera.video_source_options import V4l2Options
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
@@ -33,14 +33,17 @@ _AHEAD_S = 0.005
 """A driver that stamps by the kernel's tick may be ahead by one tick; a stamp further ahead is refused."""
 _WRAP = 1 << 32
 
-OpenDevice = Callable[[str, V4l2Options], Device]
+OpenDevice = Callable[[str, CameraOptions, Size], Device]
 
 
 class V4l2Channel:
     """One run from opening to unplugging; run it again after that."""
 
-    def __init__(self, options: V4l2Options, clock: Clock, camera: VideoSource, open_device: OpenDevice = KernelDevice) -> None:
+    def __init__(
+        self, options: CameraOptions, size: Size, clock: Clock, camera: VideoSource, open_device: OpenDevice = KernelDevice
+    ) -> None:
         self._o = options
+        self._size = check_size(size)
         self._clock = clock
         self._camera = camera
         self._open = open_device
@@ -77,7 +80,7 @@ class V4l2Channel:
             there = ", ".join(str(c.path) for c in cameras())
             raise CameraLost("absent", f"{name}: no such camera; there is {there or 'none at all'}")
         try:
-            return self._open(str(path), self._o)
+            return self._open(str(path), self._o, self._size)
         except OSError as why:
             gone = why.errno in (errno.ENODEV, errno.ENOENT, errno.ENXIO)
             raise CameraLost("absent" if gone else "failed", f"{name}: {why.strerror or why}") from why
@@ -118,10 +121,10 @@ class V4l2Channel:
         # The reader is level-triggered: left in place it would spin while a frame is being decoded.
         loop.add_reader(fd, lambda: None if ready.done() else ready.set_result(self._clock.now()))
         try:
-            async with asyncio.timeout(self._o.timeouts.silence_s):
+            async with asyncio.timeout(self._o.silence_s):
                 return await ready
         except TimeoutError as why:
-            raise CameraLost("silent", f"{self._o.device}: no frame for {self._o.timeouts.silence_s:g} s") from why
+            raise CameraLost("silent", f"{self._o.device}: no frame for {self._o.silence_s:g} s") from why
         finally:
             loop.remove_reader(fd)
 
@@ -182,7 +185,7 @@ class V4l2Channel:
         return seen
 
 
-def stamp_of(buffer: Buffer, received_at: MonoNs, options: V4l2Options, exposure_s: float) -> tuple[Stamp, bool]:
+def stamp_of(buffer: Buffer, received_at: MonoNs, options: CameraOptions, exposure_s: float) -> tuple[Stamp, bool]:
     """Return the stamp of mid-exposure, and whether the kernel's stamp had to be refused (future, or older than 2 s).
 
     A stamp of the start of the exposure lies half an exposure before its middle, one of the end of the transfer half an exposure

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 from linuxpy.video import device as kernel
 from linuxpy.video import raw
 
+from drivers.camera.options import FORMATS, CameraOptions, Size
 from drivers.camera.v4l2_formats import FrameLayout
-from drivers.camera.video_source_options import FORMATS, V4l2Options
 from estimator.contracts.errors import BadInput, SetupImpossible
 
 _CAPTURE = kernel.BufferType.VIDEO_CAPTURE
@@ -75,7 +75,7 @@ class KernelDevice:
         SetupImpossible: permission is missing, or the device is not a camera.
     """
 
-    def __init__(self, path: str, options: V4l2Options) -> None:
+    def __init__(self, path: str, options: CameraOptions, size: Size) -> None:
         self._path = path
         self._maps: list[mmap.mmap] = []
         self._device = kernel.Device(path)
@@ -85,8 +85,8 @@ class KernelDevice:
             raise SetupImpossible(f"camera {path}: no permission; the user must be in the group that owns it (video)") from why
         try:
             self._check()
-            self.layout, self.rate_hz = self._set_format(options)
-            self._set_controls(options.controls)
+            self.layout, self.rate_hz = self._set_format(options, *size)
+            self._set_controls(options.control_values())
             self.exposure_s = self._exposure()
             self._stream(options.buffers)
         except BaseException:
@@ -136,7 +136,7 @@ class KernelDevice:
             what = "only multi-planar" if kernel.Capability.VIDEO_CAPTURE_MPLANE in caps else "no"
             raise SetupImpossible(f"camera {self._path}: it offers {what} video capture (another node of it may)")
 
-    def _set_format(self, o: V4l2Options) -> tuple[FrameLayout, float]:
+    def _set_format(self, o: CameraOptions, width: int, height: int) -> tuple[FrameLayout, float]:
         offered = {f.pixel_format.human_str(): None for f in kernel.iter_read_formats(self._device, _CAPTURE)}
         wanted = [f for f in FORMATS if f in offered] if o.format == "auto" else [o.format] if o.format in offered else []
         if not wanted:
@@ -145,8 +145,8 @@ class KernelDevice:
         best: tuple[float, str] | None = None
         sizes = []
         for name in wanted:
-            layout, rate_hz = self._try(name, o)
-            if (layout.format, layout.width, layout.height) != (name, o.width, o.height):
+            layout, rate_hz = self._try(name, width, height, o.rate_hz)
+            if (layout.format, layout.width, layout.height) != (name, width, height):
                 sizes.append(f"{layout.width}x{layout.height} ({name})")
                 continue
             if rate_hz >= 0.9 * o.rate_hz:
@@ -154,21 +154,21 @@ class KernelDevice:
             if best is None or rate_hz > best[0]:
                 best = rate_hz, name
         if best is None:
-            raise BadInput(f"camera {self._path}: no frame of {o.width}x{o.height} px; the nearest is {', '.join(sizes)}")
-        return self._try(best[1], o)
+            raise BadInput(f"camera {self._path}: no frame of {width}x{height} px; the nearest is {', '.join(sizes)}")
+        return self._try(best[1], width, height, o.rate_hz)
 
-    def _try(self, name: str, o: V4l2Options) -> tuple[FrameLayout, float]:
-        kernel.set_format(self._device, _CAPTURE, o.width, o.height, name)
+    def _try(self, name: str, width: int, height: int, asked_hz: float) -> tuple[FrameLayout, float]:
+        kernel.set_format(self._device, _CAPTURE, width, height, name)
         rate_hz = 0.0
         try:
-            kernel.set_fps(self._device, _CAPTURE, o.rate_hz)
+            kernel.set_fps(self._device, _CAPTURE, asked_hz)
             rate_hz = float(kernel.get_fps(self._device, _CAPTURE))
         except OSError as why:
             if why.errno not in (errno.ENOTTY, errno.EINVAL):
                 raise
-            rate_hz = o.rate_hz  # it does not let its rate be set
+            rate_hz = asked_hz  # it does not let its rate be set
         except ZeroDivisionError:
-            rate_hz = o.rate_hz
+            rate_hz = asked_hz
         got = kernel.get_raw_format(self._device, _CAPTURE).fmt.pix
         fourcc = kernel.human_pixel_format(int(got.pixelformat))
         return FrameLayout(fourcc, int(got.width), int(got.height), int(got.bytesperline)), rate_hz

@@ -1,6 +1,7 @@
 """Open a camera that is not part of the vehicle: a V4L2 device, a network camera or a video file.
 
-async with open_camera(V4l2Options("/dev/v4l/by-id/usb-...", 640, 480), clock) as camera:
+options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/usb-...")
+async with open_camera(options, (640, 480), clock) as camera:
     async for frame in camera.frames: ...
 """
 
@@ -10,37 +11,45 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from drivers.beside import running_beside
+from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.video_source_options import CameraOptions, V4l2Options
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 
 
 @asynccontextmanager
-async def open_camera(options: CameraOptions, clock: Clock) -> AsyncIterator[VideoSource]:
+async def open_camera(options: CameraOptions, size: Size | None, clock: Clock) -> AsyncIterator[VideoSource]:
     """Open the camera and keep it open; it does not wait for the first frame.
 
     A camera that is unplugged, silent or absent is opened again with back-off, and counted; the reader of `frames` just waits.
     The `async with` block raises the errors that another attempt cannot fix.
 
+    Args:
+        size: the width and height of the camera's frames, px. A device needs it; frames of a stream that have more than four
+            times as many pixels are not decoded, and with None any size is taken.
+
     Raises:
+        ValueError: the frames are the vehicle's, or the size of a device's frames is missing or out of range.
         BadInput: the device cannot do what the options ask (size, format, control).
         SetupImpossible: permission is missing, or the device is not a camera.
     """
     camera = VideoSource()
     # Each kind loads its own library (linuxpy, PyAV) only when it is used.
-    if isinstance(options, V4l2Options):
+    if options.source == "vehicle":
+        raise ValueError("the frames of this camera come with the vehicle")
+    if options.source == "v4l2":
+        if size is None:
+            raise ValueError("a device needs the size of its frames")
         from drivers.camera.v4l2 import V4l2Channel
 
-        body = V4l2Channel(options, clock, camera).run
+        body = V4l2Channel(options, size, clock, camera).run
     else:
         from drivers.camera.video_source_stream import StreamChannel
 
-        body = StreamChannel(options, clock, camera).run
-    name = options.device if isinstance(options, V4l2Options) else options.source
-    timeouts = options.timeouts
-    back_off = BackOff(timeouts.first_s, timeouts.most_s, healthy_after_s=timeouts.most_s)
+        body = StreamChannel(options, size, clock, camera).run
+    name, longest_s = options.device, options.reconnect_most_s
+    back_off = BackOff(options.reconnect_first_s, longest_s, healthy_after_s=longest_s)
 
     async def attempt() -> None:
         try:

@@ -21,9 +21,10 @@ from av.packet import Packet as AnyPacket
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
+from drivers.camera.counters import CameraCounters
 from drivers.camera.images import ImageRefused
+from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
-from drivers.camera.video_source_options import CameraCounters, StreamOptions
 from drivers.camera.videos import MOST_PACKET_BYTES, open_video
 from drivers.clock_map import ClockMap, ClockMapOptions
 from estimator.contracts.errors import BadInput
@@ -46,8 +47,9 @@ class _Image:
 class StreamChannel:
     """One run from opening to the end; run it again after that."""
 
-    def __init__(self, options: StreamOptions, clock: Clock, camera: VideoSource) -> None:
+    def __init__(self, options: CameraOptions, size: Size | None, clock: Clock, camera: VideoSource) -> None:
         self._o = options
+        self._size = size if size is None else check_size(size)
         self._clock = clock
         self._camera = camera
         self._seq = 0
@@ -61,7 +63,7 @@ class StreamChannel:
         """
         loop = asyncio.get_running_loop()
         pool = ThreadPoolExecutor(1, "stream")
-        reader = _Reader(self._o, self._clock, self._camera.counters)
+        reader = _Reader(self._o, self._size, self._clock, self._camera.counters)
         try:
             await loop.run_in_executor(pool, reader.open)
             self._camera.down = None
@@ -69,7 +71,7 @@ class StreamChannel:
                 await self._play(reader, pool)
                 if not self._o.repeat or self._o.is_address:
                     reason = "failed" if self._o.is_address else "ended"
-                    raise CameraLost(reason, f"{self._o.source}: the stream is over")
+                    raise CameraLost(reason, f"{self._o.device}: the stream is over")
                 await loop.run_in_executor(pool, reader.rewind)
         finally:
             # A read that hangs may last for the whole of `silence_s`, so nothing waits for it.
@@ -80,7 +82,7 @@ class StreamChannel:
         loop = asyncio.get_running_loop()
         o, counters = self._o, self._camera.counters
         began: tuple[MonoNs, float] | None = None
-        clocks = ClockMap(ClockMapOptions(resolution_s=1e-5, floor_s=o.latency_s, floor_sigma_s=o.sigma_s))
+        clocks = ClockMap(ClockMapOptions(resolution_s=1e-5, floor_s=o.latency_s, floor_sigma_s=o.latency_sigma_s))
         while (image := await loop.run_in_executor(pool, reader.next)) is not None:
             if o.is_address:
                 stamp = self._live_stamp(image, clocks)
@@ -91,7 +93,7 @@ class StreamChannel:
                 ahead_s = seconds_between(self._clock.now(), measured_at)
                 if ahead_s > 0:
                     await self._clock.sleep(ahead_s)
-                stamp = Stamp(after(measured_at, -o.latency_s), max(measured_at, self._clock.now()), o.sigma_s, "arrival")
+                stamp = Stamp(after(measured_at, -o.latency_s), max(measured_at, self._clock.now()), o.latency_sigma_s, "arrival")
             counters.frames += 1
             frame = Frame(stamp, self._seq, image.px, o.exposure_s)
             self._seq += 1
@@ -100,15 +102,16 @@ class StreamChannel:
     def _live_stamp(self, image: _Image, clocks: ClockMap) -> Stamp:
         if image.pts_s is None or not 0 <= image.pts_s < 1e9:
             measured_at = after(image.received_at, -self._o.latency_s)
-            return Stamp(measured_at, image.received_at, self._o.sigma_s, "arrival")
+            return Stamp(measured_at, image.received_at, self._o.latency_sigma_s, "arrival")
         return clocks.stamp(round(image.pts_s * 1e9), image.received_at)
 
 
 class _Reader:
     """The blocking half, whose methods all run on one worker thread."""
 
-    def __init__(self, options: StreamOptions, clock: Clock, counters: CameraCounters) -> None:
+    def __init__(self, options: CameraOptions, size: Size | None, clock: Clock, counters: CameraCounters) -> None:
         self._o = options
+        self._size = size
         self._clock = clock
         self._counters = counters
         self._container: InputContainer | None = None
@@ -119,27 +122,27 @@ class _Reader:
 
     def open(self) -> None:
         o = self._o
-        if not o.is_address and not Path(o.source).is_file():
-            raise BadInput(f"{o.source}: no such file")
-        silence_s = o.timeouts.silence_s
+        if not o.is_address and not Path(o.device).is_file():
+            raise BadInput(f"{o.device}: no such file")
+        silence_s = o.silence_s
         try:
             self._container = open_video(
-                o.source,
-                o.size,
+                o.device,
+                self._size,
                 options=_LIVE if o.is_address else {},
                 codec_options={"err_detect": "explode"} if o.is_address else {},
                 timeout=(silence_s, silence_s) if o.is_address else None,
             )
         except ImageRefused as why:
             if o.is_address:
-                raise CameraLost("failed", f"{o.source}: {why}") from why
-            raise BadInput(f"{o.source}: {why}") from why
+                raise CameraLost("failed", f"{o.device}: {why}") from why
+            raise BadInput(f"{o.device}: {why}") from why
         except FFmpegError as why:
             if o.is_address:
-                raise CameraLost("absent", f"{o.source}: {why.strerror}") from why
-            raise BadInput(f"{o.source}: not a video that can be read ({why.strerror})") from why
+                raise CameraLost("absent", f"{o.device}: {why.strerror}") from why
+            raise BadInput(f"{o.device}: not a video that can be read ({why.strerror})") from why
         if not self._container.streams.video:
-            raise BadInput(f"{o.source}: there is no video in it")
+            raise BadInput(f"{o.device}: there is no video in it")
         stream = self._container.streams.video[0]
         stream.thread_type = "SLICE" if o.is_address else "AUTO"
         rate = stream.average_rate
@@ -167,7 +170,7 @@ class _Reader:
                 return None
             except FFmpegError as why:
                 reason = "silent" if isinstance(why, av.error.ExitError | av.error.TimeoutError) else "failed"
-                raise CameraLost(reason, f"{self._o.source}: {why.strerror}") from why
+                raise CameraLost(reason, f"{self._o.device}: {why.strerror}") from why
             self._decode(packet, self._clock.now())
         return self._ready.pop(0)
 

@@ -17,7 +17,7 @@ from companion.calibrate.gather import look_at, watch
 from companion.calibrate.solve import solve
 from companion.calibrate.views import BoardView, Collection
 from companion.cli.main import main
-from drivers.camera.video_source_options import StreamOptions, V4l2Options
+from drivers.camera.options import CameraOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.vision.camera import Camera
 from tests.companion.calibration_images import Studio, good_round, lens
@@ -172,12 +172,13 @@ async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, P
                 out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="gray")))
         out.mux(stream.encode(None))
     collection = Collection(CHARUCO, moving=True)
-    await watch(StreamOptions(str(path), repeat=True), collection, lambda c: None, timeout_s=3.5)
+    live = CameraOptions(source="stream", device=str(path), repeat=True)
+    await watch(live, None, collection, lambda c: None, timeout_s=3.5)
     assert len(collection.views) == 3
     assert collection.looked >= 6
-    absent = V4l2Options("/dev/v4l/by-id/no-such-camera", 480, 320)
+    absent = CameraOptions(source="v4l2", device="/dev/v4l/by-id/no-such-camera")
     with pytest.raises(Recoverable, match="no such camera"):
-        await watch(absent, collection, lambda c: None, timeout_s=1.0, first_s=0.2)
+        await watch(absent, (480, 320), collection, lambda c: None, timeout_s=1.0, first_s=0.2)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from companion.guidance.options import GuidanceOptions, PidOptions, PlannerOptio
 from companion.recorder.options import RecorderOptions
 from companion.runtime.supervise import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
+from drivers.camera.options import CameraOptions
 from estimator.contracts.keys import check_ranges
 from estimator.ekf.options import EkfOptions
 from estimator.integrity.options import IntegrityOptions
@@ -35,6 +36,7 @@ IN_THE_FILE = {
     "guidance": GuidanceOptions,
     "guidance.pid": PidOptions,
     "guidance.planner": PlannerOptions,
+    "camera": CameraOptions,
     "recorder": RecorderOptions,
     "service": RestartOptions,
 }
@@ -42,14 +44,10 @@ STILL_TWICE = {
     "AutopilotOptions": {"links", "operators", "ranges", "silence_s"},
     "StreamerOptions": {"command_timeout_s", "descent_rate_m_s", "landing", "take_off_height_m"},
     "OutputOptions": {"ground_clearance_m", "range_rate_hz", "ranges", "vision_target_estimator"},
-    "V4l2Options": {"controls", "device", "exposure_s", "format", "latency_s", "latency_sigma_s", "rate_hz"},
-    "StreamOptions": {"exposure_s", "latency_s", "source"},
-    "SourceTimeouts": {"silence_s"},
 }  # fmt: skip
 """What is left to do, by class: this may only shrink. A section's keys are compared with the classes of its consumer."""
 SECTIONS = {
     "AutopilotOptions": "vehicle.", "StreamerOptions": "vehicle.", "OutputOptions": "vehicle.",
-    "V4l2Options": "camera.", "StreamOptions": "camera.", "SourceTimeouts": "camera.",
 }  # fmt: skip
 
 

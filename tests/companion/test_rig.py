@@ -14,7 +14,6 @@ from msgspec import inspect
 
 from companion.cli.main import main
 from companion.config import build, build_mavlink
-from companion.config.build_camera import camera_options
 from companion.config.refusal import walk
 from companion.config.settings import Settings, from_mapping
 from companion.config.vehicle import AutopilotSettings, BridgeSettings
@@ -23,7 +22,6 @@ from companion.guidance.plan import Plan
 from companion.mavlink.component import ComponentOptions
 from companion.mavlink.outputs import OutputOptions
 from drivers.ardrone.options import ArDroneOptions
-from drivers.camera.video_source_options import CameraOptions
 from drivers.mavlink.autopilot import AutopilotOptions
 from estimator.contracts.errors import BadInput
 from estimator.options import EstimatorOptions
@@ -33,7 +31,7 @@ READ_BY_THE_SERVICE_ITSELF = {
     "bridge.links", "bridge.system_id", "bridge.operators",
     *(f"{table}.signing_{what}_file" for table in ("vehicle", "bridge") for what in ("key", "time")),
 }  # fmt: skip
-TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.", "service.")
+TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.", "service.", "camera.")
 """Sections that a part takes as they are."""
 MINIMAL = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
 MINIMALS = {
@@ -48,7 +46,7 @@ def parts(settings: Settings) -> list[object]:
         plain(part)
         for part in (
             *vehicle(settings), build.tracker(settings), build.estimator_options(settings), settings.guidance,
-            Plan.over_the_pad(settings.guidance), settings.camera.source, *cameras(settings),
+            Plan.over_the_pad(settings.guidance), settings.camera.file,
         )
     ]  # fmt: skip
 
@@ -61,13 +59,6 @@ def vehicle(settings: Settings) -> list[object]:
         build_mavlink.autopilot_options(v, settings.service.sample_queue_items, ()),
         build_mavlink.component_options(v, 0.39, 0.5),
     ]
-
-
-def cameras(settings: Settings) -> list[CameraOptions | None]:
-    """The camera's options as each source takes them."""
-    c = settings.camera
-    each = (msgspec.structs.replace(c, source=source, device=c.device or "cam") for source in ("v4l2", "stream"))
-    return [camera_options(msgspec.structs.replace(settings, camera=camera)) for camera in each]
 
 
 def plain(value: Any) -> Any:
@@ -102,8 +93,6 @@ def other(field: inspect.Field, path: str) -> object:
         return "255, 245/190"
     if path == "pad.file":
         return "printed"
-    if path == "camera.controls":
-        return "gain=3, auto_exposure=Manual Mode, white_balance_automatic=false"
     match bare:
         case inspect.LiteralType(values=values):
             return next(v for v in values if v != field.default)

@@ -11,9 +11,9 @@ import av
 import numpy as np
 import pytest
 
-from companion.config.build_camera import camera_options, controls, with_camera
 from companion.config.settings import from_mapping, load
-from drivers.camera.video_source_options import StreamOptions, V4l2Options
+from companion.runtime.link_with_camera import with_camera
+from drivers.camera.options import CameraOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Hover
@@ -28,22 +28,21 @@ def with_keys(**keys: object) -> dict[str, object]:
     return RIG | {"camera": {"file": "sim"} | keys}
 
 
-def test_the_cameras_size_is_that_of_its_file() -> None:
-    settings = from_mapping(with_keys(source="v4l2", device="usb-Cam", controls="gain=3, auto_exposure=Manual Mode"), "x")
-    options = camera_options(settings)
-    assert isinstance(options, V4l2Options)
-    assert (options.width, options.height, options.device) == (640, 360, "usb-Cam")
-    assert options.controls == {"gain": 3, "auto_exposure": "Manual Mode"}
-    assert camera_options(from_mapping(RIG, "x")) is None
-    assert isinstance(camera_options(from_mapping(with_keys(source="stream", device="rtsp://cam/1"), "x")), StreamOptions)
+def test_the_table_is_what_the_driver_takes() -> None:
+    camera = from_mapping(with_keys(source="v4l2", device="usb-Cam", controls="gain=3, auto_exposure=Manual Mode"), "x").camera
+    assert isinstance(camera, CameraOptions)
+    assert camera.control_values() == {"gain": 3, "auto_exposure": "Manual Mode"}
+    assert not camera.is_address
+    assert from_mapping(with_keys(source="stream", device="rtsp://cam/1"), "x").camera.is_address
 
 
 def test_controls_are_numbers_truth_values_or_labels() -> None:
-    assert controls(" a=1 , b = true,c=false, d=-5, e=60 Hz ") == {"a": 1, "b": True, "c": False, "d": -5, "e": "60 Hz"}
-    assert controls("") == {}
+    text = " a=1 , b = true,c=false, d=-5, e=60 Hz "
+    assert CameraOptions(controls=text).control_values() == {"a": 1, "b": True, "c": False, "d": -5, "e": "60 Hz"}
+    assert CameraOptions().control_values() == {}
     for wrong in ("gain", "gain=", "=3", "gain=1,gain=2", "a=1,,b=2"):
-        with pytest.raises(BadInput, match=r"camera\.controls"):
-            controls(wrong)
+        with pytest.raises(BadInput, match=r"x: camera: controls: '.*' is not name=value"):
+            from_mapping(with_keys(controls=wrong), "x")
 
 
 def test_keys_that_do_not_go_together_are_refused_when_the_file_is_read(tmp_path: Path) -> None:
@@ -85,7 +84,8 @@ async def test_frames_are_the_cameras_and_the_rest_is_the_vehicles(tmp_path: Pat
         finally:
             closed.append(True)
 
-    async with asyncio.timeout(60), with_camera(open_vehicle, StreamOptions(str(path)), SystemClock())() as link:
+    film = CameraOptions(source="stream", device=str(path))
+    async with asyncio.timeout(60), with_camera(open_vehicle, film, (64, 48), SystemClock())() as link:
         frame = await link.frames.get()
         assert frame.px.shape == (48, 64, 3)
         vehicle.samples.offer(Range(Stamp(MonoNs(1), MonoNs(1), 0.0, "sim"), 2.0, 0.1))

@@ -142,6 +142,7 @@ GAINS_AND_RATIOS = {
     "soft_least",
     "restart_factor",
     "restart_give_up_after",
+    "buffers",
     "sigma_velocity_scale",
     "sigma_velocity_fraction",
     "sigma_range_fraction",
@@ -207,6 +208,8 @@ def good_settings(draw: st.DrawFn) -> Settings:
     data["mqtt"].update(commands="off", command_key_file="")
     data.setdefault("metrics", {}).update(endpoint="off")
     data["vehicle"].pop("vessel_id", None)
+    data["camera"].update(reconnect_first_s=0.1, reconnect_most_s=1.0, controls="", device="usb")
+    data["camera"].update(draw(st.sampled_from([{"source": "v4l2"}, {"source": "stream"}, {"source": "vehicle", "device": ""}])))
     planner.update(final_height_m=0.2, approach_height_m=1.0, climb_after_s=1.0, give_up_after_s=9.0)
     return from_mapping(data, "drawn")
 

@@ -22,12 +22,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from drivers.camera.counters import CameraCounters
+from drivers.camera.options import CameraOptions, Size, check_size
 from drivers.camera.source import CameraLost, VideoSource
 from drivers.camera.v4l2 import V4l2Channel, stamp_of
 from drivers.camera.v4l2_device import Buffer
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, stands_alone, to_bgr
 from drivers.camera.v4l2_names import CaptureDevice, cameras, find
-from drivers.camera.video_source_options import CameraCounters, SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
@@ -58,8 +59,9 @@ def h264(n: int) -> list[bytes]:
     return units
 
 
-def options(**more: Any) -> V4l2Options:
-    return V4l2Options(**({"device": os.devnull, "width": W, "height": H, "timeouts": SourceTimeouts(1.0, 0.01, 0.02)} | more))
+def options(**more: Any) -> CameraOptions:
+    usual = {"source": "v4l2", "device": os.devnull, "silence_s": 1.0, "reconnect_first_s": 0.01, "reconnect_most_s": 0.02}
+    return CameraOptions(**(usual | more))
 
 
 class FakeDevice:
@@ -112,7 +114,7 @@ def buffer(sequence: int, data: bytes | None = None, error: bool = False, age_s:
 
 async def run(camera: VideoSource, device: FakeDevice, story: Any, **more: Any) -> str:
     """Run the channel beside `story` until it is lost; the reason."""
-    channel = V4l2Channel(options(**more), CLOCK, camera, lambda path, o: device)
+    channel = V4l2Channel(options(**more), (W, H), CLOCK, camera, lambda path, o, size: device)
     async with asyncio.timeout(60), asyncio.TaskGroup() as group:
         group.create_task(story())
         try:
@@ -190,7 +192,7 @@ async def test_silence_ends_the_run() -> None:
     async def story() -> None:
         return
 
-    assert await run(VideoSource(), FakeDevice(), story, timeouts=SourceTimeouts(0.05, 0.01, 0.01)) == "silent"
+    assert await run(VideoSource(), FakeDevice(), story, silence_s=0.05) == "silent"
 
 
 async def test_cancelled_at_any_time_it_closes_the_device() -> None:
@@ -199,11 +201,13 @@ async def test_cancelled_at_any_time_it_closes_the_device() -> None:
         device = FakeDevice()
         opened = asyncio.Event()
 
-        def open_device(path: str, o: V4l2Options, device: FakeDevice = device, opened: asyncio.Event = opened) -> FakeDevice:
+        def open_device(
+            path: str, o: CameraOptions, size: Size, device: FakeDevice = device, opened: asyncio.Event = opened
+        ) -> FakeDevice:
             loop.call_soon_threadsafe(opened.set)
             return device
 
-        task = loop.create_task(V4l2Channel(options(), CLOCK, VideoSource(), open_device).run())
+        task = loop.create_task(V4l2Channel(options(), (W, H), CLOCK, VideoSource(), open_device).run())
         await opened.wait()
         device.put(*[buffer(i) for i in range(4)])
         await asyncio.sleep(delay_s)
@@ -306,7 +310,7 @@ def test_the_stamp_is_the_middle_of_the_exposure() -> None:
     assert unknown.sigma_s > 0.005
 
 
-@given(stamp_ns=st.integers(-(2**63), 2**63), monotonic=st.booleans(), at_start=st.booleans(), latency_s=st.floats(-0.5, 0.5))
+@given(stamp_ns=st.integers(-(2**63), 2**63), monotonic=st.booleans(), at_start=st.booleans(), latency_s=st.floats(0.0, 0.5))
 @settings(deadline=None, max_examples=200)
 def test_no_kernel_stamp_whatever_makes_an_impossible_one(
     stamp_ns: int, monotonic: bool, at_start: bool, latency_s: float
@@ -355,12 +359,15 @@ def test_cameras_are_found_by_what_does_not_move(tmp_path: Path) -> None:
 
 def test_options_refuse_what_cannot_be() -> None:
     for wrong in (
-        {"width": 8},
         {"rate_hz": 0.0},
         {"format": "RGB9"},
         {"latency_s": float("nan")},
         {"buffers": 1},
         {"device": ""},
+        {"controls": "gain"},
+        {"reconnect_most_s": 0.01, "reconnect_first_s": 1.0},
     ):
-        with pytest.raises(ValueError, match=next(iter(wrong)) if "width" not in wrong else "frame"):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
             options(**wrong)
+    with pytest.raises(ValueError, match="frame of 8x48 px"):
+        check_size((8, 48))

@@ -9,14 +9,15 @@ import threading
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
 import pytest
 
+from drivers.camera.options import CameraOptions
 from drivers.camera.source import CameraLost
 from drivers.camera.video_source import open_camera
-from drivers.camera.video_source_options import SourceTimeouts, StreamOptions, V4l2Options
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame
@@ -39,6 +40,10 @@ def write(path: str, n: int, form: str | None = None, stop: threading.Event | No
         out.mux(stream.encode(None))
 
 
+def stream(device: Path | str, **more: Any) -> CameraOptions:
+    return CameraOptions(source="stream", device=str(device), **more)
+
+
 async def until(true: Callable[[], bool]) -> None:
     while not true():  # noqa: ASYNC110
         await asyncio.sleep(0.01)
@@ -48,7 +53,7 @@ async def test_a_file_is_played_at_its_own_speed_to_its_end(tmp_path: Path) -> N
     path = tmp_path / "flight.mp4"
     write(str(path), 20)
     frames: list[Frame] = []
-    async with asyncio.timeout(60), open_camera(StreamOptions(str(path)), CLOCK) as camera:
+    async with asyncio.timeout(60), open_camera(stream(path), None, CLOCK) as camera:
         with contextlib.suppress(CameraLost):
             async for frame in camera.frames:
                 frames.append(frame)
@@ -68,7 +73,7 @@ async def test_a_file_is_played_at_its_own_speed_to_its_end(tmp_path: Path) -> N
 async def test_a_file_that_is_repeated_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "flight.mp4"
     write(str(path), 5)
-    async with asyncio.timeout(60), open_camera(StreamOptions(str(path), repeat=True), CLOCK) as camera:
+    async with asyncio.timeout(60), open_camera(stream(path, repeat=True), None, CLOCK) as camera:
         while (await camera.frames.get()).seq < 12:
             pass
 
@@ -77,7 +82,7 @@ async def test_what_is_no_video_is_said_at_once(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("not a film")
     for name, words in (("none.mp4", "no such file"), ("text.mp4", "not a video")):
         with pytest.raises(BadInput, match=words):
-            async with asyncio.timeout(60), open_camera(StreamOptions(str(tmp_path / name)), CLOCK) as camera:
+            async with asyncio.timeout(60), open_camera(stream(tmp_path / name), None, CLOCK) as camera:
                 await camera.frames.get()
 
 
@@ -86,14 +91,14 @@ async def test_a_live_stream_is_stamped_by_its_own_clock_and_comes_back() -> Non
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     url = f"udp://127.0.0.1:{port}"
-    options = StreamOptions(url, latency_s=0.01, timeouts=SourceTimeouts(1.0, 0.05, 0.1))
+    options = stream(url, latency_s=0.01, silence_s=1.0, reconnect_first_s=0.05, reconnect_most_s=0.1)
 
     def send(stop: threading.Event) -> threading.Thread:
         thread = threading.Thread(target=write, args=(f"{url}?pkt_size=1316", 1000, "mpegts", stop))
         thread.start()
         return thread
 
-    async with asyncio.timeout(60), open_camera(options, CLOCK) as camera:
+    async with asyncio.timeout(60), open_camera(options, None, CLOCK) as camera:
         for _ in range(2):
             stop = threading.Event()
             thread = send(stop)
@@ -111,8 +116,8 @@ async def test_a_live_stream_is_stamped_by_its_own_clock_and_comes_back() -> Non
 
 
 async def test_a_camera_that_is_not_there_is_waited_for() -> None:
-    options = V4l2Options("/dev/v4l/by-id/no-such-camera", W, H, timeouts=SourceTimeouts(1.0, 0.01, 0.02))
-    async with asyncio.timeout(60), open_camera(options, CLOCK) as camera:
+    options = CameraOptions(source="v4l2", device="/dev/v4l/by-id/no-such-camera", reconnect_first_s=0.01, reconnect_most_s=0.02)
+    async with asyncio.timeout(60), open_camera(options, (W, H), CLOCK) as camera:
         await until(lambda: camera.counters.restarts["absent"] >= 3)
         assert camera.down is not None
         assert "no-such-camera" in camera.down
@@ -122,5 +127,5 @@ async def test_a_video_of_far_larger_frames_than_the_camera_s_is_refused(tmp_pat
     path = tmp_path / "large.mp4"
     write(str(path), 2)
     with pytest.raises(BadInput, match=r"large\.mp4: frames of 64x48 px, expected 16x16 px"):
-        async with asyncio.timeout(60), open_camera(StreamOptions(str(path), size=(16, 16)), CLOCK) as camera:
+        async with asyncio.timeout(60), open_camera(stream(path), (16, 16), CLOCK) as camera:
             await camera.frames.get()

@@ -12,6 +12,11 @@ from estimator.contracts.samples import Frame
 Seen = dict[str, Any]
 
 
+def controls_text(values: dict[str, int | bool | str]) -> str:
+    """Return controls as the key `controls` has them."""
+    return ", ".join(f"{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items())
+
+
 def accounted(counters: Seen) -> bool:
     """Whether every buffer ended in exactly one verdict."""
     parts = ("frames", "frames_overtaken", "frames_damaged", "frames_waiting")

@@ -10,24 +10,25 @@ from typing import Any
 
 from linuxpy.video import device as kernel
 
+from drivers.camera.options import CameraOptions, Size
 from drivers.camera.v4l2_device import KernelDevice
 from drivers.camera.v4l2_names import cameras
 from drivers.camera.video_source import open_camera
-from drivers.camera.video_source_options import SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError
-from tests.v4l2_vm.capture import Seen, describe, settled, take, until
+from tests.v4l2_vm.capture import Seen, controls_text, describe, settled, take, until
 
 BY_ID = Path("/dev/v4l/by-id/usb-Decklander_test_camera_0001-video-index0")
 DRIVER = Path("/sys/bus/platform/drivers/vivid")
 SIZE = (640, 360)
 
 
-def options(**more: Any) -> V4l2Options:
-    settings: dict[str, Any] = {"device": str(BY_ID), "width": SIZE[0], "height": SIZE[1], "format": "YUYV"}
+def options(**more: Any) -> tuple[CameraOptions, Size]:
+    usual = {"source": "v4l2", "device": str(BY_ID), "format": "YUYV", "reconnect_first_s": 0.1, "reconnect_most_s": 0.4}
     # The test camera stamps its end of frame 0.9 periods ahead of its handing over, as no real one does; its start is true.
     fixed = {"timestamp_source": "Start of Exposure"} | more.pop("controls", {})
-    return V4l2Options(**(settings | {"timeouts": SourceTimeouts(2.0, 0.1, 0.4), "controls": fixed} | more))
+    size = more.pop("size", SIZE)
+    return CameraOptions(**(usual | {"controls": controls_text(fixed)} | more)), size
 
 
 def link() -> None:
@@ -61,14 +62,14 @@ async def formats() -> Seen:
     out: Seen = {}
     for name in ("YUYV", "NV12", "GREY"):
         before = time.monotonic_ns()
-        async with open_camera(options(format=name), SystemClock()) as camera:
+        async with open_camera(*options(format=name), SystemClock()) as camera:
             frames = await take(camera, 20 if name == "YUYV" else 4)
             out[name] = describe(frames) | {"before": before, "after": time.monotonic_ns(), **await settled(camera)}
     return out
 
 
 async def automatic() -> Seen:
-    async with open_camera(options(format="auto", device="vivid"), SystemClock()) as camera:
+    async with open_camera(*options(format="auto", device="vivid"), SystemClock()) as camera:
         return describe(await take(camera, 3))
 
 
@@ -77,7 +78,7 @@ async def stamps() -> Seen:
     out: Seen = {}
     for label in ("End of Frame", "Start of Exposure"):
         fixed = {"timestamp_source": label}
-        device = KernelDevice(str(BY_ID), options(controls=fixed))
+        device = KernelDevice(str(BY_ID), *options(controls=fixed))
         try:
             buffer = device.dequeue()
             while buffer is None:
@@ -90,22 +91,22 @@ async def stamps() -> Seen:
             }
         finally:
             device.close()
-        async with open_camera(options(controls=fixed, exposure_s=0.008, latency_s=0.003), SystemClock()) as camera:
+        async with open_camera(*options(controls=fixed, exposure_s=0.008, latency_s=0.003), SystemClock()) as camera:
             out[label]["frame"] = describe(await take(camera, 3))
     return out
 
 
 async def drops() -> Seen:
-    async with open_camera(options(controls={"percentage_of_dropped_buffers": 40}), SystemClock()) as camera:
+    async with open_camera(*options(controls={"percentage_of_dropped_buffers": 40}), SystemClock()) as camera:
         frames = await take(camera, 20)
         out = describe(frames) | await settled(camera)
-    async with open_camera(options(controls={"percentage_of_dropped_buffers": 0}), SystemClock()) as camera:
+    async with open_camera(*options(controls={"percentage_of_dropped_buffers": 0}), SystemClock()) as camera:
         await take(camera, 2)
     return out
 
 
 async def damage() -> Seen:
-    async with open_camera(options(), SystemClock()) as camera:
+    async with open_camera(*options(), SystemClock()) as camera:
         await take(camera, 3)
         for _ in range(2):
             press("Inject V4L2_BUF_FLAG_ERROR")
@@ -114,7 +115,7 @@ async def damage() -> Seen:
 
 
 async def slow_reader() -> Seen:
-    async with open_camera(options(), SystemClock()) as camera:
+    async with open_camera(*options(), SystemClock()) as camera:
         await take(camera, 1)
         await asyncio.sleep(1.0)
         newest = await camera.frames.get()
@@ -123,19 +124,19 @@ async def slow_reader() -> Seen:
 
 async def controls() -> Seen:
     left = held("Contrast")
-    async with open_camera(options(controls={"brightness": 77, "gain_automatic": False, "gain": 33}), SystemClock()) as camera:
+    async with open_camera(*options(controls={"brightness": 77, "gain_automatic": False, "gain": 33}), SystemClock()) as camera:
         await take(camera, 1)
         out: Seen = {"brightness": held("Brightness"), "gain": held("Gain"), "contrast": [left, held("Contrast")]}
     for name, more in {
         "unknown": {"controls": {"brightnes": 1}},
         "range": {"controls": {"brightness": 9999}},
         "label": {"controls": {"timestamp_source": "noon"}},
-        "size": {"width": 650, "height": 400},
+        "size": {"size": (650, 400)},
         "format": {"format": "MJPG"},
-        "ambiguous_or_none": {"device": "no such camera", "timeouts": SourceTimeouts(0.3, 0.1, 0.1)},
+        "ambiguous_or_none": {"device": "no such camera", "silence_s": 0.3, "reconnect_first_s": 0.1, "reconnect_most_s": 0.1},
     }.items():
         try:
-            async with open_camera(options(**more), SystemClock()) as camera:
+            async with open_camera(*options(**more), SystemClock()) as camera:
                 async with asyncio.timeout(0.5):
                     await camera.frames.get()
         except DecklanderError as why:
@@ -148,7 +149,7 @@ async def controls() -> Seen:
 async def unplugged() -> Seen:
     """Twice: the driver's own disconnect, then the device torn off its bus; each time it comes back under another name."""
     out: Seen = {}
-    async with open_camera(options(), SystemClock()) as camera:
+    async with open_camera(*options(), SystemClock()) as camera:
         await take(camera, 3)
         out["first"] = os.readlink(BY_ID)
         for way in ("button", "bus"):

@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.camera.options import CameraOptions, Size
 from drivers.camera.source import VideoSource
 from drivers.camera.v4l2_names import cameras
 from drivers.camera.video_source import open_camera
-from drivers.camera.video_source_options import SourceTimeouts, V4l2Options
 from drivers.clock import SystemClock
 from estimator.contracts.errors import DecklanderError
-from tests.v4l2_vm.capture import Seen, describe, settled, take, until
+from tests.v4l2_vm.capture import Seen, controls_text, describe, settled, take, until
 from tests.v4l2_vm.webcam import CARD, Format, Webcam
 
 SMALL = (320, 240)
@@ -84,9 +84,10 @@ async def plugged() -> AsyncIterator[tuple[Webcam, Faults]]:
             await until(lambda: not any(CARD in f.card for f in cameras()))
 
 
-def options(**more: Any) -> V4l2Options:
-    settings: dict[str, Any] = {"device": "Webcam", "width": SMALL[0], "height": SMALL[1], "format": "auto"}
-    return V4l2Options(**(settings | {"timeouts": SourceTimeouts(2.0, 0.1, 0.4)} | more))
+def options(**more: Any) -> tuple[CameraOptions, Size]:
+    usual = {"source": "v4l2", "device": "Webcam", "reconnect_first_s": 0.1, "reconnect_most_s": 0.4}
+    size = more.pop("size", SMALL)
+    return CameraOptions(**(usual | {"controls": controls_text(more.pop("controls", {}))} | more)), size
 
 
 async def look(camera: VideoSource, n: int) -> Seen:
@@ -99,9 +100,9 @@ async def webcam_formats() -> Seen:
         out["nodes"] = [f.card for f in cameras() if CARD in f.card]
         for name in ("YUYV", "MJPG", "H264", "auto"):
             before = time.monotonic_ns()
-            async with open_camera(options(format=name), SystemClock()) as camera:
+            async with open_camera(*options(format=name), SystemClock()) as camera:
                 out[name] = await look(camera, 12) | {"before": before, "after": time.monotonic_ns()}
-        async with open_camera(options(width=640, height=480), SystemClock()) as camera:
+        async with open_camera(*options(size=(640, 480)), SystemClock()) as camera:
             out["larger"] = await look(camera, 3)
     return out
 
@@ -110,11 +111,11 @@ async def webcam_controls() -> Seen:
     out: Seen = {}
     async with plugged() as (webcam, _):
         fixed = {"exposure_time_absolute": 50, "auto_exposure": "Manual Mode", "gain": 33}
-        async with open_camera(options(controls=fixed), SystemClock()) as camera:
+        async with open_camera(*options(controls=fixed), SystemClock()) as camera:
             out["fixed"] = await look(camera, 3) | {"mode": webcam.mode.now, "exposure": webcam.exposure.now}
         try:
             fixed = {"exposure_time_absolute": 60, "auto_exposure": "Aperture Priority Mode"}
-            async with open_camera(options(controls=fixed), SystemClock()) as camera:
+            async with open_camera(*options(controls=fixed), SystemClock()) as camera:
                 await take(camera, 1)
         except DecklanderError as why:
             out["refused"] = [type(why).__name__, str(why)]
@@ -127,7 +128,7 @@ async def webcam_damage() -> Seen:
         for name in ("YUYV", "MJPG", "H264"):
             out[name] = {}
             for fault in ("torn", "marked"):
-                async with open_camera(options(format=name), SystemClock()) as camera:
+                async with open_camera(*options(format=name), SystemClock()) as camera:
                     await take(camera, 3)
                     faults.next = [fault]
                     frames = await take(camera, 2 * GROUP)
@@ -141,7 +142,7 @@ async def webcam_unplugged() -> Seen:
     out: Seen = {}
     async with plugged() as (webcam, _):
         fixed = {"auto_exposure": 1, "exposure_time_absolute": 50}
-        async with open_camera(options(format="MJPG", controls=fixed), SystemClock()) as camera:
+        async with open_camera(*options(format="MJPG", controls=fixed), SystemClock()) as camera:
             await take(camera, 3)
             webcam.unplug()
             began = time.monotonic()

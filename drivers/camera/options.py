@@ -1,0 +1,120 @@
+"""The options of a camera that is not part of the vehicle: what the table [camera] says of a device, a stream or a file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, get_args
+
+from msgspec import Struct
+
+from estimator.contracts.keys import check_ranges, choice, number, text
+
+Format = Literal["YUYV", "NV12", "MJPG", "H264", "GREY"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+"""The supported pixel formats of a V4L2 device, in the order in which `auto` prefers them: raw colour, compressed, grey."""
+Size = tuple[int, int]
+"""The width and height of a frame, px."""
+
+
+class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where frames come from, how they are asked for, and when a camera counts as lost.
+
+    Raises:
+        ValueError: a number outside its range, controls that cannot be read, or keys that do not go together.
+    """
+
+    source: Annotated[
+        Literal["vehicle", "v4l2", "stream"],
+        choice("where frames come from: the vehicle itself; a camera of this computer; a network camera or a video file"),
+    ] = "vehicle"
+    device: Annotated[
+        str,
+        text(
+            "of v4l2: a path under /dev/v4l/by-id or a part of its name; of stream: an address (rtsp://...) or a file",
+            4096,
+            shortest=0,
+        ),
+    ] = ""
+    format: Annotated[
+        Literal["auto", Format],
+        choice("pixel format of v4l2; auto is the first of these that the camera offers in the camera file's size at this rate"),
+    ] = "auto"
+    rate_hz: Annotated[float, number("frames a second asked of v4l2", "Hz", 0.1, 1000.0)] = 30.0
+    controls: Annotated[
+        str,
+        text(
+            "controls of v4l2 that are fixed, as name=value with commas between; all others stay the camera's. "
+            "For a steady frame: auto_exposure=1, exposure_time_absolute=50",
+            4096,
+            shortest=0,
+        ),
+    ] = ""
+    buffers: Annotated[int, number("frames of v4l2 that the kernel may hold", "buffers", 2, 32)] = 4
+    repeat: Annotated[bool, choice("whether a video file starts again at its end")] = False
+    latency_s: Annotated[
+        float,
+        number(
+            "v4l2: how much later than half an exposure after its middle the kernel stamps (or after half an exposure before it, "
+            "where the driver stamps the start); stream: from mid-exposure to arrival",
+            "s",
+            0.0,
+            0.5,
+        ),
+    ] = 0.0
+    latency_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.2)] = 0.005
+    arrival_sigma_s: Annotated[
+        float,
+        number("the same of v4l2 frames that the kernel does not stamp: their arrival is taken", "s", 0.0, 0.5),
+    ] = 0.02
+    exposure_s: Annotated[
+        float, number("how long the shutter is open, 0 when not known; a time that v4l2 itself tells goes before", "s", 0.0, 0.5)
+    ] = 0.0
+    silence_s: Annotated[float, number("without a frame for this long the camera is opened anew", "s", 0.02, 30.0)] = 2.0
+    reconnect_first_s: Annotated[float, number("rest before a lost camera is opened again", "s", 0.01, 60.0)] = 0.2
+    reconnect_most_s: Annotated[float, number("longest rest; each is twice the one before", "s", 0.01, 60.0)] = 2.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.source != "vehicle" and not self.device:
+            raise ValueError(f'device must be given with source "{self.source}"')
+        if self.source == "vehicle" and self.device:
+            raise ValueError(f'device {self.device!r} is given, so source must be "v4l2" or "stream"')
+        if self.reconnect_most_s < self.reconnect_first_s:
+            raise ValueError(
+                f"reconnect_most_s ({self.reconnect_most_s:g} s) must not be shorter than reconnect_first_s "
+                f"({self.reconnect_first_s:g} s)"
+            )
+        self.control_values()
+
+    @property
+    def is_address(self) -> bool:
+        """Whether the device is a live stream, as opposed to a file."""
+        return "://" in self.device
+
+    def control_values(self) -> dict[str, int | bool | str]:
+        """Return the controls by name: whole numbers, true or false, or an entry of the control's menu by its label.
+
+        Raises:
+            ValueError: a part of `controls` that is not name=value, or a name that is there twice.
+        """
+        out: dict[str, int | bool | str] = {}
+        for part in self.controls.split(",") if self.controls.strip() else ():
+            name, equals, value = (piece.strip() for piece in part.partition("="))
+            if not (name and equals and value) or name in out:
+                raise ValueError(f"controls: {part.strip()!r} is not name=value, or its name is there twice")
+            try:
+                out[name] = {"true": True, "false": False}[value] if value in ("true", "false") else int(value)
+            except ValueError:
+                out[name] = value
+        return out
+
+
+def check_size(size: Size) -> Size:
+    """Return the size of frames that a camera is asked for.
+
+    Raises:
+        ValueError: the width or height is out of range.
+    """
+    width, height = size
+    if not (16 <= width <= 8192 and 16 <= height <= 8192):
+        raise ValueError(f"a frame of {width}x{height} px is out of range (16..8192)")
+    return size
