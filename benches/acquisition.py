@@ -1,11 +1,11 @@
 """Measure how often the pad is found in a whole frame, by height and condition, with which calibration, and in what time.
 
-`python -m benches.acquisition [--frames N] [--seed S] [--failures DIR] [--write DIR]` from the repository's root. What is found
-is registered and judged as the eyes do. A pad is found when that keeps the judge's claim (centre, range, heading) with a
-confidence of 0.5 or more. Times are of acquisition alone, processor time on one thread, beside a floor measured in between: one
-BGR to HSV conversion and one inRange of a frame of the same size. As many frames have no pad as have one, and none had part in
-the judge's fit; `--write` leaves the reliability diagram of all of them as reliability.png. On the photographs of the real pad,
-without attitude, the corners of the H are held against hand labels.
+`python -m benches.acquisition [--frames N] [--seed S] [--failures DIR] [--write DIR]` from the repository's root. A candidate is
+registered and verified as the pad tracker does it. A pad counts as found if the result keeps the verification's claim (centre,
+range, heading) with a confidence of 0.5 or more. Times are of acquisition alone, processor time on one thread, beside a floor
+measured in between: one BGR to HSV conversion and one inRange of a frame of the same size. Half of the frames have no pad, and no
+frame was used to fit the verification; `--write` leaves the reliability diagram of all of them as reliability.png. On the
+photographs of the real pad, without attitude, the corners of the H are compared with hand labels.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def registered(scene: PadScene, candidates: list[PadCandidate], camera: Camera, 
 
 
 def reliability(score: F64, right: NDArray[np.bool_], frames: int, path: Path) -> None:
-    """Draw the share of right frames over the confidence, with 95 % intervals (Wilson, JASA 22, 1927)."""
+    """Draw the fraction of right frames over the confidence, with 95 % intervals (Wilson, JASA 22, 1927)."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,9 +1,9 @@
 """Measure the effect of blur on the range: `python -m benches.blur [--frames N] [--write FOLDER]`.
 
-Registration and, on the same frames, the thesis' ellipse, from a sharp frame to one that the lens (Gaussian) or the
-drone's way during the exposure (a line with the same spread along it) has blurred by 3 px at one sigma. Even grey floor, the
-renderer's sensor noise, 1.5 degrees of tilt that is known, starts off by 0.3 px. Printed: bias in % of the range with its
-standard error. `--write` draws it as blur.png.
+Registration and the thesis' ellipse are compared on the same frames, from a sharp one to one blurred by 3 px (one sigma) by the
+lens (Gaussian) or by the drone's motion during the exposure (a line with the same spread). The floor is even grey, with the
+renderer's sensor noise, a known tilt of 1.5 degrees, and a start that is off by 0.3 px. The output is the bias in % of the range
+with its standard error. `--write` draws it as blur.png.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def watch(pid: int, minutes: float) -> None:
-    """Print resident memory and the share of a core, ten times."""
+    """Print resident memory and the processor load in parts of a core, ten times."""
     print(f"{'minute':>7} {'RSS, MB':>8} {'core, %':>8} {'descriptors':>12}")
     pause_s = max(5.0, 6.0 * minutes)
     before = cpu_s(pid)

@@ -1,11 +1,11 @@
-"""Fly the faults of configs/scenarios/faults and report the outcome and what was unsafe.
+"""Fly the faults of configs/scenarios/faults and report the outcomes and the unsafe events.
 
     python -m benches.dangers --seeds 3                        # all, some 30 to 60 s of CPU a flight
     python -m benches.dangers --first 211 --only camera_freezes gust_8_m_s
-    python -m benches.dangers --out dangers.jsonl              # goes on where an earlier run with the same file ended
+    python -m benches.dangers --out dangers.jsonl              # continues an earlier run with the same file
 
 Flights are in virtual time with rendered frames. Vision is `registration` unless `--fused`, which also runs the thesis' methods.
-SIGTERM and Ctrl-C end it early; the table has the flights that were finished then, and a line says how many are missing.
+SIGTERM and Ctrl-C end it early; the table then has the finished flights, and a line says how many are missing.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ CASES = (
 
 
 class Teller(NullObserver):
-    """Prints the phase of each guidance cycle for the program that kills us."""
+    """Prints the phase of each guidance cycle for the program that kills this daemon."""
 
     def on_decision(self, decision: Decision) -> None:
         sys.stdout.write(f"{decision.phase}\n")
@@ -390,7 +390,7 @@ def main() -> None:
     if args.fly:
         fly(args.fly)
         return
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # this runs every finally, so that no process of ours remains
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # this runs every finally block, so that no child process remains
     os.environ.setdefault("MPLCONFIGDIR", tempfile.gettempdir())
     how = signal.SIGKILL if args.how == "kill" else signal.SIGSTOP
     table = Table([case for case in CASES if not args.phase or case.name in args.phase], args.seeds, args.first)

@@ -2,10 +2,11 @@
 
     python -m benches.estimator [--runs 200] [--workers 2]
 
-Sea states 0, 2, 4 and sightings at 10 and 30 Hz take turns; every flight has its own camera delay, mount error, velocity
-scale and biases, 2 % wrong sightings, and a velocity sensor that sees the ground or (every other time) the deck. Sightings err
-by 2 mm a metre across, 5 mm a metre along, 1 mm more in each, and a degree of heading: what the thesis' methods reach; they
-arrive 120 +- 40 ms late. The vehicle's own attitude errs by 0.2 degrees constantly and 0.3 wandering.
+The flights alternate between sea states 0, 2 and 4, and between sightings at 10 and 30 Hz. Every flight has its own camera delay,
+mount error, velocity scale and biases, 2 % wrong sightings, and a velocity sensor that measures relative to the ground or (every
+other time) to the deck. Sightings have the errors of the thesis' methods: 2 mm per metre across, 5 mm per metre along, 1 mm more
+in each, and one degree of heading; they arrive 120 +- 40 ms late. The vehicle's own attitude has a constant error of 0.2 degrees
+and a wandering one of 0.3.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""What single faults do to the filter: how far it is off, how far it says it is, and when it is itself again.
+"""Measure the effect of single faults on the filter: its error, the error that it claims, and its recovery.
 
     python -m benches.estimator_faults [--seed 0] [--fault NAME]
 
-A rough flight over waves (sitl/testing/voyage_truth.py), the fault at 12 s. Columns: largest error of the position from there on
-and largest error over its standard deviation (of the 3-vector); the same from one second after the fault's end; seconds after
-the fault's end until the error stays below 3 sigma; seconds in which it was beyond 4 sigma and called consistent.
+Each is a rough flight over waves (sitl/testing/voyage_truth.py) with the fault at 12 s. Columns: largest error of the position
+from there on and largest error over its standard deviation (of the 3-vector); the same from one second after the fault's end;
+seconds after the fault's end until the error stays below 3 sigma; seconds in which it was beyond 4 sigma and called consistent.
 """
 
 from __future__ import annotations

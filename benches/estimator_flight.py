@@ -1,11 +1,11 @@
-"""The filter on a real AR.Drone 2.0 flight with motion capture: drift without sightings, and what gaps in them cost.
+"""Measure the filter on a real AR.Drone 2.0 flight with motion capture: its drift without sightings and the cost of gaps in them.
 
     python -m benches.estimator_flight [FOLDER]
 
-Sightings of a pad on the floor are synthesised as a camera on the body would make them: where the pad is in the body's axes by
-the motion capture, noise, then levelled with the drone's own attitude of that instant, wrong as it may be. Everything else is
-the drone's own telemetry. How the captured body sits in the drone's axes nobody wrote down: its nose is where the drone's
-velocities fit best, its roll and pitch are what the accelerometer feels in undisturbed flight.
+Sightings of a pad on the floor are synthesised as a camera on the body would make them: the pad's position in the body's axes by
+motion capture, plus noise, levelled with the drone's own attitude at that instant, wrong as it may be. All other data are the
+drone's own telemetry. The rotation from the captured body to the drone's axes is not documented: the heading is the one that fits
+the drone's velocities best, roll and pitch are those that fit the accelerometer in undisturbed flight.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The filter where its model is wrong: rough seas, a turning ship, and every sensor error at once.
+"""Measure the filter where its model is wrong: rough seas, a turning ship, and every sensor error at once.
 
     python -m benches.estimator_rough [--runs 6] [--first 0] [--sea NAME] [--ideal]
 
-Truth and sensors are those of sitl/testing/voyage_truth.py, which share nothing with the simulator. A row is the mean of its
-flights: position rms, NEES over its 7 degrees of freedom and the share of it inside the central 95 % of chi-square, the share
-of truths inside the 68 / 95 % bands of the forecast position and vertical speed, and the rms error of the forecast vertical
-speed over the rms of the truth (saying nothing would be 1). The delay's columns are the rms error (estimated minus true) and
-the same in estimated sigmas.
+Truth and sensors are those of sitl/testing/voyage_truth.py, which share nothing with the simulator. Each row is the mean of its
+flights: position rms, NEES over its 7 degrees of freedom, the fraction of it inside the central 95 % of chi-square, the fraction
+of true values inside the 68 / 95 % bands of the forecast position and vertical speed, and the rms error of the forecast vertical
+speed over the rms of the true one (a forecast of zero would give 1). The delay's columns are the rms error (estimated minus true)
+and the same in estimated sigmas.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Pads seen where there are none: `python -m benches.false_pads [--frames N] [--first CHUNK] [--workers K] [--worst DIR]`.
+"""Count false pads: `python -m benches.false_pads [--frames N] [--first CHUNK] [--workers K] [--worst DIR]`.
 
-Looks through rendered frames of sea, wake, decks, orange rafts, green awnings, other helipads, an H without a ring, a ring
-without an H (in the pad's own colours too, from 0.25 to 30 m, in all lights, with and without attitude), and through the
-photographs of sea and of other things, with the pad tracker of a flight that has not found the pad yet: all methods, fused.
-Prints the highest confidence of any frame, and the time that a frame takes. A chunk is 100 frames and draws from its own random
-numbers, so that a long run can be made in parts (`--first`). Exit code 1 if any frame reaches 0.5.
+The pad tracker of a flight that has not found the pad yet, with all methods and their fusion, processes rendered frames of sea,
+wake, decks, orange rafts, green awnings, other helipads, an H without a ring and a ring without an H (in the pad's own colours
+too, from 0.25 to 30 m, in all lights, with and without attitude), and photographs of sea and other things. The output is the
+highest confidence of any frame and the time per frame. A chunk is 100 frames with its own random numbers, so that a long run can
+be made in parts (`--first`). The exit code is 1 if any frame reaches 0.5.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def scene_of(chunk: int, i: int) -> PadScene:
 
 
 def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotation | None) -> float:
-    """Return the confidence of the sighting in a frame, 0 without one."""
+    """Return the confidence of the sighting in a frame, or 0 if there is none."""
     tracker = TrackerConfig(camera, pad, COLOUR_SETS["simulator"], "fused", math.radians(2.0))
     attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, np.eye(3) * math.radians(1.0) ** 2)
     seen, _ = track(tracker, TrackerMemory(), Frame(STAMP, 0, px), attitude)

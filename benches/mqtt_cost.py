@@ -1,9 +1,9 @@
-"""What MQTT costs the daemon: `python -m benches.mqtt_cost`.
+"""Measure the cost of MQTT for the daemon: `python -m benches.mqtt_cost`.
 
-The simulated AR.Drone in a process of its own, the daemon in another, flown for a while with MQTT off, on (TLS, a real mosquitto,
-default rates, events spooled to disk), and on with nobody at the broker's address. CPU time, peak memory, and vision's delay.
-Flights compare on a quiet machine only; before them the part alone is measured, told a made-up flight of 50 decisions and 30
-frames a second and an event each half second, against a loop that tells nobody.
+The simulated AR.Drone and the daemon run in a process each and fly for a while with MQTT off, on (TLS, a real mosquitto, default
+rates, events spooled to disk), and on with no broker at the address. The output is CPU time, peak memory, and vision's delay.
+Flights can be compared on a quiet machine only; therefore the MQTT part is measured alone first, with a synthetic flight of 50
+decisions and 30 frames a second and an event each half second, against a loop without the part.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ROUNDS = 2
 
 
 async def fly(settings: Settings, folder: Path) -> dict[str, Any]:
-    """One flight of `FLOWN_S`; what it took."""
+    """Fly for `FLOWN_S` and return what it took."""
     ports = [f"--{name}-port=0" for name in ("navdata", "video", "at", "control")]
     drone = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "sitl.ardrone.serve", SCENARIO, "--seed=1", f"--truth={folder / 'truth.jsonl'}", *ports),
@@ -76,7 +76,7 @@ async def fly(settings: Settings, folder: Path) -> dict[str, Any]:
 
 
 async def measured(mqtt: MqttSettings) -> dict[str, Any]:
-    """The same in a fresh process, so that memory is its own."""
+    """Fly in a fresh process, so that the memory is that of one flight."""
     child = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "benches.mqtt_cost", msgspec.json.encode(mqtt).decode()), stdout=asyncio.subprocess.PIPE
     )
@@ -86,7 +86,7 @@ async def measured(mqtt: MqttSettings) -> dict[str, Any]:
 
 
 async def told(part: Observer, tell: Callable[[MonoNs], None]) -> float:
-    """Share of a core that a made-up flight takes, whoever is told."""
+    """Return the processor load, in parts of a core, of a synthetic flight with this observer."""
     clock = SystemClock()
     began, due = process_time(), clock.now()
     for k in range(round(TOLD_S * 150)):

@@ -1,7 +1,7 @@
-"""Events through a broker that is stopped for 30 s and killed once: `python -m benches.mqtt_outage`.
+"""Send events through a broker that is stopped for 30 s and killed once: `python -m benches.mqtt_outage`.
 
-A real mosquitto with TLS; the service's own part on one side, a consumer with a session of its own on the other. Prints what
-arrived and how the events waited. Exit code 1 when one is missing or out of place.
+The test connects a real mosquitto with TLS, the service's own part, and a consumer with a persistent session. The output is what
+arrived and how long the events waited. The exit code is 1 if one is missing or out of order.
 """
 
 from __future__ import annotations

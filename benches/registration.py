@@ -41,7 +41,7 @@ HEIGHTS_M = (0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0)
 
 
 def bound(stage: Stage, height_m: float) -> F64:
-    """(4,) x, y, range in m and heading in rad, smallest possible standard deviations with the camera over the centre."""
+    """Return the least standard deviations with the camera over the centre: (4,) x, y, range in m and heading in rad."""
     h, mount, sensor = height_m, stage.camera.T_body_cam, stage.sensor
     renderer = stage.renderer
     p_pad = np.array([0.0, 0.0, -2.0])
@@ -69,7 +69,7 @@ def bound(stage: Stage, height_m: float) -> F64:
 
 
 def camera_mask(stage: Stage, pose: PadPose, times: float) -> np.ndarray:
-    """(H, W) whether a pixel sees a place within so many times the disc's radius."""
+    """Return (H, W) whether a pixel sees a point within so many times the disc's radius."""
     mask = np.zeros((stage.camera.height, stage.camera.width), np.uint8)
     uv = stage.camera.project(pose.points(stage.pad.circle(times * stage.pad.disc_radius_m, 180)))
     cv2.fillPoly(mask, [np.round(uv).astype(np.int32)], 1)

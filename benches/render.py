@@ -1,4 +1,5 @@
-"""How long a rendered frame takes, by height, on one thread: `python benches/render.py [--frames N]` from the repository's root.
+"""Measure the time of a rendered frame by height, on one thread: `python benches/render.py [--frames N]` from the repository's
+root.
 
 Times are processor time, the smallest of several rounds, beside a floor measured in between: one BGR to HSV conversion and one
 inRange of a frame of the same size.
@@ -39,7 +40,7 @@ def table(path: str) -> dict[str, Any]:
 
 
 def shot_over_pad(vessel: Vessel, t_s: float, height_m: float) -> Exposure:
-    """Two degrees of tilt, half a metre a second, a slow turn: what a landing looks like."""
+    """Return an exposure as in a landing: two degrees of tilt, half a metre a second, a slow turn."""
     pad = vessel.pad_at(t_s)
     R = Rotation.from_rpy(0.02, -0.03, 0.6)
     away = np.array([0.1 * height_m if height_m > 0.5 else 0.0, -0.05 * height_m, -height_m])
@@ -49,7 +50,7 @@ def shot_over_pad(vessel: Vessel, t_s: float, height_m: float) -> Exposure:
 
 
 def milliseconds(call: Callable[[], object], rounds: int) -> tuple[float, float]:
-    """(smallest, median) processor time of one call."""
+    """Return the smallest and the median processor time of one call, ms."""
     took = []
     for _ in range(rounds):
         began = time.process_time_ns()

@@ -1,8 +1,9 @@
-"""How soon an AR.Drone hovers when service or sender fall silent, and how far it drifts: real processes and sockets, no vision.
+"""Measure how soon an AR.Drone hovers when the service or its sender falls silent, and how far it drifts.
 
 python -m benches.sender --runs 5
 
-A service without eyes flies the simulated drone ahead at 0.5 m/s while it sinks at 0.2 m/s. Then something of ours ends.
+Processes and sockets are real; there is no vision. A service without vision flies the simulated drone ahead at 0.5 m/s while it
+descends at 0.2 m/s. Then service or sender are killed, stopped or blocked.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ FAULTS: dict[str, Callable[[int, int], None]] = {
 
 
 async def fly(ports: dict[str, int]) -> None:
-    """The service: says when it steers, and which process sends for it. Nothing is listened to on the video port."""
+    """Run the service: print when it steers and which process sends for it. Nothing listens on the video port."""
     silent = False
     loop = asyncio.get_running_loop()
     signal.signal(signal.SIGUSR1, lambda *_: time.sleep(WATCH_S + 1.0))
@@ -65,7 +66,7 @@ async def fly(ports: dict[str, int]) -> None:
 
 
 def run(name: str, seed: int) -> tuple[float, float, float]:
-    """Milliseconds until hover is on the wire, metres of drift and of height lost in three seconds."""
+    """Return the time until a hover command is on the wire, ms, and the drift and the loss of height in three seconds, m."""
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
         scenario, truth = Path(folder) / "scenario.toml", Path(folder) / "truth.jsonl"
         scenario.write_text(SCENARIO)
@@ -88,7 +89,7 @@ def run(name: str, seed: int) -> tuple[float, float, float]:
     p0 = alone[0]["p_body_ned_m"]
     drift = max(math.hypot(r["p_body_ned_m"][0] - p0[0], r["p_body_ned_m"][1] - p0[1]) for r in alone)
     lost = max(r["p_body_ned_m"][2] - p0[2] for r in alone)
-    if name.startswith("sender"):  # the service steers again as soon as it has another sender: what counts is the gap
+    if name.startswith("sender"):  # the service steers again as soon as it has another sender: only the gap counts
         hovered = next((t for t, moves in wire.told if t > began and not moves), math.inf)
         return 1e3 * (hovered - began), math.nan, math.nan
     return 1e3 * wire.hover_after(began), drift, lost

@@ -1,8 +1,8 @@
-"""How long after SIGTERM a command has ended: python -m benches.sigterm [--runs 20] [--load 4]
+"""Measure how long commands take to end after SIGTERM: python -m benches.sigterm [--runs 20] [--load 4]
 
-`run` with a simulated drone in flight, `simulate`, and `simulate --autopilot` with a program that ignores SIGTERM, each told to
-end at a random moment between its start and some seconds of flight. Times are from the signal to the end of the process, on this
-host's monotonic clock; 2 s are asked for.
+`run` with a simulated drone in flight, `simulate`, and `simulate --autopilot` with a program that ignores SIGTERM each get the
+signal at a random moment between their start and some seconds of flight. Times are from the signal to the end of the process, on
+this host's monotonic clock; the limit is 2 s.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ASKED_S = 2.0
 
 
 def end_s(words: list[str], moment_s: float) -> tuple[float, int]:
-    """Seconds from SIGTERM to the end, and the exit code."""
+    """Return the time from SIGTERM to the end, s, and the exit code."""
     with started(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         time.sleep(moment_s)
         process.send_signal(signal.SIGTERM)
@@ -36,7 +36,7 @@ def end_s(words: list[str], moment_s: float) -> tuple[float, int]:
 
 
 def measured(command: str, runs: int, seed: int) -> list[tuple[float, int]]:
-    """Each run's time and code."""
+    """Return the time, s, and the exit code of each run."""
     rng = random.Random(f"{command} {seed}")
     out = []
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
@@ -66,7 +66,7 @@ def measured(command: str, runs: int, seed: int) -> list[tuple[float, int]]:
 
 
 def main() -> int:
-    """A line for each command; exit code 1 when one took longer than asked."""
+    """Print a line for each command, and return 1 if one took longer than the limit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--load", type=int, default=0, help="programs beside that only take CPU time")

@@ -1,4 +1,4 @@
-"""How long a person waits for the command line, against the bare interpreter: `python -m benches.startup`."""
+"""Measure the start-up time of the command line against that of the bare interpreter: `python -m benches.startup`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RUNS = 15
 
 
 def median_ms(*words: str) -> float:
-    """Wall time of one process, median of `RUNS`."""
+    """Return the median wall time of one process over `RUNS` runs, ms."""
     took = []
     for _ in range(RUNS):
         began = time.perf_counter()

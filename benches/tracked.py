@@ -1,8 +1,8 @@
-"""How often the pad is seen where the filter expects it: `python -m benches.tracked [--frames N]`.
+"""Measure how often the pad is found where the filter expects it: `python -m benches.tracked [--frames N]`.
 
-The eyes look at rendered frames with a belief beside them: off by 0.4 % of the range along each axis at one sigma, 2 cm at
-least, heading by 0.02 rad, attitude known to a degree. Printed: frames called 0.5 or more, in %, and of all those how many are
-more than a tenth of the height off.
+The pad tracker processes rendered frames with a prediction that is off by 0.4 % of the range along each axis at one sigma, 2 cm
+at least, the heading by 0.02 rad; the attitude is known to a degree. The output is the frames with a confidence of 0.5 or more,
+in %, and how many of all frames are off by more than a tenth of the height.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SIGMA_ATTITUDE_RAD, SIGMA_DECK_RAD, SIGMA_YAW_RAD = math.radians(1.0), math.radi
 
 
 def looked(scene: PadScene, R_level_body: Rotation, tracker: TrackerConfig, rng: np.random.Generator) -> tuple[float, float]:
-    """Confidence of what is selected, 0 for nothing, and how far off it is over the height."""
+    """Return the confidence of the selected sighting, 0 for none, and its error over the height."""
     assert scene.truth is not None
     mount = tracker.camera.T_body_cam
     d_level = R_level_body @ (mount.R @ scene.truth.t_cam_pad + mount.t)

@@ -1,10 +1,10 @@
 """Fit the verification on rendered frames: `python -m benches.verification_fit [--frames N] [--workers K] [--keep FILE]`.
 
 Half of the frames show a pad (of two kinds, 0.2 to 30 m, all conditions of `pad_scenes`), half show none. Every candidate of
-every stage is an example; it is right when its pose keeps the verification's claim. The fit is logistic regression with a small
-ridge, false candidates that score high counted several times, since a false pad costs more than a missed one. Prints the
-coefficients as they stand in estimator/vision/detect/verification.py, and how the fit does on frames it did not see. With
-`--registered` the examples are what registration makes of the best candidates, on other frames, and the coefficients stand in
+every stage is an example; it is right if its pose keeps the verification's claim. The fit is logistic regression with a small
+ridge; false candidates with a high score count several times, since a false pad costs more than a missed one. The output is the
+coefficients in the form of estimator/vision/detect/verification.py, and the result on frames that were not used for the fit. With
+`--registered` the examples are the registrations of the best candidates, on other frames, and the coefficients belong to
 estimator/vision/register/fit_verification.py.
 """
 

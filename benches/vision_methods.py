@@ -61,14 +61,14 @@ def shipped_pad(name: str) -> Pad:
 
 
 def flights(height_m: float, frames: int, renderer: Renderer, seed: int) -> Iterator[tuple[Frame, Attitude, F64, float]]:
-    """Frames over the pad with their attitude, the true vector from body to pad in `level`, and the true heading."""
+    """Yield frames over the pad with their attitude, the true vector from body to pad in `level`, and the true heading."""
     rng = np.random.default_rng((seed, round(100 * height_m)))
     for i in range(frames):
         tilt, towards = math.radians(rng.uniform(1.0, 2.0)), rng.uniform(-math.pi, math.pi)
         heading = rng.uniform(-math.pi, math.pi)
         R_ned_body = Rotation.from_rpy(tilt * math.cos(towards), tilt * math.sin(towards), heading)
-        # As in the thesis the vehicle hovers over the pad, here with the camera's place and the tilt made up for, so that the pad
-        # stays about the middle of the frame at every height.
+        # As in the thesis the vehicle hovers over the pad. Here its position is corrected for the camera's mounting and the tilt,
+        # so that the pad stays near the middle of the frame at every height.
         axis = R_ned_body.matrix[:, 2]
         camera_ahead = R_ned_body @ renderer.camera.T_body_cam.t
         p_pad = np.array([0.0, 0.0, -1.0])
@@ -82,7 +82,7 @@ def flights(height_m: float, frames: int, renderer: Renderer, seed: int) -> Iter
 
 
 def error(s: Sighting, d: F64, yaw_rad: float) -> F64:
-    """(4,) mm forward, right, down and degrees of heading; the nearer heading where two are possible."""
+    """Return the error (4,): mm forward, right, down and degrees of heading; the nearer heading if two are possible."""
     off = math.nan
     if s.yaw_rad is not None:
         off = wrap_pi(s.yaw_rad - yaw_rad)
@@ -130,7 +130,7 @@ def photographs() -> None:
         f"{'limits':<10} {'tilt':<6} {'method':<9} {'found':>6} {'median':>7} {'p95':>7} {'worst':>7} {'heading':>8} {'worst':>6}"
     )
     for measured in (True, False):
-        # As `decklander detect` does by itself: of the three sets of the thesis the one with the most confident result.
+        # As in `decklander detect`: of the three colour sets of the thesis, the one with the most confident result.
         for name, sets in (("indoor", [COLOUR_SETS["indoor"]]), ("by hand", [BY_HAND]), ("auto", list(COLOUR_SETS.values()))):
             off: dict[str, list[tuple[float, float]]] = {m: [] for m in METHODS}
             for row in rows:
@@ -155,7 +155,7 @@ def photographs() -> None:
 
 
 def photograph(row: dict[str, str], camera: Camera) -> tuple[Frame, Attitude, F64, float]:
-    """One photograph with the tilt, place and heading of its reference."""
+    """Return one photograph with the tilt, position and heading of its reference."""
     px = cv2.imread(str(PHOTOS / "images" / row["frame"]))
     if px is None:
         raise SystemExit(f"{row['frame']}: not a frame that can be read")
@@ -218,7 +218,7 @@ def poses_of(marks: list[Marks], view: OrientedCamera) -> None:
 
 
 def smallest(rounds: int, calls: list[Callable[[], object]]) -> list[float]:
-    """Milliseconds of processor time of each call: the smallest of `rounds`, the calls taking turns."""
+    """Return the processor time of each call, ms: the smallest of `rounds`, the calls taking turns."""
     best = [math.inf] * len(calls)
     for _ in range(rounds):
         for i, call in enumerate(calls):

@@ -104,7 +104,7 @@ def _end_after_cpu(process: subprocess.Popen[bytes], seconds: float) -> None:
 
 
 def _environment() -> dict[str, str]:
-    """One thread for numpy and OpenCV: two targets that fight for the cores are slower than one."""
+    """Return the environment, with one thread for numpy and OpenCV: targets that compete for the cores are slower than one."""
     return {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
 
 

@@ -1,4 +1,4 @@
-"""Everything an AR.Drone says to us, and everything a client says to the simulated one."""
+"""Fuzz all that an AR.Drone sends to the service, and all that a client sends to the simulated drone."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CHECKSUM_BYTES = 8
 
 
 def run_navdata(data: bytes) -> None:
-    """Datagrams through the channel into the pilot: counted or taken, whatever they hold; the checksum is put right."""
+    """Pass datagrams with corrected checksums through the channel into the pilot; each must be processed or counted."""
     choices = Choices(data)
     clock, counters = LockStepClock(_START), Counters()
     pilot = make_pilot(_settings())
@@ -68,7 +68,7 @@ def _settings() -> Settings:
 
 
 def navdata_seeds() -> Iterator[bytes]:
-    """Navdata of the simulated drone: bootstrap, demo and full, on the ground and flying."""
+    """Yield navdata of the simulated drone: bootstrap, demo and full, on the ground and flying."""
     for full in (False, True):
         drone = _drone()
         commands: list[at.AtCommand] = [at.Config("general:navdata_demo", "FALSE" if full else "TRUE"), at.Ctrl(at.CTRL_ACK, 0)]
@@ -91,7 +91,7 @@ def _drone() -> Drone:
 
 
 def run_pave(data: bytes) -> None:
-    """A stream in pieces: never an error, what it holds back is bounded, and the decoder may say anything of each frame."""
+    """Parse a stream in pieces: no error, a bounded buffer, and any result of the decoder for each frame."""
     choices = Choices(data)
     parser, decoder = PaveParser(), VideoDecoder()
     with patch("drivers.ardrone.video._new_codec", lambda: _AnyCodec(choices)):
@@ -130,7 +130,7 @@ def _unit(number: int, payload: bytes, kind: int, size: int, width: int = 64, he
 
 
 def pave_seeds() -> Iterator[bytes]:
-    """Frames with each size of header, whole, in pieces, and with rubbish between them."""
+    """Yield frames with each size of header, whole, in pieces, and with garbage between them."""
     units = [_unit(n, bytes(range(20 + n)), FrameType.IDR if n % 3 == 0 else FrameType.P, (64, 68, 76)[n % 3]) for n in range(6)]
     stream = b"".join(units)
     yield block(stream) + b"\x01" * 8
@@ -139,7 +139,7 @@ def pave_seeds() -> Iterator[bytes]:
 
 
 def run_video(data: bytes) -> None:
-    """A stream through the true decoder: damaged frames are counted, whatever the access unit holds."""
+    """Decode a stream with the real decoder; damaged frames must be counted, whatever the access unit contains."""
     parser, decoder = PaveParser(), VideoDecoder()
     batch = parser.feed(data)
     for unit in batch:
@@ -149,7 +149,7 @@ def run_video(data: bytes) -> None:
 
 
 def video_seeds() -> Iterator[bytes]:
-    """Two encoded frames of 64 by 48 pixels."""
+    """Yield two encoded frames of 64 by 48 pixels."""
     encoder, rng = Encoder(64, 48, 30.0, 1000.0), np.random.default_rng(1)
     units = [encoder.encode(np.full((48, 64, 3), 90, np.uint8) + rng.integers(0, 9, (48, 64, 3), np.uint8)) for _ in range(2)]
     kinds = [FrameType.IDR if unit.idr else FrameType.P for unit in units]
@@ -157,7 +157,7 @@ def video_seeds() -> Iterator[bytes]:
 
 
 def run_control(data: bytes) -> None:
-    """The drone's configuration as text: what is read can be written and read again."""
+    """Parse the drone's configuration as text; the result must survive writing and reading."""
     pairs = control.parse(data)
     for value in pairs.values():
         control.boolean(value)
@@ -169,13 +169,14 @@ def run_control(data: bytes) -> None:
 
 
 def control_seeds() -> Iterator[bytes]:
-    """The simulated drone's own answer."""
+    """Yield the simulated drone's own answer."""
     yield control.render(dict(list(Configuration().dump().items())[::6]))
     yield control.render(Configuration().dump())
 
 
 def run_at(data: bytes) -> None:
-    """Datagrams of commands at the simulated drone, time between them: obeyed or counted, and its answers can be made."""
+    """Send datagrams of commands, with time between them, to the simulated drone: obeyed or counted, and its answers can be
+    built."""
     choices = Choices(data)
     drone, now = _drone(), _START
     phases = tuple(VehiclePhase)
@@ -197,7 +198,7 @@ def run_at(data: bytes) -> None:
 
 
 def at_seeds() -> Iterator[bytes]:
-    """A start, a flight, configurations of several users, and each command once."""
+    """Yield a start, a flight, configurations of several users, and each command once."""
     ids = at.ConfigIds("dec1a4de", "dec1a4d1", "dec1a4d0")
     start: list[at.AtCommand] = [
         at.Pmode(2),

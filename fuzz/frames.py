@@ -1,4 +1,4 @@
-"""Buffers of a camera as images, and any image through vision."""
+"""Fuzz the conversion of camera buffers to images, and vision with any image."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WIDTH, HEIGHT = 96, 72
 
 
 def run_v4l2(data: bytes) -> None:
-    """Buffers of any format and content: an image of the announced size, or none."""
+    """Convert buffers of any format and content: the result is an image of the announced size, or none."""
     choices = Choices(data)
     how = choices.number(1)
     width, height = 2 * (1 + choices.number(1) % 40), 2 * (1 + choices.number(1) % 40)
@@ -44,7 +44,7 @@ def run_v4l2(data: bytes) -> None:
 
 
 def v4l2_seeds() -> Iterator[bytes]:
-    """A buffer of each format, whole and torn, and two encoded units."""
+    """Yield a buffer of each format, whole and truncated, and two encoded units."""
     rng = np.random.default_rng(2)
     image = rng.integers(0, 255, (24, 32, 3), np.uint8)
     size = bytes([15, 11])
@@ -58,7 +58,7 @@ def v4l2_seeds() -> Iterator[bytes]:
 
 
 def run_vision(data: bytes) -> None:
-    """Any image, attitude and belief: an answer, and what is answered are numbers."""
+    """Process any image, attitude and belief: vision must answer, with finite numbers."""
     choices = Choices(data)
     how = choices.number(1)
     t = Stamp(MonoNs(1_000_000_000), MonoNs(1_040_000_000), 0.001, "synced")
@@ -76,7 +76,7 @@ def run_vision(data: bytes) -> None:
 
 
 def _image(choices: Choices, how: int) -> np.ndarray:
-    """Bytes as they come, flat, tiled, noise, or a frame of the pad with bytes over a part of it."""
+    """Return the bytes as an image: as they come, flat, tiled, as noise, or over a part of a frame of the pad."""
     rest = choices.take(512 if how & 8 else 1 << 14)
     if how & 7 < 5:
         px = _views()[how & 3].copy()
@@ -117,7 +117,7 @@ def _tracker(speaks: str) -> TrackerConfig:
 
 @cache
 def _views() -> tuple[np.ndarray, ...]:
-    """The simulated camera's own frames of the pad, from four heights, made small."""
+    """Return the simulated camera's own frames of the pad from four heights, reduced in size."""
     scenario = load_scenario("calm")
     out = []
     for height_m in (0.6, 1.2, 2.5, 4.0):
@@ -128,7 +128,7 @@ def _views() -> tuple[np.ndarray, ...]:
 
 
 def vision_seeds() -> Iterator[bytes]:
-    """Views of the pad with and without attitude and belief, and images that show none."""
+    """Yield views of the pad with and without attitude and belief, and images that show none."""
     for how in range(16):
         yield bytes([(how & 3) << 4 | how, 128 + how, 120, 150, 130, 3, 9]) + bytes(range(how * 16))
     for kind in (5, 6, 7):

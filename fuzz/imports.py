@@ -1,4 +1,4 @@
-"""Logs and captures of others that `replay` and `detect` are given."""
+"""Fuzz the readers of foreign logs and captures that `replay` and `detect` accept."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fuzz.target import SHARED_MEMORY, Target, refused
 
 
 def reader(name: str, *reads: Callable[[Path], Iterable[object]]) -> Callable[[bytes], None]:
-    """A target for readers of files: refused in one line, or samples in order with stamps that are not before zero."""
+    """Return a target for readers of files: refused in one line, or samples in order of time with stamps of zero or later."""
 
     def run(data: bytes) -> None:
         with tempfile.TemporaryDirectory(dir=SHARED_MEMORY) as folder:
@@ -42,7 +42,7 @@ def _tilts(path: Path) -> Iterable[object]:
 
 
 def csv_seeds() -> Iterator[bytes]:
-    """Both kinds of table."""
+    """Yield both kinds of table."""
     yield b"time_s,roll_deg,pitch_deg,yaw_deg\n10.5,3,-4,90\n10.0,1,2,\n"
     yield b"time_s,roll_deg,pitch_deg\n0,0,0\n0.1,1e3,-1e3\n"
     yield b"source,roll_deg,pitch_deg\na.png,1,2\n"
@@ -66,7 +66,7 @@ def _row(name: str, *values: object) -> bytes:
 
 
 def dataflash_seeds() -> Iterator[bytes]:
-    """A log of a moment: its formats, then one message of each that is read."""
+    """Yield a log of one moment: its formats, then one message of each type that is read."""
     log = b""
     for name, (number, form, columns) in _FORMATS.items():
         length = 3 + struct.calcsize("<" + "".join(_CODES[c] for c in form))
@@ -83,7 +83,7 @@ def _ulog(kind: str, data: bytes) -> bytes:
 
 
 def ulog_seeds() -> Iterator[bytes]:
-    """A log with one message of each topic that is read, with and without what lies around them."""
+    """Yield a log with one message of each topic that is read, with and without other topics."""
     topics = {
         "sensor_combined": ("float[3] gyro_rad;float[3] accelerometer_m_s2", struct.pack("<6f", 0, 0, 0.1, 0, 0, -9.8)),
         "vehicle_attitude": ("float[4] q", struct.pack("<4f", 1, 0, 0, 0)),
@@ -114,7 +114,7 @@ def ulog_seeds() -> Iterator[bytes]:
 
 
 def capture_seeds() -> Iterator[bytes]:
-    """Navdata one after the other with rubbish between, and encoded video."""
+    """Yield consecutive navdata with garbage between them, and encoded video."""
     datagrams = [seed[3:] for seed in ardrone.navdata_seeds() if seed[0] == 0]
     yield b"\x00\x01".join(datagrams)
     yield datagrams[0][:200] + datagrams[-1]

@@ -1,7 +1,7 @@
-"""MAVLink from the socket to the bytes that go out again: fields of the fuzzer's under checksums that are right.
+"""Fuzz MAVLink from the socket to the bytes that are sent: the fuzzer chooses the fields, the checksums are right.
 
-An input is a row of steps. Each names a message of the dialect, a sender and a link, fills the message's payload, and lets time
-pass; so that the fuzzer gets past the checksum and to the fields. Some steps are raw bytes instead.
+An input is a sequence of steps. Each names a message of the dialect, a sender and a link, fills the message's payload, and
+advances the time, so that the fuzzer gets past the checksum and to the fields. Some steps are raw bytes instead.
 """
 
 from __future__ import annotations
@@ -59,9 +59,10 @@ _ACTED_ON = {
     "SETUP_SIGNING", "PING", "COMMAND_CANCEL", "SET_MODE", "GPS_RAW_INT", "VFR_HUD", "ODOMETRY",
 }  # fmt: skip
 HANDLED = tuple(number for number in NUMBERS if mav.mavlink_map[number].msgname in _ACTED_ON)
-"""Messages that something here acts on: half of the steps are about these."""
+"""Numbers of the messages that the service acts on; half of the steps use these."""
 SENDERS = ((1, 1), (255, 190), (66, 1), (1, 191), (2, 1), (0, 0), (255, 255), (1, 0))
-"""Autopilot, ground station, unknown sender, ourselves, the ship, nobody, broadcast, the autopilot's system."""
+"""System and component of autopilot, ground station, unknown sender, ourselves, the ship, nobody, broadcast, and another
+component of the autopilot's system."""
 REALS = (math.nan, math.inf, -math.inf, 1e38, -1e38, 1e-45, -1.0, 0.0, 1.0, 2.0**31, 2.0**32, 2.0**63, 0.5, 1e9, -0.0, 244.0)
 AUTOPILOTS = (int(mav.MAV_AUTOPILOT_PX4), int(mav.MAV_AUTOPILOT_ARDUPILOTMEGA), int(mav.MAV_AUTOPILOT_GENERIC))
 TO_US = (1, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
@@ -71,7 +72,7 @@ _STEPS = 200
 
 @dataclass
 class Wires:
-    """Stand in for the sockets: what is sent is read again by a parser of its own, which must find it whole."""
+    """Replace the sockets: a parser of its own reads each sent message again and must find it valid."""
 
     received: list[Callable[[bytes, MonoNs, Any], None]] = field(default_factory=list)
     sent: int = 0
@@ -98,7 +99,7 @@ class Wires:
 
 
 def message_bytes(number: int, payload: bytes, sender: tuple[int, int], sequence: int, *, old: bool = False) -> bytes:
-    """A frame with a right checksum around any payload, MAVLink 2, or 1 where `old` and the number allow it."""
+    """Return a frame with a valid checksum around any payload: MAVLink 2, or 1 if `old` is set and the number allows it."""
     kind = mav.mavlink_map[number]
     payload = payload[: kind.unpacker.size].ljust(kind.unpacker.size, b"\0")
     if old and number < 256:
@@ -114,11 +115,11 @@ def message_bytes(number: int, payload: bytes, sender: tuple[int, int], sequence
 
 
 def addressed(number: int, payload: bytes, to: tuple[int, int]) -> bytes:
-    """The payload with its target fields, where it has them, set to `to`."""
+    """Return the payload with its target fields, if it has them, set to `to`."""
     kind = mav.mavlink_map[number]
     values = list(kind.unpacker.unpack(payload[: kind.unpacker.size].ljust(kind.unpacker.size, b"\0")))
     if sum(length or 1 for length in kind.array_lengths) != len(values):
-        return payload  # arrays of numbers move the fields; none of those is a command
+        return payload  # arrays of numbers move the fields; none of those messages is a command
     for name, value in zip(("target_system", "target_component"), to, strict=True):
         if name in kind.ordered_fieldnames:
             values[kind.ordered_fieldnames.index(name)] = value
@@ -126,7 +127,7 @@ def addressed(number: int, payload: bytes, to: tuple[int, int]) -> bytes:
 
 
 def step_bytes(choices: Choices, sequence: int) -> bytes:
-    """The next step's bytes for the wire."""
+    """Return the bytes of the next step as on the wire."""
     how, sender = choices.number(1), SENDERS[choices.number(1) % len(SENDERS)]
     if how & _RAW:
         return choices.block()
@@ -142,7 +143,7 @@ def step_bytes(choices: Choices, sequence: int) -> bytes:
 
 
 def step(message: Message, sender: int = 0, how: int = 0, wait: int = 1, link: int = 0) -> bytes:
-    """A step that says this message: what seeds are made of."""
+    """Return the input of a step that sends this message; the seeds consist of such steps."""
     payload = bytes(message.pack(mav.MAVLink(None, srcSystem=1, srcComponent=1)))[10:-2]
     pick = 2 * NUMBERS.index(message.get_msgId())
     return bytes([wait | link << 6, how, sender]) + struct.pack("<H", pick) + block(payload)
@@ -210,7 +211,7 @@ def _raise_what_failed(task: asyncio.Task[None]) -> None:
 
 
 def _conversation() -> list[Message]:
-    """One of each message that an autopilot and a station say to us, as they say it."""
+    """Return one of each message that an autopilot and a station send to the service, with usual content."""
     us, me = TO_US, mav
     longs = (
         (me.MAV_CMD_NAV_LAND, 0, 0), (me.MAV_CMD_DO_PAUSE_CONTINUE, 0, 0), (me.MAV_CMD_DO_PAUSE_CONTINUE, 1, 0),
@@ -244,7 +245,7 @@ def _conversation() -> list[Message]:
 
 
 def autopilot_seeds() -> Iterator[bytes]:
-    """A conversation whole, for each kind of autopilot, and each of its messages alone with its fields' ends."""
+    """Yield a whole conversation for each kind of autopilot, and each of its messages alone with extreme values."""
     said = _conversation()
     for kind in range(3):
         yield bytes([kind]) + b"".join(step(message, how=_ADDRESSED, wait=2) for message in said)
@@ -259,7 +260,7 @@ def run_bridge(data: bytes) -> None:
 
 
 class _Craft:
-    """A drone that takes every command, or is not there."""
+    """A drone that executes every command, or is absent."""
 
     def __init__(self) -> None:
         self.frames: Latest[Frame] = Latest()
@@ -310,7 +311,7 @@ def _samples() -> tuple[Sample, ...]:
 
 
 def bridge_seeds() -> Iterator[bytes]:
-    """What a station says to a quadrotor."""
+    """Yield what a station sends to a multicopter."""
     to = (1, 1)
     commands = (400, 22, 21, 193, 17, 252, 512, 511, 520)
     rows = [mav.MAVLink_command_long_message(*to, c, 0, 1, 1, 0, 0, 0, 0, 0) for c in commands]
@@ -320,7 +321,7 @@ def bridge_seeds() -> Iterator[bytes]:
 
 
 def run_codec(data: bytes) -> None:
-    """Bytes of a stream and of datagrams: no error, what is counted adds up, and what came out can be sent on."""
+    """Parse the bytes of a stream and of datagrams: no error, the counts add up, and each message can be sent on."""
     choices = Choices(data)
     how = choices.number(1)
     codec, sender = Codec(1, 191, datagrams=bool(how & 1)), Codec(1, 191)
@@ -334,7 +335,7 @@ def run_codec(data: bytes) -> None:
 
 
 def codec_seeds() -> Iterator[bytes]:
-    """Frames of both versions: whole, in pieces, with rubbish between, with an unknown number, torn."""
+    """Yield frames of both versions: whole, in pieces, with garbage between, with an unknown number, truncated."""
     codec, old = Codec(1, 1), mav.MAVLink(None, srcSystem=1, srcComponent=1)
     frames = [codec.pack(message) for message in _conversation()[:6]]
     frames += [bytes(message.pack(old, force_mavlink1=True)) for message in _conversation()[6:10]]
@@ -349,7 +350,7 @@ _SECRET = SigningKey(bytes(range(32)))
 
 
 def run_signing(data: bytes) -> None:
-    """Signed frames with any field in any order of times, a key file and a time file of any content."""
+    """Process signed frames with any fields in any order of times, and key and time files of any content."""
     choices = Choices(data)
     with tempfile.TemporaryDirectory(dir=SHARED_MEMORY) as folder:
         key, time = Path(folder) / "key", Path(folder) / "time"
@@ -390,7 +391,7 @@ def _signed(sender: Any, number: int, payload: bytes) -> bytes:
 
 
 def signing_seeds() -> Iterator[bytes]:
-    """Keys in each of their forms, times rising, repeated and altered."""
+    """Yield keys in each of their forms, and rising, repeated and altered times."""
     keys = (bytes(range(32)), b"00" * 32, b"passphrase: open sesame", b"")
     beat = struct.pack("<H", 0) + block(b"\x01\x02\x03\x04\x05\x06\x07\x08\x03")
     for key in keys:

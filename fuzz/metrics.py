@@ -1,4 +1,4 @@
-"""Requests at the metrics port."""
+"""Fuzz the requests at the metrics port."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from drivers.clock import SystemClock
 from fuzz.target import Choices, Target, block
 
 _ANSWER_S = 10.0
-"""Time for an answer on a machine under load; whoever hangs up is answered in milliseconds."""
+"""Time limit for an answer on a machine under load, s; a client that hangs up gets its answer within milliseconds."""
 
 
 def run_metrics(data: bytes) -> None:
-    """Bytes in pieces on one connection: answered or closed, and the endpoint lives on without a complaint."""
+    """Send bytes in pieces on one connection: answered or closed, and the endpoint continues without an error."""
     choices = Choices(data)
     hang_up = bool(choices.number(1) & 1)
     pieces = []
@@ -61,7 +61,7 @@ async def _converse(port: int | None, pieces: list[bytes], hang_up: bool) -> Non
 
 
 def metrics_seeds() -> Iterator[bytes]:
-    """A scrape, a question of health, one with a body, two on one connection, and no HTTP."""
+    """Yield a scrape, a health request, a request with a body, two requests on one connection, and bytes that are not HTTP."""
     head = b"Host: localhost\r\nUser-Agent: x\r\n\r\n"
     yield b"\0" + block(b"GET /metrics HTTP/1.1\r\n" + head)
     yield b"\0" + block(b"GET /health HTTP/1.0\r\n") + block(head)

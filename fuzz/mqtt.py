@@ -1,4 +1,4 @@
-"""What a broker hands us: commands, other drones' messages for `decklander watch`, and the spool that a crash left behind."""
+"""Fuzz what comes from a broker: commands, other drones' messages for `decklander watch`, and the spool after a crash."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class _Operated:
 
 
 def run_command(data: bytes) -> None:
-    """Payloads on the command topic, signed or not: each is answered once, on a topic of ours, by a message that can be read."""
+    """Send payloads to the command topic, signed or not: each gets one answer, on a topic of ours, that can be decoded."""
     choices = Choices(data)
     how = choices.number(1)
     topics, key = Topics("drone"), KEY if how & 2 else None
@@ -88,7 +88,7 @@ def run_command(data: bytes) -> None:
 
 
 def command_seeds() -> Iterator[bytes]:
-    """Each command; a repeated, a late, a retained one; one with another's topic."""
+    """Yield each command; a repeated, a late, a retained one; and one with the topic of another drone."""
     until = 1_000_000_000_000 + 20_000_000_000
     usual = {"run": RUN, "expires_ns": until}
     rows = [
@@ -107,7 +107,7 @@ def command_seeds() -> Iterator[bytes]:
 
 
 def run_watch(data: bytes) -> None:
-    """Topics and payloads at `decklander watch`: taken or counted, and what is known can be drawn."""
+    """Pass topics and payloads to `decklander watch`: processed or counted, and the view can be drawn."""
     choices = Choices(data)
     model, now_s = WatchModel(), 0.0
     while choices:
@@ -123,7 +123,7 @@ def _draw(model: WatchModel, now_s: float) -> None:
 
 
 def watch_seeds() -> Iterator[bytes]:
-    """One of each message of the drone, and numbers at the ends of what they may be."""
+    """Yield one of each message of the drone, and numbers at the ends of their ranges."""
     belief = BeliefReport(
         path="ekf", d_body_pad_level_m=(1.0, 2.0, 3.0), v_pad_level_m_s=(0.1, 0.0, 1e300), yaw_rad=None,
         sigma_d_m=(0.1, 0.1, 0.1), sigma_v_m_s=(0.1, 0.1, 0.1), sigma_yaw_rad=3.0, sighted_age_s=0.1, consistent=True,
@@ -159,7 +159,7 @@ def watch_seeds() -> Iterator[bytes]:
 
 
 def run_spool(data: bytes) -> None:
-    """A folder as a crash, a power cut or another program left it: read, added to and delivered, or refused in a line."""
+    """Open a folder after a crash, a power cut or another program: read, appended to and delivered, or refused in one line."""
     choices = Choices(data)
     folder = Path(tempfile.mkdtemp(dir=SHARED_MEMORY))
     try:
@@ -193,7 +193,7 @@ def _use(spool: Spool, choices: Choices) -> None:
 
 
 def spool_seeds() -> Iterator[bytes]:
-    """A spool of ours, with events waiting, and damaged ones."""
+    """Yield spools with waiting events, and damaged ones."""
     rows = b"\n".join(b'%d {"id": "%d"}' % (n, n) for n in range(1, 6))
     lines = b"\x83\x01" + block(rows)
     yield b"\x03" + b"\x00" + block(b"abcdef012345\n") + b"\x81" + block(b"3\n") + lines + b"\xff\x03" + block(b"{}") + b"\x01"

@@ -1,7 +1,7 @@
 """Run one target under atheris, in its own process: `python -m fuzz.one NAME ...`, started by `python -m fuzz`.
 
-Errors that break the contract, twice for the same input, are written down and the run goes on, so that the first fault does not
-hide the rest. A crash in native code, a hang or too much memory end the process; libFuzzer leaves the input beside the others.
+An error that breaks the contract twice for the same input is written down and the run continues, so that the first fault does not
+hide the rest. A crash in native code, a hang or too much memory ends the process; libFuzzer leaves the input beside the others.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from fuzz import finds, target
 ROOT = Path(__file__).parents[1]
 OURS = ("companion", "drivers", "estimator", "sitl")
 _OTHERS = {"mcap_bytes": ("mcap",), "dataflash": ("pymavlink.DFReader",), "ulog": ("pyulog",)}
-"""Libraries in Python whose coverage leads the fuzzer through a format that they parse for us."""
+"""Pure Python libraries that parse a format for us; their coverage guides the fuzzer through it."""
 _HANG_S = 20
 _MEMORY_MB = 2500
 
@@ -47,7 +47,7 @@ def main() -> None:
         return None
 
     def one(data: bytes) -> None:
-        # An error that the same input does not show again is the machine's (no memory, no descriptors, a thread that was late).
+        # An error that the same input does not show again comes from the machine (memory, descriptors, a late thread).
         if fault_of(data) is not None and (why := fault_of(data)) is not None:
             found.note(data, why)
 

@@ -1,4 +1,4 @@
-"""Recordings that `replay` and `report` are given: MCAP files of any bytes, and well-formed ones with any messages."""
+"""Fuzz the recordings given to `replay` and `report`: MCAP files of any bytes, and well-formed ones with any messages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SIZE = (640, 360)
 
 
 def run_bytes(data: bytes) -> None:
-    """A file of any content: refused in one line, or read up to its first damage."""
+    """Read a file of any content: refused in one line, or read up to its first damage."""
     with tempfile.TemporaryDirectory(dir=SHARED_MEMORY) as folder:
         path = Path(folder) / "fuzz.mcap"
         path.write_bytes(data)
@@ -36,7 +36,7 @@ def run_bytes(data: bytes) -> None:
 
 
 def run_messages(data: bytes) -> None:
-    """Messages of any content in a whole file: understood or counted as skipped, and replayed to the end."""
+    """Read a whole file of messages of any content: each decoded or counted as skipped, and replayed to the end."""
     choices = Choices(data)
     attachments: dict[str, bytes] = {}
     how = choices.number(1)
@@ -53,7 +53,7 @@ def run_messages(data: bytes) -> None:
 
 
 def write(path: Path, rows: list[tuple[str, bytes]], attachments: dict[str, bytes]) -> None:
-    """A small file: no compression, no index, one channel a topic."""
+    """Write a small file: no compression, no index, one channel for each topic."""
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.NONE, index_types=IndexType.NONE, use_statistics=False)
         writer.start(profile="", library="decklander")
@@ -90,7 +90,7 @@ def _settings() -> Settings:
 
 @cache
 def _rows() -> tuple[tuple[str, bytes], ...]:
-    """The first short message of each topic of a recording that the repository keeps."""
+    """Return the first short message of each topic of a recording that the repository keeps."""
     found: dict[str, bytes] = {}
     for _, channel, message in make_reader(GOLDEN.open("rb")).iter_messages():
         if channel.topic in TOPICS and len(message.data) < _SHORT:
@@ -99,7 +99,7 @@ def _rows() -> tuple[tuple[str, bytes], ...]:
 
 
 def bytes_seeds() -> Iterator[bytes]:
-    """Whole small files, with and without checksums and compression."""
+    """Yield whole small files, with and without checksums and compression."""
     with tempfile.TemporaryDirectory(dir=SHARED_MEMORY) as folder:
         path = Path(folder) / "seed.mcap"
         write(path, list(_rows()), {})
@@ -115,7 +115,7 @@ def bytes_seeds() -> Iterator[bytes]:
 
 
 def messages_seeds() -> Iterator[bytes]:
-    """Every sample, a look, and the shipped settings, camera and pad attached."""
+    """Yield every sample, a detection, and the shipped settings, with camera and pad attached."""
     rows = b"".join(bytes([TOPICS.index(topic)]) + block(data) for topic, data in _rows())
     camera = b"width = 640\nheight = 360\nfx = 374.67\nfy = 374.67\ncx = 319.5\ncy = 179.5\n"
     yield b"\0" + rows

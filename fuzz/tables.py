@@ -1,6 +1,6 @@
-"""What a person writes: settings, scenarios, cameras and pads in TOML, and what systemd puts into the environment.
+"""Fuzz what a person writes (settings, scenarios, cameras and pads in TOML) and what systemd puts into the environment.
 
-An input is either text, or a shipped file with some keys set to other values: so the fuzzer gets past the grammar.
+An input is either text, or a shipped file with some keys set to other values, so that the fuzzer gets past the grammar.
 """
 
 from __future__ import annotations
@@ -86,7 +86,10 @@ def _keys(table: dict[str, Any], before: tuple[str, ...] = ()) -> list[tuple[str
 
 
 def table(data: bytes, bases: tuple[dict[str, Any], ...], more: tuple[tuple[str, ...], ...] = ()) -> dict[str, Any] | None:
-    """What the input means: a TOML file after a zero, else one of the bases with keys changed, added or gone; None if refused."""
+    """Return the table of an input, or None if it is refused.
+
+    The input is a TOML file after a zero, otherwise one of the bases with keys changed, added or removed.
+    """
     choices = Choices(data)
     how = choices.number(1)
     if how == 0:
@@ -129,12 +132,12 @@ def _copy(value: Any) -> Any:
 
 @cache
 def _all_settings() -> tuple[tuple[str, ...], ...]:
-    """Every key that can be set, from the settings' own page of themselves."""
+    """Return every key that can be set, from the description of the settings."""
     return tuple(_keys(tomllib.loads(reference.toml(from_mapping(_files("")[0], "fuzz")))))
 
 
 def run_settings(data: bytes) -> None:
-    """Refused in one line, or settings that every part can be made of, and that are the same when written and read again."""
+    """Parse settings: refused in one line, or every part can be built from them, and they survive writing and reading."""
     settings = _parsed(table(data, _files(""), _all_settings()), from_mapping)
     if settings is None or settings.fault() is not None:
         return
@@ -144,7 +147,7 @@ def run_settings(data: bytes) -> None:
 
 
 def _options(settings: Settings) -> None:
-    """What `run` makes of settings before it opens anything."""
+    """Build the options that `run` makes of settings before it opens anything."""
     Plan.over_the_pad(settings.guidance)
     assert settings.service.back_off.cap_s > 0
     build.estimator_options(settings)
@@ -158,7 +161,7 @@ def _options(settings: Settings) -> None:
 
 
 def run_scenario(data: bytes) -> None:
-    """Refused in one line, or a scenario whose camera and pad are found or refused."""
+    """Parse a scenario: refused in one line, or its camera and pad are found or refused."""
     scenario = _parsed(table(data, _files("scenarios")), scenarios.from_mapping)
     if scenario is None:
         return
@@ -169,19 +172,19 @@ def run_scenario(data: bytes) -> None:
 
 
 def run_camera(data: bytes) -> None:
-    """Refused in one line, or a camera whose rays and pixels are numbers."""
+    """Parse a camera: refused in one line, or its rays and pixels are finite."""
     camera = _parsed(table(data, _files("cameras")), Camera.from_mapping)
     if camera is None:
         return
     if camera.distorted:
-        return  # numbers that describe no lens: its rays are what they are
+        return  # numbers that describe no real lens: its rays may be anything
     corners = np.array([[0.0, 0.0], [camera.width - 1.0, 0.0], [camera.cx, camera.cy]])
     assert np.all(np.isfinite(camera.rays(corners)))
     assert np.all(np.isfinite(camera.project(np.array([[0.0, 0.0, 1.0], [0.1, 0.1, 2.0]]))))
 
 
 def run_pad(data: bytes) -> None:
-    """Refused in one line, or a pad that can be drawn and whose edges are numbers."""
+    """Parse a pad: refused in one line, or the pad can be drawn and its edges are finite."""
     pad = _parsed(table(data, _files("pads")), Pad.from_mapping)
     if pad is None:
         return
@@ -200,28 +203,28 @@ def _table_seeds(folder: str) -> Iterator[bytes]:
 
 
 def settings_seeds() -> Iterator[bytes]:
-    """The shipped vehicle profiles, and each with a key or two changed."""
+    """Yield the shipped vehicle profiles, and each with a key or two changed."""
     yield from _table_seeds("")
 
 
 def scenario_seeds() -> Iterator[bytes]:
-    """The shipped scenarios, one with a fault, and each with a key or two changed."""
+    """Yield the shipped scenarios, one with a fault, and each with a key or two changed."""
     yield b'\0title = "gust"\n[[faults]]\nkind = "gust"\nspeed_m_s = 5.0\nat_s = 1.0\nfor_s = 2.0\n'
     yield from _table_seeds("scenarios")
 
 
 def camera_seeds() -> Iterator[bytes]:
-    """The shipped cameras, and each with a key or two changed."""
+    """Yield the shipped cameras, and each with a key or two changed."""
     yield from _table_seeds("cameras")
 
 
 def pad_seeds() -> Iterator[bytes]:
-    """The shipped pads, and each with a key or two changed."""
+    """Yield the shipped pads, and each with a key or two changed."""
     yield from _table_seeds("pads")
 
 
 def run_environment(data: bytes) -> None:
-    """What systemd passes, of any content: refused in one line, or used."""
+    """Process what systemd passes, of any content: refused in one line, or used."""
     choices = Choices(data)
     names = ("WATCHDOG_USEC", "WATCHDOG_PID", "NOTIFY_SOCKET", "CREDENTIALS_DIRECTORY", "STATE_DIRECTORY")
     environment = {}
@@ -248,7 +251,7 @@ def _notify(environment: dict[str, str]) -> None:
 
 
 def environment_seeds() -> Iterator[bytes]:
-    """The environment as a unit's process finds it, and as nobody should."""
+    """Yield environments as a unit's process finds them, and impossible ones."""
     folder = str(Path("/nonexistent")).encode()
     yield block(b"30000000") + block(b"1") + block(b"@fuzz") + block(folder) + block(folder) + block(b"mavlink-key")
     yield block(b"") + block(b"") + block(b"/nonexistent/notify") + block(b"") + block(b"") + block(b"../x")

@@ -1,8 +1,8 @@
 """The table of fuzz targets, and the reader of the fuzzer's bytes.
 
-A target is a function of bytes that returns when the code under it kept its contract, and raises when it did not. It suppresses
-the errors that the contract names (a `BadInput` of a file, a `Recoverable` of a link) and nothing else. It keeps nothing between
-two calls, so that an input that fails once fails again.
+A target is a function of bytes that returns if the code under test kept its contract, and raises if it did not. It suppresses the
+errors that the contract names (a `BadInput` of a file, a `Recoverable` of a link) and nothing else. It keeps no state between two
+calls, so that an input that fails once fails again.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ MODULES = {
 """Every target, and the module whose `TARGETS` holds it."""
 
 SHARED_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
-"""Where inputs that must be files are written, so that no disk is worn."""
+"""Folder for inputs that must be files; they are kept in memory if possible, to spare the disk."""
 CORPUS = Path(__file__).parent / "corpus"
 """Kept inputs, one folder for each target: the seeds, and every input that once failed."""
 
@@ -54,11 +54,11 @@ class Target:
     """One target."""
 
     run: Callable[[bytes], None]
-    """Returns when the contract held; raises when it did not."""
+    """The function; it returns if the contract was kept and raises if not."""
     seeds: Callable[[], Iterable[bytes]]
-    """Well-formed inputs that the fuzzer starts from, made by our own encoders."""
+    """Well-formed inputs from which the fuzzer starts, made by our own encoders."""
     max_len: int = 4096
-    """Bytes of the longest input that is tried."""
+    """Length of the longest input that is tried, bytes."""
 
 
 def target(name: str) -> Target:
@@ -72,7 +72,7 @@ def target(name: str) -> Target:
 
 
 class Choices:
-    """Reads an input as a row of choices, zero where it has ended, so that every input means something."""
+    """Reads an input as a sequence of choices, with zeros after its end, so that every input is meaningful."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -102,7 +102,7 @@ class Choices:
         return part
 
     def block(self) -> bytes:
-        """Return bytes that follow their own length, 16 bits."""
+        """Return bytes that follow a length of 16 bits."""
         return self.take(self.number(2))
 
     def rest(self) -> bytes:
