@@ -42,12 +42,15 @@ class TrackCandidate(NamedTuple):
     """Another position at which a pad is detected."""
 
     first: int
-    """ns."""
+    """Its first sighting since the tracked pad was last seen, ns; one that was seen before that counts anew from then on."""
     n: int
+    """Number of its sightings."""
     last: Place
     sigmas_m: tuple[float, float] = (math.inf, math.inf)
     """Standard deviations of the estimate when the candidate was first seen, sideways and down. A candidate that the estimate did
     not explain then is not explained by a later, larger uncertainty."""
+    n_alone: int = 1
+    """Number of its sightings since the tracked pad was last seen."""
 
 
 class Tracks(NamedTuple):
@@ -85,13 +88,13 @@ def associate(tracks: Tracks, seen: Place, expected: Place | None, o: IntegrityO
         sigma_m, sigma_down_m = min(expected.sigma_m, then[0]), min(expected.sigma_down_m, then[1])
         if _as_expected(expected._replace(sigma_m=sigma_m, sigma_down_m=sigma_down_m), seen, o):
             return tracks, True
-    candidates = _with(tracks.candidates, known, seen, expected)
+    candidates = _with(tracks.candidates, last, known, seen, expected)
     chosen = candidates[-1]
     if tracks.n < _ESTABLISHED:
         # No one has flown by the track yet, so the candidate with more sightings becomes the pad.
         if chosen.n > max(tracks.n, _SEEN_AT_LEAST):
             return Tracks(tracks.number, chosen.n, seen), True
-    elif _adopted(tracks, chosen, candidates, o):
+    elif _adopted(chosen, candidates, o):
         return Tracks(tracks.number + 1, chosen.n, seen), True
     return tracks._replace(candidates=candidates), False
 
@@ -103,11 +106,10 @@ def fused(tracks: Tracks, seen: Place) -> Tracks:
     return tracks._replace(n=tracks.n + 1, last=last, candidates=alive)
 
 
-def _adopted(tracks: Tracks, chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], o: IntegrityOptions) -> bool:
+def _adopted(chosen: TrackCandidate, candidates: tuple[TrackCandidate, ...], o: IntegrityOptions) -> bool:
     seen = chosen.last.t
     alone = all(c is chosen or c.n < _SEEN_AT_LEAST or seen - c.last.t > _ALIVE_S * 1e9 for c in candidates)
-    unseen = tracks.last is None or tracks.last.t < chosen.first
-    return alone and unseen and chosen.n >= _ESTABLISHED and seen - chosen.first >= o.adopt_s * 1e9
+    return alone and chosen.n_alone >= _ESTABLISHED and seen - chosen.first >= o.adopt_s * 1e9
 
 
 def _joins(c: TrackCandidate, seen: Place, o: IntegrityOptions) -> bool:
@@ -115,11 +117,20 @@ def _joins(c: TrackCandidate, seen: Place, o: IntegrityOptions) -> bool:
 
 
 def _with(
-    candidates: tuple[TrackCandidate, ...], known: TrackCandidate | None, seen: Place, expected: Place | None
+    candidates: tuple[TrackCandidate, ...], last: Place, known: TrackCandidate | None, seen: Place, expected: Place | None
 ) -> tuple[TrackCandidate, ...]:
-    """Return the candidates with one more sighting, which joins `known` or begins another candidate."""
+    """Return the candidates with one more sighting, which joins `known` or begins another candidate.
+
+    Args:
+        last: the newest sighting of the tracked pad.
+    """
     then = (math.inf, math.inf) if expected is None else (expected.sigma_m, expected.sigma_down_m)
-    chosen = TrackCandidate(seen.t, 1, seen, then) if known is None else known._replace(n=known.n + 1, last=seen)
+    if known is None:
+        chosen = TrackCandidate(seen.t, 1, seen, then)
+    else:
+        chosen = known._replace(n=known.n + 1, last=seen, n_alone=known.n_alone + 1)
+        if known.first <= last.t < seen.t:
+            chosen = chosen._replace(first=seen.t, n_alone=1)
     others = [c for c in candidates if c is not known and seen.t - c.last.t <= 2.0 * _ALIVE_S * 1e9]
     return (*sorted(others, key=lambda c: c.last.t)[-(_MOST - 1) :], chosen)
 

@@ -26,6 +26,9 @@ class Camera:
 
     The intrinsics are in pixels; (0, 0) is the centre of the top-left pixel. The mounting is `T_body_cam`.
 
+    Two cameras with the same numbers are equal, so that what is computed once for a camera (its rays, grids) is not computed and
+    kept again when the same file is read again.
+
     Source: Brown, Close-range camera calibration, 1971; the parameter order is OpenCV's.
 
     Raises:
@@ -45,6 +48,9 @@ class Camera:
     _focal: F64 = field(init=False, repr=False)
     """The (2,) arrays (fx, fy) and (cx, cy). They are made once because pixels come in small batches."""
     _centre: F64 = field(init=False, repr=False)
+    _numbers: tuple[object, ...] = field(init=False, repr=False)
+    """Every number of the camera, for comparison; the arrays as bytes."""
+    _hash: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         d = np.array(self.distortion, dtype=float)
@@ -67,6 +73,16 @@ class Camera:
         object.__setattr__(self, "distorted", bool(np.any(d != 0.0)))
         object.__setattr__(self, "_focal", np.array([self.fx, self.fy], float))
         object.__setattr__(self, "_centre", np.array([self.cx, self.cy], float))
+        arrays = (d.tobytes(), self.T_body_cam.R.matrix.tobytes(), self.T_body_cam.t.tobytes())
+        numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy, *arrays)
+        object.__setattr__(self, "_numbers", numbers)
+        object.__setattr__(self, "_hash", hash(numbers))
+
+    def __eq__(self, other: object) -> bool:
+        return self._numbers == other._numbers if isinstance(other, Camera) else NotImplemented
+
+    def __hash__(self) -> int:
+        return self._hash
 
     @staticmethod
     def from_mapping(data: Mapping[str, Any], where: str = "camera") -> Camera:

@@ -65,6 +65,17 @@ def test_the_old_place_seen_again_meanwhile_goes_on_as_the_old_track() -> None:
     assert not tracks.disputed(round(6e9))
 
 
+def test_a_place_seen_before_the_pad_was_last_seen_begins_a_new_track_too() -> None:
+    """It was seen between two sightings of the pad, and then alone: it must not stay a candidate for good."""
+    tracks, _ = follow(Tracks(), steady(0, 2, HERE))
+    tracks, explained = follow(tracks, [place(i / 30, ASIDE if i % 2 else HERE) for i in range(60, 91)])
+    assert tracks.number == 1
+    assert explained[-1]
+    tracks, explained = follow(tracks, steady(91 / 30, 6, ASIDE))
+    assert tracks.number == 2
+    assert explained.index(True) == pytest.approx(LIMITS.adopt_s * 30, abs=2), "counted from the last sight of the pad"
+
+
 def test_half_of_the_frames_elsewhere_never_take_the_track_and_dispute_it() -> None:
     tracks, _ = follow(Tracks(), steady(0, 2, HERE))
     looks = [place(i / 30, ASIDE if i % 2 else HERE) for i in range(60, 300)]

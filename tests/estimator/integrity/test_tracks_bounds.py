@@ -94,7 +94,7 @@ def test_what_the_belief_did_not_explain_at_first_it_does_not_explain_later() ->
 
 
 def other(n: int, first: int, last: int, side_m: float = 1.0) -> TrackCandidate:
-    return TrackCandidate(first, n, place(last, side_m))
+    return TrackCandidate(first, n, place(last, side_m), n_alone=n)
 
 
 def test_three_looks_within_a_second_dispute_the_track() -> None:
@@ -142,7 +142,7 @@ def test_alone_is_who_has_no_rival_within_a_second(n: int, ago: int, alone: bool
 
 def test_a_look_joins_its_place_within_a_second_and_begins_another_one_after() -> None:
     for after, n in ((S, 6), (S + 1, 1), (-S, 6), (-S - 1, 1)):
-        tracks, _ = associate(followed(20, other(5, T, T + 5 * S)), place(T + 5 * S + after, 1.0), None, LIMITS)
+        tracks, _ = associate(followed(20, other(5, T, T + 5 * S), t=T - 1), place(T + 5 * S + after, 1.0), None, LIMITS)
         assert (tracks.candidates[-1].n, tracks.candidates[-1].last.t) == (n, T + 5 * S + after)
         assert tracks.candidates[-1].first == (T if n == 6 else T + 5 * S + after)
 
