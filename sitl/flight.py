@@ -158,6 +158,8 @@ class Flight:
                 raise SetupImpossible(f"the simulated drone refused the configuration key {key}: {refused}")
         self._guidance_period_s = 1.0 / settings.guidance.rate_hz
         self._frames = 0
+        self.exposures = 0
+        """Number of frames exposed so far, whether they arrive or not."""
 
     def step(self) -> bool:
         """Run one tick of 5 ms; return False when the flight is over."""
@@ -264,6 +266,7 @@ class Flight:
         self._due_frame = after(self._due_frame, self._timing.frame_period_s)
         if self.world.frame_lost or self.world.active("link_lost"):
             return
+        self.exposures += 1
         delay_s = self._timing.frame_delay_s + self.world.frame_delay_s
         self._on_the_way.append((after(self.world.at, delay_s), self.world.expose(self.room)))
 

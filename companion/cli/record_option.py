@@ -59,7 +59,8 @@ def truth_record(truth: Truth) -> TruthRecord:
     """Return the record of the simulator's truth."""
     touchdown = None if truth.touchdown is None else _contact(truth.touchdown)
     d, v = truth.d_body_pad_level.tolist(), truth.v_pad_level.tolist()
-    return TruthRecord(int(truth.at), d, v, truth.yaw_rad, truth.phase.name.lower(), touchdown)
+    body, pad = (R.matrix.ravel().tolist() for R in (truth.R_ned_body, truth.R_ned_pad))
+    return TruthRecord(int(truth.at), d, v, truth.yaw_rad, truth.phase.name.lower(), touchdown, body, pad)
 
 
 def truth_from_log(record: Mapping[str, Any]) -> TruthRecord:

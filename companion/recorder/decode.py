@@ -145,6 +145,9 @@ def truth(of: rec.TruthRecord) -> None:
     """Check a record of truth. Raises ValueError if its numbers are not valid."""
     _vector(of.d_body_pad_level)
     _vector(of.v_pad_level)
+    for rows in (of.R_ned_body, of.R_ned_pad):
+        if rows is not None:
+            Rotation(_matrix(rows, 3))
     if not -math.pi < of.yaw_rad <= math.pi:
         raise ValueError(f"the true heading must lie in (-pi, pi], got {of.yaw_rad}")
 

@@ -198,6 +198,10 @@ class TruthRecord(Struct, frozen=True, omit_defaults=True):
     phase: str | None = None
     """Phase of the flight as the simulated vehicle knows it."""
     touchdown: ContactRecord | None = None
+    R_ned_body: list[float] | None = None
+    """True attitude of the vehicle, (3, 3) row by row."""
+    R_ned_pad: list[float] | None = None
+    """True attitude of the pad, (3, 3) row by row."""
 
 
 class LinkRecord(Struct, frozen=True, omit_defaults=True):
