@@ -34,6 +34,8 @@ from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import refusal
 from sitl.faults import ServiceKilled
+from sitl.perception.pixels import Pixels
+from sitl.perception.port import Perception
 from sitl.render_worker import RenderWorker
 from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
 from sitl.scenario import Scenario
@@ -106,10 +108,12 @@ class Flight:
     Args:
         observers: objects that receive what the daemon's observers would receive.
         renew: makes the pilot of a service that restarts after it was killed.
+        perception: the way in which the pilot, which must be its own, perceives the pad; rendered frames if None.
         contain: whether a bug of the service ends the flight and is part of the result, instead of being raised.
 
     Raises:
         BadInput: the scenario kills the service for a while and there is no `renew`.
+            Or the scenario has a fault that the perception cannot represent.
         SetupImpossible: the simulated drone refuses a key of the configuration.
     """
 
@@ -124,9 +128,12 @@ class Flight:
         timing: Timing | None = None,
         renew: Callable[[], Pilot] | None = None,
         contain: bool = False,
+        perception: Perception | None = None,
     ) -> None:
         cv2.setNumThreads(1)
         self.world = World(scenario, seed)
+        self._perception = perception or Pixels()
+        self._perception.begin(self.world)
         self.room: RenderWorker | None = None
         """Makes the frames, where one is set before the first step; else they are made in place. The same bits either way."""
         if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
@@ -268,7 +275,7 @@ class Flight:
             return
         self.exposures += 1
         delay_s = self._timing.frame_delay_s + self.world.frame_delay_s
-        self._on_the_way.append((after(self.world.at, delay_s), self.world.expose(self.room)))
+        self._on_the_way.append((after(self.world.at, delay_s), self._perception.expose(self.world, self.room)))
 
     def _process(self, now: MonoNs) -> None:
         if self._looking is not None and now >= self._looking[0]:

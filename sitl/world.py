@@ -260,30 +260,50 @@ class World:
             self._renderer = renderer(self.scenario, self.waves, self.vessel)
         return self._renderer
 
-    def expose(self, room: RenderWorker | None = None) -> Callable[[], RenderedFrame]:
+    def expose(
+        self, room: RenderWorker | None = None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None = None
+    ) -> Callable[[], RenderedFrame]:
         """`render` in two parts: the scene is fixed now, and the call makes the frame, in another thread if need be, while
         the world goes on. One such call at a time.
 
         Args:
             room: makes the frame from now on; the call then waits for it.
+            camera: takes the place of the renderer: it is given the scene, None while the lens is covered, and the number of
+                the step, and returns the image at once.
         """
         at, exposure_s = self.at, self.scenario.camera.exposure_s
         error_s = sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
         frozen = self.faults.active("frames_frozen") and self._newest_image is not None
-        image, true_view = (self._newest_image, False) if frozen else self._image(room)
+        image, true_view = (self._newest_image, False) if frozen else self._image(room, camera)
         assert image is not None
         self._newest_image = image
         return lambda: RenderedFrame(image(), at, exposure_s, error_s, true_view)
 
-    def _image(self, room: RenderWorker | None) -> tuple[Callable[[], NDArray[np.uint8]], bool]:
+    def _image(
+        self, room: RenderWorker | None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None
+    ) -> tuple[Callable[[], NDArray[np.uint8]], bool]:
         """The call that makes the image of the scene as it is now, and whether that is what the camera truly sees."""
+        covered = self.faults.active("lens_covered")
+        if covered and camera is not None:
+            black = camera(None, self._tick)
+            return lambda: black, False
         rng = np.random.default_rng([self._camera_seed, self._tick])
-        if self.faults.active("lens_covered"):
+        if covered:
             dark = rng.integers(0, 8, (self.camera.height, self.camera.width, 3), dtype=np.uint8)
             return lambda: dark, False
-        v, g, expose = self._vehicle, self._ground, self.renderer.render
         aside = self._aside()
-        shot = Exposure(
+        shot = self._scene(aside)
+        if camera is not None:
+            seen = camera(shot, self._tick)
+            return lambda: seen, not aside.any()
+        expose = self.renderer.render
+        made = cache(room.order(shot, rng) if room is not None else lambda: expose(shot, rng))
+        return made, not aside.any()
+
+    def _scene(self, aside: F64) -> Exposure:
+        """What is before the camera now, `aside` (3,) m in the pad frame beside its true place."""
+        v, g = self._vehicle, self._ground
+        return Exposure(
             t_s=self._seconds,
             R_ned_body=Rotation(v.R_ned_body),
             # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
@@ -295,8 +315,6 @@ class World:
             v_pad_ned=np.array(g.v),
             w_pad=np.array(g.w),
         )
-        made = cache(room.order(shot, rng) if room is not None else lambda: expose(shot, rng))
-        return made, not aside.any()
 
     def _aside(self) -> F64:
         """(3,) m in the pad frame, by which a frame exposed now shows everything beside its true place."""

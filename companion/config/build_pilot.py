@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from companion.config import build
 from companion.config.model import Settings
@@ -10,13 +10,17 @@ from companion.runtime.pilot import Pilot
 from estimator.contracts.estimates import PathName
 
 
-def make_pilot(settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
-    """Return the pilot that the settings describe. `shadows` are estimator paths that run beside it to be compared.
+def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Callable[..., Pilot] = Pilot) -> Pilot:
+    """Return the pilot that the settings describe.
+
+    Args:
+        shadows: estimator paths that run beside it to be compared.
+        kind: makes the pilot in place of the class itself, from the same arguments.
 
     Raises:
         BadInput: the camera or pad file is missing or has a fault.
     """
-    return Pilot(
+    return kind(
         build.tracker(settings),
         build.estimator_options(settings),
         settings.guidance,

@@ -1,0 +1,244 @@
+"""Perception by an error model of detections: nothing is rendered or searched, everything behind vision is real.
+
+A drawn detection is a pose in the camera's axes with an error and a claimed covariance. It becomes a sighting by the very function
+that makes one of a registered frame, with the attitude that the vehicle reported: so the error of that attitude, which is most of
+a sighting's error, is the real one. Faults act as in frames: a covered lens shows nothing, a frozen frame repeats its content, a
+shifted one shows the pad beside its place; delay, loss and wrong stamps belong to the flight and not to the frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.config.build import tracker
+from companion.config.build_pilot import make_pilot
+from companion.config.model import Settings
+from companion.runtime.pilot import Pilot
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Method, PathName, Sighting
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.vision.camera import Camera
+from estimator.vision.drawing import EdgeKind
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation
+from estimator.vision.register.registration import Registration
+from estimator.vision.register.sighting import registered_sighting
+from estimator.vision.thesis.detection import Detection
+from sitl.camera import Exposure
+from sitl.perception.draw import Chance, LookTable
+from sitl.perception.parameters import PerceptionModel, load
+from sitl.perception.port import Level
+from sitl.perception.view import View, Viewer
+from sitl.render_worker import RenderWorker
+from sitl.world import RenderedFrame, World
+
+KEPT_SCENES = 512
+"""Number of exposures that may be under way: ten seconds of delay at 50 frames a second."""
+_SPAWN_KEY = 1301
+"""Keeps the random numbers of looks apart from those of the world, which has the first children of the seed."""
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+_NOTHING = np.zeros((0, 2))
+_MASK = 0xFFFFFFFF
+
+
+class Scene(NamedTuple):
+    """What one exposure holds."""
+
+    view: View | None
+    """None where the lens is covered."""
+    chance: Chance
+    R_ned_body: F64
+    """(3, 3), true."""
+
+
+class Scenes:
+    """The exposures of one flight: each becomes a small array of unique content, which finds the scene again.
+
+    The content is what the checks of frozen frames compare; two exposures never share it, and a repeated frame repeats it.
+    """
+
+    def __init__(self, camera: Camera, world: World) -> None:
+        self._viewer = Viewer(camera, world.pad)
+        self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
+        self._scenes: OrderedDict[bytes, Scene] = OrderedDict()
+
+    def expose(self, shot: Exposure | None, tick: int) -> NDArray[np.uint8]:
+        """Keep a scene and return its token, (9, 4, 3)."""
+        chance = Chance(self._rng.standard_normal(6), self._rng.random(4))
+        view, R = None, np.eye(3)
+        if shot is not None:
+            R = shot.R_ned_body.matrix
+            view = self._viewer.view(R, shot.p_pad_ned - shot.p_body_ned, shot.R_ned_pad.matrix)
+        token = np.zeros((9, 4, 3), np.uint8)
+        # The check of frozen frames looks at every sixteenth row from the ninth on.
+        token[8].reshape(-1)[:4] = np.frombuffer((tick & _MASK).to_bytes(4, "little"), np.uint8)
+        self._scenes[token[8].tobytes()] = Scene(view, chance, R)
+        if len(self._scenes) > KEPT_SCENES:
+            self._scenes.popitem(last=False)
+        return token
+
+    def of(self, frame: Frame) -> Scene:
+        """Return the scene of a frame."""
+        return self._scenes[frame.px[8].tobytes()]
+
+
+class Model:
+    """Detections are drawn from an error model.
+
+    Args:
+        model: the error model, or the name of a shipped one or a file; None for the shipped one of `vision.method`.
+    """
+
+    level: Level = "model"
+
+    def __init__(self, model: PerceptionModel | str | None = None) -> None:
+        self._given = load(model) if isinstance(model, str) else model
+        self._scenes: Scenes | None = None
+        self._light_stops = 0.0
+
+    def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
+        """Return a pilot whose detections are drawn.
+
+        Raises:
+            BadInput: there is no error model of the settings' vision.
+        """
+        found = model_for(settings, self._given)
+        return make_pilot(settings, shadows, partial(ModelPilot, _Looker(self, found, settings)))
+
+    def begin(self, world: World) -> None:
+        """Begin a flight: every fault acts as on pictures."""
+        self._scenes = Scenes(world.camera, world)
+        self._light_stops = world.scenario.light.exposure_ev
+
+    def expose(self, world: World, room: RenderWorker | None) -> Callable[[], RenderedFrame]:
+        """Keep the scene as it is now."""
+        return world.expose(camera=self.scenes.expose)
+
+    @property
+    def scenes(self) -> Scenes:
+        """The exposures of the flight."""
+        if self._scenes is None:
+            raise RuntimeError("no flight has begun")
+        return self._scenes
+
+    @property
+    def light_stops(self) -> float:
+        """Light on the pad against white paint at 80 % of full scale."""
+        return self._light_stops
+
+
+def model_for(settings: Settings, given: PerceptionModel | None) -> PerceptionModel:
+    """Return the error model of the settings' vision.
+
+    Raises:
+        BadInput: there is none, or the given one is of another method.
+    """
+    method = settings.vision.method
+    if given is None:
+        try:
+            given = load(method)
+        except BadInput as why:
+            raise BadInput(
+                f'there is no error model of vision.method "{method}": fit one with decklander perception fit and name it with '
+                "--perception-model"
+            ) from why
+    if given.method != method:
+        raise BadInput(f'the error model is of vision.method "{given.method}", the settings have "{method}"')
+    return given
+
+
+class ModelPilot(Pilot):
+    """The pilot with drawn detections in place of vision."""
+
+    def __init__(self, looker: _Looker, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._looker = looker
+
+    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
+        """Draw the detection of a frame."""
+        return self._looker.look(frame, attitude)
+
+
+class _Looker:
+    """Draws detections in a service's process: it remembers whether the newest look found the pad."""
+
+    def __init__(self, owner: Model, model: PerceptionModel, settings: Settings) -> None:
+        self._owner = owner
+        self._table = LookTable(model.look)
+        self._fused = model.method == "fused"
+        own = tracker(settings)
+        self._camera, self._sigma_deck_rad = own.camera, own.sigma_deck_rad
+        self._rate = -math.log(max(1e-9, model.look.correlation)) / model.look.frame_s
+        self._standard: F64 | None = None
+        self._at = 0
+        self._found = False
+
+    def look(self, frame: Frame, attitude: Attitude) -> Detection:
+        """Return the detection of a frame; the pilot calls this once for each frame that it admits."""
+        scene, light = self._owner.scenes.of(frame), self._owner.light_stops
+        view, chance = scene.view, scene.chance
+        self._wander(frame.stamp.received_at, chance.normal)
+        self._found = view is not None and bool(chance.uniform[0] < self._table.probability(view, light, self._found))
+        if not self._found or view is None or self._standard is None:
+            return Detection(None, None, MappingProxyType({"registration": None}))
+        drawn = self._table.draw(view, light, self._standard, chance)
+        R = _turned(drawn.error[3:]).dot(view.R_cam_pad)
+        if drawn.turned:
+            R = R.dot(_HALF_TURN)
+        pose = PadPose(Rotation(R), view.t_cam_pad + drawn.error[:3])
+        orientation = Orientation.of(attitude, self._sigma_deck_rad)
+        seen = registered_sighting(frame, _registration(pose, drawn.cov, drawn.ambiguous), self._camera, orientation)
+        seen = replace(seen, confidence=drawn.confidence, features=())
+        methods: dict[Method, Sighting | None] = {"registration": seen}
+        if self._fused:
+            return Detection(replace(seen, method="fused"), "fused", MappingProxyType(methods))
+        return Detection(seen, "registration", MappingProxyType(methods))
+
+    def _wander(self, at: int, fresh: F64) -> None:
+        """Carry the standard normal numbers of the errors on to another look: a first-order Gauss-Markov process."""
+        if self._standard is None:
+            self._standard = fresh
+        else:
+            keep = math.exp(-self._rate * max(0.0, (at - self._at) * 1e-9))
+            self._standard = keep * self._standard + math.sqrt(1.0 - keep * keep) * fresh
+        self._at = at
+
+
+def _turned(rotation: F64) -> F64:
+    """Return the rotation matrix of a small rotation vector (Rodrigues)."""
+    x, y, z = rotation.tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle < 1e-9:
+        return np.asarray(np.eye(3) + K)
+    return np.asarray(np.eye(3) + (math.sin(angle) / angle) * K + ((1.0 - math.cos(angle)) / (angle * angle)) * K.dot(K))
+
+
+def _registration(pose: PadPose, cov: F64, ambiguous: bool) -> Registration:
+    """Return what registration would return; the parts that no sighting is made of are empty."""
+    return Registration(
+        pose=pose,
+        cov=cov,
+        information=np.zeros((6, 6)),
+        prior=None,
+        edges=MappingProxyType({}),
+        yaw_ambiguous=ambiguous,
+        blur_px2=np.zeros(3),
+        noise_light=0.0,
+        edge_rms_px=0.0,
+        visible=1.0,
+        inliers=1.0,
+        last_step_px=0.0,
+        dense=False,
+        outline_px=(_NOTHING,) * len(EdgeKind),
+    )

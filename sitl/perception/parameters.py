@@ -1,0 +1,202 @@
+"""The numbers of the error models, as a file holds them: configs/perception/*.toml, written by `decklander perception fit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta, Struct
+
+from companion.config.settings import find_file, read_toml
+from estimator.contracts.errors import BadInput
+from estimator.contracts.keys import number
+
+FOLDER = "perception"
+FORMAT = 1
+"""Number of this layout of the file."""
+
+Share = Annotated[float, number("share", "1", 0.0, 1.0)]
+Count = Annotated[int, Meta(ge=0)]
+Six = Annotated[tuple[float, ...], Meta(min_length=6, max_length=6)]
+TwentyOne = Annotated[tuple[float, ...], Meta(min_length=21, max_length=21)]
+Seven = Annotated[tuple[float, ...], Meta(min_length=7, max_length=7)]
+TwentyEight = Annotated[tuple[float, ...], Meta(min_length=28, max_length=28)]
+Edges = Annotated[tuple[float, ...], Meta(min_length=1, max_length=64)]
+
+
+class LookCell(Struct, frozen=True, forbid_unknown_fields=True):
+    """Detection at one height with one share of the disc in the picture.
+
+    Errors are those of the pose that vision measures, in the camera's axes: position right, down, forward over the height, then
+    a small rotation of the pad, rad. Matrices are lower triangles, row by row.
+    """
+
+    height: Count
+    """Index of the bin of height."""
+    shown: Count
+    """Index of the bin of the share of the disc that is in the picture."""
+    looks: Count
+    found: Count
+    kept: Share
+    """Probability of a detection after a look that found the pad."""
+    regained: Share
+    """Probability of a detection after a look that did not."""
+    confidence: Share
+    ambiguous: Share = 0.0
+    """Share of the detections that say that their heading may be half a turn off."""
+    turned: Share = 0.0
+    """Share of the detections whose heading is half a turn off."""
+    outliers: Share = 0.0
+    outlier_ratio: float = 1.0
+    """How many times larger an outlier's errors are."""
+    bias: Six = (0.0,) * 6
+    error: TwentyOne = (0.0,) * 21
+    """Covariance of the errors about the bias, without outliers."""
+    claimed: TwentyOne = (0.0,) * 21
+    """Covariance that vision claims, the mean."""
+
+
+class Factor(Struct, frozen=True, forbid_unknown_fields=True):
+    """The effect of one condition on top of the cells: one entry for each bin."""
+
+    edges: Edges
+    looks: tuple[Count, ...]
+    odds: tuple[float, ...]
+    """Factor of the odds of a detection."""
+    ratio: tuple[float, ...]
+    """Factor of the errors and of the claimed standard deviations."""
+
+
+class LookModel(Struct, frozen=True, forbid_unknown_fields=True):
+    """The error model of detections."""
+
+    heights_m: Edges
+    """Edges between the bins of height of the lens over the pad's plane."""
+    shown: Edges
+    """Edges between the bins of the share of the disc in the picture."""
+    looks: Count
+    frame_s: Annotated[float, number("time between the looks that it was fitted on", "s", 0.001, 1.0)]
+    correlation: Annotated[float, number("of the errors of two successive looks", "1", 0.0, 0.999)]
+    tilt_deg: Factor
+    """Angle between the optical axis and the pad's normal."""
+    light_stops: Factor
+    """Light on the pad against white paint at 80 % of full scale."""
+    cell: Annotated[tuple[LookCell, ...], Meta(min_length=1)]
+
+
+class EstimateCell(Struct, frozen=True, forbid_unknown_fields=True):
+    """The estimate's error at one height, so long after the newest sighting.
+
+    Position forward, right and down over the height, velocity forward, right and down in m/s, heading in rad.
+    """
+
+    height: Count
+    age: Count
+    samples: Count
+    error: TwentyEight
+    """Covariance of the errors, the lower triangle row by row: the mean product, any bias included."""
+
+
+class EstimateModel(Struct, frozen=True, forbid_unknown_fields=True):
+    """The error model of the filter's estimate."""
+
+    heights_m: Edges
+    ages_s: Edges
+    samples: Count
+    correlation_s: Seven
+    """Correlation time of each component."""
+    cell: Annotated[tuple[EstimateCell, ...], Meta(min_length=1)]
+
+
+class PerceptionModel(Struct, frozen=True, forbid_unknown_fields=True):
+    """One file."""
+
+    format: Annotated[int, Meta(ge=1)]
+    method: str
+    """`vision.method` of the recorded flights."""
+    recordings: tuple[str, ...]
+    """What it was fitted on: scenario, seed and number of looks."""
+    look: LookModel
+    estimate: EstimateModel
+
+
+def load(name_or_path: str) -> PerceptionModel:
+    """Return the model in a file, or a shipped one by its bare name.
+
+    Raises:
+        BadInput: there is no such file, or it does not hold a model of this version. One line that names file and key.
+    """
+    path = find_file(name_or_path, FOLDER, Path(), "--perception-model")
+    data = read_toml(path)
+    if data.get("format") != FORMAT:
+        raise BadInput(f"{path}: format {data.get('format')!r} is not {FORMAT}: fit it again with decklander perception fit")
+    try:
+        model = msgspec.convert(data, PerceptionModel, strict=True)
+    except msgspec.ValidationError as why:
+        raise BadInput(f"{path}: {why}") from why
+    _check(model, path)
+    return model
+
+
+def _check(model: PerceptionModel, path: Path) -> None:
+    look, estimate = model.look, model.estimate
+    for name, edges in (
+        ("look.heights_m", look.heights_m),
+        ("look.shown", look.shown),
+        ("look.tilt_deg.edges", look.tilt_deg.edges),
+        ("look.light_stops.edges", look.light_stops.edges),
+        ("estimate.heights_m", estimate.heights_m),
+        ("estimate.ages_s", estimate.ages_s),
+    ):
+        if any(b <= a for a, b in zip(edges, edges[1:], strict=False)):
+            raise BadInput(f"{path}: {name} must rise")
+    for name, factor in (("look.tilt_deg", look.tilt_deg), ("look.light_stops", look.light_stops)):
+        if not len(factor.looks) == len(factor.odds) == len(factor.ratio) == len(factor.edges) + 1:
+            raise BadInput(f"{path}: {name} needs one entry more than it has edges")
+        if any(not 0.0 < value < 1e6 for value in (*factor.odds, *factor.ratio)):
+            raise BadInput(f"{path}: the odds and ratios of {name} must be positive")
+    for n, cell in enumerate(look.cell):
+        if cell.height > len(look.heights_m) or cell.shown > len(look.shown):
+            raise BadInput(f"{path}: look.cell[{n}] lies outside the bins")
+    for n, part in enumerate(estimate.cell):
+        if part.height > len(estimate.heights_m) or part.age > len(estimate.ages_s):
+            raise BadInput(f"{path}: estimate.cell[{n}] lies outside the bins")
+
+
+def dump(model: PerceptionModel) -> str:
+    """Return the text of a model's file."""
+    lines = ["# Written by `decklander perception fit`. Fit it again rather than editing it.", ""]
+    lines += [f"format = {model.format}", f'method = "{model.method}"', "recordings = ["]
+    lines += [f"    {_text(name)}," for name in model.recordings] + ["]"]
+    look, estimate = model.look, model.estimate
+    lines += _table("look", look) + _table("look.tilt_deg", look.tilt_deg) + _table("look.light_stops", look.light_stops)
+    for cell in look.cell:
+        lines += _table("look.cell", cell, many=True)
+    lines += _table("estimate", estimate)
+    for part in estimate.cell:
+        lines += _table("estimate.cell", part, many=True)
+    return "\n".join(lines) + "\n"
+
+
+def _table(name: str, of: Struct, *, many: bool = False) -> list[str]:
+    out = ["", f"[[{name}]]" if many else f"[{name}]"]
+    for key in of.__struct_fields__:
+        value = getattr(of, key)
+        if isinstance(value, Struct) or (isinstance(value, tuple) and value and isinstance(value[0], Struct)):
+            continue
+        out.append(f"{key} = {_value(value)}")
+    return out
+
+
+def _value(value: int | float | tuple[float, ...]) -> str:
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    if isinstance(value, int):
+        return str(value)
+    text = f"{value:.5g}"
+    return text if any(c in text for c in ".en") else f"{text}.0"
+
+
+def _text(value: str) -> str:
+    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -1,0 +1,30 @@
+"""Perception by rendered frames and the real vision."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from companion.config.build_pilot import make_pilot
+from companion.config.model import Settings
+from companion.runtime.pilot import Pilot
+from estimator.contracts.estimates import PathName
+from sitl.perception.port import Level
+from sitl.render_worker import RenderWorker
+from sitl.world import RenderedFrame, World
+
+
+class Pixels:
+    """Every frame is rendered and searched."""
+
+    level: Level = "pixels"
+
+    def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
+        """Return the pilot that also flies in earnest."""
+        return make_pilot(settings, shadows)
+
+    def begin(self, world: World) -> None:
+        """Begin a flight: every fault acts on pictures."""
+
+    def expose(self, world: World, room: RenderWorker | None) -> Callable[[], RenderedFrame]:
+        """Render the scene as it is now."""
+        return world.expose(room)
