@@ -10,11 +10,9 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
-from typing import Literal, get_args
 
 import msgspec
 
-from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load
 from companion.runtime.health import Health
@@ -23,14 +21,17 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from sitl.ending import Contact, Ending, FlightGrade
 from sitl.flight import Flight, FlightResult
+from sitl.perception.levels import perceive
+from sitl.perception.port import LEVELS, Level
 from sitl.render_worker import render_worker
 from sitl.safety import outside_commit
 from sitl.scenario import Scenario
 from sitl.world import Truth
 
-Perception = Literal["pixels"]
-"""How the service perceives the pad: `pixels` renders frames for the real detectors."""
-PERCEPTIONS: tuple[str, ...] = get_args(Perception)
+Perception = Level
+"""How the service perceives the pad: `pixels` renders frames for the real detectors, `model` draws detections from an error
+model, `truth` gives guidance the truth with an error model of the filter."""
+PERCEPTIONS: tuple[str, ...] = LEVELS
 TRUTH_EACH = 4
 """Number of 5 ms steps between two samples of the truth."""
 
@@ -41,10 +42,9 @@ def perception_level(text: str) -> Perception:
     Raises:
         BadInput: there is none; the message names those that exist.
     """
-    for level in get_args(Perception):
+    for level in LEVELS:
         if text == level:
-            found: Perception = level
-            return found
+            return level
     raise BadInput(f"--perception: there is no level {text!r}; known are {', '.join(PERCEPTIONS)}")
 
 
@@ -68,6 +68,7 @@ def fly(
     settings: Settings,
     perception: Perception = "pixels",
     *,
+    perception_model: str | None = None,
     observers: Sequence[Observer] = (),
     shadows: Sequence[PathName] = (),
     on_start: Callable[[Health], None] | None = None,
@@ -80,30 +81,34 @@ def fly(
         name: what the caller calls the scenario: the name of a shipped one or a path. It does not change the flight.
         seed: of all random numbers, 0 or more.
         perception: how the service perceives the pad.
+        perception_model: the error model's file, or the name of a shipped one; None for the one of the settings' vision.
         observers: receive what the daemon's observers would receive.
         shadows: estimator paths that run beside the steering one; they do not change the flight.
         on_start: receives the counters of the flight's health before the first step.
-        on_truth: receives the true state every 20 ms and at the end.
+        on_truth: receives the true state every 20 ms, at every exposure of a frame, and at the end.
         render_beside: frames are rendered in a process of their own. The same bits, sooner where a second core is idle.
 
     Raises:
-        BadInput: the settings name a camera or pad file with a fault.
+        BadInput: the settings name a camera or pad file with a fault; there is no such perception or error model, or it cannot
+            represent a fault of the scenario.
         SetupImpossible: the simulated drone refuses a key of the configuration.
     """
     if perception not in PERCEPTIONS:
         raise BadInput(f"there is no perception {perception!r}; known are {', '.join(PERCEPTIONS)}")
-    renew = partial(make_pilot, settings, shadows=shadows)
+    seen_by = perceive(perception, perception_model)
+    renew = partial(seen_by.pilot, settings, shadows)
     began_s = _cpu_s()
-    flight = Flight(scenario, seed, settings, renew(), observers=observers, renew=renew, contain=True)
+    flight = Flight(scenario, seed, settings, renew(), observers=observers, renew=renew, contain=True, perception=seen_by)
     if on_start is not None:
         on_start(flight.health)
     with ExitStack() as stack:
-        if render_beside:
+        if render_beside and perception == "pixels":
             flight.room = stack.enter_context(render_worker(flight.world.renderer))
-        steps = 0
+        steps = exposures = 0
         while flight.step():
             steps += 1
-            if on_truth is not None and steps % TRUTH_EACH == 0:
+            exposed, exposures = flight.exposures > exposures, flight.exposures
+            if on_truth is not None and (exposed or steps % TRUTH_EACH == 0):
                 on_truth(flight.world.truth())
     if on_truth is not None:
         on_truth(flight.world.truth())

@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("companion.cli.run", "run the landing service"),
     "detect": ("companion.cli.detect", "find the pad in images, videos or recordings"),
     "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
+    "perception": ("companion.cli.perception", "fit the error models of simulated perception"),
     "soak": ("companion.cli.soak", "fly repeated landings and watch for leaks"),
     "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
     "record": ("companion.cli.record", "inspect, cut, repair and import recordings"),

@@ -51,6 +51,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="LEVEL",
         help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames)",
     )
+    parser.add_argument(
+        "--perception-model",
+        metavar="FILE",
+        help="error model of --perception model or truth, from decklander perception fit (default: the shipped one of "
+        "vision.method)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
     record_option.add_arguments(parser)
@@ -73,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise BadInput(f"--seed must be 0 or more, got {args.seed}")
     perception = perception_level(args.perception)
+    if args.perception_model is not None and perception == "pixels":
+        raise BadInput("--perception-model goes with --perception model or truth")
     if args.follow is not None:
         from companion.cli import simulate_follow
 
@@ -88,6 +96,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         require_drawing("--report")
     report_option.prepare_folder(args.report)
+    if perception != "pixels":
+        args.record_frames = "none"
     scenario = load_scenario(args.scenario)
     settings = settings_for(scenario, args.config)
     kept = args.report is not None or args.record is not None
@@ -101,9 +111,9 @@ def run(args: argparse.Namespace) -> int:
         steering=settings.estimator.path,
     )
     if args.report is not None:
-        observers.append(LogObserver(log))
+        observers.append(LogObserver(log, keep_images=perception == "pixels"))
     began = time.monotonic()
-    facts = {"kind": "simulate", "scenario": args.scenario, "seed": str(args.seed)}
+    facts = {"kind": "simulate", "scenario": args.scenario, "seed": str(args.seed), "perception": perception}
     with record_option.recording(args, settings, facts, live=False) as recorder:
         if recorder is not None:
             observers.append(recorder)
@@ -120,6 +130,7 @@ def run(args: argparse.Namespace) -> int:
             args.seed,
             settings,
             perception,
+            perception_model=args.perception_model,
             observers=observers,
             shadows=SHADOWS if kept else (),
             on_start=None if recorder is None else recorder.watch,

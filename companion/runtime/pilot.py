@@ -147,11 +147,19 @@ class Pilot:
 
     def belief(self, now: MonoNs) -> RelativeState | None:
         """Return the estimate to steer by; it is marked inconsistent while nobody has agreed to land on the pad it refers to."""
-        believed = pipeline.belief(self._memory, now)
+        believed = self.believed(now)
         if believed is None or self._planner.question is None:
             return believed
         doubts = (*(doubt for doubt in believed.doubts if doubt is not Doubt.ELSEWHERE), Doubt.ELSEWHERE)
         return replace(believed, consistent=False, doubts=doubts)
+
+    def believed(self, now: MonoNs) -> RelativeState | None:
+        """Return the steering path's estimate as the estimator has it; None while there is none."""
+        return pipeline.belief(self._memory, now)
+
+    def all_believed(self, now: MonoNs) -> tuple[RelativeState, ...]:
+        """Return every path's estimate; the steering path's comes first if it has one."""
+        return pipeline.beliefs(self._memory, now)
 
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process a sample. Return its fusion results, path by path."""
@@ -193,7 +201,7 @@ class Pilot:
 
     def decide(self, now: MonoNs) -> Decision:
         """Run one guidance cycle. The command is None while guidance leaves the vehicle alone."""
-        believed = pipeline.beliefs(self._memory, now)
+        believed = self.all_believed(now)
         steering = self._memory.options.path
         belief = next((b for b in believed if b.path == steering), None)
         command = self._command(now)
@@ -225,7 +233,7 @@ class Pilot:
         return self._guided(now)
 
     def _guided(self, now: MonoNs) -> Command | None:
-        belief = pipeline.belief(self._memory, now)
+        belief = self.believed(now)
         self._planner, aim, phase = planner_step(self._planner, self._plan, now, belief)
         self.phase = phase.value
         self.reason = "" if phase in _PLAIN else self._planner.reason

@@ -6,18 +6,14 @@ import math
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from companion.recorder.reading import open_recording
-from companion.recorder.records import TruthRecord
-from companion.runtime.observer import Decision
 from estimator.contracts.errors import BadInput
-from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
 from sitl.perception.parameters import EstimateCell, EstimateModel
+from sitl.perception.recorded import Recorded
 
 HEIGHTS_M = (0.2, 0.35, 0.5, 0.8, 1.3, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0, 22.0)
 AGES_S = (0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 5.0)
@@ -25,6 +21,8 @@ LEAST = 30
 """Fewest samples of a cell."""
 _SETTLED_S = 1.0
 """Time after the first sighting from which on the estimate counts."""
+_LEAST_M = 0.1
+"""Lowest height that counts: below it the drone stands."""
 _LAGS = (5, 10, 20, 40)
 """Lags, in rounds of guidance, over which the correlation time is fitted."""
 _COMPONENTS = 7
@@ -43,27 +41,16 @@ class Errors(NamedTuple):
     """(N, 7) estimate less truth: position over the height, velocity m/s, heading rad."""
 
 
-def read_errors(path: Path) -> Errors:
-    """Return the errors of a recorded flight's steering estimate.
-
-    Raises:
-        BadInput: the file is no recording.
-    """
-    truths: dict[int, TruthRecord] = {}
-    beliefs: list[RelativeState] = []
-    for event in open_recording([path]).events():
-        if isinstance(event, TruthRecord):
-            truths[event.at_ns] = event
-        elif isinstance(event, Decision) and event.belief is not None and event.belief.yaw_rad is not None:
-            beliefs.append(event.belief)
-    first = min((b.sighted for b in beliefs), default=0)
+def errors_of(recorded: Recorded) -> Errors:
+    """Return the errors of a recorded flight's steering estimate, from its first second to the first contact."""
+    first = min((b.sighted for b in recorded.beliefs), default=0)
     rows = []
-    for b in beliefs:
-        truth = truths.get(b.at)
+    for b in recorded.beliefs:
+        truth = recorded.truths.get(b.at)
         if truth is None or (b.at - first) * 1e-9 < _SETTLED_S or b.yaw_rad is None or truth.touchdown is not None:
             continue
         height = truth.d_body_pad_level[2]
-        if height < 0.1:
+        if height < _LEAST_M:
             continue
         d = (b.d_body_pad_level - np.array(truth.d_body_pad_level)) / height
         v = b.v_pad_level - np.array(truth.v_pad_level)

@@ -18,9 +18,10 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.perception.estimates import Errors, fit_estimates
-from sitl.perception.looks import Look, Source
+from sitl.perception.estimates import errors_of, fit_estimates
+from sitl.perception.looks import Look, looks_of
 from sitl.perception.parameters import FORMAT, Factor, LookCell, LookModel, PerceptionModel
+from sitl.perception.recorded import Recorded
 
 HEIGHTS_M = (0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.3, 3.0, 4.0, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0)
 SHOWN = (0.02, 0.12, 0.25, 0.45, 0.7, 0.95)
@@ -46,21 +47,26 @@ class _Standard(NamedTuple):
     outlier: bool
 
 
-def fit(sources: Sequence[Source], errors: Sequence[Errors]) -> PerceptionModel:
+class Source(NamedTuple):
+    """The looks of one recorded flight, and the light they were made in."""
+
+    looks: tuple[Look, ...]
+    light_stops: float
+
+
+def fit(flights: Sequence[Recorded]) -> PerceptionModel:
     """Return the model of recorded flights.
 
-    Args:
-        sources: the looks of each recording.
-        errors: the estimate's errors in each recording.
-
     Raises:
-        BadInput: the recordings are of different methods, or hold too few looks or estimates.
+        BadInput: the recordings are of different methods of vision, or hold too few looks or estimates.
     """
-    methods = sorted({source.method for source in sources})
+    methods = sorted({flight.settings.vision.method for flight in flights})
     if len(methods) != 1:
         raise BadInput(f"recordings of several methods of vision ({', '.join(methods)}) make no model; fit each on its own")
-    names = tuple(f"{s.path.stem}: {s.scenario.title} ({len(s.looks)} looks)" for s in sources)
-    return PerceptionModel(FORMAT, methods[0], names, fit_looks(sources), fit_estimates(errors))
+    sources = [Source(looks_of(flight), flight.scenario.light.exposure_ev) for flight in flights]
+    names = tuple(f"{flight.name}: {len(source.looks)} looks" for flight, source in zip(flights, sources, strict=True))
+    estimates = fit_estimates([errors_of(flight) for flight in flights])
+    return PerceptionModel(FORMAT, methods[0], names, fit_looks(sources), estimates)
 
 
 def fit_looks(sources: Sequence[Source]) -> LookModel:
@@ -88,7 +94,7 @@ def fit_looks(sources: Sequence[Source]) -> LookModel:
     if not cells:
         raise BadInput(f"the recordings hold no height with {LEAST_LOOKS} looks or more")
     expected = {(c.height, c.shown): c for c in cells}
-    light = {id(look): source.scenario.light.exposure_ev for source in sources for look in source.looks}
+    light = {id(look): source.light_stops for source in sources for look in source.looks}
     known = [look for look in looks if _place(look) in expected]
 
     def factor(edges: tuple[float, ...], value: Callable[[Look], float]) -> Factor:
@@ -188,7 +194,9 @@ def _factor(
         odds.append(_odds(here, before, cells))
         errors = [standard[id(look)].error for look in here if id(look) in standard and not standard[id(look)].outlier]
         ratio.append(float(np.sqrt(np.mean(np.square(errors)))) if len(errors) >= LEAST_LOOKS else 1.0)
-    return Factor(edges, tuple(counts), tuple(odds), tuple(ratio))
+    # Most looks are of one kind, which the cells describe by themselves: the factors are those of the others against it.
+    usual = counts.index(max(counts))
+    return Factor(edges, tuple(counts), tuple(o / odds[usual] for o in odds), tuple(r / ratio[usual] for r in ratio))
 
 
 def _odds(looks: Sequence[Look], before: dict[int, bool], cells: dict[tuple[int, int], LookCell]) -> float:
@@ -221,7 +229,7 @@ def _correlation(sources: Sequence[Source], standard: dict[int, _Standard], fram
             if one is None or two is None or one.outlier or two.outlier or b.at_s - a.at_s > _GAP_FRAMES * frame_s:
                 continue
             products.append(one.error * two.error)
-    return float(min(0.99, max(0.0, np.mean(products)))) if products else 0.0
+    return min(0.99, max(0.0, float(np.mean(products)))) if products else 0.0
 
 
 def _lower(cov: F64) -> tuple[float, ...]:

@@ -1,8 +1,8 @@
 """Perception by an error model of detections: nothing is rendered or searched, everything behind vision is real.
 
-A drawn detection is a pose in the camera's axes with an error and a claimed covariance. It becomes a sighting by the very function
-that makes one of a registered frame, with the attitude that the vehicle reported: so the error of that attitude, which is most of
-a sighting's error, is the real one. Faults act as in frames: a covered lens shows nothing, a frozen frame repeats its content, a
+A drawn detection is a pose in the camera's axes with an error and a claimed covariance. The function that makes a sighting of a
+registered frame makes one of it too, with the attitude that the vehicle reported: the error of that attitude, which is most of a
+sighting's error, is the real one. Faults act as in frames: a covered lens shows nothing, a frozen frame repeats its content, a
 shifted one shows the pad beside its place; delay, loss and wrong stamps belong to the flight and not to the frame.
 """
 
@@ -48,7 +48,8 @@ _SPAWN_KEY = 1301
 """Keeps the random numbers of looks apart from those of the world, which has the first children of the seed."""
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 _NOTHING = np.zeros((0, 2))
-_MASK = 0xFFFFFFFF
+_TOKEN = 4
+"""Number of pixels that hold the number of an exposure's step: seven months of flight."""
 
 
 class Scene(NamedTuple):
@@ -62,34 +63,36 @@ class Scene(NamedTuple):
 
 
 class Scenes:
-    """The exposures of one flight: each becomes a small array of unique content, which finds the scene again.
+    """The exposures of one flight: each becomes a frame of unique content, which finds the scene again.
 
-    The content is what the checks of frozen frames compare; two exposures never share it, and a repeated frame repeats it.
+    The frame has the camera's size and takes no memory: it is one row of pixels, seen again and again. Its content is what the
+    checks of frozen frames compare; two exposures never share it, and a repeated frame repeats it.
     """
 
     def __init__(self, camera: Camera, world: World) -> None:
         self._viewer = Viewer(camera, world.pad)
+        self._shape = (camera.height, camera.width, 3)
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
         self._scenes: OrderedDict[bytes, Scene] = OrderedDict()
 
     def expose(self, shot: Exposure | None, tick: int) -> NDArray[np.uint8]:
-        """Keep a scene and return its token, (9, 4, 3)."""
+        """Keep a scene and return its frame, (H, W, 3)."""
         chance = Chance(self._rng.standard_normal(6), self._rng.random(4))
         view, R = None, np.eye(3)
         if shot is not None:
             R = shot.R_ned_body.matrix
             view = self._viewer.view(R, shot.p_pad_ned - shot.p_body_ned, shot.R_ned_pad.matrix)
-        token = np.zeros((9, 4, 3), np.uint8)
-        # The check of frozen frames looks at every sixteenth row from the ninth on.
-        token[8].reshape(-1)[:4] = np.frombuffer((tick & _MASK).to_bytes(4, "little"), np.uint8)
-        self._scenes[token[8].tobytes()] = Scene(view, chance, R)
+        token = tick.to_bytes(_TOKEN, "little")
+        row = np.zeros((1, self._shape[1], 1), np.uint8)
+        row[0, :_TOKEN, 0] = np.frombuffer(token, np.uint8)
+        self._scenes[token] = Scene(view, chance, R)
         if len(self._scenes) > KEPT_SCENES:
             self._scenes.popitem(last=False)
-        return token
+        return np.broadcast_to(row, self._shape)
 
     def of(self, frame: Frame) -> Scene:
         """Return the scene of a frame."""
-        return self._scenes[frame.px[8].tobytes()]
+        return self._scenes[frame.px[0, :_TOKEN, 0].tobytes()]
 
 
 class Model:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -149,7 +150,7 @@ def _check(model: PerceptionModel, path: Path) -> None:
         ("estimate.heights_m", estimate.heights_m),
         ("estimate.ages_s", estimate.ages_s),
     ):
-        if any(b <= a for a, b in zip(edges, edges[1:], strict=False)):
+        if any(b <= a for a, b in pairwise(edges)):
             raise BadInput(f"{path}: {name} must rise")
     for name, factor in (("look.tilt_deg", look.tilt_deg), ("look.light_stops", look.light_stops)):
         if not len(factor.looks) == len(factor.odds) == len(factor.ratio) == len(factor.edges) + 1:

@@ -1,0 +1,82 @@
+"""`decklander perception`: fit the error models of simulated perception to recorded flights."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+
+from estimator.contracts.errors import BadInput, unusable
+from sitl.perception.draw import symmetric
+from sitl.perception.fit import fit
+from sitl.perception.parameters import PerceptionModel, dump
+from sitl.perception.recorded import read
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander perception` to the parser."""
+    parser = subparsers.add_parser(
+        "perception",
+        help="fit the error models of simulated perception",
+        description="Fit the error models that `simulate --perception model` and `truth` fly by.",
+    )
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    fitting = actions.add_parser(
+        "fit",
+        help="fit to recorded flights",
+        description="Fit the error models of detections and of the estimate to flights that `decklander simulate --record` "
+        "recorded with --perception pixels. The more heights, tilts and lights they hold, the wider the models reach.",
+    )
+    fitting.add_argument("recordings", nargs="+", type=Path, metavar="RECORDING", help="recording of one simulated flight")
+    fitting.add_argument("--output", required=True, type=Path, metavar="FILE", help="file to write (TOML)")
+    fitting.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
+    if args.output.suffix != ".toml":
+        raise BadInput(f"--output {args.output}: the name must end in .toml")
+    model = fit([read(path) for path in args.recordings])
+    try:
+        args.output.write_text(dump(model), encoding="utf-8")
+    except OSError as why:
+        raise unusable(f"--output {args.output}", why) from why
+    if args.json:
+        sys.stdout.write(json.dumps(_findings(model)) + "\n")
+    else:
+        sys.stdout.write(_table(model) + f"\nwritten: {args.output}\n")
+    return 0
+
+
+def _findings(model: PerceptionModel) -> dict[str, object]:
+    return {
+        "method": model.method,
+        "recordings": list(model.recordings),
+        "looks": model.look.looks,
+        "found": sum(cell.found for cell in model.look.cell),
+        "cells": len(model.look.cell),
+        "correlation": model.look.correlation,
+        "estimates": model.estimate.samples,
+        "estimate_cells": len(model.estimate.cell),
+    }
+
+
+def _table(model: PerceptionModel) -> str:
+    lines = [f"vision.method {model.method}: {model.look.looks} looks, {model.estimate.samples} estimates", ""]
+    lines.append("height m    shown        looks   found  kept   right mm/m  down mm/m  forward mm/m  outliers")
+    for cell in model.look.cell:
+        sigma = [1e3 * math.sqrt(max(0.0, v)) for v in symmetric(cell.error, 6).diagonal()[:3]]
+        lines.append(
+            f"{_bin(model.look.heights_m, cell.height):11s} {_bin(model.look.shown, cell.shown):11s} {cell.looks:6d}"
+            f"  {cell.found:6d}"
+            f"  {cell.kept:.3f} {sigma[0]:11.3f} {sigma[1]:10.3f} {sigma[2]:13.3f} {100 * cell.outliers:8.1f}%"
+        )
+    return "\n".join(lines)
+
+
+def _bin(edges: tuple[float, ...], index: int) -> str:
+    low = f"{edges[index - 1]:g}" if index else ""
+    high = f"{edges[index]:g}" if index < len(edges) else ""
+    return f"{low}-{high}" if low and high else f"over {low}" if low else f"under {high}"

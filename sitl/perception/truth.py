@@ -1,0 +1,230 @@
+"""Perception by the truth: guidance flies by the true state with an error as the filter's would be; vision and filter are off.
+
+Whether the pad is seen is drawn as at the level `model`, because the estimate ages without sight. The error is a Gauss-Markov
+process for each component, with the covariance that was fitted for the height and the time since the newest sighting; the
+estimate claims that same covariance, so it is honest.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from companion.config.build_pilot import make_pilot
+from companion.config.model import Settings
+from companion.runtime.pilot import Pilot
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
+from estimator.contracts.fusion import FusionResult
+from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.vision.thesis.detection import Detection
+from sitl.perception.draw import LookTable, root_of, symmetric
+from sitl.perception.model import Scenes, model_for
+from sitl.perception.parameters import EstimateModel, PerceptionModel, load
+from sitl.perception.port import Level
+from sitl.render_worker import RenderWorker
+from sitl.world import RenderedFrame, Truth, World
+
+REPRESENTED = frozenset(
+    {"lens_covered", "frames_dropped", "low_battery", "gust", "weak_rotor", "link_lost", "service_killed", "magnetometer_silent"}
+)
+"""Kinds of faults that act on the vehicle, the link or sight. Every other one acts through the filter, which does not run."""
+_SPAWN_KEY = 1302
+_N = 7
+_AGREED = 3
+"""Number of sightings after which the filter's estimate counts as consistent."""
+_TRUE_TILT_COV = 1e-12 * np.eye(3)
+
+
+class EstimateTable:
+    """The error model of the estimate, ready for use."""
+
+    def __init__(self, model: EstimateModel) -> None:
+        self.model = model
+        cells = {(c.height, c.age): root_of(symmetric(c.error, _N)) for c in model.cell}
+        self._heights, self._ages = list(model.heights_m), list(model.ages_s)
+        self._roots = [
+            [cells[min(cells, key=lambda c: (abs(c[1] - j) + 2 * abs(c[0] - i), c))] for j in range(len(self._ages) + 1)]
+            for i in range(len(self._heights) + 1)
+        ]
+        self.rates = 1.0 / np.array(model.correlation_s)
+
+    def root(self, height_m: float, age_s: float) -> F64:
+        """Return the (7, 7) root of the covariance, positions over the height."""
+        return self._roots[bisect_right(self._heights, height_m)][bisect_right(self._ages, age_s)]
+
+
+class TruthLevel:
+    """The estimate is the truth with an error model of the filter.
+
+    Args:
+        model: the error model, or the name of a shipped one or a file; None for the shipped one of `vision.method`.
+    """
+
+    level: Level = "truth"
+
+    def __init__(self, model: PerceptionModel | str | None = None) -> None:
+        self._given = load(model) if isinstance(model, str) else model
+        self._world: World | None = None
+        self._scenes: Scenes | None = None
+        self._rng = np.random.Generator(np.random.PCG64(0))
+
+    def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
+        """Return a pilot that flies by the truth.
+
+        Raises:
+            BadInput: there is no error model of the settings' vision.
+        """
+        return make_pilot(settings, shadows, partial(TruthPilot, self, model_for(settings, self._given), settings))
+
+    def begin(self, world: World) -> None:
+        """Begin a flight.
+
+        Raises:
+            BadInput: a fault of the scenario acts on what does not run at this level.
+        """
+        if odd := sorted({fault.kind for fault in world.scenario.faults} - REPRESENTED):
+            raise BadInput(f"the fault {odd[0]} acts on vision or the filter, which --perception truth leaves out; use model")
+        self._world, self._scenes = world, Scenes(world.camera, world)
+        self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
+
+    def expose(self, world: World, room: RenderWorker | None) -> Callable[[], RenderedFrame]:
+        """Keep the scene as it is now."""
+        return world.expose(camera=self.scenes.expose)
+
+    @property
+    def world(self) -> World:
+        """The world of the flight."""
+        if self._world is None:
+            raise RuntimeError("no flight has begun")
+        return self._world
+
+    @property
+    def scenes(self) -> Scenes:
+        """The exposures of the flight."""
+        if self._scenes is None:
+            raise RuntimeError("no flight has begun")
+        return self._scenes
+
+    def fresh(self) -> F64:
+        """Return (7,) new standard normal numbers."""
+        return self._rng.standard_normal(_N)
+
+
+class TruthPilot(Pilot):
+    """The pilot with the true state, made uncertain, in place of vision and filter."""
+
+    def __init__(self, level: TruthLevel, model: PerceptionModel, settings: Settings, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._level = level
+        self._looks, self._estimates = LookTable(model.look), EstimateTable(model.estimate)
+        self._path: PathName = settings.estimator.path
+        self._forget_s = settings.estimator.ekf.forget_s
+        self._sigma_max_m = settings.estimator.ekf.consistent_sigma_m
+        self._found = False
+        self._agreed = 0
+        self._sighted: MonoNs | None = None
+        self._standard: F64 | None = None
+        self._at = MonoNs(0)
+        self._newest: tuple[MonoNs, RelativeState | None] | None = None
+
+    def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
+        """Process the vehicle's status; no other sample is of use without a filter."""
+        return super().on_sample(sample) if isinstance(sample, VehicleStatus) else ()
+
+    def attitude_at(self, stamp: Stamp) -> Attitude | None:
+        """Return the true attitude now; nothing is computed from it."""
+        return Attitude(stamp, self._level.world.truth().R_ned_body, _TRUE_TILT_COV)
+
+    def admit(self, frame: Frame) -> Verdict | None:
+        """Admit every frame: none is searched."""
+        return None
+
+    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
+        """Draw whether the pad is seen in a frame, and say where it truly was."""
+        scene = self._level.scenes.of(frame)
+        view, light = scene.view, self._level.world.scenario.light.exposure_ev
+        self._found = view is not None and bool(scene.chance.uniform[0] < self._looks.probability(view, light, self._found))
+        if not self._found or view is None:
+            return Detection(None, None, MappingProxyType({"registration": None}))
+        camera = self.camera
+        R_ned_cam = scene.R_ned_body @ camera.T_body_cam.R.matrix
+        body = Rotation(scene.R_ned_body)
+        d_ned = R_ned_cam @ view.t_cam_pad + scene.R_ned_body @ camera.T_body_cam.t
+        heading = body.rpy_rad[2]
+        c, s = math.cos(heading), math.sin(heading)
+        d = np.array([c * d_ned[0] + s * d_ned[1], c * d_ned[1] - s * d_ned[0], d_ned[2]])
+        arrow = R_ned_cam @ view.R_cam_pad[:, 0]
+        yaw = wrap_pi(heading - math.atan2(arrow[1], arrow[0]))
+        root = self._estimates.root(float(d[2]), 0.0)
+        at = [0, 1, 2, 6]
+        scale = np.array([d[2], d[2], d[2], 1.0])
+        cov = root.dot(root.T)[np.ix_(at, at)] * np.outer(scale, scale) + 1e-12 * np.eye(4)
+        seen = Sighting(frame.stamp, frame.seq, "registration", d, yaw, False, cov, 1.0)
+        return Detection(seen, "registration", MappingProxyType({"registration": seen}))
+
+    def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:
+        """Remember when the pad was seen."""
+        if seen.selected is None:
+            return Verdict.NO_PAD, ()
+        at = seen.selected.stamp.measured_at
+        self._agreed = self._agreed + 1 if self._sighted is not None else 1
+        self._sighted = at if self._sighted is None else max(self._sighted, at)
+        self._newest = None
+        return Verdict.FUSED, ()
+
+    def believed(self, now: MonoNs) -> RelativeState | None:
+        """Return the truth with an error, once the pad has been seen."""
+        if self._newest is None or self._newest[0] != now:
+            self._newest = now, self._estimate(now)
+        return self._newest[1]
+
+    def all_believed(self, now: MonoNs) -> tuple[RelativeState, ...]:
+        """Return the one estimate: no other path runs at this level."""
+        state = self.believed(now)
+        return () if state is None else (state,)
+
+    def _estimate(self, now: MonoNs) -> RelativeState | None:
+        if self._sighted is None or seconds_between(self._sighted, now) > self._forget_s:
+            self._sighted = None
+            return None
+        truth = self._level.world.truth()
+        height_m = max(0.05, float(truth.d_body_pad_level[2]))
+        root = self._estimates.root(height_m, seconds_between(self._sighted, now))
+        scale = np.array([height_m, height_m, height_m, 1.0, 1.0, 1.0, 1.0])
+        error = scale * root.dot(self._wander(now))
+        cov = root.dot(root.T) * np.outer(scale, scale)
+        sigma_m = math.sqrt(float(cov.diagonal()[:3].max()))
+        return _state(truth, now, self._path, self._sighted, error, cov, self._agreed >= _AGREED and sigma_m <= self._sigma_max_m)
+
+    def _wander(self, now: MonoNs) -> F64:
+        """Carry the standard normal numbers of the error on to another instant."""
+        fresh = self._level.fresh()
+        if self._standard is None:
+            self._standard = fresh
+        else:
+            keep = np.exp(-max(0.0, seconds_between(self._at, now)) * self._estimates.rates)
+            self._standard = keep * self._standard + np.sqrt(1.0 - keep * keep) * fresh
+        self._at = now
+        return self._standard
+
+
+def _state(truth: Truth, now: MonoNs, path: PathName, sighted: MonoNs, error: F64, cov: F64, consistent: bool) -> RelativeState:
+    return RelativeState(
+        at=now,
+        path=path,
+        d_body_pad_level=truth.d_body_pad_level + error[:3],
+        v_pad_level=truth.v_pad_level + error[3:6],
+        yaw_rad=wrap_pi(truth.yaw_rad + float(error[6])),
+        cov=0.5 * (cov + cov.T) + 1e-12 * np.eye(_N),
+        sighted=sighted,
+        consistent=consistent,
+    )

@@ -1,0 +1,240 @@
+"""The levels of perception: one flight, seen by an error model or by the truth, with the same pilot behind."""
+
+import hashlib
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.cli.main import main
+from companion.config.model import Settings
+from companion.config.settings import load
+from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.runtime.pilot import FlightOutcome
+from estimator.contracts.commands import Velocity
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Verdict
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.time import MonoNs, Stamp
+from estimator.vision.pad_pose import PadPose
+from estimator.vision.pose import Orientation
+from estimator.vision.register.sighting import registered_sighting
+from sitl.faults import KINDS
+from sitl.flight import Flight, FlightResult
+from sitl.perception import looks as looks_module
+from sitl.perception import parameters
+from sitl.perception.draw import Chance, LookTable, root_of, symmetric
+from sitl.perception.levels import perceive
+from sitl.perception.model import KEPT_SCENES, Scenes, _registration, _turned
+from sitl.perception.port import Level
+from sitl.perception.truth import REPRESENTED
+from sitl.perception.view import View, Viewer
+from sitl.scenario import Scenario
+from sitl.scenario import load as load_scenario
+from sitl.world import World
+
+SIM = load("sim")
+CALM = load_scenario("calm")
+LOW = msgspec.structs.replace(
+    CALM, start=msgspec.structs.replace(CALM.start, height_m=2.2, pad_forward_m=0.3, pad_right_m=0.2), duration_limit_s=40.0
+)
+FUSED = parameters.load("fused")
+
+
+class Diary(NullObserver):
+    """The digest of all beliefs and commands, and the verdicts of the frames."""
+
+    def __init__(self) -> None:
+        self.verdicts: list[Verdict] = []
+        self._digest = hashlib.sha256()
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        self.verdicts.append(processed.verdict)
+
+    def on_decision(self, decision: Decision) -> None:
+        if decision.belief is not None:
+            self._digest.update(decision.belief.d_body_pad_level.tobytes() + decision.belief.cov.tobytes())
+        if isinstance(decision.command, Velocity):
+            self._digest.update(decision.command.v_level.tobytes())
+
+    @property
+    def digest(self) -> str:
+        return self._digest.hexdigest()
+
+
+def fly(level: Level, scenario: Scenario, seed: int, limit_s: float | None = None) -> tuple[FlightResult, Diary]:
+    if limit_s is not None:
+        scenario = msgspec.structs.replace(scenario, duration_limit_s=limit_s)
+    diary, perception = Diary(), perceive(level)
+    flight = Flight(scenario, seed, SIM, perception.pilot(SIM), observers=[diary], perception=perception)
+    return flight.run(), diary
+
+
+def faulty(kind: str, start_s: float, duration_s: float, **keys: float) -> Scenario:
+    return msgspec.structs.replace(LOW, faults=(KINDS[kind](at_s=start_s, for_s=duration_s, **keys),))
+
+
+def a_view(height_m: float = 2.0, shown: float = 1.0, tilt_rad: float = 0.0) -> View:
+    return View(np.eye(3), np.array([0.0, 0.0, height_m]), height_m, shown, tilt_rad)
+
+
+@pytest.mark.parametrize("level", ["model", "truth"])
+def test_it_lands_without_a_picture(level: Level) -> None:
+    result, diary = fly(level, LOW, 3)
+    assert result.outcome is FlightOutcome.LANDED
+    assert result.landed_on_pad
+    assert result.health.frames.total() == len(diary.verdicts) > 100
+    assert result.health.frames[Verdict.FUSED] > 0.8 * len(diary.verdicts)
+
+
+@pytest.mark.parametrize("level", ["model", "truth"])
+def test_a_seed_is_a_flight_to_the_bit_and_another_seed_another(level: Level) -> None:
+    one, again, other = (fly(level, LOW, seed, limit_s=1.5)[1].digest for seed in (3, 3, 4))
+    assert one == again
+    assert one != other
+
+
+def test_faults_of_frames_act_in_the_model_as_in_pictures() -> None:
+    """The verdicts are those that the pilot gives pictures with the same fault."""
+    frozen = fly("model", faulty("frames_frozen", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
+    assert frozen.count(Verdict.REPEATED) >= 25
+    covered = fly("model", faulty("lens_covered", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
+    assert covered.count(Verdict.NO_PAD) >= 25
+    dropped = fly("model", faulty("frames_dropped", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
+    assert len(dropped) <= len(frozen) - 25
+    late = fly("model", faulty("frames_delayed", 0.3, 1.3, by_s=0.8), 3, limit_s=1.6)[1].verdicts
+    assert Verdict.TOO_OLD in late
+    stamped = fly("model", faulty("frames_misstamped", 0.5, 1.0, by_s=-2.0), 3, limit_s=1.6)[1].verdicts
+    assert {Verdict.TOO_OLD, Verdict.NO_ATTITUDE} & set(stamped)
+    aside = fly("model", faulty("frames_shifted", 0.8, 1.0, forward_m=1.0), 3, limit_s=1.6)[1].verdicts
+    assert aside.count(Verdict.ELSEWHERE) >= 10
+
+
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - REPRESENTED))
+def test_truth_refuses_a_fault_that_it_cannot_represent_and_names_it(kind: str) -> None:
+    keys = {
+        "by_s": 1.0,
+        "by_m_s2": 1.0,
+        "by_deg_s": 1.0,
+        "by_deg": 1.0,
+        "roll_deg": 1.0,
+        "forward_m": 1.0,
+        "by_m": 1.0,
+        "by_pa": 1.0,
+    }
+    own = {key: value for key, value in keys.items() if key in KINDS[kind].__struct_fields__}
+    world = World(faulty(kind, 0.5, 1.0, **own), 1)
+    with pytest.raises(BadInput, match=kind):
+        perceive("truth").begin(world)
+
+
+def test_the_true_pose_comes_through_vision_and_back() -> None:
+    """What registration measured in the camera is recovered from a sighting and the attitude, tilted deck included."""
+    pilot = perceive("pixels").pilot(SIM)
+    viewer = Viewer(pilot.camera, pilot.pad)
+    body, deck = Rotation.from_rpy(0.06, -0.09, 0.7), Rotation.from_rpy(0.03, 0.02, 0.4)
+    view = viewer.view(body.matrix, np.array([0.3, -0.2, 1.7]), deck.matrix)
+    stamp = Stamp(MonoNs(10**9), MonoNs(10**9), 0.002, "sim")
+    reported = Attitude(stamp, Rotation.from_rpy(0.07, -0.08, 0.75), np.eye(3) * math.radians(0.6) ** 2)
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((6, 6)) * np.array([1e-4, 1e-4, 3e-4, 1e-3, 1e-3, 1e-3])[:, None]
+    error = np.array([2e-4, -1e-4, 5e-4, 1e-3, -2e-3, 5e-4])
+    pose = PadPose(Rotation(_turned(error[3:]) @ view.R_cam_pad), view.t_cam_pad + error[:3])
+    frame = Frame(stamp, 1, np.zeros((360, 640, 3), np.uint8))
+    seen = registered_sighting(frame, _registration(pose, root @ root.T, False), pilot.camera, Orientation.of(reported))
+    back = looks_module._in_camera(seen, reported, pilot.camera, math.radians(2.0), view)
+    scale = np.array([view.height_m] * 3 + [1.0] * 3)
+    np.testing.assert_allclose(back.error * scale, error, atol=1e-9)
+    np.testing.assert_allclose(back.cov * np.outer(scale, scale), root @ root.T, rtol=1e-4, atol=1e-12)
+
+
+def test_the_share_of_the_disc_in_the_picture() -> None:
+    pilot = perceive("pixels").pilot(SIM)
+    viewer = Viewer(pilot.camera, pilot.pad)
+    level, mount = np.eye(3), pilot.camera.T_body_cam.t
+    assert viewer.view(level, np.array([0.0, 0.0, 3.0]) + mount, level).shown == 1.0
+    half = viewer.view(level, np.array([3.0 * 180 / pilot.camera.fy, 0.0, 3.0]) + mount, level).shown
+    assert 0.4 < half < 0.6
+    assert viewer.view(level, np.array([3.0, 0.0, 3.0]) + mount, level).shown == 0.0
+    assert viewer.view(level, np.array([0.0, 0.0, -3.0]), level).shown == 0.0
+
+
+def test_draws_have_the_moments_of_the_file() -> None:
+    cell = next(c for c in FUSED.look.cell if c.found > 100 and c.outliers == 0.0)
+    model = msgspec.structs.replace(FUSED.look, cell=(cell,))
+    table, rng = LookTable(model), np.random.default_rng(2)
+    view = a_view(2.0)
+    k = table._ratio(view, 0.0)
+    found = [table.probability(view, 0.0, True) > u for u in rng.random(4000)]
+    assert abs(np.mean(found) - table.probability(view, 0.0, True)) < 0.03
+    errors = np.array([table.draw(view, 0.0, rng.standard_normal(6), Chance(np.zeros(6), np.ones(4))).error for _ in range(4000)])
+    scale = np.array([2.0] * 3 + [1.0] * 3)
+    np.testing.assert_allclose(errors.mean(axis=0) / scale, cell.bias, atol=4 * k * np.sqrt(max(cell.error)) / math.sqrt(4000))
+    expected = k * np.sqrt(symmetric(cell.error, 6).diagonal())
+    np.testing.assert_allclose((errors / scale).std(axis=0), expected, rtol=0.06)
+
+
+def test_a_root_of_a_covariance_that_rounding_spoiled() -> None:
+    cov = np.diag([4.0, 1.0, -1e-9])
+    np.testing.assert_allclose(root_of(cov) @ root_of(cov).T, np.diag([4.0, 1.0, 0.0]), atol=1e-12)
+
+
+def test_exposures_have_contents_of_their_own_and_old_ones_are_dropped() -> None:
+    world = World(LOW, 1)
+    scenes = Scenes(world.camera, world)
+    frames = [scenes.expose(None, tick) for tick in range(KEPT_SCENES + 5)]
+    assert frames[0].shape == (world.camera.height, world.camera.width, 3)
+    assert len({frame[0].tobytes() for frame in frames}) == len(frames)
+    assert len(scenes._scenes) == KEPT_SCENES
+
+
+def test_a_shipped_model_comes_back_as_it_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "again.toml"
+    path.write_text(parameters.dump(FUSED))
+    assert parameters.load(str(path)) == FUSED
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("format = 1", "format = 7", "format 7"),
+        ('method = "fused"', "method = 3", "method"),
+        ("kept = ", "kept = 2.0 #", "kept"),
+        ("heights_m = [0.15, 0.25", "heights_m = [0.25, 0.15", "must rise"),
+    ],
+)
+def test_a_damaged_model_is_refused_in_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+    path = tmp_path / "bad.toml"
+    text = parameters.dump(FUSED)
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(BadInput, match=said) as why:
+        parameters.load(str(path))
+    assert "\n" not in str(why.value)
+
+
+def test_a_method_without_a_model_is_refused() -> None:
+    vision = msgspec.structs.replace(SIM.vision, method="thesis")
+    other: Settings = msgspec.structs.replace(SIM, vision=vision)
+    with pytest.raises(BadInput, match="thesis"):
+        perceive("model").pilot(other)
+
+
+def test_wrong_use_is_told_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["simulate", "calm", "--perception-model", "fused"]) == 2
+    assert "--perception-model" in capsys.readouterr().err
+    assert main(["simulate", "calm", "--perception", "model", "--perception-model", str(tmp_path / "none.toml")]) == 2
+    assert main(["perception", "fit", str(tmp_path / "none.mcap"), "--output", str(tmp_path / "x.toml")]) == 2
+    assert main(["perception", "fit", str(tmp_path / "none.mcap"), "--output", str(tmp_path / "x.json")]) == 2
+    assert capsys.readouterr().err.count("\n") == 3
+
+
+def test_the_claimed_covariance_of_a_draw_is_positive() -> None:
+    table = LookTable(FUSED.look)
+    for height in (0.2, 0.4, 1.0, 3.0, 8.0, 25.0):
+        for shown in (0.05, 0.4, 1.0):
+            drawn = table.draw(a_view(height, shown), 0.0, np.zeros(6), Chance(np.zeros(6), np.ones(4)))
+            assert np.linalg.eigvalsh(drawn.cov).min() > 0.0
