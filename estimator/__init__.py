@@ -11,7 +11,7 @@ from importlib import import_module
 TYPE_CHECKING = False  # type checkers take it for true; importing `typing` for it would cost more than the rest of this module
 if TYPE_CHECKING:
     from estimator.contracts.errors import BadInput
-    from estimator.contracts.estimates import Doubt, RelativeState, Sighting, Verdict
+    from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
     from estimator.contracts.geometry import Rotation, Transform
     from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport
     from estimator.contracts.time import MonoNs, Stamp
@@ -29,9 +29,9 @@ __all__ = [
     "BodyVelocity",
     "Camera",
     "Detection",
-    "Doubt",
     "EstimatorOptions",
     "Imu",
+    "IntegrityAlert",
     "MonoNs",
     "Pad",
     "PadTracker",
@@ -49,7 +49,7 @@ __all__ = [
 
 _HOMES = {
     "contracts.errors": ("BadInput",),
-    "contracts.estimates": ("Doubt", "RelativeState", "Sighting", "Verdict"),
+    "contracts.estimates": ("IntegrityAlert", "RelativeState", "Sighting", "Verdict"),
     "contracts.geometry": ("Rotation", "Transform"),
     "contracts.samples": ("Attitude", "Baro", "BodyVelocity", "Imu", "Range", "VehicleStatus", "VesselReport"),
     "contracts.time": ("MonoNs", "Stamp"),

@@ -100,7 +100,7 @@ def steer_by(memory: Memory, name: PathName) -> Memory:
 
 
 def belief(memory: Memory, now: MonoNs) -> RelativeState | None:
-    """Return the steering path's belief, with its track number and its doubts."""
+    """Return the steering path's belief, with its track number and its alerts."""
     state = memory.paths[0].at(now)
     return None if state is None else _dressed(state, memory.guard, now)
 
@@ -116,12 +116,12 @@ def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:
 
 
 def _dressed(state: RelativeState, guard: integrity.IntegrityGuard, now: MonoNs) -> RelativeState:
-    doubts = integrity.doubts(guard, now)
+    alerts = integrity.alerts(guard, now)
     return replace(
         state,
         track=guard.tracks.number,
-        doubts=doubts,
-        consistent=state.consistent and not doubts,
+        alerts=alerts,
+        consistent=state.consistent and not alerts,
         details=(*state.details, ("range_agrees", float(guard.heights.confirmed(now)))),
     )
 

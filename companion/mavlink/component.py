@@ -275,7 +275,7 @@ class Component(NullObserver):
     @property
     def _sighted(self) -> MonoNs | None:
         """Return the time of the last sighting of the pad, without doubtful ones, which are not sent to an autopilot."""
-        return None if self._belief is None or self._belief.doubts else self._belief.sighted
+        return None if self._belief is None or self._belief.alerts else self._belief.sighted
 
     def _update_belief(self, now: MonoNs) -> None:
         if self._believe is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from companion.recorder import records as rec
 from companion.recorder.encode import COMMANDS
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
-from estimator.contracts.estimates import Doubt, Method, PathName, Pose6, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose6, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, Source
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
@@ -95,7 +95,7 @@ def belief(of: rec.BeliefRecord) -> RelativeState:
         of.consistent,
         tuple((d.name, d.value) for d in of.details),
         of.track,
-        tuple(_doubt_named(name) for name in of.doubts),
+        tuple(_alert_named(name) for name in of.alerts),
     )
 
 
@@ -122,11 +122,11 @@ def fusion(of: rec.FusionRecord) -> FusionResult:
     )
 
 
-def _doubt_named(name: str) -> Doubt:
+def _alert_named(name: str) -> IntegrityAlert:
     try:
-        return Doubt[name.upper()]
+        return IntegrityAlert[name.upper()]
     except KeyError as why:
-        raise ValueError(f"no such doubt: {name!r}") from why
+        raise ValueError(f"no such alert: {name!r}") from why
 
 
 def command(of: rec.DecisionRecord) -> Command | None:

@@ -102,7 +102,7 @@ def belief(of: RelativeState) -> rec.BeliefRecord:
         [rec.NamedNumber(name, float(value)) for name, value in of.details if math.isfinite(value)],
         of.yaw_rad,
         of.track,
-        [doubt.name.lower() for doubt in of.doubts],
+        [alert.name.lower() for alert in of.alerts],
     )
 
 

@@ -103,14 +103,14 @@ class _Instants:
 
     def __init__(self) -> None:
         self._last: MonoNs | None = None
-        self._doubted: MonoNs | None = None
+        self._suspect: MonoNs | None = None
 
     def plausible(self, at: MonoNs) -> bool:
-        near = [known for known in (self._last, self._doubted) if known is not None and abs(at - known) <= _APART_NS]
+        near = [known for known in (self._last, self._suspect) if known is not None and abs(at - known) <= _APART_NS]
         if self._last is not None and not near:
-            self._doubted = at
+            self._suspect = at
             return False
-        self._last, self._doubted = at, None
+        self._last, self._suspect = at, None
         return True
 
 
@@ -205,7 +205,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
                     recording.metadata.setdefault(record.name, dict(record.metadata))
                 elif isinstance(record, Attachment):
                     recording.attachments.setdefault(record.name, record.data)
-                elif isinstance(record, Schema) and _OLD_KEY.encode() in record.data:
+                elif isinstance(record, Schema) and any(key.encode() in record.data for key in _OLD_KEYS):
                     raise _too_old(path)
                 elif isinstance(record, Channel):
                     if record.topic == _OLD_TOPIC:
@@ -221,8 +221,8 @@ def open_recording(paths: Sequence[Path]) -> Recording:
 
 def _too_old(path: Path) -> BadInput:
     return BadInput(
-        f"{path}: recorded before topics and keys were renamed ({_OLD_TOPIC} is now {channels.DETECTION}, {_OLD_KEY} is now "
-        "measured_at_ns); this version cannot read it, replay it with the version that recorded it"
+        f"{path}: recorded before topics and keys were renamed ({_OLD_TOPIC} is now {channels.DETECTION}, taken_ns is now "
+        "measured_at_ns, doubts is now alerts); this version cannot read it, replay it with the version that recorded it"
     )
 
 
@@ -280,7 +280,7 @@ _FOR_VIEWERS = {
     channels.TRUE_POSE,
     *(channels.pose(path) for path in channels.PATHS),
 }
-_OLD_TOPIC, _OLD_KEY = "/look", "taken_ns"
+_OLD_TOPIC, _OLD_KEYS = "/look", ('"taken_ns"', '"doubts"')
 """The topic and key names before 0.1.0, which distinguish an old recording from a damaged one."""
 
 

@@ -138,7 +138,7 @@ class BeliefRecord(Struct, frozen=True, omit_defaults=True):
     yaw_rad: float | None = None
     track: int = 0
     """Number of the tracked pad; it increases at each jump of the position that motion does not explain."""
-    doubts: list[str] = []
+    alerts: list[str] = []
     """Names of the checks that doubted the estimate."""
 
 

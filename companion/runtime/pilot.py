@@ -19,7 +19,7 @@ from companion.guidance.planner import Phase, Planner, planner_step
 from companion.runtime.observer import Decision
 from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land
-from estimator.contracts.estimates import Doubt, PathName, RelativeState, Verdict
+from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
@@ -150,8 +150,8 @@ class Pilot:
         believed = self.believed(now)
         if believed is None or self._planner.question is None:
             return believed
-        doubts = (*(doubt for doubt in believed.doubts if doubt is not Doubt.ELSEWHERE), Doubt.ELSEWHERE)
-        return replace(believed, consistent=False, doubts=doubts)
+        alerts = (*(alert for alert in believed.alerts if alert is not IntegrityAlert.ELSEWHERE), IntegrityAlert.ELSEWHERE)
+        return replace(believed, consistent=False, alerts=alerts)
 
     def believed(self, now: MonoNs) -> RelativeState | None:
         """Return the steering path's estimate as the estimator has it; None while there is none."""
@@ -209,9 +209,9 @@ class Pilot:
         return Decision(now, self.phase, command, belief, shadows, self._why(belief))
 
     def _why(self, belief: RelativeState | None) -> str:
-        """Return the planner's reason and the estimate's doubts as text."""
-        doubts = () if belief is None else tuple(doubt.value for doubt in belief.doubts)
-        return "; ".join((self.reason, *doubts) if self.reason else doubts)
+        """Return the planner's reason and the estimate's alerts as text."""
+        alerts = () if belief is None else tuple(alert.value for alert in belief.alerts)
+        return "; ".join((self.reason, *alerts) if self.reason else alerts)
 
     def _command(self, now: MonoNs) -> Command | None:
         status = self._status

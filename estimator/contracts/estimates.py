@@ -48,8 +48,8 @@ class Verdict(Enum):
     """No motion explains the sighting's position: it is another pad, until the track is given up for it."""
 
 
-class Doubt(Enum):
-    """Why an estimate must not be descended by, as told to the operator."""
+class IntegrityAlert(Enum):
+    """Reasons not to descend by an estimate; the value is the text for the operator."""
 
     CAMERA_FROZEN = "the camera repeats its frames"
     VIEW_FROZEN = "the pad stands still in the image while the body turns"
@@ -137,7 +137,7 @@ class RelativeState:
     """Named figures of the path for recording and display (biases, gates); guidance never uses them."""
     track: int = 0
     """Number of the tracked pad; it increases when the track is given up for a position that no motion explains."""
-    doubts: tuple[Doubt, ...] = field(default=())
+    alerts: tuple[IntegrityAlert, ...] = field(default=())
     """The reasons not to descend by this belief; `consistent` is False while there are any."""
 
     def __post_init__(self) -> None:

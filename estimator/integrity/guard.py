@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from estimator.contracts.estimates import Doubt, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs
@@ -15,7 +15,7 @@ from estimator.integrity import clock, frames, heights, sensors, tracks, view
 from estimator.integrity.options import IntegrityOptions
 
 _OLD_NS = 1_000_000_000
-"""Age after which a doubt about a silent stream is dropped, because the silence itself is reported."""
+"""Age after which an alert about a silent stream is dropped, because the silence itself is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,25 +96,25 @@ def fused(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude | None) 
     return replace(guard, heights=heights.sighted(guard.heights, sighting, attitude.R_ned_body))
 
 
-def doubts(guard: IntegrityGuard, now: MonoNs) -> tuple[Doubt, ...]:
+def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
     """Return the reasons not to descend by the estimate."""
     found = []
     if guard.frames.frozen:
-        found.append(Doubt.CAMERA_FROZEN)
+        found.append(IntegrityAlert.CAMERA_FROZEN)
     if guard.view.frozen and guard.view.bearings and now - guard.view.bearings[-1][0] < _OLD_NS:
-        found.append(Doubt.VIEW_FROZEN)
-    for kind, doubt in ((Imu, Doubt.IMU_FROZEN), (Attitude, Doubt.ATTITUDE_FROZEN)):
+        found.append(IntegrityAlert.VIEW_FROZEN)
+    for kind, alert in ((Imu, IntegrityAlert.IMU_FROZEN), (Attitude, IntegrityAlert.ATTITUDE_FROZEN)):
         seen = guard.sensors.get(kind)
         if seen is not None and seen.frozen:
-            found.append(doubt)
+            found.append(alert)
     if guard.clock.off("Sighting"):
-        found.append(Doubt.STAMPS)
+        found.append(IntegrityAlert.STAMPS)
     if guard.tracks.disputed(now):
-        found.append(Doubt.ELSEWHERE)
+        found.append(IntegrityAlert.ELSEWHERE)
     if guard.heights.contradicted:
-        found.append(Doubt.RANGE)
+        found.append(IntegrityAlert.RANGE)
     if guard.heights.baro_contradicted:
-        found.append(Doubt.HEIGHT)
+        found.append(IntegrityAlert.HEIGHT)
     return tuple(found)
 
 

@@ -71,7 +71,7 @@ def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch
         return state._replace(range_at=t)
     along = z / cz
     foot = math.hypot(x - cx * along, y - cy * along)
-    tolerance = o.range_tolerance_m + o.range_tolerance_share * z
+    tolerance = o.range_tolerance_m + o.range_tolerance_fraction * z
     if foot > o.deck_radius_m - _EDGE_M:
         # The beam is not certainly over the deck, so the previous result holds until it is.
         return state._replace(range_at=t)
@@ -79,8 +79,8 @@ def ranged(state: HeightWatch, event: Range, o: IntegrityOptions) -> HeightWatch
     off = max(event.range_m - along, z - event.range_m, 0.0)
     dt = min(max(0.0, (t - state.range_at) * 1e-9), _PAUSE_S)
     agrees = off <= tolerance + 2.0 * event.sigma_m
-    against = min(max(0.0, state.against_s + (-dt if agrees else dt)), 1.5 * o.range_doubt_s)
-    contradicted = against >= o.range_doubt_s or (state.contradicted and against > 0.0)
+    against = min(max(0.0, state.against_s + (-dt if agrees else dt)), 1.5 * o.range_disagree_s)
+    contradicted = against >= o.range_disagree_s or (state.contradicted and against > 0.0)
     return state._replace(range_at=t, against_s=against, contradicted=contradicted, agreed_at=t if agrees else state.agreed_at)
 
 

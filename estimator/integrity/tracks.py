@@ -136,7 +136,7 @@ def _with(
 
 
 def _base_m(seen: Place, o: IntegrityOptions) -> float:
-    return o.place_step_m + o.place_step_share * abs(seen.d[2])
+    return o.place_step_m + o.place_step_fraction * abs(seen.d[2])
 
 
 def _seen_m(*sigmas_m: float) -> float:

@@ -19,7 +19,7 @@ from companion.guidance.plan import Plan
 from companion.runtime.observer import Decision
 from companion.runtime.pilot import Pilot
 from estimator.contracts.commands import Hover, Land, Velocity
-from estimator.contracts.estimates import Doubt, PathName, Sighting, Verdict
+from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
@@ -156,7 +156,7 @@ def test_no_history_of_faults_makes_it_descend_without_a_fresh_consistent_estima
             lands = isinstance(decision.command, Land)
             if descends(decision) or (lands and not landing_s):
                 assert fit, (decision, fault)
-                assert not belief.doubts
+                assert not belief.alerts
                 assert belief.track == flown
             landing_s = landing_s + TICK_S if lands else 0.0
             assert landing_s <= PLAN.guidance.land_timeout_s + 2 * TICK_S
@@ -180,7 +180,7 @@ def test_without_a_fault_it_lands() -> None:
 def test_a_camera_that_freezes_is_refused_told_and_not_descended_by() -> None:
     loop = Loop()
     loop.until(below(1.5, loop))
-    told = loop.until(lambda decision: Doubt.CAMERA_FROZEN.value in decision.reason, "camera frozen", seconds=0.4)
+    told = loop.until(lambda decision: IntegrityAlert.CAMERA_FROZEN.value in decision.reason, "camera frozen", seconds=0.4)
     assert told.belief is not None
     assert not told.belief.consistent
     for _ in range(40):
@@ -203,26 +203,26 @@ def test_frames_of_another_place_end_in_a_question_from_the_safe_height(path: Pa
     assert abs(loop.d[1]) < 0.5
     told = loop.pilot.belief(loop.now)
     assert told is not None
-    assert Doubt.ELSEWHERE in told.doubts, "no autopilot is led to it either"
+    assert IntegrityAlert.ELSEWHERE in told.alerts, "no autopilot is led to it either"
     loop.pilot.begin()
     loop.until(lambda decision: isinstance(decision.command, Land), "aside")
     assert loop.d[1] == pytest.approx(-1.2, abs=0.2), "the operator took the other pad"
 
 
 @pytest.mark.parametrize(
-    ("fault", "doubt"),
+    ("fault", "alert"),
     [
-        ("imu frozen", Doubt.IMU_FROZEN),
-        ("attitude frozen", Doubt.ATTITUDE_FROZEN),
-        ("half aside", Doubt.ELSEWHERE),
-        ("range wrong", Doubt.RANGE),
-        ("stamps old", Doubt.STAMPS),
+        ("imu frozen", IntegrityAlert.IMU_FROZEN),
+        ("attitude frozen", IntegrityAlert.ATTITUDE_FROZEN),
+        ("half aside", IntegrityAlert.ELSEWHERE),
+        ("range wrong", IntegrityAlert.RANGE),
+        ("stamps old", IntegrityAlert.STAMPS),
     ],
 )
-def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, doubt: Doubt) -> None:
+def test_what_is_dead_or_contradicts_stops_the_descent_and_is_told(fault: str, alert: IntegrityAlert) -> None:
     loop = Loop()
     loop.until(below(1.8, loop))
-    loop.until(lambda decision: doubt.value in decision.reason, fault, seconds=2.0)
+    loop.until(lambda decision: alert.value in decision.reason, fault, seconds=2.0)
     height_m = loop.d[2]
     for _ in range(60):
         decision = loop.tick(fault)

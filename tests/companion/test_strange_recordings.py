@@ -144,12 +144,13 @@ def test_lengths_beyond_the_end_of_the_file(tmp_path: Path, capsys: pytest.Captu
     assert ran(capsys, "replay", path)[0] == 2
 
 
+@pytest.mark.parametrize(("topic", "key"), [("/look", b"taken_ns"), ("/detection", b"taken_ns"), ("/detection", b"doubts")])
 def test_a_recording_from_before_the_names_changed_is_refused_in_one_sentence(
-    records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    records: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], topic: str, key: bytes
 ) -> None:
     old = [
-        replace(r, topic="/look") if isinstance(r, Channel) and r.topic == "/detection"
-        else replace(r, data=r.data.replace(b"measured_at_ns", b"taken_ns")) if isinstance(r, Schema | Message)
+        replace(r, topic=topic) if isinstance(r, Channel) and r.topic == "/detection"
+        else replace(r, data=r.data.replace(b"measured_at_ns", key)) if isinstance(r, Schema | Message)
         else r
         for r in records
     ]  # fmt: skip

@@ -21,7 +21,7 @@ from drivers.mavlink.access import Named
 from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions
-from estimator.contracts.estimates import Doubt, RelativeState
+from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Range
 from estimator.contracts.time import MonoNs
@@ -44,7 +44,7 @@ class Stage:
     applied: list[Settings] = field(default_factory=list)
     sick: str | None = None
     seen: bool = True
-    doubts: tuple[Doubt, ...] = ()
+    alerts: tuple[IntegrityAlert, ...] = ()
     deciding: bool = True
     phase: str = "approach"
     ranges: int = 0
@@ -57,7 +57,7 @@ class Stage:
             return None
         to_level = Rotation.from_rpy(0.0, 0.0, attitude.R_ned_body.rpy_rad[2]).inv
         d, v = to_level @ (PAD_NED - self.fake.p_ned), to_level @ -self.fake.v_ned
-        return RelativeState(now, "dead_reckoning", d, v, 0.2, np.eye(7) * 1e-4, now, not self.doubts, doubts=self.doubts)
+        return RelativeState(now, "dead_reckoning", d, v, 0.2, np.eye(7) * 1e-4, now, not self.alerts, alerts=self.alerts)
 
 
 @asynccontextmanager

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.mavlink.dialect import ComponentInformationBasic, mav
 from drivers.mavlink.vehicle import Stack
-from estimator.contracts.estimates import Doubt, Verdict
+from estimator.contracts.estimates import IntegrityAlert, Verdict
 from sitl.testing.fake_ardrone import until
 from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Px4Receiver
@@ -85,7 +85,7 @@ async def test_an_autopilot_is_not_told_of_a_pad_that_is_in_doubt() -> None:
     fake = FakeAutopilot()
     async with staged(fake) as stage:
         await until(lambda: len(fake.of("LANDING_TARGET")) > 5)
-        stage.doubts = (Doubt.ELSEWHERE,)
+        stage.alerts = (IntegrityAlert.ELSEWHERE,)
         await until(lambda: stage.component.outputs.withheld["not seen"] > 3)
         await asyncio.sleep(0.1)
         silent = len(fake.of("LANDING_TARGET"))

@@ -1,4 +1,4 @@
-"""The guard: each input meets its watches in turn, a refusal leaves the later ones untouched, and every doubt is told."""
+"""The guard: each input meets its watches in turn, a refusal leaves the later ones untouched, and every alert is raised."""
 
 import math
 from dataclasses import replace
@@ -7,11 +7,11 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from estimator.contracts.estimates import Doubt, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.integrity import IntegrityGuard, admit, admit_frame, admit_sighting, doubts, fused
+from estimator.integrity import IntegrityGuard, admit, admit_frame, admit_sighting, alerts, fused
 from estimator.integrity.clock import ClockWatch
 from estimator.integrity.frames import FrameWatch
 from estimator.integrity.heights import HeightWatch
@@ -95,7 +95,7 @@ def test_a_frame_that_repeats_is_refused() -> None:
     assert admit_frame(guard, frame)[1] is Verdict.REPEATED
 
 
-def test_a_sighting_is_placed_in_axes_of_fixed_heading_with_its_own_doubt() -> None:
+def test_a_sighting_is_placed_in_axes_of_fixed_heading_with_its_own_uncertainty() -> None:
     guard, verdict = admit_sighting(IntegrityGuard(), sighting(T), attitude(T), None)
     c, s = math.cos(HEADING), math.sin(HEADING)
     assert verdict is None
@@ -141,8 +141,8 @@ def test_a_sightings_stamp_is_judged_before_its_place() -> None:
         guard, verdict = admit_sighting(guard, sighting(T + i * MS), None, None)
         assert verdict is None
     late, verdict = admit_sighting(guard, sighting(T + 10 * MS, (9.0, 0.0, 2.0), delay=160 * MS), None, None)
-    assert (verdict, late.tracks, doubts(late, MonoNs(T))) == (Verdict.TOO_OLD, guard.tracks, (Doubt.STAMPS,))
-    assert doubts(guard, MonoNs(T)) == ()
+    assert (verdict, late.tracks, alerts(late, MonoNs(T))) == (Verdict.TOO_OLD, guard.tracks, (IntegrityAlert.STAMPS,))
+    assert alerts(guard, MonoNs(T)) == ()
 
 
 @pytest.mark.parametrize(("flying", "known", "said"), [(True, True, Verdict.FROZEN), (False, True, None), (True, False, None)])
@@ -159,23 +159,23 @@ def test_a_view_that_stands_still_while_the_body_turns_is_refused_in_flight(
     assert verdict is said
 
 
-def test_each_doubt_is_told_for_its_own_reason() -> None:
+def test_each_alert_is_raised_for_its_own_reason() -> None:
     frozen = SensorWatch(frozen=True)
     view = ViewWatch(((T, np.zeros(3), np.eye(3)),), True)
     other = TrackCandidate(T, 3, Place(T, (9.0, 0.0, 2.0), 0.0, 0.0))
-    for guard, doubt in (
-        (IntegrityGuard(frames=FrameWatch((), 3)), Doubt.CAMERA_FROZEN),
-        (IntegrityGuard(view=view), Doubt.VIEW_FROZEN),
-        (IntegrityGuard(sensors=MappingProxyType({Imu: frozen})), Doubt.IMU_FROZEN),
-        (IntegrityGuard(sensors=MappingProxyType({Attitude: frozen})), Doubt.ATTITUDE_FROZEN),
-        (IntegrityGuard(tracks=Tracks(1, 9, None, (other,))), Doubt.ELSEWHERE),
-        (IntegrityGuard(heights=HeightWatch(contradicted=True)), Doubt.RANGE),
-        (IntegrityGuard(heights=HeightWatch(baro_contradicted=True)), Doubt.HEIGHT),
+    for guard, alert in (
+        (IntegrityGuard(frames=FrameWatch((), 3)), IntegrityAlert.CAMERA_FROZEN),
+        (IntegrityGuard(view=view), IntegrityAlert.VIEW_FROZEN),
+        (IntegrityGuard(sensors=MappingProxyType({Imu: frozen})), IntegrityAlert.IMU_FROZEN),
+        (IntegrityGuard(sensors=MappingProxyType({Attitude: frozen})), IntegrityAlert.ATTITUDE_FROZEN),
+        (IntegrityGuard(tracks=Tracks(1, 9, None, (other,))), IntegrityAlert.ELSEWHERE),
+        (IntegrityGuard(heights=HeightWatch(contradicted=True)), IntegrityAlert.RANGE),
+        (IntegrityGuard(heights=HeightWatch(baro_contradicted=True)), IntegrityAlert.HEIGHT),
     ):
-        assert doubts(guard, MonoNs(T)) == (doubt,)
+        assert alerts(guard, MonoNs(T)) == (alert,)
     assert (
-        doubts(IntegrityGuard(clock=ClockWatch(T), sensors=MappingProxyType({Imu: SensorWatch(), Baro: frozen})), MonoNs(T)) == ()
+        alerts(IntegrityGuard(clock=ClockWatch(T), sensors=MappingProxyType({Imu: SensorWatch(), Baro: frozen})), MonoNs(T)) == ()
     )
-    assert [doubts(IntegrityGuard(view=view), MonoNs(T + t)) for t in (S - 1, S)] == [(Doubt.VIEW_FROZEN,), ()]
-    assert doubts(IntegrityGuard(view=ViewWatch((), True)), MonoNs(T)) == ()
-    assert doubts(IntegrityGuard(view=view._replace(frozen=False)), MonoNs(T)) == ()
+    assert [alerts(IntegrityGuard(view=view), MonoNs(T + t)) for t in (S - 1, S)] == [(IntegrityAlert.VIEW_FROZEN,), ()]
+    assert alerts(IntegrityGuard(view=ViewWatch((), True)), MonoNs(T)) == ()
+    assert alerts(IntegrityGuard(view=view._replace(frozen=False)), MonoNs(T)) == ()

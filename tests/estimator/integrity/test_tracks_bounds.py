@@ -28,7 +28,7 @@ def explains(tracks: Tracks, seen: Place, expected: Place | None = None) -> bool
 
 def away(at_m: float, by_m: float) -> list[tuple[float, float]]:
     """So far to the side, below and above; two metres below the pad's expected place the sight may err by a share of its own."""
-    share = LIMITS.place_step_share
+    share = LIMITS.place_step_fraction
     return [(at_m + by_m, 0.0), (0.0, (at_m + by_m) / (1.0 - share)), (0.0, -(at_m + by_m) / (1.0 + share))]
 
 
