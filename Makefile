@@ -4,6 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+# A worker for each core; tests/conftest.py says what stays together.
+WORKERS := -n auto --maxprocesses 8
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
 .PHONY: demo check test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
@@ -13,10 +15,10 @@ demo: $(VENV)/.report
 
 # Before each commit: lint, types, and the tests that are neither marked slow nor in a package that flies or measures.
 check: lint
-	$(BIN)/pytest -n 2 --dist loadfile -m "not slow" tests/test_house.py tests/contracts tests/docs tests/supply
+	$(BIN)/pytest $(WORKERS) -m "not slow" tests/test_house.py tests/contracts tests/docs tests/supply
 
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest $(WORKERS)
 
 # The V4L2 driver on the kernel's own test camera, in a virtual machine by software emulation.
 test-v4l2: $(VENV)/.dev

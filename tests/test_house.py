@@ -22,6 +22,7 @@ NAMELESS = {"utils", "util", "helpers", "helper", "common", "misc", "types"}
 DISTRIBUTION_NAMES = {
     "opencv-python-headless": "cv2",
     "pytest-asyncio": "pytest_asyncio",
+    "pytest-xdist": "xdist",
     "pupil-apriltags": "pupil_apriltags",
     "pyserial": "serial",
     "cyclonedx-python-lib": "cyclonedx",

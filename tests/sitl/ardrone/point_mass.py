@@ -23,7 +23,7 @@ class PointMass:
     """Acceleration follows the tilt at once, drag slows it, a hover brakes."""
 
     def __init__(self, start: MonoNs, height_m: float = 0.0) -> None:
-        self.now = start
+        self.now = self.started = start
         self.phase = VehiclePhase.HOVERING if height_m else VehiclePhase.LANDED
         self.limits = StickLimits()
         self.faults: set[str] = set()
