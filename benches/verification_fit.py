@@ -31,7 +31,7 @@ from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align  # 
 from estimator.vision.detect.verification import FEATURES, keeps_claim  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
 from estimator.vision.pose import Orientation  # noqa: E402
-from estimator.vision.register.fit_verification import EVIDENCE, features  # noqa: E402
+from estimator.vision.register.fit_verification import FITTED_FEATURES, features  # noqa: E402
 from estimator.vision.register.registration import RegistrationOptions, register  # noqa: E402
 from sitl.testing.pad_scenes import CONDITIONS, PadScene, empty_scene, load_camera, load_pad, pad_scene  # noqa: E402
 
@@ -47,16 +47,16 @@ seventy below 0.5, and a green disc with a ring and no H is not called a pad."""
 _ONE_WAY = (
     "white",
     "disc_place",
-    "drawn",
+    "template_score",
     "inliers",
     "disc_off",
     "ring_off",
-    "letter_off",
+    "h_off",
     "ring_unseen",
-    "letter_unseen",
+    "h_unseen",
     "rms",
-    "whole_disc",
-    "whole_orange",
+    "dense_disc",
+    "dense_orange",
 )
 """Features whose sign a fit must not reverse."""
 
@@ -84,7 +84,7 @@ def examples(seed: int) -> F64:
 
 
 def registered_examples(seed: int) -> F64:
-    """Return the examples of registration, (n, 3 + len(EVIDENCE)), in the form of `examples`."""
+    """Return the examples of registration, (n, 3 + len(FITTED_FEATURES)), in the form of `examples`."""
     cv2.setNumThreads(1)
     camera, rows = load_camera("sim"), []
     for frame, with_pad, pad, scene in scenes(seed):
@@ -99,8 +99,8 @@ def registered_examples(seed: int) -> F64:
             if found is None or aligned is None:
                 continue
             right = scene.truth is not None and keeps_claim(found.pose, scene.truth, camera, pad, found.yaw_ambiguous)
-            rows.append([frame, float(right), float(with_pad), *features(aligned, found, pad)[: len(EVIDENCE)]])
-    return np.array(rows).reshape(-1, 3 + len(EVIDENCE))
+            rows.append([frame, float(right), float(with_pad), *features(aligned, found, pad)[: len(FITTED_FEATURES)]])
+    return np.array(rows).reshape(-1, 3 + len(FITTED_FEATURES))
 
 
 def fit(x: F64, y: F64, weight: F64) -> F64:
@@ -140,7 +140,7 @@ def main() -> None:
     parser.add_argument("--registered", action="store_true")
     parser.add_argument("--keep", type=Path, help="write the examples here, or read them if the file is there")
     args = parser.parse_args()
-    names, work, first = (EVIDENCE, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
+    names, work, first = (FITTED_FEATURES, registered_examples, _REGISTERED_FROM) if args.registered else (FEATURES, examples, 0)
     if args.keep is not None and args.keep.exists():
         data = np.load(args.keep)
     else:

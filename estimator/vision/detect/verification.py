@@ -23,10 +23,10 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.srgb import linear_light
 
 FEATURES = (
-    "one", "letter", "ring", "edge", "letter_all", "ring_all", "edge_all",
-    "letter_and_ring", "letter_and_edge", "ring_and_edge", "two_of_three", "some_ring", "some_edge", "some_two", "letter_alone",
-    "no_letter", "no_ring", "no_edge", "ring_lags", "flanks",
-    "arrow", "no_arrow", "whole", "inliers", "white", "orange_place", "orange_odd", "disc_place", "size", "in_view", "tilt",
+    "one", "h_marking", "ring", "edge", "h_marking_all", "ring_all", "edge_all",
+    "h_and_ring", "h_and_edge", "ring_and_edge", "two_of_three", "some_ring", "some_edge", "some_two", "h_alone", "no_h",
+    "no_ring", "no_edge", "ring_lags", "flanks", "arrow", "no_arrow",
+    "template_gain", "inliers", "white", "orange_place", "orange_odd", "disc_place", "size", "in_view", "tilt",
 )  # fmt: skip
 """Names of the model's inputs, in order. A part counts by the better half of the directions from the centre, so that an occluder
 on one side of the pad does not count against it, and by all directions (`_all`).
@@ -98,7 +98,7 @@ def features(aligned: AlignedTemplate, pad: Pad) -> F64:
         way = (local.paints[DISC] - local.paints[paint]).astype(np.float32)
         gains.append(_gains(squared.take(at), way @ residual.take(at, axis=1), coverage[paint].take(at), way, around.take(at)))
         shown.append(min(1.0, len(at) * aligned.sample_m**2 / area))
-    (h_marking, letter_all), (ring, ring_all), (edge, edge_all) = gains
+    (h_marking, h_marking_all), (ring, ring_all), (edge, edge_all) = gains
     two = sorted((h_marking, ring, edge))[1]
     everything = _gain(squared, (light * light).sum(axis=0), local.weight)
     white, orange, green = (local.paints[k] for k in (H, ORANGE, DISC))
@@ -106,7 +106,7 @@ def features(aligned: AlignedTemplate, pad: Pad) -> F64:
     size_px = pad.disc_radius_m / aligned.sample_m
     return np.array([
         1.0,
-        h_marking, ring, edge, letter_all, ring_all, edge_all,
+        h_marking, ring, edge, h_marking_all, ring_all, edge_all,
         min(h_marking, ring), min(h_marking, edge), min(ring, edge), two,
         _some(ring), _some(edge), _some(two), h_marking * (1.0 - min(1.0, 2.0 * max(shown[1:]))),
         *(-min(1.0, _TELLING * part) * math.exp(-2.0 * max(0.0, gain[0])) for part, gain in zip(shown, gains, strict=True)),
@@ -174,8 +174,8 @@ ALONE_LOG_ODDS = -2.5
 
 def alone(values: F64) -> float:
     """Return 0..1: to what degree only the H is in view, with neither ring nor edge beside it."""
-    h_marking = float(values[FEATURES.index("letter")])
-    return min(1.0, float(values[FEATURES.index("letter_alone")]) / h_marking) if h_marking > 0.1 else 0.0
+    h_marking = float(values[FEATURES.index("h_marking")])
+    return min(1.0, float(values[FEATURES.index("h_alone")]) / h_marking) if h_marking > 0.1 else 0.0
 
 
 def confidence(values: F64, prior_log_odds: float = 0.0) -> float:

@@ -18,14 +18,14 @@ from estimator.vision.pad import Pad
 from estimator.vision.register.registration import Registration
 from estimator.vision.register.state import light_table
 
-EVIDENCE = (
-    "one", "drawn", "inliers", "disc_off", "ring_off", "letter_off", "ring_unseen", "letter_unseen", "whole", "whole_inliers",
-    "rms", "visible", "whole_drawn", "whole_disc", "whole_orange",
+FITTED_FEATURES = (
+    "one", "template_score", "inliers", "disc_off", "ring_off", "h_off", "ring_unseen", "h_unseen", "dense", "dense_inliers",
+    "rms", "visible", "dense_template_score", "dense_disc", "dense_orange",
 )  # fmt: skip
 """Names of the model's inputs, in order. The last three apply to a distant pad, where contrasts tell more than shapes."""
 
-SET = ("no_ring", "disc_unseen", "painted", "no_disc", "letter_odd")
-"""Further inputs, after those of `EVIDENCE`. Their coefficients are set by hand and not fitted."""
+HAND_SET_FEATURES = ("no_ring", "disc_unseen", "painted", "no_disc", "h_contrast_odd")
+"""Further inputs, after those of `FITTED_FEATURES`. Their coefficients are set by hand and not fitted."""
 
 _TELLING = 5.0
 """Factor on the visible fraction: a kind of edge of which a fifth is in view counts as fully in view."""
@@ -38,47 +38,47 @@ ring if a quarter of it agrees.
 """
 _PLAIN_DISC = 0.1
 """Contrast of the disc to its surroundings over the H's to the disc: 0.15 on a grey deck, less on a dark one."""
-_LETTER_OVER_RING = (0.6, 3.0)
+_H_OVER_RING = (0.6, 3.0)
 """Contrast of the H over the ring's: 1 to 2.4 on pads in nearly all lights. Glare on green that resembles an H has a tenth of it,
 or four times as much.
 """
-_NO_RING, _DISC_UNSEEN, _PAINTED, _NO_DISC, _LETTER_ODD = -3.0, -1.5, 1.5, -4.0, -4.0
+_NO_RING, _DISC_UNSEEN, _PAINTED, _NO_DISC, _H_CONTRAST_ODD = -3.0, -1.5, 1.5, -4.0, -4.0
 """Log-odds, set by hand because too few of the fit's false candidates look like the pad. `no_ring`: the ring is out of view, does
 not show, or is not of the ring's paint, and no track confirmed it before; an H on something green may be of any size.
 `disc_unseen`: the edge of a nearby disc is in view and has no contrast. `painted`: ring and H of a distant pad show in their
 paints; a helipad's ring on green is off by half of the distance from disc to H and more. `no_disc`: a distant disc does not stand
-out from its surroundings; none of 177 right registrations of whole discs had this, and 90 of 223 without a pad. `letter_odd`: a
-distant H shows much less or more than the ring beside it implies; four of 300 confident and right registrations had this, two of
-them of half-covered pads.
+out from its surroundings; none of 177 right registrations of whole discs had this, and 90 of 223 without a pad. `h_contrast_odd`:
+a distant H shows much less or more than the ring beside it implies; four of 300 confident and right registrations had this, two
+of them of half-covered pads.
 """
 
 _COEFFICIENTS = np.array(
     [0.167, 2.068, 1.423, 0.878, 0.000, 0.000, 0.760, 1.500, -0.107, 1.009, 0.000, -0.560, -0.542, 0.337, 1.462]
 )
-"""Weights in the order of `EVIDENCE`. Fitted by `python -m benches.verification_fit --registered --frames 2400`: 2526
-registrations. The weight of `letter_unseen` is set and not fitted: glare on a green disc with a ring may hide the H.
+"""Weights in the order of `FITTED_FEATURES`. Fitted by `python -m benches.verification_fit --registered --frames 2400`: 2526
+registrations. The weight of `h_unseen` is set and not fitted: glare on a green disc with a ring may hide the H.
 """
 
 
 def features(aligned: AlignedTemplate, found: Registration, pad: Pad) -> F64:
-    """Return the (len(EVIDENCE) + len(SET),) inputs of the model, each of order one.
+    """Return the (len(FITTED_FEATURES) + len(HAND_SET_FEATURES),) inputs of the model, each of order one.
 
     Args:
         aligned: the drawing aligned at the registered pose.
     """
     values = verification.features(aligned, pad)
-    drawn = verification.log_odds(values)
+    template_score = verification.log_odds(values)
     kinds = (EdgeKind.DISC, EdgeKind.RING, EdgeKind.H)
     shown = {kind: min(1.0, _TELLING * found.edges[kind].in_view) for kind in kinds}
     off = {kind: -shown[kind] * (1.0 - found.edges[kind].inliers) for kind in kinds}
     unseen = {kind: -shown[kind] * (not found.edges[kind].seen) for kind in kinds}
-    whole = float(found.dense)
+    dense = float(found.dense)
     return np.array([
-        1.0, max(-8.0, min(8.0, drawn)), found.inliers, *off.values(), unseen[EdgeKind.RING], unseen[EdgeKind.H],
-        whole, whole * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
-        whole * max(-8.0, min(8.0, drawn)), whole * _clear(found, EdgeKind.DISC), -whole * _orange_off(found, pad),
-        _no_ring(values, found), (1.0 - whole) * shown[EdgeKind.DISC] * (found.edges[EdgeKind.DISC].snr < _SNR_VISIBLE),
-        whole * _painted(found, pad), whole * _faint(found), whole * _h_marking_odd(found),
+        1.0, max(-8.0, min(8.0, template_score)), found.inliers, *off.values(), unseen[EdgeKind.RING], unseen[EdgeKind.H],
+        dense, dense * found.inliers, -min(1.0, found.edge_rms_px), found.visible,
+        dense * max(-8.0, min(8.0, template_score)), dense * _clear(found, EdgeKind.DISC), -dense * _orange_off(found, pad),
+        _no_ring(values, found), (1.0 - dense) * shown[EdgeKind.DISC] * (found.edges[EdgeKind.DISC].snr < _SNR_VISIBLE),
+        dense * _painted(found, pad), dense * _faint(found), dense * _h_contrast_odd(found),
     ])  # fmt: skip
 
 
@@ -129,18 +129,18 @@ def _faint(found: Registration) -> float:
     return min(1.0, max(0.0, 2.0 * (less - 0.5)))
 
 
-def _h_marking_odd(found: Registration) -> float:
+def _h_contrast_odd(found: Registration) -> float:
     """Return 0..1: how surely the H shows less or more than the ring beside it implies."""
     ring, h_marking = (max(float(np.linalg.norm(found.edges[kind].contrast_bgr)), 1e-6) for kind in (EdgeKind.RING, EdgeKind.H))
-    low, high = _LETTER_OVER_RING
+    low, high = _H_OVER_RING
     return min(1.0, 2.0 * max(0.0, math.log(low * ring / h_marking), math.log(h_marking / (high * ring))))
 
 
 def confidence(values: F64, prior_log_odds: float = 0.0) -> float:
     """Return the confidence, 0..1, of a registration from its inputs; `prior_log_odds` is as for `verification.confidence`."""
-    no_ring, disc_unseen, painted, no_disc, letter_odd = values[len(EVIDENCE) :].tolist()
-    z = float(values[: len(EVIDENCE)] @ _COEFFICIENTS) + prior_log_odds
-    z += _DISC_UNSEEN * disc_unseen + _PAINTED * painted + _NO_DISC * no_disc + _LETTER_ODD * letter_odd
+    no_ring, disc_unseen, painted, no_disc, h_contrast_odd = values[len(FITTED_FEATURES) :].tolist()
+    z = float(values[: len(FITTED_FEATURES)] @ _COEFFICIENTS) + prior_log_odds
+    z += _DISC_UNSEEN * disc_unseen + _PAINTED * painted + _NO_DISC * no_disc + _H_CONTRAST_ODD * h_contrast_odd
     if prior_log_odds <= 0.0:
         z += _NO_RING * no_ring
     return 1.0 / (1.0 + math.exp(-max(-30.0, min(30.0, z))))

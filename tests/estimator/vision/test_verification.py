@@ -33,13 +33,13 @@ def test_each_part_painted_over_is_missed_by_name(camera: Camera, pad: Pad, heig
     green = tuple(int(c) for c in seen.px[round(uv[1]), round(uv[0])])
     paint = (green[0], green[1], green[2])
     whole = named(at(seen.px, camera, pad, seen.truth), pad)
-    no_letter = named(at(covered(seen, camera, disc_of(0.2), paint), camera, pad, seen.truth), pad)
-    assert no_letter["letter"] < 0.25 * whole["letter"]
-    assert no_letter["ring"] > 0.6 * whole["ring"]
+    no_h = named(at(covered(seen, camera, disc_of(0.2), paint), camera, pad, seen.truth), pad)
+    assert no_h["h_marking"] < 0.25 * whole["h_marking"]
+    assert no_h["ring"] > 0.6 * whole["ring"]
     band = np.concatenate([disc_of(0.31), disc_of(0.31)[:1], disc_of(0.225)[:1], disc_of(0.225)[::-1]])
     no_ring = named(at(covered(seen, camera, band, paint), camera, pad, seen.truth), pad)
     assert no_ring["ring"] < 0.35 * whole["ring"]
-    assert no_ring["letter"] > 0.6 * whole["letter"]
+    assert no_ring["h_marking"] > 0.6 * whole["h_marking"]
     assert abs(no_ring["arrow"]) < 0.5
 
 
@@ -67,7 +67,7 @@ def test_light_that_burns_nothing_out_does_not_count(camera: Camera, pad: Pad, l
     )
     # A quarter of the light against the same noise costs up to log 4 of a gain that is 3.3 here.
     kept = 0.55 if light.exposure_ev < 0.0 else 0.7
-    for part in ("letter", "ring", "edge", "arrow"):
+    for part in ("h_marking", "ring", "edge", "arrow"):
         assert other[part] > kept * plain[part]
     assert other["orange_place"] > plain["orange_place"] - 0.15
 

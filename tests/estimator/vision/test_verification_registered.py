@@ -14,7 +14,7 @@ from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
-from estimator.vision.register.fit_verification import EVIDENCE, SET, confidence, features
+from estimator.vision.register.fit_verification import FITTED_FEATURES, HAND_SET_FEATURES, confidence, features
 from estimator.vision.register.registration import RegistrationOptions, register
 from sitl.surroundings import Decal
 from sitl.testing.deck_images import covered, disc_of, shown
@@ -30,7 +30,7 @@ def sure(px: NDArray[np.uint8], camera: Camera, pad: Pad, start: PadPose, R_leve
     if aligned is None:
         return 0.0
     values = features(aligned, found, pad)
-    assert values.shape == (len(EVIDENCE) + len(SET),)
+    assert values.shape == (len(FITTED_FEATURES) + len(HAND_SET_FEATURES),)
     assert np.all(np.isfinite(values))
     return confidence(values)
 
