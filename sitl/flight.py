@@ -204,7 +204,7 @@ class Flight:
             self._decide(now)
         if now >= self._due_command:
             self._due_command = after(self._due_command, self._options.command_period_s)
-            self._arbiter.take(self._streamer.word(now))
+            self._arbiter.take(self._streamer.command(now))
             self._send(self._arbiter.commands(now))
 
     def run(self) -> FlightResult:

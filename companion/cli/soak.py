@@ -33,7 +33,7 @@ from companion.runtime.signals import Stopped
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
-from sitl.ardrone.again import faulty
+from sitl.ardrone.repeated_flights import faulty
 from sitl.one_flight import fly, settings_for
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
@@ -198,7 +198,7 @@ def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings,
 
 async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) -> None:
     child = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "sitl.ardrone.serve", args.scenario, f"--seed={args.seed}", "--again"),
+        *(sys.executable, "-m", "sitl.ardrone.serve", args.scenario, f"--seed={args.seed}", "--repeat"),
         *([] if args.no_faults else ["--faults"]),
         *(f"--{name}-port=0" for name in ("navdata", "video", "at", "control")),
         stdin=asyncio.subprocess.PIPE,

@@ -70,7 +70,7 @@ async def _ask(autopilot: Autopilot, clock: Clock, seconds: float, say: Say) -> 
     assert parameters is not None
     assert streams is not None
     say(f"{identity.stack.value}, system {identity.system}: reading parameters, asking for streams")
-    parameters.want(PARAMETERS[identity.stack.value])
+    parameters.request(PARAMETERS[identity.stack.value])
     version = int(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     autopilot.send(mav.MAVLink_command_long_message(*identity.address, mav.MAV_CMD_REQUEST_MESSAGE, 0, version, 0, 0, 0, 0, 0, 0))
     await _wait(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
@@ -99,7 +99,7 @@ def _snapshot(autopilot: Autopilot, notes: _Notes, rates: dict[str, float], seco
             link.counters.total("old_version"),
             link.counters.total("refused_signature"),
             link.signed,
-            link.counters.strangers,
+            link.counters.unknown_senders,
         )
         for link in autopilot.links.all
     )

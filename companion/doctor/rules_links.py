@@ -82,10 +82,10 @@ def link_unsigned(p: Snapshot) -> Finding | None:
 def link_unknown_senders(p: Snapshot) -> Finding | None:
     """Find a link with messages from senders that are not accepted."""
     for link in _open(p):
-        if link.strangers > 20 and p.autopilot is not None:
+        if link.unknown_senders > 20 and p.autopilot is not None:
             return advice(
-                "link-strangers",
-                f"{link.url}: {link.strangers} messages of systems that may not command and are told nothing",
+                "link-unknown-senders",
+                f"{link.url}: {link.unknown_senders} messages of systems that may not command and get no messages",
                 "where one is your ground station, name its system in vehicle.operators (QGroundControl is 255), or sign",
             )
     return None

@@ -27,7 +27,7 @@ class LinkSnapshot(Struct, frozen=True):
     refused_signature: int = 0
     signed: bool | None = None
     """Whether we sign our messages on it and accept only signed ones."""
-    strangers: int = 0
+    unknown_senders: int = 0
     """Number of messages from senders that are not accepted."""
 
 

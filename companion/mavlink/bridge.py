@@ -132,7 +132,7 @@ class VehicleBridge(NullObserver):
                 return DENIED, []
             return self._give(TakeOff()), []
         if m.command == mav.MAV_CMD_NAV_LAND:
-            return self._give(Land(standing=True)), []
+            return self._give(Land(persistent=True)), []
         if m.command == mav.MAV_CMD_DO_PAUSE_CONTINUE and m.param1 == 1.0:
             self._go_on()
             return ACCEPTED, []

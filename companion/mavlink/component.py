@@ -31,7 +31,7 @@ from companion.mavlink.target_track import TargetTrack
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from drivers.beside import running_beside
-from drivers.mavlink.access import Standing
+from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
@@ -219,7 +219,7 @@ class Component(NullObserver):
         if received.message.get_type() in ("COMMAND_LONG", "COMMAND_INT") and self._commands.refusal is not None:
             self.texts.say(MavSeverity.WARNING, f"Decklander: {self._commands.refusal}", now)
             self._commands.refusal = None
-        if self._parameters is not None and received.standing >= Standing.PEER:
+        if self._parameters is not None and received.access_level >= AccessLevel.PEER:
             self._send(self._parameters.on_message(received.message, us))
             if self._parameters.refused is not None:
                 self.texts.say(MavSeverity.WARNING, f"Decklander: {self._parameters.refused}", now)

@@ -9,7 +9,7 @@ from companion.config import build_mavlink
 from companion.config.model import Settings
 from companion.config.vehicle import AutopilotSettings
 from companion.mavlink.component import Component, speaking
-from companion.mavlink.deck_way import DeckWay
+from companion.mavlink.deck_velocity import DeckVelocity
 from companion.mavlink.pilot_operator import PilotTower
 from companion.mavlink.refusals import link_counters
 from companion.mavlink.tunables import Tunables
@@ -66,7 +66,7 @@ class AutopilotPart:
         """Open the autopilot as the daemon's link."""
         async with open_autopilot(self._options, self._clock) as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
-            autopilot.carried = DeckWay(self._pilot.belief, autopilot)
+            autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot)
             async with speaking(self.component, autopilot, self._clock):
                 self._open = autopilot
                 try:

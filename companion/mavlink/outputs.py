@@ -153,7 +153,7 @@ class Outputs:
         if vehicle.stack is Stack.OTHER:
             return None, "unknown autopilot"
         if vehicle.condition.flying is False:
-            return None, "standing"
+            return None, "on ground"
         if sighted is None or seconds_between(sighted, now) > self._o.stale_s:
             return None, "not seen"
         if vehicle.stack is Stack.ARDUPILOT:

@@ -6,7 +6,7 @@ import logging
 from collections import Counter
 
 from companion.mavlink.commands import DENIED
-from drivers.mavlink.access import Standing
+from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import Links, ReceivedMessage
 
@@ -32,7 +32,7 @@ class Refusals:
     def refuses(self, received: ReceivedMessage, us: tuple[int, int]) -> bool:
         """Return whether this message requests something of us (system, component) that its sender is not allowed."""
         message, name = received.message, received.message.get_type()
-        if received.standing >= Standing.OPERATOR or name not in (*_COMMANDS, "PARAM_SET"):
+        if received.access_level >= AccessLevel.OPERATOR or name not in (*_COMMANDS, "PARAM_SET"):
             return False
         if (message.target_system, message.target_component) != us:
             return False
@@ -41,7 +41,7 @@ class Refusals:
 
     def answer(self, received: ReceivedMessage) -> list[Message]:
         """Return the answer to a refused command; a refused parameter is answered elsewhere, with its value in force."""
-        if received.standing < Standing.PEER or received.message.get_type() not in _COMMANDS:
+        if received.access_level < AccessLevel.PEER or received.message.get_type() not in _COMMANDS:
             return []
         return [mav.MAVLink_command_ack_message(received.message.command, DENIED, 0, 0, received.system, received.component)]
 

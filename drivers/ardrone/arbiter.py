@@ -22,7 +22,7 @@ fly would start the motors of a drone that has landed in the meantime."""
 
 
 @dataclass(frozen=True, slots=True)
-class Word:
+class TimedCommand:
     """One command of the service, which expires at an instant of this host's monotonic clock."""
 
     until: MonoNs
@@ -51,7 +51,7 @@ class CommandArbiter:
 
     def __init__(self, hold_s: float) -> None:
         self._hold_s = hold_s
-        self._word: Word | None = None
+        self._latest: TimedCommand | None = None
         self._watch = LandingWatch()
         self._report: tuple[DroneReport, MonoNs] | None = None
         """The newest report, and when it was received."""
@@ -59,28 +59,28 @@ class CommandArbiter:
         """Number of datagrams in which hover replaced an expired command."""
 
     @property
-    def word(self) -> Word | None:
+    def latest(self) -> TimedCommand | None:
         """The newest command, expired or not; None before the first."""
-        return self._word
+        return self._latest
 
-    def take(self, word: Word) -> None:
+    def take(self, command: TimedCommand) -> None:
         """Take the newest command of the service, expired or not."""
-        self._word = word
+        self._latest = command
 
     def on_report(self, report: DroneReport, now: MonoNs) -> None:
         """Take a report that the sender itself received from the drone while the service is silent."""
         self._report = report, now
-        self._watch.on_report(report, now, ordered=self._word is not None and self._word.landing)
+        self._watch.on_report(report, now, ordered=self._latest is not None and self._latest.landing)
 
     def fresh(self, now: MonoNs) -> bool:
         """Return whether the newest command has not expired."""
-        return self._word is not None and now <= self._word.until
+        return self._latest is not None and now <= self._latest.until
 
     def silent_s(self, now: MonoNs) -> float:
         """Return the seconds since the newest command expired; 0 while it has not, or before the first."""
-        return 0.0 if self._word is None else max(0.0, seconds_between(self._word.until, now))
+        return 0.0 if self._latest is None else max(0.0, seconds_between(self._latest.until, now))
 
-    def stands(self, now: MonoNs) -> bool:
+    def on_ground(self, now: MonoNs) -> bool:
         """Return whether the drone reported lately that it is on the ground."""
         report = self._reported(now, _REPORT_S)
         if report is None:
@@ -89,15 +89,15 @@ class CommandArbiter:
 
     def commands(self, now: MonoNs) -> list[AtCommand]:
         """Return the commands of one datagram; none before the first command and after `hold_s` of silence."""
-        word = self._word
-        if word is None or self.silent_s(now) > self._hold_s:
+        latest = self._latest
+        if latest is None or self.silent_s(now) > self._hold_s:
             return []
         if self.fresh(now):
-            return word.commands()
+            return latest.commands()
         self.hovers += 1
         report = self._reported(now, FRESH_S)
         if report is None:
-            return [*([ComWdg()] if word.watchdog else []), HOVER]
+            return [*([ComWdg()] if latest.watchdog else []), HOVER]
         out: list[AtCommand] = [ComWdg()] if report.state & NavdataState.COM_WATCHDOG else []
         stays_up = report.flying and (report.control is not ControlState.LANDING or self._watch.calls_off(now))
         return [*out, *([Ref(STAY_UP)] if stays_up else []), HOVER]
@@ -111,5 +111,5 @@ class CommandArbiter:
 
     def lost(self, now: MonoNs) -> None:
         """Let the newest command expire now, because the service is gone."""
-        if self._word is not None:
-            self._word = replace(self._word, until=min(self._word.until, MonoNs(now - 1)))
+        if self._latest is not None:
+            self._latest = replace(self._latest, until=min(self._latest.until, MonoNs(now - 1)))

@@ -64,7 +64,7 @@ class CommandChannel:
         try:
             while True:
                 now = self._clock.now()
-                self._sender.say(self._streamer.word(now))
+                self._sender.update(self._streamer.command(now))
                 if seconds_between(self._last_sign(opened), now) > self._o.reopen_after_s:
                     break
                 due = max(after(due, self._o.command_period_s), now)

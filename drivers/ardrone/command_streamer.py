@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from drivers.ardrone.arbiter import HOVER, STAY_UP, Word
+from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.at import PCMD_PROGRESSIVE, REF_BASE, REF_EMERGENCY, Pcmd
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.landing_watch import ORDERED_ABOVE_M, SILENT_ABOVE_M, DroneReport, LandingWatch
@@ -36,7 +36,7 @@ class _Landing(NamedTuple):
     """A commanded landing that is not finished yet."""
 
     renewed_at: MonoNs
-    standing: bool
+    persistent: bool
     """A person ordered it, and nobody has to renew it."""
 
 
@@ -56,12 +56,12 @@ class CommandStreamer:
         """The velocity to fly; None to hover."""
         self._take_off_at: MonoNs | None = None
         self._landing: _Landing | None = None
-        self._taken_back = False
+        self._landing_called_off = False
         """Guidance gave another command after its landing."""
         self._watch = LandingWatch()
         self._emergency_periods = 0
         self._state: int | None = None
-        self._heard_at: MonoNs | None = None
+        self._navdata_at: MonoNs | None = None
         self._control: ControlState | None = None
         self._velocity: BodyVelocity | None = None
         self._attitude: Attitude | None = None
@@ -83,13 +83,13 @@ class CommandStreamer:
         if isinstance(command, TakeOff):
             self._take_off_at, self._landing, self._motion = now, None, None
         elif isinstance(command, Land):
-            standing = command.standing or (self._landing is not None and self._landing.standing)
-            self._landing = _Landing(now, standing)
-            self._take_off_at, self._motion, self._taken_back = None, None, False
+            persistent = command.persistent or (self._landing is not None and self._landing.persistent)
+            self._landing = _Landing(now, persistent)
+            self._take_off_at, self._motion, self._landing_called_off = None, None, False
         else:
             self._motion = _Motion(command, now) if isinstance(command, Velocity) else None
-            if self._landing is not None and not self._landing.standing:
-                self._landing, self._taken_back = None, True
+            if self._landing is not None and not self._landing.persistent:
+                self._landing, self._landing_called_off = None, True
 
     def toggle_emergency(self) -> None:
         """Cut the motors, or leave the emergency state, in the next period. It is done only on request."""
@@ -98,14 +98,14 @@ class CommandStreamer:
 
     def on_navdata(self, navdata: Navdata, now: MonoNs) -> None:
         """Take the next navdata datagram, in order."""
-        self._state, self._heard_at = navdata.state, now
+        self._state, self._navdata_at = navdata.state, now
         if (control := navdata.control_state) is not None:
             self._control = control
         self._watch.on_report(DroneReport.of(navdata), now, ordered=self._landing is not None)
         if self._state & NavdataState.FLYING or self._state & NavdataState.EMERGENCY:
             self._take_off_at = None
         elif self._control in _ON_GROUND:
-            self._landing, self._taken_back = None, False
+            self._landing, self._landing_called_off = None, False
 
     def on_sample(self, sample: Sample) -> None:
         """Take a sample of the drone; velocities and attitudes are kept for steering, others are ignored."""
@@ -114,7 +114,7 @@ class CommandStreamer:
         elif isinstance(sample, Attitude):
             self._attitude = sample
 
-    def word(self, now: MonoNs) -> Word:
+    def command(self, now: MonoNs) -> TimedCommand:
         """Return the command of this period, with the instant at which it expires."""
         watchdog = self._state is not None and bool(self._state & NavdataState.COM_WATCHDOG)
         self._counters.watchdog_resets += watchdog
@@ -122,16 +122,16 @@ class CommandStreamer:
         sticks = self._sticks(now)
         # A velocity's lifetime counts from the guidance cycle that asked for it, not from the period that repeats it.
         since = now if self._motion is None or sticks is HOVER else self._motion.asked_at
-        landing = self._landing is not None and not self._landing.standing
-        return Word(after(since, self._o.command_timeout_s), sticks, ref, landing, watchdog)
+        landing = self._landing is not None and not self._landing.persistent
+        return TimedCommand(after(since, self._o.command_timeout_s), sticks, ref, landing, watchdog)
 
-    def leave(self, now: MonoNs) -> Word:
+    def leave(self, now: MonoNs) -> TimedCommand:
         """Return the final command: hover in place, or continue a landing that was commanded."""
         self._take_off_at = None
-        return Word(after(now, self._o.command_timeout_s), HOVER, self._ref_bits(now))
+        return TimedCommand(after(now, self._o.command_timeout_s), HOVER, self._ref_bits(now))
 
     def _unknown(self, now: MonoNs) -> bool:
-        return self._heard_at is None or seconds_between(self._heard_at, now) > self._o.navdata_silence_s
+        return self._navdata_at is None or seconds_between(self._navdata_at, now) > self._o.navdata_silence_s
 
     def _ref_bits(self, now: MonoNs) -> int | None:
         if self._take_off_at is not None and seconds_between(self._take_off_at, now) > self._o.take_off_timeout_s:
@@ -140,10 +140,10 @@ class CommandStreamer:
         if self._emergency_periods:
             self._emergency_periods -= 1
             return REF_BASE | REF_EMERGENCY
-        if self._landing is not None and not self._landing.standing:
+        if self._landing is not None and not self._landing.persistent:
             silent = seconds_between(self._landing.renewed_at, now) > self._o.landing_timeout_s
             if silent and self._watch.calls_off(now):
-                self._landing, self._taken_back = None, True
+                self._landing, self._landing_called_off = None, True
                 self._counters.landings_given_up += 1
         if self._landing is not None:
             return REF_BASE
@@ -152,7 +152,7 @@ class CommandStreamer:
         if self._unknown(now):
             return None
         if self.flying and self._control is ControlState.LANDING:
-            if self._watch.calls_off(now, ORDERED_ABOVE_M if self._taken_back else SILENT_ABOVE_M):
+            if self._watch.calls_off(now, ORDERED_ABOVE_M if self._landing_called_off else SILENT_ABOVE_M):
                 self._counters.landings_called_off += 1
                 return STAY_UP
             return None

@@ -96,7 +96,7 @@ class ControlChannel:
         )
         if self._tries < _TRIES:
             self._tries += 1
-            self._setup.again()
+            self._setup.restart()
 
 
 def _same(asked: str, read_back: str) -> bool:

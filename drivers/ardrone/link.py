@@ -86,7 +86,7 @@ class ArDrone:
 
     def _restarted(self) -> None:
         self._video.restarted()
-        self._setup.again()
+        self._setup.restart()
 
     @property
     def sender_pid(self) -> int | None:

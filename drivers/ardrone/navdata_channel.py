@@ -101,8 +101,8 @@ class NavdataChannel:
     def _in_order(self, sequence: int) -> bool:
         expected = self._expected
         if self.newest is not None and sequence < self.newest.sequence:
-            anew = sequence == 1 or expected is None or self.newest.sequence - sequence >= _REORDER
-            if not anew:
+            restarted = sequence == 1 or expected is None or self.newest.sequence - sequence >= _REORDER
+            if not restarted:
                 return False
             self._counters.navdata_restarts += 1
             self._map.reset()

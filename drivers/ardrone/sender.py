@@ -129,7 +129,7 @@ class Sender:
             self._due = 0
             return
         *lines, self._buffer = (self._buffer + said).split(b"\n")
-        before = self._arbiter.word
+        before = self._arbiter.latest
         for line in lines:
             try:
                 order = order_of(line)
@@ -139,12 +139,12 @@ class Sender:
             self._obey(order)
             if self._over:
                 return
-        if self._arbiter.word is not before:
+        if self._arbiter.latest is not before:
             self._transmit(time.monotonic_ns())
 
     def _obey(self, order: SenderOrder) -> None:
-        if order.word is not None:
-            self._arbiter.take(order.word)
+        if order.latest is not None:
+            self._arbiter.take(order.latest)
         elif order.end is not None:
             self._arbiter.take(order.end)
             self._part()
@@ -167,8 +167,8 @@ class Sender:
         queued = self._telling.pop(0) if self._telling else ()
         if commands or queued:
             self._send((*queued, *commands))
-        word = self._arbiter.word
-        self._in_force = word.until if fresh and word is not None else None
+        latest = self._arbiter.latest
+        self._in_force = latest.until if fresh and latest is not None else None
         # While commands arrive once a period there is no need to repeat one just before the next.
         self._due = now + round((4 / 3 if fresh else 1.0) * self._o.period_s * _NS)
 
@@ -206,8 +206,8 @@ class Sender:
         alone = self._service is None or self._arbiter.silent_s(instant) > _SILENT_S
         if alone != self._alone:
             self._alone = alone
-            if self._arbiter.word is not None:
-                self._telling = [self._o.alone if alone else self._o.again] * _ALONE_DATAGRAMS
+            if self._arbiter.latest is not None:
+                self._telling = [self._o.on_service_lost if alone else self._o.on_service_back] * _ALONE_DATAGRAMS
         if alone:
             self._listen(now)
         elif self._navdata is not None:
@@ -217,10 +217,10 @@ class Sender:
             self._report(now)
             return
         refused = self._refused is not None and self._refused[1] - self._refused[0] > _REFUSED_S * _NS
-        if self._arbiter.word is None or refused or self._arbiter.silent_s(instant) > self._o.hold_s:
+        if self._arbiter.latest is None or refused or self._arbiter.silent_s(instant) > self._o.hold_s:
             self._over = True
-        elif self._arbiter.stands(instant):
-            self._send(self._o.again)
+        elif self._arbiter.on_ground(instant):
+            self._send(self._o.on_service_back)
             self._over = True
 
     def _report(self, now: int) -> None:

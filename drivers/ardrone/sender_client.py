@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import drivers
-from drivers.ardrone.arbiter import HOVER, Word
+from drivers.ardrone.arbiter import HOVER, TimedCommand
 from drivers.ardrone.at import AtCommand, encode
 from drivers.ardrone.sender_wire import (
     BUSY,
@@ -70,7 +70,7 @@ class SenderClient:
         self._received_at: MonoNs | None = None
         self._began = clock.now()
         self._buffer = b""
-        self._word: Word | None = None
+        self._latest: TimedCommand | None = None
         self._closed = self._busy = False
         _LEFT[:] = [left for left in _LEFT if left.poll() is None]
         ours, theirs = socket.socketpair()
@@ -103,17 +103,17 @@ class SenderClient:
         """Whether the sender has reported that it runs."""
         return self._received_at is not None
 
-    def say(self, word: Word) -> None:
+    def update(self, command: TimedCommand) -> None:
         """Send the newest command; never blocks. While the sender is silent, each call sends hover to the drone directly.
 
         Raises:
             Recoverable: the sender is gone or stuck.
         """
-        self._word = word
+        self._latest = command
         self._look()
         if self._received_at is not None and seconds_between(self._received_at, self._clock.now()) > self._silent_s:
             self._hover()
-        self._write(pack(word))
+        self._write(pack(command))
 
     def send(self, commands: Sequence[AtCommand]) -> None:
         """Send further commands, all in one datagram, in order; they are dropped while the sender is not up yet.
@@ -135,10 +135,10 @@ class SenderClient:
         self._look()
         self._write(REOPEN)
 
-    def end(self, word: Word) -> None:
+    def end(self, command: TimedCommand) -> None:
         """Let the sender send this command and end: the service ends on purpose."""
         with suppress(Recoverable):
-            self._write(pack_end(word))
+            self._write(pack_end(command))
         self._close()
         self._kill(_END_S)
 
@@ -196,7 +196,7 @@ class SenderClient:
         self._lost = why
         self._close()
         self._kill(_GONE_S)
-        if not self._busy and self._word is not None and self._received_at is not None:
+        if not self._busy and self._latest is not None and self._received_at is not None:
             self._hover()
 
     def _kill(self, timeout_s: float) -> None:

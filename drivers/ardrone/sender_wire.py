@@ -11,7 +11,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
-from drivers.ardrone.arbiter import Word
+from drivers.ardrone.arbiter import TimedCommand
 from drivers.ardrone.at import AtCommand, Pcmd, arguments
 from estimator.contracts.time import MonoNs
 
@@ -34,10 +34,10 @@ class SenderOptions:
     navdata_port: int
     period_s: float
     hold_s: float
-    alone: tuple[TextCommand, ...] = ()
+    on_service_lost: tuple[TextCommand, ...] = ()
     """The commands that are sent once the service is gone or silent."""
-    again: tuple[TextCommand, ...] = ()
-    """The commands that undo `alone`; they are sent when the service is back, or the drone is on the ground."""
+    on_service_back: tuple[TextCommand, ...] = ()
+    """The commands that undo `on_service_lost`; they are sent when the service is back, or the drone is on the ground."""
 
     def as_json(self) -> str:
         """Return the text that `of_json` reads."""
@@ -47,7 +47,7 @@ class SenderOptions:
     def of_json(text: str) -> SenderOptions:
         """Return the options that `as_json` wrote."""
         given = json.loads(text)
-        for name in ("alone", "again"):
+        for name in ("on_service_lost", "on_service_back"):
             given[name] = tuple((str(command), str(rest)) for command, rest in given[name])
         return SenderOptions(**given)
 
@@ -73,12 +73,13 @@ class SenderStatus:
 class SenderOrder:
     """One parsed line of the service: at most one of the fields is set."""
 
-    word: Word | None = None
+    latest: TimedCommand | None = None
+    """The command of the period."""
     commands: tuple[TextCommand, ...] = ()
     until: MonoNs | None = None
     """The instant until which `commands` may be sent."""
     reopen: bool = False
-    end: Word | None = None
+    end: TimedCommand | None = None
 
 
 def as_text(commands: Sequence[AtCommand]) -> tuple[TextCommand, ...]:
@@ -90,14 +91,14 @@ def as_text(commands: Sequence[AtCommand]) -> tuple[TextCommand, ...]:
     return tuple((command.NAME, arguments(command)) for command in commands)
 
 
-def pack(word: Word) -> bytes:
+def pack(command: TimedCommand) -> bytes:
     """Return the line of the command of one period."""
-    return json.dumps(_fields(word)).encode() + b"\n"
+    return json.dumps(_fields(command)).encode() + b"\n"
 
 
-def pack_end(word: Word) -> bytes:
+def pack_end(command: TimedCommand) -> bytes:
     """Return the line that ends the sender, with the final command."""
-    return json.dumps({"end": _fields(word)}).encode() + b"\n"
+    return json.dumps({"end": _fields(command)}).encode() + b"\n"
 
 
 def pack_commands(commands: Sequence[AtCommand], until: MonoNs) -> bytes:
@@ -118,11 +119,11 @@ def order_of(line: bytes) -> SenderOrder:
     """Parse a line of the service."""
     said = json.loads(line)
     if isinstance(said, list):
-        return SenderOrder(word=_word(said))
+        return SenderOrder(latest=_timed_command(said))
     if "send" in said:
         return SenderOrder(commands=tuple((str(name), str(rest)) for name, rest in said["send"]), until=MonoNs(said["until"]))
     if "end" in said:
-        return SenderOrder(end=_word(said["end"]))
+        return SenderOrder(end=_timed_command(said["end"]))
     return SenderOrder(reopen=True)
 
 
@@ -131,12 +132,12 @@ def status_of(line: bytes) -> SenderStatus:
     return SenderStatus(*json.loads(line))
 
 
-def _fields(word: Word) -> list[object]:
-    p = word.sticks
+def _fields(command: TimedCommand) -> list[object]:
+    p = command.sticks
     sticks = [p.flags, p.roll, p.pitch, p.gaz, p.yaw]
-    return [word.until, sticks, word.ref, word.landing, word.watchdog]
+    return [command.until, sticks, command.ref, command.landing, command.watchdog]
 
 
-def _word(said: list[object]) -> Word:
+def _timed_command(said: list[object]) -> TimedCommand:
     until, sticks, *rest = said
-    return Word(until, Pcmd(*sticks), *rest)  # type: ignore[arg-type, misc]
+    return TimedCommand(until, Pcmd(*sticks), *rest)  # type: ignore[arg-type, misc]

@@ -54,7 +54,7 @@ class Setup:
         """The number of times that the drone was configured."""
         self.handshake = asyncio.Lock()
 
-    def again(self) -> None:
+    def restart(self) -> None:
         """Configure the drone again, because it has lost its configuration or never received it."""
         self.done.clear()
         self.done_at = None
@@ -63,7 +63,7 @@ class Setup:
     def on_state(self, state: int) -> None:
         """Configure again if the state bits are not those of a configured drone."""
         if self.done.is_set() and state & (NavdataState.NAVDATA_BOOTSTRAP | NavdataState.NAVDATA_DEMO):
-            self.again()
+            self.restart()
 
     async def run(self) -> None:
         """Configure the drone whenever that is needed.

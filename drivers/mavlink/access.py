@@ -25,15 +25,15 @@ _log = logging.getLogger(__name__)
 Source = tuple[int, Address | None]
 """Number of a link, and the peer on it; None where the link has only one."""
 
-_STRANGERS_MAX = 64
-_STRANGE_AFTER_S = 3.0
+_UNKNOWN_MAX = 64
+_UNKNOWN_AFTER_S = 3.0
 """A sender that is unknown for this long is logged: an autopilot becomes known with its first HEARTBEAT."""
 
 
-class Standing(IntEnum):
+class AccessLevel(IntEnum):
     """What the sender of a message may do; a higher one may do what a lower one may."""
 
-    STRANGER = 0
+    UNKNOWN = 0
     """Only its HEARTBEATs are read."""
     REPORTER = 1
     """It is a ship that the settings name, and its messages are read."""
@@ -96,7 +96,7 @@ class _Held:
 @dataclass(slots=True)
 class _UnknownSender:
     since: MonoNs
-    told: bool = False
+    logged: bool = False
 
 
 @dataclass(slots=True)
@@ -107,12 +107,12 @@ class Access:
     autopilot: tuple[Source, tuple[int, int]] | None = None
     """The autopilot's peer and its (system, component)."""
     refused: Counter[str] = field(default_factory=Counter)
-    """The number of messages that were refused, by reason: impostor, stranger."""
+    """The number of messages that were refused, by reason: impostor, unknown."""
     _held: dict[int, _Held] = field(default_factory=dict)
-    _strangers: dict[tuple[int, int], _UnknownSender] = field(default_factory=dict)
+    _unknown_senders: dict[tuple[int, int], _UnknownSender] = field(default_factory=dict)
 
-    def standing(self, source: Source, ids: tuple[int, int], now: MonoNs, *, asked_for: bool, signed: bool) -> Standing:
-        """Return the standing of a message's sender.
+    def level(self, source: Source, ids: tuple[int, int], now: MonoNs, *, asked_for: bool, signed: bool) -> AccessLevel:
+        """Return the access level of a message's sender.
 
         Args:
             source: where it came from.
@@ -122,22 +122,26 @@ class Access:
         """
         system, component = ids
         if self.options.everybody:
-            return Standing.OPERATOR
+            return AccessLevel.OPERATOR
         if self.autopilot is not None:
             if source == self.autopilot[0]:
-                return Standing.OPERATOR
+                return AccessLevel.OPERATOR
             if ids == self.autopilot[1]:
                 self.refused["impostor"] += 1
-                return Standing.STRANGER
+                return AccessLevel.UNKNOWN
         if signed:
-            return Standing.OPERATOR
+            return AccessLevel.OPERATOR
         commands = any(n.system == system and n.component in (None, component) for n in self.options.operators)
         if commands or system in self.options.reporters:
             if not self._holds(system, source, now):
                 self.refused["impostor"] += 1
-                return Standing.STRANGER
-            return Standing.OPERATOR if commands else max(Standing.REPORTER, Standing.PEER if asked_for else Standing.STRANGER)
-        return Standing.PEER if asked_for else Standing.STRANGER
+                return AccessLevel.UNKNOWN
+            return (
+                AccessLevel.OPERATOR
+                if commands
+                else max(AccessLevel.REPORTER, AccessLevel.PEER if asked_for else AccessLevel.UNKNOWN)
+            )
+        return AccessLevel.PEER if asked_for else AccessLevel.UNKNOWN
 
     def _holds(self, system: int, source: Source, now: MonoNs) -> bool:
         held = self._held.get(system)
@@ -147,16 +151,16 @@ class Access:
         return True
 
     def refuse_unknown(self, ids: tuple[int, int], peer: Address | None, now: MonoNs) -> None:
-        """Count a message that was not looked at, and log once for each sender how it would be."""
-        self.refused["stranger"] += 1
+        """Count a message that was ignored, and log once for each sender what would make it known."""
+        self.refused["unknown"] += 1
         if peer is None:
             return  # the autopilot once more, over another link
-        stranger = self._strangers.get(ids)
-        if stranger is None:
-            if len(self._strangers) < _STRANGERS_MAX:
-                self._strangers[ids] = _UnknownSender(now)
-        elif not stranger.told and seconds_between(stranger.since, now) >= _STRANGE_AFTER_S:
-            stranger.told = True
+        sender = self._unknown_senders.get(ids)
+        if sender is None:
+            if len(self._unknown_senders) < _UNKNOWN_MAX:
+                self._unknown_senders[ids] = _UnknownSender(now)
+        elif not sender.logged and seconds_between(sender.since, now) >= _UNKNOWN_AFTER_S:
+            sender.logged = True
             _log.warning(
                 "MAVLink: system %d, component %d at %s:%d is unknown or uses another's ids: it gets no messages and may not "
                 "command; name its system in `operators`, or sign the link (decklander keys)",

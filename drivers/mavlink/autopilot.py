@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.beside import running_beside
 from drivers.mailbox import Latest, Line
-from drivers.mavlink.access import AccessOptions, Named, Source, Standing
+from drivers.mavlink.access import AccessLevel, AccessOptions, Named, Source
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
@@ -114,7 +114,7 @@ class Autopilot:
         self.counts: Counter[str] = Counter()
         """The number of messages of the autopilot, by name."""
         self.connects = 0
-        self.carried: Callable[[MonoNs], F64] = lambda now: np.zeros(3)
+        self.deck_velocity: Callable[[MonoNs], F64] = lambda now: np.zeros(3)
         """Returns the velocity that commanded velocities are relative to, a moving deck's: (3,) m/s in ned; 0 by default."""
 
     @property
@@ -172,12 +172,12 @@ class Autopilot:
             raise Recoverable("the link to the autopilot is closed")
         if self._known is None or self._known.lost:
             raise Recoverable("no autopilot is heard")
-        now, way_level = self._clock.now(), None
+        now, v_deck_level = self._clock.now(), None
         if isinstance(command, Velocity) and self.attitude is not None:
             # The autopilot's velocities are over the ground.
-            way_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.carried(now)
-            command = Velocity(command.v_level + way_level, command.yaw_rate_rad_s)
-        self._known.streamer.take(command, now, way_level)
+            v_deck_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.deck_velocity(now)
+            command = Velocity(command.v_level + v_deck_level, command.yaw_rate_rad_s)
+        self._known.streamer.take(command, now, v_deck_level)
 
     def release(self) -> None:
         """Do nothing, because closing commands the autopilot to hold, and it then holds by itself."""
@@ -209,7 +209,7 @@ class Autopilot:
 
     def _on_message(self, received: ReceivedMessage) -> None:
         message, name = received.message, received.message.get_type()
-        if name == "TIMESYNC" and received.standing >= Standing.PEER:
+        if name == "TIMESYNC" and received.access_level >= AccessLevel.PEER:
             answer = answer_to(message, self._clock.now(), (received.system, received.component), self.links.identity)
             if answer is not None:
                 self.links.send(answer, received.source)
@@ -217,7 +217,7 @@ class Autopilot:
             self._meet(received, stack_of(message))
         known = self._known
         if known is None or received.system != known.identity.system or received.component != known.identity.component:
-            if self._o.vessel_system == received.system and known is not None and received.standing >= Standing.REPORTER:
+            if self._o.vessel_system == received.system and known is not None and received.access_level >= AccessLevel.REPORTER:
                 self._offer(known.sampler.vessel(message, received.received_at))
             return
         if received.source != known.source:
@@ -275,12 +275,12 @@ class Autopilot:
             if received.source != known.source:
                 _log.warning("autopilot: heard again from elsewhere: %s", received.source_text)
             known.lost, known.source = False, received.source
-            self._again(known)
+            self._restart_requests(known)
 
-    def _again(self, known: _Known) -> None:
+    def _restart_requests(self, known: _Known) -> None:
         self.connects += 1
         known.streams.restart()
-        known.parameters.want(self._o.parameters)
+        known.parameters.request(self._o.parameters)
         _log.info("autopilot: heard again, asking for its streams")
 
     async def _tick(self) -> None:
@@ -304,10 +304,10 @@ class Autopilot:
         link = known.source[0]
         opened = self.links.opened[link]
         if known.clock.restarts != self._boots or opened != self._reopened[link]:
-            came_back = self.connects > 0 and self._reopened[link] > 0
+            reopened = self.connects > 0 and self._reopened[link] > 0
             self._boots, self._reopened[link] = known.clock.restarts, opened
-            if came_back:
-                self._again(known)
+            if reopened:
+                self._restart_requests(known)
         target = known.identity.address
         for message in (
             *known.streamer.period(now),

@@ -69,7 +69,12 @@ def crc_extra_of(name: str, fields: list[tuple[str, str]]) -> int:
 
 
 def define(
-    msg_id: int, name: str, fields: list[tuple[str, str]], extensions: list[tuple[str, str]] | None = None, *, again: bool = False
+    msg_id: int,
+    name: str,
+    fields: list[tuple[str, str]],
+    extensions: list[tuple[str, str]] | None = None,
+    *,
+    replace: bool = False,
 ) -> Any:
     """Return a new message class like those of the dialect, and register it with the dialect's parser.
 
@@ -78,15 +83,15 @@ def define(
         name: name of the message.
         fields: (type, name) of each field in the order of the definition, types as the definition writes them ("float[3]").
         extensions: the fields after `<extensions/>`; they are numbers and 0 if a sender leaves them out.
-        again: replace a message of the dialect.
+        replace: whether to replace a message of the dialect.
 
     Raises:
-        ValueError: the dialect already has a message of that number and `again` is False, or its CRC seed differs.
+        ValueError: the dialect already has a message of that number and `replace` is False, or its CRC seed differs.
     """
     extensions = extensions or []
     known = mav.mavlink_map.get(msg_id)
     seed = crc_extra_of(name, fields)
-    if known is not None and not (again and known.crc_extra == seed):
+    if known is not None and not (replace and known.crc_extra == seed):
         raise ValueError(f"the dialect has message {msg_id} already")
     order = [*_wire_order(fields), *range(len(fields), len(fields) + len(extensions))]
     fields = [*fields, *extensions]
@@ -157,7 +162,7 @@ TimeSyncV2 = define(
     "TIMESYNC",
     [("int64_t", "tc1"), ("int64_t", "ts1")],
     [("uint8_t", "target_system"), ("uint8_t", "target_component")],
-    again=True,
+    replace=True,
 )
 
 ComponentInformationBasic = define(

@@ -15,7 +15,7 @@ from typing import Literal
 
 from drivers.beside import running_beside
 from drivers.mailbox import Line
-from drivers.mavlink.access import Access, AccessOptions, Source, Standing
+from drivers.mavlink.access import Access, AccessLevel, AccessOptions, Source
 from drivers.mavlink.codec import Codec, CodecCounters, Unfit
 from drivers.mavlink.containment import Containment
 from drivers.mavlink.dialect import Message
@@ -61,7 +61,7 @@ class LinkCounters:
     bytes_out: int = 0
     dropped: int = 0
     """Messages not sent because the wire was full or closed, or the link had no peer."""
-    strangers: int = 0
+    unknown_senders: int = 0
     """Messages of senders that were not asked for."""
     restarts: int = 0
     codecs: list[CodecCounters] = field(default_factory=list)
@@ -73,7 +73,7 @@ class LinkCounters:
     def as_dict(self) -> dict[str, int]:
         """Flat, for records and telemetry."""
         names = ("messages", "lost", "unknown", "damaged", "old_version", "refused_signature")
-        own = {name: getattr(self, name) for name in ("bytes_in", "bytes_out", "dropped", "restarts", "strangers")}
+        own = {name: getattr(self, name) for name in ("bytes_in", "bytes_out", "dropped", "restarts", "unknown_senders")}
         return own | {name: self.total(name) for name in names}
 
 
@@ -89,7 +89,7 @@ class ReceivedMessage:
     component: int
     peer: Address | None = None
     """Address of the sender on a listening socket; None elsewhere."""
-    standing: Standing = Standing.STRANGER
+    access_level: AccessLevel = AccessLevel.UNKNOWN
     """The rights of its sender."""
 
     @property
@@ -129,7 +129,7 @@ class Link:
         self._clock = clock
         self._wire: Wire | None = None
         self._peers: dict[Address | None, _Peer] = {}
-        self._strangers: Codec | None = None
+        self._unknown_codec: Codec | None = None
 
     @property
     def local(self) -> Address | None:
@@ -229,13 +229,13 @@ class Link:
         return self._o.endpoint.scheme != "udpin"
 
     def _codec_for(self, peer: _Peer | None) -> Codec:
-        """Return the peer's codec; strangers share one, whose datagrams have nothing to do with each other."""
+        """Return the peer's codec; unknown_senders share one, whose datagrams have nothing to do with each other."""
         if peer is not None:
             return peer.codec
-        if self._strangers is None:
-            self._strangers = self._codec()
-        self._strangers.restart()
-        return self._strangers
+        if self._unknown_codec is None:
+            self._unknown_codec = self._codec()
+        self._unknown_codec.restart()
+        return self._unknown_codec
 
     def _hand_on(self, message: Message, received_at: MonoNs, address: Address | None) -> None:
         ids = (int(message.get_srcSystem()), int(message.get_srcComponent()))
@@ -244,18 +244,18 @@ class Link:
         if ids[0] == 0:
             access.refused["no system id"] += 1
             return
-        standing = access.standing(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
-        if standing is Standing.STRANGER:
-            self.counters.strangers += 1
+        level = access.level(source, ids, received_at, asked_for=self._asked_for, signed=self.signed)
+        if level is AccessLevel.UNKNOWN:
+            self.counters.unknown_senders += 1
             access.refuse_unknown(ids, address, received_at)
             # A flood from unknown senders may fill half of the queue, and never pushes out messages of known ones.
             if message.get_type() == "HEARTBEAT" and 2 * len(line) < line.capacity:
-                line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, standing))
+                line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, level))
             return
-        if standing >= Standing.PEER:
+        if level >= AccessLevel.PEER:
             self.admit(address, received_at)
         self._links.notify_tap(received_at, self.endpoint, "in", bytes(message.get_msgbuf()), message)
-        line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, standing))
+        line.offer(ReceivedMessage(message, self._number, received_at, *ids, address, level))
 
     def _forget_silent(self) -> None:
         if not self._asked_for:
@@ -269,8 +269,8 @@ class Link:
         if len(self.counters.codecs) <= 4 * self._o.peers_max:
             return
         alive = {id(p.codec.counters) for p in self._peers.values()}
-        if self._strangers is not None:
-            alive.add(id(self._strangers.counters))
+        if self._unknown_codec is not None:
+            alive.add(id(self._unknown_codec.counters))
         gone = [c for c in self.counters.codecs if id(c) not in alive]
         total = CodecCounters()
         for one in gone:

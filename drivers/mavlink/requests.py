@@ -155,7 +155,7 @@ class Parameters:
     def settled(self) -> bool:
         return not self._wanted and not self._asked
 
-    def want(self, names: Iterable[str]) -> None:
+    def request(self, names: Iterable[str]) -> None:
         """Read these parameters, again if they were read before."""
         for name in names:
             if name not in self._wanted and name not in self._asked:

@@ -30,7 +30,7 @@ from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
 
 STILL = Velocity(np.zeros(3), 0.0)
-_CARRY_S = 1.0
+_MEAN_S = 1.0
 """The time over which the velocity that a landing continues with is averaged."""
 
 
@@ -66,7 +66,7 @@ class StreamerOptions:
     landing_depth_m: float = 3.0
     """A landing by velocity also ends after descending this far, as there is no deck. This does not bound a landing that a person
     ordered, which may begin at any height."""
-    carry_s: float = 3.0
+    deck_hold_s: float = 3.0
     """Time after the last velocity in which a hold moves with the deck; later it holds over the ground."""
     hold_mode_after_s: float = 6.0
     """Time without commands from guidance after which the autopilot is put into its own hold mode and our stream ends."""
@@ -101,9 +101,9 @@ class SetpointStreamer:
         self._o = options or StreamerOptions()
         self._motion: Velocity = STILL
         self._motion_at: MonoNs | None = None
-        self._carried = np.zeros(3)
+        self._mean_velocity = np.zeros(3)
         """The mean of the velocities commanded lately, (3,) m/s: it follows the deck without the corrections."""
-        self._way = np.zeros(3)
+        self._v_deck = np.zeros(3)
         """The velocity of the surface below at the last commanded velocity, (3,) m/s in the level frame."""
         self._steered_at: MonoNs | None = None
         self._streaming_since: MonoNs | None = None
@@ -139,18 +139,18 @@ class SetpointStreamer:
         chosen = self._o.landing
         return chosen == "velocity" or (chosen == "by stack" and self._id.stack is Stack.PX4)
 
-    def take(self, command: Command, now: MonoNs, way_level: F64 | None = None) -> None:
+    def take(self, command: Command, now: MonoNs, v_deck_level: F64 | None = None) -> None:
         """Take the newest command.
 
         Args:
-            way_level: (3,) m/s, velocity of the surface below, which a velocity command already includes; None for still ground.
+            v_deck_level: (3,) m/s, velocity of the surface below, already included in a velocity command; None for still ground.
         """
         if isinstance(command, TakeOff):
             self._take_off_at, self._asked, self._asks = now, None, 0
         elif isinstance(command, Land):
             self._take_off_at = None
             self._motion_at = now
-            if self.hand is Hand.LANDING and command.standing and not self._land.standing:
+            if self.hand is Hand.LANDING and command.persistent and not self._land.persistent:
                 self._land, self._land_at, self._land_began, self._spent = command, now, now, False
             elif self.hand is Hand.LANDING and not self._spent:
                 self._land_at = now
@@ -165,9 +165,9 @@ class SetpointStreamer:
                 self._call_off()
         else:
             since_s = math.inf if self._steered_at is None else seconds_between(self._steered_at, now)
-            share = min(1.0, since_s / _CARRY_S)
-            self._carried = self._carried + share * (command.v_level - self._carried)
-            self._way = np.zeros(3) if way_level is None else way_level
+            weight = min(1.0, since_s / _MEAN_S)
+            self._mean_velocity = self._mean_velocity + weight * (command.v_level - self._mean_velocity)
+            self._v_deck = np.zeros(3) if v_deck_level is None else v_deck_level
             self._motion, self._motion_at, self._steered_at, self._spent = command, now, now, False
             willing = (Hand.IDLE, Hand.LANDING, Hand.HOLDING)
             if self.hand in willing and self._mode is not None and self._condition.flying is not False:
@@ -189,7 +189,7 @@ class SetpointStreamer:
         in_mode = condition.mode == self._mode
         held_modes = (self._mode, HOLD_MODE.get(self._id.stack))
         landing_modes = (self._landed_from, LAND_MODE.get(self._id.stack))
-        taken_away = (
+        taken_over = (
             (self.hand is Hand.OURS and not in_mode)
             or (self.hand is Hand.LANDING and condition.mode not in landing_modes)
             or (self.hand is Hand.HOLDING and condition.mode not in held_modes)
@@ -200,7 +200,7 @@ class SetpointStreamer:
             self._request_again(Hand.IDLE)
         elif self.hand in (Hand.TAKING, Hand.RELEASED) and in_mode:
             self.hand = Hand.OURS
-        elif taken_away:
+        elif taken_over:
             self.hand = Hand.RELEASED
 
     def on_position(self, down_m: float) -> None:
@@ -227,9 +227,9 @@ class SetpointStreamer:
 
     def leave(self, now: MonoNs) -> list[Message]:
         """Return the final messages, a hold in place. A landing of guidance is called off; one that a person ordered goes on."""
-        if self.hand is Hand.LANDING and self._land.standing:
-            sinking = self._descending
-            return [set_mode(self._id.stack, self._id.address, LAND_MODE[self._id.stack])] if sinking else []
+        if self.hand is Hand.LANDING and self._land.persistent:
+            descending = self._descending
+            return [set_mode(self._id.stack, self._id.address, LAND_MODE[self._id.stack])] if descending else []
         if self.hand not in (Hand.TAKING, Hand.OURS, Hand.LANDING, Hand.HOLDING):
             return []
         by_mode = self._id.stack is Stack.PX4 or (self.hand is Hand.LANDING and not self._descending)
@@ -269,9 +269,9 @@ class SetpointStreamer:
 
     def _held(self, now: MonoNs) -> Velocity:
         """Return the velocity that holds over the surface below while its velocity is known, later over the ground."""
-        if self._steered_at is None or seconds_between(self._steered_at, now) > self._o.carry_s:
+        if self._steered_at is None or seconds_between(self._steered_at, now) > self._o.deck_hold_s:
             return STILL
-        return Velocity(self._way * (1.0, 1.0, 0.0), 0.0)
+        return Velocity(self._v_deck * (1.0, 1.0, 0.0), 0.0)
 
     def _descend(self, now: MonoNs) -> list[Message]:
         """Continue a landing while it is renewed and within its bounds, else hold."""
@@ -286,14 +286,14 @@ class SetpointStreamer:
             if silent_s > self._o.hold_mode_after_s:
                 self._request_again(Hand.HOLDING)
                 return self._hold(now)
-            carried = self._carried * (1.0, 1.0, 0.0) if silent_s <= self._o.carry_s else np.zeros(3)
-            return self._setpoint(now, Velocity(carried, 0.0))
+            velocity = self._mean_velocity * (1.0, 1.0, 0.0) if silent_s <= self._o.deck_hold_s else np.zeros(3)
+            return self._setpoint(now, Velocity(velocity, 0.0))
         self._paused = False
-        if self._descending and self._land.standing and seconds_between(self._land_began, now) > self._o.landing_most_s:
+        if self._descending and self._land.persistent and seconds_between(self._land_began, now) > self._o.landing_most_s:
             self._descending = False
             self._request_again(Hand.LANDING)
         if self._descending:
-            v = np.array([self._carried[0], self._carried[1], self._o.descent_rate_m_s])
+            v = np.array([self._mean_velocity[0], self._mean_velocity[1], self._o.descent_rate_m_s])
             return self._setpoint(now, Velocity(v, 0.0))
         mode = LAND_MODE.get(self._id.stack)
         if mode is None or self._condition.mode == mode or not self._may_ask(now):
@@ -302,7 +302,7 @@ class SetpointStreamer:
 
     def _wanted(self, now: MonoNs) -> bool:
         """Return whether the landing continues, by velocity or by mode."""
-        if self._land.standing:
+        if self._land.persistent:
             return True
         if self._spent or seconds_between(self._land_at, now) > self._o.landing_timeout_s:
             return False

@@ -44,7 +44,7 @@ class Land:
     Guidance repeats it in every cycle for as long as it wants to land; a driver treats its absence as the end of the landing.
     """
 
-    standing: bool = False
+    persistent: bool = False
     """A person's order: it needs no repeating and holds until the vehicle is on the ground or told to take off."""
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, DecklanderError
-from sitl.ardrone.again import fly_again, real_time
+from sitl.ardrone.repeated_flights import fly_repeatedly, real_time
 from sitl.ardrone.server import ArDroneServer, Habits, Ports
 from sitl.scenario import Scenario, load
 from sitl.world import World
@@ -37,13 +37,13 @@ async def serve(
     truth_path: Path | None = None,
     habits: Habits | None = None,
     *,
-    again: bool = False,
+    repeat: bool = False,
     faults: bool = False,
 ) -> None:
     """Fly `scenario` until told to end.
 
     Args:
-        again: begin a new flight with the next seed after each one.
+        repeat: begin a new flight with the next seed after each one.
         faults: give each of the further flights a fault.
 
     Raises:
@@ -67,10 +67,10 @@ async def serve(
             )
             parent = await _watch_parent(end)
             async with asyncio.TaskGroup() as group:
-                if again:
-                    flights = group.create_task(fly_again(server, scenario, seed, clock, _say, faults=faults))
+                if repeat:
+                    flights = group.create_task(fly_repeatedly(server, scenario, seed, clock, _say, faults=faults))
                 await end.wait()
-                if again:
+                if repeat:
                     flights.cancel()
             if parent is not None:
                 parent.close()
@@ -96,8 +96,8 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}-port", type=int, default=getattr(usual, name), help="0 for any; %(default)s unless given")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write what really happens, one JSON object a line")
     parser.add_argument("--pave-header", type=int, choices=(64, 68, 76), default=Habits().pave_header_size)
-    parser.add_argument("--again", action="store_true", help="after each flight begin another, with the next seed")
-    parser.add_argument("--faults", action="store_true", help="with --again: give each further flight a fault")
+    parser.add_argument("--repeat", action="store_true", help="after each flight begin another, with the next seed")
+    parser.add_argument("--faults", action="store_true", help="with --repeat: give each further flight a fault")
     asked = parser.parse_args(argv)
     ports = Ports(asked.navdata_port, asked.video_port, asked.at_port, asked.control_port)
     try:
@@ -107,7 +107,7 @@ def main(argv: list[str] | None = None) -> int:
         scenario = load(asked.scenario)
         if not real_time(scenario):
             raise BadInput(f"{asked.scenario}: service_killed and in_phase are for flights in virtual time (decklander simulate)")
-        flights = {"again": asked.again, "faults": asked.faults}
+        flights = {"repeat": asked.repeat, "faults": asked.faults}
         asyncio.run(serve(scenario, asked.seed, asked.host, ports, asked.truth, habits, **flights))
     except DecklanderError as why:
         print(f"decklander: {why}", file=sys.stderr)

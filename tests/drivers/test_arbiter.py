@@ -6,7 +6,7 @@ import pytest
 
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.arbiter import HOVER, CommandArbiter, Word
+from drivers.ardrone.arbiter import HOVER, CommandArbiter, TimedCommand
 from drivers.ardrone.landing_watch import Cause, DroneReport, LandingWatch
 from estimator.contracts.time import MonoNs
 
@@ -27,7 +27,7 @@ def report(control: nd.ControlState, altitude_m: float | None = 1.5, bits: int =
 def test_a_word_is_flown_up_to_its_deadline_and_hover_after_it() -> None:
     arbiter = CommandArbiter(60.0)
     assert arbiter.commands(ms(0)) == [], "nothing is said before the service has said something"
-    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     assert arbiter.commands(ms(0)) == arbiter.commands(ms(120)) == [FLY, AHEAD]
     assert arbiter.commands(ms(121)) == [HOVER]
     assert arbiter.hovers == 1
@@ -36,13 +36,13 @@ def test_a_word_is_flown_up_to_its_deadline_and_hover_after_it() -> None:
 def test_a_word_that_comes_late_is_never_flown() -> None:
     """It waited in the socket while we, or the service, were stopped."""
     arbiter = CommandArbiter(60.0)
-    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     assert arbiter.commands(ms(5000)) == [HOVER]
 
 
 def test_a_word_of_a_service_that_is_gone_ends_at_once() -> None:
     arbiter = CommandArbiter(60.0)
-    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     arbiter.lost(ms(10))
     assert arbiter.commands(ms(10)) == [HOVER]
     arbiter.lost(ms(50))
@@ -52,24 +52,24 @@ def test_a_word_of_a_service_that_is_gone_ends_at_once() -> None:
 def test_no_order_to_take_off_or_to_land_outlives_its_word() -> None:
     for ref in (FLY, GROUND):
         arbiter = CommandArbiter(60.0)
-        arbiter.take(Word(ms(120), HOVER, ref.bits))
+        arbiter.take(TimedCommand(ms(120), HOVER, ref.bits))
         assert arbiter.commands(ms(121)) == [HOVER]
 
 
 def test_a_drone_in_the_air_is_held_there_and_its_watchdog_answered() -> None:
     arbiter = CommandArbiter(60.0)
-    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     arbiter.on_report(report(nd.ControlState.HOVERING, bits=nd.NavdataState.COM_WATCHDOG), ms(1000))
     assert arbiter.commands(ms(1001)) == [at.ComWdg(), FLY, HOVER]
     assert arbiter.commands(ms(1300)) == [HOVER], "told too late, the wish to fly would start the motors of one that has landed"
     arbiter.on_report(report(nd.ControlState.LANDED), ms(1400))
     assert arbiter.commands(ms(1401)) == [HOVER]
-    assert arbiter.stands(ms(1401))
+    assert arbiter.on_ground(ms(1401))
 
 
 def test_it_is_held_for_a_bounded_time() -> None:
     arbiter = CommandArbiter(2.0)
-    arbiter.take(Word(ms(120), AHEAD, FLY.bits))
+    arbiter.take(TimedCommand(ms(120), AHEAD, FLY.bits))
     assert arbiter.commands(ms(2110)) == [HOVER]
     assert arbiter.commands(ms(2130)) == []
 
@@ -80,7 +80,7 @@ def test_a_landing_nobody_renews_is_called_off_unless_it_is_about_to_end(
 ) -> None:
     """The landing of a person, which is not to be renewed, goes on."""
     arbiter = CommandArbiter(60.0)
-    arbiter.take(Word(ms(120), HOVER, GROUND.bits, landing=landing))
+    arbiter.take(TimedCommand(ms(120), HOVER, GROUND.bits, landing=landing))
     arbiter.on_report(report(nd.ControlState.LANDING, altitude_m), ms(300))
     assert arbiter.commands(ms(301)) == ([FLY, HOVER] if called_off else [HOVER])
 

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.ardrone import at
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.arbiter import HOVER, STAY_UP, CommandArbiter, Word
+from drivers.ardrone.arbiter import HOVER, STAY_UP, CommandArbiter, TimedCommand
 from drivers.ardrone.landing_watch import DroneReport
 from estimator.contracts.time import MonoNs
 
@@ -25,7 +25,7 @@ def report(control: nd.ControlState | None, *, flying: bool, bits: int = 0, alti
 def silent(hold_s: float = 60.0, **word: bool) -> CommandArbiter:
     """An arbiter whose newest word ran out at 120 ms."""
     arbiter = CommandArbiter(hold_s)
-    arbiter.take(Word(ms(120), AHEAD, STAY_UP, **word))
+    arbiter.take(TimedCommand(ms(120), AHEAD, STAY_UP, **word))
     return arbiter
 
 
@@ -36,18 +36,18 @@ def test_hover_presses_no_stick_and_to_stay_up_is_to_wish_to_fly() -> None:
 
 
 def test_a_word_without_orders_sends_its_sticks_alone_and_its_parts_come_in_order() -> None:
-    assert Word(ms(0), AHEAD).commands() == [AHEAD]
-    assert Word(ms(0), AHEAD, at.REF_BASE).commands() == [at.Ref(at.REF_BASE), AHEAD]
-    assert Word(ms(0), AHEAD, STAY_UP, watchdog=True).commands() == [at.ComWdg(), FLY, AHEAD]
+    assert TimedCommand(ms(0), AHEAD).commands() == [AHEAD]
+    assert TimedCommand(ms(0), AHEAD, at.REF_BASE).commands() == [at.Ref(at.REF_BASE), AHEAD]
+    assert TimedCommand(ms(0), AHEAD, STAY_UP, watchdog=True).commands() == [at.ComWdg(), FLY, AHEAD]
 
 
 def test_before_the_first_word_nothing_is_fresh_and_nothing_is_silent() -> None:
     arbiter = CommandArbiter(2.0)
     assert not arbiter.fresh(ms(0))
     assert arbiter.silent_s(ms(0)) == 0.0
-    assert arbiter.word is None
+    assert arbiter.latest is None
     arbiter.lost(ms(0))
-    assert arbiter.word is None
+    assert arbiter.latest is None
     assert arbiter.hovers == 0
 
 
@@ -64,8 +64,8 @@ def test_silence_is_counted_from_the_deadline_and_held_up_to_its_end() -> None:
 def test_a_service_that_is_gone_never_lengthens_its_word() -> None:
     arbiter = silent()
     arbiter.lost(ms(5000))
-    assert arbiter.word is not None
-    assert arbiter.word.until == ms(120)
+    assert arbiter.latest is not None
+    assert arbiter.latest.until == ms(120)
     arbiter.lost(ms(50))
     assert not arbiter.fresh(ms(50))
     assert arbiter.fresh(MonoNs(ms(50) - 1))
@@ -96,7 +96,7 @@ def test_one_that_does_not_fly_is_never_told_to(control: nd.ControlState | None)
 
 
 @pytest.mark.parametrize(
-    ("control", "flying", "stands"),
+    ("control", "flying", "on_ground"),
     [
         (nd.ControlState.LANDED, False, True),
         (nd.ControlState.INIT, False, True),
@@ -108,18 +108,18 @@ def test_one_that_does_not_fly_is_never_told_to(control: nd.ControlState | None)
         (None, True, False),
     ],
 )
-def test_it_stands_where_state_and_control_both_say_so(control: nd.ControlState | None, flying: bool, stands: bool) -> None:
+def test_it_stands_where_state_and_control_both_say_so(control: nd.ControlState | None, flying: bool, on_ground: bool) -> None:
     arbiter = silent()
-    assert not arbiter.stands(ms(200)), "nobody has said so"
+    assert not arbiter.on_ground(ms(200)), "nobody has said so"
     arbiter.on_report(report(control, flying=flying), ms(200))
-    assert arbiter.stands(ms(1200)) is stands
-    assert not arbiter.stands(ms(1201)), "said too long ago"
+    assert arbiter.on_ground(ms(1200)) is on_ground
+    assert not arbiter.on_ground(ms(1201)), "said too long ago"
 
 
 def test_a_report_before_the_first_word_belongs_to_no_order() -> None:
     arbiter = CommandArbiter(60.0)
     arbiter.on_report(report(nd.ControlState.LANDING, flying=True), ms(100))
-    arbiter.take(Word(ms(120), AHEAD, STAY_UP, landing=True))
+    arbiter.take(TimedCommand(ms(120), AHEAD, STAY_UP, landing=True))
     arbiter.on_report(report(nd.ControlState.LANDING, flying=True), ms(200))
     assert arbiter.commands(ms(201)) == [HOVER], "somebody else began that landing"
 

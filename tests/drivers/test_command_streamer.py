@@ -40,7 +40,7 @@ class Cockpit:
         self.streamer.on_sample(BodyVelocity(stamp, np.array([forward_m_s, 0.0, 0.0]), np.diag([0.1, 0.1, UNKNOWN_VAR])))
 
     def sends(self, t: int) -> list[at.AtCommand]:
-        return self.streamer.word(ms(t)).commands()
+        return self.streamer.command(ms(t)).commands()
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_an_emergency_ends_the_wish_to_take_off(cockpit: Cockpit) -> None:
 def test_a_persons_landing_is_held_until_it_stands_whatever_comes(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.measures(0)
-    cockpit.streamer.take(Land(standing=True), ms(1))
+    cockpit.streamer.take(Land(persistent=True), ms(1))
     cockpit.streamer.take(FORWARD, ms(2))
     assert cockpit.sends(3) == [GROUND, HOVER]
     cockpit.hears(4, nd.ControlState.LANDING)
@@ -225,6 +225,6 @@ def test_a_word_ends_with_the_guidance_cycle_that_it_came_from(cockpit: Cockpit)
     cockpit.hears(0, nd.ControlState.FLYING)
     cockpit.measures(0)
     cockpit.streamer.take(FORWARD, ms(0))
-    assert cockpit.streamer.word(ms(90)).until == ms(120)
+    assert cockpit.streamer.command(ms(90)).until == ms(120)
     cockpit.streamer.take(Hover(), ms(90))
-    assert cockpit.streamer.word(ms(100)).until == ms(220)
+    assert cockpit.streamer.command(ms(100)).until == ms(220)

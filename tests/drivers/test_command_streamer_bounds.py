@@ -55,10 +55,10 @@ class Cockpit:
         self.streamer.on_sample(Attitude(stamp, Rotation.from_rpy(0.0, pitch_rad, 0.0), 1e-4 * np.eye(3)))
 
     def ref(self, t: float) -> int | None:
-        return self.streamer.word(ms(t)).ref
+        return self.streamer.command(ms(t)).ref
 
     def sticks(self, t: float) -> at.Pcmd:
-        return self.streamer.word(ms(t)).sticks
+        return self.streamer.command(ms(t)).sticks
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def cockpit() -> Cockpit:
 
 def test_a_new_helm_knows_nothing_and_wishes_nothing(cockpit: Cockpit) -> None:
     assert (cockpit.streamer.flying, cockpit.streamer.landing) == (None, False)
-    word = cockpit.streamer.word(ms(0))
+    word = cockpit.streamer.command(ms(0))
     assert (word.ref, word.sticks, word.landing, word.watchdog) == (None, HOVER, False, False)
     assert word.until == ms(250)
 
@@ -100,7 +100,7 @@ def test_a_take_off_ends_a_landing_and_the_motion_before(cockpit: Cockpit) -> No
     cockpit.hears(0, FLYING)
     cockpit.measures(0)
     cockpit.streamer.take(FORWARD, ms(0))
-    cockpit.streamer.take(Land(standing=True), ms(0))
+    cockpit.streamer.take(Land(persistent=True), ms(0))
     assert cockpit.streamer.landing
     cockpit.streamer.take(TakeOff(), ms(1))
     assert not cockpit.streamer.landing
@@ -111,9 +111,9 @@ def test_a_hover_in_place_of_a_velocity_is_the_word_of_this_period_and_not_as_ol
     cockpit.hears(0, FLYING)
     cockpit.measures(0)
     cockpit.streamer.take(FORWARD, ms(0))
-    word = cockpit.streamer.word(ms(100))
+    word = cockpit.streamer.command(ms(100))
     assert (word.sticks != HOVER, word.until) == (True, ms(250))
-    word = cockpit.streamer.word(ms(900))
+    word = cockpit.streamer.command(ms(900))
     assert (word.sticks, word.ref, word.until) == (HOVER, STAY_UP, ms(1150))
 
 
@@ -134,12 +134,12 @@ def test_a_landing_ends_the_wish_to_take_off_and_stops_the_motion(cockpit: Cockp
 def test_a_persons_landing_is_not_made_guidances_own_by_repeating_it(cockpit: Cockpit) -> None:
     cockpit.hears(0, FLYING)
     for standing, renewed in ((False, True), (True, False)):
-        cockpit.streamer.take(Land(standing=standing), ms(1))
-        assert cockpit.streamer.word(ms(1)).landing is renewed
+        cockpit.streamer.take(Land(persistent=standing), ms(1))
+        assert cockpit.streamer.command(ms(1)).landing is renewed
     cockpit.streamer.take(Land(), ms(2))
     cockpit.streamer.take(FORWARD, ms(3))
     assert cockpit.streamer.landing
-    assert cockpit.streamer.word(ms(4)).landing is False
+    assert cockpit.streamer.command(ms(4)).landing is False
 
 
 def test_an_emergency_is_three_periods_and_ends_the_wish_to_take_off(cockpit: Cockpit) -> None:
@@ -161,7 +161,7 @@ def test_flight_or_emergency_ends_a_take_off(cockpit: Cockpit, bit: int) -> None
 def test_a_landing_ends_on_the_ground_alone(cockpit: Cockpit) -> None:
     for control, ends in ((LANDED, True), (nd.ControlState.INIT, True), (nd.ControlState.DEFAULT, True), (FLYING, False)):
         cockpit.hears(0, FLYING)
-        cockpit.streamer.take(Land(standing=True), ms(1))
+        cockpit.streamer.take(Land(persistent=True), ms(1))
         cockpit.hears(2, control)
         assert cockpit.streamer.landing is not ends
     cockpit.hears(3, FLYING, nd.NavdataState.EMERGENCY)
@@ -196,7 +196,7 @@ def test_a_landing_nobody_renews_is_given_up_after_its_time(
 
 def test_a_persons_landing_holds_however_long_nobody_repeats_it(cockpit: Cockpit) -> None:
     cockpit.hears(0, FLYING)
-    cockpit.streamer.take(Land(standing=True), ms(0))
+    cockpit.streamer.take(Land(persistent=True), ms(0))
     cockpit.hears(10_000, LANDING, altitude_m=3.0)
     assert cockpit.ref(10_000) == GROUND
     assert cockpit.counters.landings_given_up == 0
@@ -228,7 +228,7 @@ def test_how_low_a_landing_for_our_silence_is_called_off_owes_nothing_to_one_bef
 
 
 def test_a_drone_that_says_both_that_it_lands_and_that_it_does_not_fly_has_not_landed(cockpit: Cockpit) -> None:
-    cockpit.streamer.take(Land(standing=True), ms(0))
+    cockpit.streamer.take(Land(persistent=True), ms(0))
     demo = nd.Demo(LANDING.word, 50, 0.0, 0.0, 0.0, 100, 0.0, 0.0, 0.0)
     cockpit.streamer.on_navdata(nd.Navdata.of(0, 1, (demo,)), ms(1))
     assert cockpit.streamer.landing
@@ -246,10 +246,10 @@ def test_the_first_step_of_the_loop_takes_no_time_and_other_samples_say_nothing_
 
 def test_the_watchdog_is_counted_as_often_as_it_is_reset(cockpit: Cockpit) -> None:
     cockpit.hears(0, FLYING, nd.NavdataState.COM_WATCHDOG)
-    assert cockpit.streamer.word(ms(1)).watchdog
-    assert cockpit.streamer.word(ms(2)).watchdog
+    assert cockpit.streamer.command(ms(1)).watchdog
+    assert cockpit.streamer.command(ms(2)).watchdog
     cockpit.hears(3, FLYING)
-    assert not cockpit.streamer.word(ms(4)).watchdog
+    assert not cockpit.streamer.command(ms(4)).watchdog
     assert cockpit.counters.watchdog_resets == 2
 
 

@@ -211,7 +211,7 @@ async def test_a_mistake_of_ours_ends_the_link_loudly(monkeypatch: pytest.Monkey
     async def fly() -> None:
         async with linked(fake) as drone:
             await until(lambda: drone.ready)
-            monkeypatch.setattr("drivers.ardrone.command_streamer.CommandStreamer.word", mistaken)
+            monkeypatch.setattr("drivers.ardrone.command_streamer.CommandStreamer.command", mistaken)
             await asyncio.sleep(5)
 
     with pytest.raises(ExceptionGroup) as caught:

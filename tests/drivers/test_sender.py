@@ -19,7 +19,7 @@ import pytest
 
 from drivers.ardrone import at, sender_lock
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.arbiter import HOVER, Word
+from drivers.ardrone.arbiter import HOVER, TimedCommand
 from drivers.ardrone.link import open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.sender_client import SenderClient
@@ -111,8 +111,8 @@ def test_it_is_small() -> None:
 
 
 def test_what_the_two_say_to_each_other_comes_out_as_it_went_in() -> None:
-    word = Word(MonoNs(12345), AHEAD, at.REF_BASE, True, True)
-    assert order_of(pack(word)).word == word
+    word = TimedCommand(MonoNs(12345), AHEAD, at.REF_BASE, True, True)
+    assert order_of(pack(word)).latest == word
     sent = order_of(pack_commands([at.Config("a:b", "c d"), at.Ctrl(5)], MonoNs(7)))
     assert (sent.commands, sent.until) == ((("CONFIG", ',"a:b","c d"'), ("CTRL", ",5,0")), 7)
     options = SenderOptions(HOST, 1, 2, 0.03, 60.0, (("CTRL", ",5,0"),), ())
@@ -201,7 +201,7 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> Non
         client = SenderClient(SenderOptions(HOST, port, port, 0.03, 60.0), clock, lambda a, b: None, lambda: past.append(None))
 
         def flies() -> None:
-            client.say(Word(after(CLOCK.now(), 60.0), AHEAD))
+            client.update(TimedCommand(after(CLOCK.now(), 60.0), AHEAD))
 
         try:
             flies()
@@ -232,7 +232,7 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> Non
                 assert all(gate.accepts(number) for number, _ in received_at)
             assert all(gate.accepts(number) for number, _ in received_at)
         finally:
-            client.end(Word(CLOCK.now(), HOVER))
+            client.end(TimedCommand(CLOCK.now(), HOVER))
 
 
 async def test_a_blocked_event_loop_means_hover() -> None:
@@ -260,10 +260,10 @@ async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> N
         port = drone.getsockname()[1]
         client = SenderClient(SenderOptions(HOST, port, port, 0.01, 60.0), CLOCK, lambda a, b: None)
         try:
-            client.say(Word(after(CLOCK.now(), 5.0), HOVER))
+            client.update(TimedCommand(after(CLOCK.now(), 5.0), HOVER))
             assert b"PCMD" in drone.recv(2048)
             os.kill(client.pid, signal.SIGSTOP)
-            client._write(pack(Word(after(CLOCK.now(), 0.1), AHEAD, at.REF_BASE)))
+            client._write(pack(TimedCommand(after(CLOCK.now(), 0.1), AHEAD, at.REF_BASE)))
             client._write(pack_commands([at.Ftrim()], after(CLOCK.now(), 0.1)))
             await asyncio.sleep(0.2)
             drone.setblocking(False)
@@ -278,7 +278,7 @@ async def test_a_sender_that_was_stopped_flies_nothing_that_waited_for_it() -> N
             assert all(b"FTRIM" not in one and b"REF" not in one for one in later)
             assert all(p.flags == 0 for one in later for _, p in at.decode(one) if isinstance(p, at.Pcmd))
         finally:
-            client.end(Word(CLOCK.now(), HOVER))
+            client.end(TimedCommand(CLOCK.now(), HOVER))
 
 
 def test_the_wall_clock_may_jump() -> None:

@@ -90,7 +90,7 @@ class Bench:
                 self.arbiter.on_report(DroneReport.of(navdata), received_at)
             if self.ticks % PERIOD_TICKS == 0:
                 if service:
-                    self.arbiter.take(self.streamer.word(received_at))
+                    self.arbiter.take(self.streamer.command(received_at))
                 if sender:
                     self.tell(self.arbiter.commands(received_at))
 

@@ -110,7 +110,7 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "wrong speed": ("link-garbage", link(bytes_in=9000, messages=3, damaged=800), "same speed"),
     "key on one side only": ("link-signature", link(refused_signature=40), "same key"),
     "not signed in a network": ("link-unsigned", link(url="udpin://0.0.0.0:14550", signed=False), "decklander keys"),
-    "a station that is not named": ("link-strangers", link(strangers=300), "vehicle.operators"),
+    "a station that is not named": ("link-unknown-senders", link(unknown_senders=300), "vehicle.operators"),
     "MAVLink 1 on the port": ("link-mavlink1", link(old_version=2900), "SERIALn_PROTOCOL 2"),
     "overloaded link": ("link-lossy", link(lost=600), "921600"),
     "only a ground station heard": ("no-autopilot", replace(GOOD, autopilot=None, sync=None), "frame type"),
@@ -170,7 +170,7 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "PX4 lands in the sea when we die": ("px4-offboard-action", px4_parameter("COM_OBL_RC_ACT", 4.0), "COM_OBL_RC_ACT"),
     "PX4 height from the deck": ("ekf-height-by-range", px4_parameter("EKF2_HGT_REF", 2.0), "EKF2_HGT_REF"),
     "PX4 waits for vision": ("px4-external-vision", px4_parameter("EKF2_EV_CTRL", 15.0), "EKF2_EV_CTRL 0"),
-    "pad out of the frame": ("targets-withheld", service(targets_sent=0, withheld={"not seen": 90, "standing": 3}), "detect"),
+    "pad out of the frame": ("targets-withheld", service(targets_sent=0, withheld={"not seen": 90, "on ground": 3}), "detect"),
 }
 
 

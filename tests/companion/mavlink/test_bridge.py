@@ -17,7 +17,7 @@ from companion.mavlink.bridge import VehicleBridge
 from companion.mavlink.bridge_part import BridgePart
 from companion.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
 from drivers.clock import SystemClock
-from drivers.mavlink.access import Named, Standing
+from drivers.mavlink.access import AccessLevel, Named
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint
@@ -75,7 +75,7 @@ class Station:
         padded = [*params, 0, 0, 0, 0, 0, 0, 0][:7]
         message = mav.MAVLink_command_long_message(7, 1, command, 0, *padded)
         before = len(self.messages)
-        self.bridge.on_message(ReceivedMessage(message, 0, self.now, 255, 190, standing=Standing.OPERATOR), 7, self.now)
+        self.bridge.on_message(ReceivedMessage(message, 0, self.now, 255, 190, access_level=AccessLevel.OPERATOR), 7, self.now)
         ack = self.messages[before]
         assert (ack.command, ack.target_system, ack.target_component) == (command, 255, 190)
         return int(ack.result)
@@ -194,7 +194,7 @@ async def test_it_is_closed_to_whoever_is_not_named(operators: tuple[Named, ...]
         beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
         assert await wire.say(beat, LAND) == []
         assert commands == []
-        assert part.counted()["strangers"] == 2
+        assert part.counted()["unknown_senders"] == 2
         assert part.counted()["peers"] == 0
         wire.close()
 

@@ -75,7 +75,7 @@ async def test_a_pad_out_of_sight_and_a_vehicle_on_the_ground_are_not_told_of() 
         stage.seen = True
         await until(lambda: len(fake.of("LANDING_TARGET")) > silent)
         fake.landed_state, fake.armed = 1, False
-        await until(lambda: stage.component.outputs.withheld["standing"] > 3)
+        await until(lambda: stage.component.outputs.withheld["on ground"] > 3)
         silent = len(fake.of("LANDING_TARGET"))
         await asyncio.sleep(0.3)
         assert len(fake.of("LANDING_TARGET")) == silent
@@ -117,7 +117,7 @@ async def test_our_own_distances_come_back_as_no_measurement() -> None:
         assert stage.ranges == before
         fake.parameters["RNGFND1_TYPE"] = 20.0
         assert stage.autopilot.parameters is not None
-        stage.autopilot.parameters.want(["RNGFND1_TYPE"])
+        stage.autopilot.parameters.request(["RNGFND1_TYPE"])
         await until(lambda: stage.ranges > before + 3)
 
 

@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from drivers.mavlink.access import Access, AccessOptions, Named, Source, Standing, parse_operators
+from drivers.mavlink.access import Access, AccessLevel, AccessOptions, Named, Source, parse_operators
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 
@@ -20,58 +20,58 @@ def at(seconds: float) -> MonoNs:
     return MonoNs(round(seconds * 1e9))
 
 
-def standing(access: Access, source: Source, ids: tuple[int, int], seconds: float = 0.0, *, signed: bool = False) -> Standing:
-    return access.standing(source, ids, at(seconds), asked_for=source[1] is None, signed=signed)
+def level(access: Access, source: Source, ids: tuple[int, int], seconds: float = 0.0, *, signed: bool = False) -> AccessLevel:
+    return access.level(source, ids, at(seconds), asked_for=source[1] is None, signed=signed)
 
 
 def test_by_default_nobody_may_command() -> None:
     access = Access(AccessOptions())
     for ids in (STATION, AUTOPILOT, SHIP, (66, 1)):
-        assert standing(access, A, ids) is Standing.STRANGER
-        assert standing(access, CABLE, ids) is Standing.PEER, "spoken to since we were told to connect there"
+        assert level(access, A, ids) is AccessLevel.UNKNOWN
+        assert level(access, CABLE, ids) is AccessLevel.PEER, "spoken to since we were told to connect there"
 
 
 def test_whoever_signs_may_command() -> None:
-    assert standing(Access(AccessOptions()), A, STATION, signed=True) is Standing.OPERATOR
+    assert level(Access(AccessOptions()), A, STATION, signed=True) is AccessLevel.OPERATOR
 
 
 def test_whoever_is_heard_where_the_autopilot_is_may_command() -> None:
     access = Access(AccessOptions(), autopilot=(A, AUTOPILOT))
-    assert standing(access, A, STATION) is Standing.OPERATOR
-    assert standing(access, B, STATION) is Standing.STRANGER
+    assert level(access, A, STATION) is AccessLevel.OPERATOR
+    assert level(access, B, STATION) is AccessLevel.UNKNOWN
 
 
 @pytest.mark.parametrize("signed", [False, True])
 def test_nobody_else_is_taken_for_the_autopilot(signed: bool) -> None:
     access = Access(AccessOptions((Named(1),)), autopilot=(A, AUTOPILOT))
     for elsewhere in (B, CABLE):
-        assert standing(access, elsewhere, AUTOPILOT, signed=signed) is Standing.STRANGER
+        assert level(access, elsewhere, AUTOPILOT, signed=signed) is AccessLevel.UNKNOWN
     assert access.refused["impostor"] == 2
-    assert standing(access, A, AUTOPILOT, signed=signed) is Standing.OPERATOR
+    assert level(access, A, AUTOPILOT, signed=signed) is AccessLevel.OPERATOR
 
 
 def test_a_named_system_is_held_to_its_peer_until_that_one_falls_silent() -> None:
     access = Access(AccessOptions((Named(255),), silence_s=30.0))
-    assert standing(access, A, STATION, 0.0) is Standing.OPERATOR
-    assert standing(access, B, STATION, 1.0) is Standing.STRANGER
-    assert standing(access, B, (255, 1), 2.0) is Standing.STRANGER, "another component is no way in"
-    assert standing(access, A, STATION, 29.0) is Standing.OPERATOR
-    assert standing(access, B, STATION, 58.0) is Standing.STRANGER
-    assert standing(access, B, STATION, 60.0) is Standing.OPERATOR
+    assert level(access, A, STATION, 0.0) is AccessLevel.OPERATOR
+    assert level(access, B, STATION, 1.0) is AccessLevel.UNKNOWN
+    assert level(access, B, (255, 1), 2.0) is AccessLevel.UNKNOWN, "another component is no way in"
+    assert level(access, A, STATION, 29.0) is AccessLevel.OPERATOR
+    assert level(access, B, STATION, 58.0) is AccessLevel.UNKNOWN
+    assert level(access, B, STATION, 60.0) is AccessLevel.OPERATOR
     assert access.refused["impostor"] == 3
 
 
 def test_one_component_of_a_system_may_be_named_alone() -> None:
     access = Access(AccessOptions((Named(255, 190),)))
-    assert standing(access, A, (255, 191)) is Standing.STRANGER
-    assert standing(access, A, STATION) is Standing.OPERATOR
+    assert level(access, A, (255, 191)) is AccessLevel.UNKNOWN
+    assert level(access, A, STATION) is AccessLevel.OPERATOR
 
 
 def test_a_ship_is_listened_to_and_may_not_command() -> None:
     access = Access(AccessOptions(reporters=frozenset({17})))
-    assert standing(access, A, SHIP) is Standing.REPORTER
-    assert standing(access, B, SHIP) is Standing.STRANGER
-    assert standing(Access(AccessOptions(reporters=frozenset({17}))), CABLE, SHIP) is Standing.PEER
+    assert level(access, A, SHIP) is AccessLevel.REPORTER
+    assert level(access, B, SHIP) is AccessLevel.UNKNOWN
+    assert level(Access(AccessOptions(reporters=frozenset({17}))), CABLE, SHIP) is AccessLevel.PEER
 
 
 def test_a_stranger_that_stays_is_told_of_once_with_the_cure(caplog: pytest.LogCaptureFixture) -> None:
@@ -84,8 +84,8 @@ def test_a_stranger_that_stays_is_told_of_once_with_the_cure(caplog: pytest.LogC
                 access.refuse_unknown((system, 200), B[1], at(20.0 + 5.0 * n))
     assert [r.getMessage() for r in caplog.records if "system 255" in r.getMessage() and "`operators`" in r.getMessage()]
     assert len(caplog.records) <= 64, "a flood of ids neither fills the log nor the memory"
-    assert len(access._strangers) <= 64
-    assert access.refused["stranger"] == 100 + 498
+    assert len(access._unknown_senders) <= 64
+    assert access.refused["unknown"] == 100 + 498
 
 
 def test_operators_as_people_write_them() -> None:

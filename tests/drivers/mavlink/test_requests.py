@@ -95,7 +95,7 @@ def test_parameters_are_read_a_few_at_a_time() -> None:
     assert reader.settled
     assert reader.absent == {"PLND_3"}
     assert reader.values["PLND_0"] == 0.5
-    reader.want(["PLND_3"])
+    reader.request(["PLND_3"])
     assert not reader.settled
 
 

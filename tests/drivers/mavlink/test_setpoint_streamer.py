@@ -220,7 +220,7 @@ def test_the_last_word() -> None:
     )
     flight.streamer.take(Hover(), flight.now)
     flight.told("offboard")
-    flight.periods(0.2, Land(standing=True))
+    flight.periods(0.2, Land(persistent=True))
     assert modes(flight.streamer.leave(flight.now)) == [(4, 6)], "a person's goes on"
 
 
@@ -322,7 +322,7 @@ def test_a_landing_by_mode_is_called_off_when_it_is_not_asked_for_again() -> Non
 
 def test_a_persons_landing_needs_no_repeating() -> None:
     flight = over_a_deck(Stack.ARDUPILOT)
-    flight.periods(0.04, Land(standing=True))
+    flight.periods(0.04, Land(persistent=True))
     flight.told("land")
     assert flight.periods(20.0) == []
 

@@ -231,7 +231,7 @@ def test_a_landing_by_velocity_ends_by_its_time() -> None:
 def test_a_persons_landing_by_velocity_becomes_the_autopilots_own_after_its_time() -> None:
     """It sank for ever."""
     flight = sinking()
-    flight.take(Land(standing=True), 1_000)
+    flight.take(Land(persistent=True), 1_000)
     flight.streamer.on_position(5.0)
     assert flight.sends(16_000) == ([DOWN], []), "not renewed, and from any height"
     assert flight.sends(16_000.001) == ([], [AUTO_LAND])
@@ -245,13 +245,13 @@ def test_a_persons_landing_by_velocity_becomes_the_autopilots_own_after_its_time
 
 def test_a_person_may_order_the_landing_that_guidance_has_under_way_or_has_used_up() -> None:
     flight = sinking()
-    flight.take(Land(standing=True), 100)
+    flight.take(Land(persistent=True), 100)
     flight.take(Land(), 200)
     assert flight.sends(5_000)[0] == [DOWN], "guidance's own asking makes it no less a person's"
     spent = sinking()
     spent.streamer.on_position(1.001)
     assert spent.sends(100)[0] == [LEVEL]
-    spent.take(Land(standing=True), 200)
+    spent.take(Land(persistent=True), 200)
     assert spent.sends(5_000)[0] == [DOWN]
 
 
@@ -317,7 +317,7 @@ def test_the_last_word_of_a_landing_nobody_renews_is_to_hold(landing: str, expec
     flight.sends(100)
     assert said(flight.streamer.leave(ms(110))) == expected
     person = ours(landing=landing)
-    person.take(Land(standing=True), 100)
+    person.take(Land(persistent=True), 100)
     person.sends(100)
     assert said(person.streamer.leave(ms(110))) == ([], [LAND] if landing == "velocity" else [])
 

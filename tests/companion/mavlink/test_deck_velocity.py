@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from companion.mavlink.deck_way import FORGET_S, DeckWay
+from companion.mavlink.deck_velocity import FORGET_S, DeckVelocity
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
 from drivers.mavlink.dialect import Message
@@ -57,7 +57,7 @@ class Scene:
         return RelativeState(now, "ekf", np.array([0.1, 0.2, 3.0]), v, 0.3, np.eye(7) * 0.01, sighted, True)
 
 
-def run(way: DeckWay, scene: Scene, seconds: float) -> F64:
+def run(way: DeckVelocity, scene: Scene, seconds: float) -> F64:
     found = np.zeros(3)
     for _ in range(round(50 * seconds)):
         scene.t_s += 0.02
@@ -67,7 +67,7 @@ def run(way: DeckWay, scene: Scene, seconds: float) -> F64:
 
 def test_a_ship_under_way_is_found_whatever_the_body_does() -> None:
     scene = Scene(np.array([1.2, -0.9, 0.0]))
-    way = DeckWay(scene.believe, scene)
+    way = DeckVelocity(scene.believe, scene)
     assert run(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
     scene.v_body_ned = np.array([-2.0, 1.0, 0.5])
     assert run(way, scene, 0.1)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
@@ -75,7 +75,7 @@ def test_a_ship_under_way_is_found_whatever_the_body_does() -> None:
 
 def test_heave_is_followed_at_once_and_not_without_sight() -> None:
     scene = Scene(np.array([1.2, -0.9, 0.0]))
-    way = DeckWay(scene.believe, scene)
+    way = DeckVelocity(scene.believe, scene)
     run(way, scene, 3.0)
     scene.v_pad_ned = np.array([1.2, -0.9, -0.8])
     assert run(way, scene, 0.6)[2] == pytest.approx(-0.8, abs=0.12)
@@ -85,14 +85,14 @@ def test_heave_is_followed_at_once_and_not_without_sight() -> None:
 
 def test_a_pad_that_lies_still_has_none() -> None:
     scene = Scene(np.zeros(3))
-    found = run(DeckWay(scene.believe, scene), scene, 3.0)
+    found = run(DeckVelocity(scene.believe, scene), scene, 3.0)
     assert found[:2] == pytest.approx([0.0, 0.0], abs=0.06)
     assert abs(found[2]) < 0.12
 
 
 def test_it_is_held_without_sight_and_forgotten_in_the_end() -> None:
     scene = Scene(np.array([1.5, 0.0, 0.0]))
-    way = DeckWay(scene.believe, scene)
+    way = DeckVelocity(scene.believe, scene)
     run(way, scene, 3.0)
     scene.sighted_s = scene.t_s
     held = run(way, scene, 5.0)
@@ -102,7 +102,7 @@ def test_it_is_held_without_sight_and_forgotten_in_the_end() -> None:
 
 def test_waves_are_averaged() -> None:
     scene = Scene(np.zeros(3))
-    way = DeckWay(scene.believe, scene)
+    way = DeckVelocity(scene.believe, scene)
     found = []
     for n in range(1000):
         scene.v_pad_ned = np.array([1.5 + 0.6 * math.sin(math.tau * n / 400), 0.0, 0.0])
@@ -127,7 +127,7 @@ async def test_velocities_go_to_the_autopilot_with_the_decks_way_on_top() -> Non
         host, port = autopilot.links.all[0].local or ("", 0)
         async with fake.talking_to(f"udpout://{host}:{port}"):
             await until(lambda: autopilot.attitude is not None)
-            autopilot.carried = lambda now: np.array([1.5, -0.5, 0.0])
+            autopilot.deck_velocity = lambda now: np.array([1.5, -0.5, 0.0])
             forward = Rotation.from_rpy(0.0, 0.0, YAW) @ np.array([0.3, 0.0, 0.0])
 
             def arrived() -> bool:

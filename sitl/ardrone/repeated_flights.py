@@ -27,7 +27,7 @@ from sitl.safety import dangers
 from sitl.scenario import FAULTS, Scenario, load
 from sitl.world import VehiclePhase, World
 
-_LOOK_S = 0.1
+_POLL_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def _choices(virtual: bool) -> list[tuple[str, Scenario]]:
     return [(name, scenario) for name, scenario in every if virtual or real_time(scenario)]
 
 
-async def fly_again(
+async def fly_repeatedly(
     server: ArDroneServer,
     scenario: Scenario,
     seed: int,
@@ -97,7 +97,7 @@ async def fly_again(
         sent, stood_s = server.counters["video_sent"], server.stood_still_s
         ended = await _end(server, clock)
         load = {"frames_sent": server.counters["video_sent"] - sent, "stood_still_s": round(server.stood_still_s - stood_s, 3)}
-        say(event="flight", seed=seed, ended=ended, **_judged(server.world), **load)
+        say(event="flight", seed=seed, ended=ended, **_result(server.world), **load)
         seed += 1
         following = faulty(scenario, seed) if faults else scenario
         rested = clock.now()
@@ -113,7 +113,7 @@ async def _end(server: ArDroneServer, clock: Clock) -> str:
     """Wait for the end of the flight, and switch the drone off in the air if the flight exceeds the scenario's time."""
     world, flew = server.world, False
     while seconds_between(world.started, clock.now()) < world.scenario.duration_limit_s:
-        await clock.sleep(_LOOK_S)
+        await clock.sleep(_POLL_S)
         flew = flew or world.phase in AIRBORNE
         if world.phase is VehiclePhase.EMERGENCY:
             return "emergency"
@@ -123,7 +123,7 @@ async def _end(server: ArDroneServer, clock: Clock) -> str:
     return "time is up"
 
 
-def _judged(world: World) -> dict[str, Any]:
+def _result(world: World) -> dict[str, Any]:
     """Return what the simulator knows of the flight's result."""
     truth, scenario = world.truth(), world.scenario
     touched = truth.touchdown

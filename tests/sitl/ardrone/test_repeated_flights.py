@@ -13,7 +13,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.commands import Land
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.ardrone.again import PauseBetweenFlights, faulty, fly_again, real_time
+from sitl.ardrone.repeated_flights import PauseBetweenFlights, faulty, fly_repeatedly, real_time
 from sitl.ardrone.server import ArDroneServer, Ports
 from sitl.scenario import Start
 from sitl.scenario import load as load_scenario
@@ -55,7 +55,7 @@ async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_cli
                         drone.command(Land())
 
             pilot = group.create_task(fly())
-            flights = group.create_task(fly_again(server, NEAR, 1, CLOCK, tell, pause=PauseBetweenFlights(0.3, 1.5)))
+            flights = group.create_task(fly_repeatedly(server, NEAR, 1, CLOCK, tell, pause=PauseBetweenFlights(0.3, 1.5)))
             await done.wait()
             await asyncio.sleep(0.1)
             pilot.cancel()

@@ -31,7 +31,7 @@ _MOST_M_S = 15.0
 
 
 class Moving(Protocol):
-    """The part of the autopilot's state that `DeckWay` reads."""
+    """The part of the autopilot's state that `DeckVelocity` reads."""
 
     @property
     def attitude(self) -> Attitude | None: ...
@@ -40,7 +40,7 @@ class Moving(Protocol):
     def positions(self) -> tuple[LocalPosition, ...]: ...
 
 
-class DeckWay:
+class DeckVelocity:
     """Returns the pad's velocity over the ground; call it for each command.
 
     Args:
@@ -49,28 +49,28 @@ class DeckWay:
 
     def __init__(self, believe: Callable[[MonoNs], RelativeState | None], autopilot: Moving) -> None:
         self._believe, self._autopilot = believe, autopilot
-        self._way = np.zeros(3)
+        self._velocity = np.zeros(3)
         self._known_s = 0.0
         self._at: MonoNs | None = None
 
     def __call__(self, now: MonoNs) -> F64:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of the pad."""
-        seen = self._seen(now)
+        measured = self._measured(now)
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
-            self._way, self._known_s, self._at = np.zeros(3), 0.0, None
-        if seen is not None:
+            self._velocity, self._known_s, self._at = np.zeros(3), 0.0, None
+        if measured is not None:
             since_s = 0.0 if self._at is None else min(seconds_between(self._at, now), 0.2)
             self._known_s += since_s
             spans_s = np.minimum(self._known_s, (MEAN_S, MEAN_S, HEAVE_S))
-            share = 1.0 if self._at is None else since_s / np.maximum(spans_s, max(since_s, 1e-9))
-            self._way = self._way + share * (seen - self._way)
+            weight = 1.0 if self._at is None else since_s / np.maximum(spans_s, max(since_s, 1e-9))
+            self._velocity = self._velocity + weight * (measured - self._velocity)
             self._at = now
         elif self._at is not None and seconds_between(self._at, now) > HEAVE_S:
-            self._way = self._way * (1.0, 1.0, 0.0)
-        speed = math.hypot(self._way[0], self._way[1])
-        return self._way * min(1.0, _MOST_M_S / max(speed, 1e-9))
+            self._velocity = self._velocity * (1.0, 1.0, 0.0)
+        speed = math.hypot(self._velocity[0], self._velocity[1])
+        return self._velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
 
-    def _seen(self, now: MonoNs) -> F64 | None:
+    def _measured(self, now: MonoNs) -> F64 | None:
         """Return the pad's velocity over the ground at this instant, or None if it cannot be determined."""
         belief, attitude, positions = self._believe(now), self._autopilot.attitude, self._autopilot.positions
         if belief is None or attitude is None or not positions or not belief.consistent:
