@@ -16,6 +16,7 @@ import numpy as np
 
 from companion.config.build import ardrone_options
 from companion.config.model import Settings
+from companion.guidance.planner import Phase as GuidancePhase
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
@@ -175,7 +176,7 @@ class Flight:
         self._drone.tick(now)
         self._ticks += 1
         if self._ticks % _WATCH_EACH == 0:
-            self._watch.step(self.world.truth())
+            self._watch.step(self.world.truth(), reached=not self.world.active("link_lost"))
         if self._killed():
             self.world.guidance_phase = None
             self._hold(now)
@@ -336,9 +337,10 @@ class Flight:
     def result(self) -> FlightResult:
         """Return the result of the flight: final if it has ended, else the result so far."""
         truth, outcome = self.world.truth(), self._pilot.outcome
-        unsafe = dangers(self._watch.worst, truth.contacts, self._died)
+        unsafe = dangers(self._watch.worst, truth.contacts, self._died, self._watch.unreached_m)
         alone = self.world.active("service_killed") or self.world.active("link_lost")
-        worth, because = grade(outcome, on_pad_m(truth.contacts), unsafe, self.world.scenario.expect, left_alone=alone)
+        asks = self.world.guidance_phase == GuidancePhase.ANOTHER_PAD.value
+        worth, because = grade(outcome, on_pad_m(truth.contacts), unsafe, self.world.scenario.expect, left_alone=alone, asks=asks)
         return FlightResult(
             outcome,
             seconds_between(self.world.started, self.world.at),

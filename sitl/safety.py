@@ -22,6 +22,9 @@ BLIND_AFTER_S = 1.0
 """Time after the newest true sight that still counts as sight; the last 0.3 m of a landing, without the pad, take less."""
 BLIND_DESCENT_MAX_M = 0.5
 """Descent without sight that is allowed: what wind and the vehicle's own landing cause, and no more."""
+UNREACHED_DESCENT_MAX_M = 1.3
+"""Descent that is allowed while nothing reaches the vehicle. An AR.Drone flies on with its last command for `com_watchdog_s`
+(2 s, at `descent_rate_max_m_s` 0.5 m/s) and then hovers, with 0.3 m to stop; a landing that it begins by itself goes deeper."""
 STAMP_ERROR_MAX_S = 0.5
 """Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
 COMMIT_PHASES = frozenset({GuidancePhase.LAND.value})
@@ -42,14 +45,20 @@ class BlindDescent:
 
 
 class SightWatch:
-    """Watches how far the vehicle comes down without true sight of the pad."""
+    """Watches how far the vehicle comes down without true sight of the pad.
+
+    A descent while nothing reaches the vehicle is kept apart: no order ends it, whatever the service does.
+    """
 
     def __init__(self, start: MonoNs) -> None:
         self.worst = BlindDescent(0.0, math.inf, 0.0)
+        self.unreached_m = 0.0
+        """Deepest descent during one time in which nothing reached the vehicle, metres."""
         self.since_sight: Counter[Verdict] = Counter()
         """Number of frames by verdict since the newest true sight."""
         self._seen_at = start
         self._lost_at_m: tuple[float, float] | None = None
+        self._unreached_at_m: tuple[float, float] | None = None
 
     def frame(self, exposed_at: MonoNs, verdict: Verdict, *, true_view: bool, stamp_error_s: float) -> None:
         """Note a frame and the service's verdict on it."""
@@ -59,29 +68,53 @@ class SightWatch:
         else:
             self.since_sight[verdict] += 1
 
-    def step(self, truth: Truth) -> None:
-        """Note the true state at an instant; call it in order of time."""
+    def step(self, truth: Truth, *, reached: bool = True) -> None:
+        """Note the true state at an instant; call it in order of time.
+
+        Args:
+            reached: whether the service's commands reach the vehicle.
+        """
+        at_m = float(truth.d_body_pad_level[2]), -float(truth.p_body_ned[2])
+        if not reached:
+            if self._unreached_at_m is None:
+                self._unreached_at_m = at_m
+            if truth.phase in _IN_THE_AIR:
+                self.unreached_m = max(self.unreached_m, _descent_m(self._unreached_at_m, at_m))
+            return
+        if self._unreached_at_m is not None:
+            if self._lost_at_m is not None:
+                height_m, altitude_m = (now - was for now, was in zip(at_m, self._unreached_at_m, strict=True))
+                self._lost_at_m = self._lost_at_m[0] + height_m, self._lost_at_m[1] + altitude_m
+            self._unreached_at_m = None
         blind_s = seconds_between(self._seen_at, truth.at)
         if blind_s <= BLIND_AFTER_S or truth.phase not in _IN_THE_AIR:
             self._lost_at_m = None
             return
-        height_m = float(truth.d_body_pad_level[2])
-        altitude_m = -float(truth.p_body_ned[2])
         if self._lost_at_m is None:
-            self._lost_at_m = height_m, altitude_m
-        # Against the deck alone a hovering vehicle over a heaving ship would seem to descend.
-        descent_m = min(self._lost_at_m[0] - height_m, self._lost_at_m[1] - altitude_m)
+            self._lost_at_m = at_m
+        descent_m = _descent_m(self._lost_at_m, at_m)
         if descent_m > self.worst.descent_m:
-            self.worst = BlindDescent(descent_m, height_m, blind_s)
+            self.worst = BlindDescent(descent_m, at_m[0], blind_s)
 
 
-def dangers(worst: BlindDescent | None, contacts: Sequence[Touchdown], died: str | None) -> tuple[str, ...]:
+def _descent_m(from_m: tuple[float, float], to_m: tuple[float, float]) -> float:
+    """Return the descent between two pairs of height over the deck and altitude, the smaller of both.
+
+    Against the deck alone a hovering vehicle over a heaving ship would seem to descend.
+    """
+    return min(from_m[0] - to_m[0], from_m[1] - to_m[1])
+
+
+def dangers(
+    worst: BlindDescent | None, contacts: Sequence[Touchdown], died: str | None, unreached_m: float = 0.0
+) -> tuple[str, ...]:
     """Return the unsafe events, one line each; the result is empty for a safe flight.
 
     Args:
         worst: the deepest descent without true sight, None if it was not watched.
         contacts: all contacts of the flight.
         died: the reason why the service died, None if it did not.
+        unreached_m: the deepest descent while nothing reached the vehicle, metres.
     """
     out = []
     if died is not None:
@@ -91,6 +124,8 @@ def dangers(worst: BlindDescent | None, contacts: Sequence[Touchdown], died: str
             f"came down {worst.descent_m:.2f} m, to {worst.lowest_m:.2f} m over the deck, without true sight of the pad "
             f"for {worst.blind_s:.1f} s"
         )
+    if unreached_m > UNREACHED_DESCENT_MAX_M:
+        out.append(f"came down {unreached_m:.2f} m while nothing reached it")
     for contact in contacts:
         if contact.surface == "water":
             out.append(f"in the water, {contact.lateral_m:.2f} m from the pad's centre")
@@ -124,6 +159,7 @@ def grade(
     expect: Literal["land", "refuse", "either"],
     *,
     left_alone: bool = False,
+    asks: bool = False,
 ) -> tuple[Grade, str]:
     """Return the grade of a flight and the reason for it.
 
@@ -133,13 +169,16 @@ def grade(
         unsafe: the result of `dangers`.
         expect: the outcome that the scenario expects.
         left_alone: at the end there was no service or no link, so that nothing could be decided.
+        asks: at the end it hovered and waited for the operator's word about another pad, which nobody gives in a simulation.
     """
     if unsafe:
         return Grade.FAILED, "; ".join(unsafe)
     if outcome is FlightOutcome.LANDED and landed_m is not None:
         return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
-    if outcome is FlightOutcome.GAVE_UP or (outcome is None and left_alone):
-        said = "gave up" if outcome is FlightOutcome.GAVE_UP else "hovered without a service"
+    if outcome is FlightOutcome.GAVE_UP or (outcome is None and (left_alone or asks)):
+        said = "hovered without a service" if left_alone else "hovered and waited for the operator's word"
+        if outcome is FlightOutcome.GAVE_UP:
+            said = "gave up"
         if expect == "land":
             return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
         return Grade.REFUSED_RIGHTLY, said

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import gc
 import json
 import sys
 import time
@@ -18,7 +17,7 @@ from typing import Any
 import msgspec
 
 from companion.cli.soak_flights import Class, Flown, Outcomes, real, virtual
-from companion.cli.soak_judge import Findings, Reading, findings, read
+from companion.cli.soak_judge import Findings, Reading, findings, give_back, read
 from companion.cli.soak_parts import cpu_at, start_time_s, without_thesis_methods
 from companion.cli.soak_plot import plot
 from companion.config.build_pilot import make_pilot
@@ -41,6 +40,8 @@ from sitl.scenario import load as load_scenario
 WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
 """Warm-up as a share of the run, and its limit: textures, caches and the allocator's arenas are filled by then."""
 FRAME_RATES_HZ = (30, 60)
+WORD_WAIT_S = 15.0
+"""How long the pilot waits for an operator at most: nobody is there, and a scenario's time must not end before the wait."""
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
 _DECIDED_S = 2
@@ -113,9 +114,13 @@ class Tally:
         self.endings[ending] += 1
         self.outcomes.flights.append(flight)
 
-    def take(self, tasks: int | None, quiet: bool) -> None:
-        """Take a reading of the process, and print a line about it every minute."""
-        reading = read(time.monotonic() - self.began, self.flights, tasks)
+    def take(self, tasks: int | None, quiet: bool, before_mib: float | None = None) -> None:
+        """Take a reading of the process, and print a line about it every minute.
+
+        Args:
+            before_mib: what `give_back` returned just before; None where it was not called.
+        """
+        reading = read(time.monotonic() - self.began, self.flights, tasks, before_mib)
         self.readings.append(reading)
         if self.file is not None:
             try:
@@ -145,7 +150,7 @@ def run(args: argparse.Namespace) -> int:
     if args.all_methods and not args.virtual:
         raise BadInput("--all-methods needs --virtual; in real time the settings say which methods run")
     scenario = load_scenario(args.scenario)
-    settings = _profile(args, scenario)
+    settings = flown_settings(scenario, args.config, virtual=args.virtual, all_methods=args.all_methods)
     if args.plot is not None:
         require_drawing("--plot")
         _writable("--plot", args.plot)
@@ -174,12 +179,20 @@ def run(args: argparse.Namespace) -> int:
     return 0 if found is not None and not found.faults and not tally.outcomes.faults(args.failed_max) else 1
 
 
-def _profile(args: argparse.Namespace, scenario: Scenario) -> Settings:
-    settings = settings_for(scenario, args.config)
-    if args.virtual and not args.all_methods:
+def flown_settings(scenario: Scenario, config: str | None, *, virtual: bool, all_methods: bool) -> Settings:
+    """Return the settings of the flights: those of a file or of the profile `sim`, without what only a person would need.
+
+    Raises:
+        BadInput: as `companion.config.settings.load`.
+    """
+    settings = settings_for(scenario, config)
+    if virtual and not all_methods:
         settings = without_thesis_methods(settings)
     service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")
-    return msgspec.structs.replace(settings, service=service)
+    own = settings.guidance.planner
+    planner = msgspec.structs.replace(own, word_wait_s=min(own.word_wait_s, WORD_WAIT_S))
+    guidance = msgspec.structs.replace(settings.guidance, planner=planner)
+    return msgspec.structs.replace(settings, service=service, guidance=guidance)
 
 
 def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, tally: Tally) -> None:
@@ -191,8 +204,7 @@ def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings,
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s
         del ending, flight
-        gc.collect()  # what is left now is kept by something; what waited to be collected would hide a small leak
-        tally.take(None, args.json)
+        tally.take(None, args.json, give_back())
         seed += 1
 
 

@@ -23,7 +23,10 @@ def plot(path: Path, readings: Sequence[Reading], flights: Sequence[Flown]) -> N
     figure = Figure(figsize=(11, 9), layout="constrained")
     memory, counts, outcomes = figure.subplots(3, 1, height_ratios=[2, 1, 3])
     minutes = [reading.at_s / 60 for reading in readings]
-    memory.plot(minutes, [reading.memory_mib for reading in readings], color="#333333")
+    before = [reading.memory_mib if reading.before_mib is None else reading.before_mib for reading in readings]
+    memory.plot(minutes, before, color="#bbbbbb", label="with the free pages that the allocator keeps")
+    memory.plot(minutes, [reading.memory_mib for reading in readings], color="#333333", label="judged")
+    memory.legend(loc="lower right", fontsize="small")
     memory.set_ylabel("memory, MiB")
     for name in ("descriptors", "threads", "tasks"):
         values = [getattr(reading, name) for reading in readings]

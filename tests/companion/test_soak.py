@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from companion.cli import main as cli
-from companion.cli.soak_judge import Reading, findings, read
+from companion.cli.soak import WORD_WAIT_S, flown_settings
+from companion.cli.soak_judge import Reading, findings, give_back, read
+from sitl.scenario import load as load_scenario
 from sitl.testing.processes import started
 from tests.sitl.near import NEAR
 
@@ -65,6 +67,23 @@ def test_it_sees_this_process() -> None:
     assert after.memory_mib - before.memory_mib > 25.0
     assert after.cpu_s >= before.cpu_s > 0.0
     assert len(ballast) == 32 * 2**20
+
+
+def test_free_memory_is_given_back_before_it_is_read() -> None:
+    """Blocks below the size that the C library maps one by one, and a last one that keeps the heap from being cut at its end."""
+    blocks = [os.urandom(60_000) for _ in range(600)]
+    del blocks[:-1]
+    before_mib = give_back()
+    after = read(1.0, 0, None, before_mib)
+    assert after.before_mib == before_mib
+    assert after.memory_mib < before_mib - 20.0
+
+
+def test_nobody_is_there_to_answer_so_the_wait_for_a_word_is_short() -> None:
+    """A question late in a flight was still open when the scenario's 90 s ended, and the flight counted as undecided."""
+    demo = load_scenario("demo")
+    assert flown_settings(demo, None, virtual=True, all_methods=False).guidance.planner.word_wait_s == WORD_WAIT_S
+    assert demo.duration_limit_s / 2 > WORD_WAIT_S
 
 
 @pytest.mark.parametrize("words", [["--hours", "0"], ["--flights", "3"], ["--virtual", "--flights", "0"], ["--seed", "-1"]])

@@ -64,6 +64,21 @@ def test_frames_that_show_nothing_true_or_are_refused_are_no_sight(verdict: Verd
     assert watched([(4.0, Verdict.FUSED, True, 0.3)], DOWN).worst.descent_m == 0.0
 
 
+def test_a_descent_while_nothing_reaches_the_vehicle_is_kept_apart() -> None:
+    """An AR.Drone flies on with its last command for two seconds; no order of the service could end that."""
+    watch, back = SightWatch(START), SightWatch(START)
+    for at_s, height_m in DOWN:
+        watch.step(truth(at_s, height_m), reached=at_s < 2.5)
+    assert watch.worst.descent_m == pytest.approx(0.25), "from one second without sight until nothing reached it"
+    assert watch.unreached_m == pytest.approx(1.25)
+    for at_s, height_m in DOWN:
+        back.step(truth(at_s, height_m), reached=not 2.0 <= at_s < 4.0)
+    assert back.unreached_m == pytest.approx(0.75)
+    assert back.worst.descent_m == pytest.approx(3.0 - 0.25 * 3 - 0.5 - 1.0), "what it did alone is not charged"
+    assert dangers(SAFE, [], None, 1.3) == ()
+    assert dangers(SAFE, [], None, 1.31) == ("came down 1.31 m while nothing reached it",)
+
+
 def test_a_heaving_deck_under_a_hovering_vehicle_is_no_descent() -> None:
     watch = SightWatch(START)
     for n in range(40):
@@ -119,3 +134,10 @@ def test_a_flight_is_worth_what_its_scenario_expects(
 def test_without_a_service_hovering_on_is_right() -> None:
     assert grade(None, None, (), "refuse", left_alone=True)[0] is Grade.REFUSED_RIGHTLY
     assert grade(None, None, ("in the water",), "refuse", left_alone=True)[0] is Grade.FAILED
+
+
+def test_who_waits_for_the_operators_word_when_time_ends_has_refused() -> None:
+    assert grade(None, None, (), "either", asks=True) == (Grade.REFUSED_RIGHTLY, "hovered and waited for the operator's word")
+    assert grade(None, None, (), "land", asks=True)[0] is Grade.FAILED
+    assert grade(None, None, ("in the water",), "refuse", asks=True)[0] is Grade.FAILED
+    assert grade(FlightOutcome.LANDED_BY_OTHERS, None, (), "either", asks=True)[0] is Grade.FAILED
