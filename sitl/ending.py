@@ -34,6 +34,8 @@ class Contact:
     """Whether its motors were turning."""
     phase: str | None = None
     """Phase of guidance just before the contact."""
+    p_pad_m: tuple[float, float] | None = None
+    """Position on the pad: along the arrow, and to starboard of it; None if it is not known."""
 
     @property
     def on_pad(self) -> bool:
@@ -177,6 +179,7 @@ def _plain(c: Contact) -> dict[str, Any]:
         "surface": c.surface,
         "on_pad": c.on_pad,
         "lateral_m": round(c.lateral_m, 4),
+        "p_pad_m": None if c.p_pad_m is None else [round(x, 4) for x in c.p_pad_m],
         "yaw_deg": round(math.degrees(c.yaw_rad), 2),
         "vertical_speed_m_s": round(c.vertical_speed_m_s, 4),
         "lateral_speed_m_s": round(c.lateral_speed_m_s, 4),

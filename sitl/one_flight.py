@@ -128,6 +128,7 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
             t.phase.name.lower(),
             t.motors,
             t.guidance_phase,
+            (float(t.p_body_pad[0]), float(t.p_body_pad[1])),
         )
         for t in result.truth.contacts
     )

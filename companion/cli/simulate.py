@@ -19,6 +19,7 @@ from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
+from sitl.campaign.overrides import Overridable
 from sitl.one_flight import PERCEPTIONS, fly, perception_level, settings_for
 from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
@@ -57,6 +58,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="error model of --perception model or truth, from decklander perception fit (default: the shipped one of "
         "vision.method)",
     )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
     record_option.add_arguments(parser)
@@ -81,6 +89,8 @@ def run(args: argparse.Namespace) -> int:
     perception = perception_level(args.perception)
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
+    if args.set and (args.follow is not None or args.autopilot is not None):
+        raise BadInput("--set does not go with --follow or --autopilot")
     if args.follow is not None:
         from companion.cli import simulate_follow
 
@@ -100,6 +110,8 @@ def run(args: argparse.Namespace) -> int:
         args.record_frames = "none"
     scenario = load_scenario(args.scenario)
     settings = settings_for(scenario, args.config)
+    given = Overridable(scenario, settings)
+    scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     kept = args.report is not None or args.record is not None
     progress = None if args.json else ProgressObserver()
     observers: list[Observer] = [] if progress is None else [progress]

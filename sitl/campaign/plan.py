@@ -1,0 +1,149 @@
+"""What a campaign flies: a scenario, settings, a level of perception and the values that are varied."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.config.model import PadSettings, Settings
+from companion.config.settings import SHIPPED
+from companion.config.settings import camera_model as camera_of_settings
+from companion.config.settings import from_mapping as settings_from_mapping
+from companion.config.settings import pad_model as pad_of_settings
+from estimator.contracts.errors import BadInput
+from sitl.campaign.code import code_version
+from sitl.campaign.overrides import Overridable, Override, plain
+from sitl.one_flight import Perception, perception_level
+from sitl.scenario import PadView, Scenario, camera_model, pad_model
+from sitl.scenario import from_mapping as scenario_from_mapping
+
+Point = tuple[Override, ...]
+"""The varied keys of a flight with their values; empty where nothing is varied."""
+FORMAT = 1
+"""Version of the campaign folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One flight of a campaign."""
+
+    seed: int
+    point: Point = ()
+
+    @property
+    def key(self) -> str:
+        """The flight's name within its campaign."""
+        return f"{self.seed}" if not self.point else f"{self.seed} {canonical(dict(self.point))}"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What all flights of a campaign have in common, as plain values that can be sent to another machine and kept in a file."""
+
+    name: str
+    """Name of the scenario as the person wrote it."""
+    scenario: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    perception: Perception
+    design: Mapping[str, Any]
+    """How the points were chosen: the varied keys with their ranges; empty where nothing is varied."""
+    files: Mapping[str, str]
+    """Digests of the camera and pad files that are used."""
+    options: tuple[str, ...] = ()
+    """Further arguments of `decklander simulate` that fly one flight of the campaign again."""
+
+    def base(self) -> bytes:
+        """Return what a worker needs beside a job, as JSON."""
+        own = {"name": self.name, "scenario": self.scenario, "settings": self.settings, "perception": self.perception}
+        return canonical(own).encode()
+
+    def identity(self) -> dict[str, Any]:
+        """Return what two runs must share to be one campaign."""
+        return {
+            "format": FORMAT,
+            "name": self.name,
+            "perception": self.perception,
+            "scenario": self.scenario,
+            "settings": self.settings,
+            "design": self.design,
+            "files": self.files,
+            "code": code_version(),
+        }
+
+    def digest(self) -> str:
+        """Return a digest of the identity, which names the campaign's default folder."""
+        return hashlib.blake2b(canonical(self.identity()).encode(), digest_size=4).hexdigest()
+
+    def with_design(self, design: Mapping[str, Any]) -> Plan:
+        """Return the plan with another description of its points."""
+        return replace(self, design=design)
+
+
+def make_plan(name: str, scenario: Scenario, settings: Settings, perception: Perception, options: tuple[str, ...] = ()) -> Plan:
+    """Return the plan of a campaign in which nothing is varied.
+
+    Files that were shipped with the code go by their bare names, so that a worker with another place of installation finds its
+    own.
+
+    Raises:
+        BadInput: a camera or pad file is missing or has a fault.
+    """
+    views = {
+        "camera": msgspec.structs.replace(scenario.camera, file=_bare(scenario.camera.file, "cameras")),
+        "pad": PadView(_bare(scenario.pad.file, "pads")),
+    }
+    scenario = msgspec.structs.replace(scenario, **views)
+    own = {
+        "camera": msgspec.structs.replace(settings.camera, file=_bare(settings.camera.file, "cameras")),
+        "pad": PadSettings(_bare(settings.pad.file, "pads")),
+    }
+    settings = msgspec.structs.replace(settings, **own)
+    models = (camera_model(scenario), pad_model(scenario), camera_of_settings(settings), pad_of_settings(settings))
+    names = ("scenario's camera", "scenario's pad", "settings' camera", "settings' pad")
+    files = {
+        what: hashlib.blake2b(repr(model).encode(), digest_size=8).hexdigest() for what, model in zip(names, models, strict=True)
+    }
+    return Plan(name, plain(scenario), plain(settings), perception, {}, files, options)
+
+
+@lru_cache(maxsize=8)
+def unpacked(base: bytes) -> tuple[str, Overridable, Perception]:
+    """Return the name, the scenario with its settings, and the perception of a plan's base.
+
+    Raises:
+        BadInput: the base comes from code that knows other keys.
+    """
+    data = json.loads(base)
+    scenario = scenario_from_mapping(data["scenario"], "the campaign's scenario")
+    settings = settings_from_mapping(data["settings"], "the campaign's settings")
+    return data["name"], Overridable(scenario, settings), perception_level(data["perception"])
+
+
+def canonical(value: Any) -> str:
+    """Return JSON with sorted keys and no spaces: equal values give equal text."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def seeds_of(first: int, runs: int) -> range:
+    """Return the seeds of a campaign.
+
+    Raises:
+        BadInput: the first is negative, or there are none.
+    """
+    if first < 0:
+        raise BadInput(f"--seed must be 0 or more, got {first}")
+    if runs < 1:
+        raise BadInput(f"--runs must be 1 or more, got {runs}")
+    return range(first, first + runs)
+
+
+def _bare(file: str, folder: str) -> str:
+    path = Path(file)
+    return path.stem if path.suffix == ".toml" and path.parent == SHIPPED / folder else file

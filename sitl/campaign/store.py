@@ -1,0 +1,270 @@
+"""The results of a campaign on disk: a manifest, and a line of JSON for each flight that is only ever appended.
+
+A flight counts once its line is whole and synced. A line that was torn when the process or the machine ended is cut off, and its
+seed is flown again. A folder belongs to one campaign, one version of the code and one process at a time.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from estimator.contracts.errors import BadInput, Recoverable, unusable
+from sitl.campaign.code import differences
+from sitl.campaign.plan import Job, Plan
+from sitl.campaign.task import Flight, flight_hash, job_of
+
+MANIFEST, FLIGHTS = "manifest.json", "flights.jsonl"
+
+
+class Store(Protocol):
+    """Keeps the results of a campaign."""
+
+    place: str
+    """Where the results are, for people."""
+
+    def keys(self) -> set[str]:
+        """Return the keys of the kept flights."""
+        ...
+
+    def flights(self) -> Iterator[Flight]:
+        """Return the kept flights in the order in which they were kept, each key once."""
+        ...
+
+    def wall_s(self) -> float:
+        """Return the wall time of the sessions that flew what is kept."""
+        ...
+
+    def keep(self, flights: Sequence[Flight], at_s: float) -> None:
+        """Keep flights; they are safe when this returns.
+
+        Args:
+            at_s: wall time since this session began.
+
+        Raises:
+            Recoverable: they cannot be written; what was kept before still is.
+        """
+        ...
+
+    def close(self) -> None:
+        """Keep what is held back and let go of the place."""
+        ...
+
+
+class FolderStore:
+    """A campaign in a folder of this machine.
+
+    Raises:
+        BadInput: the folder cannot be used, holds another campaign or another version's, or another process uses it.
+    """
+
+    def __init__(self, folder: Path, plan: Plan, seeds: range) -> None:
+        self.place = str(folder)
+        self._path = folder / FLIGHTS
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        except OSError as why:
+            raise unusable(f"--out {folder}", why) from why
+        try:
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as why:
+                raise BadInput(f"--out {folder}: another campaign is writing into this folder") from why
+            self._claim(folder, plan, seeds)
+            self._keys, self._sessions, good = _scan(self._path)
+            if good < os.fstat(self._file).st_size:
+                os.ftruncate(self._file, good)
+            self._size = good
+        except BaseException:
+            os.close(self._file)
+            raise
+        self._session = max(self._sessions, default=0) + 1
+
+    def keys(self) -> set[str]:
+        return self._keys
+
+    def flights(self) -> Iterator[Flight]:
+        return flights_in(self._path)
+
+    def wall_s(self) -> float:
+        return sum(self._sessions.values())
+
+    def keep(self, flights: Sequence[Flight], at_s: float) -> None:
+        text = b"".join(line_of(flight, self._session, at_s) for flight in flights)
+        try:
+            written = 0
+            while written < len(text):
+                written += os.write(self._file, text[written:])
+            os.fsync(self._file)
+        except OSError as why:
+            os.ftruncate(self._file, self._size)
+            kept = f"{len(self._keys)} flights are kept, and the same command goes on from there"
+            raise Recoverable(f"{self._path}: {why.strerror or why}; {kept}") from why
+        self._size += len(text)
+        self._keys.update(job_of(flight).key for flight in flights)
+        self._sessions[self._session] = at_s
+
+    def close(self) -> None:
+        os.close(self._file)
+
+    def _claim(self, folder: Path, plan: Plan, seeds: range) -> None:
+        path = folder / MANIFEST
+        identity = plan.identity()
+        if path.exists():
+            manifest = manifest_of(folder)
+            refuse_other(str(folder), manifest, identity)
+            manifest["seeds"] = _seeds_asked(manifest, seeds)
+        else:
+            if foreign := sorted(p.name for p in folder.iterdir() if p.name != FLIGHTS):
+                raise BadInput(f"--out {folder}: the folder holds {foreign[0]!r} and no campaign")
+            if self._path.stat().st_size:
+                raise BadInput(f"--out {folder}: the folder holds {FLIGHTS} without {MANIFEST}, which says what they are of")
+            manifest = {**identity, "options": list(plan.options), "seeds": [[seeds.start, len(seeds)]]}
+        try:
+            write_whole(path, (json.dumps(manifest, indent=1) + "\n").encode())
+        except OSError as why:
+            raise unusable(f"--out {folder}: {MANIFEST}", why) from why
+
+
+def _seeds_asked(manifest: Mapping[str, Any], seeds: range) -> list[list[int]]:
+    asked: list[list[int]] = list(manifest.get("seeds", []))
+    now = [seeds.start, len(seeds)]
+    return asked if now in asked else [*asked, now]
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that at any instant either the old or the new content is there."""
+    beside = path.with_name(path.name + ".new")
+    with beside.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def manifest_of(folder: Path) -> dict[str, Any]:
+    """Return the manifest of a campaign's folder.
+
+    Raises:
+        BadInput: there is none, or it is damaged.
+    """
+    try:
+        return parse_manifest((folder / MANIFEST).read_bytes(), str(folder))
+    except OSError as why:
+        raise unusable(f"{folder} is no campaign's folder: {MANIFEST}", why) from why
+
+
+def parse_manifest(content: bytes, place: str) -> dict[str, Any]:
+    """Return the manifest that these bytes hold.
+
+    Raises:
+        BadInput: they hold none.
+    """
+    try:
+        manifest = json.loads(content)
+    except ValueError as why:
+        raise BadInput(f"{place}: {MANIFEST} is damaged: {why}") from why
+    if not isinstance(manifest, dict) or "format" not in manifest or "code" not in manifest:
+        raise BadInput(f"{place}: {MANIFEST} is not that of a campaign")
+    return manifest
+
+
+def refuse_other(place: str, manifest: Mapping[str, Any], identity: Mapping[str, Any]) -> None:
+    """Refuse a place that holds another campaign, and say what differs.
+
+    Raises:
+        BadInput: it does.
+    """
+    if manifest["format"] != identity["format"]:
+        raise BadInput(f"--out {place}: its format is {manifest['format']}, this version writes {identity['format']}")
+    different = [name for name in identity if name not in ("format", "code") and manifest.get(name) != identity[name]]
+    if different:
+        name = different[0]
+        what = f"its {name} is {manifest.get(name)!r}" if name in ("name", "perception") else f"it was flown with another {name}"
+        raise BadInput(f"--out {place}: the folder holds another campaign: {what}; nothing was written")
+    if other := differences(dict(identity["code"]), dict(manifest["code"])):
+        raise BadInput(f"--out {place}: the campaign was begun with other code ({other}); nothing was written")
+
+
+def line_of(flight: Flight, session: int | str, at_s: float) -> bytes:
+    """Return the line of a kept flight."""
+    return (canonical_line({"session": session, "at_s": round(at_s, 3), "flight": flight}) + "\n").encode()
+
+
+def canonical_line(record: Mapping[str, Any]) -> str:
+    """Return compact JSON in the given order of keys."""
+    return json.dumps(record, separators=(",", ":"), allow_nan=False)
+
+
+def flights_in(path: Path) -> Iterator[Flight]:
+    """Return the flights of a file of results, each once.
+
+    Raises:
+        BadInput: a line before the last is damaged.
+    """
+    seen: set[str] = set()
+    for record, _ in records_in(path.read_bytes() if path.exists() else b"", str(path)):
+        key = job_of(record["flight"]).key
+        if key not in seen:
+            seen.add(key)
+            yield record["flight"]
+
+
+def records_in(content: bytes, place: str) -> Iterator[tuple[dict[str, Any], int]]:
+    """Return the records of a file of results with the offset of their ends; a torn last line is left out.
+
+    Raises:
+        BadInput: a line before the last is damaged.
+    """
+    begin, number = 0, 0
+    while begin < len(content):
+        number += 1
+        end = content.find(b"\n", begin) + 1
+        if end == 0:
+            return
+        record = _record(content[begin:end])
+        if record is None:
+            if not content[end:].strip():
+                return
+            raise BadInput(f"{place}: line {number} is damaged; without that line its flight is flown again")
+        yield record, end
+        begin = end
+
+
+def _record(line: bytes) -> dict[str, Any] | None:
+    """Return the record of a line if it is whole, and its hash that of its content."""
+    try:
+        record = json.loads(line)
+        flight = record["flight"]
+        whole = isinstance(flight["seed"], int) and flight["hash"] == flight_hash(flight)
+    except (ValueError, KeyError, TypeError):
+        return None
+    return dict(record) if whole else None
+
+
+def _scan(path: Path) -> tuple[set[str], dict[int, float], int]:
+    """Return the keys of the kept flights, the wall time of each session, and the offset of the end of the last whole line."""
+    keys: set[str] = set()
+    sessions: dict[int, float] = {}
+    good = 0
+    for record, good in records_in(path.read_bytes(), str(path)):  # noqa: B007
+        keys.add(job_of(record["flight"]).key)
+        session = int(record["session"])
+        sessions[session] = max(sessions.get(session, 0.0), float(record["at_s"]))
+    return keys, sessions, good
+
+
+def jobs_left(store: Store, jobs: Iterator[Job]) -> Iterator[Job]:
+    """Return the jobs that are not kept yet."""
+    kept = frozenset(store.keys())
+    return (job for job in jobs if job.key not in kept)

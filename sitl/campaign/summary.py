@@ -1,0 +1,118 @@
+"""The figures of a campaign: outcomes with intervals, errors, speeds, and the hash of all its flights."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from sitl.campaign.task import ERROR, Flight, job_of
+
+_Z95 = 1.959963984540054
+"""Quantile of the standard normal distribution for 95 % between both tails."""
+_HASH_BITS = 128
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a probability, (0, 1) without trials.
+
+    Source: E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927), 209-212.
+    """
+    if trials == 0:
+        return 0.0, 1.0
+    p, n, z2 = successes / trials, trials, _Z95**2
+    middle = (p + z2 / (2 * n)) / (1 + z2 / n)
+    half = _Z95 * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n)) / (1 + z2 / n)
+    # At the ends the interval touches them exactly, which rounding would miss.
+    return (0.0 if successes == 0 else middle - half), (1.0 if successes == trials else middle + half)
+
+
+class Tally:
+    """Counts flights as they come. The hash is a sum, so that it does not depend on their order."""
+
+    def __init__(self) -> None:
+        self.runs = self.on_pad = self.refused = self.failed = self.errors = 0
+        self.contacts_outside_commit = self.in_water = 0
+        self.cpu_s = self.flown_s = 0.0
+        self._lateral_m: list[float] = []
+        self._hash = 0
+
+    def take(self, flight: Flight) -> None:
+        """Count a flight."""
+        self.runs += 1
+        self.on_pad += flight["grade"] == "on pad"
+        self.refused += flight["grade"] == "refused rightly"
+        self.failed += flight["grade"] == "failed"
+        self.errors += flight["outcome"] == ERROR
+        self.contacts_outside_commit += flight["contacts_outside_commit"]
+        self.in_water += flight["in_water"]
+        self.cpu_s += flight["cpu_s"]
+        self.flown_s += flight["duration_s"]
+        if flight["landed_on_pad"]:
+            self._lateral_m.append(flight["touchdown"]["lateral_m"])
+        own = hashlib.blake2b(f"{job_of(flight).key} {flight['hash']}".encode(), digest_size=_HASH_BITS // 8).digest()
+        self._hash = (self._hash + int.from_bytes(own)) % 2**_HASH_BITS
+
+    @property
+    def hash(self) -> str:
+        """The hash of all flights, the same in whatever order and wherever they were flown."""
+        return f"{self._hash:0{_HASH_BITS // 4}x}"
+
+    def summary(self, scenario: str, perception: str, wall_s: float) -> dict[str, Any]:
+        """Return the summary as plain values: lengths in m, times in s."""
+        median, p95 = (_quantile(self._lateral_m, q) for q in (0.5, 0.95))
+        return {
+            "scenario": scenario,
+            "perception": perception,
+            "runs": self.runs,
+            "on_pad": self.on_pad,
+            "refused": self.refused,
+            "failed": self.failed,
+            "errors": self.errors,
+            "on_pad_interval": [round(x, 6) for x in wilson(self.on_pad, self.runs)],
+            "lateral_median_m": median,
+            "lateral_p95_m": p95,
+            "contacts_outside_commit": self.contacts_outside_commit,
+            "in_water": self.in_water,
+            "flown_s": round(self.flown_s, 1),
+            "wall_s": round(wall_s, 2),
+            "cpu_s": round(self.cpu_s, 2),
+            "hash": self.hash,
+        }
+
+
+def tally(flights: Iterable[Flight]) -> Tally:
+    """Return the tally of flights."""
+    counted = Tally()
+    for flight in flights:
+        counted.take(flight)
+    return counted
+
+
+def in_words(summary: dict[str, Any]) -> str:
+    """Return the summary in a few lines for people."""
+    low, high = summary["on_pad_interval"]
+    lines = [
+        f"{summary['runs']} flights of {summary['scenario']} ({summary['perception']}): {summary['on_pad']} on the pad "
+        f"({100 * low:.1f} to {100 * high:.1f} %), {summary['refused']} refused rightly, {summary['failed']} failed"
+        + (f", {summary['errors']} of them by an error" if summary["errors"] else "")
+    ]
+    if summary["lateral_median_m"] is not None:
+        lines.append(
+            f"touchdown error {100 * summary['lateral_median_m']:.1f} cm median, {100 * summary['lateral_p95_m']:.1f} cm in 95 %"
+        )
+    lines.append(f"contacts outside commit {summary['contacts_outside_commit']}, flights in the water {summary['in_water']}")
+    wall_s = max(1e-9, summary["wall_s"])
+    lines.append(
+        f"{summary['flown_s'] / 3600:.2f} h flown in {wall_s:.1f} s, {summary['cpu_s']:.1f} s of CPU, "
+        f"{60 * summary['runs'] / wall_s:.1f} flights a minute"
+    )
+    lines.append(f"hash {summary['hash']}")
+    return "\n".join(lines)
+
+
+def _quantile(values: list[float], q: float) -> float | None:
+    return round(float(np.quantile(values, q)), 4) if values else None

@@ -1,0 +1,254 @@
+"""A campaign loses no flight and doubles none, whatever ends it, and its flights do not depend on where they were flown."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.cli import main as cli
+from estimator.contracts.errors import BadInput, Recoverable
+from sitl.campaign import code, store, summary
+from sitl.campaign.code import code_version, differences, sources_digest
+from sitl.campaign.local import LocalFleet
+from sitl.campaign.plan import Job, seeds_of
+from sitl.campaign.run import Session
+from sitl.campaign.store import FLIGHTS, MANIFEST, FolderStore, flights_in
+from sitl.campaign.summary import tally, wilson
+from sitl.campaign.task import Flight, Order, OtherCode, fly_order
+from tests.sitl.campaign.fakes import KILLS, RAISES, fake_fly, plan
+from tests.sitl.near import NEAR
+
+
+def flown(job: Job) -> Flight:
+    return fly_order(Order(job, plan().base(), code_version(), fake_fly))
+
+
+def keep(folder: Path, seeds: range) -> None:
+    with closing(FolderStore(folder, plan(), seeds)) as kept:
+        for seed in seeds:
+            kept.keep([flown(Job(seed))], 1.0 + seed)
+
+
+def drive(folder: Path, *args: str, **more: Any) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "tests.sitl.campaign.fakes", str(folder), *args]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **more)
+
+
+def test_processes_that_are_killed_cost_no_flight_and_double_none(tmp_path: Path) -> None:
+    reference = tally(map(flown, map(Job, range(12))))
+    child = drive(tmp_path, "12", "0.2", "2", start_new_session=True)
+    assert child.stdout is not None
+    for _ in range(3):
+        child.stdout.readline()
+    child.kill()
+    child.wait()
+    child.stdout.close()
+    before = list(flights_in(tmp_path / FLIGHTS))
+    assert 3 <= len(before) < 12
+    with (tmp_path / FLIGHTS).open("ab") as file:
+        file.write(b'{"session":1,"at_s":2.0,"flight":{"seed":11,"gra')
+    child = drive(tmp_path, "12", "0.2", "2")
+    out, _ = child.communicate(timeout=60)
+    assert child.returncode == 0
+    flights = list(flights_in(tmp_path / FLIGHTS))
+    assert sorted(f["seed"] for f in flights) == list(range(12))
+    assert len(out.split()) == 12 - len(before), "what was kept is not flown again"
+    assert len((tmp_path / FLIGHTS).read_bytes().splitlines()) == 12
+    assert tally(flights).hash == reference.hash, "the same flights as in one process"
+
+
+def test_an_error_is_a_result_and_so_is_a_process_that_dies() -> None:
+    with LocalFleet(plan(), code_version(), 2, fake_fly) as fleet:
+        seeds = [11, RAISES, 12, KILLS, 14, 15, 16]
+        flights = {f["seed"]: f for f in fleet.results(map(Job, seeds))}
+    assert sorted(flights) == sorted(seeds)
+    assert {seed for seed, f in flights.items() if f["outcome"] == "error"} == {RAISES, KILLS}
+    assert flights[RAISES]["because"].startswith("ValueError: an unlucky number (fakes.py:")
+    assert flights[KILLS]["because"] == "the process that flew it died"
+    assert tally(flights.values()).errors == 2
+    assert flights[14]["hash"] == flown(Job(14))["hash"], "the same wherever it is flown"
+
+
+def test_a_full_disk_ends_the_session_and_leaves_whole_lines(tmp_path: Path) -> None:
+    def small() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (14000, 14000))
+
+    child = drive(tmp_path, "40", stderr=subprocess.PIPE, preexec_fn=small)
+    _, said = child.communicate(timeout=60)
+    assert child.returncode == 1
+    assert "flights are kept, and the same command goes on from there" in said
+    text = (tmp_path / FLIGHTS).read_bytes()
+    assert text.endswith(b"\n")
+    kept = list(flights_in(tmp_path / FLIGHTS))
+    assert 1 <= len(kept) < 40
+    child = drive(tmp_path, "40")
+    child.communicate(timeout=60)
+    assert sorted(f["seed"] for f in flights_in(tmp_path / FLIGHTS)) == list(range(40))
+
+
+def test_a_write_that_fails_is_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with closing(FolderStore(tmp_path, plan(), range(2))) as kept:
+        kept.keep([flown(Job(0))], 1.0)
+
+        def full(_: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "fsync", full)
+        with pytest.raises(Recoverable, match="No space left on device; 1 flights are kept"):
+            kept.keep([flown(Job(1))], 2.0)
+        assert [f["seed"] for f in kept.flights()] == [0]
+
+
+def test_a_folder_of_another_campaign_or_code_is_refused_by_name_and_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep(tmp_path, range(2))
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    with pytest.raises(BadInput, match="another campaign: it was flown with another scenario"):
+        FolderStore(tmp_path, plan(duration_limit_s=9.0), range(2))
+    with pytest.raises(BadInput, match="another campaign: its name is 'near'"):
+        FolderStore(tmp_path, plan("far"), range(2))
+    with closing(FolderStore(tmp_path, plan(), range(2))), pytest.raises(BadInput, match="another campaign is writing"):
+        FolderStore(tmp_path, plan(), range(2))
+    monkeypatch.setattr("sitl.campaign.plan.code_version", lambda: {**code_version(), "sources": "0" * 32, "numpy": "1.0"})
+    with pytest.raises(
+        BadInput, match=r"begun with other code \(numpy \S+ instead of 1.0, sources \w+ instead of 000000000000\)"
+    ):
+        FolderStore(tmp_path, plan(), range(2))
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "letter.txt").write_text("mine")
+    with pytest.raises(BadInput, match=r"holds 'letter.txt' and no campaign"):
+        FolderStore(other, plan(), range(2))
+
+
+def test_a_damaged_line_is_named_and_a_doubled_one_counts_once(tmp_path: Path) -> None:
+    keep(tmp_path, range(3))
+    path = tmp_path / FLIGHTS
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([*lines, lines[0]]))
+    assert [f["seed"] for f in flights_in(path)] == [0, 1, 2]
+    changed = lines[1].replace(b'"vertical_speed_m_s":0.4', b'"vertical_speed_m_s":0.3')
+    path.write_bytes(lines[0] + changed + lines[2])
+    with pytest.raises(BadInput, match="line 2 is damaged"):
+        FolderStore(tmp_path, plan(), range(3))
+
+
+def test_a_worker_with_other_code_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    order = Order(Job(1), plan().base(), {**code_version(), "sources": "f" * 32}, fake_fly)
+    with pytest.raises(
+        OtherCode, match=r"the worker on \S+, process \d+, has other code: sources \w{12} instead of ffffffffffff"
+    ):
+        fly_order(order)
+    assert differences(code_version(), code_version()) == ""
+    assert sources_digest() == code_version()["sources"]
+    monkeypatch.setattr(code, "_PACKAGES", ("estimator",))
+    assert sources_digest() != code_version()["sources"]
+
+
+def test_wilsons_interval() -> None:
+    low, high = wilson(987, 1000)  # published examples: R. G. Newcombe, Statistics in Medicine 17 (1998), table I
+    assert (low, high) == pytest.approx((0.9779, 0.9924), abs=1e-4)
+    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
+    assert wilson(29, 29) == pytest.approx((0.8830, 1.0), abs=1e-4)
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+def test_the_summary_does_not_depend_on_the_order(tmp_path: Path) -> None:
+    flights = [flown(Job(seed)) for seed in seeds_of(20, 9)]
+    one, two = tally(flights), tally(reversed([{**f, "cpu_s": 99.0} for f in flights]))
+    assert one.hash == two.hash
+    said = one.summary("near", "pixels", 2.0)
+    assert (said["runs"], said["on_pad"], said["refused"], said["failed"], said["in_water"]) == (9, 9, 0, 0, 0)
+    assert said["lateral_median_m"] == pytest.approx(0.04, abs=0.011)
+    assert "9 flights of near (pixels): 9 on the pad (70.1 to 100.0 %)" in summary.in_words(said)
+    assert tally(flights[1:]).hash != one.hash
+
+
+def test_a_campaign_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    near = tmp_path / "near.toml"
+    near.write_text(NEAR.replace("duration_limit_s = 40.0", "duration_limit_s = 1.0"))
+    command = ["campaign", str(near), "--runs", "2", "--seed", "5", "--workers", "1", "--json", "--out", str(tmp_path / "out")]
+    command += ["--set", "start.height_m=1.5"]
+    assert cli.main(command) == 1, "time ran out"
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["seed"] for line in lines[:-1]] == [5, 6]
+    told = lines[-1]["summary"]
+    assert (told["runs"], told["failed"], told["on_pad"], told["lateral_median_m"]) == (2, 2, 0, None)
+    kept = json.loads((tmp_path / "out" / MANIFEST).read_text())
+    assert kept["options"] == ["--set", "vision.method=registration", "--set", "start.height_m=1.5"]
+    assert cli.main(command) == 1
+    again = capsys.readouterr()
+    assert json.loads(again.out.splitlines()[-1])["summary"]["hash"] == told["hash"]
+    assert "2 of 2 flights are there already; 0 flights to fly" in again.err
+    assert cli.main(["simulate", str(near), "--seed", "6", *kept["options"], "--json"]) == 1
+    alone = json.loads(capsys.readouterr().out)
+    assert {k: v for k, v in lines[1].items() if k not in ("cpu_s", "hash", "perception")} == {
+        k: v for k, v in alone.items() if k != "cpu_s"
+    }
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["calm", "--runs", "0"], "--runs must be 1 or more, got 0"),
+        (["calm", "--seed", "-1"], "--seed must be 0 or more, got -1"),
+        (["calm", "--workers", "0"], "--workers must be 1 or more, got 0"),
+        (["calm", "--set", "wind.sped_m_s=3"], "have a key 'wind.sped_m_s'; did you mean 'wind.speed_m_s'?"),
+        (["calm", "--set", "wind.speed_m_s=99"], "wind.speed_m_s must be a number from 0 to 25 m/s, found 99"),
+        (["calm", "--set", "wind.speed_m_s=strong"], "--set: wind.speed_m_s needs a number, found 'strong'"),
+        (["calm", "--set", "wind"], "--set 'wind': write KEY=VALUE"),
+        (["calm", "--set", "wind=3"], "have a key 'wind'"),
+        (["calm", "--perception", "dreams"], "there is no level 'dreams'"),
+        (["clam"], "did you mean 'calm'"),
+    ],
+)
+def test_wrong_use_is_one_clear_line(args: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["campaign", *args]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_signal_ends_the_command_with_what_is_kept(tmp_path: Path) -> None:
+    near = tmp_path / "near.toml"
+    near.write_text(NEAR)
+    command = [sys.executable, "-m", "companion.cli.main", "campaign", str(near), "--runs", "50", "--workers", "1", "--out", "c"]
+    child = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": os.getcwd()}
+    )
+    assert child.stderr is not None
+    assert child.stderr.readline() == "50 flights to fly, by 1 process; results in c\n"
+    child.send_signal(signal.SIGINT)
+    _, said = child.communicate(timeout=30)
+    assert child.returncode == 130
+    assert "of 50 flights are kept in c; the same command goes on from there" in said
+
+
+def test_the_session_keeps_before_it_tells(tmp_path: Path) -> None:
+    class Fleet:
+        def results(self, jobs):
+            return map(flown, jobs)
+
+    with closing(FolderStore(tmp_path, plan(), range(3))) as kept:
+        told = []
+        Session(Fleet(), kept).fly(
+            map(Job, range(3)), lambda f: told.append((f["seed"], f["seed"] in [k["seed"] for k in kept.flights()]))
+        )
+        assert told == [(0, True), (1, True), (2, True)]
+        assert kept.wall_s() < 60.0
+    assert store.manifest_of(tmp_path)["seeds"] == [[0, 3]]
+    with closing(FolderStore(tmp_path, plan(), range(5))) as kept:
+        assert kept.keys() == {"0", "1", "2"}
+    assert store.manifest_of(tmp_path)["seeds"] == [[0, 3], [0, 5]]
