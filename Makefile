@@ -104,7 +104,8 @@ pins:
 	$(PIN) --only-build-deps --build-deps-for=editable -o requirements/build.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
 	$(PIN) --constraint requirements/runtime.txt --extra report -o requirements/report.txt pyproject.toml
-	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --extra report --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) --constraint requirements/report.txt --extra lab -o requirements/lab.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --extra report --extra lab --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in

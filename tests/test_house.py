@@ -34,6 +34,9 @@ DISTRIBUTION_NAMES = {
 DRAWINGS = {"companion/report/plots.py", "companion/calibrate/figures.py", "companion/cli/soak_plot.py"}
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 
+LAB = {"companion/cli/campaign_progress.py"}
+"""What needs the extra `lab`. It asks `require_lab` first, or does without."""
+
 IMPURE_MODULES = {
     "asyncio", "datetime", "glob", "io", "logging", "multiprocessing", "os", "pathlib", "queue", "random", "secrets", "select",
     "selectors", "shutil", "signal", "socket", "subprocess", "sys", "tempfile", "threading", "time", "tomllib", "urllib", "uuid",
@@ -298,13 +301,15 @@ def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     runtime = import_names(project["dependencies"])
     report = import_names(project["optional-dependencies"]["report"])
-    dev = runtime | report | import_names(project["optional-dependencies"]["dev"])
+    lab = import_names(project["optional-dependencies"]["lab"])
+    dev = runtime | report | lab | import_names(project["optional-dependencies"]["dev"])
     undeclared = set()
     for path in files():
         if path.suffix == ".py":
             top = path.relative_to(ROOT).parts[0]
             shipped = top in PACKAGES and path.parent != TEST_SUPPORT
             drawn = report if str(path.relative_to(ROOT)) in DRAWINGS else set()
+            drawn = drawn | (lab if str(path.relative_to(ROOT)) in LAB else set())
             declared = runtime | drawn if shipped else dev | extra(top)
             tops = {name.partition(".")[0] for name in imports(ast.parse(path.read_text()))}
             ours = {*PACKAGES, "configs", "examples", "tests", "benches", "fuzz", "mutants", "supply"}
@@ -332,7 +337,8 @@ def test_every_dependency_is_pinned_by_version_and_hash() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     wanted = {"runtime": project["dependencies"], "report": project["dependencies"] + extras["report"]}
-    wanted["dev"] = wanted["report"] + extras["dev"]
+    wanted["lab"] = project["dependencies"] + extras["lab"]
+    wanted["dev"] = wanted["report"] + extras["lab"] + extras["dev"]
     wanted |= {path.stem: sorted(extra(path.stem)) for path in (ROOT / "requirements").glob("*.in")}
     for name, requirements in wanted.items():
         text = (ROOT / f"requirements/{name}.txt").read_text()

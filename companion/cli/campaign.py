@@ -15,12 +15,12 @@ from companion.config.settings import shipped
 from companion.runtime.signals import Stopped
 from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
-from sitl.campaign.local import LocalFleet
+from sitl.campaign.local import LocalWorkers
 from sitl.campaign.overrides import Overridable
-from sitl.campaign.plan import Job, Plan, make_plan, seeds_of
+from sitl.campaign.plan import CampaignPlan, Job, make_plan, seeds_of
 from sitl.campaign.run import Session
-from sitl.campaign.store import FolderStore, Store
-from sitl.campaign.summary import Tally, in_words
+from sitl.campaign.store import FolderStore, ResultStore
+from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.task import Flight, job_of
 from sitl.one_flight import PERCEPTIONS, perception_level, settings_for
 from sitl.scenario import FAULTS
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         return _fly(args, plan, store, jobs, workers)
 
 
-def _fly(args: argparse.Namespace, plan: Plan, store: Store, jobs: Sequence[Job], workers: int) -> int:
+def _fly(args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, jobs: Sequence[Job], workers: int) -> int:
     asked = {job.key for job in jobs}
     try:
         _fly_left(args, plan, store, jobs, asked, workers)
@@ -92,7 +92,9 @@ def _fly(args: argparse.Namespace, plan: Plan, store: Store, jobs: Sequence[Job]
     return _conclude(args, plan, store, asked)
 
 
-def _fly_left(args: argparse.Namespace, plan: Plan, store: Store, jobs: Sequence[Job], asked: set[str], workers: int) -> None:
+def _fly_left(
+    args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, jobs: Sequence[Job], asked: set[str], workers: int
+) -> None:
     left = len(asked - store.keys())
     workers = min(workers, max(1, left))
     if not args.json or left < len(asked):
@@ -103,7 +105,7 @@ def _fly_left(args: argparse.Namespace, plan: Plan, store: Store, jobs: Sequence
         for flight in _asked(store, asked):
             _say(flight)
     with (
-        LocalFleet(plan, code_version(), workers) as fleet,
+        LocalWorkers(plan, code_version(), workers) as workforce,
         CampaignProgress(len(asked), len(asked) - left, quiet=args.json) as progress,
     ):
 
@@ -112,11 +114,11 @@ def _fly_left(args: argparse.Namespace, plan: Plan, store: Store, jobs: Sequence
                 _say(flight)
             progress.take(flight["grade"] == "failed")
 
-        Session(fleet, store).fly(jobs, on_flight)
+        Session(workforce, store).fly(jobs, on_flight)
 
 
-def _conclude(args: argparse.Namespace, plan: Plan, store: Store, asked: set[str]) -> int:
-    counted = Tally()
+def _conclude(args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, asked: set[str]) -> int:
+    counted = CampaignTally()
     for flight in _asked(store, asked):
         counted.take(flight)
     summary = {**counted.summary(plan.name, plan.perception, store.wall_s()), "out": store.place}
@@ -127,12 +129,12 @@ def _conclude(args: argparse.Namespace, plan: Plan, store: Store, asked: set[str
     return 0 if counted.failed == 0 else 1
 
 
-def _asked(store: Store, asked: set[str]) -> Iterator[Flight]:
+def _asked(store: ResultStore, asked: set[str]) -> Iterator[Flight]:
     """Return the kept flights that this command asked for: the place may hold more of the same campaign."""
     return (flight for flight in store.flights() if job_of(flight).key in asked)
 
 
-def _plan(args: argparse.Namespace) -> Plan:
+def _plan(args: argparse.Namespace) -> CampaignPlan:
     perception = perception_level(args.perception)
     scenario = load_scenario(args.scenario)
     settings = settings_for(scenario, args.config)

@@ -11,7 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait as wait_for_connections
 
-from sitl.campaign.plan import Job, Plan
+from sitl.campaign.plan import CampaignPlan, Job
 from sitl.campaign.task import Flight, Flyer, Order, failed, finished, fly_flight, fly_order
 
 _ORDERS_EACH = 2
@@ -19,7 +19,7 @@ _ORDERS_EACH = 2
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-class LocalFleet:
+class LocalWorkers:
     """Flies jobs in processes of this machine; a context manager that ends them.
 
     Args:
@@ -27,12 +27,12 @@ class LocalFleet:
         flyer: flies one scenario once.
     """
 
-    def __init__(self, plan: Plan, code: dict[str, str], workers: int, flyer: Flyer = fly_flight) -> None:
+    def __init__(self, plan: CampaignPlan, code: dict[str, str], workers: int, flyer: Flyer = fly_flight) -> None:
         self._name, self._perception = plan.name, plan.perception
         self._base, self._code, self._workers, self._flyer = plan.base(), code, workers, flyer
         self._pool: ProcessPoolExecutor | None = None
 
-    def __enter__(self) -> LocalFleet:
+    def __enter__(self) -> LocalWorkers:
         return self
 
     def __exit__(self, *_: object) -> None:

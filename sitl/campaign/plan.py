@@ -44,7 +44,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class CampaignPlan:
     """What all flights of a campaign have in common, as plain values that can be sent to another machine and kept in a file."""
 
     name: str
@@ -81,12 +81,14 @@ class Plan:
         """Return a digest of the identity, which names the campaign's default folder."""
         return hashlib.blake2b(canonical(self.identity()).encode(), digest_size=4).hexdigest()
 
-    def with_design(self, design: Mapping[str, Any]) -> Plan:
+    def with_design(self, design: Mapping[str, Any]) -> CampaignPlan:
         """Return the plan with another description of its points."""
         return replace(self, design=design)
 
 
-def make_plan(name: str, scenario: Scenario, settings: Settings, perception: Perception, options: tuple[str, ...] = ()) -> Plan:
+def make_plan(
+    name: str, scenario: Scenario, settings: Settings, perception: Perception, options: tuple[str, ...] = ()
+) -> CampaignPlan:
     """Return the plan of a campaign in which nothing is varied.
 
     Files that were shipped with the code go by their bare names, so that a worker with another place of installation finds its
@@ -110,7 +112,7 @@ def make_plan(name: str, scenario: Scenario, settings: Settings, perception: Per
     files = {
         what: hashlib.blake2b(repr(model).encode(), digest_size=8).hexdigest() for what, model in zip(names, models, strict=True)
     }
-    return Plan(name, plain(scenario), plain(settings), perception, {}, files, options)
+    return CampaignPlan(name, plain(scenario), plain(settings), perception, {}, files, options)
 
 
 @lru_cache(maxsize=8)

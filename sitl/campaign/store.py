@@ -15,13 +15,13 @@ from typing import Any, Protocol
 
 from estimator.contracts.errors import BadInput, Recoverable, unusable
 from sitl.campaign.code import differences
-from sitl.campaign.plan import Job, Plan
+from sitl.campaign.plan import CampaignPlan, Job
 from sitl.campaign.task import Flight, flight_hash, job_of
 
 MANIFEST, FLIGHTS = "manifest.json", "flights.jsonl"
 
 
-class Store(Protocol):
+class ResultStore(Protocol):
     """Keeps the results of a campaign."""
 
     place: str
@@ -62,7 +62,7 @@ class FolderStore:
         BadInput: the folder cannot be used, holds another campaign or another version's, or another process uses it.
     """
 
-    def __init__(self, folder: Path, plan: Plan, seeds: range) -> None:
+    def __init__(self, folder: Path, plan: CampaignPlan, seeds: range) -> None:
         self.place = str(folder)
         self._path = folder / FLIGHTS
         try:
@@ -112,7 +112,7 @@ class FolderStore:
     def close(self) -> None:
         os.close(self._file)
 
-    def _claim(self, folder: Path, plan: Plan, seeds: range) -> None:
+    def _claim(self, folder: Path, plan: CampaignPlan, seeds: range) -> None:
         path = folder / MANIFEST
         identity = plan.identity()
         if path.exists():
@@ -264,7 +264,7 @@ def _scan(path: Path) -> tuple[set[str], dict[int, float], int]:
     return keys, sessions, good
 
 
-def jobs_left(store: Store, jobs: Iterator[Job]) -> Iterator[Job]:
+def jobs_left(store: ResultStore, jobs: Iterator[Job]) -> Iterator[Job]:
     """Return the jobs that are not kept yet."""
     kept = frozenset(store.keys())
     return (job for job in jobs if job.key not in kept)

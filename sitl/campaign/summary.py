@@ -30,7 +30,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return (0.0 if successes == 0 else middle - half), (1.0 if successes == trials else middle + half)
 
 
-class Tally:
+class CampaignTally:
     """Counts flights as they come. The hash is a sum, so that it does not depend on their order."""
 
     def __init__(self) -> None:
@@ -84,9 +84,9 @@ class Tally:
         }
 
 
-def tally(flights: Iterable[Flight]) -> Tally:
+def tally(flights: Iterable[Flight]) -> CampaignTally:
     """Return the tally of flights."""
-    counted = Tally()
+    counted = CampaignTally()
     for flight in flights:
         counted.take(flight)
     return counted

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from companion.config.model import Settings
 from sitl.campaign.code import code_version
-from sitl.campaign.local import LocalFleet
-from sitl.campaign.plan import Job, Plan, make_plan, seeds_of
+from sitl.campaign.local import LocalWorkers
+from sitl.campaign.plan import CampaignPlan, Job, make_plan, seeds_of
 from sitl.campaign.run import Session
 from sitl.campaign.store import FolderStore
 from sitl.campaign.task import Flight
@@ -29,7 +29,7 @@ def near(**over: object) -> Scenario:
     return from_mapping({**tomllib.loads(NEAR), **over}, "near")
 
 
-def plan(name: str = "near", **over: object) -> Plan:
+def plan(name: str = "near", **over: object) -> CampaignPlan:
     scenario = near(**over)
     return make_plan(name, scenario, settings_for(scenario, None), "pixels")
 
@@ -81,9 +81,9 @@ def main(folder: str, runs: str, delay_s: str = "0", workers: str = "2") -> None
     seeds = seeds_of(0, int(runs))
     with (
         closing(FolderStore(Path(folder), own, seeds)) as store,
-        LocalFleet(own, code_version(), int(workers), fake_fly) as fleet,
+        LocalWorkers(own, code_version(), int(workers), fake_fly) as workforce,
     ):
-        Session(fleet, store).fly((Job(seed) for seed in seeds), lambda flight: print(flight["seed"], flush=True))
+        Session(workforce, store).fly((Job(seed) for seed in seeds), lambda flight: print(flight["seed"], flush=True))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from companion.cli import main as cli
 from estimator.contracts.errors import BadInput, Recoverable
 from sitl.campaign import code, store, summary
 from sitl.campaign.code import code_version, differences, sources_digest
-from sitl.campaign.local import LocalFleet
+from sitl.campaign.local import LocalWorkers
 from sitl.campaign.plan import Job, seeds_of
 from sitl.campaign.run import Session
 from sitl.campaign.store import FLIGHTS, MANIFEST, FolderStore, flights_in
@@ -67,9 +67,9 @@ def test_processes_that_are_killed_cost_no_flight_and_double_none(tmp_path: Path
 
 
 def test_an_error_is_a_result_and_so_is_a_process_that_dies() -> None:
-    with LocalFleet(plan(), code_version(), 2, fake_fly) as fleet:
+    with LocalWorkers(plan(), code_version(), 2, fake_fly) as workforce:
         seeds = [11, RAISES, 12, KILLS, 14, 15, 16]
-        flights = {f["seed"]: f for f in fleet.results(map(Job, seeds))}
+        flights = {f["seed"]: f for f in workforce.results(map(Job, seeds))}
     assert sorted(flights) == sorted(seeds)
     assert {seed for seed, f in flights.items() if f["outcome"] == "error"} == {RAISES, KILLS}
     assert flights[RAISES]["because"].startswith("ValueError: an unlucky number (fakes.py:")
@@ -237,13 +237,13 @@ def test_a_signal_ends_the_command_with_what_is_kept(tmp_path: Path) -> None:
 
 
 def test_the_session_keeps_before_it_tells(tmp_path: Path) -> None:
-    class Fleet:
+    class Workforce:
         def results(self, jobs):
             return map(flown, jobs)
 
     with closing(FolderStore(tmp_path, plan(), range(3))) as kept:
         told = []
-        Session(Fleet(), kept).fly(
+        Session(Workforce(), kept).fly(
             map(Job, range(3)), lambda f: told.append((f["seed"], f["seed"] in [k["seed"] for k in kept.flights()]))
         )
         assert told == [(0, True), (1, True), (2, True)]
