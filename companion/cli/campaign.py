@@ -23,6 +23,7 @@ from sitl.campaign.store import FolderStore, ResultStore
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.task import Flight, job_of
 from sitl.one_flight import PERCEPTIONS, perception_level, settings_for
+from sitl.perception.levels import perceive
 from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
 
@@ -51,6 +52,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         default="pixels",
         metavar="LEVEL",
         help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames)",
+    )
+    parser.add_argument(
+        "--perception-model",
+        metavar="FILE",
+        help="error model of --perception model or truth, from decklander perception fit (default: the shipped one of "
+        "vision.method)",
     )
     parser.add_argument(
         "--config",
@@ -136,14 +143,18 @@ def _asked(store: ResultStore, asked: set[str]) -> Iterator[Flight]:
 
 def _plan(args: argparse.Namespace) -> CampaignPlan:
     perception = perception_level(args.perception)
+    if args.perception_model is not None and perception == "pixels":
+        raise BadInput("--perception-model goes with --perception model or truth")
+    perceive(perception, args.perception_model)
     scenario = load_scenario(args.scenario)
     settings = settings_for(scenario, args.config)
-    values = [*([] if args.config else [_ALONE]), *args.set]
+    alone = args.config is None and perception == "pixels"
+    values = [*([_ALONE] if alone else []), *args.set]
     given = Overridable(scenario, settings)
     overrides = [given.parse(text, "--set") for text in values]
     scenario, settings = given.with_values(overrides, "--set")
     options = tuple(_options(args, values))
-    return make_plan(args.scenario, scenario, settings, perception, options)
+    return make_plan(args.scenario, scenario, settings, perception, args.perception_model, options)
 
 
 def _options(args: argparse.Namespace, values: Iterable[str]) -> Iterator[str]:
@@ -152,6 +163,8 @@ def _options(args: argparse.Namespace, values: Iterable[str]) -> Iterator[str]:
         yield from ("--config", args.config)
     if args.perception != "pixels":
         yield from ("--perception", args.perception)
+    if args.perception_model:
+        yield from ("--perception-model", args.perception_model)
     for value in values:
         yield from ("--set", value)
 

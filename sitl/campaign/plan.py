@@ -52,6 +52,8 @@ class CampaignPlan:
     scenario: Mapping[str, Any]
     settings: Mapping[str, Any]
     perception: Perception
+    perception_model: str | None
+    """File of the error model of perception; None for the shipped one of the settings' vision."""
     design: Mapping[str, Any]
     """How the points were chosen: the varied keys with their ranges; empty where nothing is varied."""
     files: Mapping[str, str]
@@ -61,7 +63,13 @@ class CampaignPlan:
 
     def base(self) -> bytes:
         """Return what a worker needs beside a job, as JSON."""
-        own = {"name": self.name, "scenario": self.scenario, "settings": self.settings, "perception": self.perception}
+        own: dict[str, Any] = {
+            "name": self.name,
+            "scenario": self.scenario,
+            "settings": self.settings,
+            "perception": self.perception,
+        }
+        own["perception_model"] = self.perception_model
         return canonical(own).encode()
 
     def identity(self) -> dict[str, Any]:
@@ -70,6 +78,7 @@ class CampaignPlan:
             "format": FORMAT,
             "name": self.name,
             "perception": self.perception,
+            "perception_model": self.perception_model,
             "scenario": self.scenario,
             "settings": self.settings,
             "design": self.design,
@@ -87,7 +96,12 @@ class CampaignPlan:
 
 
 def make_plan(
-    name: str, scenario: Scenario, settings: Settings, perception: Perception, options: tuple[str, ...] = ()
+    name: str,
+    scenario: Scenario,
+    settings: Settings,
+    perception: Perception,
+    perception_model: str | None = None,
+    options: tuple[str, ...] = (),
 ) -> CampaignPlan:
     """Return the plan of a campaign in which nothing is varied.
 
@@ -112,12 +126,14 @@ def make_plan(
     files = {
         what: hashlib.blake2b(repr(model).encode(), digest_size=8).hexdigest() for what, model in zip(names, models, strict=True)
     }
-    return CampaignPlan(name, plain(scenario), plain(settings), perception, {}, files, options)
+    if perception_model is not None and (path := Path(perception_model)).is_file():
+        files["perception model"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
+    return CampaignPlan(name, plain(scenario), plain(settings), perception, perception_model, {}, files, options)
 
 
 @lru_cache(maxsize=8)
-def unpacked(base: bytes) -> tuple[str, Overridable, Perception]:
-    """Return the name, the scenario with its settings, and the perception of a plan's base.
+def unpacked(base: bytes) -> tuple[str, Overridable, Perception, str | None]:
+    """Return the name, the scenario with its settings, the perception and its error model's file of a plan's base.
 
     Raises:
         BadInput: the base comes from code that knows other keys.
@@ -125,7 +141,7 @@ def unpacked(base: bytes) -> tuple[str, Overridable, Perception]:
     data = json.loads(base)
     scenario = scenario_from_mapping(data["scenario"], "the campaign's scenario")
     settings = settings_from_mapping(data["settings"], "the campaign's settings")
-    return data["name"], Overridable(scenario, settings), perception_level(data["perception"])
+    return data["name"], Overridable(scenario, settings), perception_level(data["perception"]), data["perception_model"]
 
 
 def canonical(value: Any) -> str:

@@ -18,8 +18,10 @@ from sitl.scenario import Scenario
 
 Flight = dict[str, Any]
 """What `decklander simulate --json` prints, with `perception`, `varied` where something is, and `hash`."""
-Flyer = Callable[[str, Scenario, int, Settings, Perception], Flight]
-"""Flies a scenario once: name, scenario, seed, settings, perception. A function of a module, so that it can be sent."""
+Flyer = Callable[[str, Scenario, int, Settings, Perception, str | None], Flight]
+"""Flies a scenario once: name, scenario, seed, settings, perception, its error model's file.
+
+A function of a module, so that it can be sent."""
 ERROR = "error"
 """The outcome of a flight that raised an error."""
 _NOT_HASHED = frozenset({"cpu_s", "hash"})
@@ -38,9 +40,11 @@ class Order(NamedTuple):
     flyer: Flyer
 
 
-def fly_flight(name: str, scenario: Scenario, seed: int, settings: Settings, perception: Perception) -> Flight:
+def fly_flight(
+    name: str, scenario: Scenario, seed: int, settings: Settings, perception: Perception, perception_model: str | None
+) -> Flight:
     """Fly a scenario once; the flyer of every campaign but those of tests."""
-    return fly(name, scenario, seed, settings, perception).as_json()
+    return fly(name, scenario, seed, settings, perception, perception_model=perception_model).as_json()
 
 
 def fly_order(order: Order) -> Flight:
@@ -51,12 +55,12 @@ def fly_order(order: Order) -> Flight:
     """
     if other := differences(order.code, code_version()):
         raise OtherCode(f"the worker on {platform.node()}, process {os.getpid()}, has other code: {other}")
-    name, base, perception = unpacked(order.base)
+    name, base, perception, model = unpacked(order.base)
     job = order.job
     began_s = _cpu_s()
     try:
         scenario, settings = base.with_values(job.point, "the campaign's point")
-        flight = order.flyer(name, scenario, job.seed, settings, perception)
+        flight = order.flyer(name, scenario, job.seed, settings, perception, model)
     except Exception as why:
         place = traceback.extract_tb(why.__traceback__)[-1]
         said = f"{type(why).__name__}: {in_words(why)} ({place.filename.rpartition('/')[2]}:{place.lineno})"
