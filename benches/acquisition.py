@@ -47,7 +47,7 @@ from sitl.testing.pad_scenes import (  # noqa: E402
     load_pad,
     pad_scene,
     photo_pose,
-    visible_share,
+    visible_fraction,
 )
 
 HEIGHTS_M = (0.2, 0.3, 0.5, 0.8, 1.5, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0)
@@ -156,7 +156,7 @@ def photographs(failures: Path | None) -> None:
             candidates = acquire(px, camera, pad)
             took.append((time.process_time_ns() - began) * 1e-6)
             best = candidates[0] if candidates else None
-            if visible_share(truth, camera, pad) < 0.5:
+            if visible_fraction(truth, camera, pad) < 0.5:
                 continue
             half_in_view += 1
             good = best is not None and best.score >= 0.5 and keeps_claim(best.pose, truth, camera, pad, best.yaw_ambiguous)

@@ -62,7 +62,7 @@ async def reconnect(
         failures: the errors that count as the outside world's. A group of only such errors counts too.
     """
     outage = _Outage(name)
-    rest_s = back_off.first_s
+    delay_s = back_off.first_s
     while True:
         began = clock.now()
         # Only the log depends on the event loop's time: nothing that is computed waits for it.
@@ -76,11 +76,11 @@ async def reconnect(
             recovery.cancel()
         if seconds_between(began, clock.now()) >= back_off.healthy_after_s:
             outage.end()
-            rest_s = back_off.first_s
+            delay_s = back_off.first_s
         on_failure(why)
-        outage.log(why, rest_s, at_cap=rest_s >= back_off.cap_s)
-        await clock.sleep(rest_s * random.uniform(1.0 - back_off.jitter, 1.0) if back_off.jitter else rest_s)
-        rest_s = min(back_off.factor * rest_s, back_off.cap_s)
+        outage.log(why, delay_s, at_cap=delay_s >= back_off.cap_s)
+        await clock.sleep(delay_s * random.uniform(1.0 - back_off.jitter, 1.0) if back_off.jitter else delay_s)
+        delay_s = min(back_off.factor * delay_s, back_off.cap_s)
 
 
 class _Outage:
@@ -92,7 +92,7 @@ class _Outage:
         self._reasons: set[str] = set()
         self._at_cap = False
 
-    def log(self, why: BaseException, rest_s: float, *, at_cap: bool) -> None:
+    def log(self, why: BaseException, delay_s: float, *, at_cap: bool) -> None:
         self._failures += 1
         reason = in_words(why)
         if reason not in self._reasons and len(self._reasons) < _REASONS_MAX:
@@ -100,9 +100,9 @@ class _Outage:
             _log.warning("%s: %s; trying again", self._name, reason)
         elif at_cap and not self._at_cap:
             self._at_cap = True
-            _log.warning("%s: still %s; trying every %.3g s until it comes back", self._name, reason, rest_s)
+            _log.warning("%s: still %s; trying every %.3g s until it comes back", self._name, reason, delay_s)
         else:
-            _log.debug("%s: %s; trying again in %.3g s", self._name, reason, rest_s)
+            _log.debug("%s: %s; trying again in %.3g s", self._name, reason, delay_s)
 
     def end(self) -> None:
         if self._failures:

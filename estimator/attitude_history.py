@@ -64,6 +64,6 @@ class AttitudeHistory:
         span_s = seconds_between(earlier.stamp.measured_at, later.stamp.measured_at)
         if span_s > gap_s:
             return None
-        share = seconds_between(earlier.stamp.measured_at, instant) / span_s
-        turned = (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad * share
+        weight = seconds_between(earlier.stamp.measured_at, instant) / span_s
+        turned = (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad * weight
         return Attitude(stamp, earlier.R_ned_body @ Rotation.from_rotvec(turned), later.cov_body)

@@ -259,7 +259,7 @@ def run_bridge(data: bytes) -> None:
     asyncio.run(_bridge(Choices(data)))
 
 
-class _Craft:
+class _Vehicle:
     """A drone that executes every command, or is absent."""
 
     def __init__(self) -> None:
@@ -277,8 +277,8 @@ async def _bridge(choices: Choices) -> None:
     sampler = _samples()
 
     @asynccontextmanager
-    async def opening() -> AsyncIterator[_Craft]:
-        yield _Craft()
+    async def opening() -> AsyncIterator[_Vehicle]:
+        yield _Vehicle()
 
     with patch("drivers.mavlink.links.open_wire", wires.open):
         async with part.beside(opening()), asyncio.TaskGroup() as group:

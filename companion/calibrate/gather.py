@@ -20,7 +20,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 
 PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"}
 
-Told = Callable[[Collection], None]
+Report = Callable[[Collection], None]
 
 
 def image_files(paths: Sequence[Path]) -> list[Path]:
@@ -43,7 +43,7 @@ def image_files(paths: Sequence[Path]) -> list[Path]:
     return files
 
 
-def look_at(file: Path, collection: Collection, tell: Told) -> None:
+def add_file(file: Path, collection: Collection, tell: Report) -> None:
     """Add an image, or every frame of a video.
 
     Raises:
@@ -71,7 +71,7 @@ def look_at(file: Path, collection: Collection, tell: Told) -> None:
 
 
 async def watch(
-    options: CameraOptions, size: Size | None, collection: Collection, tell: Told, timeout_s: float, first_s: float = 10.0
+    options: CameraOptions, size: Size | None, collection: Collection, tell: Report, timeout_s: float, first_s: float = 10.0
 ) -> None:
     """Add frames of a live camera until the views cover the image, or until `timeout_s`.
 

@@ -46,7 +46,7 @@ class Collection:
         self.size: tuple[int, int] | None = None
         """Size of the images, (width, height) px; None before the first."""
         self.views: list[BoardView] = []
-        self.looked = 0
+        self.image_count = 0
         self.without: list[str] = []
         """Names of images in which the board was not found."""
         self.repeated = 0
@@ -63,7 +63,7 @@ class Collection:
             self.size = size
         if size != self.size:
             raise BadInput(f"{name}: {size[0]}x{size[1]} px, but the images before it have {self.size[0]}x{self.size[1]} px")
-        self.looked += 1
+        self.image_count += 1
         grey = np.asarray(cv2.cvtColor(px, cv2.COLOR_BGR2GRAY), np.uint8) if px.ndim == 3 else px
         found = self._board.find(grey)
         if found is None:

@@ -14,7 +14,7 @@ import numpy as np
 from companion.calibrate import assess
 from companion.calibrate.board import Board
 from companion.calibrate.camera_file import text
-from companion.calibrate.gather import PICTURES, image_files, look_at, watch
+from companion.calibrate.gather import PICTURES, add_file, image_files, watch
 from companion.calibrate.solve import LEAST_VIEWS, Solution, solve
 from companion.calibrate.views import Collection
 from companion.cli import board_option
@@ -125,7 +125,7 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
     def tell(collection: Collection) -> None:
         if not quiet:
             lacks = assess.missing_before(collection.views, collection.size or (1, 1))
-            line = f"{collection.looked} images, {len(collection.views)} views; {lacks[0] if lacks else 'enough'}"
+            line = f"{collection.image_count} images, {len(collection.views)} views; {lacks[0] if lacks else 'enough'}"
             sys.stderr.write(f"\r{line[:100]:<100}")
 
     if args.device is not None:
@@ -136,7 +136,7 @@ def _gather(args: argparse.Namespace, board: Board) -> Collection:
 
         collection = Collection(board, moving=any(f.suffix.lower() not in PICTURES for f in files))
         for file in files:
-            look_at(file, collection, tell)
+            add_file(file, collection, tell)
     if not quiet:
         sys.stderr.write("\n")
     return collection
@@ -171,7 +171,7 @@ def _say(
     if args.json:
         sys.stdout.write(json.dumps(_record(args, collection, solution, found, written=written)) + "\n")
         return
-    lines = [f"{collection.looked} images: {len(collection.views)} views, the board not found in {len(collection.without)}"]
+    lines = [f"{collection.image_count} images: {len(collection.views)} views, the board not found in {len(collection.without)}"]
     if solution is not None:
         c, s = solution.camera, solution.sigma
         lines += [
@@ -183,8 +183,8 @@ def _say(
     if written:
         lines.append(f"{found.grade}: written to {args.out}" + ("; it would be better with:" if found.missing else ""))
     else:
-        wish = "" if solution is None else f" (--accept {found.grade} writes it all the same)"
-        lines.append(f"{found.grade}: nothing written{wish}; it lacks:")
+        hint = "" if solution is None else f" (--accept {found.grade} writes it all the same)"
+        lines.append(f"{found.grade}: nothing written{hint}; it lacks:")
     lines += [f"  - {lack}" for lack in found.missing]
     sys.stdout.write("\n".join(lines) + "\n")
 
@@ -197,7 +197,7 @@ def _record(
         "grade": found.grade,
         "missing": found.missing,
         "file": args.out if written else None,
-        "images": collection.looked,
+        "images": collection.image_count,
         "views": len(collection.views),
         "without_board": collection.without,
     }

@@ -149,7 +149,7 @@ def run(args: argparse.Namespace) -> int:
                 record = _record(image, seen, colours, elapsed_ms)
                 sys.stdout.write(json.dumps(record) + "\n" if args.json else _line(image, seen, elapsed_ms))
                 if album is not None:
-                    _write(album / f"{file.stem}_{image.index:05d}.png", _drawn(image, seen, camera))
+                    _write(album / f"{file.stem}_{image.index:05d}.png", _annotated(image, seen, camera))
         except _NoImageError as why:
             unreadable += 1
             sys.stdout.flush()
@@ -395,7 +395,7 @@ def _write(path: Path, px: U8) -> None:
         raise BadInput(f"--annotate: cannot write {path}")
 
 
-def _drawn(image: _Image, seen: Detection, camera: Camera) -> U8:
+def _annotated(image: _Image, seen: Detection, camera: Camera) -> U8:
     """Return the image at twice its size, with the features of every method drawn in and their figures below."""
     scale = 2 if camera.width <= 1000 else 1
     h, w = camera.height * scale, camera.width * scale

@@ -155,7 +155,7 @@ def _finished(recording: Recording, done: Pass, compared: dict[str, list[Differe
     log, counts = done.log_observer.log, done.replay.counts
     log.outcome = "unfinished" if done.replay.outcome is None else done.replay.outcome.value
     log.facts += [("recording", recording.name), ("settings", done.name), ("outputs", done.replay.digest[:16])]
-    log.facts += [("frames searched again", str(counts.looked)), ("frames as recorded", str(counts.as_recorded))]
+    log.facts += [("frames searched again", str(counts.searched)), ("frames as recorded", str(counts.as_recorded))]
     for name, found in compared.items():
         log.facts += [(f"{d.path} against {name}", f"{_mm(d.d_median_m)} median, {_mm(d.d_max_m)} at most") for d in found]
     return log
@@ -171,7 +171,7 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
         c, pace = done.replay.counts, done.flown_s / max(1e-9, done.wall_s)
         out += [
             f"{done.name}: {done.flown_s:.1f} s in {done.wall_s:.1f} s ({pace:.1f} x real time), {c.samples} samples, {c.frames} "
-            f"frames ({c.looked} searched again, {c.as_recorded} as recorded), {c.decisions} guidance cycles",
+            f"frames ({c.searched} searched again, {c.as_recorded} as recorded), {c.decisions} guidance cycles",
             f"outputs: sha256 {done.replay.digest}",
         ]
         rows = done.errors()

@@ -40,7 +40,7 @@ from sitl.scenario import load as load_scenario
 WARM_UP_SHARE, WARM_UP_MOST_S = 0.2, 900.0
 """Warm-up as a share of the run, and its limit: textures, caches and the allocator's arenas are filled by then."""
 FRAME_RATES_HZ = (30, 60)
-WORD_WAIT_S = 15.0
+OPERATOR_WAIT_S = 15.0
 """How long the pilot waits for an operator at most: nobody is there, and a scenario's time must not end before the wait."""
 _READ_EACH_S = 5.0
 _SAY_EACH_S = 60.0
@@ -190,7 +190,7 @@ def flown_settings(scenario: Scenario, config: str | None, *, virtual: bool, all
         settings = without_thesis_methods(settings)
     service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")
     own = settings.guidance.planner
-    planner = msgspec.structs.replace(own, word_wait_s=min(own.word_wait_s, WORD_WAIT_S))
+    planner = msgspec.structs.replace(own, operator_wait_s=min(own.operator_wait_s, OPERATOR_WAIT_S))
     guidance = msgspec.structs.replace(settings.guidance, planner=planner)
     return msgspec.structs.replace(settings, service=service, guidance=guidance)
 

@@ -35,7 +35,7 @@ async def examine_service(
     """
     snapshot = ServiceSnapshot()
     if settings is not None:
-        snapshot = await _of_rig(settings, clock, seconds, timeout_s)
+        snapshot = await _from_settings(settings, clock, seconds, timeout_s)
         if broker is None and settings.mqtt.transport != "off":
             broker = f"{settings.mqtt.host}:{settings.mqtt.port}"
     if broker is None:
@@ -45,7 +45,7 @@ async def examine_service(
     return structs.replace(snapshot, broker=broker, broker_fault=fault)
 
 
-async def _of_rig(settings: Settings, clock: Clock, seconds: float, timeout_s: float) -> ServiceSnapshot:
+async def _from_settings(settings: Settings, clock: Clock, seconds: float, timeout_s: float) -> ServiceSnapshot:
     snapshot = ServiceSnapshot()
     try:
         model = camera_model(settings)

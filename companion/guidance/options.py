@@ -188,7 +188,7 @@ class PlannerOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = "operator"
     another_pad_s: Annotated[float, number("that sight", "s", 1.0, 120.0)] = 5.0
-    word_wait_s: Annotated[
+    operator_wait_s: Annotated[
         float, number("how long it waits for the operator to decide about another pad before it gives up", "s", 1.0, 3600.0)
     ] = 60.0
 

@@ -103,8 +103,8 @@ def pid_step(
 
     wanted = kp * error + ki * integral + np.append(set_point.v_body_level + kd * rate, 0.0)
     allowed = _limited(wanted, gains)
-    held_back = np.sign(wanted - allowed) == np.sign(error)
-    integral = np.where(held_back, integral, integral + error * dt)
+    saturated = np.sign(wanted - allowed) == np.sign(error)
+    integral = np.where(saturated, integral, integral + error * dt)
     most = np.divide(gains.integral_max_m_s, ki, out=np.zeros(4), where=ki > 0.0)
     integral = np.clip(integral, -most, most)
     return replace(state, integral=integral, last=now), Velocity(allowed[:3], float(allowed[3]))

@@ -100,7 +100,7 @@ class Planner:
     since_last_s: float = 0.0
     seen: MonoNs | None = None
     """Time of the last estimate that was fit to steer by."""
-    seen_height_m: float = math.inf
+    sighted_height_m: float = math.inf
     in_sight: bool = False
     """Whether the pad was in sight in the previous guidance cycle."""
     track: int | None = None
@@ -152,15 +152,15 @@ def _accounted(state: Planner, plan: Plan, now: MonoNs, fit: RelativeState | Non
     """Charge the guidance cycle to the try's budget."""
     spent, last_leg = state.spent, state.leg == len(plan.way_points) - 1
     if fit is None:
-        if state.in_sight and (last_leg or state.seen_height_m < plan.options.safe_height_m - _NEAR_SAFE_M):
+        if state.in_sight and (last_leg or state.sighted_height_m < plan.options.safe_height_m - _NEAR_SAFE_M):
             spent = spent.lost()
         if state.seen is not None:
             spent = spent.unseen(state.since_last_s)
         return replace(state, spent=spent, in_sight=False)
     if not state.in_sight and state.seen is not None:
-        spent = spent.descended(state.seen_height_m - fit.height_m)
+        spent = spent.descended(state.sighted_height_m - fit.height_m)
     spent = spent.seen(now, state.since_last_s)
-    return replace(state, spent=spent, in_sight=True, seen=now, seen_height_m=fit.height_m)
+    return replace(state, spent=spent, in_sight=True, seen=now, sighted_height_m=fit.height_m)
 
 
 def _with_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeState) -> tuple[Planner, Aim, Phase]:
@@ -193,11 +193,11 @@ def _without_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeSt
     if state.seen is None:
         return state, Hover(), Phase.WAITING
     lost_s, over = seconds_between(state.seen, now), state.spent.without_sight_s > plan.options.give_up_after_s
-    low = state.seen_height_m < plan.options.safe_height_m
+    low = state.sighted_height_m < plan.options.safe_height_m
     if over and not low:
         return _given_up(state, state.reason or "the pad was not found again")
     if low and (over or lost_s > plan.options.climb_after_s):
-        state = _around(state, now, f"the pad was lost at {state.seen_height_m:.1f} m")
+        state = _around(state, now, f"the pad was lost at {state.sighted_height_m:.1f} m")
         assert state.going_around is not None
         return _going_around(state, state.going_around, plan, now, estimate, None)
     v = _level_velocity(state, plan, now, estimate)
@@ -208,7 +208,7 @@ def _without_sight(state: Planner, plan: Plan, now: MonoNs, estimate: RelativeSt
 
 def _around(state: Planner, now: MonoNs, why: str) -> Planner:
     """End the try and begin a go-around."""
-    climb = GoAround(now, state.seen_height_m)
+    climb = GoAround(now, state.sighted_height_m)
     return replace(
         state, landing=None, point=None, near_since=None, leg=0, going_around=climb, go_arounds=state.go_arounds + 1, reason=why
     )
@@ -232,7 +232,7 @@ def _going_around(
         return state, SetPoint(state.point, None, v_body_level), Phase.GO_AROUND
     state = replace(state, point=None)
     blind_since = max(climb.since, state.seen or climb.since)
-    if seconds_between(blind_since, now) * plan.options.climb_m_s < plan.options.safe_height_m - state.seen_height_m:
+    if seconds_between(blind_since, now) * plan.options.climb_m_s < plan.options.safe_height_m - state.sighted_height_m:
         v = _level_velocity(state, plan, now, estimate)
         v[2] = -plan.options.climb_m_s
         return state, Velocity(v, 0.0), Phase.CLIMB
@@ -240,13 +240,13 @@ def _going_around(
         return _given_up(state, state.reason)
     without_s = state.spent.without_sight_s
     state = replace(
-        state, going_around=None, spent=replace(Spent(), without_sight_s=without_s), seen_height_m=plan.options.safe_height_m
+        state, going_around=None, spent=replace(Spent(), without_sight_s=without_s), sighted_height_m=plan.options.safe_height_m
     )
     return state, Hover(), Phase.LOST
 
 
 def _asked(state: Planner, now: MonoNs, track: int) -> Planner:
-    question = Question(now, state.seen_height_m, track)
+    question = Question(now, state.sighted_height_m, track)
     return replace(
         state, landing=None, going_around=None, point=None, near_since=None, leg=0, question=question, in_sight=False,
         questions=state.questions + 1, reason="the pad is seen in another place, which no motion explains",
@@ -268,7 +268,7 @@ def _questioned(
         if held_s >= plan.options.another_pad_s:
             new = Planner(last=now, questions=state.questions, go_arounds=state.go_arounds, reason=state.reason)
             return _with_sight(_accounted(new, plan, now, fit), plan, now, fit)
-    if seconds_between(question.since, now) > plan.options.word_wait_s:
+    if seconds_between(question.since, now) > plan.options.operator_wait_s:
         return _given_up(state, f"{state.reason}, and nobody said to go on")
     if climbing:
         return state, Velocity(np.array([0.0, 0.0, -plan.options.climb_m_s]), 0.0), Phase.ANOTHER_PAD

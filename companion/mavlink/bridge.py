@@ -108,7 +108,7 @@ class VehicleBridge(NullObserver):
         if kind not in ("COMMAND_LONG", "COMMAND_INT") or (m.target_system, m.target_component) != (system, COMPONENT):
             return
         if self.refusals.refuses(received, (system, COMPONENT)):
-            self.refusals.news(received)
+            self.refusals.text_for(received)
             for message in self.refusals.answer(received):
                 self._send(message, received.source, component=COMPONENT)
             return
@@ -199,8 +199,8 @@ class VehicleBridge(NullObserver):
     def _sys_status(self, now: MonoNs) -> Message | None:
         if self._status is None:
             return None
-        share = self._status.battery_fraction
-        percent = _NO_BATTERY if share is None else round(100 * share)
+        charge = self._status.battery_fraction
+        percent = _NO_BATTERY if charge is None else round(100 * charge)
         return mav.MAVLink_sys_status_message(0, 0, 0, 0, 65535, -1, percent, 0, 0, 0, 0, 0, 0)
 
     def _extended(self, now: MonoNs) -> Message | None:

@@ -46,7 +46,7 @@ log = logging.getLogger(__name__)
 
 TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_AUTOPILOT_INVALID)
 _CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2)
-_TELL_AGAIN_S = 60.0
+_REPEAT_S = 60.0
 """The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
 _SEVERITIES = {
     "landed": MavSeverity.NOTICE,
@@ -137,7 +137,7 @@ class Component(NullObserver):
     ) -> None:
         self.options = self._o = options
         self._health = health or Health(clock)
-        self._told: dict[str, MonoNs] = {}
+        self._reported: dict[str, MonoNs] = {}
         self._healthy = healthy
         self._believe = believe
         self._clock = clock
@@ -212,8 +212,8 @@ class Component(NullObserver):
             self._answer(received, self.refusals.answer(received))
             if self._parameters is not None:
                 self._answer(received, self._parameters.in_force(received.message))
-            if (news := self.refusals.news(received)) is not None:
-                self.texts.say(MavSeverity.WARNING, f"Decklander: {news}", now)
+            if (text := self.refusals.text_for(received)) is not None:
+                self.texts.say(MavSeverity.WARNING, f"Decklander: {text}", now)
             return
         self._answer(received, self._commands.on_message(received.message, (received.system, received.component), us, now))
         if received.message.get_type() in ("COMMAND_LONG", "COMMAND_INT") and self._commands.refusal is not None:
@@ -298,9 +298,9 @@ class Component(NullObserver):
             self.texts.say(MavSeverity.ERROR, f"Decklander: {why}", now)
         self._sick = why is not None
         for name, part in self._health.parts.items():
-            last = self._told.get(name)
-            if not (part.up or part.vital) and (last is None or seconds_between(last, now) >= _TELL_AGAIN_S):
-                self._told[name] = now
+            last = self._reported.get(name)
+            if not (part.up or part.vital) and (last is None or seconds_between(last, now) >= _REPEAT_S):
+                self._reported[name] = now
                 self.texts.say(MavSeverity.WARNING, f"Decklander: {name} is down: {part.last_error}", now)
 
     def _heartbeat(self, now: MonoNs) -> Message | None:

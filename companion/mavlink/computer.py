@@ -83,8 +83,8 @@ class ComputerReader:
                 # Reading a zone whose sensor does not answer raises an error; the other zones are still worth reading.
                 path = f"sys/class/thermal/{entry}/temp"
                 readings.append(_tried(partial(self._celsius, path)))
-        told = [reading for reading in readings if reading is not None]
-        return max(told) if told else None
+        known = [reading for reading in readings if reading is not None]
+        return max(known) if known else None
 
     def _celsius(self, path: str) -> int:
         return round(int(self._text(path)) / 1000)

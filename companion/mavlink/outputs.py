@@ -15,7 +15,7 @@ from companion.mavlink.landing_target import (
     range_along_down,
     target_relative,
 )
-from companion.mavlink.target_track import LOOP_RATE_HZ, Seen, TargetTrack, lag_locked, position_at
+from companion.mavlink.target_track import LOOP_RATE_HZ, TargetSample, TargetTrack, lag_locked, position_at
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack
@@ -119,7 +119,7 @@ class Outputs:
     def target(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> list[Message]:
         """Return the target to send now, whether or not it is due; the next one is due one period later."""
         self._target_at = now
-        seen, why = self._seen(now, vehicle, sighted)
+        seen, why = self._target(now, vehicle, sighted)
         if seen is None:
             self.withheld[why] += 1
             return []
@@ -149,7 +149,7 @@ class Outputs:
             return [message, relative]
         return [message]
 
-    def _seen(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> tuple[Seen | None, str]:
+    def _target(self, now: MonoNs, vehicle: AutopilotView, sighted: MonoNs | None) -> tuple[TargetSample | None, str]:
         if vehicle.stack is Stack.OTHER:
             return None, "unknown autopilot"
         if vehicle.condition.flying is False:

@@ -12,7 +12,7 @@ from drivers.mavlink.links import Links, ReceivedMessage
 
 _log = logging.getLogger(__name__)
 
-_TOLD_MAX = 32
+_REPORTED_MAX = 32
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 
 
@@ -25,7 +25,7 @@ class Refusals:
 
     def __init__(self, setting: str) -> None:
         self._setting = setting
-        self._told: set[tuple[int, int]] = set()
+        self._reported: set[tuple[int, int]] = set()
         self.counts: Counter[str] = Counter()
         """The numbers of refused messages, by message name."""
 
@@ -45,12 +45,12 @@ class Refusals:
             return []
         return [mav.MAVLink_command_ack_message(received.message.command, DENIED, 0, 0, received.system, received.component)]
 
-    def news(self, received: ReceivedMessage) -> str | None:
+    def text_for(self, received: ReceivedMessage) -> str | None:
         """Return the text for the pilot, or None if that sender was reported before; log the refusal together with its fix."""
         sender = (received.system, received.component)
-        if sender in self._told or len(self._told) >= _TOLD_MAX:
+        if sender in self._reported or len(self._reported) >= _REPORTED_MAX:
             return None
-        self._told.add(sender)
+        self._reported.add(sender)
         _log.warning(
             "MAVLink: %s of %s refused: it is no operator; name its system in %s, or sign the link (decklander keys)",
             received.message.get_type(),

@@ -33,7 +33,7 @@ def effective_lag_s(plnd_lag_s: float, loop_rate_hz: float = LOOP_RATE_HZ) -> fl
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class TargetSample:
     """The pad's state relative to the body at one instant."""
 
     at: MonoNs
@@ -105,7 +105,7 @@ class TargetTrack:
         found = self._attitudes.at(instant, Stamp(instant, instant, 0.0, "synced"))
         return None if found is None else found.R_ned_body
 
-    def at(self, instant: MonoNs) -> Seen | None:
+    def at(self, instant: MonoNs) -> TargetSample | None:
         """Return the pad at that instant, or None if beliefs or attitudes do not reach it."""
         R_ned_body = self.attitude_at(instant)
         place = self._place(instant)
@@ -113,7 +113,7 @@ class TargetTrack:
             return None
         knot, d_ned = place
         R_ned_pad = None if knot.arrow_rad is None else Rotation.from_rpy(0.0, 0.0, knot.arrow_rad)
-        return Seen(instant, d_ned, knot.v_ned, R_ned_body, R_ned_pad, knot.cov_ned, knot.sigma_yaw_rad)
+        return TargetSample(instant, d_ned, knot.v_ned, R_ned_body, R_ned_pad, knot.cov_ned, knot.sigma_yaw_rad)
 
     def _place(self, instant: MonoNs) -> tuple[_Knot, F64] | None:
         if not self._knots:
@@ -129,8 +129,8 @@ class TargetTrack:
         span_s = seconds_between(a.at, b.at)
         if span_s > self._gap_s:
             return None
-        share = seconds_between(a.at, instant) / span_s
-        return b, a.d_ned + (b.d_ned - a.d_ned) * share
+        weight = seconds_between(a.at, instant) / span_s
+        return b, a.d_ned + (b.d_ned - a.d_ned) * weight
 
 
 def position_at(positions: tuple[LocalPosition, ...], instant: MonoNs, reach_s: float = 0.25) -> F64 | None:
@@ -148,12 +148,12 @@ def position_at(positions: tuple[LocalPosition, ...], instant: MonoNs, reach_s: 
         b = positions[i]
         span_s = seconds_between(a.stamp.measured_at, b.stamp.measured_at)
         if 0 < span_s <= reach_s:
-            share = seconds_between(a.stamp.measured_at, instant) / span_s
-            return np.asarray(a.p_body_ned + (b.p_body_ned - a.p_body_ned) * share)
+            weight = seconds_between(a.stamp.measured_at, instant) / span_s
+            return np.asarray(a.p_body_ned + (b.p_body_ned - a.p_body_ned) * weight)
     return np.asarray(a.p_body_ned + a.v_body_ned * seconds_between(a.stamp.measured_at, instant))
 
 
-def lag_locked(track: TargetTrack, now: MonoNs, plnd_lag_s: float, transit_s: float) -> Seen | None:
+def lag_locked(track: TargetTrack, now: MonoNs, plnd_lag_s: float, transit_s: float) -> TargetSample | None:
     """Return the target to send to an ArduPilot now: the pad at PLND_LAG before ArduPilot processes this message.
 
     Args:

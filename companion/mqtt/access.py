@@ -34,13 +34,13 @@ def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
         context = ssl.create_default_context(cafile=None if ca is None else str(ca))
         context.minimum_version = ssl.TLSVersion.TLSv1_2
     except (OSError, ValueError) as why:
-        raise BadInput(f"mqtt.ca_file: {ca}: {_words(why)}") from why
+        raise BadInput(f"mqtt.ca_file: {ca}: {_reason(why)}") from why
     certificate, key = secret_files.find(settings.certificate_file, "mqtt"), secret_files.find(settings.key_file, "mqtt")
     if certificate is not None and key is not None:
         try:
             context.load_cert_chain(certificate, key, password=_no_passphrase)
         except (OSError, ValueError) as why:
-            raise BadInput(f"mqtt.certificate_file, key_file: {certificate}, {key}: {_words(why)}") from why
+            raise BadInput(f"mqtt.certificate_file, key_file: {certificate}, {key}: {_reason(why)}") from why
     return context
 
 
@@ -56,7 +56,7 @@ def _no_passphrase() -> str:
     raise ValueError("a key with a passphrase cannot be used: nobody is there to type it")
 
 
-def _words(why: Exception) -> str:
+def _reason(why: Exception) -> str:
     if isinstance(why, ssl.SSLError):
         return "not certificates or keys that fit" + (f" ({why.reason})" if why.reason else "")
     return str(getattr(why, "strerror", None) or why)

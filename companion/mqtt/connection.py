@@ -25,7 +25,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from companion.mqtt import access
-from companion.mqtt.look_up import Address, look_up
+from companion.mqtt.resolve import Address, resolve
 from companion.mqtt.settings import MqttSettings
 from estimator.contracts.errors import Recoverable
 
@@ -245,7 +245,7 @@ async def connect(
     Raises:
         Recoverable: the broker cannot be reached, or refuses us.
     """
-    addresses = await look_up(endpoint.host, endpoint.port, endpoint.timeout_s)
+    addresses = await resolve(endpoint.host, endpoint.port, endpoint.timeout_s)
     connection = Connection(endpoint, identifier, will, incoming)
     connection.dial_to(addresses)
     try:

@@ -87,16 +87,16 @@ def order(command: Command | None) -> CommandReport | None:
 
 def sighting(session: str, processed: ProcessedFrame) -> SightingMessage:
     """Return the message for a frame and what each method detected in it."""
-    look = processed.detection
+    detection = processed.detection
     return SightingMessage(
         session=session,
         at_ns=processed.done,
         measured_at_ns=processed.frame.stamp.measured_at,
         sequence=processed.frame.seq,
         verdict=processed.verdict.value,
-        chosen=None if look is None else look.chosen,
-        selected=None if look is None else _found(look.selected),
-        methods={} if look is None else {name: _found(one) for name, one in look.methods.items()},
+        chosen=None if detection is None else detection.chosen,
+        selected=None if detection is None else _found(detection.selected),
+        methods={} if detection is None else {name: _found(one) for name, one in detection.methods.items()},
     )
 
 

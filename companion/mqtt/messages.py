@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from estimator.contracts.estimates import PathName
 
 Vector3 = tuple[float, float, float]
-Word = Annotated[str, Meta(min_length=1, max_length=64)]
+CommandId = Annotated[str, Meta(min_length=1, max_length=64)]
 
 
 class Message(Struct, frozen=True, kw_only=True):
@@ -198,7 +198,7 @@ class OperatorNotice(Message, frozen=True, kw_only=True):
 class OperatorCommand(Struct, frozen=True, kw_only=True, tag_field="command", forbid_unknown_fields=True):
     """The fields that every command has."""
 
-    id: Word
+    id: CommandId
     """Identifier chosen by the sender; a repeated command is answered again but executed once."""
     run: Annotated[str, Meta(max_length=64)]
     """The run that the topic `operator` names; a command for an earlier run is refused."""

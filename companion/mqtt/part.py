@@ -77,7 +77,7 @@ class MqttPart:
         self._decision: Decision | None = None
         self._seen: ProcessedFrame | None = None
         self._vehicle: VehicleStatus | None = None
-        self._results_told = 0
+        self._results_reported = 0
         self._counts: Counter[str] = Counter()
         self._broker_down = False
         self._stopping = False
@@ -200,7 +200,7 @@ class MqttPart:
         """Return the newest result of each source, or None if none came since the last call."""
         states = self._health.fusion_states()
         counted = sum(sum(state.verdicts.values()) for state in states)
-        before, self._results_told = self._results_told, counted
+        before, self._results_reported = self._results_reported, counted
         return None if counted == before else encoding.fusion(self._session, self._health.now(), states)
 
     def _newest_health(self) -> Message:

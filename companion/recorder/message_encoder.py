@@ -63,8 +63,8 @@ class MessageEncoder:
                 yield channels.SAMPLES[type(record)], t, record
                 if isinstance(what, Attitude) and self._due(at):
                     yield channels.TRANSFORMS, t, fox.attitude_transform(self._time(what.stamp.measured_at), what.R_ned_body)
-            case (rec.DetectionRecord() as record, ProcessedFrame() | None as processed, Detection() | None as look):
-                yield from self._frame(t, record, processed, look)
+            case (rec.DetectionRecord() as record, ProcessedFrame() | None as processed, Detection() | None as detection):
+                yield from self._frame(t, record, processed, detection)
             case FusionResult():
                 yield channels.fusion(what.source), t, encode.fusion(at, what)
             case rec.FusionRecord():
@@ -95,19 +95,19 @@ class MessageEncoder:
         return due
 
     def _frame(
-        self, t: int, record: rec.DetectionRecord, processed: ProcessedFrame | None, look: Detection | None
+        self, t: int, record: rec.DetectionRecord, processed: ProcessedFrame | None, detection: Detection | None
     ) -> Iterator[Message]:
         exposed_at = self._time(MonoNs(record.stamp.measured_at_ns))
         if processed is not None and self._frames != "none":
             data = packed(processed.frame.px, self._frames, self._quality)
             yield channels.IMAGE, t, fox.compressed_image(exposed_at, data, self._frames)
         yield channels.DETECTION, t, record
-        if look is not None:
-            features = [(name, f) for name, s in look.methods.items() if s is not None for f in s.features]
+        if detection is not None:
+            features = [(name, f) for name, s in detection.methods.items() if s is not None for f in s.features]
             where = "no pad"
-            if look.selected is not None:
-                forward, right, down = look.selected.d_body_pad_level
-                where = f"{look.chosen}: {forward:.2f} forward, {right:.2f} right, {down:.2f} m down"
+            if detection.selected is not None:
+                forward, right, down = detection.selected.d_body_pad_level
+                where = f"{detection.chosen}: {forward:.2f} forward, {right:.2f} right, {down:.2f} m down"
             yield channels.ANNOTATIONS, t, fox.image_annotations(exposed_at, features, f"{record.verdict}  {where}")
 
     def _decision(self, t: int, decision: Decision) -> Iterator[Message]:

@@ -58,9 +58,9 @@ class RecordedFrame:
     def check(self) -> None:
         """Check the frame and its detection. Raises ValueError if numbers or names are not valid."""
         Verdict(self.record.verdict)
-        _ = self.stamp, self.attitude, self.look()
+        _ = self.stamp, self.attitude, self.detection()
 
-    def look(self) -> Detection | None:
+    def detection(self) -> Detection | None:
         """Return the recorded detection without the features in pixels, or None if vision did not run."""
         return decode.detection(self.record)
 

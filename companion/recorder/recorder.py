@@ -94,7 +94,7 @@ class Recorder:
         self._file: McapFile | None = None
         self._began = self._flushed = self._synced = MonoNs(0)
         self._tried: MonoNs | None = None
-        self._rest_s = options.retry_s
+        self._back_off_s = options.retry_s
         self._recorded_health: MonoNs | None = None
         self._shown = RecorderState.IDLE
         self._seen = 0
@@ -304,7 +304,7 @@ class Recorder:
         if (
             self._tried is not None
             and self._state is RecorderState.BLOCKED
-            and 0.0 <= seconds_between(self._tried, at) < self._rest_s
+            and 0.0 <= seconds_between(self._tried, at) < self._back_off_s
         ):
             return False
         self._tried = at
@@ -325,7 +325,7 @@ class Recorder:
         self._began = self._flushed = self._synced = at
         if self._state is RecorderState.BLOCKED:
             log.warning("recorder: recording again, into %s", self._file.path)
-        self._state, self.why, self._rest_s = RecorderState.RECORDING, "", self._options.retry_s
+        self._state, self.why, self._back_off_s = RecorderState.RECORDING, "", self._options.retry_s
         self._storage_policy.tidy(self._file.path)
 
     def _flush(self, now: MonoNs | None) -> None:
@@ -360,7 +360,7 @@ class Recorder:
     def _lacks(self, reason: str) -> None:
         self.blocked += 1
         if self._state is RecorderState.BLOCKED:
-            self._rest_s = min(2.0 * self._rest_s, self._options.retry_cap_s)
+            self._back_off_s = min(2.0 * self._back_off_s, self._options.retry_cap_s)
         else:
             log.error("recorder: nothing is recorded now: %s; the flight goes on, trying again", reason)
         self._state, self.why = RecorderState.BLOCKED, reason

@@ -38,7 +38,7 @@ class Counts:
 
     samples: int = 0
     frames: int = 0
-    looked: int = 0
+    searched: int = 0
     """The number of frames whose image went through vision again."""
     as_recorded: int = 0
     """The number of frames whose recorded sightings were used."""
@@ -150,39 +150,41 @@ class Replay:
         self.counts.frames += 1
         attitude = recorded.attitude
         attitude = self._pilot.attitude_at(stamp) if attitude is None else replace(attitude, stamp=self._moved(attitude.stamp))
-        look: Detection | None = None
+        detection: Detection | None = None
         verdict = Verdict.NO_ATTITUDE
         results: tuple[FusionResult, ...] = ()
         if frame is None and not self._sightings and (recorded.record.width, recorded.record.height) != size:
             frame, verdict = _black(recorded), Verdict.FAILED
         elif frame is None:
             self.counts.as_recorded += 1
-            look = self._seen_then(recorded)
-            if look is None:
+            detection = self._recorded_detection(recorded)
+            if detection is None:
                 verdict = Verdict(recorded.record.verdict)
             else:
-                verdict, results = self._pilot.on_detection(look)
+                verdict, results = self._pilot.on_detection(detection)
             frame = _black(recorded)
         elif (refused := self._pilot.admit(replace(frame, stamp=stamp))) is not None:
             verdict = refused
         elif attitude is not None:
-            self.counts.looked += 1
-            look = self._pilot.detect(replace(frame, stamp=stamp), attitude)
-            verdict, results = self._pilot.on_detection(look)
-        processed = ProcessedFrame(replace(frame, stamp=stamp), attitude, look, verdict, began, done, results)
+            self.counts.searched += 1
+            detection = self._pilot.detect(replace(frame, stamp=stamp), attitude)
+            verdict, results = self._pilot.on_detection(detection)
+        processed = ProcessedFrame(replace(frame, stamp=stamp), attitude, detection, verdict, began, done, results)
         self._hash.update(self._encoder.encode(encode.detection(processed)))
         for observer in self._observers:
             observer.on_frame(processed)
             for result in results:
                 observer.on_fusion(done, result)
 
-    def _seen_then(self, recorded: RecordedFrame) -> Detection | None:
-        look = recorded.look()
-        if look is None or not self._shift_ns:
-            return look
-        methods = {n: None if s is None else replace(s, stamp=self._moved(s.stamp)) for n, s in look.methods.items()}
-        selected = None if look.selected is None else replace(look.selected, stamp=self._moved(look.selected.stamp))
-        return replace(look, selected=selected, methods=methods)
+    def _recorded_detection(self, recorded: RecordedFrame) -> Detection | None:
+        detection = recorded.detection()
+        if detection is None or not self._shift_ns:
+            return detection
+        methods = {n: None if s is None else replace(s, stamp=self._moved(s.stamp)) for n, s in detection.methods.items()}
+        selected = (
+            None if detection.selected is None else replace(detection.selected, stamp=self._moved(detection.selected.stamp))
+        )
+        return replace(detection, selected=selected, methods=methods)
 
     def _follow_operator(self, phase: str) -> None:
         """Follow the operator's commands, which are not recorded as such but show in the phases."""

@@ -64,10 +64,10 @@ class BeliefLogObserver:
         self.log.truth.append(TruthSample(MonoNs(truth.at_ns), d, v, truth.yaw_rad))
         t = truth.touchdown
         if t is not None and self.log.touchdown is None:
-            lateral_m, sinking, sliding = (
+            lateral_m, vertical_m_s, lateral_m_s = (
                 math.nan if x is None else x for x in (t.lateral_m, t.vertical_speed_m_s, t.lateral_speed_m_s)
             )
-            self.log.touchdown = LoggedTouchdown(MonoNs(t.at_ns), lateral_m, sinking, sliding, t.on_pad)
+            self.log.touchdown = LoggedTouchdown(MonoNs(t.at_ns), lateral_m, vertical_m_s, lateral_m_s, t.on_pad)
 
     def attach_image(self, image: bytes | None) -> None:
         """Attach the recorded image to the newest frame."""

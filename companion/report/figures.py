@@ -44,7 +44,7 @@ class ErrorRow:
     name: str
     is_path: bool
     count: int
-    share: float | None
+    fraction: float | None
     """The fraction of all frames; None for a path, which is not tied to frames."""
     lateral_median_m: float
     lateral_p95_m: float
@@ -138,7 +138,7 @@ def error_rows(log: FlightLog, series: Sequence[Series]) -> list[ErrorRow]:
                 name=s.name,
                 is_path=s.is_path,
                 count=len(s.t_s),
-                share=len(s.t_s) / frames if frames and not s.is_path else None,
+                fraction=len(s.t_s) / frames if frames and not s.is_path else None,
                 lateral_median_m=_quantile(lateral, 0.5),
                 lateral_p95_m=_quantile(lateral, 0.95),
                 down_bias_m=_quantile(down, 0.5),

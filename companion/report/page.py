@@ -173,7 +173,7 @@ def _error_row(r: ErrorRow) -> str:
     cells = [
         escape(r.name.replace("_", " ")),
         str(r.count),
-        "-" if r.share is None else f"{100 * r.share:.1f} %",
+        "-" if r.fraction is None else f"{100 * r.fraction:.1f} %",
         *(_length(v) for v in (r.lateral_median_m, r.lateral_p95_m, r.down_bias_m, r.down_p95_m)),
         *("-" if math.isnan(v) else f"{v:.2f}&deg;" for v in degrees),
     ]

@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 FAILURES_IN_A_ROW = 20
 """Failures in a row after which a callee is disabled: each call costs the flight time, and the next would likely fail too."""
-REST_FIRST_S, REST_MOST_S = 10.0, 300.0
+BACK_OFF_FIRST_S, BACK_OFF_CAP_S = 10.0, 300.0
 """First and longest back-off before the callee is tried again; each is twice the last. Memory or descriptors may free up."""
 
 
@@ -42,7 +42,7 @@ class CallGuard:
         self._health = health
         self._limit = limit
         self._in_a_row = 0
-        self._rest_s = REST_FIRST_S
+        self._back_off_s = BACK_OFF_FIRST_S
         self._aside_until: MonoNs | None = None
 
     def call(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
@@ -62,7 +62,7 @@ class CallGuard:
             return None
         self._in_a_row = 0
         if self._aside_until is not None:
-            self._aside_until, self._rest_s = None, REST_FIRST_S
+            self._aside_until, self._back_off_s = None, BACK_OFF_FIRST_S
             self._health.up(self._name)
             log.warning("%s works again", self._name)
         return result
@@ -76,8 +76,8 @@ class CallGuard:
             if self._aside_until is None:
                 log.error("%s is %s", self._name, words)
             self._health.down(self._name, RuntimeError(words))
-            self._aside_until = after(self._health.now(), self._rest_s)
-            self._rest_s = min(2.0 * self._rest_s, REST_MOST_S)
+            self._aside_until = after(self._health.now(), self._back_off_s)
+            self._back_off_s = min(2.0 * self._back_off_s, BACK_OFF_CAP_S)
 
 
 class Audience:

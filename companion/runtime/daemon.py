@@ -98,8 +98,8 @@ class Daemon:
         self._link: VehicleLink | None = None
         self._ended = asyncio.Event()
         self._tracker: Worker | None = None
-        self._wrong_size_said = False
-        self._told = ("", "")
+        self._wrong_size_logged = False
+        self._logged = ("", "")
         self._extras = dict(extras or {})
         self.health = health or Health(clock)
         self._audience = Audience(observers, self.health)
@@ -172,7 +172,7 @@ class Daemon:
     async def _process(self, frame: Frame) -> ProcessedFrame:
         began = self._clock.now()
         attitude = await self._attitude_of(frame)
-        look: Detection | None = None
+        detection: Detection | None = None
         results: tuple[FusionResult, ...] = ()
         if not self._fits(frame):
             verdict = Verdict.FAILED
@@ -182,9 +182,9 @@ class Daemon:
             verdict = Verdict.NO_ATTITUDE
         else:
             assert self._tracker is not None
-            look = await self._tracker.run(self._pilot.detect, frame, attitude)
-            verdict, results = self._pilot.on_detection(look)
-        return ProcessedFrame(frame, attitude, look, verdict, began, self._clock.now(), results)
+            detection = await self._tracker.run(self._pilot.detect, frame, attitude)
+            verdict, results = self._pilot.on_detection(detection)
+        return ProcessedFrame(frame, attitude, detection, verdict, began, self._clock.now(), results)
 
     async def _attitude_of(self, frame: Frame) -> Attitude | None:
         """Return the attitude at the exposure, or None; while samples are still queued, wait a little for one that covers it."""
@@ -200,8 +200,8 @@ class Daemon:
         camera = self._pilot.camera
         if (width, height) == (camera.width, camera.height):
             return True
-        if not self._wrong_size_said:
-            self._wrong_size_said = True
+        if not self._wrong_size_logged:
+            self._wrong_size_logged = True
             log.error(
                 "the vehicle sends frames of %dx%d px but the camera file describes %dx%d px: none of them can be used",
                 width, height, camera.width, camera.height,
@@ -230,11 +230,11 @@ class Daemon:
 
     def _tell(self, decision: Decision) -> None:
         """Log the phase and its reason when they change."""
-        told = (decision.phase, decision.reason)
-        if told == self._told:
+        entry = (decision.phase, decision.reason)
+        if entry == self._logged:
             return
-        self._told = told
-        log.log(logging.WARNING if decision.reason else logging.INFO, "%s", ": ".join(filter(None, told)))
+        self._logged = entry
+        log.log(logging.WARNING if decision.reason else logging.INFO, "%s", ": ".join(filter(None, entry)))
 
     async def _log_health(self) -> None:
         while True:

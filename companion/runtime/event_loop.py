@@ -42,7 +42,7 @@ def run(main: Coroutine[Any, Any, T]) -> T:
         with suppress(RuntimeError):  # the loop was closed just now
             loop.call_soon_threadsafe(_take, number, loop, task)
 
-    PROCESS.standing, PROCESS.into_loop = lambda: _names(loop), into_loop
+    PROCESS.unfinished, PROCESS.into_loop = lambda: _names(loop), into_loop
     try:
         if PROCESS.number is not None:
             into_loop(PROCESS.number)
@@ -56,7 +56,7 @@ def run(main: Coroutine[Any, Any, T]) -> T:
         raise
     finally:
         _close(loop)
-        PROCESS.into_loop, PROCESS.standing = None, str
+        PROCESS.into_loop, PROCESS.unfinished = None, str
         asyncio.set_event_loop(None)
         loop.close()
 

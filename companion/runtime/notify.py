@@ -83,7 +83,7 @@ class Pulse(NullObserver):
         self._watched = interval_s is not None
         self._period_s = _STATUS_S if interval_s is None else interval_s / _EVERY
         self._last: MonoNs | None = None
-        self._said_why = ""
+        self._last_reason = ""
         self.pings = 0
         """Number of times that the pipeline was found alive."""
 
@@ -94,13 +94,13 @@ class Pulse(NullObserver):
         health = self._health.snapshot()
         why = stuck(health, self._flying())
         if why is not None:
-            if why.partition(" for ")[0] != self._said_why:
-                self._said_why = why.partition(" for ")[0]
+            if why.partition(" for ")[0] != self._last_reason:
+                self._last_reason = why.partition(" for ")[0]
                 log.error("%s: the watchdog is not fed", why)
             self._manager.say(STATUS=why)
             self._last = now
             return
-        self._said_why = ""
+        self._last_reason = ""
         rates = (health.flows.get(kind) for kind in ("Frame", "Imu"))
         frames, samples = (0.0 if flow is None or flow.rate_hz is None else flow.rate_hz for flow in rates)
         phase = ": ".join(filter(None, (decision.phase, ", ".join(missing_inputs(health)))))

@@ -84,7 +84,7 @@ class Pilot:
         self._paused = False
         self._planner = Planner.start()
         self._pid = Pid.start()
-        self._told_to_land = False
+        self._landing_commanded = False
         self._flew = False
         self._stood = False
         self.phase = "waiting for the vehicle"
@@ -225,7 +225,7 @@ class Pilot:
             self._end(FlightOutcome.EMERGENCY)
             return None
         if status.flying is False:
-            self._end(FlightOutcome.LANDED if self._told_to_land else FlightOutcome.LANDED_BY_OTHERS)
+            self._end(FlightOutcome.LANDED if self._landing_commanded else FlightOutcome.LANDED_BY_OTHERS)
             return None
         if not self._begun or self._paused:
             self.phase = "paused" if self._paused else "waiting for the start"
@@ -242,7 +242,7 @@ class Pilot:
         if isinstance(aim, SetPoint):
             self._pid, command = pid_step(self._pid, self._plan.guidance.pid, now, belief, aim, self._plan.guidance.stale_after_s)
             return command
-        self._told_to_land = self._told_to_land or isinstance(aim, Land)
+        self._landing_commanded = self._landing_commanded or isinstance(aim, Land)
         return aim
 
     def _end(self, outcome: FlightOutcome) -> None:

@@ -64,7 +64,7 @@ class Process:
         """Time of that signal on the monotonic clock, s."""
         self.into_loop: Callable[[int], None] | None = None
         """Passes a signal to the running event loop; None while no loop runs."""
-        self.standing: Callable[[], str] = str
+        self.unfinished: Callable[[], str] = str
         """Returns the names of the event loop's remaining tasks; empty if there are none."""
 
     @property
@@ -166,13 +166,13 @@ def _watch(descriptor: int) -> None:
                 elif time.monotonic() - at_s > _ECHO_S:
                     _end(128 + number, "")
         elif first is not None:
-            _end(128 + first, f"not ended {LAST_S} s after SIGTERM, ending at once: {_standing()}")
+            _end(128 + first, f"not ended {LAST_S} s after SIGTERM, ending at once: {_unfinished()}")
 
 
-def _standing() -> str:
+def _unfinished() -> str:
     words = []
     with suppress(RuntimeError):  # the set of tasks may change meanwhile
-        if names := PROCESS.standing():
+        if names := PROCESS.unfinished():
             words.append(f"tasks {names}")
     frame = sys._current_frames().get(threading.main_thread().ident or 0)
     if frame is not None:

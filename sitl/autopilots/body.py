@@ -62,7 +62,7 @@ class Body:
 
     Args:
         step_s: step of the physics, at most 5 ms.
-        curve: curve of the motors, as the autopilot's settings assume it (see `thrust_share`).
+        curve: curve of the motors, as the autopilot's settings assume it (see `thrust_fraction`).
     """
 
     def __init__(self, scenario: Scenario, seed: int, step_s: float, curve: float = 0.0) -> None:

@@ -17,7 +17,7 @@ _SPINS = 0.01
 _NONE: Motors = (0.0, 0.0, 0.0, 0.0)
 
 
-def thrust_share(command: float, curve: float) -> float:
+def thrust_fraction(command: float, curve: float) -> float:
     """Return the thrust as a fraction of the largest thrust for a command of 0..1: linear for a `curve` of 0, quadratic for 1.
 
     Source: ArduPilot's MOT_THST_EXPO and PX4's THR_MDL_FAC describe a motor in this way; the autopilot inverts its configured
@@ -34,7 +34,7 @@ def wrench(airframe: Airframe, motors: Sequence[float], curve: float) -> tuple[f
     clockwise.
     """
     most_n = airframe.thrust_max_n / 4.0
-    fr, rl, fl, rr = (most_n * thrust_share(c, curve) for c in motors)
+    fr, rl, fl, rr = (most_n * thrust_fraction(c, curve) for c in motors)
     arm, drag = airframe.arm_m, airframe.yaw_torque_per_thrust_m
     return fr + rl + fl + rr, (arm * (fl + rl - fr - rr), arm * (fl + fr - rl - rr), drag * (fr + rl - fl - rr))
 

@@ -54,7 +54,7 @@ def looks_of(recorded: Recorded) -> tuple[Look, ...]:
     viewer = Viewer(recorded.camera, recorded.pad)
     looks = []
     for frame in recorded.frames:
-        truth, attitude, detection = recorded.truths.get(frame.stamp.measured_at), frame.attitude, frame.look()
+        truth, attitude, detection = recorded.truths.get(frame.stamp.measured_at), frame.attitude, frame.detection()
         if truth is None or truth.R_ned_body is None or attitude is None or detection is None:
             continue
         registered = detection.methods.get("registration")

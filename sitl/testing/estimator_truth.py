@@ -232,9 +232,9 @@ def events(flight: TruthFlight) -> list[Event]:
         rgt = np.cos(psi) * vv[:, 1] - np.sin(psi) * vv[:, 0]
         cov_v = np.diag([s.velocity_sigma**2, s.velocity_sigma**2, UNKNOWN_VAR])
         for k in range(tv.size):
-            told_v = s.velocity_scale * np.array([fwd[k], rgt[k], 0.0])
-            told_v[:2] += noise[k]
-            out.append(BodyVelocity(stamp(tv[k]), told_v, cov_v))
+            measured_v = s.velocity_scale * np.array([fwd[k], rgt[k], 0.0])
+            measured_v[:2] += noise[k]
+            out.append(BodyVelocity(stamp(tv[k]), measured_v, cov_v))
     if s.range_hz > 0:
         tr = np.arange(0.0, s.duration_s, 1.0 / s.range_hz)
         p, pp, Rp, Rb = flight.body(tr)[0], flight.pad(tr)[0], flight.pad(tr)[2], flight.attitude(tr)
@@ -255,11 +255,11 @@ def events(flight: TruthFlight) -> list[Event]:
         at = np.array([measured_at + s.hidden_delay_s])
         Rb, pb = flight.attitude(at)[0], flight.body(at)[0][0]
         pp, _, Rp = (x[0] for x in flight.pad(at))
-        d_seen = mount.T @ Rb.T @ (pp - pb)
+        d_measured = mount.T @ Rb.T @ (pp - pb)
         level = Rotation(measured(measured_at)).without_heading().matrix
-        size = float(np.linalg.norm(d_seen))
+        size = float(np.linalg.norm(d_measured))
         sigma = size * np.array([s.sigma_lateral_per_m, s.sigma_lateral_per_m, s.sigma_range_per_m]) + 0.001
-        d = level @ (d_seen + sigma * rng.standard_normal(3))
+        d = level @ (d_measured + sigma * rng.standard_normal(3))
         seen = level @ mount.T @ Rb.T @ Rp
         e_rot = np.radians([s.sigma_tilt_deg, s.sigma_tilt_deg, s.sigma_yaw_deg]) * rng.standard_normal(3)
         seen = _exp(e_rot) @ seen

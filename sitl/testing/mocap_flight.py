@@ -45,9 +45,9 @@ class MocapRecording:
     """(n, 3) m."""
     rpy_rad: F64
     """(n, 3) of R_ned_body by the motion capture, unwrapped."""
-    t_told: F64
-    rpy_told_rad: F64
-    """(m, 3) of the drone's own attitude at `t_told`, unwrapped; its north is its own."""
+    t_measured: F64
+    rpy_measured_rad: F64
+    """(m, 3) of the drone's own attitude at `t_measured`, unwrapped; its north is its own."""
     p_pad_ned: F64
 
     def attitude(self, t_s: float) -> Rotation:
@@ -55,7 +55,7 @@ class MocapRecording:
         return Rotation.from_rpy(*(float(np.interp(t_s, self.t, self.rpy_rad[:, k])) for k in range(3)))
 
     def attitude_measured(self, t_s: float) -> Rotation:
-        return Rotation.from_rpy(*(float(np.interp(t_s, self.t_told, self.rpy_told_rad[:, k])) for k in range(3)))
+        return Rotation.from_rpy(*(float(np.interp(t_s, self.t_measured, self.rpy_measured_rad[:, k])) for k in range(3)))
 
     def d_ned(self, t_s: float) -> F64:
         """(3,) m from the body to the pad."""
@@ -90,7 +90,7 @@ def load(folder: Path = FOLDER) -> MocapRecording:
     tm = mocap["t_stamp_s"]
     p = np.stack([mocap["x_m"], -mocap["y_m"], -mocap["z_m"]], axis=1)
     quats = np.stack([mocap["q4"], mocap["q1"], -mocap["q2"], -mocap["q3"]], axis=1)
-    told_rpy = np.unwrap(rpy, axis=0)
+    measured_rpy = np.unwrap(rpy, axis=0)
     sits = Rotation.identity()
     vm = smooth(np.gradient(smooth(p), tm, axis=0))
     # The nose: where the drone says it goes. Then roll and pitch: where undisturbed flight presses its accelerometer.
@@ -119,7 +119,7 @@ def load(folder: Path = FOLDER) -> MocapRecording:
             if height[k] != last_height:
                 out.append(Range(s, float(height[k]), 0.03))
         last_height = height[k]
-    return MocapRecording(tuple(out), tm, p, captured, t, told_rpy, pad)
+    return MocapRecording(tuple(out), tm, p, captured, t, measured_rpy, pad)
 
 
 def smooth(x: F64) -> F64:

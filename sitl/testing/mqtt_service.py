@@ -81,7 +81,7 @@ def event(at: MonoNs, text: str) -> PendingEvent:
 
 
 @dataclass
-class Rig:
+class RunningPart:
     """A running part and what it is made of."""
 
     part: MqttPart
@@ -95,7 +95,7 @@ class Rig:
 
 
 @asynccontextmanager
-async def running(settings: MqttSettings, folder: Path, session: str = SESSION) -> AsyncIterator[Rig]:
+async def running(settings: MqttSettings, folder: Path, session: str = SESSION) -> AsyncIterator[RunningPart]:
     """The part, supervised as in the daemon."""
     logging.getLogger("companion.mqtt").setLevel(logging.WARNING)
     clock = SystemClock()
@@ -112,7 +112,7 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     async with asyncio.TaskGroup() as group:
         group.create_task(run({"mqtt": part.run}, RestartOptions(), health, clock, until=ended))
         try:
-            yield Rig(part, health, operator, clock, spool)
+            yield RunningPart(part, health, operator, clock, spool)
         finally:
             ended.set()
 

@@ -137,7 +137,7 @@ def truth_of(shot: Exposure, camera: Camera) -> PadPose:
     return PadPose(Rotation(R_ned_cam.T @ shot.R_ned_pad.matrix), R_ned_cam.T @ (shot.p_pad_ned - p_cam))
 
 
-def visible_share(pose: PadPose, camera: Camera, pad: Pad, covered: NDArray[np.uint8] | None = None) -> float:
+def visible_fraction(pose: PadPose, camera: Camera, pad: Pad, covered: NDArray[np.uint8] | None = None) -> float:
     """Share of the disc's area inside the frame and not under the mask `covered`."""
     r = pad.disc_radius_m * np.sqrt((np.arange(400) + 0.5) / 400)
     a = np.arange(400) * 2.399963
@@ -186,7 +186,7 @@ def pad_scene(
             continue
         d_cam = ray * (height_m / (ray @ n))
         pose = PadPose(Rotation(R_ned_cam.matrix.T @ R_ned_pad.matrix), d_cam)
-        share = visible_share(pose, camera, pad)
+        share = visible_fraction(pose, camera, pad)
         if best is None or share > best[0]:
             best = (share, d_cam, uv)
         if share >= need:
@@ -213,7 +213,7 @@ def pad_scene(
             cv2.fillPoly(covered, [quad], 255)
             shade = rng.integers(20, 160, 3)
             px = np.where(covered[:, :, None] > 0, shade + rng.normal(0, 6, px.shape), px).clip(0, 255).astype(np.uint8)
-    return PadScene(px, truth, _measured(rng, R_ned_body), height_m, visible_share(truth, camera, pad, covered), condition)
+    return PadScene(px, truth, _measured(rng, R_ned_body), height_m, visible_fraction(truth, camera, pad, covered), condition)
 
 
 def empty_scene(rng: np.random.Generator, camera: Camera, height_m: float) -> PadScene:
@@ -252,5 +252,5 @@ __all__ = [
     "pad_scene",
     "photo_pose",
     "truth_of",
-    "visible_share",
+    "visible_fraction",
 ]

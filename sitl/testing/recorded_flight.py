@@ -22,7 +22,7 @@ SCENARIO = "demo"
 
 
 class ObservedCalls(NullObserver):
-    """Everything the observers were told, as it was."""
+    """Records every call that the observers received."""
 
     def __init__(self) -> None:
         self.samples: list[Sample] = []
@@ -51,7 +51,7 @@ def sim_settings() -> Settings:
 
 
 def fly(observers: Sequence[Observer], seconds: float, recorder: Recorder | None = None) -> Flight:
-    """The first seconds of a flight, with truth told to the recorder at 50 Hz."""
+    """The first seconds of a flight, with the truth passed to the recorder at 50 Hz."""
     settings = sim_settings()
     flight = Flight(load_scenario(SCENARIO), 1, settings, make_pilot(settings, shadows=("median_mean",)), observers=observers)
     if recorder is not None:
@@ -65,9 +65,9 @@ def fly(observers: Sequence[Observer], seconds: float, recorder: Recorder | None
 
 
 def record_to(path: Path, seconds: float = 2.0, **options: object) -> ObservedCalls:
-    """Fly and record into `path`; what the other observer was told."""
-    settings, told = sim_settings(), ObservedCalls()
+    """Fly, record into `path`, and return the calls that the second observer received."""
+    settings, observed = sim_settings(), ObservedCalls()
     pilot = make_pilot(settings)
     with recorder_to_file(path, pilot.camera, about(settings, {"scenario": SCENARIO, "seed": "1"}), **options) as recorder:  # type: ignore[arg-type]
-        fly([told, recorder], seconds, recorder)
-    return told
+        fly([observed, recorder], seconds, recorder)
+    return observed

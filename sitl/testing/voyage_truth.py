@@ -49,7 +49,7 @@ class HullResponse:
     """Waves quicker than this move it less and less."""
     roll_rad_s: float
     roll_damping: float
-    slope_share: float
+    slope_fraction: float
     """Deck slope over wave slope for long waves."""
 
 
@@ -213,7 +213,7 @@ class Voyage:
     ) -> F64:
         towards = float(rng.uniform(-math.pi, math.pi))
         low = 1.0 / np.sqrt(1.0 + (w / hull.heave_rad_s) ** 6)
-        slope = hull.slope_share * w * w / GRAVITY * low
+        slope = hull.slope_fraction * w * w / GRAVITY * low
         resonant = hull.roll_rad_s**2 / (hull.roll_rad_s**2 - w * w + 2j * hull.roll_damping * hull.roll_rad_s * w)
         series = np.fft.irfft(
             np.stack([0.7j * low * z, -low * z, slope * resonant * z, 1j * slope * z, 0.2 * slope * z]), n, axis=1

@@ -13,7 +13,7 @@ import pytest
 
 from companion.calibrate import assess
 from companion.calibrate.board import Board
-from companion.calibrate.gather import look_at, watch
+from companion.calibrate.gather import add_file, watch
 from companion.calibrate.solve import solve
 from companion.calibrate.views import BoardView, Collection
 from companion.cli.main import main
@@ -156,8 +156,8 @@ def test_of_a_video_only_still_and_new_views_are_taken(tmp_path: Path) -> None:
             out.mux(stream.encode(av.VideoFrame.from_ndarray(px, format="gray")))
         out.mux(stream.encode(None))
     collection = Collection(CHARUCO, moving=True)
-    look_at(path, collection, lambda c: None)
-    assert (collection.looked, len(collection.views)) == (13, 2)
+    add_file(path, collection, lambda c: None)
+    assert (collection.image_count, len(collection.views)) == (13, 2)
     assert collection.repeated == 11
 
 
@@ -175,7 +175,7 @@ async def test_a_live_camera_is_watched_for_new_still_views(folders: dict[str, P
     live = CameraOptions(source="stream", device=str(path), repeat=True)
     await watch(live, None, collection, lambda c: None, timeout_s=3.5)
     assert len(collection.views) == 3
-    assert collection.looked >= 6
+    assert collection.image_count >= 6
     absent = CameraOptions(source="v4l2", device="/dev/v4l/by-id/no-such-camera")
     with pytest.raises(Recoverable, match="no such camera"):
         await watch(absent, (480, 320), collection, lambda c: None, timeout_s=1.0, first_s=0.2)

@@ -290,7 +290,7 @@ def test_another_pad_is_not_flown_to_but_asked_about_from_higher_up():
         assert isinstance(aim, Hover) or aim.v_level[2] < 0.0
     assert asked[-1][1][2] == pytest.approx(plan.options.safe_height_m, abs=0.4)
     assert rows[-1][3] is Phase.GAVE_UP
-    assert asked[-1][0] - asked[0][0] == pytest.approx(plan.options.word_wait_s, abs=0.2)
+    assert asked[-1][0] - asked[0][0] == pytest.approx(plan.options.operator_wait_s, abs=0.2)
 
 
 @pytest.mark.parametrize(("jump_at", "lands"), [(2.0, True), (12.0, False)], ids=["high up", "below the safe height"])

@@ -42,12 +42,12 @@ def belief(
 
 def flying(since_last_s: float = 0.0, **memory: Any) -> Planner:
     """In sight of pad 1 at three metres, a cycle ago."""
-    known: dict[str, Any] = {"seen": at(NOW - since_last_s), "seen_height_m": 3.0, "in_sight": True, "track": 1}
+    known: dict[str, Any] = {"seen": at(NOW - since_last_s), "sighted_height_m": 3.0, "in_sight": True, "track": 1}
     return Planner(last=at(NOW - since_last_s), **{**known, **memory})
 
 
 def lost(for_s: float, height_m: float = 3.0, **memory: Any) -> Planner:
-    return flying(0.25, seen=at(NOW - for_s), seen_height_m=height_m, in_sight=False, **memory)
+    return flying(0.25, seen=at(NOW - for_s), sighted_height_m=height_m, in_sight=False, **memory)
 
 
 def cycle(state: Planner, estimate: RelativeState | None, plan: Plan = PLAN) -> tuple[Planner, Aim, Phase]:
@@ -56,7 +56,7 @@ def cycle(state: Planner, estimate: RelativeState | None, plan: Plan = PLAN) -> 
 
 def test_a_new_planner_knows_nothing_and_waits() -> None:
     assert not any((Planner().leg, Planner().in_sight, Planner().go_arounds, Planner().questions, Planner().gave_up))
-    assert (Planner().since_last_s, Planner().seen_height_m) == (0.0, math.inf)
+    assert (Planner().since_last_s, Planner().sighted_height_m) == (0.0, math.inf)
     state, aim, phase = cycle(Planner.start(), None)
     assert (aim, phase, state.since_last_s, state.last) == (Hover(), Phase.WAITING, 0.0, at(NOW))
     assert cycle(replace(Planner.start(), last=at(NOW - 0.5)), None)[0].since_last_s == 0.5
@@ -115,7 +115,7 @@ def test_the_heading_is_asked_for_where_the_plan_says_so(heading: Any, yaw_rad: 
 @pytest.mark.parametrize(
     ("memory", "losses"),
     [
-        ({"seen_height_m": NEARLY_SAFE_M}, 0), ({"seen_height_m": NEARLY_SAFE_M - 0.01}, 1), ({"leg": 1}, 1),
+        ({"sighted_height_m": NEARLY_SAFE_M}, 0), ({"sighted_height_m": NEARLY_SAFE_M - 0.01}, 1), ({"leg": 1}, 1),
         ({"leg": 1, "in_sight": False}, 0), ({"leg": 0}, 0),
     ],
 )  # fmt: skip
@@ -130,7 +130,7 @@ def test_height_lost_between_a_last_and_a_next_sight_is_counted() -> None:
     assert cycle(lost(1.0), belief(3.5))[0].spent.blind_descent_m == 0.0
     assert cycle(flying(), belief(2.75))[0].spent.blind_descent_m == 0.0
     first, _, _ = cycle(Planner.start(), belief(2.75))
-    assert (first.spent.blind_descent_m, first.spent.began, first.seen_height_m, first.track) == (0.0, at(NOW), 2.75, 1)
+    assert (first.spent.blind_descent_m, first.spent.began, first.sighted_height_m, first.track) == (0.0, at(NOW), 2.75, 1)
 
 
 def test_a_budget_used_up_ends_the_try_and_a_go_around_uses_none() -> None:
@@ -215,7 +215,7 @@ def test_without_sight_it_climbs_for_as_long_as_it_lacks_height(since_s: float, 
     elif go_arounds > PLAN.options.go_arounds_max:
         assert (aim, phase) == (Hover(), Phase.GAVE_UP)
     else:
-        assert (aim, phase, after.going_around, after.seen_height_m) == (Hover(), Phase.LOST, None, SAFE_M)
+        assert (aim, phase, after.going_around, after.sighted_height_m) == (Hover(), Phase.LOST, None, SAFE_M)
         assert after.spent == Spent(without_sight_s=6.25)
 
 
@@ -227,7 +227,7 @@ def test_a_climb_without_sight_ends_when_the_height_that_lacked_is_made_up() -> 
 
 
 def test_a_landing_goes_on_with_its_lease_and_ends_in_a_go_around() -> None:
-    landing = flying(leg=1, seen_height_m=0.3, landing=Lease(at(NOW - 1.0), 0.3, at(NOW - 1.0), 0.3))
+    landing = flying(leg=1, sighted_height_m=0.3, landing=Lease(at(NOW - 1.0), 0.3, at(NOW - 1.0), 0.3))
     state, aim, phase = cycle(landing, belief(0.2))
     assert (aim, phase) == (Land(), Phase.LAND)
     assert state.landing == Lease(at(NOW - 1.0), 0.3, at(NOW), 0.2)
@@ -338,7 +338,7 @@ def asked(since_s: float, from_m: float = 3.0, steady_s: float | None = None, **
 
 def test_another_pad_ends_whatever_was_under_way() -> None:
     before = flying(
-        leg=1, seen_height_m=1.1, point=np.zeros(3), near_since=at(NOW), landing=Lease(at(NOW), 0.3, at(NOW), 0.3),
+        leg=1, sighted_height_m=1.1, point=np.zeros(3), near_since=at(NOW), landing=Lease(at(NOW), 0.3, at(NOW), 0.3),
         going_around=GoAround(at(NOW), 1.0),
     )  # fmt: skip
     state, aim, phase = cycle(before, belief(1.0, track=2))

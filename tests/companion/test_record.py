@@ -92,9 +92,9 @@ def test_a_video_and_an_attitude_table_become_a_recording_that_replays(
     capsys.readouterr()
     assert cli.main(["replay", str(out), "--json", "--path", "median_mean", "--record", str(tmp_path / "seen.mcap")]) == 0
     done = json.loads(capsys.readouterr().out)["passes"][0]
-    assert done["counts"]["looked"] == len(frames)
+    assert done["counts"]["searched"] == len(frames)
     seen = [e for e in open_recording([tmp_path / "seen.mcap"]).events() if isinstance(e, RecordedFrame)]
-    pairs = [(a.look(), b.look()) for a, b in zip(seen, frames, strict=True)]
+    pairs = [(a.detection(), b.detection()) for a, b in zip(seen, frames, strict=True)]
     found = [(a.selected, b.selected) for a, b in pairs if a is not None and b is not None]
     both = [(a, b) for a, b in found if a is not None and b is not None]
     assert len(both) > 20

@@ -56,14 +56,14 @@ def test_everything_told_reads_back_the_same_to_the_bit(flown: tuple[Path, Obser
         back = read.frame((640, 360))
         assert back is not None
         assert same(back, seen.frame)
-        look = read.look()
-        assert (look is None) == (seen.detection is None)
-        if look is not None and seen.detection is not None:
-            assert look.chosen == seen.detection.chosen
-            assert dict(look.methods).keys() == dict(seen.detection.methods).keys()
+        detection = read.detection()
+        assert (detection is None) == (seen.detection is None)
+        if detection is not None and seen.detection is not None:
+            assert detection.chosen == seen.detection.chosen
+            assert dict(detection.methods).keys() == dict(seen.detection.methods).keys()
             for method, sighting in seen.detection.methods.items():
-                assert same(look.methods[method], sighting)
-            assert same(look.selected, seen.detection.selected)
+                assert same(detection.methods[method], sighting)
+            assert same(detection.selected, seen.detection.selected)
     decisions = [e for e in events if isinstance(e, Decision)]
     assert len(decisions) == len(told.decisions) > 50
     assert all(same(a, b) for a, b in zip(decisions, told.decisions, strict=True))

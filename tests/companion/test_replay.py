@@ -88,7 +88,7 @@ def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(
 ) -> None:
     out = replayed(flown[0], "--path", "median_mean", "--report", str(tmp_path / "report"), capsys=capsys)
     done = out["passes"][0]
-    assert done["counts"]["looked"] > 20
+    assert done["counts"]["searched"] > 20
     errors = {row["name"]: row for row in done["errors"]}
     best = errors.get("fused") or errors["selected"]
     assert best["count"] > 20

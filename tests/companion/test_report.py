@@ -93,13 +93,13 @@ def test_truth_is_interpolated_across_the_wrap_and_not_beyond_its_record():
 def test_error_statistics_are_those_put_in():
     rows = {r.name: r for r in error_rows(flight(), all_series(flight()))}
     assert rows["ellipse"].count == 50
-    assert rows["ellipse"].share == pytest.approx(50 / 125)
+    assert rows["ellipse"].fraction == pytest.approx(50 / 125)
     assert rows["ellipse"].lateral_median_m == pytest.approx(0.05 * math.sqrt(2 * math.log(2)), rel=0.3)
     assert math.isnan(rows["ellipse"].yaw_median_rad)
     assert rows["corners"].lateral_median_m < 0.01
     assert rows["corners"].yaw_p95_rad < 1e-3
     assert rows["dead_reckoning"].down_bias_m == pytest.approx(0.1, abs=0.01)
-    assert rows["dead_reckoning"].share is None
+    assert rows["dead_reckoning"].fraction is None
 
 
 def test_timings_keep_their_order_and_quantiles():

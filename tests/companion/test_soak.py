@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli import main as cli
-from companion.cli.soak import WORD_WAIT_S, flown_settings
+from companion.cli.soak import OPERATOR_WAIT_S, flown_settings
 from companion.cli.soak_judge import Reading, findings, give_back, read
 from sitl.scenario import load as load_scenario
 from sitl.testing.processes import started
@@ -82,8 +82,8 @@ def test_free_memory_is_given_back_before_it_is_read() -> None:
 def test_nobody_is_there_to_answer_so_the_wait_for_a_word_is_short() -> None:
     """A question late in a flight was still open when the scenario's 90 s ended, and the flight counted as undecided."""
     demo = load_scenario("demo")
-    assert flown_settings(demo, None, virtual=True, all_methods=False).guidance.planner.word_wait_s == WORD_WAIT_S
-    assert demo.duration_limit_s / 2 > WORD_WAIT_S
+    assert flown_settings(demo, None, virtual=True, all_methods=False).guidance.planner.operator_wait_s == OPERATOR_WAIT_S
+    assert demo.duration_limit_s / 2 > OPERATOR_WAIT_S
 
 
 @pytest.mark.parametrize("words", [["--hours", "0"], ["--flights", "3"], ["--virtual", "--flights", "0"], ["--seed", "-1"]])

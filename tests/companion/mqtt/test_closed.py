@@ -27,7 +27,7 @@ from companion.mqtt.topics import Topics
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from sitl.testing.mosquitto import Broker
-from sitl.testing.mqtt_service import RUN, SESSION, FakeOperator, Rig, running, until
+from sitl.testing.mqtt_service import RUN, SESSION, FakeOperator, RunningPart, running, until
 
 ROOT = Path(__file__).parents[3]
 TREE = "decklander/v1/deck/"
@@ -118,7 +118,7 @@ def key_file(tmp_path: Path) -> Path:
 
 
 @asynccontextmanager
-async def listening(broker: Broker, tmp_path: Path, **changes: object) -> AsyncIterator[tuple[Rig, Connection]]:
+async def listening(broker: Broker, tmp_path: Path, **changes: object) -> AsyncIterator[tuple[RunningPart, Connection]]:
     """A part, and a ground station that hears its answers."""
     async with running(broker.settings(**changes), tmp_path / "spool") as rig, broker.ground() as ground:
         await until(lambda: rig.count("connections") == 1)

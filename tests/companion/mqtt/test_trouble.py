@@ -18,7 +18,7 @@ import pytest
 from companion.mqtt.settings import MqttSettings
 from sitl.testing.mosquitto import Broker, free_port
 from sitl.testing.mqtt_consumer import Consumer
-from sitl.testing.mqtt_service import RUN, SESSION, Rig, decision, event, running, until
+from sitl.testing.mqtt_service import RUN, SESSION, RunningPart, decision, event, running, until
 
 # A TLS handshake that fails leaves its socket to the garbage collector inside paho.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
@@ -30,7 +30,7 @@ BLOCKING = ("socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "os.
 class Flight:
     """Guidance beside the part: what the part does to its thread. Not how late it is, which a busy machine decides."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: RunningPart) -> None:
         self._rig = rig
         self.busy_s = 0.0
         """The most CPU time that the loop's thread took between two rounds."""
@@ -77,7 +77,7 @@ async def test_a_call_that_waits_is_noticed_here(broker: Broker, tmp_path: Path)
     assert [words.split()[0] for words in flight.blocking] == ["socket.gethostbyname", "open"]
 
 
-async def flown(settings: MqttSettings, folder: Path, enough: Callable[[Rig], bool]) -> tuple[Rig, Flight]:
+async def flown(settings: MqttSettings, folder: Path, enough: Callable[[RunningPart], bool]) -> tuple[RunningPart, Flight]:
     """Fly until `enough` holds, and a few rounds at least."""
     async with running(settings, folder) as rig, asyncio.TaskGroup() as group:
         flight = Flight(rig)
@@ -87,7 +87,7 @@ async def flown(settings: MqttSettings, folder: Path, enough: Callable[[Rig], bo
     return rig, flight
 
 
-def failed(times: int) -> Callable[[Rig], bool]:
+def failed(times: int) -> Callable[[RunningPart], bool]:
     """Whether connecting has failed so many times."""
     return lambda rig: rig.count("connection_failures") >= times
 
@@ -230,7 +230,7 @@ async def test_a_broker_of_the_older_version(broker: Broker, tmp_path: Path) -> 
         assert rig.operator.done == ["start"]
 
 
-async def ended_after_s(settings: MqttSettings, folder: Path, enough: Callable[[Rig], bool]) -> float:
+async def ended_after_s(settings: MqttSettings, folder: Path, enough: Callable[[RunningPart], bool]) -> float:
     """How long the part takes to end once `enough` holds, s."""
     async with running(settings, folder) as rig:
         await until(lambda: enough(rig))

@@ -19,7 +19,7 @@ from estimator.contracts.geometry import Rotation
 from sitl.airframe import Airframe
 from sitl.autopilots.ardupilot_json import CURVE, JsonBackend, decode, encode, serve_json
 from sitl.autopilots.body import Body
-from sitl.autopilots.motors import thrust_share, wrench
+from sitl.autopilots.motors import thrust_fraction, wrench
 from sitl.autopilots.px4_hil import HilBackend, Home, SensorNoise, gnss, motors_of, sensors, serve_hil
 from sitl.scenario import Scenario, load
 from tests.sitl.autopilots.pilot import Cascade, command_of
@@ -77,9 +77,9 @@ def test_each_motor_turns_the_body_the_way_the_autopilots_expect() -> None:
 def test_the_curve_of_a_motor_and_its_inverse() -> None:
     for curve in (0.0, 0.65, 1.0):
         for share in (0.0, 0.2, 0.7, 1.0):
-            assert thrust_share(command_of(share, curve), curve) == pytest.approx(share)
-    assert thrust_share(-1.0, 0.5) == 0.0
-    assert thrust_share(2.0, 0.5) == 1.0
+            assert thrust_fraction(command_of(share, curve), curve) == pytest.approx(share)
+    assert thrust_fraction(-1.0, 0.5) == 0.0
+    assert thrust_fraction(2.0, 0.5) == 1.0
 
 
 def test_a_body_stands_on_a_moving_deck_and_goes_with_it() -> None:

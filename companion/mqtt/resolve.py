@@ -17,7 +17,7 @@ _asking: set[str] = set()
 """The hosts that a thread is still resolving: one thread each, however often a caller retries."""
 
 
-async def look_up(host: str, port: int, timeout_s: float) -> list[Address]:
+async def resolve(host: str, port: int, timeout_s: float) -> list[Address]:
     """Return the addresses to connect to, the best first.
 
     Raises:
@@ -51,7 +51,7 @@ async def look_up(host: str, port: int, timeout_s: float) -> list[Address]:
 
     _asking.add(host)
     try:
-        threading.Thread(target=ask, name="look-up", daemon=True).start()
+        threading.Thread(target=ask, name="resolve", daemon=True).start()
     except RuntimeError as why:
         _asking.discard(host)
         raise Recoverable(f"broker {host}: {why}") from why
