@@ -215,7 +215,7 @@ def ahead(sea: DeckMotionBank, t: int, rate: F64, horizons_s: F64) -> Ahead:
         moved = observed[..., 0] - x[..., 0]
         spread = (moved - (weight * moved).sum(axis=1, keepdims=True)) ** 2
         var_change[k] = (weight * (np.einsum("gi,cgij,gj->cg", a, P, a) + noise[..., 0] + spread)).sum(axis=1)
-    kept = skill.share(sea.skill, horizons_s)
+    kept = skill.share(sea.skill, horizons_s, sea.w_rad_s)
     doubt = ((1.0 - kept) * mean) ** 2
     mean = kept * mean
     return Ahead(mean, mean[..., 0] - now, by_rate, var + doubt, var_change + doubt[..., 0])

@@ -80,19 +80,23 @@ def forgotten(b: Belief, o: EkfOptions) -> Belief:
     return b
 
 
-def partial(before: F64, fix: Correction, kept: F64) -> Correction:
-    """Return the share 1 - `kept` of a correction for each state, with the matching covariance.
+def partial(before: F64, fix: Correction, withheld: F64, withheld_cov: F64) -> Correction:
+    """Return the fraction 1 - `withheld` of a correction for each state, with as much of its gain in certainty as is honest.
 
     A deck's sway and heave belong to one wave, but the model takes them as independent. From their correlation over a few waves
-    it would learn a camera tilt or a delay that does not exist.
+    it would learn a camera tilt or a delay that does not exist. With `withheld_cov` equal to `withheld` the covariance is that of
+    the smaller correction if the innovations are white. On waves they are alike for many sightings in a row, and a greater
+    `withheld_cov` counts them as fewer.
     Source: Brink, Partial-update Schmidt-Kalman filter, J. Guidance, Control, and Dynamics 40(9), 2017.
 
     Args:
         before: (N, N) covariance before the correction.
-        kept: (N,) share of each state's correction that is not applied.
+        fix: the whole correction.
+        withheld: (N,) fraction of each state's correction that is not applied.
+        withheld_cov: (N,) the same for the root of the change of covariance, not less than `withheld`.
     """
-    P = fix.P + kept[:, None] * (before - fix.P) * kept
-    return fix._replace(dx=fix.dx * (1.0 - kept), P=P)
+    P = fix.P + withheld_cov[:, None] * (before - fix.P) * withheld_cov
+    return fix._replace(dx=fix.dx * (1.0 - withheld), P=P)
 
 
 def corrected(b: Belief, dx: F64, P: F64) -> Belief:

@@ -20,8 +20,9 @@ PERIOD_S = 0.5
 """Interval between forecasts, and between comparisons, s."""
 _MEMORY_S = 60.0
 """Time constant with which old comparisons fade, s."""
-_PRIOR, _PRIOR_COUNT = 0.7, 20.0
-"""The factor before the first comparison, and the number of comparisons that this prior weighs."""
+_PRIOR_COUNT, _PRIOR_COUNT_FAR = 20.0, 100.0
+"""The number of comparisons that the prior weighs: the first, plus the second times (horizon / period)^4. A wave that passes once is
+over before its forecasts can be compared, so beyond a period the prior decides."""
 
 
 class IssuedForecast(NamedTuple):
@@ -82,7 +83,17 @@ def compared(skill: Skill, t: int, now: F64, ahead: F64) -> Skill:
     return Skill((*kept, IssuedForecast(t, ahead)), n, product, square)
 
 
-def share(skill: Skill, horizons_s: F64) -> F64:
+def prior_share(horizons_s: F64, w_rad_s: F64) -> F64:
+    """Return the factor, 0..1, before the first comparison, (H, 5): it falls with the part of a period that a forecast spans.
+
+    Args:
+        horizons_s: (H,) horizons, s.
+        w_rad_s: (5,) frequency of the waves by direction.
+    """
+    return np.asarray(np.exp(-(_periods(horizons_s, w_rad_s) ** 2)))
+
+
+def share(skill: Skill, horizons_s: F64, w_rad_s: F64) -> F64:
     """Return the factor, 0..1, by which to scale a forecast, (H, 5, 2) by horizon, direction and displacement or rate.
 
     It is 1 at horizon 0 and constant beyond the longest compared horizon.
@@ -90,11 +101,19 @@ def share(skill: Skill, horizons_s: F64) -> F64:
     Args:
         skill: the past comparisons.
         horizons_s: (H,) horizons, s.
+        w_rad_s: (5,) frequency of the waves by direction.
     """
     n = skill.n[:, None, None]
+    prior = prior_share(HORIZONS_S, w_rad_s)[..., None]
+    weight = (_PRIOR_COUNT + _PRIOR_COUNT_FAR * _periods(HORIZONS_S, w_rad_s) ** 4)[..., None]
     slope = skill.product / np.maximum(skill.square, 1e-12)
-    known = np.clip((_PRIOR_COUNT * _PRIOR + n * slope) / (_PRIOR_COUNT + n), 0.0, 1.0)
+    known = np.clip((weight * prior + n * slope) / (weight + n), 0.0, 1.0)
     knots, at = np.concatenate([[0.0], HORIZONS_S]), np.concatenate([np.ones((1, 5, 2)), known])
     i = np.clip(np.searchsorted(knots, horizons_s, side="right") - 1, 0, knots.size - 2)
     part = np.minimum((horizons_s - knots[i]) / (knots[i + 1] - knots[i]), 1.0)[:, None, None]
     return np.asarray((1.0 - part) * at[i] + part * at[i + 1])
+
+
+def _periods(horizons_s: F64, w_rad_s: F64) -> F64:
+    """Return the (H, 5) horizons in periods of the waves."""
+    return np.asarray(horizons_s[:, None] * w_rad_s / math.tau)

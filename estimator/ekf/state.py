@@ -121,6 +121,13 @@ class RejectionStreak(NamedTuple):
     var_m2: float = 0.0
 
 
+class InnovationRatios(NamedTuple):
+    """The last squared innovations of sightings over their claimed variances, oldest first."""
+
+    values: tuple[tuple[float, float, float], ...] = ()
+    """By sighting, along north, east, down."""
+
+
 class Belief(NamedTuple):
     """The state at `t`. Its values are never written to: each step makes a new one.
 
@@ -183,6 +190,8 @@ class Belief(NamedTuple):
     """Number of sightings fused since the belief was last initialized or reset."""
     nis_mean: float
     """Recent mean of the sightings' NIS over their degrees of freedom; rejected sightings count."""
+    ratios: InnovationRatios
+    """How far the last sightings missed the deck, against what the filter claimed."""
     heading_known: bool
     """Whether a sighting or a vessel report has given the heading of the pad's arrow."""
     heading_held_s: float
@@ -229,5 +238,5 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
         t_imu=-1, w=z3, w_smooth=z3, f=z3, levelled_by=None, cov_levelled_by=np.zeros((3, 3)), heading_is_given=False,
         ins_p=z3, ins_v=z3, ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
         aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, rejections=RejectionStreak(),
-        sighted=-1, agreed=0, nis_mean=1.0, heading_known=False, heading_held_s=0.0, heading_seen=-1,
+        sighted=-1, agreed=0, nis_mean=1.0, ratios=InnovationRatios(), heading_known=False, heading_held_s=0.0, heading_seen=-1,
     )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
-from estimator.ekf import deck_motion_bank, gate, measure, so3
+from estimator.ekf import deck_jolt, deck_motion_bank, gate, measure, so3
 from estimator.ekf.aiding import aided
 from estimator.ekf.algebra import Correction
 from estimator.ekf.options import EkfOptions
@@ -27,13 +27,18 @@ from estimator.ekf.state import (
     WAVES,
     YAW_RATE,
     Belief,
+    InnovationRatios,
     N,
     RejectionStreak,
     waves_unknown,
 )  # fmt: skip
 
-_KEPT = 0.95
-"""Fraction of the correction of the camera's mounting and delay that is withheld on a rough sea."""
+_WITHHELD_MOUNT = 0.95
+"""Fraction of the correction of the camera's mounting that is withheld on a rough sea, and of the covariance's root with it."""
+_WITHHELD_DELAY = 0.85
+"""Fraction of the correction of the camera's delay that is withheld on a rough sea."""
+_WITHHELD_DELAY_COV = 0.975
+"""The same for the root of its covariance: on waves the errors of ten sightings in a row are alike, and count as those of few."""
 _ROUGH_M_S = 0.1
 """Heave rate of the deck, m/s, separating a rough sea from a calm one: far below it, no part of the correction is withheld."""
 _RATE_KNOWN_VAR = 0.35**2
@@ -52,6 +57,8 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
     row, fix = _compared(b, event, params)
     if fix is None:
         return b, result(event, Verdict.SINGULAR, row.innov)
+    if not fresh:
+        b, row, fix = _jolted(b, event, row, fix, params)
     dof = row.innov.size
     nis = fix.nis
     turned_round = False
@@ -82,7 +89,7 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
             return b, result(event, Verdict.SINGULAR, row.innov)
         nis = fix.nis
     lost = gate.sigma_of(b.P[POS_REL, POS_REL]) > 0.3
-    fix = partial(b.P, fix, _kept(b))
+    fix = partial(b.P, fix, *_withheld(b))
     b = corrected(b, fix.dx, fix.P)
     known = b.heading_known or (dof >= 4 and not event.yaw_ambiguous)
     b = b._replace(
@@ -92,12 +99,30 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
     return _learned(b, event, row, params), result(event, Verdict.FUSED, row.innov, fix.S, nis, nis_max)
 
 
-def _kept(b: Belief) -> F64:
-    """Return the fraction (N,) of a correction that is withheld, by state."""
+def _jolted(
+    b: Belief, event: Sighting, row: measure.LinearizedMeasurement, fix: Correction, params: FilterParams
+) -> tuple[Belief, measure.LinearizedMeasurement, Correction]:
+    """Compare again with a wider belief if the last sightings missed the deck by more than the filter claims."""
+    back = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]))
+    cov_ned = back.dot(fix.S[:3, :3]).dot(back.T)
+    ratios = deck_jolt.extended(b.ratios, back.dot(row.innov[:3]), cov_ned)
+    missing = deck_jolt.missing(ratios, cov_ned)
+    if missing is None:
+        return b._replace(ratios=ratios), row, fix
+    wider = b._replace(P=deck_jolt.widened(b.P, b.x, missing), ratios=InnovationRatios())
+    row, again = _compared(wider, event, params)
+    return (b._replace(ratios=ratios), row, fix) if again is None else (wider, row, again)
+
+
+def _withheld(b: Belief) -> tuple[F64, F64]:
+    """Return the fractions (N,) of a correction and of its covariance's root that are withheld, by state."""
     heave = float(b.sea.sigma[2] * b.sea.w_rad_s[2]) ** 2
-    kept = np.zeros(N)
-    kept[CAMERA_MOUNT] = kept[CAMERA_DELAY] = _KEPT * heave / (heave + _ROUGH_M_S**2)
-    return kept
+    rough = heave / (heave + _ROUGH_M_S**2)
+    withheld = np.zeros(N)
+    withheld[CAMERA_MOUNT] = _WITHHELD_MOUNT * rough
+    withheld_cov = withheld.copy()
+    withheld[CAMERA_DELAY], withheld_cov[CAMERA_DELAY] = _WITHHELD_DELAY * rough, _WITHHELD_DELAY_COV * rough
+    return withheld, withheld_cov
 
 
 def _heading_weighed(b: Belief, event: Sighting, o: EkfOptions, *, agrees: bool) -> Belief:

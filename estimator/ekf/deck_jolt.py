@@ -1,0 +1,72 @@
+"""Widen the belief about the deck where sightings keep missing it by more than the filter claims.
+
+The oscillators of the main filter have the size and period that the bank has learned. A wave that nothing announced, such as
+another ship's wake after a calm, is neither, and until the bank has learned it the filter takes the deck's motion for its own.
+The innovations say so at once. Along each axis of `ned` the filter keeps the last few squared innovations over their claimed
+variance. If their median is too large, the wave along that axis has received an acceleration that the model does not have, and
+the covariance gains as much as makes the claimed variance equal to the median (covariance matching: Mehra, Approaches to adaptive
+filtering, IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from estimator.ekf.state import POS_AXES, POS_EAST, POS_NORTH, SWAY_PER_HEAVE, WAVES, InnovationRatios, N
+
+RATIO_MAX = 2.5
+"""Median squared innovation over its variance above which the covariance grows; of five honest ones it is above this once
+in seventy times."""
+_RATIO_COUNTED = 49.0
+"""A sighting farther off than this is not counted: it is another pad or none, and the gate decides about it."""
+_KEPT, _NEEDED = 5, 3
+"""How many ratios the median is taken over, at most and at least."""
+_ACTED_S = 0.3
+"""Time for which the unknown acceleration is assumed to have acted, s."""
+
+
+def extended(ratios: InnovationRatios, innov_ned: F64, cov_ned: F64) -> InnovationRatios:
+    """Return the ratios after one more sighting.
+
+    Args:
+        innov_ned: (3,) m.
+        cov_ned: (3, 3) m^2, its covariance as the filter claims it.
+    """
+    north, east, down = (innov_ned * innov_ned / np.diagonal(cov_ned)).tolist()
+    if max(north, east, down) > _RATIO_COUNTED:
+        return ratios
+    return InnovationRatios((*ratios.values[1 - _KEPT :], (north, east, down)))
+
+
+def missing(ratios: InnovationRatios, cov_ned: F64) -> F64 | None:
+    """Return the (3,) variance, m^2, by which the claimed one falls short along north, east, down; None if it does nowhere."""
+    if len(ratios.values) < _NEEDED:
+        return None
+    median = np.median(np.array(ratios.values), axis=0)
+    if float(median.max()) <= RATIO_MAX:
+        return None
+    return np.where(median > RATIO_MAX, (median - 1.0) * np.diagonal(cov_ned), 0.0)
+
+
+def widened(P: F64, x: F64, var_ned: F64) -> F64:
+    """Return the (N, N) covariance after unknown accelerations of the deck.
+
+    Args:
+        P: (N, N) covariance.
+        x: (N,) state.
+        var_ned: (3,) variance, m^2, that the pad's displacement along north, east, down gains.
+    """
+    P = P.copy()
+    # White acceleration for T seconds: displacement T^3 / 3, rate T, both together T^2 / 2.
+    across, rate = 1.5 / _ACTED_S, 3.0 / _ACTED_S**2
+    noise = np.array([[1.0, across], [across, rate]])
+    for axis, var in enumerate(var_ned.tolist()):
+        if var <= 0.0:
+            continue
+        by = np.zeros((N, 2))
+        by[POS_AXES[axis], 0] = by[WAVES[axis, 0], 0] = by[WAVES[axis, 1], 1] = 1.0
+        if axis == 2:
+            by[[POS_NORTH, POS_EAST], 0] = x[SWAY_PER_HEAVE]
+        P += var * (by @ noise @ by.T)
+    return P
