@@ -2,7 +2,7 @@
 
 The oscillators of the main filter have the size and period that the bank has learned. A wave that nothing announced, such as
 another ship's wake after a calm, is neither, and until the bank has learned it the filter takes the deck's motion for its own.
-The innovations say so at once. Along each axis of `ned` the filter keeps the last few squared innovations over their claimed
+The innovations say so at once. Along each axis of `ned` the filter keeps the newest squared innovations over their claimed
 variance. If their median is too large, the wave along that axis has received an acceleration that the model does not have, and
 the covariance gains as much as makes the claimed variance equal to the median (covariance matching: Mehra, Approaches to adaptive
 filtering, IEEE Trans. Automatic Control 17(5), 1972). The median ignores single wrong sightings.
@@ -20,33 +20,38 @@ RATIO_MAX = 2.5
 in seventy times."""
 _RATIO_COUNTED = 49.0
 """A sighting farther off than this is not counted: it is another pad or none, and the gate decides about it."""
-_KEPT, _NEEDED = 5, 3
-"""How many ratios the median is taken over, at most and at least."""
+_MEMORY_NS = 350_000_000
+"""Sightings older than this, against the newest, are not counted."""
+_NEEDED, _SPAN_NS = 3, 120_000_000
+"""The median is of at least so many sightings that span at least so long."""
 _ACTED_S = 0.3
 """Time for which the unknown acceleration is assumed to have acted, s."""
 
 
-def extended(ratios: InnovationRatios, innov_ned: F64, cov_ned: F64) -> InnovationRatios:
+def extended(ratios: InnovationRatios, t: int, innov_ned: F64, cov_ned: F64) -> InnovationRatios:
     """Return the ratios after one more sighting.
 
     Args:
+        ratios: those of the sightings before it.
+        t: its instant, ns.
         innov_ned: (3,) m.
         cov_ned: (3, 3) m^2, its covariance as the filter claims it.
     """
     north, east, down = (innov_ned * innov_ned / np.diagonal(cov_ned)).tolist()
     if max(north, east, down) > _RATIO_COUNTED:
         return ratios
-    return InnovationRatios((*ratios.values[1 - _KEPT :], (north, east, down)))
+    first = sum(one < t - _MEMORY_NS for one in ratios.t)
+    return InnovationRatios((*ratios.t[first:], t), (*ratios.values[first:], (north, east, down)))
 
 
 def missing(ratios: InnovationRatios, cov_ned: F64) -> F64 | None:
     """Return the (3,) variance, m^2, by which the claimed one falls short along north, east, down; None if it does nowhere."""
-    if len(ratios.values) < _NEEDED:
+    if len(ratios.t) < _NEEDED or ratios.t[-1] - ratios.t[0] < _SPAN_NS:
         return None
-    median = np.median(np.array(ratios.values), axis=0)
-    if float(median.max()) <= RATIO_MAX:
+    excess = np.median(np.array(ratios.values), axis=0) - RATIO_MAX
+    if float(excess.max()) <= 0.0:
         return None
-    return np.where(median > RATIO_MAX, (median - 1.0) * np.diagonal(cov_ned), 0.0)
+    return np.asarray(np.maximum(excess, 0.0) * np.diagonal(cov_ned))
 
 
 def widened(P: F64, x: F64, var_ned: F64) -> F64:

@@ -21,8 +21,8 @@ PERIOD_S = 0.5
 _MEMORY_S = 60.0
 """Time constant with which old comparisons fade, s."""
 _PRIOR_COUNT, _PRIOR_COUNT_FAR = 20.0, 100.0
-"""The number of comparisons that the prior weighs: the first, plus the second times (horizon / period)^4. A wave that passes once is
-over before its forecasts can be compared, so beyond a period the prior decides."""
+"""The number of comparisons that the prior weighs: the first, plus the second times (horizon / period)^4. A wave that passes once
+is over before its forecasts can be compared, so beyond a period the prior decides."""
 
 
 class IssuedForecast(NamedTuple):

@@ -122,8 +122,10 @@ class RejectionStreak(NamedTuple):
 
 
 class InnovationRatios(NamedTuple):
-    """The last squared innovations of sightings over their claimed variances, oldest first."""
+    """The squared innovations of the newest sightings over their claimed variances, oldest first."""
 
+    t: tuple[int, ...] = ()
+    """Instants of the sightings, ns."""
     values: tuple[tuple[float, float, float], ...] = ()
     """By sighting, along north, east, down."""
 

@@ -105,7 +105,7 @@ def _jolted(
     """Compare again with a wider belief if the last sightings missed the deck by more than the filter claims."""
     back = b.R.dot(so3.exp(b.x[CAMERA_MOUNT]))
     cov_ned = back.dot(fix.S[:3, :3]).dot(back.T)
-    ratios = deck_jolt.extended(b.ratios, back.dot(row.innov[:3]), cov_ned)
+    ratios = deck_jolt.extended(b.ratios, b.t, back.dot(row.innov[:3]), cov_ned)
     missing = deck_jolt.missing(ratios, cov_ned)
     if missing is None:
         return b._replace(ratios=ratios), row, fix

@@ -13,22 +13,23 @@ from sitl.testing.voyage_truth import VoyageScene
 COV = np.diag([0.01, 0.02, 0.03]) ** 2
 
 
-def seen(*sigmas: tuple[float, float, float]) -> InnovationRatios:
+def seen(*sigmas: tuple[float, float, float], every_ns: int = 66_000_000) -> InnovationRatios:
     ratios = InnovationRatios()
-    for one in sigmas:
-        ratios = deck_jolt.extended(ratios, np.array(one) * [0.01, 0.02, 0.03], COV)
+    for k, one in enumerate(sigmas):
+        ratios = deck_jolt.extended(ratios, k * every_ns, np.array(one) * [0.01, 0.02, 0.03], COV)
     return ratios
 
 
-def test_the_last_five_sightings_count() -> None:
-    ratios = seen(*[(float(k), 0.5, -1.0) for k in range(7)])
-    np.testing.assert_allclose(ratios.values, [(k * k, 0.25, 1.0) for k in (2.0, 3.0, 4.0, 5.0, 6.0)])
+def test_the_sightings_of_the_last_third_of_a_second_count() -> None:
+    ratios = seen(*[(0.5 * k, 0.5, -1.0) for k in range(8)])
+    np.testing.assert_allclose(ratios.values, [(k * k, 0.25, 1.0) for k in (1.0, 1.5, 2.0, 2.5, 3.0, 3.5)])
+    assert ratios.t == tuple(k * 66_000_000 for k in range(2, 8))
 
 
 def test_only_the_axis_that_keeps_missing_falls_short_and_by_the_median() -> None:
     missing = deck_jolt.missing(seen((1.0, 0.5, 3.0), (0.0, 1.0, -4.0), (0.5, 1.0, 5.0)), COV)
     assert missing is not None
-    np.testing.assert_allclose(missing, [0.0, 0.0, 15.0 * 0.03**2])
+    np.testing.assert_allclose(missing, [0.0, 0.0, (16.0 - deck_jolt.RATIO_MAX) * 0.03**2])
 
 
 @pytest.mark.parametrize(
@@ -42,6 +43,11 @@ def test_only_the_axis_that_keeps_missing_falls_short_and_by_the_median() -> Non
 )
 def test_nothing_falls_short(sigmas: list[tuple[float, float, float]]) -> None:
     assert deck_jolt.missing(seen(*sigmas), COV) is None
+
+
+def test_three_sightings_within_a_tenth_of_a_second_are_too_short_a_time() -> None:
+    assert deck_jolt.missing(seen(*[(3.0, 3.0, 3.0)] * 3, every_ns=33_000_000), COV) is None
+    assert deck_jolt.missing(seen(*[(3.0, 3.0, 3.0)] * 5, every_ns=33_000_000), COV) is not None
 
 
 def test_a_sighting_of_something_else_is_not_counted() -> None:
