@@ -83,8 +83,6 @@ class Sensors:
         self._echo: float | None = None
         self._tick = 0
         self._battery = s.battery_start
-        self.ultrasound_works = True
-        self.magnetometer_works = True
 
     def step(self, vehicle: Vehicle, ground: Ground, motors_on: bool) -> None:
         """Advance by one step of the physics. Call it after the vehicle's step."""
@@ -99,11 +97,7 @@ class Sensors:
             self._battery = max(0.0, self._battery - self._step_s / s.battery_life_s)
         if self._tick % self._echo_every == 0:
             self._echo_noise.step()
-            received_at = (
-                nearest_surface(self._shape, vehicle, ground, math.radians(s.ultrasound_cone_deg))
-                if self.ultrasound_works
-                else None
-            )
+            received_at = nearest_surface(self._shape, vehicle, ground, math.radians(s.ultrasound_cone_deg))
             if received_at is not None:
                 received_at += s.ultrasound_sigma_m * self._echo_noise.values[0]
                 received_at = received_at if s.ultrasound_min_m <= received_at <= s.ultrasound_max_m else None
@@ -120,13 +114,11 @@ class Sensors:
         noise = np.array(self._imu.values)
         accel = s.accel_noise_sigma_m_s2 if motors_on else s.accel_rest_sigma_m_s2
         gyro = s.gyro_noise_sigma_rad_s if motors_on else s.gyro_rest_sigma_rad_s
-        field = None
-        if self.magnetometer_works:
-            field = (
-                np.array(inverse_rotate(rows, EARTH_FIELD_NED_T))
-                + self._magnetic_bias
-                + s.magnetometer_sigma_t * np.array(self._magnetometer.values)
-            )
+        field = (
+            np.array(inverse_rotate(rows, EARTH_FIELD_NED_T))
+            + self._magnetic_bias
+            + s.magnetometer_sigma_t * np.array(self._magnetometer.values)
+        )
         height = -float(vehicle.p[2])
         pressure = SEA_LEVEL_PA * (1.0 - 2.25577e-5 * height) ** 5.25588
         return Readings(

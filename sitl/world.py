@@ -24,8 +24,9 @@ from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.airframe import StickLimits
 from sitl.camera import Exposure, Renderer
 from sitl.contact import Ground
-from sitl.faults import FaultTimer, FramesDelayed, FramesDropped, FramesMisstamped, FramesShifted, Gust, WeakRotor
-from sitl.faulty_sensors import FROZEN, distorted
+from sitl.fault_timer import FaultTimer
+from sitl.faults import FramesDelayed, FramesDropped, FramesMisstamped, FramesShifted, Gust, WeakRotor
+from sitl.faulty_sensors import FaultySensors
 from sitl.render_worker import RenderWorker
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.sensors import Readings, Sensors
@@ -175,11 +176,11 @@ class World:
         self._ground = Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w)
         place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
         self._meet_sea()
-        self.faults = FaultTimer(scenario.faults)
+        self.faults = FaultTimer(scenario.faults, seed)
         """The faults that are active now."""
         self.guidance_phase: str | None = None
         """Phase of guidance, if whoever runs the flight knows it; for faults that begin in a phase."""
-        self._held: dict[str, Readings] = {}
+        self._faulty = FaultySensors(self.faults, seed)
         self._contacts: list[Touchdown] = []
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
         self._renderer: Renderer | None = None
@@ -236,7 +237,7 @@ class World:
     def frame_lost(self) -> bool:
         """Whether a frame exposed now is lost on the way; the same answer for the same step."""
         chance = np.random.default_rng([self._camera_seed, self._tick, 1])
-        return any(chance.random() < fault.share for fault, _ in self.faults.on(FramesDropped))
+        return any(chance.random() < fault.fraction for fault, _ in self.faults.on(FramesDropped))
 
     def advance(self, to: MonoNs) -> None:
         """Run the physics up to `to`; an instant in the past changes nothing."""
@@ -247,7 +248,7 @@ class World:
     def readings(self) -> Readings:
         """Return the sensors' readings of the newest step."""
         true = self._sensors.read(self.at, self._vehicle, self._motors_on)
-        return distorted(true, self.faults, self._held) if self.faults.active_kinds else true
+        return self._faulty.distorted(true) if self.faults else true
 
     def render(self) -> RenderedFrame:
         """Return the bottom camera's frame; the newest step is the middle of its exposure."""
@@ -319,7 +320,7 @@ class World:
     def _aside(self) -> F64:
         """(3,) m in the pad frame, by which a frame exposed now shows everything beside its true place."""
         chance = np.random.default_rng([self._camera_seed, self._tick, 2])
-        shifts = [f for f, _ in self.faults.on(FramesShifted) if f.share >= 1.0 or chance.random() < f.share]
+        shifts = [f for f, _ in self.faults.on(FramesShifted) if f.fraction >= 1.0 or chance.random() < f.fraction]
         return np.array([sum(f.forward_m for f in shifts), sum(f.right_m for f in shifts), 0.0])
 
     def truth(self) -> Truth:
@@ -381,17 +382,14 @@ class World:
     def _apply_faults(self) -> None:
         faults, v = self.faults, self._vehicle
         for begun in faults.update(self._seconds, self._height_m(), self.guidance_phase):
-            if begun.kind in FROZEN:
-                self._held[begun.kind] = self._sensors.read(self.at, v, self._motors_on)
+            self._faulty.begin(begun, self._sensors.read(self.at, v, self._motors_on))
         gusts = [_gust(fault, since_s) for fault, since_s in faults.on(Gust)]
         health = [1.0] * 4
         for fault, _ in faults.on(WeakRotor):
-            health[_ROTORS.index(fault.rotor)] *= fault.thrust_share
+            health[_ROTORS.index(fault.rotor)] *= fault.thrust_fraction
         v.extra_wind = (sum(g[0] for g in gusts), sum(g[1] for g in gusts), 0.0)
         v.rotor_health = (health[0], health[1], health[2], health[3])
         v.flow_works = not faults.active("flow_blind")
-        self._sensors.ultrasound_works = not faults.active("ultrasound_silent")
-        self._sensors.magnetometer_works = not faults.active("magnetometer_silent")
 
     def _height_m(self) -> float:
         """Height of the body's origin over the deck's plane."""

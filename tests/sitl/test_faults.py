@@ -19,33 +19,36 @@ from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Imu, Sample
 from estimator.contracts.time import MonoNs, after, seconds_between
+from sitl.fault import Fault
+from sitl.fault_timer import FaultTimer
 from sitl.faults import (
     KINDS,
-    AccelOffset,
-    AttitudeOffset,
-    Fault,
-    FaultTimer,
     FlowBlind,
     FramesDelayed,
     FramesDropped,
     FramesFrozen,
     FramesMisstamped,
     FramesShifted,
-    GyroOffset,
-    HeadingOffset,
-    ImuFrozen,
     LensCovered,
     LinkLost,
     LowBattery,
     NavdataMisstamped,
-    PressureOffset,
     ServiceKilled,
-    UltrasoundFrozen,
-    UltrasoundOffset,
 )
 from sitl.flight import Flight
 from sitl.safety import Grade
 from sitl.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
+from sitl.sensor_faults import (
+    Accelerometer,
+    AttitudeReading,
+    Barometer,
+    Gyro,
+    HeadingReading,
+    Magnetometer,
+    SensorFault,
+    Ultrasound,
+    VelocityReading,
+)
 from sitl.world import Readings, Stick, VehiclePhase, World
 
 CALM = Scenario(
@@ -77,13 +80,20 @@ def changed(one: Readings, other: Readings) -> set[str]:
 
 
 READINGS: list[tuple[Fault, str, Callable[[Readings, Readings], Any], Any]] = [
-    (AccelOffset(at_s=0.5, axis="x", by_m_s2=3.0), "f_body", lambda f, t: f.f_body - t.f_body, [3.0, 0.0, 0.0]),
-    (AccelOffset(at_s=0.5, axis="z", by_m_s2=1e4), "f_body", lambda f, t: f.f_body - t.f_body, [0.0, 0.0, 1e4]),
-    (GyroOffset(at_s=0.5, axis="y", by_deg_s=90.0), "w_body", lambda f, t: f.w_body - t.w_body, [0.0, math.pi / 2, 0.0]),
-    (AttitudeOffset(at_s=0.5, roll_deg=8.0), "rpy_rad", lambda f, t: np.degrees(f.rpy_rad - t.rpy_rad), [8.0, 0.0, 0.0]),
-    (AttitudeOffset(at_s=0.5, pitch_deg=-3.0), "rpy_rad", lambda f, t: np.degrees(f.rpy_rad - t.rpy_rad), [0.0, -3.0, 0.0]),
-    (UltrasoundOffset(at_s=0.5, by_m=-0.5), "ultrasound_m", lambda f, t: (f.ultrasound_m or 0) - (t.ultrasound_m or 9), -0.5),
-    (PressureOffset(at_s=0.5, by_pa=24.0), "pressure_pa", lambda f, t: f.pressure_pa - t.pressure_pa, 24.0),
+    (Accelerometer(at_s=0.5, axis="x", offset_m_s2=3.0), "f_body", lambda f, t: f.f_body - t.f_body, [3.0, 0.0, 0.0]),
+    (Accelerometer(at_s=0.5, axis="z", offset_m_s2=1e4), "f_body", lambda f, t: f.f_body - t.f_body, [0.0, 0.0, 1e4]),
+    (Gyro(at_s=0.5, axis="y", offset_deg_s=90.0), "w_body", lambda f, t: f.w_body - t.w_body, [0.0, math.pi / 2, 0.0]),
+    (AttitudeReading(at_s=0.5, roll_deg=8.0), "rpy_rad", lambda f, t: np.degrees(f.rpy_rad - t.rpy_rad), [8.0, 0.0, 0.0]),
+    (AttitudeReading(at_s=0.5, pitch_deg=-3.0), "rpy_rad", lambda f, t: np.degrees(f.rpy_rad - t.rpy_rad), [0.0, -3.0, 0.0]),
+    (Ultrasound(at_s=0.5, offset_m=-0.5), "ultrasound_m", lambda f, t: (f.ultrasound_m or 0) - (t.ultrasound_m or 9), -0.5),
+    (Barometer(at_s=0.5, offset_pa=24.0), "pressure_pa", lambda f, t: f.pressure_pa - t.pressure_pa, 24.0),
+    (Accelerometer(at_s=0.5, drift_m_s3=2.0), "f_body", lambda f, t: f.f_body - t.f_body, [0.6, 0.6, 0.6]),
+    (Gyro(at_s=0.5, axis="z", scale=0.0), "w_body", lambda f, t: f.w_body[2], 0.0),
+    (Accelerometer(at_s=0.5, limit_m_s2=1.0), "f_body", lambda f, t: f.f_body[2], -1.0),
+    (VelocityReading(at_s=0.5, axis="y", offset_m_s=1.5), "v_level_m_s", lambda f, t: f.v_level_m_s - t.v_level_m_s, [0.0, 1.5]),
+    (Magnetometer(at_s=0.5, axis="x", offset_ut=5.0), "magnetometer", lambda f, t: f.magnetometer - t.magnetometer, [5e-6, 0, 0]),
+    (Ultrasound(at_s=0.5, dropped_fraction=1.0), "ultrasound_m", lambda f, t: f.ultrasound_m is None, True),
+    (Magnetometer(at_s=0.5, dropped_fraction=1.0), "magnetometer", lambda f, t: f.magnetometer is None, True),
     (LowBattery(at_s=0.5, fraction=0.05), "battery_fraction", lambda f, t: f.battery_fraction, 0.05),
     (NavdataMisstamped(at_s=0.5, by_s=-2.0), "at", lambda f, t: seconds_between(t.at, f.at), -2.0),
 ]
@@ -100,7 +110,7 @@ def test_a_faulty_sensor_changes_its_own_reading_by_so_much_and_no_other(
 
 
 def test_a_heading_offset_turns_the_compass_and_its_field_alike() -> None:
-    faulty, true = both(HeadingOffset(at_s=0.5, by_deg=60.0, drift_deg_s=15.0), 1.5)
+    faulty, true = both(HeadingReading(at_s=0.5, offset_deg=60.0, drift_deg_s=15.0), 1.5)
     assert changed(faulty, true) == {"rpy_rad", "magnetometer"}
     assert math.degrees(faulty.rpy_rad[2] - true.rpy_rad[2]) % 360.0 == pytest.approx(75.0, abs=0.1)
     assert faulty.magnetometer is not None
@@ -112,7 +122,10 @@ def test_a_heading_offset_turns_the_compass_and_its_field_alike() -> None:
 
 @pytest.mark.parametrize(
     ("fault", "held", "free"),
-    [(ImuFrozen(at_s=0.5, for_s=1.0), "f_body", "rpy_rad"), (UltrasoundFrozen(at_s=0.5, for_s=1.0), "ultrasound_m", "f_body")],
+    [
+        (Accelerometer(at_s=0.5, for_s=1.0, frozen=True), "f_body", "rpy_rad"),
+        (Ultrasound(at_s=0.5, for_s=1.0, frozen=True), "ultrasound_m", "f_body"),
+    ],
 )
 def test_a_frozen_sensor_repeats_its_last_reading_until_the_fault_is_over(fault: Fault, held: str, free: str) -> None:
     w = world(fault)
@@ -124,6 +137,58 @@ def test_a_frozen_sensor_repeats_its_last_reading_until_the_fault_is_over(fault:
     assert not np.array_equal(getattr(first, free), getattr(second, free))
     assert second.at > first.at
     assert not np.array_equal(getattr(second, held), getattr(at(w, 1.6).readings(), held))
+
+
+def test_a_delayed_sensor_tells_what_was_true_before() -> None:
+    w, true = world(Barometer(at_s=0.0, delay_s=0.4)), world()
+    told, past = [], []
+    for tick in range(1, 301):
+        for each, out in ((w, told), (true, past)):
+            out.append(at(each, 0.004 * tick).readings().pressure_pa)
+    assert told[200:] == past[100:200]
+
+
+def test_dropped_and_noisy_readings_follow_the_seed() -> None:
+    def flown(seed: int) -> tuple[list[float], float]:
+        faults = Gyro(at_s=0.0, dropped_fraction=0.3), Accelerometer(at_s=0.0, axis="y", noise_m_s2=2.0)
+        w, true = world(*faults, seed=seed), world(seed=seed)
+        rates, noise = [], []
+        for tick in range(1, 401):
+            faulty, right = at(w, 0.004 * tick).readings(), at(true, 0.004 * tick).readings()
+            assert faulty.f_body[0] == right.f_body[0]
+            rates.append(float(faulty.w_body[0]))
+            noise.append(faulty.f_body[1] - right.f_body[1])
+        return rates, float(np.std(noise))
+
+    rates, sigma = flown(1)
+    repeated = np.mean(np.diff(rates) == 0.0)
+    assert 0.22 < repeated < 0.38
+    assert sigma == pytest.approx(2.0, rel=0.12)
+    assert flown(1)[0] == rates
+    assert flown(2)[0] != rates
+
+
+def test_a_sensor_fault_without_an_effect_is_refused() -> None:
+    for kind in (Accelerometer, Gyro, AttitudeReading, HeadingReading, VelocityReading, Ultrasound, Barometer, Magnetometer):
+        assert issubclass(kind, SensorFault)
+        with pytest.raises(ValueError, match="nothing says what is wrong"):
+            kind(at_s=1.0)
+
+
+def test_a_recurring_fault_begins_as_often_as_it_says_and_never_overlaps_itself() -> None:
+    timer, other = (
+        FaultTimer((FlowBlind(per_minute=30.0, for_s=0.5),), 4),
+        FaultTimer((FlowBlind(per_minute=30.0, for_s=0.5),), 5),
+    )
+    for tick in range(60_000):
+        timer.update(0.01 * tick, 3.0, None)
+        other.update(0.01 * tick, 3.0, None)
+    times = [began_s for _, began_s in timer.begun]
+    assert len(times) == pytest.approx(600.0 / (2.0 + 0.5), rel=0.2)
+    assert min(np.diff(times)) >= 0.5
+    assert times != [began_s for _, began_s in other.begun]
+    with pytest.raises(ValueError, match="for_s must say"):
+        FlowBlind(per_minute=3.0)
 
 
 def test_frozen_frames_repeat_one_image_with_stamps_of_their_own() -> None:
@@ -158,7 +223,7 @@ def test_shifted_frames_show_the_pad_where_it_is_not() -> None:
 
 def test_a_share_of_the_frames_is_shifted_or_lost_and_the_seed_says_which() -> None:
     def drawn(seed: int) -> tuple[list[bool], list[bool]]:
-        w = world(FramesShifted(at_s=0.0, right_m=2.5, share=0.5), FramesDropped(at_s=0.0, share=0.25), seed=seed)
+        w = world(FramesShifted(at_s=0.0, right_m=2.5, fraction=0.5), FramesDropped(at_s=0.0, fraction=0.25), seed=seed)
         shifted, lost = [], []
         for n in range(200):
             at(w, 0.004 * (n + 1))
@@ -296,9 +361,9 @@ def test_a_height_is_over_the_deck_and_starts_the_fault_in_the_world() -> None:
 
 
 def test_every_kind_has_a_test_of_its_effect() -> None:
-    elsewhere = {"lens_covered", "ultrasound_silent", "flow_blind", "magnetometer_silent", "navdata_silent", "gust", "weak_rotor"}
+    elsewhere = {"lens_covered", "flow_blind", "navdata_silent", "gust", "weak_rotor"}
     here = {fault.kind for fault, *_ in READINGS} | {
-        "heading_offset", "imu_frozen", "ultrasound_frozen", "frames_frozen", "frames_shifted", "frames_dropped",
+        "heading", "frames_frozen", "frames_shifted", "frames_dropped",
         "frames_delayed", "frames_misstamped", "link_lost", "service_killed",
     }  # fmt: skip
     assert set(KINDS) == here | elsewhere

@@ -15,6 +15,7 @@ from sitl.ardrone.truth_log import record
 from sitl.faults import KINDS, Gust, WeakRotor
 from sitl.safety import outside_commit
 from sitl.scenario import Scenario, Sea, SensorSettings, Start, VesselSettings, WindSettings, load
+from sitl.sensor_faults import Magnetometer, Ultrasound
 from sitl.vehicle import VehiclePhase
 from sitl.world import Readings, RenderedFrame, Stick, Truth, World
 
@@ -264,8 +265,9 @@ def test_limits_can_be_set_in_flight() -> None:
 
 
 def test_faults_come_and_go() -> None:
-    kinds = ("lens_covered", "ultrasound_silent", "flow_blind", "magnetometer_silent", "frames_dropped", "navdata_silent")
-    faults = tuple(KINDS[kind](at_s=0.5, for_s=0.5) for kind in kinds)
+    kinds = ("lens_covered", "flow_blind", "frames_dropped", "navdata_silent")
+    silent = (Ultrasound(at_s=0.5, for_s=0.5, dropped_fraction=1.0), Magnetometer(at_s=0.5, for_s=0.5, dropped_fraction=1.0))
+    faults = (*(KINDS[kind](at_s=0.5, for_s=0.5) for kind in kinds), *silent)
     world = World(with_(CALM, faults=faults), 1)
     for at, on in ((0.4, False), (0.8, True), (1.3, False)):
         world.advance(after(world.started, at))
@@ -279,7 +281,7 @@ def test_faults_come_and_go() -> None:
 
 def test_a_gust_pushes_and_a_weak_rotor_tilts() -> None:
     calm, gust = World(CALM, 1), World(with_(CALM, faults=(Gust(at_s=1.0, for_s=2.0, speed_m_s=8.0, from_deg=90.0),)), 1)
-    weak = World(with_(CALM, faults=(WeakRotor(at_s=1.0, for_s=5.0, rotor="front_left", thrust_share=0.9),)), 1)
+    weak = World(with_(CALM, faults=(WeakRotor(at_s=1.0, for_s=5.0, rotor="front_left", thrust_fraction=0.9),)), 1)
     for world in (calm, gust, weak):
         run(world, 0.99)
     assert same(calm.truth(), gust.truth())
