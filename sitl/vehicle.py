@@ -124,6 +124,10 @@ class Vehicle:
     def _number(self, value: float) -> Num:
         return value if self.batch is None else np.full(self.batch, value)
 
+    def _array(self, v: Vec) -> F64:
+        """Return (3,) or (B, 3)."""
+        return np.array(v) if self.batch is None else np.stack([np.asarray(x) for x in v], axis=-1)
+
     def _flag(self, value: bool) -> Flag:
         return value if self.batch is None else np.full(self.batch, value)
 
@@ -198,29 +202,30 @@ class Vehicle:
     @property
     def p_ned(self) -> F64:
         """(3,) or (B, 3) m."""
-        return np.stack([np.asarray(x) for x in self.p], axis=-1)
+        return self._array(self.p)
 
     @property
     def v_ned(self) -> F64:
         """(3,) or (B, 3) m/s."""
-        return np.stack([np.asarray(x) for x in self.v], axis=-1)
+        return self._array(self.v)
 
     @property
     def R_ned_body(self) -> F64:
         """(3, 3) or (B, 3, 3)."""
-        return np.stack([np.stack([np.asarray(x) for x in row], axis=-1) for row in rotation_of(self.q)], axis=-2)
+        rows = rotation_of(self.q)
+        return np.array(rows) if self.batch is None else np.stack([self._array(row) for row in rows], axis=-2)
 
     @property
     def w_body(self) -> F64:
         """(3,) or (B, 3) rad/s."""
-        return np.stack([np.asarray(x) for x in self.w], axis=-1)
+        return self._array(self.w)
 
     @property
     def f_body(self) -> F64:
         """(3,) or (B, 3) m/s^2, specific force: at rest and level (0, 0, -9.81)."""
         x, y, z = self.a
         f = inverse_rotate(rotation_of(self.q), (x, y, z - GRAVITY_M_S2))
-        return np.stack([np.asarray(c) for c in f], axis=-1)
+        return self._array(f)
 
     @property
     def gust(self) -> Vec:

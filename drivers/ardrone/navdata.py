@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from typing import Any, TypeVar
 
 from drivers.ardrone.navdata_flight import (
@@ -103,8 +103,8 @@ for _layout in sorted(LAYOUT_OF_CLASS.values(), key=lambda layout: -layout.size)
     _LAYOUTS[_layout.tag] = (*_LAYOUTS.get(_layout.tag, ()), _layout)
 
 
-class NavdataState(IntFlag):
-    """The bits of the header's state field."""
+class NavdataState(IntEnum):
+    """The bits of the header's state field. Their unions are plain numbers, which are tested hundreds of times a second."""
 
     FLYING = 1 << 0
     VIDEO_ENABLED = 1 << 1

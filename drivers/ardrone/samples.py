@@ -8,6 +8,7 @@ velocity reads 0.75 to 0.88 of the truth with a lag of 20 ms and 0.014 m/s of no
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,13 @@ def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: ArDroneOptions
         Imu (body), Attitude (R_ned_body, yaw from the drone's own heading), BodyVelocity (level; down has `UNKNOWN_VAR`),
         Range (along the body's down axis), Baro (height over the 1013.25 hPa level), VehicleStatus, in this order.
     """
+    out = _of_every_datagram(navdata, stamp, options)
+    out += [made for make in _REPEATED.values() if (made := make(navdata, stamp, options)) is not None]
+    return out
+
+
+def _of_every_datagram(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> list[Sample]:
+    """Return the samples whose sensors are read anew for every datagram."""
     out: list[Sample] = []
     imu = _imu(navdata, stamp)
     if imu is not None:
@@ -64,18 +72,11 @@ def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: ArDroneOptions
         angles = (demo.phi_mdeg, demo.theta_mdeg, demo.psi_mdeg)
         if _finite(angles):
             roll, pitch, yaw = (math.radians(a * 1e-3) for a in angles)
-            cov = np.diag([options.sigma_tilt_rad**2, options.sigma_tilt_rad**2, options.sigma_yaw_rad**2])
+            tilt_var, yaw_var = options.sigma_tilt_rad**2, options.sigma_yaw_rad**2
+            cov = np.array([[tilt_var, 0.0, 0.0], [0.0, tilt_var, 0.0], [0.0, 0.0, yaw_var]])
             out.append(Attitude(stamp, Rotation.from_rpy(roll, pitch, yaw), cov))
         if _finite((demo.vx_mm_s, demo.vy_mm_s)):
             out.append(_velocity(demo, stamp, options))
-    distance_m = _range_m(navdata)
-    if distance_m is not None:
-        sigma_m = math.hypot(options.sigma_range_m, options.sigma_range_fraction * distance_m)
-        out.append(Range(stamp, distance_m, sigma_m))
-    pressure = navdata.get(PressureRaw)
-    if pressure is not None and pressure.pressure_pa > 0:
-        out.append(Baro(stamp, height_of_pressure_m(pressure.pressure_pa), options.sigma_baro_m))
-    out.append(_status(navdata, stamp))
     return out
 
 
@@ -108,18 +109,19 @@ class NavdataSampler:
             Baro: navdata.get(PressureRaw),
             VehicleStatus: (navdata.state & ~NavdataState.COMMAND_ACK, navdata.control_state),
         }
-        return [s for s in samples_from_navdata(navdata, stamp, self._options) if self._fresh(s, keys)]
+        out = _of_every_datagram(navdata, stamp, self._options)
+        for kind, make in _REPEATED.items():
+            if self._repeats(kind, keys[kind], stamp.measured_at):
+                continue
+            made = make(navdata, stamp, self._options)
+            if made is not None:
+                self._given[kind] = keys[kind], stamp.measured_at
+                out.append(made)
+        return out
 
-    def _fresh(self, sample: Sample, keys: dict[type[Any], Any]) -> bool:
-        kind = type(sample)
-        if kind not in keys:
-            return True
+    def _repeats(self, kind: type[Any], key: Any, measured_at: MonoNs) -> bool:
         given = self._given.get(kind)
-        measured_at = sample.stamp.measured_at
-        if given is not None and given[0] == keys[kind] and 0 <= seconds_between(given[1], measured_at) < self._repeat_s:
-            return False
-        self._given[kind] = keys[kind], measured_at
-        return True
+        return given is not None and given[0] == key and 0 <= seconds_between(given[1], measured_at) < self._repeat_s
 
 
 def time_us(navdata: Navdata) -> int | None:
@@ -143,7 +145,21 @@ def _velocity(demo: Demo, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity
     v = np.array([demo.vx_mm_s, demo.vy_mm_s, 0.0]) * (1e-3 / options.velocity_scale)
     speed = min(float(np.hypot(v[0], v[1])), 1e6)
     var = options.sigma_velocity_m_s**2 + (options.sigma_velocity_fraction * speed) ** 2
-    return BodyVelocity(stamp, v, np.diag([var, var, UNKNOWN_VAR]))
+    return BodyVelocity(stamp, v, np.array([[var, 0.0, 0.0], [0.0, var, 0.0], [0.0, 0.0, UNKNOWN_VAR]]))
+
+
+def _range(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> Range | None:
+    distance_m = _range_m(navdata)
+    if distance_m is None:
+        return None
+    return Range(stamp, distance_m, math.hypot(options.sigma_range_m, options.sigma_range_fraction * distance_m))
+
+
+def _baro(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> Baro | None:
+    pressure = navdata.get(PressureRaw)
+    if pressure is None or pressure.pressure_pa <= 0:
+        return None
+    return Baro(stamp, height_of_pressure_m(pressure.pressure_pa), options.sigma_baro_m)
 
 
 def _range_m(navdata: Navdata) -> float | None:
@@ -167,7 +183,7 @@ def _range_key(navdata: Navdata) -> tuple[Any, ...]:
     return altitude.altitude_raw_mm, raw and raw.nb_echo, raw and raw.sum_echo
 
 
-def _status(navdata: Navdata, stamp: Stamp) -> VehicleStatus:
+def _status(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> VehicleStatus:
     demo, mode = navdata.get(Demo), navdata.control_state
     return VehicleStatus(
         stamp,
@@ -177,3 +193,11 @@ def _status(navdata: Navdata, stamp: Stamp) -> VehicleStatus:
         emergency=bool(navdata.state & NavdataState.EMERGENCY),
         link_ok=not navdata.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST),
     )
+
+
+_REPEATED: dict[type[Any], Callable[[Navdata, Stamp, ArDroneOptions], Sample | None]] = {
+    Range: _range,
+    Baro: _baro,
+    VehicleStatus: _status,
+}
+"""What makes the samples of sensors that are slower than the datagrams, in the order in which they are returned."""

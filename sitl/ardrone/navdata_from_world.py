@@ -5,7 +5,7 @@ as they are on a real drone that lacks the part.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,8 +58,33 @@ class Situation:
 
 def datagram(situation: Situation, sequence: int, mask: int) -> Navdata:
     """Header and the options whose bit `1 << tag` is in `mask`; a mask of 0 is the bootstrap's bare state word."""
-    options = tuple(make(situation) for tag, make in _OPTIONS.items() if mask >> tag & 1)
-    return Navdata.of(situation.state, sequence, options)
+    return Navdata(situation.state, sequence, 1, Options(situation, mask))
+
+
+class Options(Mapping[int, Any]):
+    """The options of one datagram by tag, in the order of the wire; each is made when somebody reads it.
+
+    In virtual time nothing encodes them, and five of the 28 are read.
+    """
+
+    def __init__(self, situation: Situation, mask: int) -> None:
+        self._situation = situation
+        self._mask = mask
+        self._made: dict[int, Any] = {}
+
+    def __getitem__(self, tag: int) -> Any:
+        made = self._made.get(tag)
+        if made is None:
+            if not self._mask >> tag & 1:
+                raise KeyError(tag)
+            made = self._made[tag] = _OPTIONS[tag](self._situation)
+        return made
+
+    def __iter__(self) -> Iterator[int]:
+        return (tag for tag in _OPTIONS if self._mask >> tag & 1)
+
+    def __len__(self) -> int:
+        return sum(self._mask >> tag & 1 for tag in _OPTIONS)
 
 
 def upright_m(slant_m: float, rpy_rad: tuple[float, float, float]) -> float:

@@ -141,7 +141,7 @@ class DroneState:
 
     def word(self, phase: VehiclePhase, battery_low: bool, ultrasound_deaf: bool) -> int:
         """Navdata's state word."""
-        word = _ALWAYS
+        word = int(_ALWAYS)
         for bit, is_on in (
             (NavdataState.FLYING, phase in AIRBORNE),
             (NavdataState.VIDEO_ENABLED, self.config.flag("general:video_enable")),
@@ -158,7 +158,7 @@ class DroneState:
         ):
             if is_on:
                 word |= bit
-        return int(word)
+        return word
 
     def control_state(self, phase: VehiclePhase) -> int:
         """The demo option's control state: major in the upper, minor in the lower 16 bits."""

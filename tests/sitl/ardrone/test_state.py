@@ -37,8 +37,9 @@ class Pilot:
             datagram += at.encode(self.sequence, command)
         return list(self.drone.take(datagram, at_s(now_s), phase))
 
-    def word(self, phase: VehiclePhase = VehiclePhase.LANDED) -> NavdataState:
-        return NavdataState(self.drone.word(phase, battery_low=False, ultrasound_deaf=False))
+    def word(self, phase: VehiclePhase = VehiclePhase.LANDED) -> set[NavdataState]:
+        word = self.drone.word(phase, battery_low=False, ultrasound_deaf=False)
+        return {bit for bit in NavdataState if word & bit}
 
 
 @pytest.fixture

@@ -1,0 +1,174 @@
+"""Landings a minute at each level of perception, and whether two levels agree: `python -m benches.landings fly|compare`.
+
+    python -m benches.landings fly --perception model --scenario sea_state_4 --first 501 --flights 12 --workers 2
+    python -m benches.landings fly --perception pixels --scenario moderate --flights 12 --write pixels.jsonl
+    python -m benches.landings compare pixels.jsonl model.jsonl
+
+`fly` prints the rate by the wall clock and the CPU time of a flight; `--write` appends one JSON object for each flight. `compare`
+takes two such files and prints outcomes, touchdown errors and the NEES of the estimate side by side, each with the probability
+that a two-sample Kolmogorov-Smirnov test gives to such a difference by chance.
+
+NEES: normalized estimation error squared of position, velocity and heading (7 degrees of freedom), once a second in flight
+(Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4.2).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from scipy.stats import ks_2samp
+
+from companion.runtime.observer import Decision, NullObserver
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import wrap_pi
+from sitl.one_flight import PERCEPTIONS, fly, perception_level, settings_for
+from sitl.scenario import load
+from sitl.world import Truth, VehiclePhase
+
+_EACH_NS = 1_000_000_000
+_IN_THE_AIR = (VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
+
+
+class Consistency(NullObserver):
+    """The NEES of the steering estimate, once a second in the air."""
+
+    def __init__(self) -> None:
+        self.nees: list[float] = []
+        self.error_m: list[float] = []
+        self._belief: RelativeState | None = None
+        self._due = _EACH_NS
+
+    def on_decision(self, decision: Decision) -> None:
+        self._belief = decision.belief
+
+    def on_truth(self, truth: Truth) -> None:
+        """Compare the newest estimate with the truth of the same instant."""
+        b = self._belief
+        if b is None or b.at != truth.at or truth.at < self._due or truth.phase not in _IN_THE_AIR or b.yaw_rad is None:
+            return
+        self._due = truth.at + _EACH_NS
+        d = b.d_body_pad_level - truth.d_body_pad_level
+        error = np.array([*d, *(b.v_pad_level - truth.v_pad_level), wrap_pi(b.yaw_rad - truth.yaw_rad)])
+        self.nees.append(float(error @ np.linalg.solve(b.cov, error)))
+        self.error_m.append(float(np.linalg.norm(d)) / max(0.2, truth.d_body_pad_level[2]))
+
+
+def one(scenario: str, level: str, method: str, model: str | None, seed: int) -> dict[str, Any]:
+    """Fly once and return the ending as plain values, with the level, NEES and errors of the estimate."""
+    loaded = load(scenario)
+    settings = settings_for(loaded, None)
+    settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method=method))
+    watch = Consistency()
+    ending = fly(
+        scenario,
+        loaded,
+        seed,
+        settings,
+        perception_level(level),
+        perception_model=model,
+        observers=[watch],
+        on_truth=watch.on_truth,
+    )
+    return {**ending.as_json(), "perception": level, "method": method, "nees": watch.nees, "error_per_height": watch.error_m}
+
+
+def fly_all(args: argparse.Namespace) -> int:
+    """Fly the seeds, print the rate, and append the flights to a file if asked."""
+    seeds = range(args.first, args.first + args.flights)
+    call = partial(one, args.scenario, args.perception, args.method, args.perception_model)
+    began = time.monotonic()
+    done: list[dict[str, Any]] = []
+    with ProcessPoolExecutor(args.workers) as pool:
+        for flight in pool.map(call, seeds):
+            done.append(flight)
+            if args.write is not None:
+                with args.write.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(flight) + "\n")
+            sys.stderr.write(f"\r{len(done)} of {args.flights}")
+    wall_s = time.monotonic() - began
+    sys.stderr.write("\n")
+    cpu_s = [flight["cpu_s"] for flight in done]
+    flown_s = sum(flight["duration_s"] for flight in done)
+    load_1, _, _ = os.getloadavg()
+    sys.stdout.write(
+        f"{args.scenario}, {args.perception}, vision.method {args.method}, seeds {seeds[0]} to {seeds[-1]}, "
+        f"{args.workers} processes, load {load_1:.0f}\n"
+        f"{60 * len(done) / wall_s:.1f} flights a minute by the wall clock; {statistics.mean(cpu_s):.2f} s of CPU a flight "
+        f"({60 / statistics.mean(cpu_s):.1f} a minute of CPU), {flown_s / sum(cpu_s):.1f} flown seconds a second of CPU\n"
+        f"outcomes: {_outcomes(done)}\n"
+    )
+    return 0
+
+
+def _outcomes(flights: Sequence[dict[str, Any]]) -> str:
+    return ", ".join(f"{n} {word}" for word, n in Counter(flight["grade"] for flight in flights).most_common())
+
+
+def compare(args: argparse.Namespace) -> int:
+    """Print two files of flights side by side."""
+    files = [[json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] for path in args.files]
+    for scenario in sorted({flight["scenario"] for flights in files for flight in flights}):
+        a, b = ([flight for flight in flights if flight["scenario"] == scenario] for flights in files)
+        sys.stdout.write(f"{scenario}: {args.files[0]} ({len(a)} flights) against {args.files[1]} ({len(b)} flights)\n")
+        sys.stdout.write(f"  outcomes: {_outcomes(a)} | {_outcomes(b)}\n")
+        for name, values in (
+            ("touchdown error, cm", _touchdowns),
+            ("duration, s", lambda flights: [flight["duration_s"] for flight in flights]),
+            ("NEES, 7 degrees of freedom", lambda flights: [x for flight in flights for x in flight["nees"]]),
+            ("estimate's error over height", lambda flights: [x for flight in flights for x in flight["error_per_height"]]),
+            ("share of frames with no pad", _missed),
+        ):
+            _side_by_side(name, values(a), values(b))
+    return 0
+
+
+def _touchdowns(flights: Sequence[dict[str, Any]]) -> list[float]:
+    return [100 * flight["touchdown"]["lateral_m"] for flight in flights if flight["landed_on_pad"]]
+
+
+def _missed(flights: Sequence[dict[str, Any]]) -> list[float]:
+    return [flight["frames"].get("no_pad", 0) / sum(flight["frames"].values()) for flight in flights]
+
+
+def _side_by_side(name: str, a: Sequence[float], b: Sequence[float]) -> None:
+    if not a or not b:
+        sys.stdout.write(f"  {name}: none\n")
+        return
+    p = float(ks_2samp(a, b).pvalue)
+    figures = " | ".join(f"median {np.median(x):.3g}, 95 % {np.percentile(x, 95):.3g} (n {len(x)})" for x in (a, b))
+    sys.stdout.write(f"  {name}: {figures}; p {p:.2f}\n")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    actions = parser.add_subparsers(dest="action", required=True)
+    flying = actions.add_parser("fly")
+    flying.add_argument("--scenario", default="moderate")
+    flying.add_argument("--perception", default="model", choices=PERCEPTIONS)
+    flying.add_argument("--perception-model")
+    flying.add_argument("--method", default="fused", choices=("fused", "registration", "thesis"))
+    flying.add_argument("--first", type=int, default=501, help="first seed; the models were fitted on 301 to 312")
+    flying.add_argument("--flights", type=int, default=4)
+    flying.add_argument("--workers", type=int, default=1)
+    flying.add_argument("--write", type=Path)
+    comparing = actions.add_parser("compare")
+    comparing.add_argument("files", nargs=2, type=Path)
+    args = parser.parse_args()
+    return fly_all(args) if args.action == "fly" else compare(args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
