@@ -15,13 +15,11 @@ import numpy as np
 import companion.config.settings as settings_of
 from companion.config.build_pilot import make_pilot
 from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.mavlink.outputs import OutputOptions
 from companion.mavlink.pilot_operator import PilotTower
 from companion.runtime.observer import Decision
 from drivers.clock import SystemClock
-from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
-from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.autopilot import open_autopilot
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Frame
@@ -46,14 +44,14 @@ async def measure(rate_hz: float) -> None:
     fake = FakeAutopilot(Stack.ARDUPILOT, p_ned=state.p_ned)
     fake.rpy = lambda t: state.R_ned_body.rpy_rad
     component = Component(
-        ComponentOptions(OutputOptions(pad_radius_m=0.39)),
+        ComponentOptions(0.39, 0.5),
         PilotTower(pilot, lambda: None),
         None,
         healthy=lambda: None,
         believe=pilot.belief,
         clock=clock,
     )
-    options = AutopilotOptions((LinkOptions(parse_endpoint(f"udpin://{HOST}:0")),), period_s=0.02)
+    options = AutopilotOptions(f"udpin://{HOST}:0", command_period_s=0.02)
     whole, speech = [], []
     async with open_autopilot(options, clock) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)

@@ -23,15 +23,16 @@ import numpy as np
 from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
 from companion.config.settings import from_mapping
-from companion.config.vehicle import AutopilotSettings
 from companion.mavlink.bridge_part import BridgePart
 from companion.mavlink.make import AutopilotPart
+from companion.mavlink.options import BridgeOptions
 from companion.runtime.health import Health
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, SigningKey, load_key
 from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.commands import Command, Hover, Velocity
@@ -162,7 +163,7 @@ def run_autopilot(data: bytes) -> None:
 async def _autopilot(choices: Choices) -> None:
     clock, wires, pilot = LockStepClock(), Wires(), make_pilot(_settings())
     vehicle = _settings().vehicle
-    assert isinstance(vehicle, AutopilotSettings)
+    assert isinstance(vehicle, AutopilotOptions)
     part = AutopilotPart(_settings(), vehicle, pilot, Health(clock), clock, lambda on: None, lambda *crossed: None)
 
     async def on_message(samples: Line[Sample]) -> None:
@@ -273,7 +274,7 @@ class _Vehicle:
 async def _bridge(choices: Choices) -> None:
     clock, wires = LockStepClock(), Wires()
     links = [LinkOptions(parse_endpoint("udpin://127.0.0.1:14550")), LinkOptions(parse_endpoint("udpout://127.0.0.1:14551"))]
-    part = BridgePart(links, 1, clock, tap=lambda *crossed: None)
+    part = BridgePart(BridgeOptions(), links, clock, tap=lambda *crossed: None)
     sampler = _samples()
 
     @asynccontextmanager

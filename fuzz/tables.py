@@ -15,10 +15,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from companion.config import build, build_mavlink, reference
+from companion.config import build, reference
 from companion.config.model import Settings
 from companion.config.settings import SHIPPED, from_mapping, read_toml, shipped
 from companion.guidance.plan import Plan
+from companion.mavlink.component import ComponentOptions
+from companion.mavlink.signed_links import signed_links
 from companion.print_pad.drawing import pad_drawing
 from companion.print_pad.sheets import sheets
 from companion.runtime.notify import Manager, watchdog_interval_s
@@ -154,8 +156,8 @@ def _options(settings: Settings) -> None:
     if isinstance(settings.vehicle, ArDroneOptions):
         build.ardrone_options(settings)
     else:
-        said = build_mavlink.component_options(settings.vehicle, 0.39, settings.guidance.stale_after_s)
-        build_mavlink.autopilot_options(settings.vehicle, settings.service.sample_queue_items, said.parameters, {})
+        ComponentOptions(0.39, settings.guidance.stale_after_s, settings.landing_target)
+        signed_links(settings.vehicle, {})
     build.tracker(settings)
     settings.camera.control_values()
 

@@ -11,19 +11,17 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.build_mavlink import autopilot_options
 from companion.config.settings import Settings, load
-from companion.config.vehicle import AutopilotSettings
 from companion.doctor.diagnose import RULES, diagnose
 from companion.doctor.finding import Finding, Severity
 from companion.doctor.gather import examine
 from companion.doctor.gather_service import examine_service
 from companion.doctor.snapshot import Snapshot, decode, encode
+from companion.mavlink.signed_links import signed_links
 from companion.runtime import event_loop
 from drivers.clock import SystemClock
-from drivers.mavlink.autopilot import AutopilotOptions
-from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, load_key
 from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput
@@ -98,28 +96,31 @@ async def _examined(args: argparse.Namespace) -> Snapshot:
         raise BadInput(f"--broker {args.broker}: write HOST:PORT")
     settings = load(args.config) if args.config else None
     service = await examine_service(settings, args.broker, SystemClock())
-    options = _options(args, settings)
-    if options is None:
+    found = _links(args, settings)
+    if found is None:
         return Snapshot(0.0, service=service)
-    snapshot = await examine(options, SystemClock(), args.seconds, _progress)
+    options, links = found
+    snapshot = await examine(options, SystemClock(), args.seconds, _progress, links)
     return msgspec.structs.replace(snapshot, service=service)
 
 
-def _options(args: argparse.Namespace, settings: Settings | None) -> AutopilotOptions | None:
-    """Return options for the given links, or for those of the settings; None if there is no link."""
+def _links(args: argparse.Namespace, settings: Settings | None) -> tuple[AutopilotOptions, tuple[LinkOptions, ...]] | None:
+    """Return the options and the links with their keys, as given or as the settings have them; None if there is no link."""
     if not args.link:
         vehicle = None if settings is None else settings.vehicle
-        return autopilot_options(vehicle, 4096, ()) if isinstance(vehicle, AutopilotSettings) else None
+        return (vehicle, signed_links(vehicle)) if isinstance(vehicle, AutopilotOptions) else None
+    if args.system is not None and not 1 <= args.system <= 255:
+        raise BadInput(f"--system must lie in 1 to 255, got {args.system}")
+    try:
+        options = AutopilotOptions(", ".join(args.link), system_id=args.system or 0)
+    except ValueError as why:
+        raise BadInput(str(why).replace("links:", "--link:", 1)) from why
     key = load_key(args.signing_key) if args.signing_key else None
     times = SigningTimes(None)
-    links = tuple(
-        LinkOptions(parse_endpoint(url), signing=None if key is None else Signing(key, times, number))
-        for number, url in enumerate(args.link)
+    return options, tuple(
+        LinkOptions(endpoint, None if key is None else Signing(key, times, number))
+        for number, endpoint in enumerate(options.endpoints())
     )
-    try:
-        return AutopilotOptions(links, system=args.system)
-    except ValueError as why:
-        raise BadInput(f"--system: {why}") from why
 
 
 def _progress(text: str) -> None:

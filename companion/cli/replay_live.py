@@ -11,7 +11,6 @@ from companion.cli.progress import ProgressObserver
 from companion.config.settings import Settings
 from companion.mavlink import operator
 from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.mavlink.outputs import OutputOptions
 from companion.recorder.reading import Recording
 from companion.replay.engine import Replay
 from companion.replay.pilots import pilot_of
@@ -19,9 +18,9 @@ from companion.runtime import event_loop
 from companion.runtime.observer import Decision, NullObserver, Observer
 from companion.runtime.pilot import Pilot
 from drivers.clock import SystemClock
-from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
-from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.autopilot import open_autopilot
+from drivers.mavlink.options import AutopilotOptions
+from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -82,10 +81,10 @@ async def _play(args: argparse.Namespace, recording: Recording, settings: Settin
     progress = None if args.json else ProgressObserver()
     async with AsyncExitStack() as stack:
         if args.mavlink:
-            links = tuple(LinkOptions(parse_endpoint(url)) for url in args.mavlink)
-            options = ComponentOptions(OutputOptions(pad_radius_m=pilot.pad.disc_radius_m))
+            vehicle = _autopilot(args.mavlink)
+            options = ComponentOptions(pilot.pad.disc_radius_m, settings.guidance.stale_after_s, settings.landing_target)
             component = Component(options, _Deaf(), None, healthy=lambda: None, believe=newest.at, clock=clock)
-            autopilot = await stack.enter_async_context(open_autopilot(AutopilotOptions(links), clock))
+            autopilot = await stack.enter_async_context(open_autopilot(vehicle, clock))
             await stack.enter_async_context(speaking(component, autopilot, clock))
             observers.append(component)
         if progress is not None:
@@ -95,6 +94,13 @@ async def _play(args: argparse.Namespace, recording: Recording, settings: Settin
         progress.close()
     sys.stdout.write(f"played to the end; {1e3 * late_s:.0f} ms late at most\n")
     return 0
+
+
+def _autopilot(urls: list[str]) -> AutopilotOptions:
+    try:
+        return AutopilotOptions(", ".join(urls))
+    except ValueError as why:
+        raise BadInput(str(why).replace("links:", "--mavlink:", 1)) from why
 
 
 async def _paced(

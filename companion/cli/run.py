@@ -12,10 +12,11 @@ from companion.config.effect import without_effect
 from companion.config.proven import Proven
 from companion.config.referenced_files import check_files
 from companion.config.settings import Settings, load, shipped
-from companion.config.vehicle import AutopilotSettings, BridgeSettings, unsigned
+from companion.mavlink.options import BridgeOptions
 from companion.runtime import event_loop
 from companion.runtime.pilot import FlightOutcome
 from companion.runtime.service import live, log_to_stderr, make_daemon
+from drivers.mavlink.options import AutopilotOptions
 
 log = logging.getLogger(__name__)
 
@@ -80,8 +81,8 @@ def _run(args: argparse.Namespace, settings: Settings, proven: Proven) -> int:
 
 def _vehicle(settings: Settings) -> str:
     v, bridge = settings.vehicle, settings.bridge
-    if isinstance(v, AutopilotSettings):
-        signed = unsigned(v) or "signed"
+    if isinstance(v, AutopilotOptions):
+        signed = v.unsigned or "signed"
         who = f", and from system {v.operators}" if v.operators else ""
         whom = f"system {v.system_id}" if v.system_id else "the first autopilot heard"
         return (
@@ -94,7 +95,7 @@ def _vehicle(settings: Settings) -> str:
     )
 
 
-def _bridge(bridge: BridgeSettings) -> str:
+def _bridge(bridge: BridgeOptions) -> str:
     who = (
         f"system {bridge.operators}"
         if bridge.operators
@@ -103,7 +104,7 @@ def _bridge(bridge: BridgeSettings) -> str:
         else "nobody (bridge.operators)"
     )
     return (
-        f"; shown to ground stations as system {bridge.system_id} over {bridge.links} ({unsigned(bridge) or 'signed'}), "
+        f"; shown to ground stations as system {bridge.system_id} over {bridge.links} ({bridge.unsigned or 'signed'}), "
         f"commands from {who}"
     )
 

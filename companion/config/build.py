@@ -9,8 +9,8 @@ from msgspec import structs
 
 from companion.config.model import Settings
 from companion.config.settings import camera_model, pad_model
-from companion.config.vehicle import AutopilotSettings
 from drivers.ardrone.options import ArDroneOptions
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 from estimator.options import EstimatorOptions
 from estimator.vision.thesis.segmentation import COLOUR_SETS
@@ -48,5 +48,5 @@ def estimator_options(settings: Settings) -> EstimatorOptions:
     options = settings.estimator
     if options.ekf.velocity_is_over != "auto":
         return options
-    over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotSettings) else "either"
+    over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotOptions) else "either"
     return structs.replace(options, ekf=structs.replace(options.ekf, velocity_is_over=over))

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from companion.config import build
 from companion.config.model import Settings
 from companion.config.settings import camera_model
-from companion.config.vehicle import AutopilotSettings
 from companion.runtime.daemon import OpenLink, VehicleLink
 from companion.runtime.health import Health
 from companion.runtime.link_with_camera import with_camera
@@ -19,6 +18,7 @@ from companion.runtime.pilot import Pilot
 from companion.runtime.supervise import Body
 from drivers.ardrone.link import open_ardrone
 from drivers.camera.options import check_size
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 
@@ -54,7 +54,7 @@ def vehicle_parts(
         BadInput: a signing key or the camera file cannot be read.
     """
     vehicle = settings.vehicle
-    if isinstance(vehicle, AutopilotSettings):
+    if isinstance(vehicle, AutopilotOptions):
         from companion.mavlink.make import AutopilotPart
 
         autopilot = AutopilotPart(settings, vehicle, pilot, health, clock, recording, tap)
@@ -76,15 +76,13 @@ def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap
     options = build.ardrone_options(settings)
     if not settings.bridge.links:
         return VehicleParts(lambda: open_ardrone(options, clock, settings.service.sample_queue_items))
-    from companion.config.build_mavlink import links
     from companion.mavlink.bridge_part import BridgePart
-    from drivers.mavlink.access import parse_operators
+    from companion.mavlink.signed_links import signed_links
 
     bridge = BridgePart(
-        links(settings.bridge),
-        settings.bridge.system_id,
+        settings.bridge,
+        signed_links(settings.bridge),
         clock,
-        operators=parse_operators(settings.bridge.operators),
         hold=pilot.pause,
         go_on=pilot.begin,
         tap=tap,

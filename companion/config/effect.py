@@ -1,4 +1,4 @@
-"""Keys that are set and change nothing: because another key switches their part off, or because they are retired."""
+"""Keys that are set and change nothing, because another key switches their part off or because they are retired; moved keys."""
 
 from __future__ import annotations
 
@@ -11,11 +11,21 @@ from typing import Any
 from companion.config.model import Settings
 from companion.config.refusal import walk
 from drivers.ardrone.options import ArDroneOptions
+from estimator.contracts.errors import BadInput
 
 log = logging.getLogger(__name__)
 
 RETIRED = {"guidance.pid.heading.kd": (0.0, "the estimate tells no rate of the heading")}
 """Keys that older files and recordings hold: the default of then, and why they are gone. They are read and left out."""
+
+MOVED = {
+    "vehicle.target_rate_hz": "landing_target.rate_hz",
+    "vehicle.ranges": "landing_target.ranges",
+    "vehicle.range_rate_hz": "landing_target.range_rate_hz",
+    "vehicle.ground_clearance_m": "landing_target.ground_clearance_m",
+    "vehicle.vision_target_estimator": "landing_target.vision_target_estimator",
+}
+"""Keys that have another name now. A settings file with the old name is refused; a recording is read with the new one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +43,7 @@ _RULES = (
     _Rule("mqtt.ca_file,mqtt.certificate_file,mqtt.key_file", lambda s: s.mqtt.transport == "tcp", 'mqtt.transport is "tcp"'),
     _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),
     _Rule("metrics.", lambda s: s.metrics.endpoint == "off", 'metrics.endpoint is "off"', "metrics.endpoint"),
+    _Rule("landing_target.", lambda s: isinstance(s.vehicle, ArDroneOptions), 'vehicle.kind is "ardrone"'),
     _Rule("bridge.", lambda s: not s.bridge.links.strip(), "bridge.links is empty"),
     _Rule("bridge.signing_time_file", lambda s: not s.bridge.signing_key_file, "bridge.signing_key_file is empty"),
     _Rule(
@@ -41,12 +52,12 @@ _RULES = (
         "vehicle.signing_key_file is empty",
     ),
     _Rule(
-        "vehicle.range_rate_hz",
-        lambda s: not isinstance(s.vehicle, ArDroneOptions) and s.vehicle.ranges == "off",
-        'vehicle.ranges is "off"',
+        "landing_target.range_rate_hz,landing_target.range_id,landing_target.ground_clearance_m",
+        lambda s: s.landing_target.ranges == "off",
+        'landing_target.ranges is "off"',
     ),
     _Rule(
-        "vehicle.descent_rate_m_s",
+        "vehicle.descent_rate_m_s,vehicle.landing_most_s,vehicle.landing_depth_m",
         lambda s: not isinstance(s.vehicle, ArDroneOptions) and s.vehicle.landing == "mode",
         'vehicle.landing is "mode"',
     ),
@@ -112,21 +123,53 @@ def without_effect(settings: Settings) -> tuple[str, ...]:
 def without_retired(data: Mapping[str, Any], where: str) -> Mapping[str, Any]:
     """Return what a settings file holds without keys that are retired; log those that had another value than their default."""
     for path, (default, why) in RETIRED.items():
-        *tables, last = path.split(".")
-        table: Any = data
-        for name in tables:
-            table = table.get(name) if isinstance(table, Mapping) else None
-        if not isinstance(table, Mapping) or last not in table:
+        found = _found(data, path)
+        if found is None:
             continue
-        if table[last] != default:
+        if found != default:
             log.warning("%s: %s is retired and left out: %s", where, path, why)
-        kept = copy.deepcopy(dict(data))
-        inner = kept
-        for name in tables:
-            inner = inner[name]
-        del inner[last]
-        data = kept
+        data = _without(data, path)
     return data
+
+
+def refuse_moved(data: Mapping[str, Any]) -> None:
+    """Refuse a settings file that has a key under its old name.
+
+    Raises:
+        BadInput: it has one; the text names the new one.
+    """
+    for old, new in MOVED.items():
+        if _found(data, old) is not None:
+            raise BadInput(f"{old} is now {new}")
+
+
+def with_moved(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the settings of a recording with moved keys under their new names; a key that it has under both keeps the new."""
+    for old, new in MOVED.items():
+        value = _found(data, old)
+        if value is None:
+            continue
+        data = _without(data, old)
+        table, _, last = new.rpartition(".")
+        data = {**data, table: {last: value, **data.get(table, {})}}
+    return data
+
+
+def _found(data: Mapping[str, Any], path: str) -> object:
+    """Return the value at the dotted path, None if there is none."""
+    value: Any = data
+    for name in path.split("."):
+        value = value.get(name) if isinstance(value, Mapping) else None
+    return value
+
+
+def _without(data: Mapping[str, Any], path: str) -> dict[str, Any]:
+    *tables, last = path.split(".")
+    kept = inner = copy.deepcopy(dict(data))
+    for name in tables:
+        inner = inner[name]
+    del inner[last]
+    return kept
 
 
 def _value(settings: Settings, path: str) -> object:

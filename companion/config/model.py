@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.config.vehicle import AutopilotSettings, BridgeSettings
 from companion.guidance.options import GuidanceOptions
+from companion.mavlink.options import BridgeOptions, OutputOptions
 from companion.metrics.settings import MetricsSettings
 from companion.mqtt.settings import MqttSettings
 from companion.recorder.options import RecorderOptions
@@ -20,6 +20,7 @@ from companion.runtime.supervise import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import CameraOptions
 from drivers.mailbox import SAMPLE_QUEUE_ITEMS
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.keys import choice, number, text
 from estimator.options import EstimatorOptions
 
@@ -71,7 +72,7 @@ class ServiceSettings(RestartOptions, frozen=True, forbid_unknown_fields=True):
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """Everything a person can set. `companion.config.settings.load` reads one from a file."""
 
-    vehicle: ArDroneOptions | AutopilotSettings
+    vehicle: ArDroneOptions | AutopilotOptions
     camera: CameraSettings
     pad: PadSettings
     vision: VisionSettings = VisionSettings()
@@ -81,11 +82,12 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     recorder: RecorderOptions = RecorderOptions()
     mqtt: MqttSettings = MqttSettings()
     metrics: MetricsSettings = MetricsSettings()
-    bridge: BridgeSettings = BridgeSettings()
+    landing_target: OutputOptions = OutputOptions()
+    bridge: BridgeOptions = BridgeOptions()
 
     def fault(self) -> str | None:
         """What does not go together, beginning with the key; None when all does."""
-        if isinstance(self.vehicle, AutopilotSettings):
+        if isinstance(self.vehicle, AutopilotOptions):
             if self.camera.source == "vehicle":
                 return 'camera.source must be "v4l2" or "stream": an autopilot has no frames'
             if self.bridge.links:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from companion.config import secret_files
 from companion.config.keys import CREDENTIAL
 from companion.config.model import Settings
-from companion.config.vehicle import AutopilotSettings
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 
 
@@ -36,7 +36,7 @@ def check_files(settings: Settings, environment: Mapping[str, str] = os.environ)
 
 def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Callable[[], object]]]:
     """Yield (settings key, file references, function that reads the files) for everything that is switched on."""
-    if isinstance(settings.vehicle, AutopilotSettings) and settings.vehicle.signing_key_file:
+    if isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.signing_key_file:
         yield _signing("vehicle", settings.vehicle.signing_key_file)
     if settings.bridge.links and settings.bridge.signing_key_file:
         yield _signing("bridge", settings.bridge.signing_key_file)

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 import configs
-from companion.config.effect import without_retired
+from companion.config.effect import refuse_moved, with_moved, without_retired
 from companion.config.keys import anchored
 from companion.config.model import PadSettings, Settings
 from companion.config.refusal import explain
@@ -64,15 +64,21 @@ def load(name_or_path: str | Path) -> Settings:
     return settings
 
 
-def from_mapping(data: Mapping[str, Any], where: str) -> Settings:
+def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False) -> Settings:
     """Settings from what a TOML file holds; `where` names the file in errors.
+
+    Args:
+        recorded: the file is that of a recording, which no one can edit: keys of older versions are read.
 
     Raises:
         BadInput: as `load`, but for the camera and pad files, which are not looked at.
     """
-    data = without_retired(data, where)
+    data = without_retired(with_moved(data) if recorded else data, where)
     try:
+        refuse_moved(data)
         return msgspec.convert(data, Settings, strict=True)
+    except BadInput as why:
+        raise BadInput(f"{where}: {why}") from None
     except msgspec.ValidationError as why:
         raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
 

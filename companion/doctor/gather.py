@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 from companion.doctor.diagnose import PARAMETERS
 from companion.doctor.snapshot import AutopilotSnapshot, LinkSnapshot, Snapshot, TimeSyncSnapshot
-from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
+from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
-from drivers.mavlink.links import ReceivedMessage
+from drivers.mavlink.links import LinkOptions, ReceivedMessage
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ
 from drivers.mavlink.vehicle import is_autopilot
 from estimator.contracts.ports import Clock
@@ -44,17 +45,23 @@ class _Notes:
             self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
 
 
-async def examine(options: AutopilotOptions, clock: Clock, seconds: float, say: Say = lambda text: None) -> Snapshot:
+async def examine(
+    options: AutopilotOptions,
+    clock: Clock,
+    seconds: float,
+    say: Say = lambda text: None,
+    links: Sequence[LinkOptions] | None = None,
+) -> Snapshot:
     """Listen to the links, query the autopilot, and return the snapshot.
 
     Args:
         seconds: how long to wait for an autopilot, and again how long to count its messages.
         say: called with a progress line for a terminal.
+        links: the links of the options with their keys; None for those of the options without any key.
     """
     notes = _Notes()
     began = clock.now()
-    quiet = replace(options, parameters=())
-    async with open_autopilot(quiet, clock) as autopilot:
+    async with open_autopilot(options, clock, links) as autopilot:
         autopilot.add_listener(notes.on_message)
         say(f"listening on {', '.join(str(link.endpoint) for link in autopilot.links.all)}")
         await _wait(clock, seconds, lambda: autopilot.connected)

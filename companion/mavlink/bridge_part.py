@@ -9,9 +9,10 @@ from functools import partial
 from typing import Protocol, TypeVar
 
 from companion.mavlink.bridge import VehicleBridge
+from companion.mavlink.options import BridgeOptions
 from companion.mavlink.refusals import link_counters
 from companion.runtime.observer import NullObserver
-from drivers.mavlink.access import AccessOptions, Named
+from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import LinkOptions, Links, Tap, open_links
 from estimator.contracts.commands import Command, Hover
@@ -33,27 +34,25 @@ class BridgePart(NullObserver):
     """The bridge and its links; see the module's docstring.
 
     Args:
+        options: who the drone is shown as, and who may command it.
         links: the links to ground stations.
-        system: the MAVLink system id of the drone.
-        operators: systems that may command the drone although they do not sign.
         hold, go_on: functions that hold guidance when a station asks for a hold, and that end the hold.
         tap: receives every message; None if no one listens.
     """
 
     def __init__(
         self,
+        options: BridgeOptions,
         links: Sequence[LinkOptions],
-        system: int,
         clock: Clock,
         *,
-        operators: tuple[Named, ...] = (),
         hold: Callable[[], None] = lambda: None,
         go_on: Callable[[], None] = lambda: None,
         tap: Tap | None = None,
     ) -> None:
-        self._options = tuple(links)
-        self._system = system
-        self._access = AccessOptions(operators)
+        self._endpoints = tuple(links)
+        self._system = options.system_id
+        self._access = NamedSenders(options.named_operators())
         self._clock = clock
         self._hold, self._go_on = hold, go_on
         self._tap = tap
@@ -96,7 +95,7 @@ class BridgePart(NullObserver):
     async def run(self) -> None:
         """Serve the links until cancelled; a link that fails reconnects by itself."""
         identity = (self._system, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
-        async with open_links(self._options, self._clock, identity, access=self._access) as links, asyncio.TaskGroup() as group:
+        async with open_links(self._endpoints, self._clock, identity, access=self._access) as links, asyncio.TaskGroup() as group:
             self._links, links.tap = links, self._tap
             self._bridge = bridge = VehicleBridge(links.send, self.command, self._go_on)
             try:

@@ -23,7 +23,8 @@ from importlib import metadata
 from companion.mavlink.commands import CommandServer, Offered
 from companion.mavlink.computer import ComputerReader, computer_status
 from companion.mavlink.operator import Operator
-from companion.mavlink.outputs import OutputOptions, Outputs
+from companion.mavlink.options import OutputOptions
+from companion.mavlink.outputs import Outputs
 from companion.mavlink.parameters import ParameterServer, Store
 from companion.mavlink.refusals import Refusals
 from companion.mavlink.status_texts import MavSeverity, StatusTexts
@@ -68,7 +69,10 @@ class ComponentOptions:
         ValueError: a number out of range.
     """
 
-    outputs: OutputOptions
+    pad_radius_m: float
+    stale_s: float
+    """The time without a sighting after which the pad is no longer sent."""
+    outputs: OutputOptions = field(default_factory=OutputOptions)
     tick_s: float = 0.01
     heartbeat_s: float = 1.0
     state_s: float = 0.2
@@ -79,10 +83,10 @@ class ComponentOptions:
     parameters: tuple[str, ...] = field(
         default=("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "RNGFND1_TYPE", "RNGFND2_TYPE", "RNGFND3_TYPE", "RNGFND4_TYPE")
     )
-    """The parameters that are requested from the autopilot (see `AutopilotOptions.parameters`)."""
+    """The parameters that are requested from the autopilot (see `open_autopilot`)."""
 
     def __post_init__(self) -> None:
-        for name in ("tick_s", "heartbeat_s", "guidance_silence_s"):
+        for name in ("pad_radius_m", "stale_s", "tick_s", "heartbeat_s", "guidance_silence_s"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
 
@@ -168,7 +172,7 @@ class Component(NullObserver):
         self._commands = CommandServer(operator, self._offered)
         self.refusals = Refusals("vehicle.operators")
         self.texts = StatusTexts()
-        self.outputs = Outputs(options.outputs, self._track)
+        self.outputs = Outputs(options.outputs, self._track, options.pad_radius_m, options.stale_s)
 
     def attach(self, autopilot: Autopilot) -> None:
         """Send over this autopilot's links from now on."""
@@ -331,7 +335,7 @@ class Component(NullObserver):
         if belief is None:
             return 0.0 if name == "dl_seen" else None
         if name == "dl_seen":
-            return float(belief.age_s(now) <= self._o.outputs.stale_s)
+            return float(belief.age_s(now) <= self._o.stale_s)
         if name == "dl_age":
             return belief.age_s(now)
         if name == "dl_height":

@@ -14,10 +14,11 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
-from drivers.mavlink.access import AccessOptions
+from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import TimeSyncV2, mav
 from drivers.mavlink.endpoint import Endpoint
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
+from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey
 from drivers.mavlink.signing_times import SigningTimes
 from drivers.mavlink.vehicle import ARMED, is_autopilot, stack_of
@@ -96,10 +97,10 @@ async def observe(endpoint: Endpoint, key: SigningKey | None, of: Met, clock: Cl
 @asynccontextmanager
 async def _opened(endpoint: Endpoint, key: SigningKey | None, clock: Clock) -> AsyncIterator[Links]:
     signing = None if key is None else Signing(key, SigningTimes(None), 0)
-    options = LinkOptions(endpoint, signing=signing, restart_first_s=0.1, restart_most_s=0.5)
+    options = LinkOptions(endpoint, signing, LinkLimits(restart_first_s=0.1, restart_most_s=0.5))
     # Every sender on this link is trusted, because a person stated that the link leads to the autopilot.
     async with (
-        open_links([options], clock, _STATION, access=AccessOptions(everybody=True)) as links,
+        open_links([options], clock, _STATION, access=NamedSenders(everybody=True)) as links,
         asyncio.TaskGroup() as group,
     ):
         probing = group.create_task(_probe(links, clock))

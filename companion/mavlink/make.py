@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 
-from companion.config import build_mavlink
 from companion.config.model import Settings
-from companion.config.vehicle import AutopilotSettings
-from companion.mavlink.component import Component, speaking
+from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.deck_velocity import DeckVelocity
 from companion.mavlink.pilot_operator import PilotTower
 from companion.mavlink.refusals import link_counters
+from companion.mavlink.signed_links import signed_links
 from companion.mavlink.tunables import Tunables
 from companion.runtime.daemon import VehicleLink
 from companion.runtime.health import Health
 from companion.runtime.pilot import Pilot
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.links import Links, Tap
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.ports import Clock
 
 
@@ -35,7 +35,7 @@ class AutopilotPart:
     def __init__(
         self,
         settings: Settings,
-        vehicle: AutopilotSettings,
+        vehicle: AutopilotOptions,
         pilot: Pilot,
         health: Health,
         clock: Clock,
@@ -47,10 +47,11 @@ class AutopilotPart:
         self._tap = tap
         self._open: Autopilot | None = None
         self._links: Links | None = None
-        said = build_mavlink.component_options(vehicle, pilot.pad.disc_radius_m, settings.guidance.stale_after_s)
-        self._options = build_mavlink.autopilot_options(vehicle, settings.service.sample_queue_items, said.parameters)
+        self._options = vehicle
+        self._endpoints = signed_links(vehicle)
+        self._sample_queue_items = settings.service.sample_queue_items
         self.component = Component(
-            said,
+            ComponentOptions(pilot.pad.disc_radius_m, settings.guidance.stale_after_s, settings.landing_target),
             PilotTower(pilot, lambda: self.component.belief, recording),
             Tunables(settings, self._apply),
             healthy=health.flight_fault,
@@ -64,7 +65,14 @@ class AutopilotPart:
     @asynccontextmanager
     async def open(self) -> AsyncIterator[VehicleLink]:
         """Open the autopilot as the daemon's link."""
-        async with open_autopilot(self._options, self._clock) as autopilot:
+        opening = open_autopilot(
+            self._options,
+            self._clock,
+            self._endpoints,
+            parameters=self.component.options.parameters,
+            sample_queue_items=self._sample_queue_items,
+        )
+        async with opening as autopilot:
             self._links, autopilot.links.tap = autopilot.links, self._tap
             autopilot.deck_velocity = DeckVelocity(self._pilot.belief, autopilot)
             async with speaking(self.component, autopilot, self._clock):

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 from companion.mavlink.landing_target import (
     ardupilot_landing_target,
@@ -15,7 +14,8 @@ from companion.mavlink.landing_target import (
     range_along_down,
     target_relative,
 )
-from companion.mavlink.target_track import LOOP_RATE_HZ, TargetSample, TargetTrack, lag_locked, position_at
+from companion.mavlink.options import OutputOptions
+from companion.mavlink.target_track import TargetSample, TargetTrack, lag_locked, position_at
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Condition, Stack
@@ -25,38 +25,6 @@ DEFAULT_PLND_LAG_S, PLND_LAG_MAX_S = 0.02, 0.25
 """Default and largest PLND_LAG of ArduPilot, s."""
 _MAVLINK_RANGEFINDER = 10.0
 """The RNGFNDx_TYPE of a rangefinder that reads DISTANCE_SENSOR."""
-
-
-@dataclass(frozen=True, slots=True)
-class OutputOptions:
-    """The options of the messages about the pad.
-
-    Raises:
-        ValueError: a number out of range.
-    """
-
-    pad_radius_m: float
-    rate_hz: float = 25.0
-    """The rate of LANDING_TARGET; ArduPilot starts at 3 Hz, and 10 to 50 Hz are comfortable."""
-    stale_s: float = 0.5
-    """The time without a sighting after which the pad is no longer sent."""
-    ranges: Literal["auto", "on", "off"] = "auto"
-    """Whether DISTANCE_SENSOR is sent; "auto" sends it if an ArduPilot's parameters name a MAVLink rangefinder."""
-    range_rate_hz: float = 20.0
-    ground_clearance_m: float = 0.1
-    """The reading of a rangefinder while the vehicle is on the ground; ArduPilot refuses to arm without one."""
-    range_id: int = 0
-    vision_target_estimator: bool = False
-    """Whether TARGET_RELATIVE is sent too, because PX4 runs its vision target estimator."""
-    receiver_s: float = 0.5 / LOOP_RATE_HZ
-    """The time from the message's arrival until the autopilot processes it."""
-
-    def __post_init__(self) -> None:
-        for name in ("pad_radius_m", "rate_hz", "stale_s", "range_rate_hz", "ground_clearance_m"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
-        if not 1.0 <= self.rate_hz <= 50.0 or not 0 <= self.range_id <= 255:
-            raise ValueError(f"rate_hz must lie in 1..50 and range_id in 0..255, got {self}")
 
 
 class AutopilotView(Protocol):
@@ -82,10 +50,16 @@ class Outputs:
     """Makes LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR, each when it is due.
 
     No target is sent while the vehicle is on the ground: a target that moves after touchdown can keep ArduPilot from disarming.
+
+    Args:
+        pad_radius_m: the radius of the pad's disc.
+        stale_s: the time without a sighting after which the pad is no longer sent.
     """
 
-    def __init__(self, options: OutputOptions, track: TargetTrack) -> None:
+    def __init__(self, options: OutputOptions, track: TargetTrack, pad_radius_m: float, stale_s: float) -> None:
         self._o = options
+        self._pad_radius_m = pad_radius_m
+        self._stale_s = stale_s
         self._track = track
         self._target_at: MonoNs | None = None
         self._range_at: MonoNs | None = None
@@ -124,7 +98,7 @@ class Outputs:
             self.withheld[why] += 1
             return []
         time_us = seen.at // 1000
-        radius_m = self._o.pad_radius_m
+        radius_m = self._pad_radius_m
         if vehicle.stack is Stack.ARDUPILOT:
             message = ardupilot_landing_target(
                 now // 1000, seen.d_body_pad_ned, seen.R_ned_body, pad_radius_m=radius_m, R_ned_pad=seen.R_ned_pad
@@ -154,7 +128,7 @@ class Outputs:
             return None, "unknown autopilot"
         if vehicle.condition.flying is False:
             return None, "on ground"
-        if sighted is None or seconds_between(sighted, now) > self._o.stale_s:
+        if sighted is None or seconds_between(sighted, now) > self._stale_s:
             return None, "not seen"
         if vehicle.stack is Stack.ARDUPILOT:
             lag_s = min(max(vehicle.parameter_values.get("PLND_LAG", DEFAULT_PLND_LAG_S), 0.0), PLND_LAG_MAX_S)
@@ -170,7 +144,7 @@ class Outputs:
         sigma_m, range_m = 0.05, None
         if vehicle.condition.flying is False:
             range_m = self._o.ground_clearance_m
-        elif sighted is not None and seconds_between(sighted, now) <= self._o.stale_s:
+        elif sighted is not None and seconds_between(sighted, now) <= self._stale_s:
             seen = self._track.at(now)
             if seen is not None:
                 range_m = range_along_down(seen.d_body_pad_ned, seen.R_ned_body)

@@ -166,7 +166,7 @@ class Recording:
             BadInput: this version does not understand them.
         """
         data = self._toml(SETTINGS)
-        return None if data is None else from_mapping(data, f"{self.name}: {SETTINGS}")
+        return None if data is None else from_mapping(data, f"{self.name}: {SETTINGS}", recorded=True)
 
     def camera(self) -> Camera | None:
         """Return the camera that the recording was made with, or None; raises as `settings`."""

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from companion.config.build_vehicle import vehicle_parts
 from companion.config.model import Settings
-from companion.config.vehicle import AutopilotSettings
 from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
 from companion.runtime.event_loop import heeded
@@ -20,6 +19,7 @@ from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome, Pilot
 from companion.runtime.supervise import Body
 from drivers.clock import SystemClock
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.ports import Clock
 
@@ -42,7 +42,7 @@ def make_daemon(
     watching, extras = list(observers), dict[str, Body]()
     recording: Callable[[bool], str | None] | None = None
     tap: Tap | None = None
-    if settings.recorder.enabled or settings.mqtt.transport != "off" or isinstance(settings.vehicle, AutopilotSettings):
+    if settings.recorder.enabled or settings.mqtt.transport != "off" or isinstance(settings.vehicle, AutopilotOptions):
         from companion.recorder.beside import RecorderBeside
         from companion.recorder.setup import recorder_of
 

@@ -71,7 +71,7 @@ def parse_operators(text: str) -> tuple[Named, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class AccessOptions:
+class NamedSenders:
     """The senders that the settings name.
 
     Attributes:
@@ -103,7 +103,7 @@ class _UnknownSender:
 class Access:
     """The senders known so far. There is one instance for all links of a service."""
 
-    options: AccessOptions
+    options: NamedSenders
     autopilot: tuple[Source, tuple[int, int]] | None = None
     """The autopilot's peer and its (system, component)."""
     refused: Counter[str] = field(default_factory=Counter)

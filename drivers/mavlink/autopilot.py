@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import logging
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from drivers.beside import running_beside
-from drivers.mailbox import Latest, Line
-from drivers.mavlink.access import AccessLevel, AccessOptions, Named, Source
+from drivers.mailbox import SAMPLE_QUEUE_ITEMS, Latest, Line
+from drivers.mavlink.access import AccessLevel, NamedSenders, Source
 from drivers.mavlink.boot_clock import BootClock
-from drivers.mavlink.dialect import Message, TimeSyncV2, mav
+from drivers.mavlink.dialect import Message, TimeSyncV2
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.requests import RATES_HZ, Parameters, Streams
-from drivers.mavlink.samples import LocalPosition, MavlinkSampler, SampleOptions
-from drivers.mavlink.setpoint_streamer import SetpointStreamer, StreamerOptions
-from drivers.mavlink.timesync import TimeSync, TimeSyncOptions, answer_to
+from drivers.mavlink.samples import LocalPosition, MavlinkSampler
+from drivers.mavlink.setpoint_streamer import SetpointStreamer
+from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.errors import Recoverable
@@ -32,46 +33,6 @@ from estimator.contracts.time import MonoNs, seconds_between
 _log = logging.getLogger(__name__)
 
 _KNOCK_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class AutopilotOptions:
-    """The options of an autopilot link.
-
-    Raises:
-        ValueError: a number is out of range.
-    """
-
-    links: tuple[LinkOptions, ...]
-    system: int | None = None
-    """System id of the autopilot; None takes the first system that flies."""
-    vessel_system: int | None = None
-    """System id of the ship's own reports; None if no ship reports."""
-    operators: tuple[Named, ...] = ()
-    """Systems that may command this program from elsewhere than the autopilot's own link."""
-    component: int = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
-    """Our own component id; our system id is the autopilot's."""
-    silence_s: float = 3.0
-    """An autopilot that sends nothing for this long is lost; when it comes back everything is requested again."""
-    period_s: float = 0.04
-    """The period of commands and requests."""
-    parameters: tuple[str, ...] = ()
-    """Names of the parameters that are read on each connect."""
-    ranges: bool = True
-    """Whether the autopilot's DISTANCE_SENSOR is used; off if this program is its source."""
-    sample_line: int = 4096
-    samples: SampleOptions = field(default_factory=SampleOptions)
-    sync: TimeSyncOptions = field(default_factory=TimeSyncOptions)
-    streamer: StreamerOptions = field(default_factory=StreamerOptions)
-
-    def __post_init__(self) -> None:
-        if not self.links:
-            raise ValueError("an autopilot needs a link")
-        for number in (self.system, self.vessel_system, self.component):
-            if number is not None and not 1 <= number <= 255:
-                raise ValueError(f"MAVLink ids lie in 1..255, got {number}")
-        if not (self.silence_s > 0 and self.period_s > 0 and self.sample_line > 0):
-            raise ValueError(f"autopilot options out of range: {self}")
 
 
 @dataclass(slots=True)
@@ -94,8 +55,11 @@ class _Known:
 class Autopilot:
     """An open link to an autopilot: read `samples`, give a `command`, add a listener, `send` messages. See `open_autopilot`."""
 
-    def __init__(self, options: AutopilotOptions, links: Links, clock: Clock) -> None:
+    def __init__(
+        self, options: AutopilotOptions, links: Links, clock: Clock, parameters: tuple[str, ...], sample_queue_items: int
+    ) -> None:
         self._o = options
+        self._wanted = parameters
         self._clock = clock
         self._open = True
         self._known: _Known | None = None
@@ -106,7 +70,7 @@ class Autopilot:
         self.links = links
         self.frames: Latest[Frame] = Latest()
         """An autopilot has no frames; a camera driver offers them here."""
-        self.samples: Line[Sample] = Line(options.sample_line)
+        self.samples: Line[Sample] = Line(sample_queue_items)
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=100)
         """The newest STATUSTEXTs of the autopilot, each as (received_at, severity, text)."""
         self.events: deque[int] = deque(maxlen=100)
@@ -194,7 +158,7 @@ class Autopilot:
     def take_ranges(self, take: bool) -> None:
         """Set whether its DISTANCE_SENSOR is used; it is no measurement if the autopilot only echoes what this program sent."""
         if self._known is not None:
-            self._known.sampler.ranges = take and self._o.ranges
+            self._known.sampler.ranges = take
 
     def add_listener(self, listener: Callable[[ReceivedMessage], None]) -> None:
         """Call `listener` with every message of every link except our own, before it becomes samples. It must be quick."""
@@ -217,7 +181,7 @@ class Autopilot:
             self._meet(received, stack_of(message))
         known = self._known
         if known is None or received.system != known.identity.system or received.component != known.identity.component:
-            if self._o.vessel_system == received.system and known is not None and received.access_level >= AccessLevel.REPORTER:
+            if self._o.vessel_id == received.system and known is not None and received.access_level >= AccessLevel.REPORTER:
                 self._offer(known.sampler.vessel(message, received.received_at))
             return
         if received.source != known.source:
@@ -244,7 +208,7 @@ class Autopilot:
             self.samples.offer(sample)
 
     def _chosen(self, received: ReceivedMessage) -> bool:
-        if not is_autopilot(received.message, received.component) or received.system == self._o.vessel_system:
+        if not is_autopilot(received.message, received.component) or received.system == self._o.vessel_id:
             return False
         known = self._known
         if known is not None:
@@ -252,22 +216,22 @@ class Autopilot:
             return (received.system, received.component) == known.identity.address and (
                 received.source == known.source or known.lost
             )
-        return self._o.system in (None, received.system)
+        return self._o.system_id in (0, received.system)
 
     def _meet(self, received: ReceivedMessage, stack: Stack) -> None:
         self.links.bind_autopilot(received)
         known = self._known
         if known is None or known.identity.stack is not stack:
             identity = Identity(received.system, received.component, stack, int(received.message.type))
-            sync = TimeSync(self._o.sync)
+            sync = TimeSync(self._o.timesync)
             clock = BootClock(sync)
-            sampler = MavlinkSampler(stack, clock, self._o.samples, ranges=self._o.ranges)
-            parameters = Parameters(stack, self._o.parameters)
-            streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o.streamer)
+            sampler = MavlinkSampler(stack, clock, self._o.samples)
+            parameters = Parameters(stack, self._wanted)
+            streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o)
             self._known = _Known(
                 identity, sync, clock, sampler, streams, parameters, streamer, received.source, received.received_at
             )
-            self.links.identify(received.system, self._o.component)
+            self.links.identify(received.system, self._o.component_id)
             self._boots = 0
             self.connects += 1
             _log.info("autopilot: %s, system %d, on %s", stack.value, received.system, self.links.all[received.link].endpoint)
@@ -280,12 +244,12 @@ class Autopilot:
     def _restart_requests(self, known: _Known) -> None:
         self.connects += 1
         known.streams.restart()
-        known.parameters.request(self._o.parameters)
+        known.parameters.request(self._wanted)
         _log.info("autopilot: heard again, asking for its streams")
 
     async def _tick(self) -> None:
         while True:
-            await self._clock.sleep(self._o.period_s)
+            await self._clock.sleep(self._o.command_period_s)
             known, now = self._known, self._clock.now()
             if known is not None:
                 self._period(known, now)
@@ -328,17 +292,30 @@ class Autopilot:
 
 
 @asynccontextmanager
-async def open_autopilot(options: AutopilotOptions, clock: Clock) -> AsyncIterator[Autopilot]:
+async def open_autopilot(
+    options: AutopilotOptions,
+    clock: Clock,
+    links: Sequence[LinkOptions] | None = None,
+    *,
+    parameters: tuple[str, ...] = (),
+    sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
+) -> AsyncIterator[Autopilot]:
     """Open the links and keep them open; it does not wait for the autopilot (see `Autopilot.connected`).
 
     Leaving the block for any reason commands the vehicle to hold, or to continue a commanded landing. Until the autopilot is
     found, messages are sent as system 1.
+
+    Args:
+        links: the links of the options with their keys; None for those of the options without any key.
+        parameters: names of the autopilot's parameters that are read on each connect.
+        sample_queue_items: samples that may wait for the reader; the oldest is dropped and counted.
     """
-    identity = (options.system or 1, options.component)
-    reporters = frozenset(() if options.vessel_system is None else (options.vessel_system,))
-    access = AccessOptions(options.operators, reporters)
-    async with open_links(options.links, clock, identity, access=access) as links:
-        autopilot = Autopilot(options, links, clock)
+    if links is None:
+        links = tuple(LinkOptions(endpoint, limits=options) for endpoint in options.endpoints())
+    identity = (options.system_id or 1, options.component_id)
+    access = NamedSenders(options.named_operators(), frozenset({options.vessel_id} - {0}))
+    async with open_links(links, clock, identity, access=access) as opened:
+        autopilot = Autopilot(options, opened, clock, parameters, sample_queue_items)
         async with running_beside([("autopilot-read", autopilot._read()), ("autopilot-tick", autopilot._tick())]):
             try:
                 yield autopilot

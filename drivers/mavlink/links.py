@@ -15,11 +15,12 @@ from typing import Literal
 
 from drivers.beside import running_beside
 from drivers.mailbox import Line
-from drivers.mavlink.access import Access, AccessLevel, AccessOptions, Source
+from drivers.mavlink.access import Access, AccessLevel, NamedSenders, Source
 from drivers.mavlink.codec import Codec, CodecCounters, Unfit
 from drivers.mavlink.containment import Containment
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.endpoint import Address, Endpoint
+from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing
 from drivers.mavlink.wires import Wire, open_wire
 from drivers.reconnect import BackOff, reconnect
@@ -32,25 +33,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class LinkOptions:
-    """One link.
-
-    Raises:
-        ValueError: a number out of range.
-    """
+    """One link: its address, the key that it is signed with, and its limits."""
 
     endpoint: Endpoint
     signing: Signing | None = None
-    peers_max: int = 16
-    """The most peers of a listening socket; the peer that was silent for longest is dropped first."""
-    peer_timeout_s: float = 30.0
-    """Nothing more is sent to a peer that was silent for this long."""
-    restart_first_s: float = 0.2
-    restart_most_s: float = 5.0
-    """Back-off of a link that broke: doubled from the first to the most."""
-
-    def __post_init__(self) -> None:
-        if self.peers_max < 1 or not 0 < self.restart_first_s <= self.restart_most_s or not self.peer_timeout_s > 0:
-            raise ValueError(f"link options out of range: {self}")
+    limits: LinkLimits = field(default_factory=LinkLimits)
 
 
 @dataclass(slots=True)
@@ -171,7 +158,7 @@ class Link:
         if address in self._peers:
             return
         self._forget_silent()
-        if len(self._peers) >= self._o.peers_max:
+        if len(self._peers) >= self._o.limits.peers_max:
             chosen = self._links.access.autopilot
             others = [a for a in self._peers if chosen is None or (self._number, a) != chosen[0]]
             del self._peers[min(others or self._peers, key=lambda a: self._peers[a].received_at)]
@@ -184,7 +171,8 @@ class Link:
 
     async def reconnect(self) -> None:
         """Open the link, and open it again whenever it broke. It never returns."""
-        back_off = BackOff(self._o.restart_first_s, self._o.restart_most_s, healthy_after_s=self._o.restart_most_s)
+        first_s, longest_s = self._o.limits.restart_first_s, self._o.limits.restart_most_s
+        back_off = BackOff(first_s, longest_s, healthy_after_s=longest_s)
         await reconnect(f"MAVLink {self.endpoint}", self._run, back_off, self._clock, self._failed, (Recoverable,))
 
     def _failed(self, why: BaseException) -> None:
@@ -260,13 +248,14 @@ class Link:
     def _forget_silent(self) -> None:
         if not self._asked_for:
             now = self._clock.now()
-            for address in [a for a, p in self._peers.items() if seconds_between(p.received_at, now) > self._o.peer_timeout_s]:
+            silent_s = self._o.limits.peer_timeout_s
+            for address in [a for a, p in self._peers.items() if seconds_between(p.received_at, now) > silent_s]:
                 del self._peers[address]
             self._fold_counters()
 
     def _fold_counters(self) -> None:
         """Sum the counters of peers that are gone into one entry, so that the list stays short."""
-        if len(self.counters.codecs) <= 4 * self._o.peers_max:
+        if len(self.counters.codecs) <= 4 * self._o.limits.peers_max:
             return
         alive = {id(p.codec.counters) for p in self._peers.values()}
         if self._unknown_codec is not None:
@@ -291,7 +280,7 @@ class Links:
     """All links. See `open_links`."""
 
     def __init__(
-        self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int, access: AccessOptions
+        self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], capacity: int, access: NamedSenders
     ) -> None:
         self.access = Access(access)
         self.identity = identity
@@ -352,7 +341,7 @@ async def open_links(
     clock: Clock,
     identity: tuple[int, int],
     capacity: int = 4096,
-    access: AccessOptions | None = None,
+    access: NamedSenders | None = None,
 ) -> AsyncIterator[Links]:
     """Open every link and keep it open; it does not wait for a peer. On leaving all are closed.
 
@@ -361,7 +350,7 @@ async def open_links(
         capacity: messages that may wait for the reader of `Links.heard` before the oldest are dropped.
         access: who is known before anything is heard; nobody where it is None.
     """
-    links = Links(options, clock, identity, capacity, access or AccessOptions())
+    links = Links(options, clock, identity, capacity, access or NamedSenders())
     async with running_beside([(f"mavlink-{link.endpoint}", link.reconnect()) for link in links.all]):
         try:
             yield links

@@ -16,6 +16,7 @@ from drivers.ardrone.samples import height_of_pressure_m
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.mavlink.boot_clock import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.options import SampleOptions
 from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
@@ -31,32 +32,6 @@ _TURN_MAX_RAD_S, _FORCE_MAX_M_S2 = 100.0, 400.0
 """Beyond what a multicopter's inertial sensors can measure: 4,000 degrees/s and 32 g are the widest there are."""
 _PLACE_MAX_M, _SPEED_MAX_M_S = 1e6, 150.0
 _PRESSURE_HPA = (100.0, 1200.0)
-
-
-@dataclass(frozen=True, slots=True)
-class SampleOptions:
-    """How far each reading is trusted.
-
-    Raises:
-        ValueError: a number that is not positive.
-    """
-
-    sigma_tilt_rad: float = math.radians(0.5)
-    sigma_yaw_rad: float = math.radians(3.0)
-    sigma_velocity_m_s: float = 0.1
-    sigma_range_m: float = 0.03
-    sigma_baro_m: float = 0.5
-    sigma_vessel_velocity_m_s: float = 0.2
-    sigma_vessel_heading_rad: float = math.radians(3.0)
-    status_period_s: float = 0.5
-    """An unchanged status is repeated after this."""
-    attitude_gap_s: float = 0.2
-    """A velocity further than this from the newest attitude cannot be turned into `level`."""
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,13 +15,12 @@ When the process itself falls silent the autopilot's own failsafe acts: ArduPilo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum
-from typing import Literal
 
 import numpy as np
 
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, TAKE_OFF_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
@@ -32,50 +31,6 @@ from estimator.contracts.time import MonoNs, seconds_between
 STILL = Velocity(np.zeros(3), 0.0)
 _MEAN_S = 1.0
 """The time over which the velocity that a landing continues with is averaged."""
-
-
-@dataclass(frozen=True, slots=True)
-class StreamerOptions:
-    """The options for flying commands.
-
-    Raises:
-        ValueError: a number is out of range.
-    """
-
-    command_timeout_s: float = 0.25
-    """A velocity older than this is replaced by a hold."""
-    attitude_timeout_s: float = 0.5
-    """Without a heading younger than this no setpoint is sent."""
-    prestream_s: float = 2.0
-    """Setpoints stream this long before PX4 is asked for OFFBOARD; it refuses before about 1.5 s."""
-    repeat_s: float = 1.0
-    """A mode, arming or take-off that did not happen is requested again after this."""
-    tries: int = 5
-    """The number of requests after which it is given up."""
-    take_off_height_m: float = 3.0
-    take_off_timeout_s: float = 15.0
-    landing: Literal["by stack", "mode", "velocity"] = "by stack"
-    """Land by the autopilot's own mode (with LANDING_TARGET on ArduPilot), or descend with the mean of the last horizontal
-    velocities, which is the deck's: PX4's own modes hold still over the ground and lose a moving deck."""
-    descent_rate_m_s: float = 0.4
-    """The descent rate of a landing by velocity."""
-    landing_timeout_s: float = 0.5
-    """A landing that guidance has not renewed for this long is called off."""
-    landing_most_s: float = 15.0
-    """A landing by velocity ends after this, renewed or not; the autopilot then continues one that a person ordered."""
-    landing_depth_m: float = 3.0
-    """A landing by velocity also ends after descending this far, as there is no deck. This does not bound a landing that a person
-    ordered, which may begin at any height."""
-    deck_hold_s: float = 3.0
-    """Time after the last velocity in which a hold moves with the deck; later it holds over the ground."""
-    hold_mode_after_s: float = 6.0
-    """Time without commands from guidance after which the autopilot is put into its own hold mode and our stream ends."""
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not isinstance(value, str) and not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive, got {value!r}")
 
 
 class Hand(Enum):
@@ -96,9 +51,9 @@ class Hand(Enum):
 class SetpointStreamer:
     """Holds the newest command and decides what to send."""
 
-    def __init__(self, identity: Identity, options: StreamerOptions | None = None) -> None:
+    def __init__(self, identity: Identity, options: AutopilotOptions) -> None:
         self._id = identity
-        self._o = options or StreamerOptions()
+        self._o = options
         self._motion: Velocity = STILL
         self._motion_at: MonoNs | None = None
         self._mean_velocity = np.zeros(3)
@@ -242,7 +197,8 @@ class SetpointStreamer:
 
     def _may_ask(self, now: MonoNs) -> bool:
         """Return whether a request may be sent or repeated now, and count it."""
-        if self._asks >= self._o.tries or (self._asked is not None and seconds_between(self._asked, now) < self._o.repeat_s):
+        asked_s = math.inf if self._asked is None else seconds_between(self._asked, now)
+        if self._asks >= self._o.request_tries or asked_s < self._o.request_period_s:
             return False
         self._asked, self._asks = now, self._asks + 1
         return True
@@ -263,7 +219,7 @@ class SetpointStreamer:
             streamed_s = seconds_between(self._streaming_since, now)
             if (self._id.stack is not Stack.PX4 or streamed_s >= self._o.prestream_s) and self._may_ask(now):
                 out.append(set_mode(self._id.stack, self._id.address, self._mode))
-            elif self._asks >= self._o.tries and seconds_between(self._asked or now, now) >= self._o.repeat_s:
+            elif self._asks >= self._o.request_tries and seconds_between(self._asked or now, now) >= self._o.request_period_s:
                 self.hand = Hand.RELEASED
         return out
 
@@ -315,7 +271,7 @@ class SetpointStreamer:
     def _hold(self, now: MonoNs) -> list[Message]:
         """Request the autopilot's own hold mode, hold until it is active, and then send nothing."""
         name = HOLD_MODE.get(self._id.stack)
-        if name is None or self._condition.mode == name or self._asks >= self._o.tries:
+        if name is None or self._condition.mode == name or self._asks >= self._o.request_tries:
             return []
         ask = [set_mode(self._id.stack, self._id.address, name)] if self._may_ask(now) else []
         return self._setpoint(now, STILL) + ask

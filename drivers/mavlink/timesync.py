@@ -12,35 +12,12 @@ from collections import deque
 from dataclasses import dataclass
 
 from drivers.mavlink.dialect import Message, TimeSyncV2
+from drivers.mavlink.options import TimeSyncOptions
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 
 _LOCKED_AFTER = 5
 _JUMPS_TO_BELIEVE = 3
 _SLACK_S = 0.002
-
-
-@dataclass(frozen=True, slots=True)
-class TimeSyncOptions:
-    """How often to ask and what to believe.
-
-    Raises:
-        ValueError: a number that is not positive.
-    """
-
-    period_s: float = 1.0
-    first_period_s: float = 0.1
-    """The period of requests until the offset is locked."""
-    window_s: float = 10.0
-    """How long a round trip counts."""
-    round_trip_max_s: float = 0.25
-    """A longer one says nothing."""
-    drift_ppm: float = 50.0
-    """Most that the two clocks run apart."""
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)!r}")
 
 
 @dataclass(frozen=True, slots=True)

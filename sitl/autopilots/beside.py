@@ -10,12 +10,12 @@ import msgspec
 
 from companion.config.build_vehicle import vehicle_parts
 from companion.config.model import CameraSettings, Settings
-from companion.config.vehicle import AutopilotSettings
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import Pilot
 from drivers.mavlink.autopilot import Autopilot
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Frame
 
@@ -72,10 +72,10 @@ class FlightDaemon:
 def beside_autopilot(settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal") -> Settings:
     """Return the settings with an autopilot at `links` as the vehicle, external frames, and the given start of the landing."""
     vehicle = settings.vehicle
-    if isinstance(vehicle, AutopilotSettings):
+    if isinstance(vehicle, AutopilotOptions):
         vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")
     else:
-        vehicle = AutopilotSettings(links=links)
+        vehicle = AutopilotOptions(links=links)
     return msgspec.structs.replace(
         settings,
         vehicle=vehicle,

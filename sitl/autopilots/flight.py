@@ -26,7 +26,7 @@ from companion.config.model import Settings
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome, Pilot
-from drivers.mavlink.access import AccessOptions
+from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
 from drivers.mavlink.vehicle import Stack
@@ -127,7 +127,7 @@ class AutopilotFlight:
             self._camera = LockStepCamera(self.clock, side.offer, side.concluded, pool)
             async with AsyncExitStack() as stack:
                 links = await stack.enter_async_context(
-                    open_links((link,), self.clock, STATION, access=AccessOptions(everybody=True))
+                    open_links((link,), self.clock, STATION, access=NamedSenders(everybody=True))
                 )
                 program = await stack.enter_async_context(self._program((to_daemon, to_station)))
                 self._stepped_at = time.monotonic()

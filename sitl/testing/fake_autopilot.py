@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from drivers.clock import SystemClock
-from drivers.mavlink.access import AccessOptions
+from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.endpoint import parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
+from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.vehicle import ARMED, Stack, custom_mode, mode_name
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
@@ -211,9 +212,9 @@ class FakeAutopilot:
     @asynccontextmanager
     async def talking_to(self, url: str) -> AsyncIterator[FakeAutopilot]:
         """Alive on a link to `url`."""
-        option = LinkOptions(parse_endpoint(url), restart_first_s=0.02, restart_most_s=0.1)
+        option = LinkOptions(parse_endpoint(url), limits=LinkLimits(restart_first_s=0.02, restart_most_s=0.1))
         async with (
-            open_links([option], self.clock, (self.system, 1), access=AccessOptions(everybody=True)) as links,
+            open_links([option], self.clock, (self.system, 1), access=NamedSenders(everybody=True)) as links,
             asyncio.TaskGroup() as group,
         ):
             self.links = links

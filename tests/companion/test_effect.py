@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from companion.cli.main import main
-from companion.config.effect import without_effect
+from companion.config.effect import MOVED, without_effect
 from companion.config.settings import from_mapping, load, shipped
+from estimator.contracts.errors import BadInput
 
 ARDRONE: dict[str, Any] = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
 AUTOPILOT: dict[str, Any] = ARDRONE | {"vehicle": {"kind": "mavlink", "links": "udpin://127.0.0.1:14550"}}
@@ -29,8 +30,8 @@ AUTOPILOT: dict[str, Any] = ARDRONE | {"vehicle": {"kind": "mavlink", "links": "
         (ARDRONE | {"bridge": {"system_id": 7}}, ("bridge.system_id: without effect, as bridge.links is empty",)),
         (ARDRONE | {"metrics": {"port": 1}}, ('metrics.port: without effect, as metrics.endpoint is "off"',)),
         (
-            AUTOPILOT | {"vehicle": AUTOPILOT["vehicle"] | {"ranges": "off", "range_rate_hz": 5.0}},
-            ('vehicle.range_rate_hz: without effect, as vehicle.ranges is "off"',),
+            AUTOPILOT | {"landing_target": {"ranges": "off", "range_rate_hz": 5.0}},
+            ('landing_target.range_rate_hz: without effect, as landing_target.ranges is "off"',),
         ),
         (
             ARDRONE | {"estimator": {"ekf": {"min_confidence": 0.1}}},
@@ -69,3 +70,15 @@ def test_a_retired_key_is_read_and_told_only_where_it_meant_something(
     assert settings.guidance.pid.heading.kp == 0.5
     assert len([r for r in caplog.messages if "guidance.pid.heading.kd is retired" in r]) == told
     assert data["guidance"]["pid"]["heading"]["kd"] == kd
+
+
+@pytest.mark.parametrize(("old", "new"), sorted(MOVED.items()))
+def test_a_key_that_has_another_name_now_is_refused_in_a_file_and_read_in_a_recording(old: str, new: str) -> None:
+    last = old.rpartition(".")[2]
+    value = {"ranges": "on", "vision_target_estimator": True}.get(last, 2.0)
+    data = AUTOPILOT | {"vehicle": AUTOPILOT["vehicle"] | {last: value}}
+    with pytest.raises(BadInput, match=rf"^own\.toml: {old} is now {new}$"):
+        from_mapping(data, "own.toml")
+    settings = from_mapping(data, "a recording", recorded=True)
+    assert getattr(settings.landing_target, new.rpartition(".")[2]) == value
+    assert from_mapping(data | {"landing_target": {}}, "a recording", recorded=True) == settings

@@ -161,11 +161,13 @@ async def test_a_port_in_use_is_waited_for(caplog: pytest.LogCaptureFixture) -> 
     from drivers.clock import SystemClock
     from drivers.mavlink.endpoint import parse_endpoint
     from drivers.mavlink.links import LinkOptions, open_links
+    from drivers.mavlink.options import LinkLimits
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
         holder.bind(("127.0.0.1", 0))
         port = holder.getsockname()[1]
-        options = LinkOptions(parse_endpoint(f"udpin://127.0.0.1:{port}"), restart_first_s=0.01, restart_most_s=0.02)
+        limits = LinkLimits(restart_first_s=0.01, restart_most_s=0.02)
+        options = LinkOptions(parse_endpoint(f"udpin://127.0.0.1:{port}"), limits=limits)
         async with open_links([options], SystemClock(), (1, 191)) as links:
             async with asyncio.timeout(60):
                 while links.all[0].counters.restarts < 2:  # noqa: ASYNC110 (the link says nothing when it fails)

@@ -7,6 +7,7 @@ import importlib
 import inspect as python
 import pkgutil
 from collections.abc import Iterator
+from typing import get_type_hints
 
 import msgspec
 import pytest
@@ -18,10 +19,12 @@ import estimator
 from companion.config.model import Settings
 from companion.config.refusal import unit_of, walk
 from companion.guidance.options import GuidanceOptions, PidOptions, PlannerOptions
+from companion.mavlink.options import BridgeOptions, OutputOptions
 from companion.recorder.options import RecorderOptions
 from companion.runtime.supervise import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import CameraOptions
+from drivers.mavlink.options import AutopilotOptions, SampleOptions, TimeSyncOptions
 from estimator.contracts.keys import check_ranges
 from estimator.ekf.options import EkfOptions
 from estimator.integrity.options import IntegrityOptions
@@ -29,6 +32,10 @@ from estimator.options import DeadReckoningOptions, EstimatorOptions
 
 IN_THE_FILE = {
     "vehicle": ArDroneOptions,
+    "vehicle.samples": SampleOptions,
+    "vehicle.timesync": TimeSyncOptions,
+    "landing_target": OutputOptions,
+    "bridge": BridgeOptions,
     "estimator": EstimatorOptions,
     "estimator.ekf": EkfOptions,
     "estimator.dead_reckoning": DeadReckoningOptions,
@@ -40,15 +47,21 @@ IN_THE_FILE = {
     "recorder": RecorderOptions,
     "service": RestartOptions,
 }
-STILL_TWICE = {
-    "AutopilotOptions": {"links", "operators", "ranges", "silence_s"},
-    "StreamerOptions": {"command_timeout_s", "descent_rate_m_s", "landing", "take_off_height_m"},
-    "OutputOptions": {"ground_clearance_m", "range_rate_hz", "ranges", "vision_target_estimator"},
-}  # fmt: skip
-"""What is left to do, by class: this may only shrink. A section's keys are compared with the classes of its consumer."""
-SECTIONS = {
-    "AutopilotOptions": "vehicle.", "StreamerOptions": "vehicle.", "OutputOptions": "vehicle.",
-}  # fmt: skip
+
+
+TABLES = {
+    "companion.guidance": ("guidance", "guidance.pid", "guidance.planner"),
+    "companion.mavlink": ("vehicle", "landing_target", "bridge"),
+    "companion.metrics": ("metrics",),
+    "companion.mqtt": ("mqtt",),
+    "companion.recorder": ("recorder",),
+    "companion.runtime": ("service",),
+    "drivers.ardrone": ("vehicle",),
+    "drivers.camera": ("camera",),
+    "drivers.mavlink": ("vehicle", "vehicle.samples", "vehicle.timesync", "bridge"),
+    "estimator": ("estimator", "estimator.ekf", "estimator.dead_reckoning", "estimator.integrity"),
+}
+"""The tables that hold what the classes of a package take."""
 
 
 def classes() -> Iterator[type]:
@@ -63,18 +76,33 @@ def classes() -> Iterator[type]:
                     yield kind
 
 
-def test_no_option_is_declared_a_second_time_beyond_those_that_are_listed() -> None:
-    twice: dict[str, set[str]] = {}
-    keys = {path for path, _ in walk(Settings, "mavlink")}
+def test_no_option_is_declared_a_second_time() -> None:
+    keys = {path for path, _ in walk(Settings)}
+    twice = {
+        (kind.__name__, field.name)
+        for kind in classes()
+        if dataclasses.is_dataclass(kind)
+        for package, tables in TABLES.items()
+        if kind.__module__.startswith(package)
+        for field in dataclasses.fields(kind)
+        if field.default is not dataclasses.MISSING and any(f"{table}.{field.name}" in keys for table in tables)
+    }
+    assert twice == set()
+
+
+def test_no_class_repeats_the_default_of_another() -> None:
+    """A struct declares a key itself or inherits it, and a key that is declared again says the same but for being required."""
     for kind in classes():
-        if not dataclasses.is_dataclass(kind):
+        if not issubclass(kind, msgspec.Struct):
             continue
-        section = SECTIONS.get(kind.__name__)
-        mine = {f.name for f in dataclasses.fields(kind)}
-        again = {name for name in mine if section and section + name in keys}
-        if again:
-            twice[kind.__name__] = again
-    assert twice == STILL_TWICE
+        own = set(vars(kind).get("__annotations__", {}))
+        for base in kind.__mro__[1:]:
+            again = own & set(vars(base).get("__annotations__", {}))
+            assert all(field.required for field in msgspec.structs.fields(kind) if field.name in again), (kind, again)
+
+
+def test_the_vehicle_is_either_driver_s_options() -> None:
+    assert get_type_hints(Settings)["vehicle"] == ArDroneOptions | AutopilotOptions
 
 
 @pytest.mark.parametrize("table", sorted(IN_THE_FILE))

@@ -13,25 +13,24 @@ import pytest
 from msgspec import inspect
 
 from companion.cli.main import main
-from companion.config import build, build_mavlink
+from companion.config import build
 from companion.config.refusal import walk
 from companion.config.settings import Settings, from_mapping
-from companion.config.vehicle import AutopilotSettings, BridgeSettings
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.plan import Plan
-from companion.mavlink.component import ComponentOptions
-from companion.mavlink.outputs import OutputOptions
+from companion.mavlink.options import BridgeOptions
+from companion.mavlink.signed_links import signed_links
 from drivers.ardrone.options import ArDroneOptions
-from drivers.mavlink.autopilot import AutopilotOptions
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 from estimator.options import EstimatorOptions
 
 READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
-    "bridge.links", "bridge.system_id", "bridge.operators",
-    *(f"{table}.signing_{what}_file" for table in ("vehicle", "bridge") for what in ("key", "time")),
 }  # fmt: skip
-TAKEN_WHOLE = ("mqtt.", "metrics.", "recorder.", "service.", "camera.")
+TAKEN_WHOLE = (
+    "mqtt.", "metrics.", "recorder.", "service.", "camera.", "vehicle.", "landing_target.", "bridge."
+)  # fmt: skip
 """Sections that a part takes as they are."""
 MINIMAL = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
 MINIMALS = {
@@ -45,20 +44,10 @@ def parts(settings: Settings) -> list[object]:
     return [
         plain(part)
         for part in (
-            *vehicle(settings), build.tracker(settings), build.estimator_options(settings), settings.guidance,
+            build.tracker(settings), build.estimator_options(settings), settings.guidance,
             Plan.over_the_pad(settings.guidance), settings.camera.file,
         )
     ]  # fmt: skip
-
-
-def vehicle(settings: Settings) -> list[object]:
-    v = settings.vehicle
-    if isinstance(v, ArDroneOptions):
-        return [build.ardrone_options(settings)]
-    return [
-        build_mavlink.autopilot_options(v, settings.service.sample_queue_items, ()),
-        build_mavlink.component_options(v, 0.39, 0.5),
-    ]
 
 
 def plain(value: Any) -> Any:
@@ -83,14 +72,6 @@ def other(field: inspect.Field, path: str) -> object:
         return "pad"
     if path == "camera.file":
         return "photos"
-    if path == "vehicle.configuration_ids":
-        return "00000001,00000002,00000003"
-    if path == "vehicle.further_configuration":
-        return "general:ardrone_name=deck"
-    if path == "vehicle.links":
-        return "udpin://127.0.0.1:0, serial:///dev/ttyAMA0:57600"
-    if path == "vehicle.operators":
-        return "255, 245/190"
     if path == "pad.file":
         return "printed"
     match bare:
@@ -144,23 +125,21 @@ def test_degrees_in_the_file_are_radians_inside() -> None:
 
 def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
     v = from_mapping(MINIMALS["mavlink"], "default").vehicle
-    assert isinstance(v, AutopilotSettings)
+    assert isinstance(v, AutopilotOptions)
     estimator = build.estimator_options(from_mapping(MINIMALS["mavlink"], "default"))
     assert estimator.ekf.velocity_is_over == "ground"
-    options = build_mavlink.autopilot_options(v, 4096, ())
-    assert options == AutopilotOptions(options.links)
-    assert build_mavlink.component_options(v, 0.39, 0.5) == ComponentOptions(OutputOptions(0.39))
+    assert v == AutopilotOptions("tcp://127.0.0.1:5760")
 
 
-@pytest.mark.parametrize("kind", [AutopilotSettings, BridgeSettings])
+@pytest.mark.parametrize("kind", [AutopilotOptions, BridgeOptions])
 def test_links_are_signed_with_one_key_and_ids_of_their_own(
-    tmp_path: Path, kind: type[AutopilotSettings] | type[BridgeSettings]
+    tmp_path: Path, kind: type[AutopilotOptions] | type[BridgeOptions]
 ) -> None:
     key, time = tmp_path / "link.key", tmp_path / "time"
     key.write_bytes(bytes(range(32)))
     key.chmod(0o600)
     urls = "tcp://127.0.0.1:1, tcp://127.0.0.1:2"
-    first, second = build_mavlink.links(kind(urls, signing_key_file=str(key), signing_time_file=str(time)))
+    first, second = signed_links(kind(links=urls, signing_key_file=str(key), signing_time_file=str(time)))
     assert first.signing is not None
     assert second.signing is not None
     assert first.signing.key.secret == bytes(range(32))
@@ -169,16 +148,16 @@ def test_links_are_signed_with_one_key_and_ids_of_their_own(
     first.signing.times.next()
     first.signing.times.close()
     assert time.exists()
-    credential = kind(urls, signing_key_file="credential:link.key")
+    credential = kind(links=urls, signing_key_file="credential:link.key")
     environment = {"CREDENTIALS_DIRECTORY": str(tmp_path), "STATE_DIRECTORY": str(tmp_path / "state")}
-    signing = build_mavlink.links(credential, environment)[0].signing
+    signing = signed_links(credential, environment)[0].signing
     assert signing is not None
     signing.times.next()
     signing.times.close()
     assert (tmp_path / "state/mavlink-signing-time").exists()
     with pytest.raises(BadInput, match="signing key"):
-        build_mavlink.links(kind(urls, signing_key_file=str(tmp_path / "none")))
-    assert build_mavlink.links(BridgeSettings()) == ()
+        signed_links(kind(links=urls, signing_key_file=str(tmp_path / "none")))
+    assert signed_links(BridgeOptions()) == ()
 
 
 CAMERA = '[camera]\nfile = "sim"\nsource = "stream"\ndevice = "rtsp://127.0.0.1/cam"\n'
@@ -192,7 +171,7 @@ def test_links_that_are_not_signed_are_told_of_with_the_cure(
     links: str, level: str, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     caplog.set_level("INFO")
-    build_mavlink.links(AutopilotSettings(links))
+    signed_links(AutopilotOptions(links))
     assert [r.levelname for r in caplog.records if "decklander keys make" in r.getMessage()] == [level]
     file = tmp_path / "build.toml"
     file.write_text(f'[vehicle]\nkind = "mavlink"\nlinks = "{links}"\n{CAMERA}[pad]\nfile = "thesis"\n')

@@ -18,7 +18,7 @@ from msgspec import inspect
 from companion.config import reference
 from companion.config.refusal import walk
 from companion.config.settings import Settings, camera_model, from_mapping, load, pad_model, shipped
-from companion.config.vehicle import AutopilotSettings
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 
 ROOT = Path(__file__).parents[2]
@@ -89,7 +89,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         (
             {"a b": 1},
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
-            "mqtt, metrics, bridge",
+            "mqtt, metrics, landing_target, bridge",
         ),
         ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
         ({"vision": 3}, "vision must be a table of keys, found 3"),
@@ -130,7 +130,7 @@ UNITS = {
     "1/s": "_1_s", "1/s^2": "_1_s2", "threads": "threads", "samples": ("_items", "_samples"),
     "rad": "_rad", "rad/s": "_rad_s", "rad/s/sqrt(Hz)": "_rad_s", "rad/s^2/sqrt(Hz)": "_rad_s2", "m/s^2/sqrt(Hz)": "_m_s2",
     "m/s^3/sqrt(Hz)": "_m_s3", "m/sqrt(s)": "_m", "s/sqrt(s)": "_s_sqrt_s", "rad/sqrt(s)": "_rad_sqrt_s", "1/sqrt(s)": "",
-    "id": "_id", "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames",
+    "id": "_id", "ppm": "_ppm", "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames",
 }  # fmt: skip
 GAINS_AND_RATIOS = {
     "kp",
@@ -142,6 +142,8 @@ GAINS_AND_RATIOS = {
     "soft_least",
     "restart_factor",
     "restart_give_up_after",
+    "request_tries",
+    "peers_max",
     "buffers",
     "sigma_velocity_scale",
     "sigma_velocity_fraction",
@@ -208,6 +210,9 @@ def good_settings(draw: st.DrawFn) -> Settings:
     data["mqtt"].update(commands="off", command_key_file="")
     data.setdefault("metrics", {}).update(endpoint="off")
     data["vehicle"].pop("vessel_id", None)
+    for table in (data["vehicle"], data.setdefault("bridge", {})):
+        if table is not data["vehicle"] or kind == "mavlink":
+            table.update(restart_first_s=0.1, restart_most_s=1.0)
     data["camera"].update(reconnect_first_s=0.1, reconnect_most_s=1.0, controls="", device="usb")
     data["camera"].update(draw(st.sampled_from([{"source": "v4l2"}, {"source": "stream"}, {"source": "vehicle", "device": ""}])))
     planner.update(final_height_m=0.2, approach_height_m=1.0, climb_after_s=1.0, give_up_after_s=9.0)
@@ -268,7 +273,7 @@ def test_keys_of_links_are_relative_to_the_settings_file(tmp_path: Path) -> None
     more = 'signing_key_file = "link.key"\n[camera]'
     file.write_text(AUTOPILOT.replace("[camera]", more))
     vehicle = load(file).vehicle
-    assert isinstance(vehicle, AutopilotSettings)
+    assert isinstance(vehicle, AutopilotOptions)
     assert vehicle.signing_key_file == str(tmp_path / "link.key")
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from companion.config.settings import load
-from companion.config.vehicle import endpoints
 from companion.metrics.exposition import families
 from companion.metrics.settings import MetricsSettings
 from companion.runtime.health import Health
@@ -80,7 +79,7 @@ def test_the_rig_of_compose_fits_its_services() -> None:
     text = (ROOT / "compose.yaml").read_text()
     services = set(re.findall(r"^  (\w+):$", text, re.MULTILINE))
     assert isinstance(rig.vehicle, ArDroneOptions)
-    (bridge,) = endpoints(rig.bridge.links)
+    (bridge,) = rig.bridge.endpoints()
     assert f":{bridge.port}/udp" in text
     assert {rig.vehicle.host, rig.mqtt.host} <= services
     assert rig.metrics.port == MetricsSettings().port

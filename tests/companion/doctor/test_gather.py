@@ -24,10 +24,8 @@ from companion.metrics.endpoint import MetricsEndpoint
 from companion.metrics.settings import MetricsSettings
 from companion.runtime.health import Health
 from drivers.clock import SystemClock
-from drivers.mavlink.autopilot import AutopilotOptions
 from drivers.mavlink.dialect import Event, mav
-from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
 from sitl.testing.fake_ardrone import until
@@ -42,8 +40,8 @@ async def examined(fake: FakeAutopilot, seconds: float = 1.0) -> Snapshot:
         await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
         assert fake.links is not None
         host, port = fake.links.all[0].local or ("", 0)
-        link = LinkOptions(parse_endpoint(f"udpout://{host}:{port}"))
-        return await examine(AutopilotOptions((link,), silence_s=1.0, period_s=0.01), SystemClock(), seconds)
+        options = AutopilotOptions(f"udpout://{host}:{port}", silence_s=1.0, command_period_s=0.01)
+        return await examine(options, SystemClock(), seconds)
 
 
 async def test_a_broken_ardupilot_is_found_out_over_the_wire() -> None:
@@ -78,8 +76,7 @@ async def test_a_px4_without_the_module_and_with_an_event() -> None:
 
 
 async def test_nobody_there() -> None:
-    link = LinkOptions(parse_endpoint("serial:///dev/no-such-port:57600"))
-    snapshot = await examine(AutopilotOptions((link,)), SystemClock(), 0.3)
+    snapshot = await examine(AutopilotOptions("serial:///dev/no-such-port:57600"), SystemClock(), 0.3)
     assert [f.rule for f in diagnose(snapshot)] == ["link-down"]
 
 

@@ -18,14 +18,12 @@ from hypothesis import strategies as st
 import companion.config.settings as settings_of
 from companion.mavlink.bridge import VehicleBridge
 from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.mavlink.outputs import OutputOptions
 from companion.mavlink.tunables import Tunables
 from drivers.clock import SystemClock
-from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
+from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import MonoNs
@@ -166,16 +164,15 @@ async def bordered(*more_links: str, clock: Clock | None = None, **options: Any)
         return RelativeState(now, "dead_reckoning", pad, np.zeros(3), 0.2, np.eye(7) * 1e-4, now, True)
 
     component = Component(
-        ComponentOptions(OutputOptions(pad_radius_m=0.39)),
+        ComponentOptions(0.39, 0.5),
         tower,
         Tunables(settings_of.load("sim"), lambda settings: None),
         healthy=lambda: None,
         believe=believe,
         clock=clock,
     )
-    links = tuple(LinkOptions(parse_endpoint(url)) for url in (f"udpin://{HOST}:0", *more_links))
-    given = AutopilotOptions(links, vessel_system=17, parameters=("PLND_LAG",), **options)
-    async with open_autopilot(given, clock) as autopilot:
+    given = AutopilotOptions(", ".join((f"udpin://{HOST}:0", *more_links)), vessel_id=17, **options)
+    async with open_autopilot(given, clock, parameters=("PLND_LAG",)) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
         bridge = VehicleBridge(autopilot.links.send, lambda command: None)
         autopilot.add_listener(lambda received: bridge.on_message(received, AUTOPILOT[0], clock.now()))

@@ -13,14 +13,12 @@ import numpy as np
 import companion.config.settings as settings_of
 from companion.config.model import Settings
 from companion.mavlink.component import Component, ComponentOptions, speaking
-from companion.mavlink.outputs import OutputOptions
+from companion.mavlink.options import OutputOptions
 from companion.mavlink.tunables import Tunables
 from companion.runtime.observer import Decision
 from drivers.clock import SystemClock
-from drivers.mavlink.access import Named
-from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
-from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.autopilot import Autopilot, open_autopilot
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import IntegrityAlert, RelativeState
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Range
@@ -65,18 +63,19 @@ async def staged(
     fake: FakeAutopilot,
     *more_links: str,
     outputs: dict[str, Any] | None = None,
-    operators: tuple[Named, ...] = (),
+    operators: str = "",
     **options: Any,
 ) -> AsyncIterator[Stage]:
     """Autopilot found, component speaking, guidance deciding at 50 Hz."""
     clock = SystemClock()
-    links = tuple(
-        LinkOptions(parse_endpoint(u), restart_first_s=0.02, restart_most_s=0.1) for u in (f"udpin://{HOST}:0", *more_links)
-    )
-    output = OutputOptions(pad_radius_m=0.39, **(outputs or {}))
-    component_options = ComponentOptions(output, **options)
+    component_options = ComponentOptions(0.39, 0.5, OutputOptions(**(outputs or {})), **options)
     autopilot_options = AutopilotOptions(
-        links, silence_s=0.8, period_s=0.02, parameters=component_options.parameters, operators=operators
+        ", ".join((f"udpin://{HOST}:0", *more_links)),
+        silence_s=0.8,
+        command_period_s=0.02,
+        operators=operators,
+        restart_first_s=0.02,
+        restart_most_s=0.1,
     )
     stage: Stage
     tower = Tower()
@@ -89,7 +88,7 @@ async def staged(
         believe=lambda now: stage.believe(now),
         clock=clock,
     )
-    async with open_autopilot(autopilot_options, clock) as autopilot:
+    async with open_autopilot(autopilot_options, clock, parameters=component_options.parameters) as autopilot:
         stage = Stage(component, autopilot, fake, tower, applied)
 
         async def pump() -> None:

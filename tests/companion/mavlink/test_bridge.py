@@ -16,8 +16,9 @@ import pytest
 from companion.mavlink.bridge import VehicleBridge
 from companion.mavlink.bridge_part import BridgePart
 from companion.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
+from companion.mavlink.options import BridgeOptions
 from drivers.clock import SystemClock
-from drivers.mavlink.access import AccessLevel, Named
+from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import parse_endpoint
@@ -140,10 +141,11 @@ def test_arm_take_off_hold_and_land() -> None:
 
 
 @asynccontextmanager
-async def bridged(**options: Any) -> AsyncIterator[tuple[BridgePart, Links, list[Command]]]:
+async def bridged(operators: str = "", **options: Any) -> AsyncIterator[tuple[BridgePart, Links, list[Command]]]:
     """The bridge listening on a port of its own, with a drone that stands."""
     clock, commands = SystemClock(), list[Command]()
-    part = BridgePart([LinkOptions(parse_endpoint(f"udpin://{HOST}:0"))], 7, clock, **options)
+    links = [LinkOptions(parse_endpoint(f"udpin://{HOST}:0"))]
+    part = BridgePart(BridgeOptions(system_id=7, operators=operators), links, clock, **options)
     part._taker = commands.append
     async with asyncio.TaskGroup() as group:
         running = group.create_task(part.run())
@@ -187,8 +189,8 @@ class Wire:
 LAND = mav.MAVLink_command_long_message(7, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
-@pytest.mark.parametrize("operators", [(), (Named(254),)])
-async def test_it_is_closed_to_whoever_is_not_named(operators: tuple[Named, ...]) -> None:
+@pytest.mark.parametrize("operators", ["", "254"])
+async def test_it_is_closed_to_whoever_is_not_named(operators: str) -> None:
     async with bridged(operators=operators) as (part, links, commands):
         wire = Wire(links, (255, 190))
         beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
@@ -200,7 +202,7 @@ async def test_it_is_closed_to_whoever_is_not_named(operators: tuple[Named, ...]
 
 
 async def test_a_named_station_is_told_and_obeyed() -> None:
-    async with bridged(operators=(Named(255),)) as (_part, links, commands):
+    async with bridged(operators="255") as (_part, links, commands):
         wire = Wire(links, (255, 190))
         answers = await wire.say(LAND)
         assert [(m.command, m.result) for m in answers if m.get_type() == "COMMAND_ACK"] == [(21, ACCEPTED)]
@@ -210,7 +212,7 @@ async def test_a_named_station_is_told_and_obeyed() -> None:
 
 async def test_no_fields_of_any_message_end_it() -> None:
     chance = random.Random(5)
-    async with bridged(operators=(Named(255),)) as (_part, links, _commands):
+    async with bridged(operators="255") as (_part, links, _commands):
         wire = Wire(links, (255, 190))
         frames = []
         for cls in mav.mavlink_map.values():
@@ -229,7 +231,8 @@ async def test_mavsdk_flies_it() -> None:
     from mavsdk.asyncio.plugins.action import ActionAsync
 
     port, clock, commands = free_port(), SystemClock(), list[Command]()
-    part = BridgePart([LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))], 7, clock, operators=(Named(245),))
+    links = [LinkOptions(parse_endpoint(f"udpout://{HOST}:{port}"))]
+    part = BridgePart(BridgeOptions(system_id=7, operators="245"), links, clock)
     with pytest.raises(Recoverable, match="not there"):
         part.command(Land())
     part._taker = commands.append

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.clock import SystemClock
-from drivers.mavlink.access import Named
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.time import MonoNs
@@ -144,7 +143,7 @@ async def test_what_a_router_forwards_from_the_autopilot_s_own_port_is_obeyed() 
 
 
 async def test_a_named_operator_is_obeyed_and_told_from_its_first_port_alone(stranger: socket.socket) -> None:
-    async with bordered(operators=(Named(255),)) as border:
+    async with bordered(operators="255") as border:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
             station.setblocking(False)
             await border.send(command(193, 0), wire=station, source=STATION)

@@ -10,10 +10,9 @@ import pytest
 
 from companion.mavlink.deck_velocity import FORGET_S, DeckVelocity
 from drivers.clock import SystemClock
-from drivers.mavlink.autopilot import AutopilotOptions, open_autopilot
+from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.dialect import Message
-from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.commands import Velocity
@@ -117,7 +116,7 @@ async def test_velocities_go_to_the_autopilot_with_the_decks_way_on_top() -> Non
     fake = FakeAutopilot(Stack.ARDUPILOT, mode="guided")
     fake.armed, fake.landed_state = True, 2
     fake.rpy = lambda t: (0.0, 0.0, YAW)
-    options = AutopilotOptions((LinkOptions(parse_endpoint(f"udpin://{HOST}:0")),), period_s=0.02)
+    options = AutopilotOptions(f"udpin://{HOST}:0", command_period_s=0.02)
 
     def told() -> list[Message]:
         return fake.of("SET_POSITION_TARGET_LOCAL_NED")

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from companion.mavlink.component import Component, ComponentOptions
-from companion.mavlink.outputs import OutputOptions
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision
 from drivers.mavlink.containment import Containment
@@ -51,7 +50,7 @@ class Said:
 
 def flown(health: Health, clock: Clock, broken: str | None = None, error: BaseException | None = None) -> Said:
     """Ten seconds of ticks with guidance deciding, one thing that it says broken."""
-    options = ComponentOptions(OutputOptions(pad_radius_m=0.39))
+    options = ComponentOptions(0.39, 0.5)
     component = Component(options, Tower(), None, healthy=health.flight_fault, clock=clock, health=health)
     said = Said(clock)
     autopilot: Any = SimpleNamespace(links=said, add_listener=lambda listener: None, connected=False)

@@ -11,13 +11,13 @@ import numpy as np
 
 import companion.config.settings as settings_of
 from companion.config.build_pilot import make_pilot
-from companion.config.vehicle import AutopilotSettings
 from companion.mavlink.make import AutopilotPart
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.health import Health
 from companion.runtime.pilot import FlightOutcome
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav
+from drivers.mavlink.options import AutopilotOptions
 from sitl.autopilots.lock_step import LockStepClock
 from sitl.testing.fake_ardrone import until
 from tests.companion.mavlink.aircraft import TICK_S, Aircraft, settled
@@ -43,7 +43,7 @@ async def test_commanded_flown_and_landed_over_mavlink_only() -> None:
     craft = Aircraft(clock, "demo", height_m=1.8, forward_m=0.3, right_m=-0.2)
     crossed: Counter[tuple[str, str]] = Counter()
     health = Health(clock)
-    assert isinstance(loaded.vehicle, AutopilotSettings)
+    assert isinstance(loaded.vehicle, AutopilotOptions)
     part = AutopilotPart(
         loaded, loaded.vehicle, pilot, health, clock, tap=lambda at, link, way, data, name: crossed.update([(way, name)])
     )

@@ -13,7 +13,6 @@ import pytest
 
 from companion.mavlink.operator import LandingProgress
 from companion.mavlink.tunables import NAMES
-from drivers.mavlink.access import Named
 from sitl.testing.fake_autopilot import FakeAutopilot
 from tests.companion.mavlink.stage import HOST, PAD_NED, Stage, staged
 
@@ -34,7 +33,7 @@ async def met() -> AsyncIterator[tuple[Stage, Any]]:
     port = free_port()
     async with (
         staged(
-            FakeAutopilot(parameters={"PLND_LAG": 0.02}), f"udpout://{HOST}:{port}", operators=(Named(245),), heartbeat_s=0.2
+            FakeAutopilot(parameters={"PLND_LAG": 0.02}), f"udpout://{HOST}:{port}", operators="245", heartbeat_s=0.2
         ) as stage,
         mavsdk.Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as station,
     ):

@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from drivers.mavlink.access import Access, AccessLevel, AccessOptions, Named, Source, parse_operators
+from drivers.mavlink.access import Access, AccessLevel, Named, NamedSenders, Source, parse_operators
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 
@@ -25,25 +25,25 @@ def level(access: Access, source: Source, ids: tuple[int, int], seconds: float =
 
 
 def test_by_default_nobody_may_command() -> None:
-    access = Access(AccessOptions())
+    access = Access(NamedSenders())
     for ids in (STATION, AUTOPILOT, SHIP, (66, 1)):
         assert level(access, A, ids) is AccessLevel.UNKNOWN
         assert level(access, CABLE, ids) is AccessLevel.PEER, "spoken to since we were told to connect there"
 
 
 def test_whoever_signs_may_command() -> None:
-    assert level(Access(AccessOptions()), A, STATION, signed=True) is AccessLevel.OPERATOR
+    assert level(Access(NamedSenders()), A, STATION, signed=True) is AccessLevel.OPERATOR
 
 
 def test_whoever_is_heard_where_the_autopilot_is_may_command() -> None:
-    access = Access(AccessOptions(), autopilot=(A, AUTOPILOT))
+    access = Access(NamedSenders(), autopilot=(A, AUTOPILOT))
     assert level(access, A, STATION) is AccessLevel.OPERATOR
     assert level(access, B, STATION) is AccessLevel.UNKNOWN
 
 
 @pytest.mark.parametrize("signed", [False, True])
 def test_nobody_else_is_taken_for_the_autopilot(signed: bool) -> None:
-    access = Access(AccessOptions((Named(1),)), autopilot=(A, AUTOPILOT))
+    access = Access(NamedSenders((Named(1),)), autopilot=(A, AUTOPILOT))
     for elsewhere in (B, CABLE):
         assert level(access, elsewhere, AUTOPILOT, signed=signed) is AccessLevel.UNKNOWN
     assert access.refused["impostor"] == 2
@@ -51,7 +51,7 @@ def test_nobody_else_is_taken_for_the_autopilot(signed: bool) -> None:
 
 
 def test_a_named_system_is_held_to_its_peer_until_that_one_falls_silent() -> None:
-    access = Access(AccessOptions((Named(255),), silence_s=30.0))
+    access = Access(NamedSenders((Named(255),), silence_s=30.0))
     assert level(access, A, STATION, 0.0) is AccessLevel.OPERATOR
     assert level(access, B, STATION, 1.0) is AccessLevel.UNKNOWN
     assert level(access, B, (255, 1), 2.0) is AccessLevel.UNKNOWN, "another component is no way in"
@@ -62,20 +62,20 @@ def test_a_named_system_is_held_to_its_peer_until_that_one_falls_silent() -> Non
 
 
 def test_one_component_of_a_system_may_be_named_alone() -> None:
-    access = Access(AccessOptions((Named(255, 190),)))
+    access = Access(NamedSenders((Named(255, 190),)))
     assert level(access, A, (255, 191)) is AccessLevel.UNKNOWN
     assert level(access, A, STATION) is AccessLevel.OPERATOR
 
 
 def test_a_ship_is_listened_to_and_may_not_command() -> None:
-    access = Access(AccessOptions(reporters=frozenset({17})))
+    access = Access(NamedSenders(reporters=frozenset({17})))
     assert level(access, A, SHIP) is AccessLevel.REPORTER
     assert level(access, B, SHIP) is AccessLevel.UNKNOWN
-    assert level(Access(AccessOptions(reporters=frozenset({17}))), CABLE, SHIP) is AccessLevel.PEER
+    assert level(Access(NamedSenders(reporters=frozenset({17}))), CABLE, SHIP) is AccessLevel.PEER
 
 
 def test_a_stranger_that_stays_is_told_of_once_with_the_cure(caplog: pytest.LogCaptureFixture) -> None:
-    access = Access(AccessOptions())
+    access = Access(NamedSenders())
     with caplog.at_level(logging.WARNING):
         for n in range(100):
             access.refuse_unknown(STATION, A[1], at(0.1 * n))

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 
 from drivers.clock import SystemClock
-from drivers.mavlink.autopilot import Autopilot, AutopilotOptions, open_autopilot
+from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import TimeSyncV2, mav
-from drivers.mavlink.endpoint import parse_endpoint
-from drivers.mavlink.links import LinkOptions
-from drivers.mavlink.setpoint_streamer import StreamerOptions
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.errors import Recoverable
@@ -28,10 +26,10 @@ HOST = "127.0.0.1"
 
 
 @asynccontextmanager
-async def flown(fake: FakeAutopilot, **options: Any) -> AsyncIterator[Autopilot]:
-    link = LinkOptions(parse_endpoint(f"udpin://{HOST}:0"), restart_first_s=0.02, restart_most_s=0.1)
-    given = {"silence_s": 0.8, "period_s": 0.02} | options
-    async with open_autopilot(AutopilotOptions((link,), **given), SystemClock()) as autopilot:
+async def flown(fake: FakeAutopilot, parameters: tuple[str, ...] = (), **options: Any) -> AsyncIterator[Autopilot]:
+    quick = {"silence_s": 0.8, "command_period_s": 0.02, "restart_first_s": 0.02, "restart_most_s": 0.1}
+    given = AutopilotOptions(f"udpin://{HOST}:0", **(quick | options))
+    async with open_autopilot(given, SystemClock(), parameters=parameters) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
         host, port = autopilot.links.all[0].local or ("", 0)
         async with fake.talking_to(f"udpout://{host}:{port}"):
@@ -77,8 +75,7 @@ async def test_an_autopilot_that_waits_to_be_spoken_to_is_found() -> None:
         await until(lambda: fake.links is not None and fake.links.all[0].local is not None)
         assert fake.links is not None
         host, port = fake.links.all[0].local or ("", 0)
-        link = LinkOptions(parse_endpoint(f"udpout://{host}:{port}"))
-        async with open_autopilot(AutopilotOptions((link,)), SystemClock()) as autopilot:
+        async with open_autopilot(AutopilotOptions(f"udpout://{host}:{port}"), SystemClock()) as autopilot:
             await until(lambda: autopilot.connected)
 
 
@@ -138,7 +135,7 @@ async def test_others_are_not_mistaken_for_the_autopilot() -> None:
     ship = FakeAutopilot(system=17)
     ship.heartbeat = lambda: mav.MAVLink_heartbeat_message(11, 3, 0, 0, 4, 3)  # type: ignore[method-assign]
     fake = FakeAutopilot()
-    async with flown(fake, vessel_system=17) as autopilot:
+    async with flown(fake, vessel_id=17) as autopilot:
         host, port = autopilot.links.all[0].local or ("", 0)
         async with ship.talking_to(f"udpout://{host}:{port}"):
             await until(lambda: ship.links is not None and 17 in autopilot.links.access._held)
@@ -159,7 +156,7 @@ async def test_others_are_not_mistaken_for_the_autopilot() -> None:
 async def test_flown_by_velocity_and_landed_through_mavlink_alone() -> None:
     fake = FakeAutopilot(Stack.PX4, mode="auto.loiter")
     fake.rpy = lambda t: (0.0, 0.0, math.radians(90.0))
-    async with flown(fake, streamer=StreamerOptions(prestream_s=1.6)) as autopilot:
+    async with flown(fake, prestream_s=1.6) as autopilot:
         async with asyncio.timeout(60):
             while fake.mode != "offboard" or fake.v_ned[1] < 0.9:
                 autopilot.command(Velocity(np.array([1.0, 0.0, 0.0]), 0.0))

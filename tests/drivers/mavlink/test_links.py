@@ -11,26 +11,28 @@ from typing import Any
 import pytest
 
 from drivers.clock import SystemClock
-from drivers.mavlink.access import AccessOptions
+from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.links import LinkOptions, Links, open_links
+from drivers.mavlink.options import LinkLimits
 from drivers.mavlink.signing import Signing, SigningKey
 from drivers.mavlink.signing_times import SigningTimes
 from estimator.contracts.errors import BadInput, Recoverable
 from sitl.testing.fake_ardrone import until
 
 HOST = "127.0.0.1"
-ANYBODY = AccessOptions(everybody=True)
+ANYBODY = NamedSenders(everybody=True)
 
 
 def heartbeat(kind: int = 18) -> Message:
     return mav.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3)
 
 
-def quick(url: str, **options: Any) -> LinkOptions:
-    return LinkOptions(parse_endpoint(url), restart_first_s=0.02, restart_most_s=0.1, **options)
+def quick(url: str, signing: Signing | None = None, **limits: Any) -> LinkOptions:
+    quickly = LinkLimits(restart_first_s=0.02, restart_most_s=0.1, **limits)
+    return LinkOptions(parse_endpoint(url), signing, quickly)
 
 
 def port_of(links: Links, number: int = 0) -> int:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.mavlink.dialect import Message, mav
+from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
-from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer, StreamerOptions
+from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.vehicle import COPTER_MODES, PX4_MODES, Condition, Identity, Stack, custom_mode, mode_name, set_mode
 from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
@@ -24,7 +25,7 @@ class Flight:
     """A helm in virtual time."""
 
     def __init__(self, stack: Stack, mode: str = "loiter", **options: object) -> None:
-        self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), StreamerOptions(**options))  # type: ignore[arg-type]
+        self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), AutopilotOptions("udpin://127.0.0.1:0", **options))  # type: ignore[arg-type]
         self.now = MonoNs(50 * S)
         self.condition = Condition(mode, True, True)
         self.told()
@@ -117,7 +118,7 @@ def test_px4_hears_setpoints_before_it_is_asked_for_offboard() -> None:
 
 
 def test_a_mode_that_does_not_come_is_asked_for_a_few_times_and_then_left() -> None:
-    flight = Flight(Stack.ARDUPILOT, tries=3)
+    flight = Flight(Stack.ARDUPILOT, request_tries=3)
     assert len(modes(flight.periods(8.0, GO))) == 3
     assert flight.streamer.hand is Hand.RELEASED
     assert flight.periods(1.0, GO) == []

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
 from drivers.mavlink.dialect import Message, mav
-from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer, StreamerOptions
+from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.vehicle import Condition, Identity, Stack
 from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
 from estimator.contracts.geometry import F64, Rotation
@@ -28,7 +30,7 @@ class Flight:
     """A helm, with a heading of north at every period unless it is `blind`."""
 
     def __init__(self, stack: Stack = Stack.ARDUPILOT, mode: str = "loiter", **options: object) -> None:
-        self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), StreamerOptions(**options))  # type: ignore[arg-type]
+        self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), AutopilotOptions("udpin://127.0.0.1:0", **options))  # type: ignore[arg-type]
         self.told(mode)
 
     def told(self, mode: str, *, flying: bool | None = True, armed: bool | None = True) -> None:
@@ -63,11 +65,14 @@ def ours(stack: Stack = Stack.ARDUPILOT, way: F64 | None = None, **options: obje
     return flight
 
 
-@pytest.mark.parametrize("name", [n for n in StreamerOptions.__slots__ if n != "landing"])
-def test_every_number_is_positive(name: str) -> None:
-    for bad in (0, -1, math.nan, math.inf):
+NUMBERS = [n for n, v in msgspec.structs.asdict(AutopilotOptions("udpin://127.0.0.1:0")).items() if isinstance(v, int | float)]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_every_number_is_finite_and_not_negative(name: str) -> None:
+    for bad in (-1, math.nan, math.inf):
         with pytest.raises(ValueError, match=name):
-            StreamerOptions(**{name: bad})
+            AutopilotOptions("udpin://127.0.0.1:0", **{name: bad})
 
 
 def test_a_new_helm_has_nothing_and_counts_nothing() -> None:
@@ -347,7 +352,7 @@ def test_a_take_off_is_tried_for_fifteen_seconds() -> None:
 
 
 def test_arming_and_taking_off_carry_nothing_else_and_are_asked_for_again_though_one_try_is_allowed() -> None:
-    flight = Flight(mode="guided", tries=1)
+    flight = Flight(mode="guided", request_tries=1)
     flight.told("guided", flying=False, armed=False)
     flight.take(TakeOff(), 0)
     for t in (0, 1000, 2000):

@@ -1,0 +1,49 @@
+"""The options of what this program says over MAVLink: the tables [landing_target] and [bridge] of the settings file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from drivers.mavlink.options import MavlinkOptions
+from estimator.contracts.keys import check_ranges, choice, number
+
+
+class OutputOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """What an autopilot is told of the pad: LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR (docs/mavlink.md).
+
+    Raises:
+        ValueError: a number outside its range.
+    """
+
+    rate_hz: Annotated[
+        float, number("LANDING_TARGET messages a second, at least", "Hz", 1.0, 50.0, "10 to 50 suit ArduPilot")
+    ] = 25.0
+    receiver_s: Annotated[
+        float,
+        number("time from a message's arrival until the autopilot uses it", "s", 0.0, 0.2, "half a period of ArduPilot's 400 Hz"),
+    ] = 0.00125
+    vision_target_estimator: Annotated[bool, choice("PX4 runs its vision target estimator: send TARGET_RELATIVE too")] = False
+    ranges: Annotated[
+        Literal["auto", "on", "off"],
+        choice("send DISTANCE_SENSOR; auto where an ArduPilot's parameters say that its rangefinder is a MAVLink one"),
+    ] = "auto"
+    range_rate_hz: Annotated[float, number("DISTANCE_SENSOR messages a second", "Hz", 1.0, 50.0)] = 20.0
+    range_id: Annotated[int, number("id of the sensor in DISTANCE_SENSOR", "id", 0, 255)] = 0
+    ground_clearance_m: Annotated[
+        float, number("what a rangefinder would read while the vehicle stands; ArduPilot does not arm without", "m", 0.02, 2.0)
+    ] = 0.1
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+class BridgeOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True):
+    """An AR.Drone shown to ground stations as a MAVLink quadrotor: seen, armed, taken off, held and landed from there.
+
+    Raises:
+        ValueError: as `MavlinkOptions`.
+    """
+
+    system_id: Annotated[int, number("system id the drone is shown as", "id", 1, 255)] = 1

@@ -1,0 +1,220 @@
+"""The options of MAVLink links and of an autopilot as the vehicle: the table [vehicle] of the settings file with kind "mavlink".
+
+It imports nothing of the dialect, so that settings can be read without loading it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from drivers.mavlink.access import Named, parse_operators
+from drivers.mavlink.endpoint import Endpoint, parse_endpoint
+from estimator.contracts.errors import BadInput
+from estimator.contracts.keys import check_ranges, choice, number, text
+
+LINKS = "MAVLink links, with commas between: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD"
+
+
+class LinkLimits(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The limits of each link.
+
+    Raises:
+        ValueError: a number outside its range, or back-offs that do not go together.
+    """
+
+    peers_max: Annotated[
+        int, number("most peers of a listening socket; the one that was silent for longest is dropped first", "1", 1, 1000)
+    ] = 16
+    peer_timeout_s: Annotated[
+        float, number("nothing more is sent to a peer of a listening socket that was silent for this long", "s", 0.05, 3600.0)
+    ] = 30.0
+    restart_first_s: Annotated[float, number("rest before a link that broke is opened again", "s", 0.01, 60.0)] = 0.2
+    restart_most_s: Annotated[float, number("longest rest; each is twice the one before", "s", 0.01, 600.0)] = 5.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.restart_most_s < self.restart_first_s:
+            raise ValueError(
+                f"restart_most_s ({self.restart_most_s:g} s) must not be shorter than restart_first_s "
+                f"({self.restart_first_s:g} s)"
+            )
+
+
+class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Links, who may command over them, and how they are signed.
+
+    Raises:
+        ValueError: links or operators that cannot be read; and as `LinkLimits`.
+    """
+
+    links: Annotated[str, text(f"{LINKS}; empty for none", 4096, shortest=0)] = ""
+    operators: Annotated[
+        str,
+        text(
+            "systems that may command without signing, with commas between: SYSTEM or SYSTEM/COMPONENT; beside them whoever is "
+            "heard over the autopilot's own link, and whoever signs",
+            256,
+            shortest=0,
+        ),
+    ] = ""
+    signing_key_file: Annotated[
+        str,
+        text(
+            'file with the key that messages are signed with: a path relative to the settings file, or "credential:NAME"; '
+            "empty for none",
+            4096,
+            shortest=0,
+        ),
+    ] = ""
+    signing_time_file: Annotated[
+        str,
+        text(
+            "file that keeps the times of signed messages, ours and those heard, over restarts, relative to the settings file; "
+            "empty for $STATE_DIRECTORY/mavlink-signing-time, or memory alone without that",
+            4096,
+            shortest=0,
+        ),
+    ] = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            self.endpoints()
+        except BadInput as why:
+            raise ValueError(f"links: {why}") from why
+        try:
+            self.named_operators()
+        except BadInput as why:
+            raise ValueError(f"operators: {why}") from why
+
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Return the addresses of the links, in the order given."""
+        return tuple(parse_endpoint(url) for url in self.links.split(",")) if self.links.strip() else ()
+
+    def named_operators(self) -> tuple[Named, ...]:
+        """Return the systems that may command without signing."""
+        return parse_operators(self.operators)
+
+    @property
+    def unsigned(self) -> str | None:
+        """What is said of links that are not signed, with the fix; None where they are, or there are none."""
+        if self.signing_key_file or not self.links.strip():
+            return None
+        return "not signed: decklander keys make FILE; decklander keys install --link URL FILE; then signing_key_file = FILE"
+
+
+class SampleOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """How far each reading of an autopilot is trusted.
+
+    Raises:
+        ValueError: a number outside its range.
+    """
+
+    sigma_tilt_rad: Annotated[float, number("one standard deviation of roll and pitch", "rad", 1e-4, 1.0)] = math.radians(0.5)
+    sigma_yaw_rad: Annotated[float, number("one standard deviation of the heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
+    sigma_velocity_m_s: Annotated[float, number("one standard deviation of each axis of the velocity", "m/s", 0.001, 10.0)] = 0.1
+    sigma_range_m: Annotated[
+        float, number("one standard deviation of the rangefinder, where its messages do not say it", "m", 0.001, 10.0)
+    ] = 0.03
+    sigma_baro_m: Annotated[float, number("one standard deviation of the barometer", "m", 0.001, 100.0)] = 0.5
+    sigma_vessel_velocity_m_s: Annotated[
+        float, number("one standard deviation of each axis of the velocity that the ship reports", "m/s", 0.001, 10.0)
+    ] = 0.2
+    sigma_vessel_heading_rad: Annotated[
+        float, number("one standard deviation of the heading that the ship reports", "rad", 1e-4, 3.2)
+    ] = math.radians(3.0)
+    status_period_s: Annotated[float, number("a status that does not change is repeated after this", "s", 0.01, 60.0)] = 0.5
+    attitude_gap_s: Annotated[
+        float, number("a velocity further than this from the newest attitude is not used", "s", 0.01, 10.0)
+    ] = 0.2
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+class TimeSyncOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """How often the autopilot is asked for its time, and which answers are believed.
+
+    Raises:
+        ValueError: a number outside its range.
+    """
+
+    period_s: Annotated[float, number("how often the time is asked for", "s", 0.01, 60.0)] = 1.0
+    first_period_s: Annotated[float, number("the same until the offset of the clocks is known", "s", 0.01, 60.0)] = 0.1
+    window_s: Annotated[float, number("how long an answer counts", "s", 0.1, 600.0)] = 10.0
+    round_trip_max_s: Annotated[float, number("an answer that took longer says nothing", "s", 0.001, 5.0)] = 0.25
+    drift_ppm: Annotated[float, number("most that the two clocks run apart", "ppm", 0.1, 10_000.0)] = 50.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="mavlink"):
+    """The vehicle: whatever an ArduPilot or PX4 autopilot flies, over MAVLink (docs/mavlink.md), with a camera beside it.
+
+    Raises:
+        ValueError: no link, the ship's id is the autopilot's; and as `MavlinkOptions`.
+    """
+
+    links: Annotated[str, text(LINKS, 4096)]
+    system_id: Annotated[int, number("system id of the autopilot; 0 takes the first that flies", "id", 0, 255)] = 0
+    component_id: Annotated[int, number("our own component id; our system id is the autopilot's", "id", 1, 255, "MAVLink")] = 191
+    vessel_id: Annotated[int, number("system id under which the ship reports its own position; 0 for none", "id", 0, 255)] = 0
+    silence_s: Annotated[
+        float, number("an autopilot not heard for this long is lost; all streams are asked for when it is back", "s", 0.2, 60.0)
+    ] = 3.0
+    command_period_s: Annotated[
+        float, number("how often a velocity setpoint is sent", "s", 0.01, 0.2, "PX4 wants more than 2 Hz")
+    ] = 0.04
+    command_timeout_s: Annotated[
+        float, number("a velocity older than this is flown as standing still", "s", 0.05, 2.0, "twelve commands of guidance")
+    ] = 0.25
+    attitude_timeout_s: Annotated[float, number("no setpoint is sent without a heading younger than this", "s", 0.05, 5.0)] = 0.5
+    prestream_s: Annotated[
+        float, number("setpoints stream this long before PX4 is asked for OFFBOARD", "s", 0.1, 30.0, "PX4 refuses before 1.5 s")
+    ] = 2.0
+    request_period_s: Annotated[
+        float, number("a mode, arming or take-off that did not happen is requested again after this", "s", 0.05, 60.0)
+    ] = 1.0
+    request_tries: Annotated[int, number("requests after which it is given up", "1", 1, 100)] = 5
+    landing: Annotated[
+        Literal["by stack", "mode", "velocity"],
+        choice(
+            "the last metre: by the autopilot's own mode, by velocities, or what suits it: mode for ArduPilot, velocity for PX4, "
+            "whose own modes hold still over the ground and lose a moving deck"
+        ),
+    ] = "by stack"
+    descent_rate_m_s: Annotated[float, number("how fast a landing by velocity sinks", "m/s", 0.05, 2.0)] = 0.4
+    landing_timeout_s: Annotated[
+        float, number("a landing that guidance has not repeated for this long is called off", "s", 0.05, 10.0)
+    ] = 0.5
+    landing_most_s: Annotated[
+        float,
+        number("a landing by velocity ends after this; the autopilot goes on with one that a person ordered", "s", 0.5, 120.0),
+    ] = 15.0
+    landing_depth_m: Annotated[
+        float, number("and after sinking this far, as there is no deck; not one that a person ordered", "m", 0.2, 20.0)
+    ] = 3.0
+    deck_hold_s: Annotated[
+        float,
+        number("a hold moves with the deck for this long after the last velocity, then stands over the ground", "s", 0.1, 60.0),
+    ] = 3.0
+    hold_mode_after_s: Annotated[
+        float, number("without guidance for this long the autopilot is put into its own hold mode", "s", 0.5, 120.0)
+    ] = 6.0
+    take_off_height_m: Annotated[float, number("how high a take-off that we are asked for goes", "m", 0.5, 50.0)] = 3.0
+    take_off_timeout_s: Annotated[float, number("a take-off that has not happened after this is given up", "s", 0.5, 120.0)] = (
+        15.0
+    )
+    samples: SampleOptions = SampleOptions()
+    timesync: TimeSyncOptions = TimeSyncOptions()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.endpoints():
+            raise ValueError("links: there must be one")
+        if self.vessel_id and self.vessel_id == self.system_id:
+            raise ValueError(f"vessel_id must not be the autopilot's own system_id, found {self.vessel_id}")
