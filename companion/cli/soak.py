@@ -33,7 +33,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from sitl.ardrone.repeated_flights import faulty
-from sitl.one_flight import fly, settings_for
+from sitl.one_flight import PERCEPTIONS, Perception, fly, perception_level, settings_for
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario
 
@@ -81,6 +81,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights (default: 0)")
     parser.add_argument(
         "--all-methods", action="store_true", help="run the thesis' vision methods too, at three times the CPU (needs --virtual)"
+    )
+    parser.add_argument(
+        "--perception",
+        default="pixels",
+        metavar="LEVEL",
+        help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames; others need "
+        "--virtual)",
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="plot memory, counts and outcomes over time (png, svg, pdf)")
     parser.add_argument("--readings", type=Path, metavar="FILE", help="write every reading as a line of JSON into this file")
@@ -149,8 +156,12 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"--failed-max must be 0 or more, got {args.failed_max}")
     if args.all_methods and not args.virtual:
         raise BadInput("--all-methods needs --virtual; in real time the settings say which methods run")
+    perception = perception_level(args.perception)
+    if perception != "pixels" and not args.virtual:
+        raise BadInput("--perception needs --virtual; in real time the drone sends pictures")
     scenario = load_scenario(args.scenario)
-    settings = flown_settings(scenario, args.config, virtual=args.virtual, all_methods=args.all_methods)
+    alone = args.virtual and not args.all_methods and perception == "pixels"
+    settings = flown_settings(scenario, args.config, registration_alone=alone)
     if args.plot is not None:
         require_drawing("--plot")
         _writable("--plot", args.plot)
@@ -159,7 +170,7 @@ def run(args: argparse.Namespace) -> int:
         tally = Tally(file=file)
         try:
             if args.virtual:
-                _virtually(args, scenario, settings, tally)
+                _virtually(args, scenario, settings, perception, tally)
             else:
                 event_loop.run(_really(args, settings, tally))
         except Stopped as why:
@@ -179,14 +190,17 @@ def run(args: argparse.Namespace) -> int:
     return 0 if found is not None and not found.faults and not tally.outcomes.faults(args.failed_max) else 1
 
 
-def flown_settings(scenario: Scenario, config: str | None, *, virtual: bool, all_methods: bool) -> Settings:
+def flown_settings(scenario: Scenario, config: str | None, *, registration_alone: bool) -> Settings:
     """Return the settings of the flights: those of a file or of the profile `sim`, without what only a person would need.
+
+    Args:
+        registration_alone: leave out the vision methods that guidance does not need.
 
     Raises:
         BadInput: as `companion.config.settings.load`.
     """
     settings = settings_for(scenario, config)
-    if virtual and not all_methods:
+    if registration_alone:
         settings = without_thesis_methods(settings)
     service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")
     own = settings.guidance.planner
@@ -195,11 +209,11 @@ def flown_settings(scenario: Scenario, config: str | None, *, virtual: bool, all
     return msgspec.structs.replace(settings, service=service, guidance=guidance)
 
 
-def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, tally: Tally) -> None:
+def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, perception: Perception, tally: Tally) -> None:
     seed = args.seed
     while tally.flights < args.flights if args.flights is not None else tally.flown_s < 3600.0 * args.hours:
         wanted = scenario if args.no_faults else faulty(scenario, seed, virtual=True)
-        ending = fly(args.scenario, wanted, seed, settings)
+        ending = fly(args.scenario, wanted, seed, settings, perception)
         flight = virtual(time.monotonic() - tally.began, wanted.title, ending)
         tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
         tally.flown_s += ending.duration_s

@@ -82,11 +82,21 @@ def test_free_memory_is_given_back_before_it_is_read() -> None:
 def test_nobody_is_there_to_answer_so_the_wait_for_a_word_is_short() -> None:
     """A question late in a flight was still open when the scenario's 90 s ended, and the flight counted as undecided."""
     demo = load_scenario("demo")
-    assert flown_settings(demo, None, virtual=True, all_methods=False).guidance.planner.operator_wait_s == OPERATOR_WAIT_S
+    assert flown_settings(demo, None, registration_alone=True).guidance.planner.operator_wait_s == OPERATOR_WAIT_S
     assert demo.duration_limit_s / 2 > OPERATOR_WAIT_S
 
 
-@pytest.mark.parametrize("words", [["--hours", "0"], ["--flights", "3"], ["--virtual", "--flights", "0"], ["--seed", "-1"]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--hours", "0"],
+        ["--flights", "3"],
+        ["--virtual", "--flights", "0"],
+        ["--seed", "-1"],
+        ["--perception", "model"],
+        ["--virtual", "--perception", "eyes"],
+    ],
+)
 def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["soak", *words]) == 2
     assert capsys.readouterr().err.count("\n") == 1
@@ -155,3 +165,12 @@ def test_a_full_disk_is_said_and_flown_through(tmp_path: Path, capsys: pytest.Ca
     said = capsys.readouterr()
     assert json.loads(said.out)["flights"] == 2
     assert said.err.count("--readings: /dev/full: No space left on device") == 1
+
+
+def test_flights_without_pictures_are_flown_and_graded_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    near = tmp_path / "near.toml"
+    near.write_text(BRIEF)
+    words = ["--virtual", "--flights", "1", "--scenario", str(near), "--no-faults", "--no-cpu", "--json", "--perception", "model"]
+    assert cli.main(["soak", *words]) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert said["classes"]["failed"] == said["flights"] == 1, "its time ends before it comes down"
