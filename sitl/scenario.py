@@ -23,35 +23,24 @@ from estimator.contracts.keys import choice, number, text
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.faults import AnyFault
-from sitl.sea_settings import EXCLUDES
+from sitl.sea_settings import EXCLUDES as SEA_EXCLUDES
 from sitl.sea_settings import Sea as Sea
-from sitl.seakeeping import HULLS
+from sitl.seakeeping import hull
+from sitl.vessel_file import Ship
+from sitl.vessel_file import load as load_vessel
+from sitl.vessel_settings import DEFAULT_HULL
+from sitl.vessel_settings import EXCLUDES as VESSEL_EXCLUDES
+from sitl.vessel_settings import VesselSettings as VesselSettings
 
 _MEASURED = "a recorded AR.Drone 2.0 flight against motion capture"
 _THESIS = "the thesis' simulator"
-_EXCLUDES = {"sea": EXCLUDES}
+_EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES}
 FAULTS = "faults"
 """Folder of the shipped scenarios with a fault each."""
 
 
 def _switch(meaning: str) -> Meta:
     return Meta(description=meaning)
-
-
-class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """The ship."""
-
-    hull: Annotated[str, text(f"one of {', '.join(HULLS)}", 40)] = "ferry"
-    heading_deg: Annotated[float, number("of the bow, clockwise from north", "deg", -360.0, 360.0)] = 0.0
-    speed_m_s: Annotated[float, number("along the heading", "m/s", 0.0, 15.0)] = 0.0
-    moored: Annotated[bool, _switch("at anchor: wanders slowly in surge, sway and yaw")] = True
-    pad_yaw_deg: Annotated[float, number("the pad's arrow against the bow, clockwise from above", "deg", -360.0, 360.0)] = 0.0
-
-    def __post_init__(self) -> None:
-        if self.hull not in HULLS:
-            raise ValueError(f"hull must be one of {', '.join(HULLS)}, found {self.hull!r}")
-        if self.moored and self.speed_m_s > 0:
-            raise ValueError("speed_m_s must be 0 while moored is true")
 
 
 class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -243,6 +232,7 @@ def load(name_or_path: str | Path) -> Scenario:
     scenario = from_mapping(_with_base(path, ()), str(path))
     camera_model(scenario)
     pad_model(scenario)
+    ship_model(scenario)
     return scenario
 
 
@@ -266,6 +256,10 @@ def _with_base(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         if table not in base or table in data:
             found = _find(named, folder, path.parent, f"{path}: {table}.file")
             whole[table] = {**whole.get(table, {}), "file": str(found)}
+    for table, folder in (("vessel", "vessels"),):
+        said: Any = data.get(table, {})
+        if "file" in said:
+            whole[table]["file"] = str(_find(said["file"], folder, path.parent, f"{path}: {table}.file"))
     return whole
 
 
@@ -275,9 +269,10 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     A key of `over` that takes the place of others, such as `sea.sea_state` of a height, takes them out of the base."""
     out = dict(base)
     for key, value in over.items():
+        excludes: dict[str, tuple[str, ...]] = _EXCLUDES.get(key, {})
         under = out.get(key)
         if isinstance(under, dict) and isinstance(value, dict):
-            gone = {name for said in value for name in _EXCLUDES.get(key, {}).get(said, ())} - value.keys()
+            gone = {name for said in value for name in excludes.get(said, ())} - value.keys()
             out[key] = {**{name: kept for name, kept in under.items() if name not in gone}, **value}
         elif key == "faults" and isinstance(under, list) and isinstance(value, list):
             out[key] = [*under, *value]
@@ -321,6 +316,37 @@ def pad_model(scenario: Scenario) -> Pad:
     """
     path = _find(scenario.pad.file, "pads", Path(), "pad.file")
     return Pad.from_mapping(read_toml(path), str(path))
+
+
+def ship_model(scenario: Scenario) -> Ship:
+    """The vessel that `scenario.vessel` names.
+
+    Raises:
+        BadInput: its file is missing, has a fault, or does not go with the scenario: a recording that is too short or moored, a
+            turn of a ship that is recorded or whose metacentric height is not known.
+    """
+    v = scenario.vessel
+    if v.file is None:
+        return _fitting(Ship(hull(v.hull or DEFAULT_HULL)), scenario, f"hull {v.hull or DEFAULT_HULL}")
+    path = _find(v.file, "vessels", Path(), "vessel.file")
+    return _fitting(load_vessel(path), scenario, str(path))
+
+
+def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
+    v, recorded = scenario.vessel, ship.recorded
+    if recorded is not None:
+        if v.moored:
+            raise BadInput(f"{where}: a recording holds the vessel's whole motion; vessel.moored must be false")
+        if v.turn_rate_deg_s != 0.0:
+            raise BadInput(f"{where}: a recorded vessel does not turn; vessel.turn_rate_deg_s must be 0")
+        if recorded.lasts_s < scenario.duration_limit_s:
+            raise BadInput(
+                f"{where}: the recording lasts {recorded.lasts_s:.1f} s and the flight up to {scenario.duration_limit_s:g} s; "
+                "shorten duration_limit_s, or let it be flown again with recording.loop_blend_s"
+            )
+    if v.turn_rate_deg_s != 0.0 and (ship.hull.gm_m is None or ship.hull.kg_m is None):
+        raise BadInput(f"{where}: a turn needs gm_m and kg_m of the vessel, for its heel")
+    return ship
 
 
 class _One(Struct, frozen=True):

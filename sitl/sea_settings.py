@@ -13,7 +13,7 @@ from sitl.sea import SEA_STATES, Components, SeaState, Waves
 Direction = Annotated[float, number("mean direction the waves run to, clockwise from north", "deg", -360.0, 360.0)]
 Spread = Annotated[float, number("exponent s of the cos^2s spread of directions; 10 a wind sea, 75 a swell", "1", 1.0, 100.0)]
 
-EXCLUDES = {
+EXCLUDES: dict[str, tuple[str, ...]] = {
     "sea_state": ("significant_height_m", "peak_period_s", "swell", "wind_sea"),
     "significant_height_m": ("sea_state", "swell", "wind_sea"),
     "peak_period_s": ("sea_state",),

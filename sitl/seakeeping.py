@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
-from sitl.sea import GRAVITY_M_S2
+from sitl.response_table import ResponseTable
+from sitl.spectra import GRAVITY_M_S2
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,19 @@ class Hull:
     """Length over which the deck narrows to the stem; 0 for a barge."""
     d_vessel_pad_m: tuple[float, float]
     """Position of the pad's centre forward and to starboard of amidships; the pad lies on deck."""
+    deck_beam_m: float | None = None
+    """Width of the deck where it is another than the beam."""
+    gm_m: float | None = None
+    """Transverse metacentric height; a ship that turns needs it."""
+    kg_m: float | None = None
+    """Height of the centre of gravity over the keel; a ship that turns needs it."""
+    table: ResponseTable | None = None
+    """The responses, in place of the closed forms."""
+
+    @property
+    def deck_m(self) -> tuple[float, float]:
+        """Length and width of the deck."""
+        return self.length_m, self.beam_m if self.deck_beam_m is None else self.deck_beam_m
 
 
 OTTER = Hull("otter", 2.0, 1.08, 0.195, 0.19, 0.76, 0.45, 0.45, 0.0, (0.0, 0.0))
@@ -75,7 +89,9 @@ def encounter_rad_s(w_rad_s: F64, beta_rad: F64, speed_m_s: float) -> F64:
     return np.asarray(w - w**2 / GRAVITY_M_S2 * speed_m_s * np.cos(beta_rad))
 
 
-def responses(hull: Hull, w_rad_s: F64, beta_rad: F64, speed_m_s: float = 0.0) -> NDArray[np.complex128]:
+def responses(
+    hull: Hull, w_rad_s: F64, beta_rad: F64, speed_m_s: float = 0.0, encounter: F64 | None = None
+) -> NDArray[np.complex128]:
     """Return the motions of amidships per metre of wave amplitude.
 
     A wave a exp(i theta), theta falling with time, gives the motion Re(a H exp(i theta)).
@@ -83,6 +99,7 @@ def responses(hull: Hull, w_rad_s: F64, beta_rad: F64, speed_m_s: float = 0.0) -
     Args:
         w_rad_s: (...) wave frequency, positive.
         beta_rad: (...) direction the wave runs to, less the hull's heading: 0 following, pi/2 from port, pi head.
+        encounter: (...) rad/s, where it does not follow from speed and direction, as at anchor in a current.
     Returns:
         (6, ...): surge forward, sway to starboard, heave down (m/m); roll starboard down, pitch bow up, yaw to starboard (rad/m).
     """
@@ -90,7 +107,9 @@ def responses(hull: Hull, w_rad_s: F64, beta_rad: F64, speed_m_s: float = 0.0) -
     beta = np.asarray(beta_rad, dtype=float)
     k = w**2 / GRAVITY_M_S2
     kx, ky = k * np.cos(beta), k * np.sin(beta)
-    we = encounter_rad_s(w, beta, speed_m_s)
+    we = encounter_rad_s(w, beta, speed_m_s) if encounter is None else encounter
+    if hull.table is not None:
+        return hull.table.responses(we, beta)
     alpha = np.maximum(np.abs(we / w), 0.05)
     beam = hull.beam_m * hull.block
 

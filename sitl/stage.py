@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,10 +14,12 @@ from sitl.camera import Renderer
 from sitl.contact import DeckShape, Ground
 from sitl.disturbances import Wind
 from sitl.light import Light, Sensor
-from sitl.scenario import Scenario, camera_model, pad_model
+from sitl.scenario import Scenario, camera_model, pad_model, ship_model
 from sitl.sea import Waves
-from sitl.seakeeping import Hull, hull
+from sitl.seakeeping import Hull
+from sitl.special_vessels import RecordedVessel, TurningVessel
 from sitl.surroundings import Deck, Surroundings
+from sitl.turn import Turn
 from sitl.vehicle import Vehicle
 from sitl.vessel import Mooring, Vessel
 
@@ -72,7 +74,7 @@ def limits(scenario: Scenario) -> StickLimits:
 def deck_shape(ship: Hull, pad_yaw_rad: float) -> DeckShape:
     """Return the outline of a hull's whole deck about its pad."""
     x, y = ship.d_vessel_pad_m
-    length, beam = 0.5 * ship.length_m, 0.5 * ship.beam_m
+    length, beam = (0.5 * size for size in ship.deck_m)
     return DeckShape(length - x, length + x, beam + y, beam - y, ship.bow_taper_m, pad_yaw_rad)
 
 
@@ -109,18 +111,23 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel) -> Renderer:
 
 def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]:
     """Return B seas and the B vessels that ride on them, one for each seed."""
-    s, v = scenario.sea, scenario.vessel
-    waves = s.waves(seeds)
-    vessel = Vessel(
-        hull(v.hull),
-        waves,
-        heading_rad=math.radians(v.heading_deg),
-        speed_m_s=v.speed_m_s,
-        pad_yaw_rad=math.radians(v.pad_yaw_deg),
-        mooring=Mooring() if v.moored else None,
-        seeds=seeds,
-    )
-    return waves, vessel
+    v, ship = scenario.vessel, ship_model(scenario)
+    waves = scenario.sea.waves(seeds)
+    course: dict[str, Any] = {
+        "heading_rad": math.radians(v.heading_deg),
+        "speed_m_s": v.speed_m_s,
+        "pad_yaw_rad": math.radians(v.pad_yaw_deg),
+        "mooring": Mooring() if v.moored else None,
+        "seeds": seeds,
+    }
+    if ship.recorded is not None:
+        spare = ship.recorded.period_s if math.isinf(ship.recorded.lasts_s) else ship.recorded.lasts_s - scenario.duration_limit_s
+        starts = [np.random.default_rng([seed, 0x4EC]).random() * spare if ship.random_start else 0.0 for seed in seeds]
+        return waves, RecordedVessel(ship.hull, waves, ship.recorded, starts, **course)
+    if v.turn_rate_deg_s != 0.0:
+        turn = Turn(math.radians(v.turn_rate_deg_s), v.turn_at_s, v.turn_over_s)
+        return waves, TurningVessel(ship.hull, waves, turn, **course)
+    return waves, Vessel(ship.hull, waves, **course)
 
 
 def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, R_ned_pad: F64) -> None:
@@ -137,7 +144,9 @@ def place(scenario: Scenario, vehicle: Vehicle, ground: Ground, p_pad_ned: F64, 
     )
     course = math.radians(v.heading_deg)
     speed = v.speed_m_s if s.with_vessel else 0.0
-    vehicle.place(p_pad_ned - to_pad, np.array([speed * math.cos(course), speed * math.sin(course), 0.0]), heading)
+    north, east = scenario.sea.current_ne_m_s if s.with_vessel and not v.moored else (0.0, 0.0)
+    along = np.array([speed * math.cos(course) + north, speed * math.sin(course) + east, 0.0])
+    vehicle.place(p_pad_ned - to_pad, along, heading)
 
 
 def wind_from(speed_m_s: float, from_deg: float) -> tuple[float, float, float]:

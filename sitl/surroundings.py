@@ -45,7 +45,7 @@ class Deck:
     def of(hull: Hull, pad_yaw_rad: float = 0.0, seed: int = 1) -> Deck:
         """Return the deck of a hull preset, with the pad where the hull carries it."""
         x, y = hull.d_vessel_pad_m
-        return Deck(hull.length_m, hull.beam_m, (-x, -y), pad_yaw_rad, hull.bow_taper_m, hull.freeboard_m, seed=seed)
+        return Deck(*hull.deck_m, (-x, -y), pad_yaw_rad, hull.bow_taper_m, hull.freeboard_m, seed=seed)
 
     def outline(self) -> F64:
         """Return the outline, (N, 2) m in the deck's axes. It starts at the port quarter and runs clockwise from above."""

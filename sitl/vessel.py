@@ -98,11 +98,16 @@ class Vessel:
         self._p0 = np.array([*p0_ne_m, 0.0])
         ahead = np.stack([np.cos(self.heading_rad), np.sin(self.heading_rad), np.zeros(batch)], axis=-1)
         self._v0 = speed_m_s * ahead
+        current = waves.current_ne_m_s
+        if current != (0.0, 0.0) and mooring is None:
+            self._v0 = self._v0 + np.array([*current, 0.0])
         self._axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0], ahead[:, 2]], axis=-1)], axis=-1)
         beta = waves.towards_rad - self.heading_rad[:, None]
         phase = waves.k_ne @ self._p0[:2] + waves.phase_rad
-        coefficient = responses(hull, waves.w_rad_s, beta, speed_m_s) * waves.amplitude_m * np.exp(1j * phase)
         w = encounter_rad_s(waves.w_rad_s, beta, speed_m_s)
+        if current != (0.0, 0.0) and mooring is not None:
+            w = waves.seen_rad_s
+        coefficient = responses(hull, waves.w_rad_s, beta, speed_m_s, w) * waves.amplitude_m * np.exp(1j * phase)
         if mooring is not None:
             chosen = [seeds] * batch if isinstance(seeds, int) else list(seeds)
             if len(chosen) != batch:
@@ -131,6 +136,20 @@ class Vessel:
         eta, dot, ddot = ((turn @ (self._c * rate**n)).real.reshape(shape) for n in range(3))
         return Motion(eta, dot, ddot)
 
+    def origin(self, t: F64) -> tuple[F64, F64, F64, F64, Motion]:
+        """Return the origin's position, velocity and acceleration in ned, the heading of the course, and the motion, (B, ...)."""
+        m = self.motion(t)
+        lead = (slice(None), *([None] * t.ndim))
+        axes = self._axes[lead]
+        travelled = self._p0 + self._v0[lead] * t[..., None]
+        return (
+            travelled + horizontal(axes, m.eta[..., :3]),
+            self._v0[lead] + horizontal(axes, m.eta_dot[..., :3]),
+            horizontal(axes, m.eta_ddot[..., :3]),
+            self.heading_rad[lead],
+            m,
+        )
+
     def mounted(self, t_s: ArrayLike, d_vessel_m: ArrayLike, R_vessel: Rotation | None = None) -> Mounted:
         """Return the motion at times (...) of a point (3,) m from the vessel's origin, with axes rotated by `R_vessel`.
 
@@ -138,16 +157,9 @@ class Vessel:
         """
         t = np.asarray(t_s, dtype=float)
         d = np.asarray(d_vessel_m, dtype=float)
-        m = self.motion(t)
-        lead = (slice(None), *([None] * t.ndim))
-        axes = self._axes[lead]
-        travelled = self._p0 + self._v0[lead] * t[..., None]
-        p0 = travelled + _horizontal(axes, m.eta[..., :3])
-        v0 = self._v0[lead] + _horizontal(axes, m.eta_dot[..., :3])
-        a0 = _horizontal(axes, m.eta_ddot[..., :3])
-        heading = self.heading_rad[lead]
+        p0, v0, a0, heading, m = self.origin(t)
         R = _from_rpy(m.eta[..., 3], m.eta[..., 4], heading + m.eta[..., 5])
-        w, w_dot = _body_rates(m)
+        w, w_dot = body_rates(m)
         arm_v = np.cross(w, d)
         arm_a = np.cross(w_dot, d) + np.cross(w, arm_v)
         mount = np.eye(3) if R_vessel is None else R_vessel.matrix
@@ -174,7 +186,7 @@ class Vessel:
         return m.p_ned[index], Rotation(m.R_ned[index])
 
 
-def _horizontal(axes: F64, v: F64) -> F64:
+def horizontal(axes: F64, v: F64) -> F64:
     """Return (..., 3) surge, sway and down rotated into ned by the course's axes (..., 3, 2)."""
     out: F64 = np.einsum("...ij,...j->...i", axes, v[..., :2])
     out[..., 2] += v[..., 2]
@@ -192,7 +204,7 @@ def _from_rpy(roll: F64, pitch: F64, yaw: F64) -> F64:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _body_rates(m: Motion) -> tuple[F64, F64]:
+def body_rates(m: Motion) -> tuple[F64, F64]:
     """Return the angular velocity and acceleration in the vessel's frame, (..., 3) rad/s and rad/s^2.
 
     Source: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., eq. 2.41, and its time derivative.
