@@ -54,22 +54,22 @@ def _findings(model: PerceptionModel) -> dict[str, object]:
     return {
         "method": model.method,
         "recordings": list(model.recordings),
-        "looks": model.look.looks,
-        "found": sum(cell.found for cell in model.look.cell),
-        "cells": len(model.look.cell),
-        "correlation": model.look.correlation,
+        "frames": model.detection.frames,
+        "found": sum(cell.found for cell in model.detection.cell),
+        "cells": len(model.detection.cell),
+        "correlation": model.detection.correlation,
         "estimates": model.estimate.samples,
         "estimate_cells": len(model.estimate.cell),
     }
 
 
 def _table(model: PerceptionModel) -> str:
-    lines = [f"vision.method {model.method}: {model.look.looks} looks, {model.estimate.samples} estimates", ""]
-    lines.append("height m    shown        looks   found  kept   right mm/m  down mm/m  forward mm/m  outliers")
-    for cell in model.look.cell:
+    lines = [f"vision.method {model.method}: {model.detection.frames} frames, {model.estimate.samples} estimates", ""]
+    lines.append("height m    shown       frames   found  kept   right mm/m  down mm/m  forward mm/m  outliers")
+    for cell in model.detection.cell:
         sigma = [1e3 * math.sqrt(max(0.0, v)) for v in symmetric(cell.error, 6).diagonal()[:3]]
         lines.append(
-            f"{_bin(model.look.heights_m, cell.height):11s} {_bin(model.look.shown, cell.shown):11s} {cell.looks:6d}"
+            f"{_bin(model.detection.heights_m, cell.height):11s} {_bin(model.detection.shown, cell.shown):11s} {cell.frames:6d}"
             f"  {cell.found:6d}"
             f"  {cell.kept:.3f} {sigma[0]:11.3f} {sigma[1]:10.3f} {sigma[2]:13.3f} {100 * cell.outliers:8.1f}%"
         )

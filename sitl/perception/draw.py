@@ -1,4 +1,4 @@
-"""Draw looks by the error model: whether the pad is found, and with which error in the camera's axes."""
+"""Draw detections from the error model: whether the pad is found, and with which error in the camera's axes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
-from sitl.perception.parameters import Factor, LookCell, LookModel
+from sitl.perception.parameters import DetectionCell, DetectionModel, Factor
 from sitl.perception.view import View
 
 _SCALES = 6
@@ -24,7 +24,7 @@ class Chance(NamedTuple):
     """(4,) 0..1: found, outlier, ambiguous, turned."""
 
 
-class Drawn(NamedTuple):
+class DrawnDetection(NamedTuple):
     """A detection that the model draws."""
 
     error: F64
@@ -37,8 +37,8 @@ class Drawn(NamedTuple):
     """Whether the heading is half a turn off."""
 
 
-class _Row(NamedTuple):
-    """A cell made ready."""
+class _PreparedCell(NamedTuple):
+    """A cell with its matrices prepared."""
 
     kept: float
     regained: float
@@ -52,10 +52,10 @@ class _Row(NamedTuple):
     claimed: F64
 
 
-class LookTable:
-    """The error model of detections, ready for use: the same view and random numbers give the same draw."""
+class DetectionTable:
+    """The error model of detections, ready for use: the same view and random numbers give the same detection."""
 
-    def __init__(self, model: LookModel) -> None:
+    def __init__(self, model: DetectionModel) -> None:
         self.model = model
         cells = {(c.height, c.shown): _row(c) for c in model.cell}
         rows, columns = len(model.heights_m) + 1, len(model.shown) + 1
@@ -72,7 +72,7 @@ class LookTable:
         odds = self._odds(view, light_stops) * p / max(1e-9, 1.0 - p)
         return odds / (1.0 + odds)
 
-    def draw(self, view: View, light_stops: float, standard: F64, chance: Chance) -> Drawn:
+    def draw(self, view: View, light_stops: float, standard: F64, chance: Chance) -> DrawnDetection:
         """Return the detection of a view in which the pad is found.
 
         Args:
@@ -87,9 +87,9 @@ class LookTable:
         cov = (k * k) * row.claimed * np.multiply.outer(scale, scale)
         ambiguous = bool(chance.uniform[2] < row.ambiguous)
         # A heading that is half a turn off is nearly always one that says so.
-        return Drawn(error, cov, row.confidence, ambiguous, bool(chance.uniform[3] < row.turned))
+        return DrawnDetection(error, cov, row.confidence, ambiguous, bool(chance.uniform[3] < row.turned))
 
-    def _row(self, view: View) -> _Row:
+    def _row(self, view: View) -> _PreparedCell:
         return self._rows[bisect_right(self._heights, view.height_m)][bisect_right(self._shown, view.shown)]
 
     def _odds(self, view: View, light_stops: float) -> float:
@@ -118,16 +118,16 @@ def _of(factor: Factor, value: float, entries: tuple[float, ...]) -> float:
     return entries[bisect_right(factor.edges, value)]
 
 
-def _row(cell: LookCell) -> _Row:
+def _row(cell: DetectionCell) -> _PreparedCell:
     claimed = symmetric(cell.claimed, _SCALES)
     # Five digits in a file may take a thin covariance below zero.
     claimed = claimed + np.diag(np.diag(claimed)) * 1e-4 + 1e-18 * np.eye(_SCALES)
-    return _Row(
+    return _PreparedCell(
         cell.kept, cell.regained, cell.confidence, cell.ambiguous, cell.turned, cell.outliers, cell.outlier_ratio,
         np.array(cell.bias), root_of(symmetric(cell.error, _SCALES)), claimed,
     )  # fmt: skip
 
 
-def _nearest(cells: dict[tuple[int, int], _Row], i: int, j: int) -> _Row:
-    """Return the row of a cell, or of the nearest one that was fitted. A bin of share counts more than one of height."""
+def _nearest(cells: dict[tuple[int, int], _PreparedCell], i: int, j: int) -> _PreparedCell:
+    """Return the row of a cell, or of the nearest one that was fitted. A bin of the fraction counts more than one of height."""
     return cells[min(cells, key=lambda c: (abs(c[0] - i) + 3 * abs(c[1] - j), c))]

@@ -24,12 +24,12 @@ _SETTLED_S = 1.0
 _LEAST_M = 0.1
 """Lowest height that counts: below it the drone stands."""
 _LAGS = (5, 10, 20, 40)
-"""Lags, in rounds of guidance, over which the correlation time is fitted."""
+"""Lags, in guidance cycles, over which the correlation time is fitted."""
 _COMPONENTS = 7
 
 
 class Errors(NamedTuple):
-    """The estimate's errors in one flight, one row a round of guidance in which there was an estimate."""
+    """The estimate's errors in one flight, one row a guidance cycle in which there was an estimate."""
 
     at_s: F64
     """(N,)"""

@@ -35,7 +35,7 @@ from estimator.vision.register.registration import Registration
 from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.thesis.detection import Detection
 from sitl.camera import Exposure
-from sitl.perception.draw import Chance, LookTable
+from sitl.perception.draw import Chance, DetectionTable
 from sitl.perception.parameters import PerceptionModel, load
 from sitl.perception.port import Level
 from sitl.perception.view import View, Viewer
@@ -45,7 +45,7 @@ from sitl.world import RenderedFrame, World
 KEPT_SCENES = 512
 """Number of exposures that may be under way: ten seconds of delay at 50 frames a second."""
 _SPAWN_KEY = 1301
-"""Keeps the random numbers of looks apart from those of the world, which has the first children of the seed."""
+"""Keeps the random numbers of detections apart from those of the world, which has the first children of the seed."""
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 _NOTHING = np.zeros((0, 2))
 _TOKEN = 4
@@ -116,7 +116,7 @@ class Model:
             BadInput: there is no error model of the settings' vision.
         """
         found = model_for(settings, self._given)
-        return make_pilot(settings, shadows, partial(ModelPilot, _Looker(self, found, settings)))
+        return make_pilot(settings, shadows, partial(ModelPilot, _Detector(self, found, settings)))
 
     def begin(self, world: World) -> None:
         """Begin a flight: every fault acts as on pictures."""
@@ -163,30 +163,30 @@ def model_for(settings: Settings, given: PerceptionModel | None) -> PerceptionMo
 class ModelPilot(Pilot):
     """The pilot with drawn detections in place of vision."""
 
-    def __init__(self, looker: _Looker, *args: Any, **options: Any) -> None:
+    def __init__(self, looker: _Detector, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._looker = looker
+        self._detector = looker
 
     def detect(self, frame: Frame, attitude: Attitude) -> Detection:
         """Draw the detection of a frame."""
-        return self._looker.look(frame, attitude)
+        return self._detector.detect(frame, attitude)
 
 
-class _Looker:
-    """Draws detections in a service's process: it remembers whether the newest look found the pad."""
+class _Detector:
+    """Draws detections in a service's process: it remembers whether the newest frame showed the pad."""
 
     def __init__(self, owner: Model, model: PerceptionModel, settings: Settings) -> None:
         self._owner = owner
-        self._table = LookTable(model.look)
+        self._table = DetectionTable(model.detection)
         self._fused = model.method == "fused"
         own = tracker(settings)
         self._camera, self._sigma_deck_rad = own.camera, own.sigma_deck_rad
-        self._rate = -math.log(max(1e-9, model.look.correlation)) / model.look.frame_s
+        self._rate = -math.log(max(1e-9, model.detection.correlation)) / model.detection.frame_s
         self._standard: F64 | None = None
         self._at = 0
         self._found = False
 
-    def look(self, frame: Frame, attitude: Attitude) -> Detection:
+    def detect(self, frame: Frame, attitude: Attitude) -> Detection:
         """Return the detection of a frame; the pilot calls this once for each frame that it admits."""
         scene, light = self._owner.scenes.of(frame), self._owner.light_stops
         view, chance = scene.view, scene.chance
@@ -208,7 +208,7 @@ class _Looker:
         return Detection(seen, "registration", MappingProxyType(methods))
 
     def _wander(self, at: int, fresh: F64) -> None:
-        """Carry the standard normal numbers of the errors on to another look: a first-order Gauss-Markov process."""
+        """Carry the standard normal numbers of the errors on to another frame: a first-order Gauss-Markov process."""
         if self._standard is None:
             self._standard = fresh
         else:

@@ -17,7 +17,7 @@ FOLDER = "perception"
 FORMAT = 1
 """Number of this layout of the file."""
 
-Share = Annotated[float, number("share", "1", 0.0, 1.0)]
+Fraction = Annotated[float, number("fraction", "1", 0.0, 1.0)]
 Count = Annotated[int, Meta(ge=0)]
 Six = Annotated[tuple[float, ...], Meta(min_length=6, max_length=6)]
 TwentyOne = Annotated[tuple[float, ...], Meta(min_length=21, max_length=21)]
@@ -26,8 +26,8 @@ TwentyEight = Annotated[tuple[float, ...], Meta(min_length=28, max_length=28)]
 Edges = Annotated[tuple[float, ...], Meta(min_length=1, max_length=64)]
 
 
-class LookCell(Struct, frozen=True, forbid_unknown_fields=True):
-    """Detection at one height with one share of the disc in the picture.
+class DetectionCell(Struct, frozen=True, forbid_unknown_fields=True):
+    """Detection at one height with one fraction of the disc in the image.
 
     Errors are those of the pose that vision measures, in the camera's axes: position right, down, forward over the height, then
     a small rotation of the pad, rad. Matrices are lower triangles, row by row.
@@ -36,19 +36,19 @@ class LookCell(Struct, frozen=True, forbid_unknown_fields=True):
     height: Count
     """Index of the bin of height."""
     shown: Count
-    """Index of the bin of the share of the disc that is in the picture."""
-    looks: Count
+    """Index of the bin of the fraction of the disc that is in the image."""
+    frames: Count
     found: Count
-    kept: Share
-    """Probability of a detection after a look that found the pad."""
-    regained: Share
-    """Probability of a detection after a look that did not."""
-    confidence: Share
-    ambiguous: Share = 0.0
-    """Share of the detections that say that their heading may be half a turn off."""
-    turned: Share = 0.0
-    """Share of the detections whose heading is half a turn off."""
-    outliers: Share = 0.0
+    kept: Fraction
+    """Probability of a detection after a frame in which the pad was found."""
+    regained: Fraction
+    """Probability of a detection after a frame in which it was not."""
+    confidence: Fraction
+    ambiguous: Fraction = 0.0
+    """Fraction of the detections that say that their heading may be half a turn off."""
+    turned: Fraction = 0.0
+    """Fraction of the detections whose heading is half a turn off."""
+    outliers: Fraction = 0.0
     outlier_ratio: float = 1.0
     """How many times larger an outlier's errors are."""
     bias: Six = (0.0,) * 6
@@ -62,32 +62,32 @@ class Factor(Struct, frozen=True, forbid_unknown_fields=True):
     """The effect of one condition on top of the cells: one entry for each bin."""
 
     edges: Edges
-    looks: tuple[Count, ...]
+    frames: tuple[Count, ...]
     odds: tuple[float, ...]
     """Factor of the odds of a detection."""
     ratio: tuple[float, ...]
     """Factor of the errors and of the claimed standard deviations."""
 
 
-class LookModel(Struct, frozen=True, forbid_unknown_fields=True):
+class DetectionModel(Struct, frozen=True, forbid_unknown_fields=True):
     """The error model of detections."""
 
     heights_m: Edges
     """Edges between the bins of height of the lens over the pad's plane."""
     shown: Edges
-    """Edges between the bins of the share of the disc in the picture."""
-    looks: Count
-    frame_s: Annotated[float, number("time between the looks that it was fitted on", "s", 0.001, 1.0)]
-    correlation: Annotated[float, number("of the errors of two successive looks", "1", 0.0, 0.999)]
+    """Edges between the bins of the fraction of the disc in the image."""
+    frames: Count
+    frame_s: Annotated[float, number("time between the frames to which it was fitted", "s", 0.001, 1.0)]
+    correlation: Annotated[float, number("correlation of the errors of two successive frames", "1", 0.0, 0.999)]
     tilt_deg: Factor
     """Angle between the optical axis and the pad's normal."""
     light_stops: Factor
     """Light on the pad against white paint at 80 % of full scale."""
-    cell: Annotated[tuple[LookCell, ...], Meta(min_length=1)]
+    cell: Annotated[tuple[DetectionCell, ...], Meta(min_length=1)]
 
 
 class EstimateCell(Struct, frozen=True, forbid_unknown_fields=True):
-    """The estimate's error at one height, so long after the newest sighting.
+    """The estimate's error at one height, and one age of the newest sighting.
 
     Position forward, right and down over the height, velocity forward, right and down in m/s, heading in rad.
     """
@@ -111,14 +111,14 @@ class EstimateModel(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PerceptionModel(Struct, frozen=True, forbid_unknown_fields=True):
-    """One file."""
+    """The content of one file."""
 
     format: Annotated[int, Meta(ge=1)]
     method: str
     """`vision.method` of the recorded flights."""
     recordings: tuple[str, ...]
-    """What it was fitted on: scenario, seed and number of looks."""
-    look: LookModel
+    """The recordings to which the model was fitted: scenario, seed and number of frames."""
+    detection: DetectionModel
     estimate: EstimateModel
 
 
@@ -141,25 +141,25 @@ def load(name_or_path: str) -> PerceptionModel:
 
 
 def _check(model: PerceptionModel, path: Path) -> None:
-    look, estimate = model.look, model.estimate
+    detection, estimate = model.detection, model.estimate
     for name, edges in (
-        ("look.heights_m", look.heights_m),
-        ("look.shown", look.shown),
-        ("look.tilt_deg.edges", look.tilt_deg.edges),
-        ("look.light_stops.edges", look.light_stops.edges),
+        ("detection.heights_m", detection.heights_m),
+        ("detection.shown", detection.shown),
+        ("detection.tilt_deg.edges", detection.tilt_deg.edges),
+        ("detection.light_stops.edges", detection.light_stops.edges),
         ("estimate.heights_m", estimate.heights_m),
         ("estimate.ages_s", estimate.ages_s),
     ):
         if any(b <= a for a, b in pairwise(edges)):
             raise BadInput(f"{path}: {name} must rise")
-    for name, factor in (("look.tilt_deg", look.tilt_deg), ("look.light_stops", look.light_stops)):
-        if not len(factor.looks) == len(factor.odds) == len(factor.ratio) == len(factor.edges) + 1:
+    for name, factor in (("detection.tilt_deg", detection.tilt_deg), ("detection.light_stops", detection.light_stops)):
+        if not len(factor.frames) == len(factor.odds) == len(factor.ratio) == len(factor.edges) + 1:
             raise BadInput(f"{path}: {name} needs one entry more than it has edges")
         if any(not 0.0 < value < 1e6 for value in (*factor.odds, *factor.ratio)):
             raise BadInput(f"{path}: the odds and ratios of {name} must be positive")
-    for n, cell in enumerate(look.cell):
-        if cell.height > len(look.heights_m) or cell.shown > len(look.shown):
-            raise BadInput(f"{path}: look.cell[{n}] lies outside the bins")
+    for n, cell in enumerate(detection.cell):
+        if cell.height > len(detection.heights_m) or cell.shown > len(detection.shown):
+            raise BadInput(f"{path}: detection.cell[{n}] lies outside the bins")
     for n, part in enumerate(estimate.cell):
         if part.height > len(estimate.heights_m) or part.age > len(estimate.ages_s):
             raise BadInput(f"{path}: estimate.cell[{n}] lies outside the bins")
@@ -170,10 +170,14 @@ def dump(model: PerceptionModel) -> str:
     lines = ["# Written by `decklander perception fit`. Fit it again rather than editing it.", ""]
     lines += [f"format = {model.format}", f'method = "{model.method}"', "recordings = ["]
     lines += [f"    {_text(name)}," for name in model.recordings] + ["]"]
-    look, estimate = model.look, model.estimate
-    lines += _table("look", look) + _table("look.tilt_deg", look.tilt_deg) + _table("look.light_stops", look.light_stops)
-    for cell in look.cell:
-        lines += _table("look.cell", cell, many=True)
+    detection, estimate = model.detection, model.estimate
+    lines += (
+        _table("detection", detection)
+        + _table("detection.tilt_deg", detection.tilt_deg)
+        + _table("detection.light_stops", detection.light_stops)
+    )
+    for cell in detection.cell:
+        lines += _table("detection.cell", cell, many=True)
     lines += _table("estimate", estimate)
     for part in estimate.cell:
         lines += _table("estimate.cell", part, many=True)

@@ -19,11 +19,11 @@ class Pixels:
     level: Level = "pixels"
 
     def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
-        """Return the pilot that also flies in earnest."""
+        """Return the pilot that also flies a real drone."""
         return make_pilot(settings, shadows)
 
     def begin(self, world: World) -> None:
-        """Begin a flight: every fault acts on pictures."""
+        """Begin a flight: every fault acts on rendered frames."""
 
     def expose(self, world: World, room: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Render the scene as it is now."""

@@ -31,7 +31,7 @@ class Recorded(NamedTuple):
     frames: tuple[RecordedFrame, ...]
     """Those in which vision searched, in order."""
     beliefs: tuple[RelativeState, ...]
-    """The steering estimate at each round of guidance that had one, in order."""
+    """The steering estimate at each guidance cycle that had one, in order."""
 
 
 def read(path: Path) -> Recorded:

@@ -26,7 +26,7 @@ from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.vision.thesis.detection import Detection
-from sitl.perception.draw import LookTable, root_of, symmetric
+from sitl.perception.draw import DetectionTable, root_of, symmetric
 from sitl.perception.model import Scenes, model_for
 from sitl.perception.parameters import EstimateModel, PerceptionModel, load
 from sitl.perception.port import Level
@@ -125,7 +125,7 @@ class TruthPilot(Pilot):
     def __init__(self, level: TruthLevel, model: PerceptionModel, settings: Settings, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._level = level
-        self._looks, self._estimates = LookTable(model.look), EstimateTable(model.estimate)
+        self._detections, self._estimates = DetectionTable(model.detection), EstimateTable(model.estimate)
         self._path: PathName = settings.estimator.path
         self._forget_s = settings.estimator.ekf.forget_s
         self._sigma_max_m = settings.estimator.ekf.consistent_sigma_m
@@ -152,7 +152,7 @@ class TruthPilot(Pilot):
         """Draw whether the pad is seen in a frame, and say where it truly was."""
         scene = self._level.scenes.of(frame)
         view, light = scene.view, self._level.world.scenario.light.exposure_ev
-        self._found = view is not None and bool(scene.chance.uniform[0] < self._looks.probability(view, light, self._found))
+        self._found = view is not None and bool(scene.chance.uniform[0] < self._detections.probability(view, light, self._found))
         if not self._found or view is None:
             return Detection(None, None, MappingProxyType({"registration": None}))
         camera = self.camera

@@ -12,7 +12,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 
 _POINTS = 61
-"""Number of places on the disc that are tested for being in the picture: the share is known to 2 %."""
+"""Number of places on the disc that are tested for being in the image: the fraction is known to 2 %."""
 _GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))
 
 
@@ -26,7 +26,7 @@ class View(NamedTuple):
     height_m: float
     """Distance of the lens from the pad's plane; negative on the far side of it."""
     shown: float
-    """Share of the disc's area that lies within the picture, 0..1."""
+    """Fraction of the disc's area that lies within the image, 0..1."""
     tilt_rad: float
     """Angle between the optical axis and the pad's normal."""
 

@@ -24,9 +24,9 @@ from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import registered_sighting
 from sitl.faults import KINDS
 from sitl.flight import Flight, FlightResult
-from sitl.perception import looks as looks_module
+from sitl.perception import detection_samples as samples_module
 from sitl.perception import parameters
-from sitl.perception.draw import Chance, LookTable, root_of, symmetric
+from sitl.perception.draw import Chance, DetectionTable, root_of, symmetric
 from sitl.perception.levels import perceive
 from sitl.perception.model import KEPT_SCENES, Scenes, _registration, _turned
 from sitl.perception.port import Level
@@ -145,7 +145,7 @@ def test_the_true_pose_comes_through_vision_and_back() -> None:
     pose = PadPose(Rotation(_turned(error[3:]) @ view.R_cam_pad), view.t_cam_pad + error[:3])
     frame = Frame(stamp, 1, np.zeros((360, 640, 3), np.uint8))
     seen = registered_sighting(frame, _registration(pose, root @ root.T, False), pilot.camera, Orientation.of(reported))
-    back = looks_module._in_camera(seen, reported, pilot.camera, math.radians(2.0), view)
+    back = samples_module._in_camera(seen, reported, pilot.camera, math.radians(2.0), view)
     scale = np.array([view.height_m] * 3 + [1.0] * 3)
     np.testing.assert_allclose(back.error * scale, error, atol=1e-9)
     np.testing.assert_allclose(back.cov * np.outer(scale, scale), root @ root.T, rtol=1e-4, atol=1e-12)
@@ -163,9 +163,9 @@ def test_the_share_of_the_disc_in_the_picture() -> None:
 
 
 def test_draws_have_the_moments_of_the_file() -> None:
-    cell = next(c for c in FUSED.look.cell if c.found > 100 and c.outliers == 0.0)
-    model = msgspec.structs.replace(FUSED.look, cell=(cell,))
-    table, rng = LookTable(model), np.random.default_rng(2)
+    cell = next(c for c in FUSED.detection.cell if c.found > 100 and c.outliers == 0.0)
+    model = msgspec.structs.replace(FUSED.detection, cell=(cell,))
+    table, rng = DetectionTable(model), np.random.default_rng(2)
     view = a_view(2.0)
     k = table._ratio(view, 0.0)
     found = [table.probability(view, 0.0, True) > u for u in rng.random(4000)]
@@ -233,7 +233,7 @@ def test_wrong_use_is_told_in_one_line(capsys: pytest.CaptureFixture[str], tmp_p
 
 
 def test_the_claimed_covariance_of_a_draw_is_positive() -> None:
-    table = LookTable(FUSED.look)
+    table = DetectionTable(FUSED.detection)
     for height in (0.2, 0.4, 1.0, 3.0, 8.0, 25.0):
         for shown in (0.05, 0.4, 1.0):
             drawn = table.draw(a_view(height, shown), 0.0, np.zeros(6), Chance(np.zeros(6), np.ones(4)))

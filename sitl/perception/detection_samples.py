@@ -1,4 +1,4 @@
-"""Looks out of a recording: what vision found in each frame, beside what the camera truly had before it.
+"""Detection samples of a recording: the detection of each frame and the true view of the camera.
 
 A recorded sighting is turned back into what vision measured in the camera's own axes. The error of the vehicle's attitude, which
 every sighting contains, is so not counted as an error of vision: in a simulated flight it comes back from the simulated attitude.
@@ -39,8 +39,8 @@ class Measured(NamedTuple):
     """Whether registration said that the heading may be half a turn off."""
 
 
-class Look(NamedTuple):
-    """One look at one frame."""
+class DetectionSample(NamedTuple):
+    """The detection of one frame and its true view."""
 
     at_s: float
     view: View
@@ -49,20 +49,20 @@ class Look(NamedTuple):
     confidence: float
 
 
-def looks_of(recorded: Recorded) -> tuple[Look, ...]:
-    """Return the looks of a recorded flight, in order."""
+def detection_samples(recorded: Recorded) -> tuple[DetectionSample, ...]:
+    """Return the detection samples of a recorded flight, in order."""
     viewer = Viewer(recorded.camera, recorded.pad)
-    looks = []
+    samples = []
     for frame in recorded.frames:
         truth, attitude, detection = recorded.truths.get(frame.stamp.measured_at), frame.attitude, frame.detection()
         if truth is None or truth.R_ned_body is None or attitude is None or detection is None:
             continue
         registered = detection.methods.get("registration")
-        looks.append(_look(viewer, recorded, truth, attitude, detection.selected, registered, frame.stamp.measured_at * 1e-9))
-    return tuple(looks)
+        samples.append(_sample(viewer, recorded, truth, attitude, detection.selected, registered, frame.stamp.measured_at * 1e-9))
+    return tuple(samples)
 
 
-def _look(
+def _sample(
     viewer: Viewer,
     recorded: Recorded,
     truth: TruthRecord,
@@ -70,7 +70,7 @@ def _look(
     selected: Sighting | None,
     registered: Sighting | None,
     at_s: float,
-) -> Look:
+) -> DetectionSample:
     R_ned_body = np.array(truth.R_ned_body).reshape(3, 3)
     R_ned_pad = np.array(truth.R_ned_pad).reshape(3, 3)
     yaw = math.atan2(R_ned_body[1, 0], R_ned_body[0, 0])
@@ -79,10 +79,10 @@ def _look(
     view = viewer.view(R_ned_body, np.array([c * forward - s * right, s * forward + c * right, down]), R_ned_pad)
     least = recorded.settings.estimator.min_confidence
     if selected is None or registered is None or registered.pose6 is None or selected.confidence < least:
-        return Look(at_s, view, None, 0.0)
+        return DetectionSample(at_s, view, None, 0.0)
     sigma_deck_rad = math.radians(recorded.settings.vision.deck_tilt_sigma_deg)
     measured = _in_camera(registered, attitude, recorded.camera, sigma_deck_rad, view)
-    return Look(at_s, view, measured, selected.confidence)
+    return DetectionSample(at_s, view, measured, selected.confidence)
 
 
 def _in_camera(registered: Sighting, attitude: Attitude, camera: Camera, sigma_deck_rad: float, view: View) -> Measured:
