@@ -10,12 +10,18 @@ from typing import TypeVar
 from msgspec import Struct, structs
 
 CREDENTIAL = "credential:"
-"""Before the name of a systemd credential, where a path might stand."""
+"""Prefix that marks the name of a systemd credential in place of a path."""
 _Table = TypeVar("_Table", bound=Struct)
 
 
 def anchored(table: _Table, base: Path, keys: Iterable[str]) -> _Table:
-    """The same table with the relative paths in `keys` made to hold from the working directory; `base` is the settings file's."""
+    """Return the table with the relative paths in `keys` made relative to the working directory.
+
+    Args:
+        table: a table of the settings.
+        base: folder of the settings file, to which the paths are relative.
+        keys: names of the keys that hold paths.
+    """
     given = {key: str(getattr(table, key)) for key in keys}
     return structs.replace(
         table, **{key: str(base / path) for key, path in given.items() if path and not path.startswith(CREDENTIAL)}

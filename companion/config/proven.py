@@ -1,9 +1,9 @@
-"""Settings that have worked since this computer was switched on are not wrong, whatever fails later.
+"""Treat settings that have worked since this computer was switched on as right, whatever fails later.
 
-systemd does not start a service again that ends with exit code 2, for wrong settings stay wrong. But what looks like a wrong
-setting may be a camera that comes back half awake, or a file on a failing disk, after a crash in flight. So the first frame that
-came with certain settings is noted in $RUNTIME_DIRECTORY, which outlives restarts and not a reboot; from then on the same
-complaint is the outside world's: exit code 1, and started again.
+systemd does not restart a service that ends with exit code 2, because wrong settings stay wrong. But what looks like a wrong
+setting may be a camera that is not ready yet, or a file on a failing disk, after a crash in flight. So the first frame that came
+with certain settings is noted in $RUNTIME_DIRECTORY, which survives restarts but not a reboot. From then on the same error counts
+as a failure outside the service: exit code 1, and a restart.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Proven(NullObserver):
     """An observer that notes the first frame.
 
     Args:
-        settings: of this run.
+        settings: the settings of this run.
     """
 
     name = "proven"
@@ -40,7 +40,7 @@ class Proven(NullObserver):
 
     @property
     def known(self) -> bool:
-        """Whether a frame came with these settings, in this life or an earlier one."""
+        """Whether a frame came with these settings in this run or an earlier one."""
         if self._noted or self._path is None:
             return self._noted
         try:
@@ -56,7 +56,7 @@ class Proven(NullObserver):
 
     @contextmanager
     def excusing(self) -> Iterator[None]:
-        """A complaint about settings that are `known` becomes one about the outside world.
+        """Turn an error about settings that are `known` into a recoverable one.
 
         Raises:
             Recoverable: in place of that `BadInput`.

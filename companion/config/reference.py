@@ -1,4 +1,4 @@
-"""The settings for reading: a file with every key, a JSON Schema, and the reference page."""
+"""Generate pages about the settings: a file with every key, a JSON Schema, and the reference page."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from companion.config.refusal import fields, unit_of, variants
 
 
 def toml(settings: Settings) -> str:
-    """A settings file with every key in it, defaults included; reading it gives the same settings."""
+    """Return a settings file with every key in it, defaults included; reading it gives the same settings."""
     return "\n".join(_tables(msgspec.to_builtins(settings), ())).lstrip("\n") + "\n"
 
 
 def schema() -> str:
-    """JSON Schema of the settings file; units and sources of defaults are under `x-unit` and `x-source`."""
+    """Return the JSON Schema of the settings file; units and sources of defaults are under `x-unit` and `x-source`."""
     return json.dumps(msgspec.json.schema(Settings), indent=2, ensure_ascii=False) + "\n"
 
 
 def reference() -> str:
-    """The reference page in Markdown, one table a section."""
+    """Return the reference page in Markdown, with one table for each section."""
     lines = [
         "# Configuration",
         "",
@@ -47,7 +47,7 @@ def reference() -> str:
 
 
 def _meaning(struct: inspect.StructType) -> str:
-    """Return what the table is about: the docstring of its class up to the errors that it raises."""
+    """Return the description of a table: the docstring of its class up to the errors that it raises."""
     return " ".join((struct.cls.__doc__ or "").partition("Raises:")[0].split())
 
 
@@ -68,18 +68,18 @@ def _row(name: str, field: inspect.Field) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def _range(spot: inspect.Type) -> str:
-    if isinstance(spot, inspect.LiteralType):
-        return ", ".join(f"`{_value(v)}`" for v in spot.values)
-    if isinstance(spot, inspect.FloatType | inspect.IntType):
-        return f"{spot.ge:g} to {spot.le:g}"
-    if isinstance(spot, inspect.BoolType):
+def _range(node: inspect.Type) -> str:
+    if isinstance(node, inspect.LiteralType):
+        return ", ".join(f"`{_value(v)}`" for v in node.values)
+    if isinstance(node, inspect.FloatType | inspect.IntType):
+        return f"{node.ge:g} to {node.le:g}"
+    if isinstance(node, inspect.BoolType):
         return "`true`, `false`"
     return "text"
 
 
-def _structs(spot: inspect.Type, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], inspect.StructType]]:
-    for struct in variants(spot):
+def _structs(node: inspect.Type, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], inspect.StructType]]:
+    for struct in variants(node):
         if path:
             yield path, struct
         for field in struct.fields:

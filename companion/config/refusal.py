@@ -1,6 +1,6 @@
-"""Why a settings file was refused, in one line a person can act on: the key's path, its unit and range, and what was found.
+"""Explain in one line why a settings file was refused: the key's path, its unit and range, and the value found.
 
-msgspec says where the first fault is; what was expected there is read from the model, and what was found from the data.
+msgspec reports where the first fault is. The expected value comes from the model and the found value from the data.
 """
 
 from __future__ import annotations
@@ -14,41 +14,41 @@ from typing import Any
 from msgspec import Struct, inspect
 
 
-def explain(model: type[Struct], data: Mapping[str, Any], said: str) -> str:
-    """One line about the fault that msgspec reports as `said` for `data` against `model`."""
-    reason, _, place = said.rpartition(" - at `")
+def explain(model: type[Struct], data: Mapping[str, Any], message: str) -> str:
+    """Return one line about the fault that msgspec reports as `message` for `data` against `model`."""
+    reason, _, place = message.rpartition(" - at `")
     path = re.findall(r"\w+", place) if reason else []
-    spot: inspect.Type = inspect.type_info(model)
+    node: inspect.Type = inspect.type_info(model)
     found: Any = data
     for name in path:
-        field = next((f for f in _fields(spot) if f.encode_name == name), None)
+        field = next((f for f in _fields(node) if f.encode_name == name), None)
         if field is None or not isinstance(found, Mapping) or name not in found:
-            return _one_line(said)
-        spot, found = _chosen(field.type, found[name]), found[name]
+            return _one_line(message)
+        node, found = _chosen(field.type, found[name]), found[name]
     dotted = ".".join(path)
-    if not isinstance(_bare(spot), inspect.StructType | inspect.UnionType):
-        return _one_line(f"{dotted} must be {expectation(spot)}, found {_show(found)}")
+    if not isinstance(_bare(node), inspect.StructType | inspect.UnionType):
+        return _one_line(f"{dotted} must be {expectation(node)}, found {_show(found)}")
     if not isinstance(found, Mapping):
         return _one_line(f"{dotted} must be a table of keys, found {_show(found)}")
-    known = {f.encode_name: f for f in _fields(spot)}
-    kinds = variants(spot)
+    known = {f.encode_name: f for f in _fields(node)}
+    kinds = variants(node)
     if len(kinds) > 1 and (tag := kinds[0].tag_field) and tag not in found:
         return _one_line(_missing(known[tag], path))
     if unknown := [name for name in found if name not in known]:
         return _one_line(_unknown(model, path, unknown[0], list(known)))
     if missing := [f for name, f in known.items() if f.required and name not in found]:
         return _one_line(_missing(missing[0], path))
-    return _one_line(f"{dotted}: {reason or said}" if dotted else said)
+    return _one_line(f"{dotted}: {reason or message}" if dotted else message)
 
 
-def expectation(spot: inspect.Type) -> str:
-    """What a value of this type may be, with unit and range, as the end of "must be ..."."""
-    bare = _bare(spot)
+def expectation(node: inspect.Type) -> str:
+    """Return what a value of this type may be, with unit and range, as the end of "must be ..."."""
+    bare = _bare(node)
     if isinstance(bare, inspect.LiteralType):
         return "one of " + ", ".join(_show(v) for v in bare.values) if len(bare.values) > 1 else _show(bare.values[0])
     if isinstance(bare, inspect.FloatType | inspect.IntType):
         kind = "a number" if isinstance(bare, inspect.FloatType) else "a whole number"
-        unit = unit_of(spot)
+        unit = unit_of(node)
         suffix = f" {unit}" if unit not in ("", "1", "port", "id") else ""
         return f"{kind} from {bare.ge:g} to {bare.le:g}{suffix}"
     if isinstance(bare, inspect.StrType) and bare.pattern:
@@ -60,37 +60,38 @@ def expectation(spot: inspect.Type) -> str:
     return type(bare).__name__.removesuffix("Type").lower()
 
 
-def unit_of(spot: inspect.Type) -> str:
-    """The unit of a key, "1" for a plain ratio, "" for text and choices."""
-    spot = _given(spot)
-    extra = spot.extra_json_schema if isinstance(spot, inspect.Metadata) else None
+def unit_of(node: inspect.Type) -> str:
+    """Return the unit of a key: "1" for a plain ratio, "" for text and choices."""
+    node = _given(node)
+    extra = node.extra_json_schema if isinstance(node, inspect.Metadata) else None
     return str((extra or {}).get("x-unit", ""))
 
 
 def walk(model: type[Struct], kind: str | None = None) -> Iterator[tuple[str, inspect.Field]]:
-    """Every key of the model with its dotted path, in file order.
+    """Yield every key of the model with its dotted path, in file order.
 
     Args:
-        kind: of the tables whose keys depend on their `kind`, show those of this one; None shows those of each.
+        model: the struct to describe.
+        kind: for tables whose keys depend on their `kind`, yield the keys of this one; None yields those of each.
     """
     yield from _walk(inspect.type_info(model), "", kind)
 
 
-def variants(spot: inspect.Type) -> tuple[inspect.StructType, ...]:
-    """The structs that a table may be: several where its keys depend on its `kind`, none where the spot is no table."""
-    bare = _bare(spot)
+def variants(node: inspect.Type) -> tuple[inspect.StructType, ...]:
+    """Return the structs that a table may be: several if its keys depend on its `kind`, none if the type is not a table."""
+    bare = _bare(node)
     if isinstance(bare, inspect.UnionType):
         return tuple(kind for kind in bare.types if isinstance(kind, inspect.StructType))
     return (bare,) if isinstance(bare, inspect.StructType) else ()
 
 
 def fields(struct: inspect.StructType) -> tuple[inspect.Field, ...]:
-    """The keys of a table; the tag that says which kind it is comes first."""
+    """Return the keys of a table; the tag that names its kind comes first."""
     return (_tag(struct.tag_field, struct.tag), *struct.fields) if struct.tag_field else struct.fields
 
 
-def _walk(spot: inspect.Type, prefix: str, kind: str | None) -> Iterator[tuple[str, inspect.Field]]:
-    for field in (f for struct in variants(spot) if kind in (None, struct.tag) or not struct.tag_field for f in fields(struct)):
+def _walk(node: inspect.Type, prefix: str, kind: str | None) -> Iterator[tuple[str, inspect.Field]]:
+    for field in (f for struct in variants(node) if kind in (None, struct.tag) or not struct.tag_field for f in fields(struct)):
         path = prefix + field.encode_name
         if variants(field.type):
             yield from _walk(field.type, path + ".", kind)
@@ -104,27 +105,27 @@ def _tag(name: str, *values: str | int | None) -> inspect.Field:
     return inspect.Field(name, name, inspect.Metadata(kind, extra_json_schema=notes))
 
 
-def _bare(spot: inspect.Type) -> inspect.Type:
-    """The type without its notes."""
-    spot = _given(spot)
-    return spot.type if isinstance(spot, inspect.Metadata) else spot
+def _bare(node: inspect.Type) -> inspect.Type:
+    """Return the type without its annotations."""
+    node = _given(node)
+    return node.type if isinstance(node, inspect.Metadata) else node
 
 
-def _given(spot: inspect.Type) -> inspect.Type:
+def _given(node: inspect.Type) -> inspect.Type:
     """Return the type that an optional value has when it is given."""
-    kinds = [kind for kind in spot.types if not isinstance(kind, inspect.NoneType)] if isinstance(spot, inspect.UnionType) else []
-    return kinds[0] if len(kinds) == 1 else spot
+    kinds = [kind for kind in node.types if not isinstance(kind, inspect.NoneType)] if isinstance(node, inspect.UnionType) else []
+    return kinds[0] if len(kinds) == 1 else node
 
 
-def _chosen(spot: inspect.Type, found: object) -> inspect.Type:
-    """The variant that the data say they are; the spot itself where there is no choice, or none was made."""
-    kinds = variants(spot)
-    said = found.get(kinds[0].tag_field) if kinds and kinds[0].tag_field and isinstance(found, Mapping) else None
-    return next((kind for kind in kinds if kind.tag_field and kind.tag == said), spot)
+def _chosen(node: inspect.Type, found: object) -> inspect.Type:
+    """Return the variant that the data name, or the type itself if there is no choice or none was made."""
+    kinds = variants(node)
+    tag = found.get(kinds[0].tag_field) if kinds and kinds[0].tag_field and isinstance(found, Mapping) else None
+    return next((kind for kind in kinds if kind.tag_field and kind.tag == tag), node)
 
 
-def _fields(spot: inspect.Type) -> tuple[inspect.Field, ...]:
-    kinds = variants(spot)
+def _fields(node: inspect.Type) -> tuple[inspect.Field, ...]:
+    kinds = variants(node)
     if len(kinds) > 1 and kinds[0].tag_field:
         return (_tag(kinds[0].tag_field, *(kind.tag for kind in kinds)),)
     return fields(kinds[0]) if kinds else ()

@@ -1,6 +1,6 @@
-"""Secrets from files: a path, or `credential:NAME` for a file that systemd put into `$CREDENTIALS_DIRECTORY`.
+"""Read secrets from files: a path, or `credential:NAME` for a file that systemd put into `$CREDENTIALS_DIRECTORY`.
 
-No error text shows what a file holds.
+No error text shows the content of a file.
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ _LONGEST = 4096
 
 
 def find(reference: str, part: str, environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the file that a setting names, None for an empty setting.
+    """Return the file that a setting names, or None for an empty setting.
 
     Args:
+        reference: the value of the setting.
         part: the section of the settings, for errors.
+        environment: the environment variables, by default those of the process.
 
     Raises:
-        BadInput: a credential where systemd has given no directory, or a name with a slash.
+        BadInput: the setting names a credential but systemd has given no directory, or its name contains a slash.
     """
     if not reference:
         return None
@@ -44,7 +46,7 @@ def find(reference: str, part: str, environment: Mapping[str, str] = os.environ)
 
 
 def text(reference: str, part: str, key: str, environment: Mapping[str, str] = os.environ) -> str | None:
-    """Return a secret text without the newline that editors leave, None for an empty setting.
+    """Return a secret text without the final newline that editors add, or None for an empty setting.
 
     Raises:
         BadInput: the file cannot be read, is empty, or is not text.
@@ -67,10 +69,10 @@ def text(reference: str, part: str, key: str, environment: Mapping[str, str] = o
 
 
 def key(reference: str, part: str, name: str, environment: Mapping[str, str] = os.environ) -> bytes | None:
-    """Return a key of `KEY_BYTES` bytes, kept as they are or as hexadecimal digits; None for an empty setting.
+    """Return a key of `KEY_BYTES` bytes from a file that holds them raw or as hexadecimal digits; None for an empty setting.
 
     Raises:
-        BadInput: the file cannot be read, others may read it, or it holds no key.
+        BadInput: the file cannot be read, other users may read it, or it holds no key.
     """
     path = find(reference, part, environment)
     if path is None:
@@ -80,7 +82,7 @@ def key(reference: str, part: str, name: str, environment: Mapping[str, str] = o
         mode, content = path.stat().st_mode, _content(path)
     except OSError as why:
         raise unusable(where, why) from why
-    # systemd guards credentials by an access list, which shows as a group that may read.
+    # systemd protects credentials by an access list, which looks like a group that may read.
     if not reference.startswith(CREDENTIAL) and stat.S_IMODE(mode) & 0o077:
         raise BadInput(f"{where}: others may read it; chmod 600 {path}")
     if len(content) == KEY_BYTES:
@@ -95,6 +97,6 @@ def key(reference: str, part: str, name: str, environment: Mapping[str, str] = o
 
 
 def _content(path: Path) -> bytes:
-    """Read no more than a secret can have: a setting may name any file, also one without an end."""
+    """Return at most as many bytes as a secret can have: a setting may name any file, also one without an end."""
     with path.open("rb") as file:
         return file.read(_LONGEST)
