@@ -55,7 +55,7 @@ _OVER_EXPECTED = 3.0
 """Log-odds of measuring against the deck when the body is surely over it, and against the water when it surely is not."""
 _REFUTED = 6.0
 """NIS above which a hypothesis is refuted by its own covariance; one true sample in twenty exceeds it."""
-_ZERO3, _NO_DOUBT = np.zeros(3), np.zeros(())
+_ZERO3, _NO_AMBIGUITY = np.zeros(3), np.zeros(())
 _CORRELATION = (
     "attitude_correlation_s", "velocity_correlation_s", "range_correlation_s", "baro_correlation_s",
 )  # fmt: skip
@@ -64,35 +64,35 @@ _CORRELATION = (
 def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple[Belief, FusionResult]:
     """Fuse a velocity over the ground or over the deck.
 
-    If the options do not say which, the samples decide between the two hypotheses, and the remaining doubt widens the noise.
+    If the options do not say which, the samples decide between the two hypotheses, and the remaining ambiguity widens the noise.
     """
     o = params.options
     b = propagated(b, event.stamp.measured_at, params)
     if o.velocity_is_over in ("auto", "either") and b.sighted >= 0:
         b = _seen_below(b, event, o)
-    share = _share_over_pad(b, o)
+    deck_weight = _deck_weight(b, o)
     v, cov = event.v_level, event.cov_level
     axes = measure.measured_axes(cov)
-    if not axes or (share == 1.0 and b.sighted < 0):
+    if not axes or (deck_weight == 1.0 and b.sighted < 0):
         return b, result(event, Verdict.GATED)
     over = motion.peek_velocity(b)
-    if share > 0.0:
-        over = over - share * measure.v_pad_ned(b.x)
+    if deck_weight > 0.0:
+        over = over - deck_weight * measure.v_pad_ned(b.x)
     innov = v - measure.measured_velocity(over, b.R, float(b.x[VEL_SCALE]))
     if axes == (0, 1):
         innov, cov = innov[:2], cov[:2, :2]
     elif len(axes) < 3:
         innov, cov = innov[list(axes)], cov[np.ix_(axes, axes)]
-    return gather(b, VELOCITY, event, innov, cov, params, axes=axes, share=share)
+    return gather(b, VELOCITY, event, innov, cov, params, axes=axes, deck_weight=deck_weight)
 
 
-def _share_over_pad(b: Belief, o: EkfOptions) -> float:
+def _deck_weight(b: Belief, o: EkfOptions) -> float:
     if o.velocity_is_over not in ("auto", "either"):
         return 1.0 if o.velocity_is_over == "pad" else 0.0
     if b.sighted < 0:
         return 0.0
-    share = 1.0 / (1.0 + math.exp(-b.over_pad))
-    return 0.0 if share < 0.03 else 1.0 if share > 0.97 else share
+    deck_weight = 1.0 / (1.0 + math.exp(-b.over_pad))
+    return 0.0 if deck_weight < 0.03 else 1.0 if deck_weight > 0.97 else deck_weight
 
 
 def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
@@ -108,7 +108,7 @@ def _seen_below(b: Belief, event: BodyVelocity, o: EkfOptions) -> Belief:
     elif away - 2.0 * spread > 4.0 * o.deck_radius_m:
         expected = -_OVER_EXPECTED
     odds = expected + (b.over_pad - expected) * math.exp(-since / _OVER_MEMORY_S)
-    ground, deck = (measure.velocity(x, b.R, event.v_level, event.cov_level, share) for share in (0.0, 1.0))
+    ground, deck = (measure.velocity(x, b.R, event.v_level, event.cov_level, deck_weight) for deck_weight in (0.0, 1.0))
     if ground is None or deck is None:
         return b
     evidence = _for_the_deck(ground, deck, b.P)
@@ -161,7 +161,14 @@ def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, Fus
 
 
 def gather(
-    b: Belief, kind: int, event: Event, innov: F64, R: F64, params: FilterParams, axes: tuple[int, ...] = (), share: float = 0.0
+    b: Belief,
+    kind: int,
+    event: Event,
+    innov: F64,
+    R: F64,
+    params: FilterParams,
+    axes: tuple[int, ...] = (),
+    deck_weight: float = 0.0,
 ) -> tuple[Belief, FusionResult]:
     """Add a sample to those that are fused at the end of the aiding period, unless the gate rejects it.
 
@@ -170,17 +177,17 @@ def gather(
     Args:
         innov: (m,) innovation with its noise R (m, m).
         axes: components of a velocity that the innovation holds.
-        share: share of the pad's velocity in a measured velocity.
+        deck_weight: 0 for a velocity over the ground, 1 for one over the pad's deck.
     """
     o = params.options
     aid = b.aids[kind]
     so_far = aid.gathered
-    if so_far is None or so_far.axes != axes or so_far.share != share or _stale(so_far, b.t, o):
-        H, doubt = _predicted(b, kind, axes, share)
+    if so_far is None or so_far.axes != axes or so_far.deck_weight != deck_weight or _stale(so_far, b.t, o):
+        H, ambiguity = _predicted(b, kind, axes, deck_weight)
         if H is None:
             return b, result(event, Verdict.GATED)
-        spread = H.dot(b.P).dot(H.T) + doubt
-        so_far = Gathered(0, b.t, axes, share, H, doubt, spread, np.zeros(innov.size), np.zeros_like(R))
+        spread = H.dot(b.P).dot(H.T) + ambiguity
+        so_far = Gathered(0, b.t, axes, deck_weight, H, ambiguity, spread, np.zeros(innov.size), np.zeros_like(R))
     S = so_far.spread + R
     nis = nis_of(innov, S)
     components = tuple([COMPONENTS["velocity"][i] for i in axes])
@@ -212,26 +219,26 @@ def _with_aid(b: Belief, kind: int, aid: Aid) -> Belief:
     return b._replace(aids=tuple(aids))
 
 
-def _predicted(b: Belief, kind: int, axes: tuple[int, ...], share: float) -> tuple[F64 | None, F64]:
-    """Return the (m, N) Jacobian of a kind of aiding and the (m, m) noise that an uncertain `share` adds."""
+def _predicted(b: Belief, kind: int, axes: tuple[int, ...], deck_weight: float) -> tuple[F64 | None, F64]:
+    """Return the (m, N) Jacobian of a kind of aiding and the (m, m) noise that an uncertain `deck_weight` adds."""
     if kind == ATTITUDE:
-        return measure.BY_ATTITUDE, _NO_DOUBT
+        return measure.BY_ATTITUDE, _NO_AMBIGUITY
     if kind == HEIGHT:
-        return measure.BY_HEIGHT, _NO_DOUBT
+        return measure.BY_HEIGHT, _NO_AMBIGUITY
     x = motion.peek(b)
     if kind == RANGE:
         row = measure.distance(x, b.R, 0.0, 1.0)
-        return None if row is None else row.H, _NO_DOUBT
-    row = measure.velocity(x, b.R, _ZERO3, _axes_only(axes), share)
-    doubt = share * (1.0 - share)
-    if row is None or doubt == 0.0:
-        return None if row is None else row.H, _NO_DOUBT
+        return None if row is None else row.H, _NO_AMBIGUITY
+    row = measure.velocity(x, b.R, _ZERO3, _axes_only(axes), deck_weight)
+    ambiguity = deck_weight * (1.0 - deck_weight)
+    if row is None or ambiguity == 0.0:
+        return None if row is None else row.H, _NO_AMBIGUITY
     ground = measure.velocity(x, b.R, _ZERO3, _axes_only(axes), 0.0)
     if ground is None:
-        return None, _NO_DOUBT
-    gap = (row.innov - ground.innov) / share
-    slope = (row.H - ground.H) / share
-    return row.H, doubt * (np.outer(gap, gap) + slope.dot(b.P).dot(slope.T) + 1e-9 * np.eye(gap.size))
+        return None, _NO_AMBIGUITY
+    gap = (row.innov - ground.innov) / deck_weight
+    slope = (row.H - ground.H) / deck_weight
+    return row.H, ambiguity * (np.outer(gap, gap) + slope.dot(b.P).dot(slope.T) + 1e-9 * np.eye(gap.size))
 
 
 def _axes_only(axes: tuple[int, ...]) -> F64:
@@ -257,10 +264,10 @@ def aided(b: Belief, params: FilterParams) -> Belief:
             continue
         # Errors with correlation time tau leave one independent sample in 2 tau, however many samples there are.
         window = (b.t - aid.fused) * 1e-9 if aid.fused >= 0 else math.inf
-        share = max(1.0 / some.n, 2.0 * float(getattr(o, _CORRELATION[kind])) / max(window, 1e-3))
+        inflation = max(1.0 / some.n, 2.0 * float(getattr(o, _CORRELATION[kind])) / max(window, 1e-3))
         innov.append(some.innov / some.n)
         H.append(some.H)
-        R.append((some.R / some.n + some.doubt) * share)
+        R.append((some.R / some.n + some.ambiguity) * inflation)
         aids[kind] = Aid(None, b.t, aid.refused)
     b = b._replace(aids=tuple(aids))
     if not innov:

@@ -30,7 +30,7 @@ MEMORY_S = 180.0
 """Evidence fades over this time, so that another sea is learned."""
 PERIOD_S = 0.2
 """Members look at most this often; a wave is seen dozens of times anyway."""
-_SHARE_OF_EVIDENCE = 0.6
+_EVIDENCE_WEIGHT = 0.6
 """Weight that a forecast gives to the evidence for a member."""
 _NIS_MAX = 16.0
 """NIS beyond which an innovation counts no more against a member."""
@@ -163,24 +163,24 @@ def _weight_ahead(log_weight: F64, rest: F64) -> F64:
     No sea is exactly one of the members, so the evidence counts for less than if one of them were the truth.
     Source: Grunwald and van Ommen, Inconsistency of Bayesian inference for misspecified linear models, Bayesian Analysis, 2017.
     """
-    log_weight = _SHARE_OF_EVIDENCE * (log_weight - LOG_PRIOR)[:, 1:]
+    log_weight = _EVIDENCE_WEIGHT * (log_weight - LOG_PRIOR)[:, 1:]
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     return np.concatenate([rest, (1.0 - rest) * weight / weight.sum(axis=1, keepdims=True)], axis=1)
 
 
 class Ahead(NamedTuple):
-    """The bank's forecast at H instants, [displacement, rate] by direction: (H, 5, 2) and (H, 5, 2, 4) each."""
+    """The forecast of the bank at H instants: displacement and rate by direction, (H, 5, 2)."""
 
     mean: F64
-    """What the members make of the waves, by their weights, as much of it as has come true so far."""
+    """The weighted mean of the members' forecasts, scaled by the forecast skill."""
     change: F64
-    """The same less what it is now, of the displacement."""
+    """The forecast displacement minus the present one, (H, 5)."""
     by_rate: F64
-    """What one more unit of the present rate would add."""
+    """Derivative of the forecast with respect to the present rates."""
     var: F64
-    """Besides what the doubt about the present rate makes of it."""
+    """Variance of the forecast without the part that the uncertainty of the present rates adds, (H, 5, 2)."""
     var_change: F64
-    """(H, 5) the same of the displacement's change."""
+    """The same variance of the displacement's change, (H, 5)."""
 
 
 def ahead(sea: DeckMotionBank, t: int, rate: F64, horizons_s: F64) -> Ahead:
@@ -215,10 +215,10 @@ def ahead(sea: DeckMotionBank, t: int, rate: F64, horizons_s: F64) -> Ahead:
         moved = observed[..., 0] - x[..., 0]
         spread = (moved - (weight * moved).sum(axis=1, keepdims=True)) ** 2
         var_change[k] = (weight * (np.einsum("gi,cgij,gj->cg", a, P, a) + noise[..., 0] + spread)).sum(axis=1)
-    kept = skill.share(sea.skill, horizons_s, sea.w_rad_s)
-    doubt = ((1.0 - kept) * mean) ** 2
+    kept = skill.factor(sea.skill, horizons_s, sea.w_rad_s)
+    skill_var = ((1.0 - kept) * mean) ** 2
     mean = kept * mean
-    return Ahead(mean, mean[..., 0] - now, by_rate, var + doubt, var_change + doubt[..., 0])
+    return Ahead(mean, mean[..., 0] - now, by_rate, var + skill_var, var_change + skill_var[..., 0])
 
 
 def _carried(x: F64, P: F64, dt: float, by: Carrying, reach_m: float) -> tuple[F64, F64]:
@@ -271,7 +271,7 @@ def _summary(log_weight: F64) -> tuple[F64, F64, F64, F64, F64]:
     weight[:, 0] = rest
     energy = weight * SIGMA**2
     total = energy.sum(axis=1)
-    share = energy / total[:, None]
+    fraction = energy / total[:, None]
     # Of the mixture's displacement and rate the variances stay: while the period is unknown, the quick members count.
-    w, zeta = np.sqrt(share @ W**2), np.exp(share @ np.log(ZETA))
+    w, zeta = np.sqrt(fraction @ W**2), np.exp(fraction @ np.log(ZETA))
     return weight, w, zeta, np.sqrt(total), stationary(w, zeta)

@@ -260,7 +260,7 @@ def seen_from_body(s: Sighting, A: F64) -> F64:
 
 
 def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
-    """Return `cov` minus `J cov_attitude J'`; at least the share `keep` of each direction remains.
+    """Return `cov` minus `J cov_attitude J'`; at least the fraction `keep` of each direction remains.
 
     A `cov` that is clearly too small to contain that part in some direction comes from an attitude that was taken as exact. It is
     returned unchanged.
@@ -279,11 +279,11 @@ def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
     except np.linalg.LinAlgError:
         return cov
     inverse = np.linalg.inv(L)
-    share, axes = np.linalg.eigh(inverse.dot(part).dot(inverse.T))
-    if share[-1] > _NOT_A_PART:
+    fraction, axes = np.linalg.eigh(inverse.dot(part).dot(inverse.T))
+    if fraction[-1] > _NOT_A_PART:
         return cov
     half = L.dot(axes)
-    return np.asarray((half * np.maximum(1.0 - share, keep)).dot(half.T))
+    return np.asarray((half * np.maximum(1.0 - fraction, keep)).dot(half.T))
 
 
 def attitude(x: F64, R: F64, seen: F64, cov_body: F64) -> LinearizedMeasurement:
@@ -298,27 +298,27 @@ def attitude_innov(x: F64, R: F64, seen: F64) -> F64:
     return innov
 
 
-def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, share_pad: float) -> LinearizedMeasurement | None:
+def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, deck_weight: float) -> LinearizedMeasurement | None:
     """Return the measurement of a velocity in `level`, or None if no axis was measured.
 
     The sensor's scale applies to the horizontal components only.
 
     Args:
-        share_pad: 0 for a velocity over the ground, 1 for one over the pad's deck, and a value between if that is uncertain.
+        deck_weight: 0 for a velocity over the ground, 1 for one over the pad's deck, and a value between if that is uncertain.
     """
     axes = measured_axes(cov_level)
     if not axes:
         return None
     scale = float(x[VEL_SCALE])
     Z = so3.about_down(-so3.heading(R))
-    over = x[VEL] - share_pad * v_pad_ned(x)
+    over = x[VEL] - deck_weight * v_pad_ned(x)
     v = Z.dot(over)
     k = np.array([scale, scale, 1.0])
     H = np.zeros((3, N))
     H[:, ATT_ERR] = (k * np.array([v[1], -v[0], 0.0]))[:, None] * so3.heading_row(R).dot(R)
     H[:, VEL] = k[:, None] * Z
-    if share_pad > 0.0:
-        H -= share_pad * H[:, VEL].dot(by_v_pad_ned(x))
+    if deck_weight > 0.0:
+        H -= deck_weight * H[:, VEL].dot(by_v_pad_ned(x))
     H[:2, VEL_SCALE] = v[:2]
     innov = v_level - measured_velocity(over, R, scale)
     if len(axes) == 3:

@@ -58,9 +58,9 @@ from estimator.ekf.state import (
 _I3 = np.eye(3)
 _IN = np.eye(N)
 _POS = np.array(POS_AXES)
-_SHORT_SHARE = 0.002
-"""Share of a direction's energy that lies in waves too short for the learned oscillators. The oscillators have almost no energy
-above twice their own frequency, but a sea has. The share enters as white acceleration, which drives one oscillator of that
+_SHORT_FRACTION = 0.002
+"""Fraction of a direction's energy that lies in waves too short for the learned oscillators. They have almost no energy
+above twice their own frequency, but a sea has. This fraction enters as white acceleration, which drives one oscillator of that
 energy."""
 _SEA = slice(int(WAVES[0, 0]), int(WAVES[-1, -1]) + 1)
 # These are indices into a flattened (N, N) matrix. Assignment by one index list takes a third of the time of assignment by two.
@@ -167,7 +167,7 @@ def _linear(process_noise: ProcessNoise, T: float, coast_s: float, summary: byte
     o = process_noise.options
     w, zeta, sigma = np.frombuffer(summary).reshape(3, 5)
     A, q_unit = transition(w, zeta, T)
-    q_unit[:, :2, :2] += (4.0 * _SHORT_SHARE * zeta * w**3)[:, None, None] * np.array(
+    q_unit[:, :2, :2] += (4.0 * _SHORT_FRACTION * zeta * w**3)[:, None, None] * np.array(
         [[T**3 / 3.0, T * T / 2.0], [T * T / 2.0, T]]
     )
     q_waves = (sigma**2)[:, None, None] * q_unit
@@ -293,12 +293,12 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
     F[POS_HORIZONTAL, _HEAVE] += coupling[:, None] * (same.A[2, 0] - _FIRST)
     F[POS_NORTH, SWAY_NORTH] = F[POS_EAST, SWAY_EAST] = heaved
     Q = same.Q.copy()
-    push = Q[_HEAVE, _HEAVE][0]
-    Q[POS_HORIZONTAL, _HEAVE] += coupling[:, None] * push
+    heave_noise = Q[_HEAVE, _HEAVE][0]
+    Q[POS_HORIZONTAL, _HEAVE] += coupling[:, None] * heave_noise
     Q[_HEAVE, POS_HORIZONTAL] = Q[POS_HORIZONTAL, _HEAVE].T
-    Q[POS_HORIZONTAL, POS_DOWN] += coupling * push[0]
+    Q[POS_HORIZONTAL, POS_DOWN] += coupling * heave_noise[0]
     Q[POS_DOWN, POS_HORIZONTAL] = Q[POS_HORIZONTAL, POS_DOWN]
-    Q[POS_HORIZONTAL, POS_HORIZONTAL] += coupling[:, None] * coupling * push[0]
+    Q[POS_HORIZONTAL, POS_HORIZONTAL] += coupling[:, None] * coupling * heave_noise[0]
 
     if b.jolt_var_m2_s2 > 0.0 or b.jolt_var_rad2 > 0.0:
         # The whole jolt is assumed to have come at the beginning, which makes the position most uncertain.

@@ -112,8 +112,8 @@ def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, FusionRes
         step_f, step_w = max(abs(fx - gx), abs(fy - gy), abs(fz - gz)), max(abs(wx - vx), abs(wy - vy), abs(wz - vz))
         if step_f > o.accel_step_m_s2 or step_w > o.gyro_step_rad_s:
             b, w_body, f_body = _limited(b, event, step_f, step_w, o)
-        share = -math.expm1(-(t - b.t_imu) * 1e-9 / _SMOOTH_S)
-        smooth = b.w_smooth + share * (w_body - b.w_smooth)
+        weight = -math.expm1(-(t - b.t_imu) * 1e-9 / _SMOOTH_S)
+        smooth = b.w_smooth + weight * (w_body - b.w_smooth)
         w, f = 0.5 * (b.w + w_body), 0.5 * (b.f + f_body)
         b = motion.propagate_state(b, t, w, f, hold_ns, t_imu=t, w=w_body, w_smooth=smooth, f=f_body)
     else:
@@ -129,12 +129,12 @@ def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions)
     The part that was cut off is added to the belief's jolt variances.
     """
     dt = (event.stamp.measured_at - b.t) * 1e-9
-    share_f, share_w = o.accel_step_m_s2 / max(step_f, o.accel_step_m_s2), o.gyro_step_rad_s / max(step_w, o.gyro_step_rad_s)
+    scale_f, scale_w = o.accel_step_m_s2 / max(step_f, o.accel_step_m_s2), o.gyro_step_rad_s / max(step_w, o.gyro_step_rad_s)
     b = b._replace(
-        jolt_var_m2_s2=b.jolt_var_m2_s2 + (step_f * dt) ** 2 * (share_f < 1.0),
-        jolt_var_rad2=b.jolt_var_rad2 + (step_w * dt) ** 2 * (share_w < 1.0),
+        jolt_var_m2_s2=b.jolt_var_m2_s2 + (step_f * dt) ** 2 * (scale_f < 1.0),
+        jolt_var_rad2=b.jolt_var_rad2 + (step_w * dt) ** 2 * (scale_w < 1.0),
     )
-    return b, b.w + share_w * (event.w_body - b.w), b.f + share_f * (event.f_body - b.f)
+    return b, b.w + scale_w * (event.w_body - b.w), b.f + scale_f * (event.f_body - b.f)
 
 
 def _attitude(b: Belief, event: Attitude, params: FilterParams) -> tuple[Belief, FusionResult]:

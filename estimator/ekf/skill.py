@@ -37,7 +37,7 @@ class IssuedForecast(NamedTuple):
 class Skill(NamedTuple):
     """The sums over past comparisons, which fade with time."""
 
-    told: tuple[IssuedForecast, ...]
+    issued: tuple[IssuedForecast, ...]
     """The forecasts whose longest horizon has not passed yet, oldest first."""
     n: F64
     """(3,) faded number of comparisons by horizon."""
@@ -54,7 +54,7 @@ def unknown() -> Skill:
 
 def due(skill: Skill, t: int) -> bool:
     """Return whether the next forecast is to be made at `t` (ns)."""
-    return not skill.told or t - skill.told[-1].t >= PERIOD_S * 1e9
+    return not skill.issued or t - skill.issued[-1].t >= PERIOD_S * 1e9
 
 
 def compared(skill: Skill, t: int, now: F64, ahead: F64) -> Skill:
@@ -66,24 +66,24 @@ def compared(skill: Skill, t: int, now: F64, ahead: F64) -> Skill:
         now: (5, 2) present displacement and rate by direction.
         ahead: (3, 5, 2) new forecast of displacement and rate by horizon and direction.
     """
-    told = skill.told
-    fade = math.exp(-(t - told[-1].t) * 1e-9 / _MEMORY_S) if told else 1.0
+    issued = skill.issued
+    fade = math.exp(-(t - issued[-1].t) * 1e-9 / _MEMORY_S) if issued else 1.0
     n, product, square = fade * skill.n, fade * skill.product, fade * skill.square
     for k, horizon in enumerate(HORIZONS_S.tolist()):
         # Sightings are irregular in time: interpolate between the two forecasts that were made before and after `then`.
         then = t - round(horizon * 1e9)
-        for a, b in pairwise(told):
+        for a, b in pairwise(issued):
             if a.t <= then < b.t and b.t - a.t <= 2e9 * PERIOD_S:
-                share = (then - a.t) / (b.t - a.t)
-                f = (1.0 - share) * a.waves[k] + share * b.waves[k]
+                weight = (then - a.t) / (b.t - a.t)
+                f = (1.0 - weight) * a.waves[k] + weight * b.waves[k]
                 n[k] += 1.0
                 product[k] += f * now
                 square[k] += f * f
-    kept = tuple(one for one in told if t - one.t <= (HORIZONS_S[-1] + 2.0 * PERIOD_S) * 1e9)
+    kept = tuple(one for one in issued if t - one.t <= (HORIZONS_S[-1] + 2.0 * PERIOD_S) * 1e9)
     return Skill((*kept, IssuedForecast(t, ahead)), n, product, square)
 
 
-def prior_share(horizons_s: F64, w_rad_s: F64) -> F64:
+def prior_factor(horizons_s: F64, w_rad_s: F64) -> F64:
     """Return the factor, 0..1, before the first comparison, (H, 5): it falls with the part of a period that a forecast spans.
 
     Args:
@@ -93,7 +93,7 @@ def prior_share(horizons_s: F64, w_rad_s: F64) -> F64:
     return np.asarray(np.exp(-(_periods(horizons_s, w_rad_s) ** 2)))
 
 
-def share(skill: Skill, horizons_s: F64, w_rad_s: F64) -> F64:
+def factor(skill: Skill, horizons_s: F64, w_rad_s: F64) -> F64:
     """Return the factor, 0..1, by which to scale a forecast, (H, 5, 2) by horizon, direction and displacement or rate.
 
     It is 1 at horizon 0 and constant beyond the longest compared horizon.
@@ -104,7 +104,7 @@ def share(skill: Skill, horizons_s: F64, w_rad_s: F64) -> F64:
         w_rad_s: (5,) frequency of the waves by direction.
     """
     n = skill.n[:, None, None]
-    prior = prior_share(HORIZONS_S, w_rad_s)[..., None]
+    prior = prior_factor(HORIZONS_S, w_rad_s)[..., None]
     weight = (_PRIOR_COUNT + _PRIOR_COUNT_FAR * _periods(HORIZONS_S, w_rad_s) ** 4)[..., None]
     slope = skill.product / np.maximum(skill.square, 1e-12)
     known = np.clip((weight * prior + n * slope) / (weight + n), 0.0, 1.0)

@@ -86,14 +86,14 @@ class Gathered(NamedTuple):
     """Instant of the first sample, ns."""
     axes: tuple[int, ...]
     """The components of a velocity that were measured."""
-    share: float
-    """Share of the pad's velocity that a measured velocity is taken to be relative to: 0 over the ground, 1 over the deck."""
+    deck_weight: float
+    """Weight of the hypothesis that the velocity is relative to the deck: 0 over the ground, 1 over the deck."""
     H: F64
     """(m, N) Jacobian at `since`."""
-    doubt: F64
-    """(m, m) covariance that the uncertainty of `share` adds to the noise."""
+    ambiguity: F64
+    """(m, m) covariance that the uncertainty of `deck_weight` adds to the noise."""
     spread: F64
-    """(m, m) covariance of the prediction at `since`, including `doubt`."""
+    """(m, m) covariance of the prediction at `since`, including `ambiguity`."""
     innov: F64
     """(m,) sum of the innovations."""
     R: F64

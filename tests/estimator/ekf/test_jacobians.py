@@ -157,12 +157,12 @@ def test_delay_column_is_the_rate_of_what_the_camera_sees(seed: int) -> None:
 
 @given(st.integers(0, 10_000), st.sampled_from([0.0, 0.4, 1.0]))
 @settings(max_examples=15, deadline=None)
-def test_velocity(seed: int, share_pad: float) -> None:
+def test_velocity(seed: int, deck_weight: float) -> None:
     b = random_belief(seed)
     cov = np.diag([0.01, 0.01, 0.01])
 
     def row(c: Belief) -> measure.LinearizedMeasurement:
-        r = measure.velocity(c.x, c.R, np.zeros(3), cov, share_pad)
+        r = measure.velocity(c.x, c.R, np.zeros(3), cov, deck_weight)
         assert r is not None
         return r
 
