@@ -1,8 +1,9 @@
-"""The figures of the simulated quadcopter: body, rotors, inner loops, own estimator, feet."""
+"""The figures of the simulated vehicle: body, rotors, inner loops, own estimator, feet."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +85,14 @@ class Airframe:
     """First-order lag of thrust and torque behind their commands."""
     command_delay_s: float = 0.04
     """Delay from the arrival of a stick command to its effect on the loops."""
+    layout: Literal["quad_x", "hexa_x"] = "quad_x"
+    """Four rotors in an X, or six of which two stand at the sides (`sitl.rotors`)."""
     arm_m: float = 0.127
-    """Distance of each rotor's axis ahead or astern and to the side: diagonal rotors are 0.36 m apart."""
+    """Distance of each rotor's axis ahead or astern and to the side: diagonal rotors are 0.36 m apart. Of six rotors: distance
+    from the middle."""
     rotor_radius_m: float = 0.10
+    ground_effect: Literal["body", "rotors"] = "body"
+    """Whether the ground effect is that of what lies under the body's middle, or each rotor's own over the deck's edge."""
     rotors_above_m: float = 0.03
     """Height of the rotor plane above the body's origin."""
     yaw_torque_per_thrust_m: float = 0.02

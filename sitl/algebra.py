@@ -29,6 +29,8 @@ class MathBackend(Protocol):
     def sin(self, x: Num) -> Num: ...
     def cos(self, x: Num) -> Num: ...
     def asin(self, x: Num) -> Num: ...
+    def exp(self, x: Num) -> Num: ...
+    def log(self, x: Num) -> Num: ...
     def atan2(self, y: Num, x: Num) -> Num: ...
     def no(self, flag: Flag) -> Flag: ...
     def any(self, flag: Flag) -> bool: ...
@@ -54,6 +56,12 @@ class Floats:
 
     def asin(self, x: Num) -> Num:
         return math.asin(x)
+
+    def exp(self, x: Num) -> Num:
+        return math.exp(x)
+
+    def log(self, x: Num) -> Num:
+        return math.log(x)
 
     def atan2(self, y: Num, x: Num) -> Num:
         return math.atan2(y, x)
@@ -85,6 +93,12 @@ class Arrays:
 
     def asin(self, x: Num) -> Num:
         return np.asarray(np.arcsin(x))
+
+    def exp(self, x: Num) -> Num:
+        return np.asarray(np.exp(x))
+
+    def log(self, x: Num) -> Num:
+        return np.asarray(np.log(x))
 
     def atan2(self, y: Num, x: Num) -> Num:
         return np.asarray(np.arctan2(y, x))

@@ -48,6 +48,25 @@ class DeckShape:
             inside = inside & (along <= self.fore_m - self.taper_m * (share * share) ** 1.1)
         return inside
 
+    def coverage(self, m: MathBackend, x: Num, y: Num, radius_m: float) -> Num:
+        """Return the share of a disc about a point of the pad's plane that lies over the deck.
+
+        It is exact along a straight edge; at a corner the shares of the two edges are multiplied.
+        """
+        c, s = math.cos(self.pad_yaw_rad), math.sin(self.pad_yaw_rad)
+        along = c * x - s * y
+        across = s * x + c * y - 0.5 * (self.starboard_m - self.port_m)
+        half = 0.5 * (self.starboard_m + self.port_m)
+        fore: Num = self.fore_m
+        if self.taper_m > 0.0:
+            aside = m.clip(across / half, -1.0, 1.0)
+            fore = self.fore_m - self.taper_m * (aside * aside) ** 1.1
+        share: Num = 1.0
+        for inside in (fore - along, along + self.aft_m, half - across, half + across):
+            d = m.clip(inside / radius_m, -1.0, 1.0)
+            share = share * (0.5 + (d * m.sqrt(1.0 - d * d) + m.asin(d)) / math.pi)
+        return share
+
 
 @dataclass(slots=True)
 class Ground:

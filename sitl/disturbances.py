@@ -40,7 +40,7 @@ class Disturbances:
     """
 
     def __init__(self, wind: Wind, avionics: Avionics, step_s: float, seeds: list[np.random.SeedSequence], single: bool) -> None:
-        self._noise = _Noise(seeds, single)
+        self._noise = Noise(seeds, single)
         start, bias = self._noise.next(), self._noise.next()
         av = avionics
         self._gust = _Memory(wind.gust_sigma_m_s, wind.gust_time_s, step_s)
@@ -80,7 +80,7 @@ class _Memory:
         self.fresh = sigma * math.sqrt(1.0 - self.keep**2)
 
 
-class _Noise:
+class Noise:
     """Standard normal numbers, `_CHANNELS` a step, drawn in blocks for speed."""
 
     def __init__(self, seeds: list[np.random.SeedSequence], single: bool) -> None:

@@ -90,7 +90,10 @@ class Gust(Fault, frozen=True, tag="gust"):
 class WeakRotor(Fault, frozen=True, tag="weak_rotor"):
     """A rotor gives a fraction of its thrust."""
 
-    rotor: Annotated[Literal["front_left", "front_right", "rear_right", "rear_left"], choice("which rotor")] = "front_left"
+    rotor: Annotated[
+        Literal["front_left", "front_right", "right", "rear_right", "rear_left", "left"],
+        choice("which rotor; right and left are a hexacopter's"),
+    ] = "front_left"
     thrust_fraction: Annotated[float, number("fraction of its thrust that it still gives", "1", 0.0, 1.0)] = 0.8
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from sitl.contact import Ground
 from sitl.scenario import Scenario
-from sitl.stage import airframe, deck_shape, flight_seeds, limits, place, sea_and_vessel, wind
+from sitl.stage import air, airframe, deck_shape, flight_seeds, limits, place, sea_and_vessel, wind
 from sitl.vehicle import DECK, Vehicle
 from sitl.vessel import Mounted
 from sitl.world import STEP_NS
@@ -42,6 +42,8 @@ class Fleet:
         shape = deck_shape(self.vessel.hull, pad_yaw)
         self.vehicle = Vehicle(airframe(scenario), shape, self.step_s, [s.flight for s in each], wind(scenario))
         self.vehicle.limits = limits(scenario)
+        self.vehicle.air = air(scenario, self.vessel.hull, [s.flight for s in each], self.step_s)
+        self.vehicle.current = scenario.sea.current_ne_m_s
         self._known = self._pad = self.vessel.pad(0.0)
         place(scenario, self.vehicle, _ground(self._pad), self._pad.p_ned, self._pad.R_ned)
 

@@ -22,36 +22,31 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.faults import AnyFault
+from sitl.faults import AnyFault, WeakRotor
+from sitl.rotors import rotors
 from sitl.sea_settings import EXCLUDES as SEA_EXCLUDES
 from sitl.sea_settings import Sea as Sea
 from sitl.seakeeping import hull
+from sitl.vehicle_file import VehicleFile
+from sitl.vehicle_file import load as load_vehicle
+from sitl.vehicle_settings import VehicleSettings as VehicleSettings
 from sitl.vessel_file import Ship
 from sitl.vessel_file import load as load_vessel
 from sitl.vessel_settings import DEFAULT_HULL
 from sitl.vessel_settings import EXCLUDES as VESSEL_EXCLUDES
 from sitl.vessel_settings import VesselSettings as VesselSettings
+from sitl.wind_settings import EXCLUDES as WIND_EXCLUDES
+from sitl.wind_settings import WindSettings as WindSettings
 
 _MEASURED = "a recorded AR.Drone 2.0 flight against motion capture"
 _THESIS = "the thesis' simulator"
-_EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES}
+_EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES, "wind": WIND_EXCLUDES}
 FAULTS = "faults"
 """Folder of the shipped scenarios with a fault each."""
 
 
 def _switch(meaning: str) -> Meta:
     return Meta(description=meaning)
-
-
-class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """The air around the vehicle."""
-
-    speed_m_s: Annotated[float, number("mean", "m/s", 0.0, 25.0)] = 2.0
-    from_deg: Annotated[float, number("where it blows from, clockwise from north", "deg", -360.0, 360.0)] = 0.0
-    gust_sigma_m_s: Annotated[
-        float, number("standard deviation of each horizontal component about the mean", "m/s", 0.0, 8.0)
-    ] = 0.4
-    gust_time_s: Annotated[float, number("correlation time of the gusts", "s", 0.1, 60.0)] = 2.0
 
 
 class Start(Struct, frozen=True, forbid_unknown_fields=True):
@@ -170,24 +165,6 @@ class SensorSettings(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("ultrasound_min_m must be less than ultrasound_max_m")
 
 
-class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """What may be changed about the vehicle."""
-
-    mass_kg: Annotated[float, number("inertia follows in proportion", "kg", 0.2, 2.5, _THESIS)] = 1.477
-    command_delay_s: Annotated[float, number("from the arrival of a stick command to its effect", "s", 0.0, 0.5, "assumed")] = (
-        0.04
-    )
-    motor_lag_s: Annotated[float, number("time constant of rotor thrust", "s", 0.0, 0.5, "assumed")] = 0.05
-    landing_speed_m_s: Annotated[float, number("descent of the drone's own landing", "m/s", 0.1, 1.5)] = 0.4
-    euler_angle_max_deg: Annotated[
-        float, number("full stick, until the configuration says otherwise", "deg", 1.0, 28.0, "firmware")
-    ] = 12.0
-    vz_max_m_s: Annotated[float, number("full stick, until the configuration says otherwise", "m/s", 0.1, 2.0, "firmware")] = 0.7
-    yaw_rate_max_deg_s: Annotated[
-        float, number("full stick, until the configuration says otherwise", "deg/s", 10.0, 350.0, "firmware")
-    ] = 100.0
-
-
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     """One flight to simulate."""
 
@@ -233,6 +210,7 @@ def load(name_or_path: str | Path) -> Scenario:
     camera_model(scenario)
     pad_model(scenario)
     ship_model(scenario)
+    vehicle_model(scenario)
     return scenario
 
 
@@ -256,7 +234,7 @@ def _with_base(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         if table not in base or table in data:
             found = _find(named, folder, path.parent, f"{path}: {table}.file")
             whole[table] = {**whole.get(table, {}), "file": str(found)}
-    for table, folder in (("vessel", "vessels"),):
+    for table, folder in (("vessel", "vessels"), ("vehicle", "vehicles")):
         said: Any = data.get(table, {})
         if "file" in said:
             whole[table]["file"] = str(_find(said["file"], folder, path.parent, f"{path}: {table}.file"))
@@ -318,6 +296,21 @@ def pad_model(scenario: Scenario) -> Pad:
     return Pad.from_mapping(read_toml(path), str(path))
 
 
+def vehicle_model(scenario: Scenario) -> VehicleFile:
+    """The vehicle that `scenario.vehicle.file` names.
+
+    Raises:
+        BadInput: the file is missing or has a fault, or a fault of the scenario weakens a rotor that the vehicle does not have.
+    """
+    path = _find(scenario.vehicle.file, "vehicles", Path(), "vehicle.file")
+    vehicle = load_vehicle(path)
+    names = [rotor.name for rotor in rotors(vehicle.airframe())]
+    for n, fault in enumerate(scenario.faults):
+        if isinstance(fault, WeakRotor) and fault.rotor not in names:
+            raise BadInput(f"faults[{n}].rotor must be one of {', '.join(names)} of {path}, found {fault.rotor!r}")
+    return vehicle
+
+
 def ship_model(scenario: Scenario) -> Ship:
     """The vessel that `scenario.vessel` names.
 
@@ -334,6 +327,8 @@ def ship_model(scenario: Scenario) -> Ship:
 
 def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
     v, recorded = scenario.vessel, ship.recorded
+    if scenario.wind.wake and ship.hull.superstructure is None:
+        raise BadInput(f"{where}: wind.wake needs a vessel with a superstructure in its file")
     if recorded is not None:
         if v.moored:
             raise BadInput(f"{where}: a recording holds the vessel's whole motion; vessel.moored must be false")

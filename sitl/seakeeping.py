@@ -21,6 +21,19 @@ from sitl.spectra import GRAVITY_M_S2
 
 
 @dataclass(frozen=True, slots=True)
+class Superstructure:
+    """A block on deck that the wind flows around."""
+
+    forward_m: float
+    """Its centre forward of amidships."""
+    starboard_m: float
+    length_m: float
+    width_m: float
+    height_m: float
+    """Over the deck of the pad."""
+
+
+@dataclass(frozen=True, slots=True)
 class Hull:
     """The figures that the responses need, and the position of the pad on the hull."""
 
@@ -47,6 +60,7 @@ class Hull:
     """Height of the centre of gravity over the keel; a ship that turns needs it."""
     table: ResponseTable | None = None
     """The responses, in place of the closed forms."""
+    superstructure: Superstructure | None = None
 
     @property
     def deck_m(self) -> tuple[float, float]:

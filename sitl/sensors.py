@@ -16,6 +16,7 @@ from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs
 from sitl.algebra import Floats, Vec, inverse_rotate, rotate, rotation_of, rpy_of
 from sitl.contact import DeckShape, Ground
+from sitl.rotors import rotors
 from sitl.scenario import SensorSettings
 from sitl.vehicle import Vehicle
 
@@ -172,10 +173,15 @@ def _unit(v: Vec) -> Vec:
     return (v[0] / n, v[1] / n, v[2] / n)
 
 
+_MOTORS = ("front_left", "front_right", "rear_right", "rear_left")
+"""The four motors that an AR.Drone's telemetry has; those at the sides of a hexacopter are not told."""
+
+
 def _pwm(vehicle: Vehicle) -> tuple[int, int, int, int]:
     """Return the motors' PWM. Rotor thrust is proportional to the square of the speed, and the speed to the pulse width."""
-    hover = 0.25 * vehicle.airframe.mass_kg * 9.80665
-    a, b, c, d = (min(255, round(HOVER_PWM * math.sqrt(max(0.0, float(t)) / hover))) for t in vehicle.rotors_n)
+    each = dict(zip((rotor.name for rotor in rotors(vehicle.airframe)), vehicle.rotors_n, strict=True))
+    hover = vehicle.airframe.mass_kg * 9.80665 / len(each)
+    a, b, c, d = (min(255, round(HOVER_PWM * math.sqrt(max(0.0, float(each[name])) / hover))) for name in _MOTORS)
     return (a, b, c, d)
 
 

@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from sitl.air import Air
 from sitl.airframe import Airframe, Avionics, StickLimits
 from sitl.camera import Renderer
 from sitl.contact import DeckShape, Ground
 from sitl.disturbances import Wind
 from sitl.light import Light, Sensor
-from sitl.scenario import Scenario, camera_model, pad_model, ship_model
+from sitl.scenario import Scenario, camera_model, pad_model, ship_model, vehicle_model
 from sitl.sea import Waves
 from sitl.seakeeping import Hull
 from sitl.special_vessels import RecordedVessel, TurningVessel
@@ -42,16 +43,9 @@ def flight_seeds(seed: int) -> Seeds:
 
 def airframe(scenario: Scenario) -> Airframe:
     """Return the vehicle that a scenario asks for; the inertia is scaled with the mass."""
-    base, v, s = Airframe(), scenario.vehicle, scenario.sensors
-    k = v.mass_kg / base.mass_kg
-    ix, iy, iz = base.inertia_kg_m2
+    s = scenario.sensors
     return replace(
-        base,
-        mass_kg=v.mass_kg,
-        inertia_kg_m2=(k * ix, k * iy, k * iz),
-        command_delay_s=v.command_delay_s,
-        motor_lag_s=v.motor_lag_s,
-        landing_speed_m_s=v.landing_speed_m_s,
+        scenario.vehicle.airframe(vehicle_model(scenario)),
         avionics=Avionics(
             tilt_bias_sigma_rad=math.radians(s.tilt_bias_sigma_deg),
             tilt_drift_sigma_rad=math.radians(s.tilt_drift_sigma_deg),
@@ -67,8 +61,7 @@ def airframe(scenario: Scenario) -> Airframe:
 
 def limits(scenario: Scenario) -> StickLimits:
     """Return the initial values that a full stick asks for."""
-    v = scenario.vehicle
-    return StickLimits(math.radians(v.euler_angle_max_deg), v.vz_max_m_s, math.radians(v.yaw_rate_max_deg_s))
+    return scenario.vehicle.stick_limits(vehicle_model(scenario))
 
 
 def deck_shape(ship: Hull, pad_yaw_rad: float) -> DeckShape:
@@ -81,7 +74,20 @@ def deck_shape(ship: Hull, pad_yaw_rad: float) -> DeckShape:
 def wind(scenario: Scenario) -> Wind:
     """Return the steady wind with its gusts."""
     w = scenario.wind
-    return Wind(wind_from(w.speed_m_s, w.from_deg), w.gust_sigma_m_s, w.gust_time_s)
+    return Wind(wind_from(w.speed_m_s, w.from_deg), w.sigma_m_s, w.time_s)
+
+
+def air(
+    scenario: Scenario, ship: Hull, seeds: np.random.SeedSequence | list[np.random.SeedSequence], step_s: float
+) -> Air | None:
+    """Return the air of one vehicle or of B, for scenarios that ask for more than a uniform wind with gusts; else None."""
+    model = scenario.wind.air(ship, math.radians(scenario.vessel.pad_yaw_deg))
+    if model is None:
+        return None
+    single = isinstance(seeds, np.random.SeedSequence)
+    each = [seeds] if isinstance(seeds, np.random.SeedSequence) else seeds
+    own = [np.random.SeedSequence(s.entropy, spawn_key=(*s.spawn_key, 0xA12)) for s in each]
+    return Air(model, step_s, own, single)
 
 
 def renderer(scenario: Scenario, waves: Waves, vessel: Vessel) -> Renderer:

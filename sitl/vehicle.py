@@ -14,6 +14,7 @@ from enum import IntEnum
 import numpy as np
 
 from estimator.contracts.geometry import F64
+from sitl.air import Air
 from sitl.airframe import Airframe, StickLimits
 from sitl.algebra import (
     Arrays,
@@ -32,7 +33,7 @@ from sitl.algebra import (
 )  # fmt: skip
 from sitl.contact import DEEPEST_M, DeckShape, Ground, Relative, Rows, buoyancy, contact_force, relative
 from sitl.disturbances import Disturbances, Wind
-from sitl.rotors import HEALTHY, Four, delivered, ground_effect, thrusts
+from sitl.rotors import Thrusts, delivered, ground_effect, ground_effect_by_rotor, rotors, thrusts
 from sitl.sea import GRAVITY_M_S2
 
 Quaternion = tuple[Num, Num, Num, Num]
@@ -79,8 +80,13 @@ class Vehicle:
         self.wind = wind or Wind()
         self.extra_wind: Vec = _ZERO
         """m/s in ned, on top of the wind: a single gust as it passes."""
-        self.rotor_health: tuple[float, float, float, float] = HEALTHY
-        """Share of its thrust that each rotor (front left, front right, rear right, rear left) delivers."""
+        self._healthy: tuple[float, ...] = (1.0,) * len(rotors(airframe))
+        self.rotor_health = self._healthy
+        """Share of its thrust that each rotor (in the order of `sitl.rotors.rotors`) delivers."""
+        self.air: Air | None = None
+        """The air, where it is more than the uniform wind with its gusts."""
+        self.current: tuple[float, float] = (0.0, 0.0)
+        """Velocity of the water, m/s north and east, against which the optical flow measures beside the deck."""
         self.flow_works = True
         single = isinstance(seeds, np.random.SeedSequence)
         self._m: MathBackend = Floats() if single else Arrays()
@@ -238,8 +244,8 @@ class Vehicle:
         return self._disturbances.tilt
 
     @property
-    def rotors_n(self) -> Four:
-        """Thrust of the front left, front right, rear right and rear left rotor."""
+    def rotors_n(self) -> Thrusts:
+        """Thrust of each rotor, in the order of `sitl.rotors.rotors`."""
         return thrusts(self.airframe, self.thrust_n, self.torque_n_m)
 
     def step(self, ground: Ground) -> None:
@@ -267,12 +273,19 @@ class Vehicle:
             lag,
         )
         lift, turn = self.thrust_n, self.torque_n_m
-        if self.rotor_health != HEALTHY:
-            lift, turn = delivered(f, lift, turn, self.rotor_health)
-        lift = lift * ground_effect(m, f, height)
+        if f.ground_effect == "rotors":
+            cushion = ground_effect_by_rotor(m, f, self.shape, r, ground.sea_z - ahead[2])
+            shares = tuple(h * k for h, k in zip(self.rotor_health, cushion, strict=True))
+            lift, turn = delivered(f, lift, turn, shares)
+        else:
+            if self.rotor_health != self._healthy:
+                lift, turn = delivered(f, lift, turn, self.rotor_health)
+            lift = lift * ground_effect(m, f, height)
 
         g, u = self.gust, self.extra_wind
-        s = self.wind.v_ned
+        s: Vec = self.wind.v_ned
+        if self.air is not None:
+            s = self.air.step(ground, r, self.v, ground.sea_z - ahead[2], self.seconds)
         air = inverse_rotate(
             rows, (self.v[0] - g[0] - u[0] - s[0], self.v[1] - g[1] - u[1] - s[1], self.v[2] - g[2] - u[2] - s[2])
         )
@@ -313,7 +326,8 @@ class Vehicle:
             seen = rotate(ground.R, r.v)
             deck = over & av.flow_sees_deck
             noise = self._disturbances.flow
-            vx, vy = m.where(deck, seen[0], self.v[0]), m.where(deck, seen[1], self.v[1])
+            current = self.current
+            vx, vy = m.where(deck, seen[0], self.v[0] - current[0]), m.where(deck, seen[1], self.v[1] - current[1])
             measured_x = av.flow_scale * (cos_psi * vx + sin_psi * vy) + noise[0]
             measured_y = av.flow_scale * (cos_psi * vy - sin_psi * vx) + noise[1]
             lag = self._alpha[av.flow_lag_s]

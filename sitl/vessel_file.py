@@ -18,7 +18,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from sitl.recorded_motion import RecordedMotion
 from sitl.response_table import MODES, ResponseTable
-from sitl.seakeeping import Hull
+from sitl.seakeeping import Hull, Superstructure
 
 _Row = Annotated[tuple[float, ...], Meta(max_length=400)]
 _Rows = Annotated[tuple[_Row, ...], Meta(max_length=400)]
@@ -52,6 +52,21 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True):
     yaw: Mode | None = None
 
 
+class Block(Struct, frozen=True, forbid_unknown_fields=True):
+    """The superstructure, a block that the wind flows around; frames do not show it."""
+
+    forward_m: Annotated[float, number("of its centre from amidships", "m", -250.0, 250.0)]
+    length_m: Annotated[float, number("along the ship", "m", 0.2, 300.0)]
+    width_m: Annotated[float, number("across the ship", "m", 0.2, 80.0)]
+    height_m: Annotated[float, number("over the deck of the pad", "m", 0.2, 60.0)]
+    starboard_m: Annotated[float, number("of its centre from the middle line", "m", -40.0, 40.0)] = 0.0
+
+    def covers(self, forward_m: float, starboard_m: float) -> bool:
+        """Whether a place on deck lies under it."""
+        along, across = abs(forward_m - self.forward_m), abs(starboard_m - self.starboard_m)
+        return along < 0.5 * self.length_m and across < 0.5 * self.width_m
+
+
 class MotionFile(Struct, frozen=True, forbid_unknown_fields=True):
     """Recorded motion."""
 
@@ -80,6 +95,7 @@ class VesselFile(Struct, frozen=True, forbid_unknown_fields=True):
     kg_m: (
         Annotated[float, number("height of the centre of gravity over the keel; for the heel in a turn", "m", 0.01, 40.0)] | None
     ) = None
+    superstructure: Block | None = None
     closed_form: ClosedForm | None = None
     table: Table | None = None
     recording: MotionFile | None = None
@@ -91,6 +107,9 @@ class VesselFile(Struct, frozen=True, forbid_unknown_fields=True):
         width = self.beam_m if self.deck_beam_m is None else self.deck_beam_m
         if abs(self.pad_forward_m) > 0.5 * self.length_m or abs(self.pad_starboard_m) > 0.5 * width:
             raise ValueError("the pad's centre must lie on the deck: pad_forward_m or pad_starboard_m is beyond its edge")
+        block = self.superstructure
+        if block is not None and block.covers(self.pad_forward_m, self.pad_starboard_m):
+            raise ValueError("superstructure stands on the pad: forward_m and length_m reach over its centre")
         if self.bow_taper_m >= self.length_m:
             raise ValueError("bow_taper_m must be less than length_m")
 
@@ -120,9 +139,11 @@ def load(path: Path) -> Ship:
     except ValueError as why:
         raise BadInput(f"{path}: table: {why}") from why
     closed = f.closed_form or ClosedForm(0.6, 8.0, 0.1)  # not used beside a table or a recording
+    s = f.superstructure
     hull = Hull(
         path.stem, f.length_m, f.beam_m, f.draught_m, closed.block, closed.roll_period_s, closed.roll_damping, f.freeboard_m,
         f.bow_taper_m, (f.pad_forward_m, f.pad_starboard_m), f.deck_beam_m, f.gm_m, f.kg_m, table,
+        None if s is None else Superstructure(s.forward_m, s.starboard_m, s.length_m, s.width_m, s.height_m),
     )  # fmt: skip
     if f.recording is None:
         return Ship(hull)

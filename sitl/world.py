@@ -28,9 +28,10 @@ from sitl.fault_timer import FaultTimer
 from sitl.faults import FramesDelayed, FramesDropped, FramesMisstamped, FramesShifted, Gust, WeakRotor
 from sitl.faulty_sensors import FaultySensors
 from sitl.render_worker import RenderWorker
+from sitl.rotors import rotors
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.sensors import Readings, Sensors
-from sitl.stage import airframe, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind, wind_from
+from sitl.stage import air, airframe, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind, wind_from
 from sitl.vehicle import SEA, Vehicle, VehiclePhase
 
 __all__ = ["Readings", "RenderedFrame", "Stick", "Touchdown", "Truth", "VehiclePhase", "World"]
@@ -42,7 +43,6 @@ _ORIGIN = MonoNs(0)
 _CHUNK = 100
 """Steps of deck motion computed at once. They are few enough for the matrix product to stay in one thread; others would spin."""
 _SEA_EVERY = 5
-_ROTORS = ("front_left", "front_right", "rear_right", "rear_left")
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +165,8 @@ class World:
         self._shape = deck_shape(self.vessel.hull, pad_yaw)
         self._vehicle = Vehicle(airframe(scenario), self._shape, self._step_s, seeds.flight, wind(scenario))
         self._vehicle.limits = limits(scenario)
+        self._vehicle.air = air(scenario, self.vessel.hull, seeds.flight, self._step_s)
+        self._vehicle.current = scenario.sea.current_ne_m_s
         self._sensors = Sensors(scenario.sensors, self._shape, seeds.sensors, self._step_s)
         self._tick = 0
         self.now = start
@@ -384,11 +386,11 @@ class World:
         for begun in faults.update(self._seconds, self._height_m(), self.guidance_phase):
             self._faulty.begin(begun, self._sensors.read(self.at, v, self._motors_on))
         gusts = [_gust(fault, since_s) for fault, since_s in faults.on(Gust)]
-        health = [1.0] * 4
+        health = {rotor.name: 1.0 for rotor in rotors(v.airframe)}
         for fault, _ in faults.on(WeakRotor):
-            health[_ROTORS.index(fault.rotor)] *= fault.thrust_fraction
+            health[fault.rotor] *= fault.thrust_fraction
         v.extra_wind = (sum(g[0] for g in gusts), sum(g[1] for g in gusts), 0.0)
-        v.rotor_health = (health[0], health[1], health[2], health[3])
+        v.rotor_health = tuple(health.values())
         v.flow_works = not faults.active("flow_blind")
 
     def _height_m(self) -> float:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.motors import Motors, MotorVehicle
 from sitl.camera import Exposure, Renderer
 from sitl.contact import Ground
 from sitl.scenario import Scenario, camera_model, pad_model
-from sitl.stage import airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
+from sitl.stage import air, airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
 from sitl.vehicle import DECK, SEA, VehiclePhase
 from sitl.world import RenderedFrame
 
@@ -73,7 +74,10 @@ class Body:
         self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
         shape = deck_shape(self.vessel.hull, np.radians(scenario.vessel.pad_yaw_deg))
         self._vehicle = MotorVehicle(airframe(scenario), shape, step_s, seeds.flight, wind(scenario))
+        if self._vehicle.airframe.layout != "quad_x":
+            raise BadInput("--autopilot flies four rotors in an X; the scenario's vehicle has another layout")
         self._vehicle.curve = curve
+        self._vehicle.air = air(scenario, self.vessel.hull, seeds.flight, step_s)
         self._tick = 0
         self._chunk: list[Ground] = []
         self._chunk_at = 0

@@ -1,0 +1,168 @@
+"""The air: Dryden's turbulence against its spectra, the profile, discrete gusts, and the wake of the superstructure."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64
+from estimator.contracts.time import MonoNs
+from sitl.air import Air, AirModel, GustOnce
+from sitl.algebra import Vec
+from sitl.contact import Ground, relative
+from sitl.fleet import Fleet
+from sitl.scenario import from_mapping, load
+from sitl.seakeeping import Superstructure
+from sitl.world import World
+
+STEP_S = 0.02
+LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+BLOCK = Superstructure(20.0, 0.0, 10.0, 16.0, 10.0)
+
+
+def air(model: AirModel, batch: int | None = None, step_s: float = STEP_S) -> Air:
+    seeds = [np.random.SeedSequence([7, i]) for i in range(batch or 1)]
+    return Air(model, step_s, seeds, batch is None)
+
+
+def met(model: AirModel, height_m: float, seconds: float, batch: int = 60) -> F64:
+    """(T, B, 3) m/s: the air at a place that stands still over the water."""
+    it = air(model, batch)
+    ground = Ground((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0), 0.0)
+    p: Vec = (0.0, 0.0, -height_m)
+    r = relative(ground, p, (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0))
+    rows = [
+        np.stack([np.broadcast_to(x, batch) for x in it.step(ground, r, (0.0, 0.0, 0.0), height_m, i * STEP_S)], axis=-1)
+        for i in range(round(seconds / STEP_S))
+    ]
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("height_m", [4.0, 30.0])
+def test_drydens_turbulence_has_the_strength_and_spectra_of_the_specification(height_m: float) -> None:
+    """Variance and power by frequency of 60 flights of 80 s, hovering in a wind of 10 m/s to the east."""
+    model = AirModel(10.0, math.pi / 2, dryden=True)
+    at = met(model, height_m, 80.0)
+    u, v, w = at[..., 1] - 10.0, -at[..., 0], at[..., 2]
+    h = max(height_m / 0.3048, 10.0)
+    sigma_w = 0.1 * 10.0
+    sigma_u, length_u, length_w = sigma_w / (0.177 + 0.000823 * h) ** 0.4, 0.3048 * h / (0.177 + 0.000823 * h) ** 1.2, 0.3048 * h
+    f = np.fft.rfftfreq(at.shape[0], STEP_S)[1:]
+    window = np.hanning(at.shape[0])
+    for x, sigma, length, first_order in (
+        (u, sigma_u, length_u, True),
+        (v, sigma_u, length_u, False),
+        (w, sigma_w, length_w, False),
+    ):
+        assert x.std() == pytest.approx(sigma, rel=0.08)
+        power = (np.abs(np.fft.rfft(x * window[:, None], axis=0)[1:]) ** 2).mean(axis=1) * 2 * STEP_S / (window**2).sum()
+        s = math.tau * f * length / 10.0
+        shape = 2.0 / (1.0 + s**2) if first_order else (1.0 + 3.0 * s**2) / (1.0 + s**2) ** 2
+        expected = 2.0 * sigma**2 * length / 10.0 * shape
+        for low, high in ((0.1, 0.3), (0.3, 1.0), (1.0, 3.0)):
+            band = (f >= low) & (f < high)
+            assert power[band].mean() == pytest.approx(expected[band].mean(), rel=0.2)
+
+
+def test_the_mean_wind_grows_with_the_logarithm_of_height() -> None:
+    still = air(AirModel(8.0, 0.0, logarithmic=True))
+    assert still.mean_m_s(10.0) == pytest.approx(8.0)
+    assert still.mean_m_s(2.0) == pytest.approx(8.0 * math.log(2.0 / 0.0002) / math.log(10.0 / 0.0002))
+    assert still.mean_m_s(-1.0) == still.mean_m_s(0.5) > 0
+    assert air(AirModel(8.0, 0.0)).mean_m_s(2.0) == 8.0
+
+
+def test_a_gust_rises_stays_and_goes() -> None:
+    gust = GustOnce(2.0, 1.0, 3.0, (4.0, 0.0))
+    at = {t: gust.share(t) for t in (0.0, 2.0, 2.5, 3.0, 4.5, 6.0, 6.5, 7.0, 9.0)}
+    assert [round(x, 6) for x in at.values()] == [0, 0, 0.5, 1, 1, 1, 0.5, 0, 0]
+    blown = met(AirModel(3.0, 0.0, gusts=(gust,)), 5.0, 8.0, batch=1)[:, 0, 0]
+    assert blown.max() == pytest.approx(7.0)
+    assert blown[[0, -1]] == pytest.approx([3.0, 3.0])
+
+
+def deficit(
+    x: float,
+    y: float,
+    z: float,
+    *,
+    towards_rad: float = math.pi,
+    ship_m_s: float = 0.0,
+    turbulence: bool = False,
+    block: Superstructure = BLOCK,
+) -> float:
+    """Share of the wind that is missing at a place from amidships, or the added turbulence over the wind; head wind 10 m/s."""
+    model = AirModel(10.0, towards_rad, wake=block)
+    it = air(model, 200)
+    ground = Ground((0.0, 0.0, -3.0), (ship_m_s, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0), 0.0)
+    v: Vec = (ship_m_s, 0.0, 0.0)
+    r = relative(ground, (x, y, -3.0 - z), v, LEVEL, (0.0, 0.0, 0.0))
+    steps = np.array([np.broadcast_to(it.step(ground, r, v, 3.0 + z, 0.0)[0], 200) for _ in range(100)])
+    if turbulence:
+        return float(steps.std()) / (10.0 + ship_m_s)
+    return 1.0 - float(steps.mean() - ship_m_s) / (10.0 * math.cos(towards_rad) - ship_m_s)
+
+
+def test_the_wake_is_behind_the_superstructure_and_fades() -> None:
+    assert deficit(40.0, 0.0, 3.0) == pytest.approx(0.0, abs=0.01), "upwind there is none"
+    assert deficit(5.0, 30.0, 3.0) == pytest.approx(0.0, abs=0.01), "nor far to the side"
+    near, far = deficit(-5.0, 0.0, 3.0), deficit(-80.0, 0.0, 3.0)
+    assert 0.6 < near <= 0.92
+    assert 0.02 < far < 0.6 * near
+    assert deficit(-5.0, 0.0, 40.0) < 0.25 * near, "high above it the wind blows"
+    assert deficit(-60.0, 0.0, 3.0, towards_rad=0.0) == pytest.approx(0.0, abs=0.01), "the wind comes from astern"
+    # Perera's formula itself, where it holds, ten heights behind, for a block so wide that the spread sideways is not felt.
+    eta = 0.3 * (0.32 / math.log(10 / 0.0002) * 10.0) ** -0.47
+    expected = 9.75 / 10.0 * eta * math.exp(-0.67 * eta**1.5)
+    wide = Superstructure(20.0, 0.0, 10.0, 200.0, 10.0)
+    assert deficit(20.0 - 5.0 - 100.0, 0.0, 3.0, block=wide) == pytest.approx(expected, rel=0.05)
+
+
+def test_the_wake_is_that_of_the_air_past_the_ship_and_is_rough() -> None:
+    """Going ahead at 5 m/s into no wind makes the same deficit of 5 m/s; eddies have a third of it."""
+    model_wind = deficit(-5.0, 0.0, 3.0, ship_m_s=5.0)
+    assert model_wind == pytest.approx(deficit(-5.0, 0.0, 3.0), abs=0.03)
+    assert deficit(-5.0, 0.0, 3.0, turbulence=True) == pytest.approx(0.32 * deficit(-5.0, 0.0, 3.0), rel=0.25)
+
+
+WINDY = {"title": "w", "wind": {"speed_m_s": 8.0, "model": "dryden", "profile": "logarithmic"}}
+
+
+def test_a_seed_meets_the_same_air_alone_and_in_a_fleet_and_seeds_differ() -> None:
+    scenario = from_mapping({**WINDY, "sea": {"significant_height_m": 0.0}, "vessel": {"moored": False}}, "w")
+    fleet = Fleet(scenario, [4, 5])
+    for _ in range(500):
+        fleet.step()
+    for i, seed in enumerate((4, 5)):
+        world = World(scenario, seed)
+        world.advance(MonoNs(2_000_000_000))
+        assert world.truth().p_body_ned == pytest.approx(fleet.vehicle.p_ned[i], abs=1e-6)
+    assert abs(fleet.vehicle.p_ned[0] - fleet.vehicle.p_ned[1]).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ({"wind": {"model": "dryden", "gust_sigma_m_s": 0.4}}, "wind: gust_sigma_m_s belongs to the model gauss_markov"),
+        ({"wind": {"roughness_m": 0.001}}, "wind: roughness_m belongs to the logarithmic profile"),
+        ({"wind": {"gusts": [{"at_s": 1.0, "speed_m_s": 5.0}]}}, "from_deg"),
+    ],
+)
+def test_winds_that_contradict_themselves_are_refused(data: dict[str, object], said: str) -> None:
+    with pytest.raises(BadInput, match=r"one\.toml: ") as why:
+        from_mapping({"title": "x", **data}, "one.toml")
+    assert said in str(why.value)
+
+
+def test_a_wake_needs_a_superstructure_and_dryden_takes_the_place_of_a_bases_gusts(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('title = "a"\nbase = "demo"\n[wind]\nwake = true\n')
+    with pytest.raises(BadInput, match=r"hull ferry: wind\.wake needs a vessel with a superstructure"):
+        load(tmp_path / "a.toml")
+    (tmp_path / "b.toml").write_text('title = "b"\nbase = "demo"\n[wind]\nmodel = "dryden"\n')
+    assert load(tmp_path / "b.toml").wind.gust_sigma_m_s is None
+    (tmp_path / "c.toml").write_text('title = "c"\nbase = "moderate"\n[vessel]\nfile = "supply_ship"\n[wind]\nwake = true\n')
+    assert load(tmp_path / "c.toml").vessel.hull is None

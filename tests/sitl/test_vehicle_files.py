@@ -1,0 +1,198 @@
+"""Vehicles from files: the AR.Drone as it always was, other sizes, six rotors, and the ground effect at the deck's edge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.config.settings import SHIPPED, shipped
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.time import MonoNs
+from sitl.airframe import Airframe, StickLimits
+from sitl.algebra import Arrays, Floats
+from sitl.contact import DeckShape, Ground, relative
+from sitl.rotors import delivered, ground_effect, ground_effect_by_rotor, rotors, thrusts
+from sitl.scenario import load as load_scenario
+from sitl.vehicle import Vehicle
+from sitl.vehicle_file import VehicleFile, load
+from sitl.world import Stick, World
+
+STEP_S = 0.004
+
+
+def shipped_vehicle(name: str) -> VehicleFile:
+    return load(SHIPPED / "vehicles" / f"{name}.toml")
+
+
+HEXA = shipped_vehicle("hexa_7kg").airframe()
+LEVEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def test_the_file_of_the_ardrone_holds_the_vehicle_of_all_flights_so_far() -> None:
+    vehicle = shipped_vehicle("ardrone2")
+    assert vehicle.airframe() == Airframe()
+    assert vehicle.stick_limits() == StickLimits(math.radians(12.0), 0.7, math.radians(100.0))
+    assert load_scenario("demo").vehicle.file.endswith("ardrone2")
+
+
+@pytest.mark.parametrize("name", shipped("vehicles"))
+def test_every_shipped_vehicle_says_what_is_assumed_and_hovers(name: str) -> None:
+    vehicle = shipped_vehicle(name)
+    assert "assumed" in vehicle.source
+    v = Vehicle(vehicle.airframe(), DeckShape(2.0, 2.0, 2.0, 2.0), STEP_S, np.random.SeedSequence(1))
+    v.place(np.array([0.0, 0.0, -10.0]), np.zeros(3), 0.3)
+    for _ in range(2000):
+        v.step(Ground.nowhere())
+    assert np.linalg.norm(v.v_ned) < 0.2
+    assert sum(map(float, v.rotors_n)) == pytest.approx(vehicle.mass_kg * 9.80665, rel=0.03)
+    assert len(v.rotors_n) == (6 if vehicle.layout == "hexa_x" else 4)
+
+
+@pytest.mark.parametrize("name", shipped("vehicles"))
+def test_a_tilt_step_has_the_frequency_and_damping_of_the_file(name: str) -> None:
+    """The tilt's overshoot against that of a second-order loop behind delay and motor lag, integrated by itself."""
+    vehicle = shipped_vehicle(name)
+    f = replace(vehicle.airframe(), avionics=replace(Airframe().avionics, tilt_bias_sigma_rad=0.0, tilt_drift_sigma_rad=0.0))
+    v = Vehicle(f, DeckShape(2.0, 2.0, 2.0, 2.0), STEP_S, np.random.SeedSequence(1))
+    v.limits = vehicle.stick_limits()
+    v.place(np.array([0.0, 0.0, -50.0]), np.zeros(3), 0.0)
+    v.command(0.5, 0.0, 0.0, 0.0, True)
+    asked, roll, rate, torque = 0.5 * v.limits.euler_angle_max_rad, 0.0, 0.0, 0.0
+    flown, model = [], []
+    for i in range(400):
+        v.step(Ground.nowhere())
+        flown.append(Rotation(v.R_ned_body).rpy_rad[0])
+        target = asked if i * STEP_S >= f.command_delay_s else 0.0
+        torque += (1 - math.exp(-STEP_S / f.motor_lag_s)) * (f.loops.tilt_p * (target - roll) - f.loops.tilt_d * rate - torque)
+        rate += STEP_S * torque
+        roll += STEP_S * rate
+        model.append(roll)
+    np.testing.assert_allclose(flown, model, atol=0.04 * asked)
+
+
+@pytest.mark.parametrize("name", shipped("vehicles"))
+def test_rotors_give_the_thrust_and_torque_that_were_asked_for(name: str) -> None:
+    f = shipped_vehicle(name).airframe()
+    wanted = (60.0, (0.7, -0.4, 0.11))
+    n = len(rotors(f))
+    lift, torque = delivered(f, *wanted, (1.0,) * n)
+    assert (lift, *torque) == pytest.approx((60.0, 0.7, -0.4, 0.11))
+    # From the places of the rotors themselves: roll to starboard is force on the port side.
+    t = np.array(thrusts(f, *wanted))
+    x, y = (f.arm_m * np.array([getattr(r, axis) for r in rotors(f)]) for axis in ("forward", "right"))
+    assert (-(y * t).sum(), (x * t).sum()) == pytest.approx((0.7, -0.4))
+    assert f.yaw_torque_per_thrust_m * sum(r.spin * k for r, k in zip(rotors(f), t, strict=True)) == pytest.approx(0.11)
+    assert np.hypot(x, y) == pytest.approx(np.hypot(x, y)[0])
+
+
+def test_a_hexacopter_flies_on_with_a_weak_rotor_and_rolls_away_from_a_lost_side(tmp_path: Path) -> None:
+    text = 'title = "h"\nbase = "calm"\n[vehicle]\nfile = "hexa_7kg"\n[start]\nheight_m = 8.0\n'
+    text += '[[faults]]\nkind = "weak_rotor"\nat_s = 1.0\n'
+    (tmp_path / "weak.toml").write_text(text + 'rotor = "right"\nthrust_fraction = 0.7\n')
+    (tmp_path / "lost.toml").write_text(text + 'rotor = "right"\nthrust_fraction = 0.0\n')
+    worlds = {name: World(load_scenario(tmp_path / f"{name}.toml"), 1) for name in ("weak", "lost")}
+    for world in worlds.values():
+        world.advance(MonoNs(1_400_000_000))
+    assert worlds["lost"].truth().R_ned_body.rpy_rad[0] > worlds["weak"].truth().R_ned_body.rpy_rad[0] > 0.0
+    worlds["weak"].advance(MonoNs(5_000_000_000))
+    assert abs(worlds["weak"].truth().R_ned_body.rpy_rad[0]) < 0.3
+    assert len(worlds["weak"].readings().motors_pwm) == 4, "the telemetry of an AR.Drone"
+
+
+def test_a_rotor_that_the_vehicle_does_not_have_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "w.toml"
+    path.write_text('title = "w"\nbase = "calm"\n[[faults]]\nkind = "weak_rotor"\nat_s = 1.0\nrotor = "left"\n')
+    with pytest.raises(BadInput, match=r"faults\[0\]\.rotor must be one of front_left, .* found 'left'"):
+        load_scenario(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("mass_kg = 7.0", "mass_kg = 13.0", "thrust_max_n is 140 N: it must be 1.2 times the weight or more"),
+        ('layout = "hexa_x"', 'layout = "octo"', 'layout must be one of "hexa_x", "quad_x", found "octo"'),
+        ("0.22, 0.22, 0.40", "0.10, 0.10, 0.40", "inertia_kg_m2: no body has one moment larger"),
+        ("arm_m = 0.45", "", "arm_m is missing: it must be a number from 0.03 to 2 m"),
+        ("tilt_p = 25.0", 'tilt_p = "fast"', "loops.tilt_p must be a number from 1 to 1000 1/s^2"),
+    ],
+)
+def test_a_bad_vehicle_is_refused_in_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+    text = (SHIPPED / "vehicles" / "hexa_7kg.toml").read_text()
+    assert old in text
+    path = tmp_path / "v.toml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(BadInput) as why:
+        load(path)
+    assert str(why.value).startswith(f"{path}: ")
+    assert said in str(why.value)
+    assert "\n" not in str(why.value)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.8])
+def test_the_share_of_a_disc_over_the_deck_is_that_of_its_area(yaw: float) -> None:
+    shape = DeckShape(2.0, 3.0, 1.5, 1.5, pad_yaw_rad=yaw)
+    rng = np.random.default_rng(2)
+    radius = 0.4
+    a, b = rng.uniform(0, math.tau, 20_000), radius * np.sqrt(rng.uniform(0, 1, 20_000))
+    for along, across in ((0.0, 0.0), (1.9, 0.0), (2.2, 0.3), (2.5, 0.0), (0.0, -1.4), (-3.2, 0.0)):
+        x, y = along * math.cos(yaw) + across * math.sin(yaw), -along * math.sin(yaw) + across * math.cos(yaw)
+        expected = np.mean(shape.holds(x + b * np.cos(a), y + b * np.sin(a)))
+        assert shape.coverage(Floats(), x, y, radius) == pytest.approx(expected, abs=0.015)
+    assert np.ndim(shape.coverage(Arrays(), np.zeros(3), np.zeros(3), radius)) == 1
+
+
+def test_over_the_edge_the_rotors_over_the_deck_lift_more() -> None:
+    """Half over the deck, low: the factors lie between water's and deck's, the inner rotors' higher; well inside, all alike."""
+    shape = DeckShape(2.0, 2.0, 2.0, 2.0)
+    ground = Ground((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0), 0.0)
+    m = Floats()
+
+    def factors(y: float) -> dict[str, float]:
+        r = relative(ground, (0.0, y, -3.25), (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0))
+        each = ground_effect_by_rotor(m, HEXA, shape, r, 3.25)
+        return {rotor.name: float(k) for rotor, k in zip(rotors(HEXA), each, strict=True)}
+
+    deck, water = float(ground_effect(m, HEXA, 0.25)), float(ground_effect(m, HEXA, 3.25))
+    assert list(factors(0.0).values()) == pytest.approx([deck] * 6)
+    edge = factors(1.9)
+    assert edge["left"] == pytest.approx(deck)
+    assert edge["right"] == pytest.approx(water)
+    assert water < edge["front_right"] < edge["front_left"] <= deck + 1e-12
+    assert list(factors(4.0).values()) == pytest.approx([water] * 6)
+
+
+def test_a_vehicle_that_comes_over_the_edge_is_lifted_by_degrees() -> None:
+    """No step in the vertical acceleration as it crosses at 1 m/s, where today's rule for the body's middle makes one."""
+    jumps = {}
+    for effect in ("body", "rotors"):
+        f = replace(HEXA, ground_effect=effect)  # type: ignore[arg-type]
+        v = Vehicle(f, DeckShape(2.0, 2.0, 2.0, 2.0), STEP_S, np.random.SeedSequence(3))
+        ground = Ground((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), LEVEL, (0.0, 0.0, 0.0), 0.0)
+        v.place(np.array([0.0, 3.0, -3.4]), np.array([0.0, -1.0, 0.0]), 0.0)
+        a = []
+        for _ in range(400):
+            v.command(0.0, 0.0, 0.0, 0.0, True)
+            v.step(ground)
+            a.append(float(v.a[2]))
+        jumps[effect] = np.abs(np.diff(a[20:])).max()
+    assert jumps["rotors"] < 0.4 * jumps["body"]
+
+
+def test_stick_and_settings_change_the_vehicle_of_the_file(tmp_path: Path) -> None:
+    (tmp_path / "v.toml").write_text(
+        'title = "v"\nbase = "calm"\n[vehicle]\nfile = "quad_1_5kg"\nmass_kg = 1.8\nmotor_lag_s = 0.1\nvz_max_m_s = 0.5\n'
+    )
+    world = World(load_scenario(tmp_path / "v.toml"), 1)
+    f = world._vehicle.airframe
+    file = shipped_vehicle("quad_1_5kg")
+    assert (f.mass_kg, f.motor_lag_s, world.limits.vz_max_m_s) == (1.8, 0.1, 0.5)
+    assert f.inertia_kg_m2[0] == pytest.approx(1.2 * file.inertia_kg_m2[0])
+    assert world.limits.euler_angle_max_rad == pytest.approx(math.radians(file.limits.euler_angle_max_deg))
+    world.stick(Stick(gaz=1.0, progressive=True))
+    world.advance(MonoNs(2_000_000_000))
+    assert -world.truth().v_body_ned[2] == pytest.approx(0.5, abs=0.1)
