@@ -38,7 +38,7 @@ from sitl.faults import ServiceKilled
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
 from sitl.render_worker import RenderWorker
-from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
+from sitl.safety import BLIND_DESCENT_MAX_M, BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
 from sitl.scenario import Scenario
 from sitl.world import RenderedFrame, Touchdown, Truth, VehiclePhase, World
 
@@ -341,6 +341,8 @@ class Flight:
         alone = self.world.active("service_killed") or self.world.active("link_lost")
         asks = self.world.guidance_phase == GuidancePhase.ANOTHER_PAD.value
         worth, because = grade(outcome, on_pad_m(truth.contacts), unsafe, self.world.scenario.expect, left_alone=alone, asks=asks)
+        if self._watch.unreached_m > BLIND_DESCENT_MAX_M and not unsafe:
+            because += f"; came down {self._watch.unreached_m:.2f} m while nothing reached it"
         return FlightResult(
             outcome,
             seconds_between(self.world.started, self.world.at),

@@ -7,9 +7,13 @@ import tomllib
 import pytest
 
 from companion.cli import main as cli
+from companion.config.build_pilot import make_pilot
 from companion.config.settings import load as load_settings
+from companion.guidance.planner import Phase
 from estimator.contracts.errors import BadInput
+from sitl.flight import Flight
 from sitl.one_flight import TRUTH_EACH, fly, perception_level, settings_for
+from sitl.safety import Grade
 from sitl.scenario import Scenario, from_mapping
 from sitl.world import Truth
 from tests.sitl.near import NEAR
@@ -47,3 +51,23 @@ def test_an_unknown_level_of_perception_is_refused(capsys: pytest.CaptureFixture
     said = capsys.readouterr().err
     assert "--perception: there is no level 'thoughts'; known are pixels" in said
     assert said.count("\n") == 1
+
+
+def test_what_is_flown_on_without_a_link_is_told_and_is_no_blind_descent() -> None:
+    """The drone holds its last command for two seconds, in a descent that no order could end."""
+    lost = {"kind": "link_lost", "below_height_m": 1.7, "for_s": 2.5}
+    scenario = short(faults=[lost], expect="either", because="it hovers by itself", duration_limit_s=9.0)
+    ending = fly("near", scenario, 3, settings_for(scenario, None), "truth")
+    assert ending.judged is not None
+    assert ending.judged.unsafe == ()
+    assert "while nothing reached it" in ending.judged.because
+
+
+def test_a_question_to_the_operator_that_is_open_when_time_ends_is_a_refusal() -> None:
+    scenario = short(expect="either", because="somebody is asked")
+    settings = settings_for(scenario, None)
+    flight = Flight(scenario, 3, settings, make_pilot(settings))
+    flight.world.guidance_phase = "descend"
+    assert flight.result().grade is Grade.FAILED
+    flight.world.guidance_phase = Phase.ANOTHER_PAD.value
+    assert flight.result().grade is Grade.REFUSED_RIGHTLY
