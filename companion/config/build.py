@@ -1,4 +1,4 @@
-"""From settings to the options of each part. The only place that knows both."""
+"""Make the options of each part from the settings. Only this module knows both."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from estimator.vision.tracker import TrackerConfig
 
 
 def ardrone_options(settings: Settings) -> ArDroneOptions:
-    """How the drone is reached and what it is told to be.
+    """Return the options of the AR.Drone.
 
     Raises:
-        BadInput: the vehicle is another one.
+        BadInput: the vehicle is of another kind.
     """
     v = settings.vehicle
     if not isinstance(v, ArDroneOptions):
@@ -30,7 +30,7 @@ def ardrone_options(settings: Settings) -> ArDroneOptions:
 
 
 def tracker(settings: Settings) -> TrackerConfig:
-    """What vision needs to know.
+    """Return the configuration of the pad tracker.
 
     Raises:
         BadInput: the camera or pad file is missing or has a fault.
@@ -41,9 +41,9 @@ def tracker(settings: Settings) -> TrackerConfig:
 
 
 def estimator_options(settings: Settings) -> EstimatorOptions:
-    """The estimator's options with what the vehicle decides.
+    """Return the estimator's options, with those that depend on the vehicle.
 
-    An AR.Drone's optical flow is against what it sees, deck or water; an autopilot's velocity is over the ground.
+    An AR.Drone's optical flow is relative to the surface that it sees, deck or water; an autopilot's velocity is over the ground.
     """
     options = settings.estimator
     if options.ekf.velocity_is_over != "auto":

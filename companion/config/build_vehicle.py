@@ -1,4 +1,4 @@
-"""The vehicle as settings describe it: what opens it, what listens beside it, and what runs along."""
+"""Make the vehicle that the settings describe: its link, its observers, and the tasks that run beside it."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:  # the dialect is large, and an AR.Drone without a bridge does
 
 @dataclass(frozen=True, slots=True)
 class VehicleParts:
-    """What the daemon needs of the vehicle."""
+    """The parts of the vehicle that the daemon needs."""
 
     open_link: OpenLink
     observers: tuple[Observer, ...] = ()
     extras: dict[str, Body] = field(default_factory=dict)
-    """Bodies to be supervised, by name."""
+    """Tasks to be supervised, by name."""
 
 
 def vehicle_parts(
@@ -44,11 +44,11 @@ def vehicle_parts(
     recording: Callable[[bool], str | None] | None = None,
     tap: Tap | None = None,
 ) -> VehicleParts:
-    """The vehicle that is set, with the camera beside it where there is one.
+    """Return the vehicle of the settings, with its separate camera if there is one.
 
     Args:
-        recording: switches the recorder; None where there is none.
-        tap: told of every MAVLink message; None for nobody.
+        recording: switches the recorder; None if there is none.
+        tap: called with every MAVLink message, or None.
 
     Raises:
         BadInput: a signing key or the camera file cannot be read.

@@ -1,4 +1,4 @@
-"""Keys that are set and change nothing, because another key switches their part off or because they are retired; moved keys."""
+"""Find keys without effect, because another key switches their part off or because they are retired, and moved keys."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from estimator.contracts.errors import BadInput
 log = logging.getLogger(__name__)
 
 RETIRED = {"guidance.pid.heading.kd": (0.0, "the estimate tells no rate of the heading")}
-"""Keys that older files and recordings hold: the default of then, and why they are gone. They are read and left out."""
+"""Retired keys that older files and recordings have: their default, and the reason. They are read and ignored."""
 
 MOVED = {
     "vehicle.target_rate_hz": "landing_target.rate_hz",
@@ -24,6 +24,10 @@ MOVED = {
     "vehicle.range_rate_hz": "landing_target.range_rate_hz",
     "vehicle.ground_clearance_m": "landing_target.ground_clearance_m",
     "vehicle.vision_target_estimator": "landing_target.vision_target_estimator",
+    "guidance.planner.word_wait_s": "guidance.planner.operator_wait_s",
+    "estimator.integrity.place_step_share": "estimator.integrity.place_step_fraction",
+    "estimator.integrity.range_tolerance_share": "estimator.integrity.range_tolerance_fraction",
+    "estimator.integrity.range_doubt_s": "estimator.integrity.range_disagree_s",
 }
 """Keys that have another name now. A settings file with the old name is refused; a recording is read with the new one."""
 
@@ -35,7 +39,7 @@ class _Rule:
     idle: Callable[[Settings], bool]
     why: str
     but: str = ""
-    """Keys of the table that do have an effect."""
+    """Keys of the table that have an effect all the same."""
 
 
 _RULES = (
@@ -104,7 +108,7 @@ _RULES = (
 
 
 def without_effect(settings: Settings) -> tuple[str, ...]:
-    """Return a line for every cause that leaves keys without effect; keys at their default are left out."""
+    """Return a line for every cause that leaves keys without effect; keys at their default are omitted."""
     kind = "ardrone" if isinstance(settings.vehicle, ArDroneOptions) else "mavlink"
     changed = {path for path, field in walk(Settings, kind) if not field.required and _value(settings, path) != field.default}
     changed.discard("vehicle.kind")
@@ -121,7 +125,7 @@ def without_effect(settings: Settings) -> tuple[str, ...]:
 
 
 def without_retired(data: Mapping[str, Any], where: str) -> Mapping[str, Any]:
-    """Return what a settings file holds without keys that are retired; log those that had another value than their default."""
+    """Return the data of a settings file without retired keys; log those that differ from their default."""
     for path, (default, why) in RETIRED.items():
         found = _found(data, path)
         if found is None:
@@ -136,7 +140,7 @@ def refuse_moved(data: Mapping[str, Any]) -> None:
     """Refuse a settings file that has a key under its old name.
 
     Raises:
-        BadInput: it has one; the text names the new one.
+        BadInput: the file has such a key; the text names the new one.
     """
     for old, new in MOVED.items():
         if _found(data, old) is not None:
@@ -144,7 +148,7 @@ def refuse_moved(data: Mapping[str, Any]) -> None:
 
 
 def with_moved(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the settings of a recording with moved keys under their new names; a key that it has under both keeps the new."""
+    """Return the settings of a recording with moved keys under their new names; if a key has both names, the new one counts."""
     for old, new in MOVED.items():
         value = _found(data, old)
         if value is None:
@@ -156,7 +160,7 @@ def with_moved(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _found(data: Mapping[str, Any], path: str) -> object:
-    """Return the value at the dotted path, None if there is none."""
+    """Return the value at the dotted path, or None if there is none."""
     value: Any = data
     for name in path.split("."):
         value = value.get(name) if isinstance(value, Mapping) else None

@@ -1,8 +1,8 @@
-"""What a person can set: one immutable struct a table of the settings file.
+"""The model of the settings: one immutable struct for each table of the settings file.
 
-Every key says its unit, its range, what it means and, where that helps, where its default comes from. Ranges hold for
-what is read from a file (`companion.config.settings.load`); code that builds these structs itself is trusted. Defaults describe
-a real AR.Drone 2.0 indoors.
+Every key has its unit, its range, its meaning and, if that helps, the origin of its default. Ranges hold for values that are read
+from a file (`companion.config.settings.load`); code that builds these structs itself is trusted. Defaults describe a real
+AR.Drone 2.0 indoors.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ _SHIPPED_OR_PATH = "the name of a shipped one, or a path relative to the setting
 
 
 class CameraSettings(CameraOptions, frozen=True, forbid_unknown_fields=True):
-    """Which camera looks down and where its frames come from; intrinsics, distortion and mount are in a file of their own."""
+    """The camera that looks down and the source of its frames; intrinsics, distortion and mount are in a file of their own."""
 
     file: Annotated[str, text(f"camera file: {_SHIPPED_OR_PATH}", 4096)]
 
 
 class PadSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """Which pad is on the deck: its drawing is in a file of its own."""
+    """The pad on the deck; its drawing is in a file of its own."""
 
     file: Annotated[str, text(f"pad file: {_SHIPPED_OR_PATH}", 4096)]
 
 
 class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """How frames are looked at."""
+    """The processing of frames."""
 
     method: Annotated[
         Literal["fused", "registration", "thesis"],
@@ -70,7 +70,7 @@ class ServiceSettings(RestartOptions, frozen=True, forbid_unknown_fields=True):
 
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything a person can set. `companion.config.settings.load` reads one from a file."""
+    """All settings. `companion.config.settings.load` reads them from a file."""
 
     vehicle: ArDroneOptions | AutopilotOptions
     camera: CameraSettings
@@ -86,7 +86,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     bridge: BridgeOptions = BridgeOptions()
 
     def fault(self) -> str | None:
-        """What does not go together, beginning with the key; None when all does."""
+        """Return the reason why keys do not go together, beginning with the key, or None if they do."""
         if isinstance(self.vehicle, AutopilotOptions):
             if self.camera.source == "vehicle":
                 return 'camera.source must be "v4l2" or "stream": an autopilot has no frames'

@@ -1,9 +1,9 @@
-"""Settings of the service, read from one TOML file.
+"""Read the settings of the service from one TOML file.
 
-    settings = load("rig.toml")        # or the name of a shipped rig: load("sim")
+    settings = load("rig.toml")        # or the name of a shipped profile: load("sim")
     camera, pad = camera_model(settings), pad_model(settings)
 
-What can be set: `companion.config.model`; the page for people: docs/configuration.md.
+`companion.config.model` has the keys; docs/configuration.md is their page.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ SHIPPED = Path(configs.__file__).parent
 
 
 def load(name_or_path: str | Path) -> Settings:
-    """The settings in a file, or of a shipped rig (`configs/*.toml`) when given its bare name.
+    """Return the settings in a file, or those of a shipped profile (`configs/*.toml`) by its bare name.
 
-    The camera and pad files are read too, so that what comes back can be flown; `camera.file` and `pad.file` of the result
-    name a shipped file or are paths that hold from the working directory; so are those of keys and certificates.
+    The camera and pad files are read too, so that the result can be flown. In the result `camera.file` and `pad.file` name a
+    shipped file or are paths relative to the working directory; so are those of keys and certificates.
 
     Raises:
-        BadInput: a file that cannot be read or is not TOML; a key unknown, missing, of the wrong type or out of range; a
-            camera or pad file with such a fault. One line that names the file and the key.
+        BadInput: the file cannot be read or is not TOML; a key is unknown, missing, of the wrong type or out of range; or a
+            camera or pad file has such a fault. The text is one line that names the file and the key.
     """
     path = find_file(str(name_or_path), "", Path(), "settings")
     settings = from_mapping(read_toml(path), str(path))
@@ -65,13 +65,15 @@ def load(name_or_path: str | Path) -> Settings:
 
 
 def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False) -> Settings:
-    """Settings from what a TOML file holds; `where` names the file in errors.
+    """Return the settings that the mapping of a TOML file describes.
 
     Args:
-        recorded: the file is that of a recording, which no one can edit: keys of older versions are read.
+        data: the mapping.
+        where: name of the file, for errors.
+        recorded: the file belongs to a recording, which nobody can edit, so keys of older versions are accepted.
 
     Raises:
-        BadInput: as `load`, but for the camera and pad files, which are not looked at.
+        BadInput: as for `load`, except that camera and pad files are not read.
     """
     data = without_retired(with_moved(data) if recorded else data, where)
     try:
@@ -84,7 +86,7 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
 
 
 def camera_model(settings: Settings) -> Camera:
-    """The camera that `settings.camera.file` names.
+    """Return the camera that `settings.camera.file` names.
 
     Raises:
         BadInput: the file is missing or has a fault.
@@ -94,7 +96,7 @@ def camera_model(settings: Settings) -> Camera:
 
 
 def pad_model(settings: Settings) -> Pad:
-    """The pad that `settings.pad.file` names.
+    """Return the pad that `settings.pad.file` names.
 
     Raises:
         BadInput: the file is missing or has a fault.
@@ -104,10 +106,10 @@ def pad_model(settings: Settings) -> Pad:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """What a TOML file holds.
+    """Return the content of a TOML file.
 
     Raises:
-        BadInput: it cannot be read or is not TOML.
+        BadInput: the file cannot be read or is not TOML.
     """
     try:
         return tomllib.loads(path.read_bytes().decode("utf-8"))
@@ -120,7 +122,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def shipped(folder: str = "") -> list[str]:
-    """Names of the shipped files of one kind: "" rigs, "cameras", "pads"."""
+    """Return the names of the shipped files of one kind: "" profiles, "cameras", "pads"."""
     return sorted(p.stem for p in (SHIPPED / folder).glob("*.toml"))
 
 
@@ -129,10 +131,10 @@ def _is_name(text: str) -> bool:
 
 
 def find_file(text: str, folder: str, base: Path, what: str) -> Path:
-    """The file that `text` means: the bare name of a shipped one (see `shipped`), or a path from `base`.
+    """Return the file that `text` means: a shipped one by its bare name (see `shipped`), or a path from `base`.
 
     Raises:
-        BadInput: there is none; the text begins with `what` and names the nearest shipped one.
+        BadInput: there is no such file; the text begins with `what` and names the nearest shipped one.
     """
     if _is_name(text) and text in shipped(folder):
         return SHIPPED / folder / f"{text}.toml"

@@ -1,4 +1,4 @@
-"""The options of what this program says over MAVLink: the tables [landing_target] and [bridge] of the settings file."""
+"""The options of this program's MAVLink output: the tables [landing_target] and [bridge] of the settings file."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from estimator.contracts.keys import check_ranges, choice, number
 
 
 class OutputOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """What an autopilot is told of the pad: LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR (docs/mavlink.md).
+    """The pad in messages to an autopilot: LANDING_TARGET, TARGET_RELATIVE and DISTANCE_SENSOR (docs/mavlink.md).
 
     Raises:
-        ValueError: a number outside its range.
+        ValueError: a number is outside its range.
     """
 
     rate_hz: Annotated[
@@ -40,10 +40,10 @@ class OutputOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class BridgeOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True):
-    """An AR.Drone shown to ground stations as a MAVLink quadrotor: seen, armed, taken off, held and landed from there.
+    """An AR.Drone as a MAVLink quadrotor for ground stations, which can watch it, arm it, take off, hold and land.
 
     Raises:
-        ValueError: as `MavlinkOptions`.
+        ValueError: as for `MavlinkOptions`.
     """
 
     system_id: Annotated[int, number("system id the drone is shown as", "id", 1, 255)] = 1

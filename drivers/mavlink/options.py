@@ -1,6 +1,6 @@
 """The options of MAVLink links and of an autopilot as the vehicle: the table [vehicle] of the settings file with kind "mavlink".
 
-It imports nothing of the dialect, so that settings can be read without loading it.
+This module imports nothing of the dialect, so that settings can be read without loading it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class LinkLimits(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The limits of each link.
 
     Raises:
-        ValueError: a number outside its range, or back-offs that do not go together.
+        ValueError: a number is outside its range, or the back-offs contradict one another.
     """
 
     peers_max: Annotated[
@@ -44,10 +44,10 @@ class LinkLimits(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Links, who may command over them, and how they are signed.
+    """Links, the systems that may command over them, and signing.
 
     Raises:
-        ValueError: links or operators that cannot be read; and as `LinkLimits`.
+        ValueError: links or operators cannot be parsed; and as for `LinkLimits`.
     """
 
     links: Annotated[str, text(f"{LINKS}; empty for none", 4096, shortest=0)] = ""
@@ -100,17 +100,17 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def unsigned(self) -> str | None:
-        """What is said of links that are not signed, with the fix; None where they are, or there are none."""
+        """A warning about links that are not signed, with the fix; None if all are signed or there are none."""
         if self.signing_key_file or not self.links.strip():
             return None
         return "not signed: decklander keys make FILE; decklander keys install --link URL FILE; then signing_key_file = FILE"
 
 
 class SampleOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """How far each reading of an autopilot is trusted.
+    """The uncertainty of an autopilot's readings.
 
     Raises:
-        ValueError: a number outside its range.
+        ValueError: a number is outside its range.
     """
 
     sigma_tilt_rad: Annotated[float, number("one standard deviation of roll and pitch", "rad", 1e-4, 1.0)] = math.radians(0.5)
@@ -136,10 +136,10 @@ class SampleOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TimeSyncOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """How often the autopilot is asked for its time, and which answers are believed.
+    """The rate of time requests to the autopilot, and the answers that are accepted.
 
     Raises:
-        ValueError: a number outside its range.
+        ValueError: a number is outside its range.
     """
 
     period_s: Annotated[float, number("how often the time is asked for", "s", 0.01, 60.0)] = 1.0
@@ -153,10 +153,11 @@ class TimeSyncOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="mavlink"):
-    """The vehicle: whatever an ArduPilot or PX4 autopilot flies, over MAVLink (docs/mavlink.md), with a camera beside it.
+    """A vehicle that an ArduPilot or PX4 autopilot flies, over MAVLink (docs/mavlink.md), with a camera on the companion
+    computer.
 
     Raises:
-        ValueError: no link, the ship's id is the autopilot's; and as `MavlinkOptions`.
+        ValueError: there is no link, or the ship's id is the autopilot's; and as for `MavlinkOptions`.
     """
 
     links: Annotated[str, text(LINKS, 4096)]
