@@ -23,7 +23,7 @@ class DeadReckoningOptions(Struct, frozen=True, forbid_unknown_fields=True):
     calibration_s: Annotated[
         float,
         number(
-            "average biases over this long while the drone stands still before it flies; 0 for not at all",
+            "time over which biases are averaged while the drone is still on the ground; 0 for no averaging",
             "s",
             0.0,
             60.0,
@@ -31,20 +31,20 @@ class DeadReckoningOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0.0
     calibration_samples: Annotated[
-        int, number("and over at least so many samples of the accelerometer", "samples", 1, 1_000_000, "thesis section 4.3")
+        int, number("least number of accelerometer samples of this average", "samples", 1, 1_000_000, "thesis section 4.3")
     ] = 1000
     calibration_velocity_max_m_s: Annotated[
-        float, number("a drone that measures more does not stand still: the calibration begins again", "m/s", 0.001, 10.0)
+        float, number("largest measured velocity of a drone at rest; a larger one restarts the calibration", "m/s", 0.001, 10.0)
     ] = 0.15
     calibration_acceleration_max_m_s2: Annotated[
         float,
         number("the same for acceleration", "m/s^2", 0.01, 20.0, "an AR.Drone 2.0 at rest shows up to 0.8"),
     ] = 1.5
     velocity_dead_band_m_s: Annotated[
-        float, number("a smaller velocity counts as none", "m/s", 0.0, 0.5, "3 mm/s in the thesis' code")
+        float, number("velocity below which it counts as zero", "m/s", 0.0, 0.5, "3 mm/s in the thesis' code")
     ] = 0.003
     acceleration_dead_band_m_s2: Annotated[
-        float, number("a smaller horizontal acceleration counts as none", "m/s^2", 0.0, 5.0, "0.5 m/s^2 in the thesis' code")
+        float, number("horizontal acceleration below which it counts as zero", "m/s^2", 0.0, 5.0, "0.5 m/s^2 in the thesis' code")
     ] = 0.5
     velocity_scale: Annotated[
         float, number("factor of the measured velocity: one over the ratio at which the vehicle reads it", "1", 0.1, 10.0)
@@ -53,13 +53,13 @@ class DeadReckoningOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("one standard deviation of the scale that remains", "1", 0.0, 10.0, "AR.Drone 2.0 over several floors")
     ] = 0.2
     sigma_pad_v_m_s: Annotated[
-        float, number("how fast the pad itself may move along each horizontal axis: one standard deviation", "m/s", 0.0, 10.0)
+        float, number("standard deviation of the pad's own velocity along each horizontal axis", "m/s", 0.0, 10.0)
     ] = 0.15
     sigma_heading_rate_rad_s: Annotated[
         float, number("drift of the vehicle's heading against the pad's: one standard deviation", "rad/s", 0.0, 1.0)
     ] = 0.01
     sigma_unknown_v_m_s: Annotated[
-        float, number("one standard deviation of a velocity that no recent sample tells", "m/s", 0.0, 100.0)
+        float, number("standard deviation of a velocity without a recent sample", "m/s", 0.0, 100.0)
     ] = 1.0
     sigma_vertical_v_m_s: Annotated[
         float, number("one standard deviation of a vertical velocity that has leaked to zero", "m/s", 0.0, 100.0)
@@ -73,11 +73,9 @@ class DeadReckoningOptions(Struct, frozen=True, forbid_unknown_fields=True):
     vertical_mean_s: Annotated[
         float, number("the accelerometer's mean over this long is taken for its vertical bias", "s", 0.01, 600.0)
     ] = 5.0
-    hold_s: Annotated[float, number("how long a velocity or acceleration is trusted after it was measured", "s", 0.001, 10.0)] = (
-        0.25
-    )
+    hold_s: Annotated[float, number("time for which a measured velocity or acceleration is used", "s", 0.001, 10.0)] = 0.25
     history_s: Annotated[
-        float, number("how late a sighting may be; estimator.max_delay_s where that is longer", "s", 0.05, 30.0)
+        float, number("largest delay of a sighting; estimator.max_delay_s if that is longer", "s", 0.05, 30.0)
     ] = 1.5
 
     def __post_init__(self) -> None:
@@ -94,18 +92,16 @@ class EstimatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
     path: Annotated[
         Literal["ekf", "median_mean", "dead_reckoning"],
         choice(
-            "which estimator steers: the error-state filter; the filtered sightings alone; or those carried on by dead reckoning"
+            "estimator that steers: the error-state filter; filtered sightings alone; or sightings propagated by dead reckoning"
         ),
     ] = "ekf"
     max_gap_s: Annotated[
         float,
-        number("after a gap this long the moving median and mean start afresh instead of mixing old with new", "s", 0.05, 10.0),
+        number("gap after which the moving median and mean start again", "s", 0.05, 10.0),
     ] = 0.5
-    min_confidence: Annotated[
-        float, number("a sighting less sure than this to be the pad is refused; 1 is certain", "1", 0.0, 1.0)
-    ] = 0.2
-    max_delay_s: Annotated[float, number("a frame older than this on arrival is refused", "s", 0.05, 5.0)] = 0.5
-    history_s: Annotated[float, number("how far back attitudes are kept to meet late frames", "s", 0.1, 30.0)] = 2.0
+    min_confidence: Annotated[float, number("least confidence of a sighting; 1 is certain", "1", 0.0, 1.0)] = 0.2
+    max_delay_s: Annotated[float, number("largest age of a frame on arrival; an older one is refused", "s", 0.05, 5.0)] = 0.5
+    history_s: Annotated[float, number("time for which attitudes are kept for late frames", "s", 0.1, 30.0)] = 2.0
     ekf: EkfOptions = EkfOptions()
     dead_reckoning: DeadReckoningOptions = DeadReckoningOptions()
     integrity: IntegrityOptions = IntegrityOptions()

@@ -45,14 +45,14 @@ class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     method: Annotated[
         Literal["fused", "registration", "thesis"],
-        choice("what a frame says: all methods together; the aligned drawing alone; the thesis' three, chosen by priority"),
+        choice("methods of detection: all together; registration alone; the thesis' three, chosen by priority"),
     ] = "fused"
     colours: Annotated[
         Literal["simulator", "indoor", "outdoor"],
-        choice("which set of colour limits the thesis' methods segment the pad with", "thesis table 4.1"),
+        choice("set of colour limits by which the thesis' methods segment the pad", "thesis table 4.1"),
     ] = "indoor"
     deck_tilt_sigma_deg: Annotated[
-        float, number("one standard deviation of the deck's roll and pitch", "deg", 0.0, 30.0, "supply vessel in a slight sea")
+        float, number("standard deviation of the deck's roll and pitch", "deg", 0.0, 30.0, "supply vessel in a slight sea")
     ] = 2.0
     threads: Annotated[int, number("threads OpenCV may use for one frame", "threads", 1, 64)] = 1
 

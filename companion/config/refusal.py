@@ -101,7 +101,7 @@ def _walk(node: inspect.Type, prefix: str, kind: str | None) -> Iterator[tuple[s
 
 def _tag(name: str, *values: str | int | None) -> inspect.Field:
     kind = inspect.LiteralType(tuple(v for v in values if v is not None))
-    notes = {"description": "what kind this is; the other keys depend on it"}
+    notes = {"description": "kind of this table, on which its other keys depend"}
     return inspect.Field(name, name, inspect.Metadata(kind, extra_json_schema=notes))
 
 

@@ -76,7 +76,8 @@ class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
     descent_rate_max_m_s: Annotated[float, number("largest velocity downward", "m/s", 0.05, 5.0)] = 0.5
     turn_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 1.0, 360.0)] = 34.4
     integral_max_m_s: Annotated[
-        float, number("what the integral alone may ask for on one axis: the pad's own speed and the wind", "m/s", 0.0, 10.0)
+        float,
+        number("largest velocity that the integral commands on one axis: the pad's own speed and the wind", "m/s", 0.0, 10.0),
     ] = 0.5
     soft_above_m: Annotated[
         float,
@@ -85,7 +86,8 @@ class PidOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 2.5
     soft_least: Annotated[
-        float, number("share of the horizontal gains that is left at any height", "1", 0.01, 1.0, "0.1 in the thesis' code")
+        float,
+        number("least fraction of the horizontal gains that remains at any height", "1", 0.01, 1.0, "0.1 in the thesis' code"),
     ] = 0.1
     forget_after_s: Annotated[
         float, number("silence of the estimator after which the integrals start again from zero", "s", 0.1, 60.0)
@@ -111,7 +113,7 @@ class PlannerOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1.0
     slow_floor: Annotated[
         float,
-        number("share of the speed that is left at the way point itself", "1", 0.01, 1.0, "0.1 in the thesis' code"),
+        number("fraction of the speed that remains at the way point itself", "1", 0.01, 1.0, "0.1 in the thesis' code"),
     ] = 0.1
     lead_m: Annotated[float, number("the set point waits for a drone that is farther behind than this", "m", 0.05, 20.0)] = 0.8
     heading: Annotated[
@@ -127,7 +129,7 @@ class PlannerOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("horizontal distance at which the drone itself counts as there", "m", 0.01, 2.0)
     ] = 0.25
     approach_reached_height_m: Annotated[float, number("and the difference in height", "m", 0.01, 2.0)] = 0.25
-    approach_dwell_s: Annotated[float, number("it must stay that near for so long", "s", 0.0, 60.0)] = 0.3
+    approach_dwell_s: Annotated[float, number("time for which the drone must stay that near", "s", 0.0, 60.0)] = 0.3
     final_height_m: Annotated[
         float, number("height over the pad from which the drone lands by itself", "m", 0.05, 5.0, "thesis section 4.6")
     ] = 0.3
@@ -142,44 +144,49 @@ class PlannerOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0.12
     final_reached_height_m: Annotated[float, number("and the difference in height", "m", 0.01, 2.0)] = 0.12
-    final_dwell_s: Annotated[float, number("it must stay that near for so long", "s", 0.0, 60.0)] = 0.2
+    final_dwell_s: Annotated[float, number("time for which the drone must stay that near", "s", 0.0, 60.0)] = 0.2
     sigma_land_m: Annotated[
         float,
-        number("the drone does not land while one horizontal standard deviation of the estimate is above this", "m", 0.01, 2.0),
+        number("largest horizontal standard deviation of the estimate at which the drone lands", "m", 0.01, 2.0),
     ] = 0.15
     blind_s: Annotated[
         float,
-        number("how long after the last sight dead reckoning may fly level towards the pad; 0 to hover at once", "s", 0.0, 30.0),
+        number(
+            "time after the last sight for which the drone may fly level towards the pad by dead reckoning; 0 to hover at once",
+            "s",
+            0.0,
+            30.0,
+        ),
     ] = 4.0
     blind_sigma_m: Annotated[
         float,
-        number("without sight it hovers once a horizontal standard deviation of the estimate is above this", "m", 0.01, 100.0),
+        number("horizontal standard deviation of the estimate above which the drone hovers without sight", "m", 0.01, 100.0),
     ] = 1.0
     touchdown_s: Annotated[
         float,
-        number("the drone must still be near the last way point this much later at its present velocity", "s", 0.0, 5.0),
+        number("time ahead at which the drone must still be near the last way point, at its present velocity", "s", 0.0, 5.0),
     ] = 0.6
     climb_after_s: Annotated[float, number("time without sight of the pad after which the drone climbs", "s", 0.1, 60.0)] = 1.5
-    climb_m_s: Annotated[float, number("how fast it then climbs", "m/s", 0.05, 2.0)] = 0.3
+    climb_m_s: Annotated[float, number("climb rate after that", "m/s", 0.05, 2.0)] = 0.3
     safe_height_m: Annotated[float, number("height over the pad at which it stops climbing", "m", 0.5, 50.0)] = 2.0
     give_up_after_s: Annotated[
         float,
         number(
-            "time without sight, summed up until sight has held for 5 s, after which it hovers and leaves it to the operator",
+            "total time without sight after which the drone hovers and waits for the operator; 5 s of sight reset it",
             "s",
             0.5,
             600.0,
         ),
     ] = 20.0
-    try_s: Annotated[float, number("a try, from the first sight on, ends in a go-around after this long", "s", 5.0, 3600.0)] = (
-        120.0
-    )
+    try_s: Annotated[
+        float, number("longest time of an attempt from the first sight; after it the drone goes around", "s", 5.0, 3600.0)
+    ] = 120.0
     descend_s: Annotated[float, number("the same for its last leg, straight down", "s", 2.0, 600.0)] = 45.0
-    losses_max: Annotated[int, number("losses of sight on the last leg that one try may have", "1", 0, 1000)] = 8
-    blind_descent_max_m: Annotated[
-        float, number("height that one try may lose between a last and a next sight, summed up", "m", 0.05, 10.0)
-    ] = 0.5
-    go_arounds_max: Annotated[int, number("go-arounds after which it hovers and leaves it to the operator", "1", 0, 100)] = 3
+    losses_max: Annotated[int, number("largest number of losses of sight on the last leg of one attempt", "1", 0, 1000)] = 8
+    blind_descent_max_m: Annotated[float, number("largest total descent of one attempt without sight", "m", 0.05, 10.0)] = 0.5
+    go_arounds_max: Annotated[
+        int, number("number of go-arounds after which the drone hovers and waits for the operator", "1", 0, 100)
+    ] = 3
     another_pad: Annotated[
         Literal["operator", "automatic"],
         choice(
@@ -189,7 +196,10 @@ class PlannerOptions(Struct, frozen=True, forbid_unknown_fields=True):
     ] = "operator"
     another_pad_s: Annotated[float, number("that sight", "s", 1.0, 120.0)] = 5.0
     operator_wait_s: Annotated[
-        float, number("how long it waits for the operator to decide about another pad before it gives up", "s", 1.0, 3600.0)
+        float,
+        number(
+            "time for which the drone waits for the operator's decision about another pad before it gives up", "s", 1.0, 3600.0
+        ),
     ] = 60.0
 
     def __post_init__(self) -> None:
@@ -215,13 +225,11 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["automatic", "signal"],
         choice("approach as soon as the vehicle flies and the pad is seen, or only after SIGUSR1 (SIGUSR2 pauses it)"),
     ] = "signal"
-    rate_hz: Annotated[float, number("commands computed a second", "Hz", 5.0, 200.0, "controller of the thesis: 100 Hz")] = 50.0
-    stale_after_s: Annotated[
-        float, number("an estimate whose newest sighting is older than this means hover", "s", 0.05, 10.0)
-    ] = 0.5
+    rate_hz: Annotated[float, number("rate of guidance cycles", "Hz", 5.0, 200.0, "controller of the thesis: 100 Hz")] = 50.0
+    stale_after_s: Annotated[float, number("age of the newest sighting above which the drone hovers", "s", 0.05, 10.0)] = 0.5
     land_timeout_s: Annotated[
         float,
-        number("a landing that takes longer from the land command on is taken back: the drone goes around", "s", 1.0, 120.0),
+        number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0),
     ] = 6.0
     pid: PidOptions = PidOptions()
     planner: PlannerOptions = PlannerOptions()

@@ -24,15 +24,18 @@ class OutputOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         number("time from a message's arrival until the autopilot uses it", "s", 0.0, 0.2, "half a period of ArduPilot's 400 Hz"),
     ] = 0.00125
-    vision_target_estimator: Annotated[bool, choice("PX4 runs its vision target estimator: send TARGET_RELATIVE too")] = False
+    vision_target_estimator: Annotated[
+        bool, choice("whether PX4 runs its vision target estimator, which needs TARGET_RELATIVE too")
+    ] = False
     ranges: Annotated[
         Literal["auto", "on", "off"],
-        choice("send DISTANCE_SENSOR; auto where an ArduPilot's parameters say that its rangefinder is a MAVLink one"),
+        choice("whether to send DISTANCE_SENSOR; auto: if an ArduPilot's parameters say that its rangefinder is a MAVLink one"),
     ] = "auto"
     range_rate_hz: Annotated[float, number("DISTANCE_SENSOR messages a second", "Hz", 1.0, 50.0)] = 20.0
     range_id: Annotated[int, number("id of the sensor in DISTANCE_SENSOR", "id", 0, 255)] = 0
     ground_clearance_m: Annotated[
-        float, number("what a rangefinder would read while the vehicle stands; ArduPilot does not arm without", "m", 0.02, 2.0)
+        float,
+        number("reading of a rangefinder while the vehicle is on the ground; ArduPilot does not arm without it", "m", 0.02, 2.0),
     ] = 0.1
 
     def __post_init__(self) -> None:
@@ -46,4 +49,4 @@ class BridgeOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True):
         ValueError: as for `MavlinkOptions`.
     """
 
-    system_id: Annotated[int, number("system id the drone is shown as", "id", 1, 255)] = 1
+    system_id: Annotated[int, number("system id under which the drone appears", "id", 1, 255)] = 1

@@ -15,7 +15,7 @@ class MetricsSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     endpoint: Annotated[Literal["off", "http"], choice("whether there is one")] = "off"
     host: Annotated[str, text("address to listen on; one other than loopback needs a token_file", 253)] = "127.0.0.1"
-    port: Annotated[int, number("where to listen", "port", 1, 65535)] = 9464
+    port: Annotated[int, number("port to listen on", "port", 1, 65535)] = 9464
     token_file: Annotated[
         str,
         text(

@@ -17,7 +17,7 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     transport: Annotated[Literal["off", "tcp", "tls"], choice("no MQTT, plain TCP, or TLS")] = "off"
     host: Annotated[str, text("name or address of the broker; with TLS its certificate must be for this name", 253)] = "127.0.0.1"
-    port: Annotated[int, number("where the broker listens; customary are 1883 for TCP and 8883 for TLS", "port", 1, 65535)] = 8883
+    port: Annotated[int, number("port of the broker; customary are 1883 for TCP and 8883 for TLS", "port", 1, 65535)] = 8883
     protocol: Annotated[
         Literal["5", "3.1.1"],
         choice("MQTT version; 3.1.1 brokers cannot say that they refuse a message: events may be lost there"),
@@ -42,18 +42,17 @@ class MqttSettings(Struct, frozen=True, forbid_unknown_fields=True):
     sighting_hz: Annotated[float, number("most sighting messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
     health_hz: Annotated[float, number("health messages a second; 0 for none", "Hz", 0.0, 10.0)] = 1.0
     keepalive_s: Annotated[
-        int, number("silence after which the line is tried; a dead one is noticed within twice that", "s", 2, 600)
+        int, number("keep-alive interval; a dead connection is noticed within twice that time", "s", 2, 600)
     ] = 10
     timeout_s: Annotated[
-        float, number("how long the broker may take to answer before it is left and connected to anew", "s", 0.2, 60.0)
+        float, number("time limit for an answer of the broker; after it the connection is opened again", "s", 0.2, 60.0)
     ] = 5.0
-    reconnect_first_s: Annotated[float, number("rest before the first new attempt to connect", "s", 0.05, 60.0)] = 0.5
+    reconnect_first_s: Annotated[float, number("first back-off before a new attempt to connect", "s", 0.05, 60.0)] = 0.5
     reconnect_cap_s: Annotated[
-        float, number("longest rest; each is twice the one before, less up to a half by chance", "s", 0.05, 600.0)
+        float,
+        number("longest back-off; each is twice the one before, reduced by a random part of up to one half", "s", 0.05, 600.0),
     ] = 30.0
-    commands_max_hz: Annotated[
-        int, number("commands a second above which whoever floods us is cut off by hanging up", "Hz", 1, 60)
-    ] = 10
+    commands_max_hz: Annotated[int, number("rate of commands above which the connection is closed", "Hz", 1, 60)] = 10
     spool: Annotated[
         str,
         text(

@@ -34,8 +34,12 @@ class RecorderOptions(Struct, frozen=True, forbid_unknown_fields=True):
     min_free_mb: Annotated[
         float, number("nothing is recorded while less than this is free on the disk", "MB", 0.0, 1_000_000.0)
     ] = 500.0
-    flush_s: Annotated[float, number("how often a chunk is written: what a killed process loses", "s", 0.01, 60.0)] = 1.0
-    sync_s: Annotated[float, number("how often the disk is waited for: what a power cut loses", "s", 0.1, 600.0)] = 5.0
+    flush_s: Annotated[
+        float, number("interval between written chunks, the most that a killed process loses", "s", 0.01, 60.0)
+    ] = 1.0
+    sync_s: Annotated[
+        float, number("interval between synchronisations with the disk, the most that a power cut loses", "s", 0.1, 600.0)
+    ] = 5.0
     queue_records: Annotated[
         int, number("records that may wait for the disk; further ones are dropped and counted", "records", 16, 1_000_000)
     ] = 4096

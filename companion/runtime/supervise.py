@@ -38,11 +38,11 @@ class RestartOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ValueError: a number outside its range, or back-offs that do not go together.
     """
 
-    restart_first_s: Annotated[float, number("rest of a failed part before its first restart", "s", 0.01, 60.0)] = 0.2
-    restart_factor: Annotated[float, number("how much longer each further rest is", "1", 1.0, 10.0)] = 2.0
+    restart_first_s: Annotated[float, number("first back-off before a failed part restarts", "s", 0.01, 60.0)] = 0.2
+    restart_factor: Annotated[float, number("factor between a back-off and the next", "1", 1.0, 10.0)] = 2.0
     restart_cap_s: Annotated[float, number("longest rest", "s", 0.01, 600.0)] = 5.0
     restart_healthy_after_s: Annotated[
-        float, number("a part that stayed up this long starts over with the first rest", "s", 0.1, 3600.0)
+        float, number("time of uninterrupted work after which a part begins with the first back-off again", "s", 0.1, 3600.0)
     ] = 5.0
     restart_give_up_after: Annotated[
         int,

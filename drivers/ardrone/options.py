@@ -19,25 +19,27 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
     """
 
     host: Annotated[str, text("name or address of the drone", 253, "address of every AR.Drone")] = "192.168.1.1"
-    navdata_port: Annotated[int, number("where navdata is asked for (UDP)", "port", 1, 65535)] = 5554
-    video_port: Annotated[int, number("where video comes from (TCP)", "port", 1, 65535)] = 5555
-    at_port: Annotated[int, number("where AT commands go (UDP)", "port", 1, 65535)] = 5556
-    control_port: Annotated[int, number("where the configuration is read (TCP)", "port", 1, 65535)] = 5559
+    navdata_port: Annotated[int, number("UDP port of navdata", "port", 1, 65535)] = 5554
+    video_port: Annotated[int, number("TCP port of the video", "port", 1, 65535)] = 5555
+    at_port: Annotated[int, number("UDP port of AT commands", "port", 1, 65535)] = 5556
+    control_port: Annotated[int, number("TCP port of the configuration", "port", 1, 65535)] = 5559
     command_period_s: Annotated[
         float,
-        number("how often a command is repeated; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary"),
+        number("interval between commands; the drone counts 50 ms of silence as a miss", "s", 0.01, 0.05, "customary"),
     ] = 0.03
     command_timeout_s: Annotated[
         float, number("a velocity command older than this is flown as hover", "s", 0.05, 0.5, "six commands of guidance")
     ] = 0.12
     hold_s: Annotated[
         float,
-        number("after this service died, how long its sender holds the flying drone in hover for a new one", "s", 0.0, 600.0),
+        number(
+            "time for which the sender holds the flying drone in hover for a new service after this one died", "s", 0.0, 600.0
+        ),
     ] = 60.0
     com_watchdog_s: Annotated[
         int,
         number(
-            "how long the drone flies on with the last command it heard before it hovers, and then hovers before it lands",
+            "time for which the drone flies on with its last command before it hovers, and for which it hovers before it lands",
             "s",
             1,
             60,
@@ -48,34 +50,46 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
         int, number("the same while the sender holds the drone without a service", "s", 1, 60, "the longest there is")
     ] = 60
     navdata_silence_s: Annotated[
-        float, number("without navdata for this long the stream is asked for again", "s", 0.02, 10.0, "Parrot SDK 2.0.1")
+        float, number("time without navdata after which the stream is requested again", "s", 0.02, 10.0, "Parrot SDK 2.0.1")
     ] = 1.0
-    video_silence_s: Annotated[float, number("without video for this long its connection is opened again", "s", 0.2, 30.0)] = 2.0
+    video_silence_s: Annotated[float, number("time without video after which its connection is opened again", "s", 0.2, 30.0)] = (
+        2.0
+    )
     video_delay_s: Annotated[
         float,
         number("least time from mid-exposure to the first byte of the frame", "s", 0.0, 0.5, "assumed until it is calibrated"),
     ] = 0.04
-    exposure_s: Annotated[float, number("how long the shutter is open; 0 when not known", "s", 0.0, 0.1)] = 0.0
+    exposure_s: Annotated[float, number("exposure time; 0 if unknown", "s", 0.0, 0.1)] = 0.0
     altitude_max_m: Annotated[float, number("height over the take-off point that the drone never exceeds", "m", 1.0, 100.0)] = (
         20.0
     )
     euler_angle_max_deg: Annotated[
         float,
-        number("largest tilt the drone may take; full stick asks for this much", "deg", 1.0, 30.0, "firmware default 0.21 rad"),
+        number("largest tilt of the drone, commanded by full stick", "deg", 1.0, 30.0, "firmware default 0.21 rad"),
     ] = 12.0
     vz_max_m_s: Annotated[float, number("largest climb and descent rate", "m/s", 0.2, 2.0, "firmware default 700 mm/s")] = 0.7
     yaw_rate_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 40.0, 350.0, "firmware default")] = 100.0
     velocity_gain_1_s: Annotated[
-        float, number("acceleration asked for, for each m/s of error in velocity", "1/s", 0.0, 10.0, "tuned in simulation")
+        float, number("acceleration commanded for each m/s of velocity error", "1/s", 0.0, 10.0, "tuned in simulation")
     ] = 1.8
     velocity_integral_1_s2: Annotated[
         float,
-        number("the same for each metre of that error summed up: holds against wind", "1/s^2", 0.0, 10.0, "tuned in simulation"),
+        number(
+            "the same for each metre of the integrated velocity error, which compensates wind",
+            "1/s^2",
+            0.0,
+            10.0,
+            "tuned in simulation",
+        ),
     ] = 0.4
     velocity_lead: Annotated[
         float,
         number(
-            "share of the tilt still lacking that is asked for on top, as tilt follows late", "1", 0.0, 5.0, "tuned in simulation"
+            "factor on the missing tilt that is commanded in addition, because the tilt lags behind",
+            "1",
+            0.0,
+            5.0,
+            "tuned in simulation",
         ),
     ] = 1.2
     velocity_scale: Annotated[
@@ -88,9 +102,9 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             "a recorded AR.Drone 2.0 flight under motion capture",
         ),
     ] = 0.83
-    velocity_integral_max_m_s2: Annotated[float, number("largest acceleration that this sum may ask for", "m/s^2", 0.0, 20.0)] = (
-        2.5
-    )
+    velocity_integral_max_m_s2: Annotated[
+        float, number("largest acceleration that the integral may command", "m/s^2", 0.0, 20.0)
+    ] = 2.5
     velocity_drag_1_s: Annotated[
         float,
         number(
@@ -101,47 +115,45 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
             "a recorded AR.Drone 2.0 flight under motion capture",
         ),
     ] = 0.43
-    sigma_velocity_m_s: Annotated[float, number("one standard deviation of a measured velocity at rest", "m/s", 0.001, 10.0)] = (
-        0.03
-    )
+    sigma_velocity_m_s: Annotated[float, number("standard deviation of a measured velocity at rest", "m/s", 0.001, 10.0)] = 0.03
     sigma_velocity_fraction: Annotated[
-        float, number("and by this share of the speed: what is left of the scale", "1", 0.001, 10.0)
+        float, number("the same as a fraction of the speed, in addition: the remaining scale error", "1", 0.001, 10.0)
     ] = 0.2 / 3.0
-    sigma_tilt_rad: Annotated[float, number("one standard deviation of measured roll and pitch", "rad", 1e-4, 1.0)] = (
-        math.radians(0.5)
+    sigma_tilt_rad: Annotated[float, number("standard deviation of measured roll and pitch", "rad", 1e-4, 1.0)] = math.radians(
+        0.5
     )
-    sigma_yaw_rad: Annotated[float, number("one standard deviation of the measured heading", "rad", 1e-4, 3.2)] = math.radians(
-        3.0
-    )
-    sigma_range_m: Annotated[float, number("one standard deviation of the ultrasound at the ground", "m", 0.001, 10.0)] = 0.02
-    sigma_range_fraction: Annotated[float, number("and by this share of the distance", "1", 0.0001, 1.0)] = 0.02
-    sigma_baro_m: Annotated[float, number("one standard deviation of the barometer", "m", 0.001, 100.0)] = 0.7
+    sigma_yaw_rad: Annotated[float, number("standard deviation of the measured heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
+    sigma_range_m: Annotated[float, number("standard deviation of the ultrasound at the ground", "m", 0.001, 10.0)] = 0.02
+    sigma_range_fraction: Annotated[float, number("the same as a fraction of the distance, in addition", "1", 0.0001, 1.0)] = 0.02
+    sigma_baro_m: Annotated[float, number("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.7
     landing_timeout_s: Annotated[
         float,
         number(
-            "a landing that guidance has not repeated for this long is called off, if it is not about to end", "s", 0.05, 10.0
+            "time without renewal by guidance after which a landing is called off, unless it is about to end", "s", 0.05, 10.0
         ),
     ] = 0.5
     velocity_timeout_s: Annotated[
-        float, number("a velocity command is flown as hover without a measured velocity younger than this", "s", 0.02, 10.0)
+        float, number("age of the newest measured velocity above which a velocity command is flown as hover", "s", 0.02, 10.0)
     ] = 0.25
-    take_off_timeout_s: Annotated[float, number("a take-off that has not happened after this is given up", "s", 0.5, 60.0)] = 8.0
+    take_off_timeout_s: Annotated[
+        float, number("time after which a take-off that has not happened is given up", "s", 0.5, 60.0)
+    ] = 8.0
     reopen_after_s: Annotated[
-        float, number("without navdata for this long its socket and the command socket are opened again", "s", 0.05, 60.0)
+        float, number("time without navdata after which its socket and the command socket are opened again", "s", 0.05, 60.0)
     ] = 3.0
-    connect_timeout_s: Annotated[float, number("how long a connection may take", "s", 0.05, 60.0)] = 2.0
+    connect_timeout_s: Annotated[float, number("time limit for opening a connection", "s", 0.05, 60.0)] = 2.0
     config_timeout_s: Annotated[
-        float, number("how long the drone may take to acknowledge one configuration key", "s", 0.05, 60.0)
+        float, number("time limit for the drone to acknowledge one configuration key", "s", 0.05, 60.0)
     ] = 2.0
-    restart_first_s: Annotated[float, number("first rest of a channel that failed", "s", 0.001, 60.0)] = 0.1
-    restart_most_s: Annotated[float, number("longest rest; each is twice the one before", "s", 0.001, 600.0)] = 5.0
+    restart_first_s: Annotated[float, number("first back-off of a channel that failed", "s", 0.001, 60.0)] = 0.1
+    restart_most_s: Annotated[float, number("longest back-off; each is twice the one before", "s", 0.001, 600.0)] = 5.0
     navdata_delay_s: Annotated[float, number("least time from a measurement to the arrival of its navdata", "s", 0.0, 0.5)] = (
         0.002
     )
     navdata_delay_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.5)] = 0.001
-    video_delay_sigma_s: Annotated[float, number("one standard deviation of video_delay_s", "s", 0.0, 0.5)] = 0.01
+    video_delay_sigma_s: Annotated[float, number("standard deviation of video_delay_s", "s", 0.0, 0.5)] = 0.01
     arrival_sigma_s: Annotated[
-        float, number("one standard deviation of times in demo mode, which has no clock", "s", 0.0001, 1.0)
+        float, number("standard deviation of times in demo mode, which has no clock", "s", 0.0001, 1.0)
     ] = 0.02
     video_settle_s: Annotated[
         float,

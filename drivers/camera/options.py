@@ -38,7 +38,7 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Literal["auto", Format],
         choice("pixel format of v4l2; auto is the first of these that the camera offers in the camera file's size at this rate"),
     ] = "auto"
-    rate_hz: Annotated[float, number("frames a second asked of v4l2", "Hz", 0.1, 1000.0)] = 30.0
+    rate_hz: Annotated[float, number("frame rate requested from v4l2", "Hz", 0.1, 1000.0)] = 30.0
     controls: Annotated[
         str,
         text(
@@ -63,14 +63,14 @@ class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     latency_sigma_s: Annotated[float, number("one standard deviation of it", "s", 0.0, 0.2)] = 0.005
     arrival_sigma_s: Annotated[
         float,
-        number("the same of v4l2 frames that the kernel does not stamp: their arrival is taken", "s", 0.0, 0.5),
+        number("the same for v4l2 frames that the kernel does not stamp, whose time of arrival is used", "s", 0.0, 0.5),
     ] = 0.02
     exposure_s: Annotated[
-        float, number("how long the shutter is open, 0 when not known; a time that v4l2 itself tells goes before", "s", 0.0, 0.5)
+        float, number("exposure time, 0 if unknown; a time reported by v4l2 takes precedence", "s", 0.0, 0.5)
     ] = 0.0
-    silence_s: Annotated[float, number("without a frame for this long the camera is opened anew", "s", 0.02, 30.0)] = 2.0
-    reconnect_first_s: Annotated[float, number("rest before a lost camera is opened again", "s", 0.01, 60.0)] = 0.2
-    reconnect_most_s: Annotated[float, number("longest rest; each is twice the one before", "s", 0.01, 60.0)] = 2.0
+    silence_s: Annotated[float, number("time without a frame after which the camera is opened again", "s", 0.02, 30.0)] = 2.0
+    reconnect_first_s: Annotated[float, number("first back-off before a lost camera is opened again", "s", 0.01, 60.0)] = 0.2
+    reconnect_most_s: Annotated[float, number("longest back-off; each is twice the one before", "s", 0.01, 60.0)] = 2.0
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -29,10 +29,10 @@ class LinkLimits(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         int, number("most peers of a listening socket; the one that was silent for longest is dropped first", "1", 1, 1000)
     ] = 16
     peer_timeout_s: Annotated[
-        float, number("nothing more is sent to a peer of a listening socket that was silent for this long", "s", 0.05, 3600.0)
+        float, number("time of silence after which nothing more is sent to a peer of a listening socket", "s", 0.05, 3600.0)
     ] = 30.0
-    restart_first_s: Annotated[float, number("rest before a link that broke is opened again", "s", 0.01, 60.0)] = 0.2
-    restart_most_s: Annotated[float, number("longest rest; each is twice the one before", "s", 0.01, 600.0)] = 5.0
+    restart_first_s: Annotated[float, number("first back-off before a broken link is opened again", "s", 0.01, 60.0)] = 0.2
+    restart_most_s: Annotated[float, number("longest back-off; each is twice the one before", "s", 0.01, 600.0)] = 5.0
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -72,7 +72,7 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
     signing_time_file: Annotated[
         str,
         text(
-            "file that keeps the times of signed messages, ours and those heard, over restarts, relative to the settings file; "
+            "file that keeps the times of signed messages, sent and received, over restarts, relative to the settings file; "
             "empty for $STATE_DIRECTORY/mavlink-signing-time, or memory alone without that",
             4096,
             shortest=0,
@@ -113,22 +113,22 @@ class SampleOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ValueError: a number is outside its range.
     """
 
-    sigma_tilt_rad: Annotated[float, number("one standard deviation of roll and pitch", "rad", 1e-4, 1.0)] = math.radians(0.5)
-    sigma_yaw_rad: Annotated[float, number("one standard deviation of the heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
-    sigma_velocity_m_s: Annotated[float, number("one standard deviation of each axis of the velocity", "m/s", 0.001, 10.0)] = 0.1
+    sigma_tilt_rad: Annotated[float, number("standard deviation of roll and pitch", "rad", 1e-4, 1.0)] = math.radians(0.5)
+    sigma_yaw_rad: Annotated[float, number("standard deviation of the heading", "rad", 1e-4, 3.2)] = math.radians(3.0)
+    sigma_velocity_m_s: Annotated[float, number("standard deviation of each axis of the velocity", "m/s", 0.001, 10.0)] = 0.1
     sigma_range_m: Annotated[
-        float, number("one standard deviation of the rangefinder, where its messages do not say it", "m", 0.001, 10.0)
+        float, number("standard deviation of the rangefinder if its messages do not give it", "m", 0.001, 10.0)
     ] = 0.03
-    sigma_baro_m: Annotated[float, number("one standard deviation of the barometer", "m", 0.001, 100.0)] = 0.5
+    sigma_baro_m: Annotated[float, number("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.5
     sigma_vessel_velocity_m_s: Annotated[
-        float, number("one standard deviation of each axis of the velocity that the ship reports", "m/s", 0.001, 10.0)
+        float, number("standard deviation of each axis of the velocity that the ship reports", "m/s", 0.001, 10.0)
     ] = 0.2
     sigma_vessel_heading_rad: Annotated[
-        float, number("one standard deviation of the heading that the ship reports", "rad", 1e-4, 3.2)
+        float, number("standard deviation of the heading that the ship reports", "rad", 1e-4, 3.2)
     ] = math.radians(3.0)
-    status_period_s: Annotated[float, number("a status that does not change is repeated after this", "s", 0.01, 60.0)] = 0.5
+    status_period_s: Annotated[float, number("interval at which an unchanged status is repeated", "s", 0.01, 60.0)] = 0.5
     attitude_gap_s: Annotated[
-        float, number("a velocity further than this from the newest attitude is not used", "s", 0.01, 10.0)
+        float, number("largest time between a velocity and the newest attitude; other velocities are not used", "s", 0.01, 10.0)
     ] = 0.2
 
     def __post_init__(self) -> None:
@@ -142,11 +142,11 @@ class TimeSyncOptions(Struct, frozen=True, forbid_unknown_fields=True):
         ValueError: a number is outside its range.
     """
 
-    period_s: Annotated[float, number("how often the time is asked for", "s", 0.01, 60.0)] = 1.0
+    period_s: Annotated[float, number("interval between time requests", "s", 0.01, 60.0)] = 1.0
     first_period_s: Annotated[float, number("the same until the offset of the clocks is known", "s", 0.01, 60.0)] = 0.1
-    window_s: Annotated[float, number("how long an answer counts", "s", 0.1, 600.0)] = 10.0
-    round_trip_max_s: Annotated[float, number("an answer that took longer says nothing", "s", 0.001, 5.0)] = 0.25
-    drift_ppm: Annotated[float, number("most that the two clocks run apart", "ppm", 0.1, 10_000.0)] = 50.0
+    window_s: Annotated[float, number("time for which an answer is used", "s", 0.1, 600.0)] = 10.0
+    round_trip_max_s: Annotated[float, number("longest round trip of an answer that is used", "s", 0.001, 5.0)] = 0.25
+    drift_ppm: Annotated[float, number("largest drift between the two clocks", "ppm", 0.1, 10_000.0)] = 50.0
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -165,22 +165,30 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     component_id: Annotated[int, number("our own component id; our system id is the autopilot's", "id", 1, 255, "MAVLink")] = 191
     vessel_id: Annotated[int, number("system id under which the ship reports its own position; 0 for none", "id", 0, 255)] = 0
     silence_s: Annotated[
-        float, number("an autopilot not heard for this long is lost; all streams are asked for when it is back", "s", 0.2, 60.0)
+        float,
+        number(
+            "time without messages after which the autopilot is lost; all streams are requested when it is back", "s", 0.2, 60.0
+        ),
     ] = 3.0
     command_period_s: Annotated[
-        float, number("how often a velocity setpoint is sent", "s", 0.01, 0.2, "PX4 wants more than 2 Hz")
+        float, number("interval between velocity setpoints", "s", 0.01, 0.2, "PX4 wants more than 2 Hz")
     ] = 0.04
     command_timeout_s: Annotated[
-        float, number("a velocity older than this is flown as standing still", "s", 0.05, 2.0, "twelve commands of guidance")
+        float, number("age above which a commanded velocity is replaced by a hold", "s", 0.05, 2.0, "twelve commands of guidance")
     ] = 0.25
-    attitude_timeout_s: Annotated[float, number("no setpoint is sent without a heading younger than this", "s", 0.05, 5.0)] = 0.5
+    attitude_timeout_s: Annotated[float, number("age of the newest heading above which no setpoint is sent", "s", 0.05, 5.0)] = (
+        0.5
+    )
     prestream_s: Annotated[
-        float, number("setpoints stream this long before PX4 is asked for OFFBOARD", "s", 0.1, 30.0, "PX4 refuses before 1.5 s")
+        float,
+        number(
+            "time for which setpoints stream before OFFBOARD is requested from PX4", "s", 0.1, 30.0, "PX4 refuses before 1.5 s"
+        ),
     ] = 2.0
     request_period_s: Annotated[
-        float, number("a mode, arming or take-off that did not happen is requested again after this", "s", 0.05, 60.0)
+        float, number("time after which a mode, arming or take-off that did not happen is requested again", "s", 0.05, 60.0)
     ] = 1.0
-    request_tries: Annotated[int, number("requests after which it is given up", "1", 1, 100)] = 5
+    request_tries: Annotated[int, number("number of requests after which it is given up", "1", 1, 100)] = 5
     landing: Annotated[
         Literal["by stack", "mode", "velocity"],
         choice(
@@ -188,28 +196,36 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
             "whose own modes hold still over the ground and lose a moving deck"
         ),
     ] = "by stack"
-    descent_rate_m_s: Annotated[float, number("how fast a landing by velocity sinks", "m/s", 0.05, 2.0)] = 0.4
+    descent_rate_m_s: Annotated[float, number("descent rate of a landing by velocity", "m/s", 0.05, 2.0)] = 0.4
     landing_timeout_s: Annotated[
-        float, number("a landing that guidance has not repeated for this long is called off", "s", 0.05, 10.0)
+        float, number("time without renewal by guidance after which a landing is called off", "s", 0.05, 10.0)
     ] = 0.5
     landing_most_s: Annotated[
         float,
-        number("a landing by velocity ends after this; the autopilot goes on with one that a person ordered", "s", 0.5, 120.0),
+        number("longest time of a landing by velocity; the autopilot continues one that a person ordered", "s", 0.5, 120.0),
     ] = 15.0
     landing_depth_m: Annotated[
-        float, number("and after sinking this far, as there is no deck; not one that a person ordered", "m", 0.2, 20.0)
+        float,
+        number(
+            "largest descent of a landing by velocity, after which there is no deck; one that a person ordered has no bound",
+            "m",
+            0.2,
+            20.0,
+        ),
     ] = 3.0
     deck_hold_s: Annotated[
         float,
-        number("a hold moves with the deck for this long after the last velocity, then stands over the ground", "s", 0.1, 60.0),
+        number(
+            "time after the last velocity for which a hold moves with the deck; later it holds over the ground", "s", 0.1, 60.0
+        ),
     ] = 3.0
     hold_mode_after_s: Annotated[
-        float, number("without guidance for this long the autopilot is put into its own hold mode", "s", 0.5, 120.0)
+        float, number("time without guidance after which the autopilot is put into its own hold mode", "s", 0.5, 120.0)
     ] = 6.0
-    take_off_height_m: Annotated[float, number("how high a take-off that we are asked for goes", "m", 0.5, 50.0)] = 3.0
-    take_off_timeout_s: Annotated[float, number("a take-off that has not happened after this is given up", "s", 0.5, 120.0)] = (
-        15.0
-    )
+    take_off_height_m: Annotated[float, number("height of a take-off on command", "m", 0.5, 50.0)] = 3.0
+    take_off_timeout_s: Annotated[
+        float, number("time after which a take-off that has not happened is given up", "s", 0.5, 120.0)
+    ] = 15.0
     samples: SampleOptions = SampleOptions()
     timesync: TimeSyncOptions = TimeSyncOptions()
 
