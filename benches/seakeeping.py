@@ -1,4 +1,4 @@
-"""How vessels move in each sea state: heave, roll and pitch by their response, without flying.
+"""Compute the motion of vessels in each sea state, heave, roll and pitch, from their responses, without a flight.
 
     python -m benches.seakeeping                       the table of docs/sea.md
     python -m benches.seakeeping --plot FILE           the spectrum of generated seas beside the formulae

@@ -83,7 +83,7 @@ class DeadReckoningOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EstimatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """How sightings become the estimate that guidance steers by.
+    """The estimator that turns samples and sightings into the estimate for guidance.
 
     Raises:
         ValueError: a number outside its range, or a history shorter than the delay that is allowed.

@@ -58,7 +58,7 @@ class PadTracker:
 
     @property
     def detection(self) -> Detection | None:
-        """What every method found in the newest image, at any confidence; None before the first image."""
+        """The result of every method for the newest image, at any confidence; None before the first image."""
         return self._detection
 
     def track(

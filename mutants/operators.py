@@ -34,7 +34,7 @@ class Mutant:
 
     line: int
     change: str
-    """What stood there and what stands there now, as source."""
+    """The source before and after the change."""
     source: str
 
 

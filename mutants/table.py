@@ -1,4 +1,4 @@
-"""What is mutated, and the tests that are near enough to it to notice."""
+"""The modules to mutate, and the tests that are near enough to notice a change."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class Loops:
 
 @dataclass(frozen=True, slots=True)
 class Avionics:
-    """How wrong the drone's own estimates are; these feed its own loops as well as its telemetry."""
+    """The errors of the drone's own estimates, which feed its control loops as well as its telemetry."""
 
     tilt_bias_sigma_rad: float = 0.009
     """Sigma of the constant part of the roll and pitch error, which is drawn once a flight."""

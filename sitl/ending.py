@@ -1,4 +1,4 @@
-"""How a simulated flight ended, as text, as JSON and for its report."""
+"""The ending of a simulated flight, as text, as JSON and for its report."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class FlightGrade:
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a flight ended."""
+    """The ending of a flight."""
 
     scenario: str
     seed: int
@@ -76,7 +76,7 @@ class Ending:
     started: MonoNs = _ZERO
     judged: FlightGrade | None = None
     load: Load | None = None
-    """How well the machine kept up; None for a flight in virtual time."""
+    """The load of the machine; None for a flight in virtual time."""
 
     @property
     def contact(self) -> Contact | None:

@@ -1,4 +1,4 @@
-"""Which of a flight's faults are active, and since when."""
+"""The active faults of a flight, and their begin."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _F = TypeVar("_F", bound=Fault)
 
 
 class FaultTimer:
-    """Which of a flight's faults are active, and since when.
+    """The active faults of a flight, and their begin.
 
     Args:
         faults: the scenario's faults, in any order.
@@ -27,7 +27,7 @@ class FaultTimer:
         self._was_above = [False] * len(faults)
         self._rngs = [np.random.default_rng([seed, 0xFA17, i]) for i in range(len(faults))]
         self._due_s = [self._rest_s(i, fault) for i, fault in enumerate(faults)]
-        """When each recurring fault begins next."""
+        """Time at which each recurring fault begins next, s."""
         self._on: list[tuple[Fault, float]] = []
         self._kinds: frozenset[str] = frozenset()
         self._begun: list[tuple[Fault, float]] = []

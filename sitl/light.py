@@ -24,7 +24,7 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """How the scene is lit, and what lies between it and the sensor."""
+    """The light on the scene, and the optics between it and the sensor."""
 
     colour_temperature_k: float = 6500.0
     """Colour temperature of the light, 1700 to 25000 K."""

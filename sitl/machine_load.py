@@ -18,7 +18,7 @@ _FRAMES_HZ = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """How well the machine kept up during a flight in real time."""
+    """The load of the machine during a flight in real time."""
 
     duration_s: float
     frames_sent: int

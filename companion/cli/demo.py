@@ -47,7 +47,7 @@ from sitl.scenario import load as load_scenario
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
 _READY_S = 30.0
 _SETTLE_S = 0.5
-"""Seconds to go on after the landing, so that the recording shows the drone on the ground."""
+"""Time for which the demo continues after the landing, s, so that the recording shows the drone on the ground."""
 _KEEP_EACH = 4
 """Every fourth sample of the truth is kept: it comes at 100 Hz, and the report needs 25 Hz."""
 
@@ -134,7 +134,7 @@ async def _demo(args: argparse.Namespace, scenario: Scenario) -> int:
 
 @dataclass(slots=True)
 class _Child:
-    """What the simulated drone's process reports."""
+    """The report of the simulated drone's process."""
 
     ports: dict[str, int]
     frames_sent: int = 0

@@ -74,7 +74,7 @@ class _Model:
 
     camera: Camera
     camera_source: str
-    """Where the camera comes from, for messages."""
+    """Origin of the camera, for messages."""
     pad: Pad
 
 

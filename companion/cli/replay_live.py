@@ -26,7 +26,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _REFUSAL = "this is a replay: it takes no commands"
 _LEAD_S = 0.05
-"""Seconds from the beginning of the replay to its first event."""
+"""Time from the beginning of the replay to its first event, s."""
 
 
 class _Deaf:

@@ -38,7 +38,7 @@ from sitl.world import RenderedFrame, World
 
 _READY_S = 60.0
 _FILM_S = 2.0
-"""Seconds of hovering that are played forward and backward in turn, so that nothing jumps."""
+"""Length of the hover that is played forward and backward in turn, so that nothing jumps, s."""
 _DELAY_S = 0.05
 _SIGMA_S = 0.002
 

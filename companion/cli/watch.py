@@ -110,7 +110,7 @@ class _Watch:
         self._out = out
         self._live = live
         self._printed_s: dict[str, float] = {}
-        """When the last line of each drone was printed, seconds of the monotonic clock."""
+        """Time at which the last line of each drone was printed, s on the monotonic clock."""
         self._reached = False
         """Whether the broker ever accepted the connection."""
 

@@ -28,9 +28,9 @@ class Finding:
     """Short name, the same in every release."""
     severity: Severity
     what: str
-    """What is wrong, in one line."""
+    """Description of the fault, in one line."""
     fix: str
-    """What to do, in one line."""
+    """The fix, in one line."""
 
 
 Rule = Callable[[Snapshot], Finding | None]

@@ -72,7 +72,7 @@ class ServiceSnapshot(Struct, frozen=True):
     """The service itself, as far as it runs or could be queried."""
 
     camera_fault: str | None = None
-    """What is wrong with the camera or pad file."""
+    """Description of the fault of the camera or pad file."""
     device_fault: str | None = None
     """Why the camera sends no frames."""
     frame_rate_hz: float | None = None

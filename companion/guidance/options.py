@@ -16,7 +16,7 @@ _Kd = Annotated[float, number("derivative gain", "1", 0.0, 10.0, _TUNED)]
 
 
 class HorizontalGains(Struct, frozen=True, forbid_unknown_fields=True):
-    """From metres of error forward and right to m/s.
+    """Gains from the forward and right error, m, to m/s.
 
     Raises:
         ValueError: a gain outside its range.
@@ -31,7 +31,7 @@ class HorizontalGains(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class VerticalGains(Struct, frozen=True, forbid_unknown_fields=True):
-    """From metres of error in height to m/s.
+    """Gains from the height error, m, to m/s.
 
     Raises:
         ValueError: a gain outside its range.
@@ -46,7 +46,7 @@ class VerticalGains(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class HeadingGains(Struct, frozen=True, forbid_unknown_fields=True):
-    """From radians of error in heading to rad/s. There is no derivative gain: the estimate tells no rate of the heading.
+    """Gains from the heading error, rad, to rad/s. There is no derivative gain because the estimate has no rate of the heading.
 
     Raises:
         ValueError: a gain outside its range.
@@ -215,7 +215,7 @@ class PlannerOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """From the estimate to commands.
+    """Guidance: from the estimate to commands.
 
     Raises:
         ValueError: a number outside its range.

@@ -1,4 +1,4 @@
-"""Where recordings are stored: their names, the space that they may use, and the files that are removed first."""
+"""The storage of recordings: their names, the space that they may use, and the files that are removed first."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ class PartState:
 
     up: bool
     age_s: float
-    """Seconds since the part came up or went down."""
+    """Time since the part came up or went down, s."""
     restarts: int
     last_error: str
     vital: bool = False
@@ -128,7 +128,7 @@ class FlowState:
 
     count: int
     age_s: float | None
-    """Seconds since the last arrival; None before the first."""
+    """Time since the last arrival, s; None before the first."""
     rate_hz: float | None
 
 

@@ -24,7 +24,7 @@ class ProcessedFrame:
     """The result of vision; None if vision did not search the frame."""
     verdict: Verdict
     began: MonoNs
-    """When vision began with the frame."""
+    """Instant at which vision began with the frame."""
     done: MonoNs
     results: tuple[FusionResult, ...] = ()
     """The fusion result of each path of the estimator; empty without a sighting."""

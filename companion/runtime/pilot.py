@@ -31,7 +31,7 @@ from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
 
 class FlightOutcome(Enum):
-    """How a flight ended."""
+    """The outcome of a flight."""
 
     LANDED = "landed"
     """The vehicle reports that it is on the ground after our order to land."""

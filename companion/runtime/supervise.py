@@ -32,7 +32,7 @@ CLOSE_S = 1.0
 
 
 class RestartOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """When a failed part is started again, and when it is given up.
+    """The restart of failed parts, and the point at which they are given up.
 
     Raises:
         ValueError: a number outside its range, or back-offs that do not go together.

@@ -1,4 +1,4 @@
-"""What to send to the drone in each period: REF, PCMD and the watchdog reset, from the newest command and navdata. No I/O.
+"""Compute what to send to the drone in each period: REF, PCMD and the watchdog reset, from command and navdata. No I/O.
 
 The bit `REF_TAKE_OFF` asks the drone to be in the air: a flying drone that gets a REF without it lands. So it stays set in flight
 and is cleared only for a commanded landing or on the ground; while the drone's state is not known no REF is sent at all.

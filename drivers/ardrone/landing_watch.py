@@ -32,7 +32,7 @@ _NOT_FOR_SILENCE = (
 
 
 class Cause(Enum):
-    """Who began the landing that is under way."""
+    """The party that began the present landing."""
 
     OURS = "ours"
     SILENCE = "silence"

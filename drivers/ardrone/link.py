@@ -25,7 +25,7 @@ from estimator.contracts.time import MonoNs
 
 
 class ArDrone:
-    """What a person can do with an open link: read `frames` and `samples`, give a `command`. See `open_ardrone`."""
+    """An open link: it has `frames` and `samples` and takes a `command`. See `open_ardrone`."""
 
     def __init__(self, options: ArDroneOptions, clock: Clock, sample_queue_items: int = SAMPLE_QUEUE_ITEMS) -> None:
         self._clock = clock

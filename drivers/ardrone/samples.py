@@ -200,4 +200,4 @@ _REPEATED: dict[type[Any], Callable[[Navdata, Stamp, ArDroneOptions], Sample | N
     Baro: _baro,
     VehicleStatus: _status,
 }
-"""What makes the samples of sensors that are slower than the datagrams, in the order in which they are returned."""
+"""The makers of samples for sensors that are slower than the datagrams, in the order in which they return them."""

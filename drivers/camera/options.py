@@ -16,7 +16,7 @@ Size = tuple[int, int]
 
 
 class CameraOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where frames come from, how they are asked for, and when a camera counts as lost.
+    """The source of frames, their format and rate, and the limits at which a camera counts as lost.
 
     Raises:
         ValueError: a number outside its range, controls that cannot be read, or keys that do not go together.

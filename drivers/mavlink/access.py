@@ -31,7 +31,7 @@ _UNKNOWN_AFTER_S = 3.0
 
 
 class AccessLevel(IntEnum):
-    """What the sender of a message may do; a higher one may do what a lower one may."""
+    """The rights of a message's sender; a higher level includes the lower ones."""
 
     UNKNOWN = 0
     """Only its HEARTBEATs are read."""

@@ -292,7 +292,7 @@ class Links:
         """Messages of ours that were not sent since a value does not fit the wire, by "MESSAGE.field"."""
         self.received: Line[ReceivedMessage] = Line(capacity)
         self.opened = [0 for _ in options]
-        """How often each link was opened: grows when it comes back."""
+        """Number of times that each link was opened; it grows when the link comes back."""
         self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
 
     def notify_tap(self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes, message: Message) -> None:

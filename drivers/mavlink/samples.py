@@ -36,7 +36,7 @@ _PRESSURE_HPA = (100.0, 1200.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalPosition:
-    """Where the autopilot holds itself to be, from the origin of its own filter (not from home)."""
+    """The autopilot's estimate of its position, from the origin of its own filter (not from home)."""
 
     stamp: Stamp
     p_body_ned: F64

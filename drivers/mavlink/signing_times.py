@@ -25,11 +25,11 @@ Stream = tuple[int, int, int]
 """(link id, system, component) of a sender."""
 
 _AHEAD_TICKS = 60 * TICKS_PER_S
-"""How far our own time on disk runs ahead, so that a crash never repeats a time."""
+"""Time by which our own signing time on disk is ahead, so that a crash never repeats a time."""
 _LATEST = 2**47
 """The year 2059. A time has 48 bits: who has used them up can sign no more."""
 _SAVE_S = 5.0
-"""Between two writings: as much of what was heard before a crash could be played again after it."""
+"""Interval between two writes; messages received for so long before a crash could be replayed after it."""
 _STREAMS_MAX = 256
 _CLOSE_S = 0.3
 

@@ -24,7 +24,7 @@ _CONNECT_TIMEOUT_S = 3.0
 
 
 class Wire(Protocol):
-    """What an endpoint sees of an open way."""
+    """The interface of an open connection to its endpoint."""
 
     @property
     def local(self) -> Address | None:

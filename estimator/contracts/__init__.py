@@ -1,4 +1,4 @@
-"""What crosses a border between packages: samples, estimates, geometry, time, errors, ports.
+"""The types that packages exchange: samples, estimates, geometry, time, errors, ports.
 
 Standard library and numpy only. Conventions (frames, units, names): docs/conventions.md.
 """

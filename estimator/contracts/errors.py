@@ -19,7 +19,7 @@ class DecklanderError(Exception):
 
 
 class BadInput(DecklanderError):
-    """What the user gave is wrong; the text names what and where, in one line."""
+    """The user's input is wrong; the text names the fault and its place in one line."""
 
 
 class Recoverable(DecklanderError):

@@ -1,4 +1,4 @@
-"""What an estimator made of one measurement: the verdict and, where it was compared with a prediction, the innovation.
+"""The result of one measurement: the verdict and, if it was compared with a prediction, the innovation.
 
 The words are those of PX4's topics `estimator_innovations`, `estimator_innovation_variances` and
 `estimator_innovation_test_ratios`: an innovation is measured minus predicted, and a test ratio above 1 is refused.
@@ -45,7 +45,7 @@ POSE_COMPONENTS = ("x_m", "y_m", "z_m", "rotation_x_rad", "rotation_y_rad", "rot
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusionResult:
-    """What one path of the estimator made of one measurement."""
+    """The result of one measurement in one path of the estimator."""
 
     path: PathName
     source: Source

@@ -92,7 +92,7 @@ class Rotation:
 
     @staticmethod
     def from_rotvec(rotvec_rad: ArrayLike) -> Rotation:
-        """From an axis times angle in radians (Rodrigues; the exponential map of SO(3))."""
+        """Return the rotation by an axis times an angle in radians (Rodrigues; the exponential map of SO(3))."""
         v = np.asarray(rotvec_rad, dtype=float)
         angle = float(np.linalg.norm(v))
         k = skew(v)
@@ -102,7 +102,7 @@ class Rotation:
 
     @staticmethod
     def from_quat(wxyz: ArrayLike) -> Rotation:
-        """From a Hamilton quaternion (w, x, y, z) of any positive length.
+        """Return the rotation of a Hamilton quaternion (w, x, y, z) of any positive length.
 
         Raises:
             ValueError: zero or not finite.

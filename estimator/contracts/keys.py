@@ -1,4 +1,4 @@
-"""How an option is declared: its meaning, unit, range and the source of its default, in one line beside its type and default.
+"""Declare an option: its meaning, unit, range and the source of its default, in one line beside its type and default.
 
     class FilterOptions(Struct, frozen=True, forbid_unknown_fields=True):
         forget_s: Annotated[float, number("silence after which the filter starts again", "s", 1.0, 600.0)] = 30.0

@@ -1,4 +1,4 @@
-"""What one package asks of another without knowing which one answers."""
+"""The interfaces through which packages use one another."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ StampSource = Literal["hw", "kernel", "synced", "arrival", "sim"]
 
 
 def seconds_between(earlier: MonoNs, later: MonoNs) -> float:
-    """Seconds from `earlier` to `later`; negative when they are the other way round."""
+    """Return the time from `earlier` to `later`, s; it is negative if `later` is before `earlier`."""
     return (later - earlier) / NS_PER_S
 
 
@@ -26,16 +26,16 @@ def after(instant: MonoNs, seconds: float) -> MonoNs:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """When a sample was true, when we heard of it, and how well we know the first.
+    """The time of measurement, the time of reception, and the uncertainty of the former.
 
     Raises:
-        ValueError: negative or absurd sigma (1 s or more), or a sample true later than it was heard by over 5 sigma.
+        ValueError: sigma is negative or absurd (1 s or more), or the measurement is later than the reception by over 5 sigma.
     """
 
     measured_at: MonoNs
     """Mid-exposure or sampling instant."""
     received_at: MonoNs
-    """When its first byte reached this process."""
+    """Instant at which the first byte reached this process."""
     sigma_s: float
     """One standard deviation of `taken`, seconds."""
     source: StampSource
@@ -62,5 +62,5 @@ class Stamp:
 
     @property
     def delay_s(self) -> float:
-        """Seconds from when it was true to when it was heard."""
+        """Time from measurement to reception, s."""
         return seconds_between(self.measured_at, self.received_at)

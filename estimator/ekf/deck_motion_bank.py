@@ -57,21 +57,21 @@ DRIFT_VAR = np.array([[25.0, 9.0, 1.0]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0
 """(5, 3) prior of offset, its rate, acceleration. A deck's list is an offset that does not drift."""
 _SIZE = 7
 CARRIED = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
-"""Which directions the IMU carries; a deck's roll and pitch are seen whole."""
+"""Whether the IMU's errors affect a direction, (5,); a deck's roll and pitch are measured directly."""
 _UPRIGHT = slice(2, 5)
 """Heave, roll, pitch: they decide whether the deck is at rest. Sideways an attitude that errs looks like a deck that moves, and
 no deck surges without heaving."""
 
 
 class Carrying(NamedTuple):
-    """How the IMU's carrying on errs, (5,) by direction; a deck's roll and pitch are seen whole, so nothing carries them."""
+    """The errors of the position propagated by the IMU, (5,) by direction; a deck's roll and pitch are measured directly."""
 
     asd_accel: F64
-    """m/s^2/sqrt(Hz)"""
+    """Noise density of the acceleration, m/s^2/sqrt(Hz)."""
     asd_drift: F64
-    """m/s^3/sqrt(Hz): the acceleration's error wanders by this much in 1 s."""
+    """Random walk of the acceleration's error, m/s^3/sqrt(Hz)."""
     asd_tilt: F64
-    """rad/sqrt(s): the tilt wanders by this much in 1 s, and with it, times the distance, the place where the pad is seen."""
+    """Random walk of the tilt, rad/sqrt(s), which moves the measured position by the tilt times the distance."""
 
 
 def carrying(asd_accel_m_s2: float, asd_gyro_rad_s: float, asd_accel_bias_m_s3: float) -> Carrying:
@@ -100,7 +100,7 @@ class DeckMotionBank(NamedTuple):
     P: F64
     """(5, G, 7, 7)"""
     skill: skill.Skill
-    """How much of the bank's forecasts has come true."""
+    """The skill of the bank's past forecasts."""
     weight: F64
     """(5, G), sums to one."""
     w_rad_s: F64

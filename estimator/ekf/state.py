@@ -127,7 +127,7 @@ class InnovationRatios(NamedTuple):
     t: tuple[int, ...] = ()
     """Instants of the sightings, ns."""
     values: tuple[tuple[float, float, float], ...] = ()
-    """By sighting, along north, east, down."""
+    """Ratios of each sighting along north, east, down."""
 
 
 class Belief(NamedTuple):
@@ -154,7 +154,7 @@ class Belief(NamedTuple):
     turned: F64
     """(3, 3) integral of `R` since `t_cov`, s."""
     coast_s: float
-    """Seconds since `t_cov` without an IMU."""
+    """Time since `t_cov` without an IMU, s."""
     t_imu: int
     """Instant of the newest IMU sample, ns; -1 if there is none."""
     w: F64

@@ -44,13 +44,13 @@ class TrackCandidate(NamedTuple):
     first: int
     """Its first sighting since the tracked pad was last seen, ns; one that was seen before that counts anew from then on."""
     n: int
-    """Number of its sightings."""
+    """Number of sightings at this place."""
     last: Place
     sigmas_m: tuple[float, float] = (math.inf, math.inf)
     """Standard deviations of the estimate when the candidate was first seen, sideways and down. A candidate that the estimate did
     not explain then is not explained by a later, larger uncertainty."""
     n_alone: int = 1
-    """Number of its sightings since the tracked pad was last seen."""
+    """Number of sightings at this place since the tracked pad was last seen."""
 
 
 class Tracks(NamedTuple):

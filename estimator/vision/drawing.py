@@ -29,13 +29,13 @@ class EdgeKind(IntEnum):
     """Kinds of edges, by the paints that meet: the paint inside is named first."""
 
     DISC = 0
-    """Between the disc and the surroundings, or between the disc and its rim if it has one."""
+    """The edge between the disc and the surroundings, or between the disc and its rim if it has one."""
     RING = 1
-    """Between the ring and the disc, on both sides of the ring."""
+    """The edges between the ring and the disc, on both sides of the ring."""
     ARROW = 2
-    """Between the disc and the part of the arrowhead beyond the ring."""
+    """The edge between the disc and the part of the arrowhead beyond the ring."""
     H = 3
-    """Between the H and the disc."""
+    """The edge between the H and the disc."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

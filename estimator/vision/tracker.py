@@ -36,7 +36,7 @@ from estimator.vision.thesis.detection import Detection, detect
 from estimator.vision.thesis.segmentation import ColourSet
 
 SpeaksFor = Literal["fused", "registration", "thesis"]
-"""Which methods form the sighting: all of them fused, registration alone, or the thesis' three with its selection by priority."""
+"""The methods that form the sighting: all of them fused, registration alone, or the thesis' three, selected by priority."""
 
 _CLOSE, _ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
 _CLOSE_PX = 1.0
@@ -74,7 +74,7 @@ class TrackerConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerMemory:
-    """What vision has learned so far."""
+    """The state that vision keeps from frame to frame."""
 
     paint: PaintMemory = FRESH
 

@@ -22,7 +22,7 @@ Kind = Literal["int", "float", "bool", "text"]
 
 
 class Scope(Enum):
-    """Which set a key belongs to. `COMMON` is one set for the whole drone, the others have one for each id."""
+    """The set to which a key belongs. `COMMON` is one set for the whole drone; the others have one for each id."""
 
     COMMON = "common"
     APPLICATION = "applis"
@@ -46,7 +46,7 @@ class Key:
 
 
 class Answer(Enum):
-    """What became of one attempt to set a key."""
+    """The result of one attempt to set a key."""
 
     SET = "set"
     UNKNOWN_KEY = "unknown_key"
@@ -198,7 +198,7 @@ class Configuration:
 
     @property
     def ids(self) -> Ids:
-        """Those in use."""
+        """The ids in use."""
         session = self._common["custom:session_id"]
         chosen = self._sets[Scope.SESSION][session]
         return Ids(session, chosen["custom:profile_id"], chosen["custom:application_id"])

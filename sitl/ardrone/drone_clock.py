@@ -12,9 +12,9 @@ class DroneClock:
     """Maps this host's clock to the drone's."""
 
     boot: MonoNs
-    """When the drone's clock stood at zero."""
+    """Instant at which the drone's clock was zero."""
     drift_ppm: float = 0.0
-    """How many microseconds it gains on ours in a second."""
+    """Rate by which the drone's clock is fast, microseconds per second."""
 
     def microseconds(self, at: MonoNs) -> int:
         """What the drone has counted since it booted."""

@@ -1,4 +1,4 @@
-"""What the forward camera of the drone would see out at sea: sky, horizon, water. No pad is ever in it."""
+"""Render the view of the drone's forward camera at sea: sky, horizon, water. No pad is ever in it."""
 
 from __future__ import annotations
 

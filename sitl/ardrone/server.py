@@ -38,7 +38,7 @@ CATCH_UP_MAX_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Ports:
-    """Where the drone listens; 0 lets the system choose."""
+    """Ports on which the drone listens; 0 lets the system choose."""
 
     navdata: int = 5554
     video: int = 5555
@@ -48,12 +48,12 @@ class Ports:
 
 @dataclass(frozen=True, slots=True)
 class Habits:
-    """What differs from drone to drone."""
+    """The properties that differ from drone to drone."""
 
     pave_header_size: int = 68
     """64, 68 or 76 bytes, by firmware."""
     uptime_s: float = 30.0
-    """How long the drone has been running when the server starts: its clock does not begin at zero."""
+    """Time for which the drone has been running when the server starts, s; its clock does not begin at zero."""
     clock_drift_ppm: float = 15.0
     """A crystal of its own."""
     video_delay_s: float = 0.04

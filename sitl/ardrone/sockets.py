@@ -24,7 +24,7 @@ _UNICAST = (b"\x01", b"\x01\x00\x00\x00")
 
 
 class _BufferedDatagrams(Protocol):
-    """What every event loop's datagram transport can do; the standard library's own class leaves the last out."""
+    """The methods of every event loop's datagram transport; the standard library's own class lacks the last."""
 
     def is_closing(self) -> bool: ...
 

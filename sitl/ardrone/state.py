@@ -48,7 +48,7 @@ _MAJOR = {
 
 
 class RefAction(Enum):
-    """What the drone is to do besides following the stick."""
+    """An action of the drone besides following the stick."""
 
     TAKE_OFF = "take_off"
     LAND = "land"

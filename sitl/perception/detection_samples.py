@@ -27,7 +27,7 @@ _ITERATIONS = 12
 
 
 class Measured(NamedTuple):
-    """What registration measured, in the camera's axes."""
+    """The measurement of registration, in the camera's axes."""
 
     error: F64
     """(6,): position less the true one over the height, then the small rotation of the pad, rad."""

@@ -53,7 +53,7 @@ _TOKEN = 4
 
 
 class Scene(NamedTuple):
-    """What one exposure holds."""
+    """The content of one exposure."""
 
     view: View | None
     """None where the lens is covered."""

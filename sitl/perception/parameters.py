@@ -50,7 +50,7 @@ class DetectionCell(Struct, frozen=True, forbid_unknown_fields=True):
     """Fraction of the detections whose heading is half a turn off."""
     outliers: Fraction = 0.0
     outlier_ratio: float = 1.0
-    """How many times larger an outlier's errors are."""
+    """Factor by which an outlier's errors are larger."""
     bias: Six = (0.0,) * 6
     error: TwentyOne = (0.0,) * 21
     """Covariance of the errors about the bias, without outliers."""

@@ -17,7 +17,7 @@ from sitl.scenario import Scenario, load
 
 
 class Recorded(NamedTuple):
-    """What one recording holds."""
+    """The content of one recording."""
 
     path: Path
     scenario: Scenario
@@ -27,9 +27,9 @@ class Recorded(NamedTuple):
     camera: Camera
     pad: Pad
     truths: dict[int, TruthRecord]
-    """By instant, ns."""
+    """True states by instant, ns."""
     frames: tuple[RecordedFrame, ...]
-    """Those in which vision searched, in order."""
+    """The frames in which vision searched, in order."""
     beliefs: tuple[RelativeState, ...]
     """The steering estimate at each guidance cycle that had one, in order."""
 

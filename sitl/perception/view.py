@@ -1,4 +1,4 @@
-"""What the camera truly has before it at one exposure: the pad's pose, and the conditions that its detection depends on."""
+"""The true view of the camera at one exposure: the pad's pose, and the conditions on which its detection depends."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from sitl.surroundings import Decal, Deck, Surroundings
 class Shown:
     px: NDArray[np.uint8]
     truth: PadPose
-    """Of the pad, or of the place where it would be."""
+    """Pose of the pad, or of the place where it would be."""
     R_level_body: Rotation
 
 

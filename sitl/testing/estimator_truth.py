@@ -26,7 +26,7 @@ EPOCH_NS = 5_000_000_000
 
 @dataclass(frozen=True)
 class Setting:
-    """What a flight is made of. Angles in degrees because a person writes these."""
+    """The parameters of a flight. Angles are in degrees because a person writes them."""
 
     seed: int = 0
     sea: int = 4

@@ -62,7 +62,7 @@ class FakeArDrone:
         return [c for _, c in self.commands if isinstance(c, kind)]
 
     def forget(self) -> None:
-        """As after its battery was changed."""
+        """Restart the drone, as after a change of its battery."""
         self.state = nd.NavdataState.NAVDATA_BOOTSTRAP | nd.NavdataState.COM_WATCHDOG
         self.control = nd.ControlState.LANDED
         self.sequence = 0

@@ -52,7 +52,7 @@ class FakeAutopilot:
     v_ned: F64 = field(default_factory=lambda: np.zeros(3))
     rpy: Callable[[float], tuple[float, float, float]] = lambda t: (0.0, 0.0, 0.0)
     gyro_mrad_s: tuple[int, int, int] = (100, -200, 300)
-    """What its gyro reads, forward, right, down."""
+    """Reading of its gyro, forward, right, down."""
     epoch_ns: int = EPOCH_NS
     clock: Clock = field(default_factory=SystemClock)
     messages: list[Message] = field(default_factory=list)

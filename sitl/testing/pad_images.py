@@ -28,7 +28,7 @@ def sim_camera(p_body_cam_m: tuple[float, float, float] = (0.15, 0.0, 0.0), dist
 
 @dataclass(frozen=True)
 class PadPlacement:
-    """Where the pad is, seen from the body, and how the body is tilted."""
+    """The pad's position relative to the body, and the tilt of the body."""
 
     d_body_pad_level: tuple[float, float, float]
     yaw_rad: float = 0.0

@@ -45,7 +45,7 @@ class PadScene:
     truth: PadPose | None
     """None where there is no pad."""
     R_level_body: Rotation | None
-    """As measured, one degree off at one sigma; None when the vehicle says nothing."""
+    """The measured attitude, with an error of one degree at one sigma; None if the vehicle sends none."""
     height_m: float
     visible: float
     """Share of the disc inside the frame and not occluded."""

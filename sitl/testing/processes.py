@@ -60,7 +60,7 @@ def decklander(*words: str) -> list[str]:
 
 @contextmanager
 def burners(n: int) -> Iterator[None]:
-    """As many programs that only take CPU time, for a machine under load."""
+    """Run a number of programs that only take CPU time, for a machine under load."""
     burning = [subprocess.Popen([sys.executable, "-c", "while 1: pass"]) for _ in range(n)]
     try:
         yield

@@ -43,7 +43,7 @@ _LEGS = (
 
 @dataclass(frozen=True)
 class HullResponse:
-    """How a vessel answers waves."""
+    """The response of a vessel to waves."""
 
     heave_rad_s: float
     """Waves quicker than this move it less and less."""
@@ -90,7 +90,7 @@ class VoyageScene:
     vibration_m_s2: float = 1.5
     outliers: float = 0.03
     gaps: int = 3
-    """How often sightings stay away for 0.5 to 1.5 s."""
+    """Rate of gaps of 0.5 to 1.5 s in the sightings."""
     blind: tuple[tuple[float, float], ...] = ()
     range_hz: float = 20.0
 
@@ -257,7 +257,7 @@ Event = Imu | Attitude | BodyVelocity | Range | Sighting
 
 @dataclass
 class SensorErrors:
-    """What was drawn for one flight."""
+    """The random parameters of one flight."""
 
     mount: F64 = field(default_factory=lambda: np.zeros(3))
     delay_s: float = 0.0

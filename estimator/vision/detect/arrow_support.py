@@ -38,7 +38,7 @@ class ArrowPlace:
     seen: float
     """Fraction of the place inside the frame; 0 if the pixels are too coarse."""
     clear: float
-    """How surely only disc, ring and perhaps an arrowhead lie there, 0..1."""
+    """Confidence, 0..1, that only disc, ring and perhaps an arrowhead are there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,7 +28,7 @@ _CONTRAST_RATIO = (0.4, 2.5)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channels:
-    """For each kind of edge, the weighted sum of colour channels that separates its two paints best."""
+    """Weights of the colour channels that separate the two paints of each kind of edge best."""
 
     mix: F64
     """Channel weights, (KINDS, 3); the contrast between the paints is 1."""
