@@ -1,4 +1,4 @@
-"""Look up the runtime's pins among known weaknesses: `python -m supply.audit [--advisories FILE]`.
+"""Look up the pins of the service and its extras among known weaknesses: `python -m supply.audit [--advisories FILE]`.
 
 With a file of advisories (the OSV database of PyPI: a zip, or a folder, of its JSON entries, which a CI without a network can
 keep) it is read; without one pip-audit asks PyPI. Ends with 1 when a pinned version has a known weakness. When PyPI cannot be
@@ -11,6 +11,7 @@ import argparse
 import json
 import subprocess
 import sys
+import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any
 
 from packaging.version import InvalidVersion, Version
 
-from supply.packages import PINS, Pin, normal, pins
+from supply.packages import Pin, every_pin, normal
 
 COULD_NOT = "THE AUDIT COULD NOT BE MADE"
 _NETWORK_S = 60
@@ -85,16 +86,19 @@ def _of(event: Mapping[str, str]) -> Version:
         return Version("0.dev0")
 
 
-def ask_pypi() -> tuple[list[str] | None, str]:
+def ask_pypi(wanted: Iterable[Pin]) -> tuple[list[str] | None, str]:
     """Return what pip-audit finds (None if it did not look up all of them) and its message."""
-    command = [
-        sys.executable, "-m", "pip_audit", "--requirement", str(PINS), "--require-hashes", "--disable-pip", "--format", "json",
-        "--progress-spinner", "off", "--vulnerability-service", "pypi", "--timeout", "5",
-    ]  # fmt: skip
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_NETWORK_S)
-    except subprocess.TimeoutExpired:
-        return None, f"no answer within {_NETWORK_S} s"
+    with tempfile.TemporaryDirectory() as folder:
+        listed = Path(folder, "pins.txt")
+        listed.write_text("".join(_requirement(pin) for pin in wanted))
+        command = [
+            sys.executable, "-m", "pip_audit", "--requirement", str(listed), "--require-hashes", "--disable-pip",
+            "--format", "json", "--progress-spinner", "off", "--vulnerability-service", "pypi", "--timeout", "5",
+        ]  # fmt: skip
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_NETWORK_S)
+        except subprocess.TimeoutExpired:
+            return None, f"no answer within {_NETWORK_S} s"
     try:
         found = json.loads(done.stdout)["dependencies"]
     except (json.JSONDecodeError, KeyError):
@@ -107,13 +111,17 @@ def ask_pypi() -> tuple[list[str] | None, str]:
     return weak, f"{len(found) - len(skipped)} asked of PyPI"
 
 
+def _requirement(pin: Pin) -> str:
+    return " ".join([f"{pin.name}=={pin.version}", *(f"--hash=sha256:{one}" for one in pin.hashes)]) + "\n"
+
+
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m supply.audit", description="Look the pins up among known weaknesses.")
     parser.add_argument("--advisories", type=Path, help="zip or folder of OSV entries; without it PyPI is asked")
     parser.add_argument("--strict", action="store_true", help="end with 1 when the audit could not be made")
     args = parser.parse_args()
-    wanted = pins()
+    wanted = every_pin()
     if args.advisories is not None:
         try:
             rows = list(entries(args.advisories))
@@ -122,7 +130,7 @@ def main() -> int:
             return 1
         found, said = hits(rows, wanted), f"{len(rows)} advisories read from {args.advisories}"
     else:
-        asked, said = ask_pypi()
+        asked, said = ask_pypi(wanted)
         if asked is None:
             print(f"{COULD_NOT}: PyPI gave no answer ({said}); --advisories FILE reads the OSV database of PyPI instead")
             return int(args.strict)

@@ -5,17 +5,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from supply.packages import Package, packages, pins
+from supply.packages import Package, every_pin, packages
 
 _HEAD = """# Licences of what is shipped
 
 Decklander's own code is under Apache 2.0 (`LICENSE`). An image or an installation ships these distributions from PyPI
-beside it, pinned by version and hash in `requirements/runtime.txt`. `make licences` makes this page from their metadata
-and, for a few distributions whose metadata name no licence, from a table in `supply/packages.py`; a test refuses a
-distribution without a known licence. The licences of native libraries are those that their projects state.
+beside it, pinned by version and hash in `requirements/runtime.txt`; an extra adds those of its own file there, and an image
+holds no extra. `make licences` makes this page from their metadata and, for a few distributions whose metadata name no
+licence, from a table in `supply/packages.py`; a test refuses a distribution without a known licence. The licences of native
+libraries are those that their projects state.
 
-| distribution | version | licence |
-|---|---|---|
+| distribution | version | licence | installed with |
+|---|---|---|---|
 """
 _COPYLEFT = """
 ## Under the GPL or LGPL
@@ -30,7 +31,10 @@ alone; PyAV decodes the AR.Drone's video and network cameras.
 
 def page(shipped: Sequence[Package]) -> str:
     """Return the page as Markdown."""
-    rows = [f"| {p.pin.name} | {p.pin.version} | {p.licence} |" for p in shipped]
+    rows = [
+        f"| {p.pin.name} | {p.pin.version} | {p.licence} | {f'the extra `{p.pin.extra}`' if p.pin.extra else 'the service'} |"
+        for p in shipped
+    ]
     return _HEAD + "\n".join(rows) + "\n" + _COPYLEFT + "\n".join(copyleft(shipped)) + "\n"
 
 
@@ -54,7 +58,7 @@ def unknown(shipped: Sequence[Package]) -> list[str]:
 
 def main() -> int:
     """Run the command."""
-    shipped = packages(pins())
+    shipped = packages(every_pin())
     if missing := unknown(shipped):
         print(f"no known licence: {', '.join(missing)}", file=sys.stderr)
         return 1

@@ -1,15 +1,18 @@
-"""The distributions that the runtime pins, as their own metadata describes them in an environment."""
+"""The distributions that the service and its extras pin, as their own metadata describes them in an environment."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PINS = ROOT / "requirements/runtime.txt"
+_NOT_SHIPPED = {"dev"}
+"""Extras for those who work on the project."""
 
 _FROM_CLASSIFIER = {
     "Apache Software License": "Apache-2.0",
@@ -29,6 +32,9 @@ _FROM_TEXT = {
 }
 READ = {
     "aiomqtt": "BSD-3-Clause",
+    "contourpy": "BSD-3-Clause",
+    "cycler": "BSD-3-Clause",
+    "kiwisolver": "BSD-3-Clause",
     "lz4": "BSD-3-Clause",
 }
 """Distributions whose metadata do not give a licence that a program can read. Each entry was compared with the licence file
@@ -62,6 +68,8 @@ class Pin:
     version: str
     hashes: tuple[str, ...]
     """SHA-256 of every file that may be installed, for all platforms."""
+    extra: str = ""
+    """The extra that brings it; empty for what the service itself needs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +105,37 @@ def pins(path: Path = PINS) -> tuple[Pin, ...]:
     return tuple(Pin(name, version, tuple(re.findall(r"sha256:([0-9a-f]{64})", hashes))) for name, version, hashes in found)
 
 
+def extras() -> tuple[str, ...]:
+    """Return the names of the extras that a user may install, in the order of pyproject.toml."""
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    return tuple(name for name in declared if name not in _NOT_SHIPPED)
+
+
+def every_pin(folder: Path = PINS.parent) -> tuple[Pin, ...]:
+    """Return the pins of the service, then those that each extra adds.
+
+    Args:
+        folder: where `runtime.txt` and a file named after each extra lie.
+
+    Raises:
+        ValueError: an extra pins another version than the service or than an extra before it.
+        OSError: a file of pins is missing.
+    """
+    found = {pin.name: pin for pin in pins(folder / PINS.name)}
+    for extra in extras():
+        for pin in pins(folder / f"{extra}.txt"):
+            before = found.setdefault(pin.name, replace(pin, extra=extra))
+            if before.version != pin.version:
+                raise ValueError(f"{pin.name} {before.version} is pinned already, and the extra {extra} pins {pin.version}")
+    return tuple(found.values())
+
+
+def installed(wanted: Sequence[Pin], site: Sequence[str] | None = None) -> tuple[Pin, ...]:
+    """Return the pins of the service, and of the extras those whose distribution is in the environment, whatever its version."""
+    names = {normal(d.name) for d in _distributions(site)}
+    return tuple(pin for pin in wanted if not pin.extra or normal(pin.name) in names)
+
+
 def packages(wanted: Sequence[Pin], site: Sequence[str] | None = None) -> tuple[Package, ...]:
     """Return the pinned distributions that are installed, in the order of `wanted`.
 
@@ -106,8 +145,12 @@ def packages(wanted: Sequence[Pin], site: Sequence[str] | None = None) -> tuple[
     Raises:
         LookupError: a distribution is missing or differs in version from its pin; the text names it.
     """
-    found = {normal(d.name): d for d in (metadata.distributions() if site is None else metadata.distributions(path=list(site)))}
+    found = {normal(d.name): d for d in _distributions(site)}
     return tuple(_package(pin, found, {p.name for p in wanted}) for pin in wanted)
+
+
+def _distributions(site: Sequence[str] | None) -> Iterable[metadata.Distribution]:
+    return metadata.distributions() if site is None else metadata.distributions(path=list(site))
 
 
 def normal(name: str) -> str:

@@ -1,7 +1,8 @@
 """The software bill of materials in CycloneDX JSON: `python -m supply.sbom --out FILE [--environment FOLDER]`.
 
 Components are the pinned distributions as they are installed, with licence, dependencies and the hashes that pip accepts, and
-below each the native libraries that its wheel carries. Debian's packages are not among them: an image's own dpkg database lists
+below each the native libraries that its wheel carries. Those of an extra are marked as optional, and an environment without the
+extra has none of them. Debian's packages are not among them: an image's own dpkg database lists
 those, and scanners read it.
 """
 
@@ -17,11 +18,11 @@ from pathlib import Path
 from cyclonedx.contrib.license.factories import LicenseFactory
 from cyclonedx.model import ExternalReference, ExternalReferenceType, HashAlgorithm, HashType, Property, XsUri
 from cyclonedx.model.bom import Bom
-from cyclonedx.model.component import Component, ComponentType
+from cyclonedx.model.component import Component, ComponentScope, ComponentType
 from cyclonedx.output.json import JsonV1Dot6
 from packageurl import PackageURL
 
-from supply.packages import ROOT, Package, packages, pins
+from supply.packages import ROOT, Package, every_pin, installed, packages
 
 
 def bill(shipped: Sequence[Package], version: str) -> str:
@@ -48,6 +49,7 @@ def _component(package: Package, licences: LicenseFactory) -> Component:
         name=pin.name,
         version=pin.version,
         type=ComponentType.LIBRARY,
+        scope=ComponentScope.OPTIONAL if pin.extra else ComponentScope.REQUIRED,
         bom_ref=f"{pin.name}=={pin.version}",
         purl=PackageURL("pypi", None, pin.name, pin.version),
         description=package.summary or None,
@@ -89,7 +91,8 @@ def main() -> int:
     parser.add_argument("--environment", type=Path, help="virtual environment to describe; this one by default")
     args = parser.parse_args()
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    shipped = packages(pins(), site_of(args.environment) if args.environment else None)
+    site = site_of(args.environment) if args.environment else None
+    shipped = packages(installed(every_pin(), site), site)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     text = bill(shipped, version)
     args.out.write_text(text + "\n")

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from supply import audit, licences, sbom
-from supply.packages import READ, ROOT, Package, Pin, packages, pins
+from supply.packages import READ, ROOT, Package, Pin, every_pin, extras, installed, packages, pins
 
-SHIPPED = packages(pins())
+SHIPPED = packages(every_pin())
 
 
 def test_every_pinned_distribution_has_a_known_licence_and_the_page_is_that_of_today() -> None:
@@ -42,6 +42,22 @@ def test_pins_are_read_whole() -> None:
         packages([Pin("numpy", "0.0", ())])
 
 
+def test_what_the_extras_add_is_shipped_too(tmp_path: Path) -> None:
+    assert "report" in extras()
+    assert "dev" not in extras()
+    by_name = {pin.name: pin for pin in every_pin()}
+    assert (by_name["numpy"].extra, by_name["matplotlib"].extra) == ("", "report")
+    bare = tmp_path / "site-packages"
+    bare.mkdir()
+    assert installed(every_pin(), [str(bare)]) == pins(), "an environment without extras"
+    for path in (ROOT / "requirements").glob("*.txt"):
+        (tmp_path / path.name).write_text(path.read_text())
+    report = tmp_path / "report.txt"
+    report.write_text(report.read_text().replace("numpy==", "numpy==0."))
+    with pytest.raises(ValueError, match=r"numpy .* is pinned already, and the extra report pins 0"):
+        every_pin(tmp_path)
+
+
 def test_the_bill_lists_every_pin_with_its_hashes_licence_and_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "dist/bill.json"
     environment = Path(sys.executable).parents[1]
@@ -50,9 +66,11 @@ def test_the_bill_lists_every_pin_with_its_hashes_licence_and_needs(tmp_path: Pa
     bill = json.loads(out.read_text())
     assert (bill["bomFormat"], bill["specVersion"]) == ("CycloneDX", "1.6")
     assert bill["metadata"]["component"]["name"] == "decklander"
-    assert {c["purl"] for c in bill["components"]} == {f"pkg:pypi/{p.name}@{p.version}" for p in pins()}
+    assert {c["purl"] for c in bill["components"]} == {f"pkg:pypi/{p.name}@{p.version}" for p in every_pin()}
     by_name = {c["name"]: c for c in bill["components"]}
     assert all(c["licenses"] for c in bill["components"])
+    assert {c["name"] for c in bill["components"] if c["scope"] == "required"} == {p.name for p in pins()}
+    assert by_name["matplotlib"]["scope"] == "optional"
     hashes = by_name["numpy"]["externalReferences"][0]["hashes"]
     assert {h["content"] for h in hashes} == set(next(p for p in pins() if p.name == "numpy").hashes)
     carried = {c["name"]: c for c in by_name["av"]["components"]}
@@ -129,7 +147,7 @@ def test_an_audit_that_could_not_be_made_says_so(monkeypatch: pytest.MonkeyPatch
         (([], "38 asked of PyPI"), [], 0, "0 known weaknesses"),
         ((["numpy 1: PYSEC-2"], "38 asked of PyPI"), [], 1, "PYSEC-2"),
     ):
-        monkeypatch.setattr(audit, "ask_pypi", lambda answer=answer: answer)
+        monkeypatch.setattr(audit, "ask_pypi", lambda _, answer=answer: answer)
         monkeypatch.setattr(sys, "argv", ["audit", *argv])
         assert audit.main() == code
         assert said in capsys.readouterr().out
