@@ -203,7 +203,7 @@ class FakeArDrone:
             self.tick()
 
 
-async def until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+async def until(condition: Callable[[], object], timeout_s: float = 60.0) -> None:
     """Wait for something to come true; the test fails when it does not."""
     async with asyncio.timeout(timeout_s):
         while not condition():  # noqa: ASYNC110 - what is waited for lies on both sides of sockets

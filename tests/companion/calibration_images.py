@@ -42,7 +42,7 @@ class Studio:
         for rectangle in self.board.black_m():
             (x0, y0), (x1, y1) = np.round((rectangle[[0, 2]] + self._margin) * PX_PER_M).astype(int)
             paper[y0:y1, x0:x1] = 20
-        return cv2.blur(paper, (5, 5))
+        return cv2.blur(paper, (5, 5)).astype(np.uint8)
 
     def image(self, R_cam_board: Rotation, p_cam_board: F64, noise: float = 2.0) -> NDArray[np.uint8]:
         """(H, W) grey; the board's outer top-left corner at `p_cam_board`, grey table around it."""

@@ -31,7 +31,7 @@ STRAIGHT = lens(480, 320, 390.0, (0.0, 0.0, 0.0, 0.0, 0.0))
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Images of a good round, by board."""
-    out = {}
+    out: dict[str, Path] = {}
     for board, camera, distance_m, inset, middle in (
         (CHARUCO, BENT, 0.30, (0.14, 0.2), 0.65),
         (CHESSBOARD, STRAIGHT, 0.70, (0.15, 0.22), 0.5),

@@ -42,7 +42,7 @@ def fly(d0, plan, seconds, sight=lambda t, d: True, yaw_rate=0.0, pad_v=(0.0, 0.
             seen = estimate(t, d, np.array(pad_v) - v, yaw, age=t - seen_at, track=track(t), sigma=2.0)
         planner, aim, phase = planner_step(planner, plan, ns(t), seen)
         rows.append((t, d.copy(), aim, phase))
-        command = aim
+        command: object = aim
         if isinstance(aim, SetPoint):
             pid, command = pid_step(pid, PidOptions(), ns(t), seen, aim, 0.5)
         if isinstance(command, Land) and lands:
@@ -341,7 +341,7 @@ def test_it_never_sinks_nor_begins_to_land_without_a_fresh_consistent_estimate(h
         }[kind]()
         last = seen if kind == "fresh" else last
         planner, aim, phase = planner_step(planner, plan, ns(t), seen)
-        command = aim
+        command: object = aim
         if isinstance(aim, SetPoint):
             pid, command = pid_step(pid, PidOptions(), ns(t), seen, aim, 0.5)
         fit = fit_to_steer(seen, ns(t), plan.guidance.stale_after_s)

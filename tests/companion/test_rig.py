@@ -79,6 +79,7 @@ def other(field: inspect.Field, path: str) -> object:
             return next(v for v in values if v != field.default)
         case inspect.FloatType(le=high) | inspect.IntType(le=high):
             step = field.default * 1.01 if isinstance(bare, inspect.FloatType) else field.default + 1
+            assert high is not None
             if field.default == high:
                 return type(high)(high / 2)
             return min(step, high) if field.default else high / 2 if isinstance(bare, inspect.FloatType) else high // 2

@@ -1,6 +1,7 @@
 """A mailbox loses nothing it does not count, whoever is cancelled and whenever."""
 
 import asyncio
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -100,7 +101,7 @@ async def test_a_falsy_item_is_an_item(make, falsy):
 def test_every_item_is_read_dropped_or_still_there(script, capacity):
     async def play():
         latest, line = Latest[int](), Line[int](capacity)
-        read = {latest: [], line: []}
+        read: dict[object, list[Any]] = {latest: [], line: []}
         for i, what in enumerate(script):
             for box in (latest, line):
                 if what == "offer":

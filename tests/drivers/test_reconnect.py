@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+from typing import Any
 
 import pytest
 
@@ -47,7 +48,7 @@ BACK_OFF = BackOff(0.5, 4.0, healthy_after_s=10.0)
 
 
 async def test_rests_grow_to_the_cap_and_begin_again_after_a_healthy_run() -> None:
-    clock, failures = FakeClock(), []
+    clock, failures = FakeClock(), list[Any]()
     body = Body(clock, [*[Recoverable("absent")] * 6, 9.9, 10.0, Recoverable("absent")])
     await reconnect("camera", body, BACK_OFF, clock, failures.append)
     assert clock.slept == [0.5, 1.0, 2.0, 4.0, 4.0, 4.0, 4.0, 0.5, 1.0]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 
 import av
@@ -21,7 +22,7 @@ GOP = 5
 def clip(n: int = 16) -> tuple[tuple[PaveFrame, ...], NDArray[np.uint8]]:
     """Units of a moving pattern with an IDR every `GOP` frames, and the frames that went in."""
     codec = av.CodecContext.create("libx264", "w")
-    codec.width, codec.height, codec.pix_fmt, codec.framerate = 640, 360, "yuv420p", 30
+    codec.width, codec.height, codec.pix_fmt, codec.framerate = 640, 360, "yuv420p", Fraction(30)
     codec.gop_size, codec.max_b_frames, codec.thread_count = GOP, 0, 1
     codec.options = {"preset": "ultrafast", "tune": "zerolatency", "profile": "baseline", "sc_threshold": "0", "qp": "12"}
     y, x = np.mgrid[0:360, 0:640]

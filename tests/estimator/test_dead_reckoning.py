@@ -1,5 +1,6 @@
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -130,6 +131,8 @@ def test_a_late_sighting_ends_where_a_prompt_one_does(v, yaw_rate, delay):
     a = dr.at(feed([*prompt, seen, *after])[0], ns(1.5))
     b = dr.at(feed([*prompt, *before_heard, seen, *rest])[0], ns(1.5))
     np.testing.assert_allclose(a.d_body_pad_level, b.d_body_pad_level, atol=1e-9)
+    assert a.yaw_rad is not None
+    assert b.yaw_rad is not None
     assert abs(wrap_pi(a.yaw_rad - b.yaw_rad)) < 1e-9
     np.testing.assert_allclose(a.cov, b.cov, atol=1e-9)
 
@@ -316,7 +319,7 @@ def test_a_real_flight_is_carried_over_five_seconds_without_sightings():
             d, yaw = truth(t)
             events.append((t + 0.1, sighting(t, d + rng.normal(0, 0.01, 3), yaw, received_at=t + 0.1)))
     events.sort(key=lambda e: e[0])
-    state, fresh, old = dr.DeadReckoning.start(), [], []
+    state, fresh, old = dr.DeadReckoning.start(), list[Any](), list[Any]()
     for i, (t, event) in enumerate(events):
         state, _ = dr.step(state, event)
         if i % 100 == 0 and t > 13.5:

@@ -1,4 +1,5 @@
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,15 +10,15 @@ from estimator import filters
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Sighting
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import MonoNs, Stamp
-from estimator.filters import GROUP_DELAY_SAMPLES, VARIANCE_RATIO, Filtered, MedianMean, circular_median, smooth, step
+from estimator.filters import GROUP_DELAY_SAMPLES, VARIANCE_RATIO, MedianMean, circular_median, smooth, step
 
 TICK = 33_000_000
 angles = st.floats(-math.pi, math.pi, exclude_min=True)
 
 
-def run(values, yaws=None, ambiguous=None, ticks=None, state=None) -> list[Filtered]:
+def run(values, yaws=None, ambiguous=None, ticks=None, state=None) -> list[Any]:
     state = state or MedianMean()
-    out = []
+    out: list[Any] = []
     for i, v in enumerate(values):
         t = MonoNs(TICK * (ticks[i] if ticks else i))
         yaw = yaws[i] if yaws else None

@@ -49,4 +49,5 @@ def project(camera: Camera, s: Exposure, p_pad: F64) -> F64:
     R = (s.R_ned_body.matrix @ camera.T_body_cam.R.matrix).T
     p_cam_ned = s.p_body_ned + s.R_ned_body.matrix @ camera.T_body_cam.t
     rvec = cv2.Rodrigues(R @ s.R_ned_pad.matrix)[0]
-    return cv2.projectPoints(p_pad, rvec, R @ (s.p_pad_ned - p_cam_ned), camera.K, camera.distortion)[0][:, 0]
+    uv_px = cv2.projectPoints(p_pad, rvec, R @ (s.p_pad_ned - p_cam_ned), camera.K, camera.distortion)[0][:, 0]
+    return uv_px.astype(np.float64)

@@ -141,7 +141,7 @@ def test_a_frozen_sensor_repeats_its_last_reading_until_the_fault_is_over(fault:
 
 def test_a_delayed_sensor_tells_what_was_true_before() -> None:
     w, true = world(Barometer(at_s=0.0, delay_s=0.4)), world()
-    told, past = [], []
+    told, past = list[float](), list[float]()
     for tick in range(1, 301):
         for each, out in ((w, told), (true, past)):
             out.append(at(each, 0.004 * tick).readings().pressure_pa)

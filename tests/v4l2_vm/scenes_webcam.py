@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from fractions import Fraction
 from functools import lru_cache
 from typing import Any
 
@@ -54,7 +55,7 @@ def _encoded(fourcc: str, width: int, height: int) -> tuple[bytes, ...]:
     if fourcc == "MJPG":
         return (cv2.imencode(".jpg", px)[1].tobytes(),)
     codec = av.CodecContext.create("libx264", "w")
-    codec.width, codec.height, codec.pix_fmt, codec.framerate = width, height, "yuv420p", 30
+    codec.width, codec.height, codec.pix_fmt, codec.framerate = width, height, "yuv420p", Fraction(30)
     codec.options = {"preset": "ultrafast", "tune": "zerolatency", "x264-params": f"keyint={GROUP}:scenecut=0"}
     units = []
     for n in range(2 * GROUP):

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,7 +61,7 @@ def errors_m(lag_s: float, sends: list[tuple[float, Callable[[], object | None]]
     `sends` are (when the message is taken up, what makes it).
     """
     receiver = ArduPilotReceiver(lag_s=lag_s)
-    out = []
+    out: list[Any] = []
     queue = deque(sorted(sends, key=lambda s: s[0]))
     period = 1.0 / receiver.loop_rate_hz
     for n in itertools.count():
@@ -94,7 +95,8 @@ def test_jitter_costs_nothing_when_locked_and_half_a_metre_when_not(lag_s: float
         naive.append((sent + TRANSIT_S, as_seen))
     attitudes = iter([k / 100 for k in range(round(seconds * 100))])
     beliefs = iter([k / 50 for k in range(round(seconds * 50))])
-    next_attitude, next_belief = next(attitudes), next(beliefs)
+    next_attitude: float | None = next(attitudes)
+    next_belief: float | None = next(beliefs)
     messages = []
     for n in range(round(seconds * 25)):
         now = n / 25 + 0.003

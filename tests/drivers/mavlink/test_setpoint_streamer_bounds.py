@@ -47,7 +47,9 @@ class Flight:
 
 
 def said(messages: list[Message]) -> tuple[list[tuple[float, ...]], list[tuple[float, float]]]:
-    v = [(m.vx, m.vy, m.vz, m.yaw_rate) for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+    v: list[tuple[float, ...]] = [
+        (m.vx, m.vy, m.vz, m.yaw_rate) for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
+    ]
     return v, [(m.param2, m.param3) for m in messages if m.get_type() == "COMMAND_LONG" and m.command == mav.MAV_CMD_DO_SET_MODE]
 
 

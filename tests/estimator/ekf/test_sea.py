@@ -154,7 +154,7 @@ def test_moving_or_not() -> None:
 def test_loss_of_sight_grows_the_covariance_and_the_return_does_not_jump_beyond_it() -> None:
     s = replace(QUICK, blind=((10.0, 14.0),), duration_s=17.0)
     flight, ekf = TruthFlight(s), start()
-    sigma, before = [], None
+    sigma, before = list[float](), None
     for event in events(flight):
         now = event.stamp.received_at
         first = isinstance(event, Sighting) and event.stamp.measured_at > ns(14.0) and before is None

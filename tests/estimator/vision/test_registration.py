@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -120,7 +121,7 @@ def test_motion_blur_is_seen_in_its_direction(camera: Camera, pad: Pad) -> None:
 
 def test_gamma_is_undone(camera: Camera, pad: Pad) -> None:
     stage = Stage(camera, pad, sensor=Sensor(exposure_s=0.0, psf_sigma_px=1.5))
-    right, wrong = [], []
+    right, wrong = list[Any](), list[Any]()
     for _ in range(4):
         view = stage.view(4.0)
         start = stage.start(view, 0.2)

@@ -49,7 +49,7 @@ class StandIn(FakeAutopilot):
         self._still_s = 0.0
         self._home: Any = None
         self.said: dict[str, Any] = {}
-        self.rpy = lambda t: tuple(self._rotation.rpy_rad) if self.said else (0.0, 0.0, 0.0)  # type: ignore[assignment]
+        self.rpy = lambda t: tuple(self._rotation.rpy_rad) if self.said else (0.0, 0.0, 0.0)  # type: ignore[assignment, return-value]
 
     @property
     def _rotation(self) -> Rotation:
