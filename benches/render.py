@@ -1,8 +1,7 @@
-"""Measure the time of a rendered frame by height, on one thread: `python benches/render.py [--frames N]` from the repository's
-root.
+"""Measure the time of a rendered frame by height, on one thread: `python benches/render.py [--frames N]`.
 
-Times are processor time, the smallest of several rounds, beside a floor measured in between: one BGR to HSV conversion and one
-inRange of a frame of the same size.
+It runs from the repository's root. Times are processor time, the smallest of several rounds, beside a floor measured in between:
+one BGR to HSV conversion and one inRange of a frame of the same size.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Measure how long commands take to end after SIGTERM: python -m benches.sigterm [--runs 20] [--load 4]
+"""Measure how long commands take to end after SIGTERM: `python -m benches.sigterm [--runs 20] [--load 4]`.
 
 `run` with a simulated drone in flight, `simulate`, and `simulate --autopilot` with a program that ignores SIGTERM each get the
 signal at a random moment between their start and some seconds of flight. Times are from the signal to the end of the process, on

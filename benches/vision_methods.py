@@ -1,6 +1,6 @@
-"""Ellipse, arrow and corners: the thesis' tables 5.1 to 5.4 on rendered frames, the photographs of the real pad, and the time a
-frame takes by stage: `python -m benches.vision_methods [--frames N]` from the repository's root.
+"""Measure ellipse, arrow and corners: `python -m benches.vision_methods [--frames N]` from the repository's root.
 
+It makes the thesis' tables 5.1 to 5.4 on rendered frames, tries the photographs of the real pad, and times a frame by stage.
 Rendered frames have the thesis' camera and pad, 1 to 2 degrees of tilt with the attitude given, sensor noise, blur, worn paint
 and uneven light. Times are processor time on one thread, the smallest of several rounds, beside a floor measured in between: one
 BGR to HSV conversion and one inRange of a frame of the same size.

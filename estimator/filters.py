@@ -82,6 +82,7 @@ def step(state: MedianMean, t: MonoNs, d: F64, yaw_rad: float | None, ambiguous:
         d: (3,) m, `d_body_pad_level`.
         yaw_rad: heading against the arrow, or None.
         ambiguous: the heading may be 180 degrees off.
+
     Returns:
         The new state and the filtered value; the old state and None for a sighting that is not newer than the last.
     """

@@ -1,4 +1,4 @@
-"""Read a recording: how far off every fused sighting and decision saw the pad. `python -m examples.read_recording FILE.mcap`"""
+"""Read a recording: how far off every fused sighting and decision saw the pad: `python -m examples.read_recording FILE.mcap`."""
 
 import sys
 from collections import Counter

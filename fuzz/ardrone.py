@@ -175,8 +175,10 @@ def control_seeds() -> Iterator[bytes]:
 
 
 def run_at(data: bytes) -> None:
-    """Send datagrams of commands, with time between them, to the simulated drone: obeyed or counted, and its answers can be
-    built."""
+    """Send datagrams of commands, with time between them, to the simulated drone.
+
+    Each is obeyed or counted, and the drone's answers can be built.
+    """
     choices = Choices(data)
     drone, now = _drone(), _START
     phases = tuple(VehiclePhase)

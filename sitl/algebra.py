@@ -135,11 +135,12 @@ def inverse_rotate(rows: tuple[Vec, Vec, Vec], v: Vec) -> Vec:
 
 
 def cross(a: Vec, b: Vec) -> Vec:
+    """Return the cross product of two vectors."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def product(p: tuple[Num, Num, Num, Num], q: tuple[Num, Num, Num, Num]) -> tuple[Num, Num, Num, Num]:
-    """Hamilton product: q_a_c = product(q_a_b, q_b_c)."""
+    """Return the Hamilton product: q_a_c from q_a_b and q_b_c."""
     a, b, c, d = p
     w, x, y, z = q
     return (

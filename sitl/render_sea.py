@@ -128,8 +128,10 @@ class SeaPainter:
 
 
 def _places(rays: F32, plane_from_ray: F64) -> F32:
-    """Return (h, w, 2) m north and east where each ray meets the water. A ray above the horizon gets a meaningless value within
-    100 km."""
+    """Return where each ray meets the water, (h, w, 2) m north and east.
+
+    A ray above the horizon gets a meaningless value within 100 km.
+    """
     where: F32 = np.asarray(cv2.perspectiveTransform(rays, plane_from_ray), dtype=np.float32)
     return np.clip(where, -1e5, 1e5, out=where)
 

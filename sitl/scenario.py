@@ -244,7 +244,8 @@ def _with_base(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """The tables of both, key by key; the faults of the base come first.
 
-    A key of `over` that takes the place of others, such as `sea.sea_state` of a height, takes them out of the base."""
+    A key of `over` that takes the place of others, such as `sea.sea_state` of a height, takes them out of the base.
+    """
     out = dict(base)
     for key, value in over.items():
         excludes: dict[str, tuple[str, ...]] = _EXCLUDES.get(key, {})

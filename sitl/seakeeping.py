@@ -114,6 +114,7 @@ def responses(
         w_rad_s: (...) wave frequency, positive.
         beta_rad: (...) direction the wave runs to, less the hull's heading: 0 following, pi/2 from port, pi head.
         encounter: (...) rad/s, where it does not follow from speed and direction, as at anchor in a current.
+
     Returns:
         (6, ...): surge forward, sway to starboard, heave down (m/m); roll starboard down, pitch bow up, yaw to starboard (rad/m).
     """

@@ -72,6 +72,7 @@ class Vessel:
         pad_yaw_rad: the pad's arrow against the bow, clockwise from above.
         mooring: None under way.
         seeds: phases of the mooring's wandering, one a vessel; needed with a mooring only.
+
     Raises:
         ValueError: shapes that do not meet, or a negative speed.
     """

@@ -266,8 +266,9 @@ class World:
     def expose(
         self, room: RenderWorker | None = None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None = None
     ) -> Callable[[], RenderedFrame]:
-        """`render` in two parts: the scene is fixed now, and the call makes the frame, in another thread if need be, while
-        the world goes on. One such call at a time.
+        """Fix the scene now, and return the call that makes the frame.
+
+        The call may run in another thread while the world goes on. One such call at a time.
 
         Args:
             room: makes the frame from now on; the call then waits for it.

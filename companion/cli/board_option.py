@@ -10,6 +10,7 @@ from estimator.contracts.errors import BadInput
 
 
 def add(parser: argparse.ArgumentParser) -> None:
+    """Add the options that describe a calibration board."""
     parser.add_argument(
         "--squares", default="7x10", metavar="CxR", help="number of squares across and down (default: %(default)s)"
     )

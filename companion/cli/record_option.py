@@ -20,6 +20,7 @@ from sitl.world import Touchdown, Truth
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a command that records its flight."""
     parser.add_argument(
         "--record", type=Path, metavar="FILE", help="record the flight into this file (MCAP; see docs/recordings.md)"
     )

@@ -38,12 +38,15 @@ Rule = Callable[[Snapshot], Finding | None]
 
 
 def error(rule: str, what: str, fix: str) -> Finding:
+    """Return a finding that keeps the drone from landing, or makes it land wrongly."""
     return Finding(rule, Severity.ERROR, what, fix)
 
 
 def warning(rule: str, what: str, fix: str) -> Finding:
+    """Return a finding that makes a landing worse or fail under some conditions."""
     return Finding(rule, Severity.WARNING, what, fix)
 
 
 def advice(rule: str, what: str, fix: str) -> Finding:
+    """Return a finding that leaves room for improvement."""
     return Finding(rule, Severity.ADVICE, what, fix)

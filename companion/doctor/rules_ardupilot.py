@@ -35,6 +35,7 @@ def _texts_of(p: Snapshot, text: str) -> bool:
 
 
 def plnd_missing(p: Snapshot) -> Finding | None:
+    """Find a firmware that was built without precision landing."""
     a = _ardupilot(p)
     if a is None or "PLND_ENABLED" not in a.absent:
         return None
@@ -46,12 +47,14 @@ def plnd_missing(p: Snapshot) -> Finding | None:
 
 
 def plnd_disabled(p: Snapshot) -> Finding | None:
+    """Find precision landing switched off."""
     if _value(p, "PLND_ENABLED") != 0.0:
         return None
     return error("plnd-disabled", "PLND_ENABLED is 0", "set PLND_ENABLED 1 and reboot the autopilot")
 
 
 def plnd_not_rebooted(p: Snapshot) -> Finding | None:
+    """Find precision landing that was enabled after the boot and therefore does not run."""
     a = _ardupilot(p)
     if a is None or not _enabled(p) or _value(p, "PLND_TYPE") != _COMPANION:
         return None
@@ -65,6 +68,7 @@ def plnd_not_rebooted(p: Snapshot) -> Finding | None:
 
 
 def plnd_type(p: Snapshot) -> Finding | None:
+    """Find another source of targets than a companion computer."""
     kind = _value(p, "PLND_TYPE")
     if not _enabled(p) or kind is None or kind == _COMPANION:
         return None
@@ -72,6 +76,7 @@ def plnd_type(p: Snapshot) -> Finding | None:
 
 
 def plnd_estimator(p: Snapshot) -> Finding | None:
+    """Find targets that are used as they come, without the autopilot's Kalman filter."""
     kind = _value(p, "PLND_EST_TYPE")
     if not _enabled(p) or kind is None or kind == _KALMAN:
         return None
@@ -79,6 +84,7 @@ def plnd_estimator(p: Snapshot) -> Finding | None:
 
 
 def plnd_lag(p: Snapshot) -> Finding | None:
+    """Find a lag, seconds, that is more than 0.05 s from the measured delay between exposure and estimate."""
     lag_s, delay_s = _value(p, "PLND_LAG"), p.service.exposure_to_belief_s
     if not _enabled(p) or lag_s is None or delay_s is None:
         return None
@@ -93,6 +99,7 @@ def plnd_lag(p: Snapshot) -> Finding | None:
 
 
 def plnd_still_target(p: Snapshot) -> Finding | None:
+    """Find an autopilot that takes a moving pad to stand still."""
     options = _value(p, "PLND_OPTIONS")
     if not _enabled(p) or options is None or not p.moving_pad or int(options) & _MOVING_TARGET:
         return None
@@ -104,6 +111,7 @@ def plnd_still_target(p: Snapshot) -> Finding | None:
 
 
 def plnd_mount_twice(p: Snapshot) -> Finding | None:
+    """Find a camera mount that is set in the autopilot although the service already applies it."""
     if not _enabled(p):
         return None
     names = ("PLND_CAM_POS_X", "PLND_CAM_POS_Y", "PLND_CAM_POS_Z", "PLND_YAW_ALIGN")
@@ -121,6 +129,7 @@ def plnd_mount_twice(p: Snapshot) -> Finding | None:
 
 
 def plnd_blind(p: Snapshot) -> Finding | None:
+    """Find an autopilot that goes on to land when the pad is out of sight."""
     if not _enabled(p) or _value(p, "PLND_STRICT") != 0.0:
         return None
     return warning(
@@ -131,6 +140,7 @@ def plnd_blind(p: Snapshot) -> Finding | None:
 
 
 def plnd_low_ceiling(p: Snapshot) -> Finding | None:
+    """Find a height limit for targets below 4 m."""
     ceiling_m = _value(p, "PLND_ALT_MAX")
     if not _enabled(p) or ceiling_m is None or ceiling_m >= 4.0:
         return None
@@ -145,6 +155,7 @@ def _kinds(p: Snapshot) -> dict[int, float]:
 
 
 def no_rangefinder(p: Snapshot) -> Finding | None:
+    """Find an autopilot without any rangefinder, which does not slow down near the deck."""
     kinds = _kinds(p)
     if not kinds or any(kinds.values()):
         return None
@@ -156,6 +167,7 @@ def no_rangefinder(p: Snapshot) -> Finding | None:
 
 
 def rangefinder_unfed(p: Snapshot) -> Finding | None:
+    """Find a rangefinder that waits for distances which nobody sends."""
     if _BY_MAVLINK not in _kinds(p).values() or p.service.sends_ranges is not False:
         return None
     return error(
@@ -166,6 +178,7 @@ def rangefinder_unfed(p: Snapshot) -> Finding | None:
 
 
 def rangefinder_turned(p: Snapshot) -> Finding | None:
+    """Find a rangefinder over MAVLink that does not look down, so that our distances are dropped."""
     for n, kind in _kinds(p).items():
         orient = _value(p, f"RNGFND{n}_ORIENT")
         if kind == _BY_MAVLINK and orient not in (None, _DOWN):
@@ -178,6 +191,7 @@ def rangefinder_turned(p: Snapshot) -> Finding | None:
 
 
 def ekf_external(p: Snapshot) -> Finding | None:
+    """Find an EKF that waits for a position or heading from outside."""
     names = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
     wrong = [f"EK3_SRC1_{n}" for n in names if _value(p, f"EK3_SRC1_{n}") == _EXTERNAL_NAV]
     if not wrong:
@@ -190,6 +204,7 @@ def ekf_external(p: Snapshot) -> Finding | None:
 
 
 def ekf_height_by_range(p: Snapshot) -> Finding | None:
+    """Find an EKF whose height follows a moving deck."""
     by_range = _value(p, "EK3_SRC1_POSZ") == _BY_RANGE or (_value(p, "EK3_RNG_USE_HGT") or 0.0) > 0.0
     if not by_range or not p.moving_pad:
         return None
@@ -201,6 +216,7 @@ def ekf_height_by_range(p: Snapshot) -> Finding | None:
 
 
 def gyro_calibration(p: Snapshot) -> Finding | None:
+    """Find gyros that are calibrated at each boot, on a deck that moves."""
     if _value(p, "INS_GYRO_CAL") != 1.0 or not p.moving_pad:
         return None
     return warning(
@@ -211,6 +227,7 @@ def gyro_calibration(p: Snapshot) -> Finding | None:
 
 
 def frame_not_supported(p: Snapshot) -> Finding | None:
+    """Find the autopilot's message that a target came in a frame it does not know."""
     if not _texts_of(p, "frame not supported"):
         return None
     return error(
@@ -221,6 +238,7 @@ def frame_not_supported(p: Snapshot) -> Finding | None:
 
 
 def init_failed(p: Snapshot) -> Finding | None:
+    """Find the autopilot's message that targets come too rarely to begin with."""
     if not _texts_of(p, "init failed"):
         return None
     return error(
@@ -231,6 +249,7 @@ def init_failed(p: Snapshot) -> Finding | None:
 
 
 def target_lost(p: Snapshot) -> Finding | None:
+    """Find the autopilot's message that targets stopped."""
     if not _texts_of(p, "target lost"):
         return None
     return warning(
@@ -241,6 +260,7 @@ def target_lost(p: Snapshot) -> Finding | None:
 
 
 def old_firmware(p: Snapshot) -> Finding | None:
+    """Find ArduPilot before 4.1, which reads targets as angles only."""
     a = _ardupilot(p)
     if a is None or a.firmware is None or a.firmware >= (4, 1, 0):
         return None

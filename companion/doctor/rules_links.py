@@ -265,6 +265,7 @@ def camera_slow(p: Snapshot) -> Finding | None:
 
 
 def broker_fault(p: Snapshot) -> Finding | None:
+    """Find an MQTT broker that is not connected."""
     if p.service.broker_fault is not None:
         return warning(
             "broker",
@@ -275,6 +276,7 @@ def broker_fault(p: Snapshot) -> Finding | None:
 
 
 def drone_fault(p: Snapshot) -> Finding | None:
+    """Find an AR.Drone that is not connected."""
     if p.service.drone_fault is not None:
         return error(
             "drone",

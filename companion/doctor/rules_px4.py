@@ -30,6 +30,7 @@ def _value(p: Snapshot, name: str) -> float | None:
 
 
 def precland_missing(p: Snapshot) -> Finding | None:
+    """Find a firmware that was built without precision landing."""
     a = _px4(p)
     if a is None or "PLD_HACC_RAD" not in a.absent:
         return None
@@ -41,6 +42,7 @@ def precland_missing(p: Snapshot) -> Finding | None:
 
 
 def precland_moving(p: Snapshot) -> Finding | None:
+    """Find AUTO.PRECLAND over a pad that moves, on which it never descends."""
     a = _px4(p)
     if a is None or not p.moving_pad or a.mode != "auto.precland":
         return None
@@ -52,6 +54,7 @@ def precland_moving(p: Snapshot) -> Finding | None:
 
 
 def unsupported_frame(p: Snapshot) -> Finding | None:
+    """Find PX4's message or event that a target came in a frame it does not know."""
     a = _px4(p)
     if a is None:
         return None
@@ -66,6 +69,7 @@ def unsupported_frame(p: Snapshot) -> Finding | None:
 
 
 def offboard_loss(p: Snapshot) -> Finding | None:
+    """Find a time limit of OFFBOARD above 2 s."""
     timeout_s = _value(p, "COM_OF_LOSS_T")
     if timeout_s is None or timeout_s <= 2.0:
         return None
@@ -77,6 +81,7 @@ def offboard_loss(p: Snapshot) -> Finding | None:
 
 
 def offboard_action(p: Snapshot) -> Finding | None:
+    """Find an action at the loss of OFFBOARD that leaves a moving ship."""
     action = _value(p, "COM_OBL_RC_ACT")
     if action is None or action not in (3.0, 4.0) or not p.moving_pad:
         return None
@@ -89,6 +94,7 @@ def offboard_action(p: Snapshot) -> Finding | None:
 
 
 def height_by_range(p: Snapshot) -> Finding | None:
+    """Find an EKF whose height follows a moving deck."""
     if _value(p, "EKF2_HGT_REF") != _RANGE_HEIGHT or not p.moving_pad:
         return None
     return error(
@@ -99,6 +105,7 @@ def height_by_range(p: Snapshot) -> Finding | None:
 
 
 def external_vision(p: Snapshot) -> Finding | None:
+    """Find an EKF that waits for a vision position."""
     if not _value(p, "EKF2_EV_CTRL"):
         return None
     return warning(

@@ -26,8 +26,10 @@ _PAGE_S = 0.2
 
 
 class MetricsEndpoint:
-    """Serves /metrics (Prometheus) and /health: 200 while what the flight needs is up and not stuck, else 503, and as JSON
-    every part that is down. Whoever restarts the service on a 503 must not do so in flight because the broker is away.
+    """Serves /metrics (Prometheus) and /health.
+
+    /health answers 200 while what the flight needs is up and not stuck, else 503, and as JSON every part that is down. Whoever
+    restarts the service on a 503 must not do so in flight because the broker is away.
 
     If a token is set, /metrics answers 401 to requests without it, and /health answers only yes or no.
 

@@ -161,8 +161,11 @@ class Connection(aiomqtt.Client):
 
     @asynccontextmanager
     async def _answered(self) -> AsyncIterator[None]:
-        """Limit the time of an answer in place of aiomqtt: until Python 3.12 its `asyncio.wait_for` swallows a cancellation
-        that arrives together with the answer, and the cancelled task would run for ever."""
+        """Limit the time of an answer in place of aiomqtt.
+
+        Until Python 3.12 its `asyncio.wait_for` swallows a cancellation that arrives together with the answer, and the cancelled
+        task would run for ever.
+        """
         try:
             async with asyncio.timeout(self.timeout):
                 yield

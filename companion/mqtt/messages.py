@@ -137,6 +137,8 @@ class FusionMessage(Message, frozen=True, kw_only=True):
 
 
 class PartReport(Struct, frozen=True, kw_only=True):
+    """State of one part of the service."""
+
     up: bool
     age_s: float
     restarts: int
@@ -144,12 +146,16 @@ class PartReport(Struct, frozen=True, kw_only=True):
 
 
 class FlowReport(Struct, frozen=True, kw_only=True):
+    """Count, age of the newest item in seconds, and rate in Hz, of one flow."""
+
     count: int
     age_s: float | None
     rate_hz: float | None
 
 
 class StageReport(Struct, frozen=True, kw_only=True):
+    """Median and 99th percentile of the time of one stage, seconds."""
+
     count: int
     p50_s: float | None
     p99_s: float | None

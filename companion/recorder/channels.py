@@ -20,14 +20,17 @@ PATHS = ("median_mean", "dead_reckoning", "ekf")
 
 
 def belief(path: str) -> str:
+    """Return the topic of an estimator path's estimates."""
     return f"/belief/{path}"
 
 
 def fusion(source: str) -> str:
+    """Return the topic of the fusion results of a source of measurements."""
     return f"/fusion/{source}"
 
 
 def pose(path: str) -> str:
+    """Return the topic of an estimator path's pose."""
     return f"/pose/{path}"
 
 

@@ -42,12 +42,18 @@ def sample(of: rec.SampleRecord) -> Sample:
 
 
 def stamp(of: rec.StampRecord) -> Stamp:
+    """Return the stamp of a record.
+
+    Raises:
+        ValueError: the source of the stamp is unknown.
+    """
     if of.source not in get_args(StampSource):
         raise ValueError(f"no such source of a stamp: {of.source!r}")
     return Stamp(MonoNs(of.measured_at_ns), MonoNs(of.received_at_ns), of.sigma_s, cast(StampSource, of.source))
 
 
 def attitude(of: rec.AttitudeRecord) -> Attitude:
+    """Return the attitude of a record."""
     return Attitude(stamp(of.stamp), Rotation(_matrix(of.R_ned_body, 3)), _matrix(of.cov_body, 3))
 
 
@@ -73,6 +79,11 @@ def _method(name: str) -> Method:
 
 
 def sighting(of: rec.SightingRecord, t: Stamp, seq: int) -> Sighting:
+    """Return the sighting of a record, at the stamp and with the number of its frame.
+
+    Raises:
+        ValueError: the method is unknown, or a matrix has a wrong number of elements.
+    """
     pose6 = None
     if of.pose6 is not None:
         p = of.pose6
@@ -82,6 +93,11 @@ def sighting(of: rec.SightingRecord, t: Stamp, seq: int) -> Sighting:
 
 
 def belief(of: rec.BeliefRecord) -> RelativeState:
+    """Return the estimate of a record.
+
+    Raises:
+        ValueError: the path or an alert is unknown, or a matrix has a wrong number of elements.
+    """
     if of.path not in get_args(PathName):
         raise ValueError(f"no such estimator path: {of.path!r}")
     return RelativeState(
@@ -130,6 +146,7 @@ def _alert_named(name: str) -> IntegrityAlert:
 
 
 def command(of: rec.DecisionRecord) -> Command | None:
+    """Return the command of a recorded decision; None if none was given."""
     if of.command is None:
         return None
     kind = {name: kind for kind, name in COMMANDS.items()}.get(of.command)

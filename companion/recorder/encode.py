@@ -21,6 +21,7 @@ COMMANDS: dict[type[Command], str] = {Velocity: "velocity", Hover: "hover", Take
 
 
 def sample(of: Sample) -> rec.SampleRecord:
+    """Return the record of a sample of any kind."""
     match of:
         case Imu():
             return rec.ImuRecord(stamp(of.stamp), of.w_body.tolist(), of.f_body.tolist())
@@ -45,15 +46,18 @@ def sample(of: Sample) -> rec.SampleRecord:
 
 
 def stamp(of: Stamp) -> rec.StampRecord:
+    """Return the record of a stamp."""
     return rec.StampRecord(int(of.measured_at), int(of.received_at), float(of.sigma_s), of.source)
 
 
 def attitude(of: Attitude) -> rec.AttitudeRecord:
+    """Return the record of an attitude, with roll, pitch and yaw in degrees for the viewer."""
     roll, pitch, yaw = (math.degrees(a) for a in of.R_ned_body.rpy_rad)
     return rec.AttitudeRecord(stamp(of.stamp), _flat(of.R_ned_body.matrix), _flat(of.cov_body), roll, pitch, yaw)
 
 
 def detection(of: ProcessedFrame) -> rec.DetectionRecord:
+    """Return the record of a processed frame, with the sighting of every method that was tried."""
     height, width = of.frame.px.shape[:2]
     processed = of.detection
     return rec.DetectionRecord(
@@ -80,6 +84,7 @@ def _methods(processed: Detection) -> dict[str, rec.SightingRecord]:
 
 
 def sighting(of: Sighting) -> rec.SightingRecord:
+    """Return the record of a sighting, without its stamp."""
     pose6 = None
     if of.pose6 is not None:
         pose6 = rec.Pose6Record(of.pose6.d_body_pad_level.tolist(), _flat(of.pose6.R_level_pad.matrix), _flat(of.pose6.cov))
@@ -89,6 +94,7 @@ def sighting(of: Sighting) -> rec.SightingRecord:
 
 
 def belief(of: RelativeState) -> rec.BeliefRecord:
+    """Return the record of an estimate. Details that are not finite are left out."""
     return rec.BeliefRecord(
         int(of.at),
         of.path,
@@ -124,6 +130,7 @@ def fusion(at: MonoNs, of: FusionResult) -> rec.FusionRecord:
 
 
 def decision(of: Decision) -> rec.DecisionRecord:
+    """Return the record of a decision."""
     steering = None if of.belief is None else of.belief.path
     if isinstance(of.command, Velocity):
         v, turn = of.command.v_level.tolist(), of.command.yaw_rate_rad_s
@@ -133,6 +140,7 @@ def decision(of: Decision) -> rec.DecisionRecord:
 
 
 def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:
+    """Return the record of the service's health at `at`."""
     tallies = [rec.TallyRecord("Frame", verdict, n) for verdict, n in of.frames.items()]
     tallies += [rec.TallyRecord(kind, verdict, n) for kind, counts in of.inputs.items() for verdict, n in counts.items()]
     return rec.HealthRecord(

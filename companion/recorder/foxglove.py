@@ -26,17 +26,23 @@ R_DECK_PAD = Rotation.from_rotvec([math.pi, 0.0, 0.0])
 
 
 class Time(Struct, frozen=True):
+    """A time as Foxglove writes it: seconds and nanoseconds since the viewer's epoch."""
+
     sec: int
     nsec: int
 
 
 class Vector3(Struct, frozen=True):
+    """The schema `foxglove.Vector3`."""
+
     x: float
     y: float
     z: float
 
 
 class Quaternion(Struct, frozen=True):
+    """The schema `foxglove.Quaternion`."""
+
     x: float
     y: float
     z: float
@@ -44,17 +50,23 @@ class Quaternion(Struct, frozen=True):
 
 
 class Pose(Struct, frozen=True):
+    """The schema `foxglove.Pose`."""
+
     position: Vector3
     orientation: Quaternion
 
 
 class PoseInFrame(Struct, frozen=True):
+    """The schema `foxglove.PoseInFrame`."""
+
     timestamp: Time
     frame_id: str
     pose: Pose
 
 
 class FrameTransform(Struct, frozen=True):
+    """The schema `foxglove.FrameTransform`."""
+
     timestamp: Time
     parent_frame_id: str
     child_frame_id: str
@@ -63,10 +75,14 @@ class FrameTransform(Struct, frozen=True):
 
 
 class FrameTransforms(Struct, frozen=True):
+    """The schema `foxglove.FrameTransforms`."""
+
     transforms: list[FrameTransform]
 
 
 class CompressedImage(Struct, frozen=True):
+    """The schema `foxglove.CompressedImage`."""
+
     timestamp: Time
     frame_id: str
     data: bytes
@@ -74,6 +90,8 @@ class CompressedImage(Struct, frozen=True):
 
 
 class CameraCalibration(Struct, frozen=True):
+    """The schema `foxglove.CameraCalibration`."""
+
     timestamp: Time
     frame_id: str
     width: int
@@ -86,6 +104,8 @@ class CameraCalibration(Struct, frozen=True):
 
 
 class Color(Struct, frozen=True):
+    """The schema `foxglove.Color`."""
+
     r: float
     g: float
     b: float
@@ -93,16 +113,22 @@ class Color(Struct, frozen=True):
 
 
 class Point2(Struct, frozen=True):
+    """The schema `foxglove.Point2`."""
+
     x: float
     y: float
 
 
 class KeyValuePair(Struct, frozen=True):
+    """The schema `foxglove.KeyValuePair`."""
+
     key: str
     value: str
 
 
 class CircleAnnotation(Struct, frozen=True):
+    """The schema `foxglove.CircleAnnotation`."""
+
     timestamp: Time
     position: Point2
     diameter: float
@@ -112,6 +138,8 @@ class CircleAnnotation(Struct, frozen=True):
 
 
 class PointsAnnotation(Struct, frozen=True):
+    """The schema `foxglove.PointsAnnotation`."""
+
     timestamp: Time
     type: int
     points: list[Point2]
@@ -123,6 +151,8 @@ class PointsAnnotation(Struct, frozen=True):
 
 
 class TextAnnotation(Struct, frozen=True):
+    """The schema `foxglove.TextAnnotation`."""
+
     timestamp: Time
     position: Point2
     text: str
@@ -132,6 +162,8 @@ class TextAnnotation(Struct, frozen=True):
 
 
 class ImageAnnotations(Struct, frozen=True):
+    """The schema `foxglove.ImageAnnotations`."""
+
     timestamp: Time
     circles: list[CircleAnnotation]
     points: list[PointsAnnotation]
@@ -139,6 +171,8 @@ class ImageAnnotations(Struct, frozen=True):
 
 
 class Log(Struct, frozen=True):
+    """The schema `foxglove.Log`."""
+
     timestamp: Time
     level: int
     message: str
@@ -157,10 +191,12 @@ def time_of(at_ns: int) -> Time:
 
 
 def vector(v: F64) -> Vector3:
+    """Return the message of a vector (3,)."""
     return Vector3(float(v[0]), float(v[1]), float(v[2]))
 
 
 def quaternion(R: Rotation) -> Quaternion:
+    """Return the message of a rotation."""
     w, x, y, z = (float(q) for q in R.quat_wxyz)
     return Quaternion(x, y, z, w)
 
@@ -239,4 +275,5 @@ def _color(method: str) -> Color:
 
 
 def log_line(at_ns: int, level: int, name: str, message: str) -> Log:
+    """Return the message of a log line; `level` is `INFO`, `WARNING` or `ERROR`."""
     return Log(time_of(at_ns), level, message, name, "", 0)

@@ -27,12 +27,16 @@ class StampRecord(Struct, frozen=True):
 
 
 class ImuRecord(Struct, frozen=True):
+    """A rate (3,) in rad/s and a specific force (3,) in m/s², both in `body`."""
+
     stamp: StampRecord
     w_body: list[float]
     f_body: list[float]
 
 
 class AttitudeRecord(Struct, frozen=True):
+    """An attitude as a matrix (9,), its covariance (9,), and the same angles in degrees for the viewer."""
+
     stamp: StampRecord
     R_ned_body: list[float]
     cov_body: list[float]
@@ -42,24 +46,32 @@ class AttitudeRecord(Struct, frozen=True):
 
 
 class VelocityRecord(Struct, frozen=True):
+    """A velocity (3,) in `level`, m/s, and its covariance (9,)."""
+
     stamp: StampRecord
     v_level: list[float]
     cov_level: list[float]
 
 
 class RangeRecord(Struct, frozen=True):
+    """A distance along the body's down axis and its standard deviation, metres."""
+
     stamp: StampRecord
     range_m: float
     sigma_m: float
 
 
 class BaroRecord(Struct, frozen=True):
+    """A barometric height and its standard deviation, metres."""
+
     stamp: StampRecord
     height_m: float
     sigma_m: float
 
 
 class VesselRecord(Struct, frozen=True, omit_defaults=True):
+    """A vessel's velocity (3,) in `ned`, m/s, with covariance (9,), and its heading; what is unknown is left out."""
+
     stamp: StampRecord
     v_vessel_ned: list[float] | None = None
     cov_v_ned: list[float] | None = None
@@ -68,6 +80,8 @@ class VesselRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class StatusRecord(Struct, frozen=True, omit_defaults=True):
+    """The vehicle's status: mode, emergency, link, whether it flies, and the battery's charge, 0 to 1."""
+
     stamp: StampRecord
     mode: str
     emergency: bool
@@ -77,6 +91,8 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class Pose6Record(Struct, frozen=True):
+    """A pose in six degrees of freedom: vector (3,), rotation (9,) and covariance (36,)."""
+
     d_body_pad_level: list[float]
     R_level_pad: list[float]
     cov: list[float]
@@ -120,11 +136,15 @@ class DetectionRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class NamedNumber(Struct, frozen=True):
+    """A detail of an estimate."""
+
     name: str
     value: float
 
 
 class BeliefRecord(Struct, frozen=True, omit_defaults=True):
+    """An estimate of one path."""
+
     at_ns: Instant
     path: str
     d_body_pad_level: list[float]
@@ -216,6 +236,8 @@ class LinkRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class PartRecord(Struct, frozen=True):
+    """State of one part of the service."""
+
     name: str
     up: bool
     age_s: float
@@ -224,18 +246,24 @@ class PartRecord(Struct, frozen=True):
 
 
 class FlowRecord(Struct, frozen=True, omit_defaults=True):
+    """Count and rate of one flow."""
+
     name: str
     count: Count
     rate_hz: float | None = None
 
 
 class TallyRecord(Struct, frozen=True):
+    """The number of inputs of one kind that ended in one verdict."""
+
     kind: str
     verdict: str
     count: Count
 
 
 class StageRecord(Struct, frozen=True, omit_defaults=True):
+    """Median and 99th percentile of the time of one stage, seconds."""
+
     name: str
     count: Count
     p50_s: float | None = None
@@ -243,6 +271,8 @@ class StageRecord(Struct, frozen=True, omit_defaults=True):
 
 
 class CounterRecord(Struct, frozen=True):
+    """One counter of one part."""
+
     part: str
     name: str
     value: float

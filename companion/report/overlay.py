@@ -51,6 +51,7 @@ def annotate(image: U8, overlay: Overlay, camera: Camera, pad: Pad, scale: float
 
     Args:
         frame: (H, W, 3) BGR of any size; drawings follow `camera`'s pixels.
+
     Returns:
         BGR of `annotated_size(camera.width, camera.height, scale)`.
     """

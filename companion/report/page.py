@@ -28,6 +28,7 @@ def write_report(log: FlightLog, folder: Path, video: Path | None = None) -> Pat
         log: what the flight left behind; any part may be empty.
         folder: made if missing; a page and a video of these names in it are replaced.
         video: an MP4 already written inside `folder` (see `FlightVideo`).
+
     Returns:
         The page's path.
 

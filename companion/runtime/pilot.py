@@ -192,8 +192,11 @@ class Pilot:
         return seen
 
     def on_detection(self, seen: Detection) -> tuple[Verdict, tuple[FusionResult, ...]]:
-        """Process the detection of a frame. Return the frame's verdict, which is the steering path's, and the fusion results,
-        path by path."""
+        """Process the detection of a frame.
+
+        Returns:
+            The frame's verdict, which is the steering path's, and the fusion results, path by path.
+        """
         if seen.selected is None:
             return Verdict.NO_PAD, ()
         self._memory, results = pipeline.step(self._memory, seen.selected)

@@ -18,8 +18,10 @@ T = TypeVar("T")
 
 
 class Worker:
-    """Runs one call after another on a daemon thread. Python joins the threads of a `ThreadPoolExecutor` at exit, so a call
-    that hangs in a library would keep the process from ending and from being restarted.
+    """Runs one call after another on a daemon thread.
+
+    Python joins the threads of a `ThreadPoolExecutor` at exit, so a call that hangs in a library would keep the process from
+    ending and from being restarted.
 
     Args:
         name: the name of the thread.

@@ -21,8 +21,9 @@ _LOOK_S = 0.005
 
 
 def configuration_commands(options: ArDroneOptions) -> Iterator[tuple[str, list[AtCommand]]]:
-    """Yield each key that is set, in order, with the commands that set it: CONFIG, and CONFIG_IDS before it once a session is
-    in use, without which the drone refuses the keys of that session.
+    """Yield each key that is set, in order, with the commands that set it.
+
+    These are CONFIG, and CONFIG_IDS before it once a session is in use, without which the drone refuses the session's keys.
     """
     ids, in_use = options.ids, False
     for key, value in options.configuration().items():

@@ -58,6 +58,7 @@ def step(
         v_level: (3,) measured velocity, m/s forward, right, down; down is not used.
         a_level: (2,) acceleration of the present tilt (`acceleration_of`), m/s^2 forward and right; None for no lead.
         dt_s: time since the last step, for the integral, seconds; 0 on the first.
+
     Returns:
         The next state and the sticks. The integral is held while the tilt is at its limit and it would grow further.
     """

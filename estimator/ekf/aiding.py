@@ -132,6 +132,7 @@ def _for_the_deck(ground: measure.LinearizedMeasurement, deck: measure.Linearize
 
 
 def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, FusionResult]:
+    """Fuse a distance along the body's down axis. It is refused before the first sighting and beyond the deck's edge."""
     b = propagated(b, event.stamp.measured_at, params)
     if b.sighted < 0:
         return b, result(event, Verdict.GATED)
@@ -153,6 +154,7 @@ def _foot(b: Belief, x: F64) -> tuple[float, float]:
 
 
 def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, FusionResult]:
+    """Fuse a barometric height. It is refused before the first sighting."""
     b = propagated(b, event.stamp.measured_at, params)
     if b.sighted < 0:
         return b, result(event, Verdict.GATED)
@@ -311,6 +313,7 @@ def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
 
 
 def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[Belief, FusionResult]:
+    """Fuse a vessel's report: its velocity, its heading, or both."""
     o = params.options
     b = aided(propagated_with_covariance(b, event.stamp.measured_at, params), params)
     rows = []

@@ -84,6 +84,7 @@ def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
         (before the history); TOO_NEW (measured after every time of reception so far); SINGULAR; or NO_ATTITUDE (no sample has
         shown which way is down yet). A measurement that was compared with a prediction has its innovation, the innovation's
         covariance, NIS and test ratio, whatever the verdict.
+
     Raises:
         TypeError: the event is not a measurement (a frame, for example).
     """

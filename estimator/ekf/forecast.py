@@ -59,8 +59,9 @@ class Forecast:
     sigma_pitch_rad: F64
 
     def band(self, name: str, probability: float) -> tuple[F64, F64]:
-        """(H,) lower and upper end of the central band of `deck_height_m`, `rise_m_s`, `roll_rad` or `pitch_rad`; (H, 3) of
-        `d_body_pad_level`.
+        """Return the lower and upper end of a quantity's central band.
+
+        Each is (H,) for `deck_height_m`, `rise_m_s`, `roll_rad` and `pitch_rad`, and (H, 3) for `d_body_pad_level`.
 
         Raises:
             KeyError: another probability than 0.5, 0.68, 0.8, 0.9, 0.95, 0.99.

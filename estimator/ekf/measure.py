@@ -117,6 +117,7 @@ def by_v_pad_ned(x: F64) -> F64:
 
 
 def wrap(angle: float) -> float:
+    """Return the angle in -pi to pi, radians."""
     return float(math.remainder(angle, math.tau))
 
 

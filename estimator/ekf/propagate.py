@@ -75,6 +75,7 @@ def propagated_with_covariance(b: Belief, t: int, params: FilterParams) -> Belie
 
 
 def forgotten(b: Belief, o: EkfOptions) -> Belief:
+    """Return the belief without its pad if the last sighting is older than `o.forget_s`, else as it is."""
     if b.sighted >= 0 and (b.t - b.sighted) * 1e-9 > o.forget_s:
         return b._replace(sighted=-1, agreed=0, rejections=RejectionStreak())
     return b

@@ -380,11 +380,10 @@ class Blurred:
         np.add(legs * (wide_v - gap_v), bar * gap_v, out=d[4])
 
     def arrow_small(self) -> Coverage:
-        """Return the coverage of the arrowhead beyond the ring where the blur is not small compared with it: a sum of strips
-        along x.
+        """Return the coverage of the arrowhead beyond the ring where the blur is not small compared with it.
 
-        A product of blurred sides is valid only while each side is blurred separately. Strips between an arc and a slanted side
-        are exact in the limit of many; a few leave steps far finer than the blur.
+        It is a sum of strips along x. A product of blurred sides is valid only while each side is blurred separately. Strips
+        between an arc and a slanted side are exact in the limit of many; a few leave steps far finer than the blur.
         """
         pad, x, y, m = self.pad, self.x, self.y, self.scale2
         xx, _, yy = self.blur_m2

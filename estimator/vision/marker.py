@@ -168,8 +168,9 @@ def _seen(gray: NDArray[np.uint8], board: MarkerBoard) -> tuple[F64, F64]:
 
 
 def _solve(uv_px: F64, places: F64, camera: Camera, R_level_cam: F64, sigma_tilt: float) -> tuple[PadPose, F64, float] | None:
-    """Return the pose, its (6, 6) covariance (rotation of the pad, then translation, both in `cam`) and the residuals' rms in
-    px.
+    """Return the pose, its (6, 6) covariance and the residuals' root mean square, px.
+
+    The covariance is of the pad's rotation, then of the translation, both in `cam`.
     """
     rays = camera.rays(uv_px)
     ok, rvecs, tvecs, _ = cv2.solvePnPGeneric(places, rays[:, None, :], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)

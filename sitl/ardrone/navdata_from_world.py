@@ -1,5 +1,6 @@
-"""What the simulated sensors read, written as the options of an AR.Drone's navdata. Fields nothing here measures stay zero,
-as they are on a real drone that lacks the part.
+"""What the simulated sensors read, written as the options of an AR.Drone's navdata.
+
+Fields that nothing here measures stay zero, as they are on a real drone that lacks the part.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ def information(minus: list[F64], plus: list[F64], steps: list[float], var: F64)
         steps: P steps, in the parameters' units.
         var: variance of each pixel's noise, in the frames' shape. The noise is independent between pixels; its own dependence on
             the parameters is neglected.
+
     Returns:
         (P, P) symmetric information matrix.
     """

@@ -145,6 +145,6 @@ def _paint(x: F64, y: F64, pad: Pad) -> NDArray[np.uint8]:
 
 
 def _light(value: NDArray[np.floating] | NDArray[np.integer]) -> NDArray[np.float32]:
-    """sRGB 0..255 to linear light 0..1 (IEC 61966-2-1)."""
+    """SRGB 0..255 to linear light 0..1 (IEC 61966-2-1)."""
     v = np.asarray(value, float) / 255.0
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4).astype(np.float32)

@@ -29,8 +29,11 @@ def estimate(t, d, v=(0, 0, 0), yaw=0.0, age=0.0, consistent=True, sigma=0.01, t
 
 
 def fly(d0, plan, seconds, sight=lambda t, d: True, yaw_rate=0.0, pad_v=(0.0, 0.0, 0.0), track=lambda t: 1, lands=True):
-    """Planner, controller and a vehicle with 0.3 s lag. Told to land it descends at 0.4 m/s; the flight ends there if it `lands`,
-    else it never says that it stands. Without sight the estimate is reckoned on. Returns rows of (t, d, aim, phase)."""
+    """Fly planner, controller and a vehicle with 0.3 s lag; return rows of (t, d, aim, phase).
+
+    Told to land it descends at 0.4 m/s; the flight ends there if it `lands`, else it never says that it stands. Without sight the
+    estimate is reckoned on.
+    """
     planner, pid, d, v, yaw = Planner.start(), Pid.start(), np.array(d0, float), np.zeros(3), 0.0
     rows, seen, seen_at = [], None, 0.0
     for i in range(round(seconds / DT)):
@@ -322,8 +325,10 @@ histories = st.lists(
 @settings(deadline=None, max_examples=200)
 @given(histories, st.booleans())
 def test_it_never_sinks_nor_begins_to_land_without_a_fresh_consistent_estimate(history, near):
-    """Planner and controller together, over any history of estimates. A landing is a lease: it goes on without sight from low
-    down and within its time alone, and not a round beyond another pad."""
+    """Planner and controller together, over any history of estimates.
+
+    A landing is a lease: it goes on without sight from low down and within its time alone, and not a round beyond another pad.
+    """
     plan, planner, pid, t = Plan.over_the_pad(), Planner.start(), Pid.start(), 0.0
     last, landed_at, track, flown = None, None, 1, None
     for kind, d, dt, yaw in history:

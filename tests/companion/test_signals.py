@@ -1,8 +1,7 @@
-"""Told to end, the process ends: whatever its tasks, its threads and its main thread are doing, and never by an exception
-through the event loop.
+"""Told to end, the process ends, whatever its tasks, its threads and its main thread are doing.
 
-Two seconds are asked for (benches/sigterm.py measures them). Here the bound is that of a machine that is busy elsewhere: what
-these programs would do without the deadline takes minutes or never ends.
+It never ends by an exception through the event loop. Two seconds are asked for (benches/sigterm.py measures them). Here the bound
+is that of a machine that is busy elsewhere: what these programs would do without the deadline takes minutes or never ends.
 """
 
 from __future__ import annotations

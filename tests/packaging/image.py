@@ -191,7 +191,7 @@ def chroot(
 
 
 def _pip_files() -> list[Path]:
-    """pip's configuration of this machine in a folder, with a copy of the certificates it trusts; then the folders it names."""
+    """Pip's configuration of this machine in a folder, with a copy of the certificates it trusts; then the folders it names."""
     said = subprocess.run([sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=False).stdout
     options = dict(re.findall(r"^(?:global|:env:)\.([\w-]+)='(.*)'$", said, re.MULTILINE))
     if not options:

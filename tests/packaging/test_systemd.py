@@ -58,7 +58,7 @@ def test_it_has_what_the_service_relies_on() -> None:
 
 
 def test_no_key_is_given_twice_where_only_the_last_counts() -> None:
-    """systemd takes the last of most keys without a word."""
+    """Systemd takes the last of most keys without a word."""
     many = {"LoadCredential", "DeviceAllow", "SystemCallFilter", "Environment"}
     keys = [line.split("=")[0] for line in UNIT.read_text().splitlines() if "=" in line and not line.startswith("#")]
     assert [key for key in set(keys) - many if keys.count(key) > 1] == []

@@ -285,8 +285,9 @@ def circle_normals(centre: F64, half_axes: F64, angle_rad: float) -> list[F64]:
 
 
 def _from_strokes(pyramid: Pyramid, level: int, camera: Camera, pad: Pad, plane: Plane) -> list[_Guess]:
-    """Return guesses from the H's strokes. The camera must be near enough for a stroke to be a few pixels wide in the coarse
-    frame.
+    """Return guesses from the H's strokes.
+
+    The camera must be near enough for a stroke to be a few pixels wide in the coarse frame.
     """
     return [_Guess(f.pose, 0.0, f.score, plane.known) for f in h_markings(pyramid[level], 1 << level, camera, pad, plane)]
 

@@ -371,11 +371,10 @@ def _sampled(layers: F32, drawing: Maps, xy: F32) -> F32:
 
 
 def _paint(light: F32, coverage: F32, weight: F32, final: bool = False) -> tuple[F32, F32, F32, float]:
-    """Fit the paints (4, 3) by iteratively reweighted least squares; return them, the weights, the residuals (3, n) and their
-    spread.
+    """Fit the paints (4, 3) by iteratively reweighted least squares.
 
-    While the pose moves the weights are Cauchy's. At the final pose (`final`) they are Geman and McClure's, which drop
-    outliers completely.
+    Return them, the weights, the residuals (3, n) and their spread. While the pose moves the weights are Cauchy's. At the final
+    pose (`final`) they are Geman and McClure's, which drop outliers completely.
     """
     n = light.shape[1]
     both = np.concatenate([coverage, light])

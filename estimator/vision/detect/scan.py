@@ -166,9 +166,7 @@ class Blob:
 
 
 def blobs(image: Coarse) -> list[Blob]:
-    """Return small components that stand out from their immediate surroundings, most prominent first; for the frame at full
-    size.
-    """
+    """Return small components that stand out from their surroundings, most prominent first, for the frame at full size."""
     excess = image.excess
     # The highest of the four sides counts: the edge of a deck at sea stands out on one side only, a stripe on two.
     side = cv2.copyMakeBorder(

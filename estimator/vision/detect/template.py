@@ -117,8 +117,9 @@ class Maps:
 
 @lru_cache(maxsize=16)
 def maps(pad: Pad, local: bool = False) -> tuple[Maps, ...]:
-    """Return one `Maps` for each of `BLURS_M`. With `local` they hold coverage minus its mean in the neighbourhood
-    (`LOCAL_M`).
+    """Return one `Maps` for each of `BLURS_M`.
+
+    With `local` they hold coverage minus its mean in the neighbourhood (`LOCAL_M`).
     """
     half = math.ceil(REACH * pad.disc_radius_m / _STEP_M)
     n = 2 * half + 1
@@ -138,10 +139,9 @@ def maps(pad: Pad, local: bool = False) -> tuple[Maps, ...]:
 
 
 def sampled(image: NDArray[Any], at: F32) -> NDArray[Any]:
-    """Sample an image (h, w, c) at fractional positions (n, m, 2), column first, bilinear; outside the image the edge is
-    repeated.
+    """Sample an image (h, w, c) at fractional positions (n, m, 2), column first, bilinear.
 
-    A single row of positions takes half the time of a single column.
+    Outside the image the edge is repeated. A single row of positions takes half the time of a single column.
     """
     return cv2.remap(image, at, _NO_SECOND_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 

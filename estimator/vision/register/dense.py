@@ -90,6 +90,7 @@ def patch(
     Args:
         margin_px: margin around the disc, in pixels of the reduced frame.
         exact: average linear light; otherwise average pixel values, which is faster.
+
     Returns:
         The pixels, and the state with the blur in their units; None if too little of the pad is in view.
     """
@@ -160,9 +161,7 @@ NOISE_LEFT = (0.25**2 + 0.5**2 + 0.25**2) ** 2
 
 
 def basis(fp: Footprint, cut: Patch) -> tuple[F64, F64]:
-    """Return the (K, N) regressors of the paint coefficients, and the (K - 3, 5, N) derivatives of those that depend on the
-    pose.
-    """
+    """Return the (K, N) regressors of the paint coefficients, and the (K - 3, 5, N) derivatives by the pose of those with any."""
     b = fp.places
     pad = b.pad
     if pad.rim_width_m:

@@ -88,8 +88,9 @@ def _clear(found: Registration, kind: EdgeKind) -> float:
 
 
 def _orange_off(found: Registration, pad: Pad) -> float:
-    """Return 0..1: the distance of the ring's light from its place between the disc's and the H's, which no illumination
-    changes.
+    """Return the distance of the ring's light from its place between the disc's and the H's, 0 to 1.
+
+    No illumination changes that place.
     """
     ring, h_marking = (found.edges[kind].contrast_bgr for kind in (EdgeKind.RING, EdgeKind.H))
     table = light_table(True)

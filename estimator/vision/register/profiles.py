@@ -1,8 +1,7 @@
-"""Registration of a large image of the pad: short profiles of whole pixels across the edges, with the paints estimated along
-them.
+"""Registration of a large image of the pad: short profiles of whole pixels across the edges.
 
-Consecutive profiles along an edge form a group with its own two light levels, so neither uneven light nor the pattern of the
-surroundings biases an edge.
+The paints are estimated along the profiles. Consecutive profiles along an edge form a group with its own two light levels, so
+neither uneven light nor the pattern of the surroundings biases an edge.
 """
 
 from __future__ import annotations

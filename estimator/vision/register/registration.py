@@ -312,8 +312,9 @@ def _growth(fit: profiles_.ProfileFit, samples: int) -> float:
 
 
 def _dense_edges_off(state: RegistrationState, pad: Pad, options: RegistrationOptions, more_px: float) -> F64:
-    """Return the (9, 9) covariance from unexplained places of edges: eight sectors of the disc and four strokes of the H, each
-    independent.
+    """Return the (9, 9) covariance from unexplained places of edges.
+
+    Eight sectors of the disc and four strokes of the H are displaced independently.
     """
     merged_px = min(_MERGED_EDGES_PX3 * (state.m_per_px / pad.disc_radius_m) ** 2, _MERGED_EDGES_MOST_PX)
     sigma_h_m = math.hypot(math.hypot(options.dense_edge_sigma_px, more_px) * state.m_per_px, options.edge_sigma_m)

@@ -56,9 +56,7 @@ class Profiles:
 
 @lru_cache(maxsize=8)
 def _table(edges: Edges) -> tuple[F64, NDArray[np.intp], F64]:
-    """Return (5, M) x, y, 1 and the normal of every edge point, the (KINDS,) first point of each kind, and the number of
-    points.
-    """
+    """Return the edge points as a table: (5, M) x, y, 1 and normal, the (KINDS,) first point of each kind, and their number M."""
     rows = np.concatenate([edges.at_m.T, np.ones((1, len(edges.at_m))), edges.normal.T])
     first = np.searchsorted(edges.kind, np.arange(KINDS + 1))
     return rows, first[:-1], np.diff(first).astype(float)
@@ -67,8 +65,9 @@ def _table(edges: Edges) -> tuple[F64, NDArray[np.intp], F64]:
 def sample(
     px: U8, camera: Camera, pad: Pad, edges: Edges, state: RegistrationState, max_profiles: int, half: int, gamma: bool
 ) -> tuple[Profiles, Footprint] | None:
-    """Return profiles of 2 * half + 1 pixels across the edges in view, and their footprint; None if there are too few for a
-    fix.
+    """Return profiles of 2 * half + 1 pixels across the edges in view, and their footprint.
+
+    None if there are too few for a fix.
     """
     rows, first, total = _table(edges)
     to_cam = np.zeros((6, 5))

@@ -37,9 +37,7 @@ class TiltTarget:
         return TiltTarget(R_cam_level[:, 2], cov)
 
     def information(self, R: F64) -> tuple[F64, F64]:
-        """Return (2, 2) information on the rotations about the pad's x and y, and the (2,) rotation that would meet the
-        prediction.
-        """
+        """Return (2, 2) information on rotations about the pad's x and y, and the (2,) rotation that meets the prediction."""
         across = R[:, :2]
         n0, n1 = (self.normal_cam @ across).tolist()
         (a, b), (_, d) = (across.T @ self.cov_cam @ across).tolist()

@@ -1,6 +1,4 @@
-"""The arrow method: it measures the centre of the white H and the tip of the orange arrowhead, which give position and
-heading.
-"""
+"""The arrow method: the centre of the white H and the tip of the orange arrowhead give position and heading."""
 
 from __future__ import annotations
 

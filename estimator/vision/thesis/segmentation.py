@@ -53,8 +53,9 @@ class HsvRange:
         return np.asarray(cv2.inRange(hsv, self.low, self.high), np.uint8)
 
     def paler(self) -> HsvRange:
-        """Return the limits for pale green: half as saturated, half as bright, slightly different in hue; paint in shade or mixed
-        at an edge.
+        """Return the limits for pale green, which is paint in shade or mixed at an edge.
+
+        It is half as saturated, half as bright, and slightly different in hue.
         """
         (h0, s0, v0), (h1, s1, v1) = self.low, self.high
         return HsvRange((max(0, h0 - 8), s0 // 2, v0 // 2), (min(180, h1 + 8), s1, v1))

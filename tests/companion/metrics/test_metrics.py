@@ -207,7 +207,7 @@ async def test_an_endless_request_is_cut_off() -> None:
 
 
 async def test_no_descriptors_left_is_waited_out(caplog: pytest.LogCaptureFixture) -> None:
-    """asyncio itself stops accepting for a second; the endpoint goes on afterwards."""
+    """Asyncio itself stops accepting for a second; the endpoint goes on afterwards."""
     health = Health(SystemClock())
     async with serving(health) as endpoint:
         with socket.socket() as client:

@@ -1,5 +1,4 @@
-"""The spool against a model: whatever is appended, delivered, torn or closed in between, nothing changes place or vanishes
-uncounted."""
+"""The spool against a model: whatever happens in between, nothing changes place or vanishes uncounted."""
 
 from __future__ import annotations
 

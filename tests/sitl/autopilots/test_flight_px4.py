@@ -1,5 +1,8 @@
-"""`--autopilot px4` from start to landing. The program is a stand-in in this process that speaks PX4's simulator interface and
-its MAVLink, but looks up the state in the physics instead of estimating it; the child that is started only keeps its place."""
+"""`--autopilot px4` from start to landing.
+
+The program is a stand-in in this process that speaks PX4's simulator interface and its MAVLink, but looks up the state in the
+physics instead of estimating it; the child that is started only keeps its place.
+"""
 
 from __future__ import annotations
 

@@ -37,8 +37,10 @@ def plan(name: str = "near", **over: object) -> CampaignPlan:
 def fake_fly(
     name: str, scenario: Scenario, seed: int, settings: Settings, perception: Perception, perception_model: str | None
 ) -> Flight:
-    """Land some centimetres off, more in wind; off the pad beyond its edge. The scenario's `start.height_m` is a delay in seconds
-    from 1 m on."""
+    """Land some centimetres off, more in wind; off the pad beyond its edge.
+
+    The scenario's `start.height_m` is a delay in seconds from 1 m on.
+    """
     time.sleep(max(0.0, scenario.start.height_m - 2.0))
     if seed == RAISES:
         raise ValueError("an unlucky number")
