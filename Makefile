@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 # A worker for each core; tests/conftest.py says what stays together.
-WORKERS := -n auto --maxprocesses 8
+WORKERS := -n logical --maxprocesses 8
 BENCHES := $(basename $(shell grep -ls __main__ benches/*.py))
 
 .PHONY: demo check test test-image test-v4l2 lint bench docs fuzz mutants sbom licences audit pins
