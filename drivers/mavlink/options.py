@@ -153,8 +153,7 @@ class TimeSyncOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="mavlink"):
-    """A vehicle that an ArduPilot or PX4 autopilot flies, over MAVLink (docs/mavlink.md), with a camera on the companion
-    computer.
+    """A vehicle that an ArduPilot or PX4 autopilot flies over MAVLink (docs/mavlink.md), with a camera on the computer beside it.
 
     Raises:
         ValueError: there is no link, or the ship's id is the autopilot's; and as for `MavlinkOptions`.
