@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +13,91 @@ import pytest
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
+ROOT = Path(__file__).parents[1]
+SLOW = (
+    "tests/v4l2_vm/",
+    "tests/sitl/test_flight.py",
+    "tests/packaging/",
+    "tests/sitl/autopilots/test_flight.py",
+    "tests/companion/test_settings.py",
+    "tests/companion/test_replay.py",
+    "tests/estimator/ekf/test_rough.py",
+    "tests/sitl/autopilots/test_flight_px4.py",
+    "tests/companion/test_safety.py",
+    "tests/test_examples.py",
+    "tests/companion/test_pad_print.py",
+    "tests/companion/test_signals.py",
+    "tests/estimator/vision/test_corners.py",
+    "tests/companion/mavlink/test_landing.py",
+    "tests/companion/test_fault_domains.py",
+    "tests/fuzz/test_corpus.py",
+    "tests/companion/test_soak.py",
+    "tests/companion/test_pilot.py",
+    "tests/estimator/ekf/test_gate.py",
+    "tests/interop/test_npm_ardrone.py",
+    "tests/sitl/test_faults.py",
+    "tests/companion/test_report.py",
+    "tests/companion/test_recorder.py",
+    "tests/sitl/test_dead_man.py",
+    "tests/companion/test_calibrate.py",
+    "tests/estimator/ekf/test_history.py",
+    "tests/estimator/ekf/test_sea.py",
+    "tests/estimator/vision/test_registration.py",
+    "tests/sitl/test_vehicle.py",
+    "tests/drivers/test_link.py",
+    "tests/sitl/test_one_flight.py",
+    "tests/estimator/vision/test_drawing.py",
+    "tests/sitl/test_camera.py",
+    "tests/companion/test_record.py",
+    "tests/estimator/vision/test_detection.py",
+    "tests/drivers/test_sender.py",
+    "tests/estimator/test_dead_reckoning.py",
+    "tests/companion/test_strange_recordings.py",
+    "tests/companion/test_detect.py",
+    "tests/estimator/ekf/test_sympy.py",
+    "tests/sitl/ardrone/test_server.py",
+    "tests/companion/mavlink/test_border.py",
+    "tests/companion/test_pid.py",
+    "tests/companion/test_fusion_records.py",
+    "tests/sitl/autopilots/test_physics.py",
+    "tests/estimator/vision/test_acquire.py",
+    "tests/sitl/ardrone/test_serve.py",
+    "tests/estimator/test_pipeline.py",
+    "tests/companion/test_planner.py",
+    "tests/companion/test_drawing.py",
+    "tests/sitl/autopilots/test_follow.py",
+    "tests/companion/mavlink/test_heartbeat_truth.py",
+    "tests/companion/mavlink/test_process.py",
+    "tests/sitl/test_world.py",
+    "tests/sitl/test_scenery.py",
+    "tests/estimator/vision/test_arrow.py",
+    "tests/golden/test_golden.py",
+    "tests/sitl/ardrone/test_with_driver.py",
+    "tests/companion/mqtt/test_words.py",
+    "tests/estimator/vision/test_ellipse.py",
+    "tests/mutants/test_mutants.py",
+    "tests/companion/test_soak_flights.py",
+    "tests/drivers/test_pave.py",
+    "tests/companion/mqtt/test_outage.py",
+    "tests/estimator/ekf/test_signs.py",
+    "tests/companion/mavlink/test_component.py",
+    "tests/companion/mqtt/test_trouble.py",
+    "tests/sitl/test_fleet.py",
+    "tests/companion/watch/test_watch.py",
+    "tests/sitl/test_sensors.py",
+    "tests/sitl/test_scenario.py",
+    "tests/estimator/vision/test_registration_sighting.py",
+    "tests/companion/mqtt/test_service.py",
+    "tests/companion/test_cli.py",
+    "tests/drivers/imports/test_imports.py",
+    "tests/estimator/ekf/test_jacobians.py",
+    "tests/sitl/test_unchanged_flights.py",
+    "tests/sitl/campaign/",
+    "tests/sitl/test_perception.py",
+    "tests/docs/test_snippets.py",
+    "tests/companion/test_recorder_disk.py",
+)
+"""Files and folders that take more than 0.8 s of processor time, the longest first. They are marked `slow`, and start first."""
 TOGETHER = ("tests/v4l2_vm/",)
 """Folders whose files share what is dear to make: one virtual machine is started for all of them."""
 APART = ("tests/sitl/test_flight.py", "tests/packaging/test_installation.py")
@@ -32,10 +118,24 @@ def share(nodeid: str) -> str:
     return next((folder for folder in TOGETHER if file.startswith(folder)), file)
 
 
+def place(nodeid: str) -> int:
+    """Return the place among `SLOW`; their number for what is not slow."""
+    return next((n for n, start in enumerate(SLOW) if nodeid.startswith(start)), len(SLOW))
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not even import what `-m "not slow"` leaves out: `make check` is for between two edits."""
+    if config.getoption("markexpr") == "not slow" and collection_path.suffix == ".py":
+        return place(collection_path.relative_to(ROOT).as_posix()) < len(SLOW) or None
+    return None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put what takes long first: the workers end at about the same time only if short files come last."""
-    slow = {share(item.nodeid) for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: share(item.nodeid) not in slow)
+    """Mark what is slow and put it first: workers end at about the same time only if short files come last."""
+    for item in items:
+        if place(item.nodeid) < len(SLOW):
+            item.add_marker("slow")
+    items.sort(key=lambda item: place(item.nodeid))
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import SLOW
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("companion", "drivers", "estimator", "sitl")
 TEST_SUPPORT = ROOT / "sitl/testing"
@@ -63,6 +65,12 @@ def files() -> tuple[Path, ...]:
     return tuple(path for name in listed.stdout.decode().split("\0") if name and (path := ROOT / name).is_file())
 
 
+@cache
+def parsed(source: str) -> ast.Module:
+    """Return the tree of a source, which several rules walk."""
+    return ast.parse(source)
+
+
 def modules() -> list[Path]:
     return [p for p in files() if p.suffix == ".py" and p.relative_to(ROOT).parts[0] in PACKAGES]
 
@@ -88,7 +96,7 @@ def within(module: str, *roots: str) -> bool:
 
 def wrong_imports(module: str, source: str) -> list[str]:
     """Imports that the direction `drivers -> estimator.contracts <- estimator <- companion`, `sitl` above all, forbids."""
-    found = set(imports(ast.parse(source)))
+    found = set(imports(parsed(source)))
     ours = {name for name in found if within(name, *PACKAGES, "tests")}
     wrong = {name for name in found if name.startswith(".")} | {name for name in ours if within(name, "tests")}
     if within(module, "estimator.contracts"):
@@ -107,7 +115,7 @@ def wrong_imports(module: str, source: str) -> list[str]:
 
 def impurities(source: str) -> list[str]:
     """What reaches out of a module that must be values in, values out."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     reached = {name for name in imports(tree) if name.partition(".")[0] in IMPURE_MODULES}
     for node in ast.walk(tree):
         if isinstance(node, ast.Call | ast.Attribute):
@@ -121,7 +129,7 @@ def unbounded_queues(source: str) -> list[int]:
     kinds = {"Queue", "LifoQueue", "PriorityQueue", "SimpleQueue"}
     return [
         node.lineno
-        for node in ast.walk(ast.parse(source))
+        for node in ast.walk(parsed(source))
         if isinstance(node, ast.Call)
         and ast.unparse(node.func).split("[")[0].rpartition(".")[2] in kinds
         and (not node.args or ast.unparse(node.args[0]) in ("0", "-1"))
@@ -135,7 +143,7 @@ def makes_group(expression: ast.expr) -> bool:
 
 def detached_tasks(source: str) -> list[int]:
     """Lines that start a task outside a TaskGroup: by `create_task` of anything else, or by `ensure_future`."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     groups = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.withitem) and node.optional_vars is not None and makes_group(node.context_expr):
@@ -163,7 +171,7 @@ def detached_tasks(source: str) -> list[int]:
 
 def public_classes(source: str) -> list[str]:
     """Return the names of the public classes that the module defines at its top level."""
-    return [node.name for node in ast.parse(source).body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
+    return [node.name for node in parsed(source).body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
 
 
 def ambiguous(defined: Iterable[tuple[str, list[str]]]) -> dict[str, list[str]]:
@@ -311,7 +319,7 @@ def test_what_is_imported_is_declared() -> None:
             drawn = report if str(path.relative_to(ROOT)) in DRAWINGS else set()
             drawn = drawn | (lab if str(path.relative_to(ROOT)) in LAB else set())
             declared = runtime | drawn if shipped else dev | extra(top)
-            tops = {name.partition(".")[0] for name in imports(ast.parse(path.read_text()))}
+            tops = {name.partition(".")[0] for name in imports(parsed(path.read_text()))}
             ours = {*PACKAGES, "configs", "examples", "tests", "benches", "fuzz", "mutants", "supply"}
             undeclared |= {(str(path.relative_to(ROOT)), top) for top in tops - sys.stdlib_module_names - declared - ours}
     assert undeclared == set()
@@ -354,8 +362,12 @@ def test_benches_and_tests_do_not_import_each_other() -> None:
         for path in sorted((root / folder).rglob("*.py")):
             if path.parent == root / "tests/benches":
                 continue
-            for node in ast.walk(ast.parse(path.read_text())):
+            for node in ast.walk(parsed(path.read_text())):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
                 if isinstance(node, ast.ImportFrom) and node.module:
                     names = [node.module]
                 assert not [name for name in names if name.split(".")[0] == other], path
+
+
+def test_the_files_named_slow_are_there() -> None:
+    assert [name for name in SLOW if not (ROOT / name).exists()] == []

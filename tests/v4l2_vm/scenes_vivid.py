@@ -138,7 +138,7 @@ async def controls() -> Seen:
         try:
             async with open_camera(*options(**more), SystemClock()) as camera:
                 if name == "ambiguous_or_none":
-                    await until(lambda camera=camera: camera.down is not None)
+                    await until(lambda camera=camera: "no such camera" in (camera.down or ""))
                     out[name] = ["down", camera.down]
                 else:
                     await camera.frames.get()

@@ -14,7 +14,6 @@ from drivers.ardrone.navdata import ControlState
 from drivers.clock import SystemClock
 from sitl.ardrone.server import ArDroneServer, Ports
 from sitl.world import World
-from tests.sitl.ardrone.patient_clock import PatientClock
 from tests.sitl.ardrone.peer import Peer, Watcher
 from tests.sitl.ardrone.point_mass import PointMass
 
@@ -29,7 +28,7 @@ def world() -> PointMass:
 
 @pytest.fixture
 async def server(world: PointMass) -> AsyncIterator[ArDroneServer]:
-    async with ArDroneServer(cast(World, world), HOST, Ports(0, 0, 0, 0), PatientClock()) as server:
+    async with ArDroneServer(cast(World, world), HOST, Ports(0, 0, 0, 0)) as server:
         yield server
 
 
