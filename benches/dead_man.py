@@ -27,8 +27,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benches.processes import Daemon, Truth, Wire, drone
-from companion.config.build_pilot import make_pilot
 from companion.config.settings import load
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Decision, NullObserver
 from companion.runtime.service import live, make_daemon
 

@@ -23,7 +23,7 @@ import av
 import numpy as np
 
 import companion.config.settings as settings_of
-from companion.config.build_pilot import make_pilot
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import ProcessedFrame
 from companion.runtime.service import make_daemon
 from drivers.mavlink.dialect import mav

@@ -13,9 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 
 import companion.config.settings as settings_of
-from companion.config.build_pilot import make_pilot
 from companion.mavlink.component import Component, ComponentOptions, speaking
 from companion.mavlink.pilot_operator import PilotTower
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Decision
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import open_autopilot

@@ -20,10 +20,10 @@ from typing import Any
 
 import msgspec
 
-from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load
 from companion.mqtt.settings import MqttSettings
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import NullObserver, Observer
 from companion.runtime.service import make_daemon
 from drivers.clock import SystemClock

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import cv2
 
-from companion.config.build_pilot import make_pilot
 from companion.config.settings import load
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import NullObserver, ProcessedFrame
 from estimator import Attitude, Imu, Sighting
 from estimator.contracts.samples import Sample

@@ -10,8 +10,8 @@ import cv2
 import msgspec
 import numpy as np
 
-from companion.config import build
 from companion.config.settings import load
+from companion.runtime.make_pilot import tracker
 from drivers.camera.v4l2_formats import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import Rotation
@@ -111,7 +111,7 @@ def _camera() -> Camera:
 
 @cache
 def _tracker(speaks: str) -> TrackerConfig:
-    made = build.tracker(load("sim"))
+    made = tracker(load("sim"))
     return replace(made, camera=_camera(), speaks="registration" if speaks == "registration" else "fused")
 
 

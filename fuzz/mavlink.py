@@ -20,13 +20,13 @@ from unittest.mock import patch
 
 import numpy as np
 
-from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
 from companion.config.settings import from_mapping
 from companion.mavlink.bridge_part import BridgePart
 from companion.mavlink.make import AutopilotPart
 from companion.mavlink.options import BridgeOptions
 from companion.runtime.health import Health
+from companion.runtime.make_pilot import make_pilot
 from drivers.mailbox import Latest, Line
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav

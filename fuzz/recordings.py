@@ -11,12 +11,12 @@ from pathlib import Path
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
 from companion.config.settings import load
 from companion.recorder import channels
 from companion.recorder.reading import CAMERA, PAD, SETTINGS, RecordedFrame, open_recording
 from companion.replay.engine import Replay
+from companion.runtime.make_pilot import make_pilot
 from estimator.contracts.errors import BadInput
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
 

@@ -15,14 +15,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from companion.config import build, reference
-from companion.config.model import Settings
+from companion.config import reference
+from companion.config.model import Settings, ardrone_options
 from companion.config.settings import SHIPPED, from_mapping, read_toml, shipped
 from companion.guidance.plan import Plan
 from companion.mavlink.component import ComponentOptions
 from companion.mavlink.signed_links import signed_links
 from companion.print_pad.drawing import pad_drawing
 from companion.print_pad.sheets import sheets
+from companion.runtime.make_pilot import estimator_options, tracker
 from companion.runtime.notify import Manager, watchdog_interval_s
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.signing import load_key
@@ -152,13 +153,13 @@ def _options(settings: Settings) -> None:
     """Build the options that `run` makes of settings before it opens anything."""
     Plan.over_the_pad(settings.guidance)
     assert settings.service.back_off.cap_s > 0
-    build.estimator_options(settings)
+    estimator_options(settings)
     if isinstance(settings.vehicle, ArDroneOptions):
-        build.ardrone_options(settings)
+        ardrone_options(settings)
     else:
         ComponentOptions(0.39, settings.guidance.stale_after_s, settings.landing_target)
         signed_links(settings.vehicle, {})
-    build.tracker(settings)
+    tracker(settings)
     settings.camera.control_values()
 
 

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from companion.config.build import ardrone_options
-from companion.config.model import Settings
+from companion.config.model import Settings, ardrone_options
 from companion.guidance.planner import Phase as GuidancePhase
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer, ProcessedFrame

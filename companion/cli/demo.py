@@ -21,7 +21,6 @@ import numpy as np
 from companion.cli import record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.cli.version import version
-from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
 from companion.report.drawing import require_drawing
@@ -30,6 +29,7 @@ from companion.report.log_observer import LogObserver
 from companion.report.page import PAGE, write_report
 from companion.runtime import event_loop
 from companion.runtime.health import Health
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome
 from companion.runtime.service import live, make_daemon

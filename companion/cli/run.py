@@ -7,14 +7,14 @@ import logging
 import sys
 
 from companion.cli.config import not_checked
-from companion.config.build_pilot import make_pilot
 from companion.config.effect import without_effect
-from companion.config.proven import Proven
 from companion.config.referenced_files import check_files
 from companion.config.settings import Settings, load, shipped
 from companion.mavlink.options import BridgeOptions
 from companion.runtime import event_loop
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import FlightOutcome
+from companion.runtime.proven import Proven
 from companion.runtime.service import live, log_to_stderr, make_daemon
 from drivers.mavlink.options import AutopilotOptions
 

@@ -20,12 +20,12 @@ from companion.cli.soak_flights import Class, Flown, Outcomes, real, virtual
 from companion.cli.soak_judge import Findings, Reading, findings, give_back, read
 from companion.cli.soak_parts import cpu_at, start_time_s, without_thesis_methods
 from companion.cli.soak_plot import plot
-from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
 from companion.config.settings import shipped
 from companion.report.drawing import require_drawing
 from companion.runtime import event_loop
 from companion.runtime.health import Health
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import Pilot
 from companion.runtime.service import make_daemon
 from companion.runtime.signals import Stopped

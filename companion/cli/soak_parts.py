@@ -16,10 +16,9 @@ from itertools import chain
 
 import msgspec
 
-from companion.config import build
-from companion.config.build_pilot import make_pilot
-from companion.config.model import Settings
+from companion.config.model import Settings, ardrone_options
 from companion.runtime.daemon import Daemon, VehicleLink
+from companion.runtime.make_pilot import make_pilot
 from drivers.ardrone import at
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.samples import NavdataSampler
@@ -97,7 +96,7 @@ class _Reel:
     def __init__(self, rate_hz: int, scenario: Scenario, settings: Settings, clock: SystemClock) -> None:
         world = World(scenario, 1)
         drone = Drone(world, DroneClock(world.now))
-        asked = [(*commands, at.Ctrl(at.CTRL_ACK)) for _, commands in configuration_commands(build.ardrone_options(settings))]
+        asked = [(*commands, at.Ctrl(at.CTRL_ACK)) for _, commands in configuration_commands(ardrone_options(settings))]
         for n, command in enumerate(chain.from_iterable(asked)):
             drone.take(at.encode(n + 1, command), world.now)
         self._navdata: list[Navdata] = []
@@ -108,7 +107,7 @@ class _Reel:
             self._navdata.append(drone.navdata())
             if (tick + 1) * TICK_S * rate_hz >= len(self._images):
                 self._images.append(world.render())
-        self._sampler = NavdataSampler(build.ardrone_options(settings))
+        self._sampler = NavdataSampler(ardrone_options(settings))
         self.frames: Latest[Frame] = Latest()
         self.samples: Line[Sample] = Line(settings.service.sample_queue_items)
 

@@ -16,11 +16,12 @@ from companion.mavlink.options import BridgeOptions, OutputOptions
 from companion.metrics.settings import MetricsSettings
 from companion.mqtt.settings import MqttSettings
 from companion.recorder.options import RecorderOptions
-from companion.runtime.supervise import RestartOptions
+from companion.runtime.restart_options import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import CameraOptions
 from drivers.mailbox import SAMPLE_QUEUE_ITEMS
 from drivers.mavlink.options import AutopilotOptions
+from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.options import EstimatorOptions
 
@@ -93,3 +94,15 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
             if self.bridge.links:
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
         return None
+
+
+def ardrone_options(settings: Settings) -> ArDroneOptions:
+    """Return the options of the AR.Drone.
+
+    Raises:
+        BadInput: the vehicle is of another kind.
+    """
+    v = settings.vehicle
+    if not isinstance(v, ArDroneOptions):
+        raise BadInput('vehicle.kind must be "ardrone" here')
+    return v

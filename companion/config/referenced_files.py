@@ -9,8 +9,8 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 
 from companion.config import secret_files
-from companion.config.keys import CREDENTIAL
 from companion.config.model import Settings
+from companion.config.secret_files import CREDENTIAL
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 

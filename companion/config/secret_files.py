@@ -11,11 +11,12 @@ import stat
 from collections.abc import Mapping
 from pathlib import Path
 
-from companion.config.keys import CREDENTIAL
 from estimator.contracts.errors import BadInput, unusable
 
 log = logging.getLogger(__name__)
 
+CREDENTIAL = "credential:"
+"""Prefix that marks the name of a systemd credential in place of a path."""
 KEY_BYTES = 32
 _LONGEST = 4096
 

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
 import configs
 from companion.config.effect import refuse_moved, with_moved, without_retired
-from companion.config.keys import anchored
 from companion.config.model import PadSettings, Settings
 from companion.config.refusal import explain
+from companion.config.secret_files import CREDENTIAL
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
@@ -28,6 +28,7 @@ from estimator.vision.pad import Pad
 
 __all__ = ["Settings", "camera_model", "find_file", "from_mapping", "load", "pad_model", "read_toml", "shipped"]
 
+_Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
 
 
@@ -52,10 +53,10 @@ def load(name_or_path: str | Path) -> Settings:
     signing = [] if isinstance(settings.vehicle, ArDroneOptions) else ["signing_key_file", "signing_time_file"]
     settings = msgspec.structs.replace(
         settings,
-        vehicle=anchored(settings.vehicle, path.parent, signing),
-        bridge=anchored(settings.bridge, path.parent, ["signing_key_file", "signing_time_file"]),
-        metrics=anchored(settings.metrics, path.parent, ["token_file"]),
-        mqtt=anchored(
+        vehicle=_anchored(settings.vehicle, path.parent, signing),
+        bridge=_anchored(settings.bridge, path.parent, ["signing_key_file", "signing_time_file"]),
+        metrics=_anchored(settings.metrics, path.parent, ["token_file"]),
+        mqtt=_anchored(
             settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"]
         ),
     )
@@ -150,6 +151,20 @@ def find_file(text: str, folder: str, base: Path, what: str) -> Path:
     near = difflib.get_close_matches(text, shipped(folder), n=1)
     hint = f"did you mean {near[0]!r}" if near else f"shipped ones are {', '.join(shipped(folder))}"
     raise BadInput(f"{what}: there is no file {str(path)!r} and no shipped one of that name ({hint})")
+
+
+def _anchored(table: _Table, base: Path, keys: Iterable[str]) -> _Table:
+    """Return the table with the relative paths in `keys` made relative to the working directory.
+
+    Args:
+        table: a table of the settings.
+        base: folder of the settings file, to which the paths are relative.
+        keys: names of the keys that hold paths.
+    """
+    given = {key: str(getattr(table, key)) for key in keys}
+    return msgspec.structs.replace(
+        table, **{key: str(base / path) for key, path in given.items() if path and not path.startswith(CREDENTIAL)}
+    )
 
 
 def _reference(text: str, folder: str, settings_file: Path, keypath: str) -> str:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from companion.config.keys import on_loopback
+from companion.config.addresses import on_loopback
 from estimator.contracts.keys import choice, number, text
 
 

@@ -8,10 +8,10 @@ from typing import get_args
 
 import msgspec
 
-from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings
 from companion.config.settings import Settings, load
 from companion.recorder.reading import CAMERA, PAD, Recording
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import Pilot
 from estimator import pipeline
 from estimator.contracts.errors import BadInput

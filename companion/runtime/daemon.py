@@ -22,7 +22,8 @@ from companion.runtime.health import Health
 from companion.runtime.missing_inputs import missing_inputs
 from companion.runtime.observer import Decision, Observer, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
-from companion.runtime.supervise import Body, RestartOptions, run, uncancelled
+from companion.runtime.restart_options import RestartOptions
+from companion.runtime.supervise import Body, run, uncancelled
 from companion.runtime.worker import Worker
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from companion.config.build_vehicle import vehicle_parts
 from companion.config.model import Settings
 from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
@@ -18,6 +17,7 @@ from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome, Pilot
 from companion.runtime.supervise import Body
+from companion.runtime.vehicle_parts import vehicle_parts
 from drivers.clock import SystemClock
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput

@@ -11,15 +11,12 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Annotated
-
-from msgspec import Struct
 
 from companion.runtime.containment import report
 from companion.runtime.health import Health
-from drivers.reconnect import BackOff, reconnect
+from companion.runtime.restart_options import RestartOptions
+from drivers.reconnect import reconnect
 from estimator.contracts.errors import Recoverable, in_words
-from estimator.contracts.keys import check_ranges, number
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
 
@@ -29,42 +26,6 @@ Body = Callable[[], Awaitable[None]]
 
 CLOSE_S = 1.0
 """Time that the parts beside the flight have to end, once the vital ones have ended."""
-
-
-class RestartOptions(Struct, frozen=True, forbid_unknown_fields=True):
-    """The restart of failed parts, and the point at which they are given up.
-
-    Raises:
-        ValueError: a number outside its range, or back-offs that do not go together.
-    """
-
-    restart_first_s: Annotated[float, number("first back-off before a failed part restarts", "s", 0.01, 60.0)] = 0.2
-    restart_factor: Annotated[float, number("factor between a back-off and the next", "1", 1.0, 10.0)] = 2.0
-    restart_cap_s: Annotated[float, number("longest rest", "s", 0.01, 600.0)] = 5.0
-    restart_healthy_after_s: Annotated[
-        float, number("time of uninterrupted work after which a part begins with the first back-off again", "s", 0.1, 3600.0)
-    ] = 5.0
-    restart_give_up_after: Annotated[
-        int,
-        number(
-            "failures in a row after which a part beside the flight is given up; those of the outside world do not count",
-            "1",
-            1,
-            1000,
-        ),
-    ] = 10
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
-        if self.restart_cap_s < self.restart_first_s:
-            raise ValueError(
-                f"restart_cap_s ({self.restart_cap_s:g} s) must not be shorter than restart_first_s ({self.restart_first_s:g} s)"
-            )
-
-    @property
-    def back_off(self) -> BackOff:
-        """The back-off in the form that `drivers.reconnect` takes."""
-        return BackOff(self.restart_first_s, self.restart_cap_s, self.restart_healthy_after_s, self.restart_factor)
 
 
 async def keep_alive(name: str, body: Body, policy: RestartOptions, health: Health, clock: Clock) -> None:

@@ -8,12 +8,12 @@ from typing import Literal
 
 import msgspec
 
-from companion.config.build_vehicle import vehicle_parts
 from companion.config.model import CameraSettings, Settings
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import Pilot
+from companion.runtime.vehicle_parts import vehicle_parts
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.ports import Clock

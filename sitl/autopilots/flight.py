@@ -21,9 +21,9 @@ import cv2
 import msgspec
 import numpy as np
 
-from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
 from companion.runtime.health import Health
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Observer
 from companion.runtime.pilot import FlightOutcome, Pilot
 from drivers.mavlink.access import NamedSenders

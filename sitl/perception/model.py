@@ -19,9 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.config.build import tracker
-from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
+from companion.runtime.make_pilot import make_pilot, tracker
 from companion.runtime.pilot import Pilot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Method, PathName, Sighting

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import Pilot
 from estimator.contracts.estimates import PathName
 from sitl.perception.port import Level

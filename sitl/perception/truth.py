@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from companion.config.build_pilot import make_pilot
 from companion.config.model import Settings
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import Pilot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict

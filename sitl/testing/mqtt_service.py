@@ -22,7 +22,8 @@ from companion.mqtt.spool import Spool
 from companion.mqtt.topics import Topics
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision
-from companion.runtime.supervise import RestartOptions, run
+from companion.runtime.restart_options import RestartOptions
+from companion.runtime.supervise import run
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.estimates import PathName, RelativeState

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import msgspec
 
-from companion.config.build_pilot import make_pilot
 from companion.config.model import CameraSettings, PadSettings
 from companion.config.settings import Settings, load
 from companion.recorder.recorder import Recorder
 from companion.recorder.records import TruthRecord
 from companion.recorder.setup import about, recorder_to_file
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
 from estimator.contracts.samples import Sample
 from sitl.flight import Flight

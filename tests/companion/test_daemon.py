@@ -12,7 +12,7 @@ from companion.guidance.options import GuidanceOptions
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
-from companion.runtime.supervise import RestartOptions
+from companion.runtime.restart_options import RestartOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Hover

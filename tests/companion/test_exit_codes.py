@@ -17,11 +17,11 @@ import pytest
 
 from companion.cli import main as cli
 from companion.cli import run as run_command
-from companion.config.build_pilot import make_pilot
-from companion.config.proven import Proven
 from companion.config.settings import load
 from companion.mqtt.spool import Spool
 from companion.runtime import service
+from companion.runtime.make_pilot import make_pilot
+from companion.runtime.proven import Proven
 from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible, unusable
 
 WORLD = [errno.EIO, errno.EROFS, errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.ENODEV, errno.ESTALE, errno.EADDRINUSE]

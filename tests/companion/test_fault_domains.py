@@ -24,7 +24,7 @@ from companion.runtime.daemon import Daemon
 from companion.runtime.health import Health
 from companion.runtime.notify import Pulse
 from companion.runtime.observer import Decision, NullObserver, Observer, ProcessedFrame
-from companion.runtime.supervise import RestartOptions
+from companion.runtime.restart_options import RestartOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Sample

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from companion.config.build_pilot import make_pilot
 from companion.config.settings import camera_model
 from companion.metrics.exposition import text
 from companion.mqtt import encode as mqtt_encode
@@ -33,6 +32,7 @@ from companion.report.flight_log import FlightLog
 from companion.report.innovations import innovation_series
 from companion.report.page import render
 from companion.runtime.health import NIS_WINDOW, Health
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import NullObserver
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.fusion import COMPONENTS, FusionResult, Source

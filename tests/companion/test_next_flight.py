@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.config.build_pilot import make_pilot
 from companion.config.settings import load
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.commands import Hover
 from estimator.contracts.samples import VehicleStatus

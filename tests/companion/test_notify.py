@@ -20,7 +20,7 @@ from companion.runtime.liveness import LivenessLimits, stuck
 from companion.runtime.notify import Manager, Pulse, watchdog_interval_s
 from companion.runtime.observer import NullObserver, Observer
 from companion.runtime.pilot import Pilot
-from companion.runtime.supervise import RestartOptions
+from companion.runtime.restart_options import RestartOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs

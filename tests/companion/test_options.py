@@ -21,7 +21,7 @@ from companion.config.refusal import unit_of, walk
 from companion.guidance.options import GuidanceOptions, PidOptions, PlannerOptions
 from companion.mavlink.options import BridgeOptions, OutputOptions
 from companion.recorder.options import RecorderOptions
-from companion.runtime.supervise import RestartOptions
+from companion.runtime.restart_options import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import CameraOptions
 from drivers.mavlink.options import AutopilotOptions, SampleOptions, TimeSyncOptions

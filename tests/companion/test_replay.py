@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from companion.cli import main as cli
-from companion.config.build_pilot import make_pilot
 from companion.config.settings import camera_model
 from companion.recorder.options import RecorderOptions
 from companion.recorder.reading import open_recording
@@ -27,6 +26,7 @@ from companion.replay.engine import Replay
 from companion.replay.log_observer import BeliefLogObserver, differences, recorded_beliefs
 from companion.replay.pilots import pilot_of
 from companion.report.flight_log import FlightLog
+from companion.runtime.make_pilot import make_pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs
 from sitl.flight import Flight

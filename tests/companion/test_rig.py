@@ -13,13 +13,14 @@ import pytest
 from msgspec import inspect
 
 from companion.cli.main import main
-from companion.config import build
+from companion.config.model import ardrone_options
 from companion.config.refusal import walk
 from companion.config.settings import Settings, from_mapping
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.plan import Plan
 from companion.mavlink.options import BridgeOptions
 from companion.mavlink.signed_links import signed_links
+from companion.runtime.make_pilot import estimator_options, tracker
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
@@ -44,7 +45,7 @@ def parts(settings: Settings) -> list[object]:
     return [
         plain(part)
         for part in (
-            build.tracker(settings), build.estimator_options(settings), settings.guidance,
+            tracker(settings), estimator_options(settings), settings.guidance,
             Plan.over_the_pad(settings.guidance), settings.camera.file,
         )
     ]  # fmt: skip
@@ -119,15 +120,15 @@ def test_degrees_in_the_file_are_radians_inside() -> None:
     data["vehicle"].update(euler_angle_max_deg=18.0, yaw_rate_max_deg_s=90.0)
     data["guidance"]["pid"]["turn_max_deg_s"] = 45.0
     settings = from_mapping(data, "degrees")
-    assert math.isclose(build.ardrone_options(settings).euler_angle_max_rad, math.pi / 10)
-    assert math.isclose(build.ardrone_options(settings).yaw_rate_max_rad_s, math.pi / 2)
+    assert math.isclose(ardrone_options(settings).euler_angle_max_rad, math.pi / 10)
+    assert math.isclose(ardrone_options(settings).yaw_rate_max_rad_s, math.pi / 2)
     assert math.isclose(settings.guidance.pid.turn_max_rad_s, math.pi / 4)
 
 
 def test_defaults_of_an_autopilot_are_those_of_the_parts() -> None:
     v = from_mapping(MINIMALS["mavlink"], "default").vehicle
     assert isinstance(v, AutopilotOptions)
-    estimator = build.estimator_options(from_mapping(MINIMALS["mavlink"], "default"))
+    estimator = estimator_options(from_mapping(MINIMALS["mavlink"], "default"))
     assert estimator.ekf.velocity_is_over == "ground"
     assert v == AutopilotOptions("tcp://127.0.0.1:5760")
 

@@ -7,7 +7,8 @@ import pytest
 
 from companion.runtime import event_loop
 from companion.runtime.health import Delays, Health
-from companion.runtime.supervise import RestartOptions, contain, keep_alive, run
+from companion.runtime.restart_options import RestartOptions
+from companion.runtime.supervise import contain, keep_alive, run
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.time import MonoNs
 

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.config.build_pilot import make_pilot
 from companion.config.settings import load as load_settings
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.commands import Hover

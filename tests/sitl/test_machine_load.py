@@ -14,7 +14,7 @@ from companion.cli import demo
 from companion.runtime.daemon import Daemon
 from companion.runtime.health import Health
 from companion.runtime.pilot import FlightOutcome
-from companion.runtime.supervise import RestartOptions
+from companion.runtime.restart_options import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
 from sitl.ending import Contact, Ending

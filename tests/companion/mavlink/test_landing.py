@@ -10,10 +10,10 @@ from contextlib import asynccontextmanager
 import numpy as np
 
 import companion.config.settings as settings_of
-from companion.config.build_pilot import make_pilot
 from companion.mavlink.make import AutopilotPart
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.health import Health
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import FlightOutcome
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import mav

@@ -19,7 +19,8 @@ from companion.metrics.exposition import text
 from companion.metrics.limits import ConnectionLimits
 from companion.metrics.settings import MetricsSettings
 from companion.runtime.health import Health
-from companion.runtime.supervise import RestartOptions, run
+from companion.runtime.restart_options import RestartOptions
+from companion.runtime.supervise import run
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict

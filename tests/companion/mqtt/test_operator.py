@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from companion.config.build_pilot import make_pilot
 from companion.config.settings import load
 from companion.mqtt.operator import PilotOperator
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.commands import Hover
 from estimator.contracts.time import MonoNs

@@ -1,32 +1,40 @@
-"""Make the options of each part from the settings. Only this module knows both."""
+"""The pilot from the settings: pad tracker, estimator and guidance."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 from msgspec import structs
 
 from companion.config.model import Settings
 from companion.config.settings import camera_model, pad_model
-from drivers.ardrone.options import ArDroneOptions
+from companion.runtime.pilot import Pilot
 from drivers.mavlink.options import AutopilotOptions
-from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import PathName
 from estimator.options import EstimatorOptions
 from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker import TrackerConfig
 
 
-def ardrone_options(settings: Settings) -> ArDroneOptions:
-    """Return the options of the AR.Drone.
+def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Callable[..., Pilot] = Pilot) -> Pilot:
+    """Return the pilot that the settings describe.
+
+    Args:
+        shadows: estimator paths that run beside it to be compared.
+        kind: makes the pilot in place of the class itself, from the same arguments.
 
     Raises:
-        BadInput: the vehicle is of another kind.
+        BadInput: the camera or pad file is missing or has a fault.
     """
-    v = settings.vehicle
-    if not isinstance(v, ArDroneOptions):
-        raise BadInput('vehicle.kind must be "ardrone" here')
-    return v
+    return kind(
+        tracker(settings),
+        estimator_options(settings),
+        settings.guidance,
+        automatic=settings.guidance.start == "automatic",
+        shadows=shadows,
+    )
 
 
 def tracker(settings: Settings) -> TrackerConfig:

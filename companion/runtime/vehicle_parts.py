@@ -7,8 +7,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from companion.config import build
-from companion.config.model import Settings
+from companion.config.model import Settings, ardrone_options
 from companion.config.settings import camera_model
 from companion.runtime.daemon import OpenLink, VehicleLink
 from companion.runtime.health import Health
@@ -73,7 +72,7 @@ def vehicle_parts(
 
 
 def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None) -> VehicleParts:
-    options = build.ardrone_options(settings)
+    options = ardrone_options(settings)
     if not settings.bridge.links:
         return VehicleParts(lambda: open_ardrone(options, clock, settings.service.sample_queue_items))
     from companion.mavlink.bridge_part import BridgePart
