@@ -77,6 +77,16 @@ def test_help_lists_the_commands_without_importing_any_of_them() -> None:
     assert done.stdout.splitlines()[-2:] == ["[]", "[]"]
 
 
+def test_settings_are_checked_without_the_libraries_of_images_and_links() -> None:
+    probe = (
+        "import sys\nfrom companion.cli.main import main\nassert main(['config', 'check', 'raspberry_px4', 'sim']) == 0\n"
+        "heavy = {'cv2', 'av', 'matplotlib', 'pymavlink', 'mcap', 'aiohttp', 'drivers.mavlink.dialect', 'companion.mqtt.part'}\n"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, timeout=240, check=True)
+    assert done.stdout.splitlines() == ["raspberry_px4: good", "sim: good", "[]"]
+
+
 def test_the_code_a_command_returns_is_the_exit_code(command: SimpleNamespace) -> None:
     assert cli.main(["probe"]) == 0
     assert cli.main(["probe", "--count", "1"]) == 1
