@@ -28,8 +28,8 @@ from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
 from estimator.vision.camera import Camera  # noqa: E402
 from estimator.vision.detect.acquire import acquire  # noqa: E402
+from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.pad import Pad  # noqa: E402
-from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
 from sitl.testing.pad_scenes import DATA, PadScene, empty_scene, load_camera, load_pad  # noqa: E402
 
@@ -45,7 +45,7 @@ def scene_of(chunk: int, i: int) -> PadScene:
 
 def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotation | None) -> float:
     """Return the confidence of the sighting in a frame, or 0 if there is none."""
-    tracker = TrackerConfig(camera, pad, COLOUR_SETS["simulator"], "fused", math.radians(2.0))
+    tracker = TrackerConfig(camera, pad, TrackerOptions(colours="simulator"))
     attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, np.eye(3) * math.radians(1.0) ** 2)
     seen, _ = track(tracker, TrackerMemory(), Frame(STAMP, 0, px), attitude)
     return 0.0 if seen.selected is None else seen.selected.confidence

@@ -22,7 +22,7 @@ from estimator.contracts.estimates import RelativeState  # noqa: E402
 from estimator.contracts.geometry import Rotation  # noqa: E402
 from estimator.contracts.samples import Attitude, Frame  # noqa: E402
 from estimator.contracts.time import MonoNs, Stamp  # noqa: E402
-from estimator.vision.thesis.segmentation import COLOUR_SETS  # noqa: E402
+from estimator.vision.options import TrackerOptions  # noqa: E402
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track  # noqa: E402
 from sitl.testing.pad_scenes import CONDITIONS, PadScene, load_camera, load_pad, pad_scene  # noqa: E402
 
@@ -55,7 +55,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=12, help="at each height in each condition")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), COLOUR_SETS["simulator"], "fused", SIGMA_DECK_RAD)
+    tracker = TrackerConfig(load_camera("sim"), load_pad("thesis"), TrackerOptions(colours="simulator"))
     wrong: list[str] = []
     print("called 0.5 or more, % " + "".join(f"{h:>7g} m" for h in HEIGHTS_M))
     for condition in CONDITIONS:

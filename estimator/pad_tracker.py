@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,11 @@ from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
+from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pose import SIGMA_DECK_RAD
 from estimator.vision.thesis.detection import Detection
-from estimator.vision.thesis.segmentation import COLOUR_SETS
-from estimator.vision.tracker import SpeaksFor, TrackerConfig, TrackerMemory, track
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 
 _NO_STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
 
@@ -33,7 +34,8 @@ class PadTracker:
         sigma_deck_rad: one standard deviation of the deck's roll and pitch, rad.
 
     Raises:
-        ValueError: there are no such colours, or `min_confidence` is outside 0..1.
+        ValueError: there is no such method or colours, `min_confidence` is outside 0..1, or `sigma_deck_rad` is outside 0 to
+            30 degrees.
     """
 
     def __init__(
@@ -41,16 +43,14 @@ class PadTracker:
         camera: Camera,
         pad: Pad,
         *,
-        method: SpeaksFor = "fused",
-        colours: str = "indoor",
+        method: TrackerMethod = "fused",
+        colours: ColourSetName = "indoor",
         min_confidence: float = 0.2,
         sigma_deck_rad: float = SIGMA_DECK_RAD,
     ) -> None:
-        if colours not in COLOUR_SETS:
-            raise ValueError(f"there are no colours {colours!r}; known are {', '.join(COLOUR_SETS)}")
         if not 0.0 <= min_confidence <= 1.0:
             raise ValueError(f"min_confidence must lie in 0..1, got {min_confidence!r}")
-        self._config = TrackerConfig(camera, pad, COLOUR_SETS[colours], method, sigma_deck_rad)
+        self._config = TrackerConfig(camera, pad, TrackerOptions(method, colours, math.degrees(sigma_deck_rad)))
         self._memory = TrackerMemory()
         self._min_confidence = min_confidence
         self._seq = 0

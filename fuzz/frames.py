@@ -18,6 +18,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
+from estimator.vision.options import TrackerMethod
 from estimator.vision.thesis.detection import Detection
 from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 from fuzz.target import Choices, Target, block
@@ -112,7 +113,8 @@ def _camera() -> Camera:
 @cache
 def _tracker(speaks: str) -> TrackerConfig:
     made = tracker(load("sim"))
-    return replace(made, camera=_camera(), speaks="registration" if speaks == "registration" else "fused")
+    method: TrackerMethod = "registration" if speaks == "registration" else "fused"
+    return replace(made, camera=_camera(), options=msgspec.structs.replace(made.options, method=method))
 
 
 @cache

@@ -31,6 +31,7 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera import Camera
+from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.thesis.detection import Detection, detect
 from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
@@ -327,7 +328,7 @@ def _best(frame: Frame, attitude: Attitude | None, camera: Camera, pad: Pad, set
     """Return the fused detection of all methods, and the name of the colour set with the most confident result."""
     looks = [(detect(frame, attitude, camera, pad, colours), colours.name) for colours in sets]
     thesis, colours = max(looks, key=lambda pair: -1.0 if pair[0].selected is None else pair[0].selected.confidence)
-    registered, _ = track(TrackerConfig(camera, pad, sets[0], "registration"), TrackerMemory(), frame, attitude)
+    registered, _ = track(TrackerConfig(camera, pad, TrackerOptions("registration")), TrackerMemory(), frame, attitude)
     return together(thesis, registered.selected), colours
 
 

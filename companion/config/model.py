@@ -24,6 +24,7 @@ from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.options import EstimatorOptions
+from estimator.vision.options import TrackerOptions
 
 _TUNED = "tuned in simulation"
 _SHIPPED_OR_PATH = "the name of a shipped one, or a path relative to the settings file"
@@ -41,20 +42,9 @@ class PadSettings(Struct, frozen=True, forbid_unknown_fields=True):
     file: Annotated[str, text(f"pad file: {_SHIPPED_OR_PATH}", 4096)]
 
 
-class VisionSettings(Struct, frozen=True, forbid_unknown_fields=True):
+class VisionSettings(TrackerOptions, frozen=True, forbid_unknown_fields=True):
     """The processing of frames."""
 
-    method: Annotated[
-        Literal["fused", "registration", "thesis"],
-        choice("methods of detection: all together; registration alone; the thesis' three, chosen by priority"),
-    ] = "fused"
-    colours: Annotated[
-        Literal["simulator", "indoor", "outdoor"],
-        choice("set of colour limits by which the thesis' methods segment the pad", "thesis table 4.1"),
-    ] = "indoor"
-    deck_tilt_sigma_deg: Annotated[
-        float, number("standard deviation of the deck's roll and pitch", "deg", 0.0, 30.0, "supply vessel in a slight sea")
-    ] = 2.0
     threads: Annotated[int, number("threads OpenCV may use for one frame", "threads", 1, 64)] = 1
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -14,7 +13,6 @@ from companion.runtime.pilot import Pilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import PathName
 from estimator.options import EstimatorOptions
-from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker import TrackerConfig
 
 
@@ -43,9 +41,7 @@ def tracker(settings: Settings) -> TrackerConfig:
     Raises:
         BadInput: the camera or pad file is missing or has a fault.
     """
-    v = settings.vision
-    deck = math.radians(v.deck_tilt_sigma_deg)
-    return TrackerConfig(camera_model(settings), pad_model(settings), COLOUR_SETS[v.colours], v.method, deck)
+    return TrackerConfig(camera_model(settings), pad_model(settings), settings.vision)
 
 
 def estimator_options(settings: Settings) -> EstimatorOptions:

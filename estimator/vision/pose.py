@@ -17,12 +17,13 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Feature, Method, Sigh
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera import Camera
+from estimator.vision.options import TrackerOptions
 
 SIGMA_LEVEL_ASSUMED_RAD = math.radians(5.0)
 """Standard deviation of roll and pitch of a vehicle without a measured attitude: what a multicopter reaches against a breeze. It
 costs 9 cm per metre of height.
 """
-SIGMA_DECK_RAD = math.radians(2.0)
+SIGMA_DECK_RAD = TrackerOptions().deck_tilt_sigma_rad
 """Standard deviation of roll and pitch of a deck that is assumed level: a supply vessel's in a slight sea (data: waves/FACTS.md
 gives 1..4 degrees).
 """

@@ -10,9 +10,8 @@ it fits, registration starts from it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 
@@ -26,17 +25,15 @@ from estimator.vision.detect.alignment import SIGMA_TILT_RAD, Pyramid, align
 from estimator.vision.detect.heading import heading
 from estimator.vision.detect.paint import FRESH, PaintMemory, learn, missed
 from estimator.vision.fusion import agree, fuse
+from estimator.vision.options import TrackerOptions
 from estimator.vision.pad import Pad
 from estimator.vision.pad_pose import PadPose
-from estimator.vision.pose import SIGMA_DECK_RAD, Orientation
+from estimator.vision.pose import Orientation
 from estimator.vision.register import fit_verification
 from estimator.vision.register.registration import RegistrationOptions, register
 from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.thesis.detection import Detection, detect
-from estimator.vision.thesis.segmentation import ColourSet
-
-SpeaksFor = Literal["fused", "registration", "thesis"]
-"""The methods that form the sighting: all of them fused, registration alone, or the thesis' three, selected by priority."""
+from estimator.vision.thesis.segmentation import COLOUR_SETS, ColourSet
 
 _CLOSE, _ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=True)
 _CLOSE_PX = 1.0
@@ -65,11 +62,12 @@ class TrackerConfig:
 
     camera: Camera
     pad: Pad
-    colours: ColourSet
-    """Colour classes of the thesis' methods."""
-    speaks: SpeaksFor = "fused"
-    sigma_deck_rad: float = SIGMA_DECK_RAD
-    """Standard deviation of the deck's roll and pitch."""
+    options: TrackerOptions = field(default_factory=TrackerOptions)
+
+    @property
+    def colours(self) -> ColourSet:
+        """The colour classes of the thesis' methods."""
+        return COLOUR_SETS[self.options.colours]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,18 +95,20 @@ def track(
     Raises:
         ValueError: the frame is not of the camera's size.
     """
-    if tracker.speaks == "thesis":
+    if tracker.options.method == "thesis":
         return detect(
-            frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.sigma_deck_rad
+            frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.options.deck_tilt_sigma_rad
         ), memory
     pyramid = Pyramid(frame.px)
     best = _registered(tracker, memory.paint, frame, pyramid, attitude, belief)
-    if tracker.speaks == "registration":
+    if tracker.options.method == "registration":
         found = None if best is None else best.sighting
         methods: dict[Method, Sighting | None] = {"registration": found}
         seen = Detection(found, None if found is None else "registration", MappingProxyType(methods))
     else:
-        thesis = detect(frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.sigma_deck_rad)
+        thesis = detect(
+            frame, attitude, tracker.camera, tracker.pad, tracker.colours, sigma_deck_rad=tracker.options.deck_tilt_sigma_rad
+        )
         thesis, best = _verify_cues(tracker, memory.paint, frame, pyramid, attitude, thesis, best)
         seen = together(thesis, None if best is None else best.sighting)
     return seen, TrackerMemory(missed(memory.paint) if best is None else best.memory)
@@ -144,7 +144,7 @@ def _registered(
     attitude: Attitude | None,
     belief: RelativeState | None,
 ) -> _Registered | None:
-    orientation = Orientation.of(attitude, tracker.sigma_deck_rad)
+    orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     best: _Registered | None = None
     start: PadPose | None = None
     sigma_m = math.inf if belief is None else _sigma_m(belief)
@@ -180,7 +180,7 @@ def _verify_cues(
     A cue's confidence is limited to that of the drawing registered at the cue's pose, unless it agrees with a confident
     registration. The returned registration is the best of the given one and those started from cues.
     """
-    orientation = Orientation.of(attitude, tracker.sigma_deck_rad)
+    orientation = Orientation.of(attitude, tracker.options.deck_tilt_sigma_rad)
     sure = best.sighting if best is not None and best.sighting.confidence >= _FITS else None
     methods: dict[Method, Sighting | None] = dict(thesis.methods)
     for method, cue in thesis.methods.items():

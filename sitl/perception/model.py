@@ -179,7 +179,7 @@ class _Detector:
         self._table = DetectionTable(model.detection)
         self._fused = model.method == "fused"
         own = tracker(settings)
-        self._camera, self._sigma_deck_rad = own.camera, own.sigma_deck_rad
+        self._camera, self._sigma_deck_rad = own.camera, own.options.deck_tilt_sigma_rad
         self._rate = -math.log(max(1e-9, model.detection.correlation)) / model.detection.frame_s
         self._standard: F64 | None = None
         self._at = 0

@@ -22,11 +22,11 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
 from estimator.contracts.time import Stamp, after
 from estimator.options import EstimatorOptions
-from estimator.vision.thesis.segmentation import COLOUR_SETS
+from estimator.vision.options import TrackerOptions
 from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")
-EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
+EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), TrackerOptions(colours="simulator"))
 CLOCK = SystemClock()
 SEA = np.full((360, 640, 3), (90, 60, 20), np.uint8)
 

@@ -29,6 +29,7 @@ from estimator.contracts.keys import check_ranges
 from estimator.ekf.options import EkfOptions
 from estimator.integrity.options import IntegrityOptions
 from estimator.options import DeadReckoningOptions, EstimatorOptions
+from estimator.vision.options import TrackerOptions
 
 IN_THE_FILE = {
     "vehicle": ArDroneOptions,
@@ -45,6 +46,7 @@ IN_THE_FILE = {
     "guidance.planner": PlannerOptions,
     "camera": CameraOptions,
     "recorder": RecorderOptions,
+    "vision": TrackerOptions,
     "service": RestartOptions,
 }
 
@@ -59,6 +61,7 @@ TABLES = {
     "drivers.ardrone": ("vehicle",),
     "drivers.camera": ("camera",),
     "drivers.mavlink": ("vehicle", "vehicle.samples", "vehicle.timesync", "bridge"),
+    "estimator.vision": ("vision",),
     "estimator": ("estimator", "estimator.ekf", "estimator.dead_reckoning", "estimator.integrity"),
 }
 """The tables that hold what the classes of a package take."""

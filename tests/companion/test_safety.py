@@ -24,12 +24,12 @@ from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.options import EstimatorOptions
+from estimator.vision.options import TrackerOptions
 from estimator.vision.thesis.detection import Detection
-from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")
-EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), COLOUR_SETS["simulator"])
+EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), TrackerOptions(colours="simulator"))
 PLAN = Plan.over_the_pad()
 TICK_S = 0.05
 FAULTS = (

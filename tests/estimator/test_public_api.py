@@ -143,8 +143,8 @@ def test_the_tracker_refuses_what_is_no_image_of_the_camera(image: NDArray[np.ge
 
 
 def test_the_tracker_refuses_unknown_colours_and_impossible_confidences() -> None:
-    with pytest.raises(ValueError, match=r"no colours 'pink'; known are simulator, indoor, outdoor"):
-        PadTracker(CAMERA, PAD, colours="pink")
+    with pytest.raises(ValueError, match=r"colours must be one of simulator, indoor, outdoor, got 'pink'"):
+        PadTracker(CAMERA, PAD, colours="pink")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="min_confidence must lie in"):
         PadTracker(CAMERA, PAD, min_confidence=1.5)
 

@@ -10,8 +10,8 @@ from companion.config.settings import camera_model, load, pad_model
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Frame
-from estimator.vision.thesis.segmentation import COLOUR_SETS
-from estimator.vision.tracker import SpeaksFor, TrackerConfig, TrackerMemory, expected, track
+from estimator.vision.options import TrackerMethod, TrackerOptions
+from estimator.vision.tracker import TrackerConfig, TrackerMemory, expected, track
 from sitl.light import Light
 from sitl.surroundings import Decal, Surroundings
 from sitl.testing.deck_images import shown
@@ -22,8 +22,8 @@ SIM = load("sim")
 CAMERA, PAD = camera_model(SIM), pad_model(SIM)
 
 
-def tracker(speaks: SpeaksFor = "fused") -> TrackerConfig:
-    return TrackerConfig(CAMERA, PAD, COLOUR_SETS["simulator"], speaks, math.radians(0.2))
+def tracker(method: TrackerMethod = "fused") -> TrackerConfig:
+    return TrackerConfig(CAMERA, PAD, TrackerOptions(method, "simulator", 0.2))
 
 
 def stage(seed: int = 1) -> Stage:
@@ -53,17 +53,17 @@ def right(sighting: Sighting | None, view: RenderedView) -> bool:
 
 
 @pytest.mark.parametrize("height_m", [0.3, 0.5, 1.0, 3.0, 6.0, 12.0, 20.0])
-@pytest.mark.parametrize("speaks", ["fused", "registration"])
-def test_found_in_the_whole_image_and_followed_from_the_belief(height_m: float, speaks: SpeaksFor) -> None:
+@pytest.mark.parametrize("method", ["fused", "registration"])
+def test_found_in_the_whole_image_and_followed_from_the_belief(height_m: float, method: TrackerMethod) -> None:
     view = stage().view(height_m)
-    searched, memory = track(tracker(speaks), TrackerMemory(), view.frame(), attitude(view))
+    searched, memory = track(tracker(method), TrackerMemory(), view.frame(), attitude(view))
     assert right(searched.selected, view)
     assert searched.selected is not None
     assert searched.selected.confidence > (0.5 if height_m >= 0.5 else 0.2)
-    followed, _ = track(tracker(speaks), memory, view.frame(), attitude(view), belief(view, (0.02, -0.01, 0.01)))
+    followed, _ = track(tracker(method), memory, view.frame(), attitude(view), belief(view, (0.02, -0.01, 0.01)))
     assert right(followed.selected, view)
     assert followed.selected is not None
-    assert followed.selected.method == speaks
+    assert followed.selected.method == method
     assert followed.selected.confidence > 0.5
 
 

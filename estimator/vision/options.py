@@ -1,0 +1,42 @@
+"""The options of the pad tracker."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from estimator.contracts.keys import check_ranges, choice, number
+
+TrackerMethod = Literal["fused", "registration", "thesis"]
+"""The methods that form the sighting: all fused, registration alone, or the thesis' three with its selection by priority."""
+ColourSetName = Literal["simulator", "indoor", "outdoor"]
+
+
+class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """How frames are processed.
+
+    Raises:
+        ValueError: a number outside its range, or a word that is not among the choices.
+    """
+
+    method: Annotated[
+        TrackerMethod,
+        choice("methods of detection: all together; registration alone; the thesis' three, chosen by priority"),
+    ] = "fused"
+    colours: Annotated[
+        ColourSetName,
+        choice("set of colour limits by which the thesis' methods segment the pad", "thesis table 4.1"),
+    ] = "indoor"
+    deck_tilt_sigma_deg: Annotated[
+        float, number("standard deviation of the deck's roll and pitch", "deg", 0.0, 30.0, "supply vessel in a slight sea")
+    ] = 2.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+    @property
+    def deck_tilt_sigma_rad(self) -> float:
+        """One standard deviation of the deck's roll and pitch, rad."""
+        return math.radians(self.deck_tilt_sigma_deg)
