@@ -9,9 +9,6 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-SAMPLE_QUEUE_ITEMS = 4096
-"""The default number of samples kept for a slow reader before the oldest are dropped: those of at least two seconds."""
-
 
 class Latest(Generic[T]):
     """One slot: a newer item replaces an unread one, and the replacement is counted. One reader.

@@ -152,7 +152,6 @@ def run_settings(data: bytes) -> None:
 def _options(settings: Settings) -> None:
     """Build the options that `run` makes of settings before it opens anything."""
     Plan.over_the_pad(settings.guidance)
-    assert settings.service.back_off.cap_s > 0
     estimator_options(settings)
     if isinstance(settings.vehicle, ArDroneOptions):
         ardrone_options(settings)

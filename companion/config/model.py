@@ -19,8 +19,8 @@ from companion.recorder.options import RecorderOptions
 from companion.runtime.restart_options import RestartOptions
 from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.options import CameraOptions
-from drivers.mailbox import SAMPLE_QUEUE_ITEMS
 from drivers.mavlink.options import AutopilotOptions
+from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.options import EstimatorOptions

@@ -6,7 +6,6 @@ from typing import Annotated
 
 from msgspec import Struct
 
-from drivers.reconnect import BackOff
 from estimator.contracts.keys import check_ranges, number
 
 
@@ -39,8 +38,3 @@ class RestartOptions(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(
                 f"restart_cap_s ({self.restart_cap_s:g} s) must not be shorter than restart_first_s ({self.restart_first_s:g} s)"
             )
-
-    @property
-    def back_off(self) -> BackOff:
-        """The back-off in the form that `drivers.reconnect` takes."""
-        return BackOff(self.restart_first_s, self.restart_cap_s, self.restart_healthy_after_s, self.restart_factor)

@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from companion.runtime.containment import report
 from companion.runtime.health import Health
 from companion.runtime.restart_options import RestartOptions
-from drivers.reconnect import reconnect
+from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.ports import Clock
 from estimator.contracts.time import seconds_between
@@ -28,6 +28,10 @@ CLOSE_S = 1.0
 """Time that the parts beside the flight have to end, once the vital ones have ended."""
 
 
+def _back_off(policy: RestartOptions) -> BackOff:
+    return BackOff(policy.restart_first_s, policy.restart_cap_s, policy.restart_healthy_after_s, policy.restart_factor)
+
+
 async def keep_alive(name: str, body: Body, policy: RestartOptions, health: Health, clock: Clock) -> None:
     """Run a vital `body` again after each `Recoverable`; anything else propagates. A body that returns has finished."""
 
@@ -35,7 +39,7 @@ async def keep_alive(name: str, body: Body, policy: RestartOptions, health: Heal
         health.up(name)
         await uncancelled(name, body)
 
-    await reconnect(name, attempt, policy.back_off, clock, lambda why: health.down(name, why), (Recoverable,))
+    await reconnect(name, attempt, _back_off(policy), clock, lambda why: health.down(name, why), (Recoverable,))
 
 
 async def contain(name: str, body: Body, policy: RestartOptions, health: Health, clock: Clock) -> None:
@@ -75,7 +79,7 @@ async def contain(name: str, body: Body, policy: RestartOptions, health: Health,
             return
         raise Recoverable(in_words(why)) from why
 
-    await reconnect(name, attempt, policy.back_off, clock, lambda why: health.down(name, why))
+    await reconnect(name, attempt, _back_off(policy), clock, lambda why: health.down(name, why))
 
 
 async def run(

@@ -15,7 +15,8 @@ from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.setup import Setup
 from drivers.ardrone.video_channel import VideoChannel
 from drivers.beside import running_beside
-from drivers.mailbox import SAMPLE_QUEUE_ITEMS, Latest, Line
+from drivers.mailbox import Latest, Line
+from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable, in_words

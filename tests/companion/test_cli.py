@@ -80,7 +80,7 @@ def test_help_lists_the_commands_without_importing_any_of_them() -> None:
 def test_settings_are_checked_without_the_libraries_of_images_and_links() -> None:
     probe = (
         "import sys\nfrom companion.cli.main import main\nassert main(['config', 'check', 'raspberry_px4', 'sim']) == 0\n"
-        "heavy = {'cv2', 'av', 'matplotlib', 'pymavlink', 'mcap', 'aiohttp', 'drivers.mavlink.dialect', 'companion.mqtt.part'}\n"
+        "heavy = {'asyncio', 'cv2', 'av', 'matplotlib', 'pymavlink', 'mcap', 'aiohttp', 'drivers.mavlink.dialect'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, timeout=240, check=True)
