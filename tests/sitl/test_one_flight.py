@@ -7,9 +7,9 @@ import tomllib
 import pytest
 
 from companion.cli import main as cli
-from companion.config.build_pilot import make_pilot
 from companion.config.settings import load as load_settings
 from companion.guidance.planner import Phase
+from companion.runtime.make_pilot import make_pilot
 from estimator.contracts.errors import BadInput
 from sitl.flight import Flight
 from sitl.one_flight import TRUTH_EACH, fly, perception_level, settings_for
