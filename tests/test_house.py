@@ -33,10 +33,19 @@ DISTRIBUTION_NAMES = {
     "prometheus-client": "prometheus_client",
 }
 
-DRAWINGS = {"companion/report/plots.py", "companion/calibrate/figures.py", "companion/cli/soak_plot.py"}
+DRAWINGS = {
+    "companion/report/plots.py",
+    "companion/report/svg.py",
+    "sitl/campaign/plots.py",
+    "companion/calibrate/figures.py",
+    "companion/cli/soak_plot.py",
+}
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""
 
-LAB = {"companion/cli/campaign_progress.py"}
+LAB = {
+    "companion/cli/campaign_progress.py",
+    *(f"sitl/campaign/{name}.py" for name in ("cluster", "design", "object_store", "parquet", "search")),
+}
 """What needs the extra `lab`. It asks `require_lab` first, or does without."""
 
 IMPURE_MODULES = {

@@ -7,19 +7,28 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from pathlib import Path
+from typing import Any
 
 from companion.cli.campaign_progress import CampaignProgress
+from companion.cli.campaign_report import compared_with, report, require_report
 from companion.config.settings import shipped
 from companion.runtime.signals import Stopped
 from estimator.contracts.errors import BadInput
+from sitl.campaign import parquet
+from sitl.campaign.cluster import ClusterWorkers
 from sitl.campaign.code import code_version
+from sitl.campaign.design import SAMPLED, described, factorial, parse_axis, refuse_repeated, sampled
+from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.local import LocalWorkers
+from sitl.campaign.object_store import ObjectStore
 from sitl.campaign.overrides import Overridable
-from sitl.campaign.plan import CampaignPlan, Job, make_plan, seeds_of
+from sitl.campaign.plan import CampaignPlan, Job, Point, make_plan, seeds_of
+from sitl.campaign.report import REPORT, fly_again, render_report
 from sitl.campaign.run import Session
-from sitl.campaign.store import FolderStore, ResultStore
+from sitl.campaign.search import Falsified, Search, refuse_search
+from sitl.campaign.store import FolderStore, ResultStore, manifest_of_plan
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.task import Flight, job_of
 from sitl.one_flight import PERCEPTIONS, perception_level, settings_for
@@ -38,14 +47,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="fly many simulated landings and summarize them",
         description="Fly many simulated landings of one scenario, each with its own seed, and summarize them. Results are kept "
         "in a folder as they come: the same command goes on where an earlier one ended, whatever ended it. Exit code 0 if every "
-        "flight landed on the pad safely, or refused as the scenario expects; else 1. docs/campaigns.md has more.",
+        "flight landed on the pad safely, or refused as the scenario expects; else 1. docs/campaigns.md has more. "
+        "'decklander campaign report DIR' writes the report of what is in a folder.",
     )
     parser.add_argument(
         "scenario",
         help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those "
-        "with a fault)",
+        "with a fault); or the word report",
     )
-    parser.add_argument("--runs", type=int, default=100, metavar="N", help="number of flights (default: 100)")
+    parser.add_argument("folder", nargs="?", help="with report: the folder of a campaign")
+    parser.add_argument("--runs", type=int, default=100, metavar="N", help="number of flights, at each point (default: 100)")
     parser.add_argument("--seed", type=int, default=0, metavar="FIRST", help="seed of the first flight (default: 0)")
     parser.add_argument(
         "--perception",
@@ -62,86 +73,81 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--config",
         metavar="FILE",
-        help="settings file to fly with (default: the profile sim with the scenario's camera and pad, and registration as the "
-        "only vision method)",
+        help="settings file to fly with (default: the profile sim with the scenario's camera and pad; with rendered frames "
+        "registration is its only vision method)",
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="give a key of scenario or settings another value"
     )
-    parser.add_argument("--workers", type=int, metavar="K", help="number of processes (default: one for each core)")
-    parser.add_argument(
-        "--out", metavar="DIR", help="keep the results in this folder (default: campaigns/NAME-DIGEST, by what is flown)"
+    where = parser.add_argument_group("where to fly and to keep")
+    where.add_argument("--workers", type=int, metavar="K", help="number of processes (default: one for each core)")
+    where.add_argument("--scheduler", metavar="URL", help="fly on the Dask cluster of this scheduler, as tcp://host:8786")
+    where.add_argument(
+        "--out",
+        metavar="DIR",
+        help="keep the results in this folder, or under a URL that fsspec knows, as s3://bucket/name (default: "
+        "campaigns/NAME-DIGEST, by what is flown)",
     )
-    parser.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
+    more = parser.add_argument_group("vary and search")
+    more.add_argument(
+        "--vary",
+        action="append",
+        default=[],
+        metavar="KEY=SPAN",
+        help="fly all seeds at each value of a key: LOW:HIGH:STEP or A,B,C; repeated, at all combinations",
+    )
+    more.add_argument(
+        "--design", choices=SAMPLED, help="fill the ranges LOW:HIGH of --vary with points instead of combining them"
+    )
+    more.add_argument("--points", type=int, metavar="N", help="number of points of --design")
+    more.add_argument(
+        "--search",
+        action="append",
+        default=[],
+        metavar="KEY=LOW:HIGH",
+        help="search the smallest disturbance, from LOW (none) to HIGH, with which the flight of seed FIRST fails, in N flights",
+    )
+    said = parser.add_argument_group("results")
+    said.add_argument("--json", action="store_true", help="print a line of JSON for each flight, and one of the summary")
+    said.add_argument("--report", action="store_true", help=f"write {REPORT} beside the results")
+    said.add_argument("--against", metavar="DIR", help="compare with this earlier campaign in the report, seed by seed")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
+    if args.scenario == "report":
+        return report(args)
+    if args.folder is not None:
+        raise BadInput(f"campaign takes one scenario, found {args.folder!r} besides")
     seeds = seeds_of(args.seed, args.runs)
     workers = len(os.sched_getaffinity(0)) if args.workers is None else args.workers
     if workers < 1:
         raise BadInput(f"--workers must be 1 or more, got {workers}")
-    plan = _plan(args)
-    jobs = [Job(seed) for seed in seeds]
-    folder = Path(args.out) if args.out else Path("campaigns") / f"{Path(plan.name).stem}-{plan.digest()}"
-    with closing(FolderStore(folder, plan, seeds)) as store:
-        return _fly(args, plan, store, jobs, workers)
+    if args.workers is not None and args.scheduler is not None:
+        raise BadInput("--workers does not go with --scheduler: the cluster has its own")
+    if args.against is not None and not args.report:
+        raise BadInput("--against goes with --report")
+    if args.report:
+        require_report("--report")
+    plan, given = _plan(args)
+    plan, points, search = _design(args, plan, given)
+    compared_with(args.against)
+    with closing(_store(args, plan, seeds)) as store:
+        try:
+            with _workforce(args, plan, workers) as workforce:
+                session = Session(workforce, store)
+                if search is not None:
+                    return _searched(args, plan, store, session, search)
+                jobs = [Job(seed, point) for seed in seeds for point in points]
+                _fly_left(args, plan, store, session, jobs, _by(args, min(workers, len(jobs))))
+        except Stopped:
+            kept = len(store.keys())
+            sys.stderr.write(f"{kept} flights are kept in {store.place}; the same command goes on from there\n")
+            raise
+        return _conclude(args, plan, store, {job.key for job in jobs})
 
 
-def _fly(args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, jobs: Sequence[Job], workers: int) -> int:
-    asked = {job.key for job in jobs}
-    try:
-        _fly_left(args, plan, store, jobs, asked, workers)
-    except Stopped:
-        done = len(asked & store.keys())
-        sys.stderr.write(f"{done} of {len(asked)} flights are kept in {store.place}; the same command goes on from there\n")
-        raise
-    return _conclude(args, plan, store, asked)
-
-
-def _fly_left(
-    args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, jobs: Sequence[Job], asked: set[str], workers: int
-) -> None:
-    left = len(asked - store.keys())
-    workers = min(workers, max(1, left))
-    if not args.json or left < len(asked):
-        kept = f"{len(asked) - left} of {len(asked)} flights are there already; " if left < len(asked) else ""
-        by = "process" if workers == 1 else "processes"
-        sys.stderr.write(f"{kept}{left} flights to fly, by {workers} {by}; results in {store.place}\n")
-    if args.json:
-        for flight in _asked(store, asked):
-            _say(flight)
-    with (
-        LocalWorkers(plan, code_version(), workers) as workforce,
-        CampaignProgress(len(asked), len(asked) - left, quiet=args.json) as progress,
-    ):
-
-        def on_flight(flight: Flight) -> None:
-            if args.json:
-                _say(flight)
-            progress.take(flight["grade"] == "failed")
-
-        Session(workforce, store).fly(jobs, on_flight)
-
-
-def _conclude(args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, asked: set[str]) -> int:
-    counted = CampaignTally()
-    for flight in _asked(store, asked):
-        counted.take(flight)
-    summary = {**counted.summary(plan.name, plan.perception, store.wall_s()), "out": store.place}
-    if args.json:
-        sys.stdout.write(json.dumps({"summary": summary}) + "\n")
-    else:
-        sys.stdout.write(f"{in_words(summary)}\nresults: {store.place}\n")
-    return 0 if counted.failed == 0 else 1
-
-
-def _asked(store: ResultStore, asked: set[str]) -> Iterator[Flight]:
-    """Return the kept flights that this command asked for: the place may hold more of the same campaign."""
-    return (flight for flight in store.flights() if job_of(flight).key in asked)
-
-
-def _plan(args: argparse.Namespace) -> CampaignPlan:
+def _plan(args: argparse.Namespace) -> tuple[CampaignPlan, Overridable]:
     perception = perception_level(args.perception)
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
@@ -153,8 +159,8 @@ def _plan(args: argparse.Namespace) -> CampaignPlan:
     given = Overridable(scenario, settings)
     overrides = [given.parse(text, "--set") for text in values]
     scenario, settings = given.with_values(overrides, "--set")
-    options = tuple(_options(args, values))
-    return make_plan(args.scenario, scenario, settings, perception, args.perception_model, options)
+    plan = make_plan(args.scenario, scenario, settings, perception, args.perception_model, tuple(_options(args, values)))
+    return plan, Overridable(scenario, settings)
 
 
 def _options(args: argparse.Namespace, values: Iterable[str]) -> Iterator[str]:
@@ -167,6 +173,150 @@ def _options(args: argparse.Namespace, values: Iterable[str]) -> Iterator[str]:
         yield from ("--perception-model", args.perception_model)
     for value in values:
         yield from ("--set", value)
+
+
+def _design(
+    args: argparse.Namespace, plan: CampaignPlan, given: Overridable
+) -> tuple[CampaignPlan, list[Point], list[Any] | None]:
+    """Return the plan with its design, the points at which all seeds are flown, and the axes of a search."""
+    if args.vary and args.search:
+        raise BadInput("--vary and --search do not go together")
+    if (args.design is None) != (args.points is None) or (args.design is not None and not args.vary):
+        raise BadInput("--design, --points and --vary go together")
+    axes = [parse_axis(text, given, "--vary") for text in args.vary]
+    refuse_repeated(axes, "--vary")
+    if args.search:
+        require_lab("--search", "cma")
+        searched = [parse_axis(text, given, "--search") for text in args.search]
+        refuse_repeated(searched, "--search")
+        refuse_search(searched, args.runs)
+        for share in (0.0, 1.0):
+            given.with_values([(axis.key, axis.at(share)) for axis in searched], "--search")
+        return plan.with_design(described("search", searched, runs=args.runs)), [()], searched
+    if not axes:
+        return plan, [()], None
+    if args.design is None:
+        points, design = factorial(axes), described("factorial", axes)
+    else:
+        points = sampled(axes, args.design, args.points, args.seed)
+        design = described(args.design, axes, points=args.points, seed=args.seed)
+    for point in points:
+        given.with_values(point, "--vary")
+    return plan.with_design(design), points, None
+
+
+def _store(args: argparse.Namespace, plan: CampaignPlan, seeds: range) -> ResultStore:
+    if args.out is not None and "://" in args.out:
+        return ObjectStore(args.out, plan, seeds)
+    folder = Path(args.out) if args.out else Path("campaigns") / f"{Path(plan.name).stem}-{plan.digest()}"
+    return FolderStore(folder, plan, seeds)
+
+
+def _workforce(
+    args: argparse.Namespace, plan: CampaignPlan, workers: int
+) -> AbstractContextManager[LocalWorkers | ClusterWorkers]:
+    if args.scheduler is not None:
+        return ClusterWorkers(plan, code_version(), args.scheduler)
+    return LocalWorkers(plan, code_version(), workers)
+
+
+def _by(args: argparse.Namespace, workers: int) -> str:
+    if args.scheduler is not None:
+        return f"the cluster at {args.scheduler}"
+    return f"{workers} {'process' if workers == 1 else 'processes'}"
+
+
+def _fly_left(
+    args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, session: Session, jobs: Sequence[Job], by: str
+) -> None:
+    asked = {job.key for job in jobs}
+    left = len(asked - store.keys())
+    if not args.json or left < len(asked):
+        kept = f"{len(asked) - left} of {len(asked)} flights are there already; " if left < len(asked) else ""
+        sys.stderr.write(f"{kept}{left} flights to fly, by {by}; results in {store.place}\n")
+    if args.json:
+        for flight in _asked(store, asked):
+            _say(flight)
+    with CampaignProgress(len(asked), len(asked) - left, quiet=args.json) as progress:
+
+        def on_flight(flight: Flight) -> None:
+            if args.json:
+                _say(flight)
+            progress.take(flight["grade"] == "failed")
+
+        session.fly(jobs, on_flight)
+
+
+def _searched(args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, session: Session, axes: Sequence[Any]) -> int:
+    """Search the smallest disturbance that makes the flight fail; return 0 if nothing in the ranges does, else 1."""
+    kept = {job_of(flight).key: flight for flight in store.flights()}
+    if not args.json:
+        sys.stderr.write(f"searching over {', '.join(a.key for a in axes)} in {args.runs} flights; results in {store.place}\n")
+    with CampaignProgress(args.runs, 0, quiet=args.json) as progress:
+
+        def fly(jobs: Sequence[Job]) -> list[Flight]:
+            def on_flight(flight: Flight) -> None:
+                kept[job_of(flight).key] = flight
+
+            session.fly(dict.fromkeys(jobs), on_flight)
+            flights = [kept[job.key] for job in jobs]
+            for flight in flights:
+                if args.json:
+                    _say(flight)
+                progress.take(flight["grade"] == "failed")
+            return flights
+
+        found = Search(axes, args.seed, args.runs, fly).run()
+    more = {"smallest": None if found is None else _smallest(found, plan)}
+    code = _conclude(args, plan, store, store.keys(), more)
+    if not args.json:
+        said = "nothing in these ranges makes it fail" if found is None else _in_words(found, plan)
+        sys.stdout.write(f"{said}\n")
+    return code
+
+
+def _smallest(found: Falsified, plan: CampaignPlan) -> dict[str, Any]:
+    flight = found.flight
+    own = {"size": round(found.size, 4), "varied": flight["varied"], "because": flight["because"]}
+    return {**own, "command": fly_again(flight, plan.options)}
+
+
+def _in_words(found: Falsified, plan: CampaignPlan) -> str:
+    values = ", ".join(f"{key} = {value:g}" for key, value in found.flight["varied"].items())
+    return (
+        f"smallest disturbance that makes it fail, {100 * found.size:.0f} % of the ranges: {values}\n"
+        f"because: {found.flight['because']}\nagain: {fly_again(found.flight, plan.options)}"
+    )
+
+
+def _conclude(
+    args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, asked: set[str], more: dict[str, Any] | None = None
+) -> int:
+    counted = CampaignTally()
+    varied: dict[str, Any] = {}
+    for flight in _asked(store, asked):
+        counted.take(flight)
+        varied = flight.get("varied", varied)
+    summary = {**counted.summary(plan.name, plan.perception, store.wall_s()), "out": store.place, **(more or {})}
+    files = []
+    if missing := missing_from_lab("pyarrow"):
+        sys.stderr.write(f"{parquet.TABLE} is not written: it needs {missing[0]} (requirements/lab.txt, decklander[lab])\n")
+    else:
+        files.append(store.put(parquet.TABLE, parquet.table_bytes(_asked(store, asked), varied)))
+    if args.report:
+        manifest = manifest_of_plan(plan, range(args.seed, args.seed + args.runs), None)
+        page = render_report(manifest, _asked(store, asked), store.wall_s(), compared_with(args.against))
+        files.append(store.put(REPORT, page.encode()))
+    if args.json:
+        sys.stdout.write(json.dumps({"summary": summary}) + "\n")
+    else:
+        sys.stdout.write(f"{in_words(summary)}\nresults: {', '.join([store.place, *files])}\n")
+    return 0 if counted.failed == 0 else 1
+
+
+def _asked(store: ResultStore, asked: set[str]) -> Iterator[Flight]:
+    """Return the kept flights that this command asked for: the place may hold more of the same campaign."""
+    return (flight for flight in store.flights() if job_of(flight).key in asked)
 
 
 def _say(flight: Flight) -> None:

@@ -71,11 +71,16 @@ def render(log: FlightLog, video: str | None) -> str:
             _times(log),
         )
     )
+    return document(log.title, f"{body}\n<script>\n{here.joinpath('toggle.js').read_text('utf-8')}</script>")
+
+
+def document(title: str, body: str, more_style: str = "") -> str:
+    """Return a whole page with the style of our reports. `body` is HTML, `more_style` is CSS."""
+    style = files("companion.report").joinpath("style.css").read_text("utf-8")
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(log.title)}</title>\n<style>\n{here.joinpath('style.css').read_text('utf-8')}</style>\n</head>\n"
-        f"<body>\n{body}\n<script>\n{here.joinpath('toggle.js').read_text('utf-8')}</script>\n</body>\n</html>\n"
+        f"<title>{escape(title)}</title>\n<style>\n{style}{more_style}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
     )
 
 

@@ -2,56 +2,29 @@
 
 from __future__ import annotations
 
-import io
 import math
-import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 
 from companion.report.figures import Series, body_over_pad
 from companion.report.flight_log import FlightLog
 from companion.report.innovations import InnovationSeries
 from companion.report.palette import MARKERS, OTHER, colour
+from companion.report.svg import FAINT, INK, draw_pad, svg
 from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import seconds_between
-from estimator.vision.pad import Pad
 
-_INK, _FAINT = "#010203", "#040506"
-"""Stand-ins for the page's own colours."""
 _MANY_POINTS = 400
 """More markers than this are drawn as one path of round dots: a browser is slow with many small shapes."""
 _BINS = 300
 """Spans of time that a plot of many thousand points is thinned to; the extremes of each are kept."""
 _FUSED, _REFUSED = "#1f86c9", "#d55e00"
-_STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "decklander",
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": _FAINT,
-    "axes.labelcolor": _INK,
-    "axes.grid": True,
-    "grid.color": _FAINT,
-    "grid.alpha": 0.35,
-    "grid.linewidth": 0.6,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "text.color": _INK,
-    "lines.linewidth": 1.4,
-    "legend.frameon": False,
-}
 
 
 def trajectory(log: FlightLog, series: Sequence[Series]) -> str:
@@ -73,20 +46,20 @@ def trajectory(log: FlightLog, series: Sequence[Series]) -> str:
                 r = log.pad.disc_radius_m
                 ax.plot([-r, r], [0, 0], color="#0a9d76", linewidth=5, solid_capstyle="butt")
             else:
-                _draw_pad(ax, log.pad)
+                draw_pad(ax, log.pad)
             for name, p, style in tracks:
                 ax.plot(p[:, i], p[:, j], gid=_gid(name), **style)
             if tracks:
                 first = tracks[0][1][np.all(np.isfinite(tracks[0][1]), axis=1)]
                 if len(first):
-                    ax.plot(first[0, i], first[0, j], "o", color=_INK, markersize=5)
-                    ax.plot(first[-1, i], first[-1, j], "X", color=_INK, markersize=7)
+                    ax.plot(first[0, i], first[0, j], "o", color=INK, markersize=5)
+                    ax.plot(first[-1, i], first[-1, j], "X", color=INK, markersize=7)
             ax.set_aspect("equal", adjustable="datalim")
         near = 1.3 * log.pad.disc_radius_m
         axes[1, 1].set_aspect("equal", adjustable="box")
         axes[1, 1].set(xlim=(-near, near), ylim=(-near, near))
 
-    return _svg(draw, 9.6, 8.0, "trajectory")
+    return svg(draw, 9.6, 8.0, "trajectory")
 
 
 def against_truth(log: FlightLog, series: Sequence[Series]) -> str:
@@ -101,7 +74,7 @@ def against_truth(log: FlightLog, series: Sequence[Series]) -> str:
             ax = axes[k]
             truth = d_true[:, k] if k < 3 else _broken_at_wraps(yaw_true)
             if len(t_true):
-                ax.plot(t_true, truth, color=_INK, linewidth=3.0, alpha=0.35, gid=_gid("truth"))
+                ax.plot(t_true, truth, color=INK, linewidth=3.0, alpha=0.35, gid=_gid("truth"))
             for s in series:
                 y = s.d[:, k] if k < 3 else np.degrees(s.yaw_rad)
                 _plot(ax, s, y, wraps=k == 3)
@@ -110,7 +83,7 @@ def against_truth(log: FlightLog, series: Sequence[Series]) -> str:
         _phases(axes, log)
         axes[-1].set_xlabel("time, s")
 
-    return _svg(draw, 9.6, 9.0, "against")
+    return svg(draw, 9.6, 9.0, "against")
 
 
 def errors(log: FlightLog, series: Sequence[Series]) -> str:
@@ -132,7 +105,7 @@ def errors(log: FlightLog, series: Sequence[Series]) -> str:
         _phases(axes, log)
         axes[-1].set_xlabel("time, s")
 
-    return _svg(draw, 9.6, 7.2, "errors")
+    return svg(draw, 9.6, 7.2, "errors")
 
 
 def innovations(log: FlightLog, of: InnovationSeries) -> str:
@@ -153,7 +126,7 @@ def innovations(log: FlightLog, of: InnovationSeries) -> str:
             ax.set_xlim(low - 0.01 * (high - low) - 0.1, high + 0.01 * (high - low) + 0.1)
         figure.axes[-1].set_xlabel("time, s")
 
-    return _svg(draw, 9.6, 2.0 * (rows + 1) + 0.2, f"innovations-{of.path}-{of.source}")
+    return svg(draw, 9.6, 2.0 * (rows + 1) + 0.2, f"innovations-{of.path}-{of.source}")
 
 
 def _innovation(ax: Axes, of: InnovationSeries, k: int) -> None:
@@ -171,7 +144,7 @@ def _innovation(ax: Axes, of: InnovationSeries, k: int) -> None:
     shown = np.clip(y[refused], -limit, limit)
     kept = _extremes(shown)
     _dots(ax, of.t_s[refused][kept], shown[kept], color=_REFUSED)
-    ax.axhline(0.0, color=_FAINT, linewidth=0.8)
+    ax.axhline(0.0, color=FAINT, linewidth=0.8)
     ax.set_ylim(-1.05 * limit, 1.05 * limit)
 
 
@@ -184,7 +157,7 @@ def _nis(ax: Axes, of: InnovationSeries) -> None:
         _dots(ax, of.t_s[chosen][kept], value[kept], color=ink)
     t_gate, limit = _thinned_median(of.t_s, gate)
     ax.plot(t_gate, limit, color=_REFUSED, linewidth=1.2)
-    ax.axhline(1.0, color=_INK, linewidth=0.8, linestyle=(0, (4, 3)))
+    ax.axhline(1.0, color=INK, linewidth=0.8, linestyle=(0, (4, 3)))
     ax.set_title("NIS over the number of components", loc="left", fontsize=9)
 
 
@@ -248,11 +221,11 @@ def commands(log: FlightLog) -> str:
                 if (word := kinds[begin]) is not None:
                     end = t[i] if i < len(t) else t[-1]
                     for ax in axes:
-                        ax.axvspan(t[begin], end, color=_FAINT, alpha=0.18, linewidth=0)
+                        ax.axvspan(t[begin], end, color=FAINT, alpha=0.18, linewidth=0)
                     axes[0].text(t[begin], 1.01, word, transform=axes[0].get_xaxis_transform(), fontsize=7)
                 begin = i
 
-    return _svg(draw, 9.6, 3.8, "commands")
+    return svg(draw, 9.6, 3.8, "commands")
 
 
 def verdicts(log: FlightLog) -> str:
@@ -271,7 +244,7 @@ def verdicts(log: FlightLog) -> str:
         ax.grid(visible=False, axis="y")
         ax.set_axisbelow(True)
 
-    return _svg(draw, 9.6, 0.75 + 0.32 * len(ordered), "verdicts")
+    return svg(draw, 9.6, 0.75 + 0.32 * len(ordered), "verdicts")
 
 
 def _tracks(log: FlightLog, series: Sequence[Series]) -> list[tuple[str, F64, dict[str, object]]]:
@@ -280,18 +253,11 @@ def _tracks(log: FlightLog, series: Sequence[Series]) -> list[tuple[str, F64, di
     if log.truth:
         d = np.array([s.d_body_pad_level for s in log.truth])
         yaw = np.array([s.yaw_rad for s in log.truth])
-        out.append(("truth", body_over_pad(d, yaw), {"color": _INK, "linewidth": 3.0, "alpha": 0.35}))
+        out.append(("truth", body_over_pad(d, yaw), {"color": INK, "linewidth": 3.0, "alpha": 0.35}))
     for s in series:
         if s.is_path:
             out.append((s.name, body_over_pad(s.d, s.yaw_rad), {"color": colour(s.name), "linewidth": 1.3}))
     return out
-
-
-def _draw_pad(ax: Axes, pad: Pad) -> None:
-    ax.add_patch(Circle((0, 0), pad.disc_radius_m, color="#0a9d76", alpha=0.28, linewidth=0, zorder=0.5))
-    ax.add_patch(Circle((0, 0), pad.ring_radius_m, fill=False, color="#e69f00", linewidth=1.2, zorder=0.6))
-    for shape, ink in ((pad.arrowhead(), "#e69f00"), (pad.h_corners(), _INK)):
-        ax.add_patch(Polygon(shape[:, [1, 0]], color=ink, alpha=0.55, linewidth=0, zorder=0.6))
 
 
 def _plot(ax: Axes, s: Series, y: F64, wraps: bool) -> None:
@@ -322,7 +288,7 @@ def _phases(axes: Sequence[Axes], log: FlightLog) -> None:
     for change in log.phases:
         t = seconds_between(log.started, change.at)
         for ax in axes:
-            ax.axvline(t, color=_FAINT, linewidth=0.9, linestyle=(0, (3, 2)))
+            ax.axvline(t, color=FAINT, linewidth=0.9, linestyle=(0, (3, 2)))
         if t - last < 0.025 * (high - low):
             continue
         last = t
@@ -339,24 +305,3 @@ def _broken_at_wraps(degrees: F64) -> F64:
 
 def _gid(name: str) -> str:
     return f"series-{name}"
-
-
-def _svg(draw: Callable[[Figure], None], width_in: float, height_in: float, name: str) -> str:
-    """Draw into a transparent figure and return the bare `<svg>` element, with ids made unique by `name`."""
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(width_in, height_in), layout="constrained")
-        FigureCanvasSVG(figure)
-        draw(figure)
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", transparent=True, dpi=144, metadata={"Date": None, "Creator": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'\sxmlns(:\w+)?="[^"]*"', "", svg)
-    svg = re.sub(r'<svg ([^>]*?)height="[\d.]+pt"([^>]*?)width="[\d.]+pt"', r"<svg \1\2", svg, count=1)
-    svg = re.sub(r'<svg ([^>]*?)width="[\d.]+pt"([^>]*?)height="[\d.]+pt"', r"<svg \1\2", svg, count=1)
-    svg = re.sub(r'\bid="series-(\w+)"', r'class="series series-\1"', svg)
-    svg = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', svg)
-    svg = re.sub(r'"#([^"]+)"', lambda m: m.group(0) if re.fullmatch(r"[0-9a-f]{3,8}", m[1]) else f'"#{name}-{m[1]}"', svg)
-    svg = svg.replace("url(#", f"url(#{name}-")
-    return svg.replace(_INK, "currentColor").replace(_FAINT, "var(--faint)")

@@ -33,14 +33,14 @@ class Overridable:
         self._scenario, self._settings = scenario, settings
         self._tables: tuple[dict[str, Any], dict[str, Any]] = (plain(scenario), plain(settings))
 
-    def known(self, key: str, where: str) -> str:
-        """Return the key if it exists and holds a single value.
+    def holds_whole_number(self, key: str, where: str) -> bool:
+        """Return whether a key holds a whole number.
 
         Raises:
-            BadInput: it does not; the message names the nearest that does.
+            BadInput: the key does not exist.
         """
-        self._find(key, where)
-        return key
+        present = self._find(key, where)
+        return isinstance(present, int) and not isinstance(present, bool)
 
     def value(self, key: str, text: str, where: str) -> Value:
         """Return the value that a text means for a key, by the type of the key's present value.

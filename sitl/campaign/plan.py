@@ -10,9 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from companion.config.model import PadSettings, Settings
+from companion.config.model import Settings
 from companion.config.settings import SHIPPED
 from companion.config.settings import camera_model as camera_of_settings
 from companion.config.settings import from_mapping as settings_from_mapping
@@ -21,7 +19,7 @@ from estimator.contracts.errors import BadInput
 from sitl.campaign.code import code_version
 from sitl.campaign.overrides import Overridable, Override, plain
 from sitl.one_flight import Perception, perception_level
-from sitl.scenario import PadView, Scenario, camera_model, pad_model
+from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.scenario import from_mapping as scenario_from_mapping
 
 Point = tuple[Override, ...]
@@ -57,7 +55,7 @@ class CampaignPlan:
     design: Mapping[str, Any]
     """How the points were chosen: the varied keys with their ranges; empty where nothing is varied."""
     files: Mapping[str, str]
-    """Digests of the camera and pad files that are used."""
+    """Digests of the files that scenario and settings name."""
     options: tuple[str, ...] = ()
     """Further arguments of `decklander simulate` that fly one flight of the campaign again."""
 
@@ -111,24 +109,23 @@ def make_plan(
     Raises:
         BadInput: a camera or pad file is missing or has a fault.
     """
-    views = {
-        "camera": msgspec.structs.replace(scenario.camera, file=_bare(scenario.camera.file, "cameras")),
-        "pad": PadView(_bare(scenario.pad.file, "pads")),
-    }
-    scenario = msgspec.structs.replace(scenario, **views)
-    own = {
-        "camera": msgspec.structs.replace(settings.camera, file=_bare(settings.camera.file, "cameras")),
-        "pad": PadSettings(_bare(settings.pad.file, "pads")),
-    }
-    settings = msgspec.structs.replace(settings, **own)
-    models = (camera_model(scenario), pad_model(scenario), camera_of_settings(settings), pad_of_settings(settings))
-    names = ("scenario's camera", "scenario's pad", "settings' camera", "settings' pad")
-    files = {
-        what: hashlib.blake2b(repr(model).encode(), digest_size=8).hexdigest() for what, model in zip(names, models, strict=True)
-    }
+    files: dict[str, str] = {}
+    tables = plain(scenario), plain(settings)
+    for whose, table in zip(("scenario", "settings"), tables, strict=True):
+        for key, part in table.items():
+            if isinstance(part, dict) and isinstance(file := part.get("file"), str):
+                path = Path(file)
+                if path.is_file():
+                    files[f"{whose}: {key}"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
+                if path.suffix == ".toml" and path.parent.parent == SHIPPED:
+                    part["file"] = path.stem
+    camera_model(scenario)
+    pad_model(scenario)
+    camera_of_settings(settings)
+    pad_of_settings(settings)
     if perception_model is not None and (path := Path(perception_model)).is_file():
         files["perception model"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
-    return CampaignPlan(name, plain(scenario), plain(settings), perception, perception_model, {}, files, options)
+    return CampaignPlan(name, tables[0], tables[1], perception, perception_model, {}, files, options)
 
 
 @lru_cache(maxsize=8)
@@ -160,8 +157,3 @@ def seeds_of(first: int, runs: int) -> range:
     if runs < 1:
         raise BadInput(f"--runs must be 1 or more, got {runs}")
     return range(first, first + runs)
-
-
-def _bare(file: str, folder: str) -> str:
-    path = Path(file)
-    return path.stem if path.suffix == ".toml" and path.parent == SHIPPED / folder else file

@@ -50,6 +50,10 @@ class ResultStore(Protocol):
         """
         ...
 
+    def put(self, name: str, content: bytes) -> str:
+        """Write a file beside the results and return where it is."""
+        ...
+
     def close(self) -> None:
         """Keep what is held back and let go of the place."""
         ...
@@ -109,6 +113,14 @@ class FolderStore:
         self._keys.update(job_of(flight).key for flight in flights)
         self._sessions[self._session] = at_s
 
+    def put(self, name: str, content: bytes) -> str:
+        path = self._path.parent / name
+        try:
+            write_whole(path, content)
+        except OSError as why:
+            raise unusable(str(path), why) from why
+        return str(path)
+
     def close(self) -> None:
         os.close(self._file)
 
@@ -118,23 +130,24 @@ class FolderStore:
         if path.exists():
             manifest = manifest_of(folder)
             refuse_other(str(folder), manifest, identity)
-            manifest["seeds"] = _seeds_asked(manifest, seeds)
+            manifest = manifest_of_plan(plan, seeds, manifest)
         else:
             if foreign := sorted(p.name for p in folder.iterdir() if p.name != FLIGHTS):
                 raise BadInput(f"--out {folder}: the folder holds {foreign[0]!r} and no campaign")
             if self._path.stat().st_size:
                 raise BadInput(f"--out {folder}: the folder holds {FLIGHTS} without {MANIFEST}, which says what they are of")
-            manifest = {**identity, "options": list(plan.options), "seeds": [[seeds.start, len(seeds)]]}
+            manifest = manifest_of_plan(plan, seeds, None)
         try:
             write_whole(path, (json.dumps(manifest, indent=1) + "\n").encode())
         except OSError as why:
             raise unusable(f"--out {folder}: {MANIFEST}", why) from why
 
 
-def _seeds_asked(manifest: Mapping[str, Any], seeds: range) -> list[list[int]]:
-    asked: list[list[int]] = list(manifest.get("seeds", []))
+def manifest_of_plan(plan: CampaignPlan, seeds: range, before: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the manifest of a campaign of which these seeds are to be flown; `before` is the one that is there already."""
+    asked: list[list[int]] = list(before["seeds"]) if before is not None else []
     now = [seeds.start, len(seeds)]
-    return asked if now in asked else [*asked, now]
+    return {**plan.identity(), "options": list(plan.options), "seeds": asked if now in asked else [*asked, now]}
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -262,6 +275,11 @@ def _scan(path: Path) -> tuple[set[str], dict[int, float], int]:
         session = int(record["session"])
         sessions[session] = max(sessions.get(session, 0.0), float(record["at_s"]))
     return keys, sessions, good
+
+
+def wall_s_in(path: Path) -> float:
+    """Return the wall time of the sessions that flew what a file of results holds, s."""
+    return sum(_scan(path)[1].values())
 
 
 def jobs_left(store: ResultStore, jobs: Iterator[Job]) -> Iterator[Job]:

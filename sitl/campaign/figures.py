@@ -1,0 +1,146 @@
+"""The numbers that a campaign's report shows, taken from its flights once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from estimator.contracts.geometry import F64
+from sitl.campaign.causes import cause_of, severity
+from sitl.campaign.summary import CampaignTally, wilson
+from sitl.campaign.task import Flight
+
+WORST = 10
+_CELLS = 8
+"""Cells to a side of a map whose points lie on no grid."""
+
+
+@dataclass(slots=True)
+class CampaignFigures:
+    """What a report shows of a campaign's flights."""
+
+    tally: CampaignTally = field(default_factory=CampaignTally)
+    causes: dict[str, int] = field(default_factory=dict)
+    worst: list[Flight] = field(default_factory=list)
+    """The worst flights, the worst first."""
+    place_m: list[tuple[float, float, bool]] = field(default_factory=list)
+    """Place of each final contact with the deck: along the arrow, to starboard, and whether its flight was good."""
+    lateral_m: list[float] = field(default_factory=list)
+    vertical_m_s: list[float] = field(default_factory=list)
+    sliding_m_s: list[float] = field(default_factory=list)
+    duration_s: list[float] = field(default_factory=list)
+    points: list[tuple[dict[str, Any], bool, float]] = field(default_factory=list)
+    """Varied values of each flight, whether it was good, and its touchdown error in m (nan without a landing on the pad)."""
+
+    def take(self, flight: Flight) -> None:
+        """Add a flight."""
+        self.tally.take(flight)
+        good = flight["grade"] != "failed"
+        if not good:
+            cause = cause_of(flight)
+            self.causes[cause] = self.causes.get(cause, 0) + 1
+        touch = flight["touchdown"]
+        if touch is not None and touch["surface"] != "water":
+            if (place := touch.get("p_pad_m")) is not None:
+                self.place_m.append((place[0], place[1], good))
+            self.vertical_m_s.append(touch["vertical_speed_m_s"])
+            self.sliding_m_s.append(touch["lateral_speed_m_s"])
+        if flight["landed_on_pad"]:
+            self.lateral_m.append(touch["lateral_m"])
+            self.duration_s.append(flight["duration_s"])
+        if "varied" in flight:
+            self.points.append((flight["varied"], good, touch["lateral_m"] if flight["landed_on_pad"] else float("nan")))
+        self.worst.append(flight)
+        if len(self.worst) >= 20 * WORST:
+            self.trim()
+
+    def trim(self) -> None:
+        """Keep the worst flights only."""
+        self.worst = sorted(self.worst, key=_badness, reverse=True)[:WORST]
+
+
+def figures_of(flights: Iterable[Flight]) -> CampaignFigures:
+    """Return the figures of flights."""
+    out = CampaignFigures()
+    for flight in flights:
+        out.take(flight)
+    out.trim()
+    return out
+
+
+def _badness(flight: Flight) -> tuple[float, ...]:
+    contacts = flight["contacts"]
+    lateral_m = max((contact["lateral_m"] for contact in contacts), default=0.0)
+    speed = max((contact["vertical_speed_m_s"] for contact in contacts), default=0.0)
+    return severity(flight), flight["contacts_outside_commit"], lateral_m, speed, flight["duration_s"], -flight["seed"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """Success against one varied key."""
+
+    key: str
+    values: list[Any]
+    shares: F64
+    low: F64
+    high: F64
+    lateral_m: F64
+    """Median touchdown error at each value, nan where nothing landed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SuccessMap:
+    """Success against two varied keys: `shares[j, i]` at the j-th value of `y_key` and the i-th of `x_key`."""
+
+    x_key: str
+    y_key: str
+    x: list[str]
+    y: list[str]
+    shares: F64
+    """The (len(y), len(x)) shares of good flights, nan without flights."""
+    counts: F64
+
+
+def effect_of(points: Sequence[tuple[dict[str, Any], bool, float]], key: str) -> Effect:
+    """Return how success depends on one key, over all values of the others."""
+    labels, place = _cells([point[key] for point, _, _ in points])
+    good = np.array([ok for _, ok, _ in points])
+    lateral = np.array([m for _, _, m in points])
+    counts = [int(np.sum(place == n)) for n in range(len(labels))]
+    hits = [int(np.sum(good[place == n])) for n in range(len(labels))]
+    bands = np.array([wilson(h, c) for h, c in zip(hits, counts, strict=True)])
+    landed = [lateral[(place == n) & np.isfinite(lateral)] for n in range(len(labels))]
+    medians = np.array([np.median(some) if len(some) else np.nan for some in landed])
+    return Effect(key, labels, np.array(hits) / np.maximum(1, counts), bands[:, 0], bands[:, 1], medians)
+
+
+def map_of(points: Sequence[tuple[dict[str, Any], bool, float]], x_key: str, y_key: str) -> SuccessMap:
+    """Return how success depends on two keys, over all values of the others."""
+    x, i = _cells([point[x_key] for point, _, _ in points])
+    y, j = _cells([point[y_key] for point, _, _ in points])
+    good = np.array([ok for _, ok, _ in points], dtype=float)
+    counts, hits = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)))
+    np.add.at(counts, (j, i), 1.0)
+    np.add.at(hits, (j, i), good)
+    with np.errstate(invalid="ignore"):
+        shares = hits / counts
+    return SuccessMap(x_key, y_key, [_label(v) for v in x], [_label(v) for v in y], shares, counts)
+
+
+def _cells(values: Sequence[Any]) -> tuple[list[Any], np.ndarray[Any, np.dtype[np.intp]]]:
+    """Return the distinct values, or the middles of a few cells where there are many, and the place of each value among them."""
+    distinct = sorted(set(values))
+    if len(distinct) <= 2 * _CELLS or isinstance(distinct[0], str):
+        places = {value: n for n, value in enumerate(distinct)}
+        return distinct, np.array([places[value] for value in values])
+    low, high = float(distinct[0]), float(distinct[-1])
+    edges = np.linspace(low, high, _CELLS + 1)
+    place = np.clip(np.searchsorted(edges, np.array(values, dtype=float), side="right") - 1, 0, _CELLS - 1)
+    return [float(f"{m:.4g}") for m in 0.5 * (edges[:-1] + edges[1:])], place
+
+
+def _label(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,107 @@
+"""The same campaign on a Dask cluster: a killed worker loses nothing, and what does not fit is refused by name."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from companion.cli import main as cli
+from estimator.contracts.errors import BadInput, Recoverable
+from sitl.campaign.cluster import ClusterWorkers
+from sitl.campaign.code import code_version
+from sitl.campaign.plan import Job
+from sitl.campaign.summary import tally
+from sitl.campaign.task import Order, OtherCode, fly_order
+from tests.sitl.campaign.fakes import RAISES, fake_fly, plan
+
+pytestmark = pytest.mark.slow
+
+
+@contextmanager
+def program(*args: str, ready: str, **env: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run a program of Dask until the end of the context; the text is the line in which it says that it is ready."""
+    more = {**os.environ, "PYTHONPATH": os.getcwd(), **env}
+    child = subprocess.Popen([sys.executable, "-m", *args], stderr=subprocess.PIPE, text=True, env=more)
+    assert child.stderr is not None
+    try:
+        line = next((line for line in child.stderr if ready in line), "")
+        assert line, f"{args} ended before it was ready"
+        yield child, line
+    finally:
+        child.kill()
+        child.communicate()
+
+
+@contextmanager
+def scheduler() -> Iterator[tuple[subprocess.Popen[str], str]]:
+    command = ("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+    with program(*command, ready="Scheduler at") as (child, line):
+        yield child, re.search(r"tcp://\S+", line)[0]
+
+
+def worker(address: str, name: str, **env: str):
+    command = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--name", name)
+    return program(*command, ready="Registered to", **env)
+
+
+def test_a_cluster_gives_the_same_results_although_a_worker_is_killed() -> None:
+    own = plan(start={"height_m": 2.1})
+    seeds = range(RAISES - 12, RAISES + 13)
+    alone = tally(fly_order(Order(Job(seed), own.base(), code_version(), fake_fly)) for seed in seeds)
+    with ExitStack() as stack:
+        _, address = stack.enter_context(scheduler())
+        victim, _ = stack.enter_context(worker(address, "one"))
+        stack.enter_context(worker(address, "two"))
+        with ClusterWorkers(own, code_version(), address, fake_fly) as cluster:
+            assert cluster.threads == 2
+            flights = []
+            for flight in cluster.results(map(Job, seeds)):
+                flights.append(flight)
+                if len(flights) == 5:
+                    victim.kill()
+    assert sorted(flight["seed"] for flight in flights) == list(seeds)
+    assert tally(flights).hash == alone.hash
+    assert tally(flights).errors == 1
+
+
+def test_a_scheduler_that_dies_is_one_clear_line() -> None:
+    own = plan(start={"height_m": 2.3})
+    with ExitStack() as stack:
+        head, address = stack.enter_context(scheduler())
+        stack.enter_context(worker(address, "one"))
+        with ClusterWorkers(own, code_version(), address, fake_fly) as cluster:
+            flights = cluster.results(map(Job, range(40)))
+            next(flights)
+            head.kill()
+            began_s = time.monotonic()
+            with pytest.raises(Recoverable, match=rf"--scheduler {address}: the scheduler is gone; the same command goes on"):
+                list(flights)
+            assert time.monotonic() - began_s < 60.0
+
+
+def test_a_worker_with_other_code_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    with ExitStack() as stack:
+        _, address = stack.enter_context(scheduler())
+        stack.enter_context(worker(address, "one"))
+        other = {**code_version(), "sources": "0" * 32}
+        with pytest.raises(OtherCode, match=r"worker tcp://\S+ has other code: sources \w{12} instead of 000000000000"):
+            ClusterWorkers(plan(), other, address, fake_fly)
+
+
+def test_no_scheduler_and_a_wrong_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sitl.campaign.cluster._CONNECT_S", 1.0)
+    assert cli.main(["campaign", "calm", "--runs", "2", "--scheduler", "tcp://127.0.0.1:9"]) == 1
+    said = capsys.readouterr().err
+    assert "--scheduler tcp://127.0.0.1:9: no scheduler answers there" in said
+    assert said.count("\n") == 1
+    with pytest.raises(BadInput, match="write it as tcp://host:8786"):
+        ClusterWorkers(plan(), code_version(), "carrier-pigeon://x", fake_fly)

@@ -1,0 +1,281 @@
+"""Designs, causes, comparison, table, report, search and object stores of campaigns, on flights that cost nothing."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import uuid
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from companion.cli import main as cli
+from estimator.contracts.errors import BadInput
+from sitl.campaign.causes import RULES, cause_of, severity
+from sitl.campaign.code import code_version
+from sitl.campaign.compare import bootstrap_interval, differences_of
+from sitl.campaign.design import described, factorial, parse_axis, sampled
+from sitl.campaign.figures import effect_of, figures_of, map_of
+from sitl.campaign.object_store import ObjectStore
+from sitl.campaign.overrides import Overridable
+from sitl.campaign.parquet import table_bytes
+from sitl.campaign.plan import Job, Point
+from sitl.campaign.report import REPORT, fly_again, render_report
+from sitl.campaign.search import Search
+from sitl.campaign.store import FolderStore, flights_in, manifest_of
+from sitl.campaign.summary import tally
+from sitl.campaign.task import Flight, Order, fly_order
+from sitl.one_flight import settings_for
+from tests.sitl.campaign.fakes import RAISES, fake_fly, near, plan
+
+AT = "--vary"
+
+
+def overridable() -> Overridable:
+    return Overridable(near(), settings_for(near(), None))
+
+
+def flown(seed: int, point: Point = ()) -> Flight:
+    return fly_order(Order(Job(seed, point), plan().base(), code_version(), fake_fly))
+
+
+def test_a_factorial_design_combines_all_values() -> None:
+    given = overridable()
+    axes = [parse_axis(t, given, AT) for t in ("wind.speed_m_s=0:1:0.1", "vessel.moored=true,false", "sea.peak_period_s=8:4:-2")]
+    points = factorial(axes)
+    assert len(points) == 11 * 2 * 3
+    assert axes[0].values[3] == 0.3
+    assert axes[2].values == (8.0, 6.0, 4.0)
+    assert dict(points[1]) == {"wind.speed_m_s": 0.0, "vessel.moored": True, "sea.peak_period_s": 6.0}
+    assert factorial([]) == [()]
+    whole = parse_axis("vision.threads=1:3:1", given, AT)
+    assert whole.values == (1, 2, 3)
+    assert all(isinstance(v, int) for v in whole.values)
+
+
+@pytest.mark.parametrize("kind", ["sobol", "lhs"])
+def test_sampled_designs_fill_every_range_evenly(kind: str) -> None:
+    given = overridable()
+    axes = [parse_axis(t, given, AT) for t in ("wind.speed_m_s=0:10", "sea.peak_period_s=4:12")]
+    points = sampled(axes, kind, 64, seed=3)
+    assert points == sampled(axes, kind, 64, seed=3)
+    assert points != sampled(axes, kind, 64, seed=4)
+    for n, (low, high) in enumerate(((0.0, 10.0), (4.0, 12.0))):
+        counts, _ = np.histogram([point[n][1] for point in points], bins=16, range=(low, high))
+        assert counts.tolist() == [4] * 16, "both designs are stratified in each dimension"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("wind.speed=0:1:1", "have a key 'wind.speed'; did you mean 'wind.speed_m_s'?"),
+        ("wind.speed_m_s", "write KEY=LOW:HIGH:STEP or KEY=A,B,C"),
+        ("wind.speed_m_s=0:1:0", "steps of 0 do not lead from 0 to 1"),
+        ("wind.speed_m_s=0:1:-1", "steps of -1 do not lead from 0 to 1"),
+        ("wind.speed_m_s=0:1:2:3", "a range is LOW:HIGH or LOW:HIGH:STEP"),
+        ("wind.speed_m_s=0:9999999:1", "are more than 1000000"),
+        ("wind.speed_m_s=2:2", "the range is empty"),
+        ("wind.speed_m_s=a:2", "needs a number, found 'a'"),
+        ("vessel.moored=1,2", "is true or false, found '1'"),
+    ],
+)
+def test_a_wrong_axis_is_refused(text: str, said: str) -> None:
+    with pytest.raises(BadInput) as why:
+        parse_axis(text, overridable(), AT)
+    assert said in str(why.value)
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["--vary", "wind.speed_m_s=0:30:10"], "--vary: wind.speed_m_s must be a number from 0 to 25 m/s, found 30"),
+        (["--vary", "wind.speed_m_s=0:3"], "a range needs a step"),
+        (["--vary", "wind.speed_m_s=0:3:1", "--vary", "wind.speed_m_s=4,5"], "wind.speed_m_s is given twice"),
+        (["--vary", "wind.speed_m_s=0:3", "--design", "lhs"], "--design, --points and --vary go together"),
+        (["--vary", "wind.speed_m_s=1,2", "--design", "lhs", "--points", "4"], "--design lhs needs a range, LOW:HIGH"),
+        (["--search", "wind.speed_m_s=1,2"], "write KEY=LOW:HIGH"),
+        (["--search", "wind.speed_m_s=0:9", "--runs", "3"], "--search needs --runs of 10 or more, got 3"),
+        (["--search", "wind.speed_m_s=0:9", "--vary", "wind.from_deg=1,2"], "--vary and --search do not go together"),
+        (["--search", "wind.speed_m_s=0:90"], "wind.speed_m_s must be a number from 0 to 25 m/s, found 90"),
+        (["--out", "nowhere://x"], "Protocol not known: nowhere"),
+        (["--against", "x"], "--against goes with --report"),
+        (["--report", "--against", "nothing"], "nothing is no campaign's folder: manifest.json: No such file"),
+        (["calm"], "campaign takes one scenario, found 'calm' besides"),
+        (["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "--workers does not go with --scheduler"),
+    ],
+)
+def test_wrong_use_of_variation_is_one_clear_line(
+    args: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["campaign", "calm", *args]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
+    fine = flown(3)
+    off = {**fine["touchdown"], "surface": "deck", "on_pad": False}
+    bad = {**fine, "grade": "failed"}
+    cases = {
+        "the flight raised an error": flown(RAISES),
+        "the service died in flight": {**bad, "unsafe": ["the service died in flight: KeyError"]},
+        "in the water": {**bad, "in_water": True, "unsafe": ["came down 2 m"]},
+        "came down without sight of the pad": {**bad, "unsafe": ["came down 0.8 m, to 0.2 m over the deck, without true sight"]},
+        "struck the deck beside the pad, then landed on the pad": {**bad, "contacts": [off, *fine["contacts"]]},
+        "landed beside the pad": {**bad, "landed_on_pad": False, "touchdown": off, "contacts": [off]},
+        "struck the deck beside the pad and did not land": {
+            **bad,
+            "landed_on_pad": False,
+            "outcome": "gave up",
+            "contacts": [off],
+        },
+        "gave up, though it should land: no pad": {
+            **bad,
+            "landed_on_pad": False,
+            "outcome": "gave up",
+            "refused": "no pad; frames",
+        },
+        "time ran out": {**bad, "landed_on_pad": False, "outcome": "time ran out", "touchdown": None, "contacts": []},
+    }
+    assert [cause_of(flight) for flight in cases.values()] == list(cases)
+    order = [severity(flight) for flight in cases.values()]
+    assert order == sorted(order, reverse=True)
+    assert len(cases) == len(RULES)
+    assert severity(fine) == 0
+    assert cause_of({**bad, "landed_on_pad": False, "outcome": "emergency", "contacts": []}) == "ended otherwise: emergency"
+
+
+def test_campaigns_are_compared_seed_by_seed() -> None:
+    ours = [flown(seed, (("wind.speed_m_s", 1.0),)) for seed in range(30)]
+    other = [{**flown(seed), "varied": {"wind.speed_m_s": 1.0}} for seed in range(10, 40)]
+    rows = {row.name: row for row in differences_of(ours, other)}
+    error = rows["touchdown error"]
+    assert error.pairs == 19, "one of them raises"
+    assert error.mean == pytest.approx(0.06, abs=1e-6)
+    assert (error.low, error.high) == pytest.approx((0.06, 0.06), abs=1e-6)
+    assert error.clear
+    assert not rows["on the pad"].clear
+    assert differences_of(ours[:10], other) == []
+    noise = np.random.default_rng(1).normal(0.3, 1.0, 400)
+    low, high = bootstrap_interval(noise)
+    assert (low, high) == pytest.approx((noise.mean() - 1.96 * 0.05, noise.mean() + 1.96 * 0.05), abs=0.012)
+
+
+def test_the_table_has_a_row_for_each_flight_and_a_column_for_each_varied_key() -> None:
+    flights = [flown(seed, (("wind.speed_m_s", speed),)) for seed in range(4) for speed in (0.0, 7.0)] + [flown(RAISES)]
+    table = pq.read_table(io.BytesIO(table_bytes(flights, {"wind.speed_m_s": 7.0})))
+    assert table.num_rows == 9
+    assert table["varied_wind.speed_m_s"].to_pylist()[:3] == [0.0, 7.0, 0.0]
+    assert table["landed_on_pad"].to_pylist()[:3] == [True, False, True]
+    assert table["touchdown_forward_m"].to_pylist()[8] is None
+    assert json.loads(table["contacts"].to_pylist()[1])[0]["surface"] == "deck"
+    assert table["hash"].to_pylist() == [flight["hash"] for flight in flights]
+
+
+def test_success_against_one_and_two_keys() -> None:
+    points = [({"a": a, "b": b}, a + b < 3, 0.1 * a if a + b < 3 else math.nan) for a in range(3) for b in range(3)]
+    one = effect_of(points, "a")
+    assert one.values == [0, 1, 2]
+    assert one.shares.tolist() == pytest.approx([1.0, 2 / 3, 1 / 3])
+    assert one.lateral_m.tolist() == pytest.approx([0.0, 0.1, 0.2])
+    two = map_of(points, "a", "b")
+    assert two.shares.tolist() == [[1, 1, 1], [1, 1, 0], [1, 0, 0]]
+    scattered = [({"a": x, "b": 1.0 - x}, x < 0.5, math.nan) for x in np.linspace(0.0, 1.0, 81)]
+    assert effect_of(scattered, "a").shares.tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
+    assert np.isnan(map_of(scattered, "a", "b").shares[0, 0]), "no flight was there"
+
+
+def test_the_report_of_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = overridable()
+    axes = [parse_axis(t, given, AT) for t in ("wind.speed_m_s=0:8:2", "sea.peak_period_s=4:8:2")]
+    varied = plan().with_design(described("factorial", axes))
+    for name, seeds in (("now", range(6)), ("before", range(3, 9))):
+        with closing(FolderStore(tmp_path / name, varied, seeds)) as store:
+            for seed in seeds:
+                store.keep([flown(seed, point) for point in factorial(axes)], 1.0 + seed)
+    command = ["campaign", "report", str(tmp_path / "now"), "--against", str(tmp_path / "before")]
+    assert cli.main(command) == 0
+    assert capsys.readouterr().out == f"report: {tmp_path / 'now' / REPORT}\n"
+    page = (tmp_path / "now" / REPORT).read_text()
+    for said in (
+        "60 of 90 on the pad",
+        "landed beside the pad",
+        "decklander simulate near --seed 5 --set wind.speed_m_s=8.0 --set sea.peak_period_s=4.0 --report flight-5",
+        "Wilson",
+        "One factor",
+        "Two factors",
+        "may be chance",
+        tally(flights_in(tmp_path / "now" / "flights.jsonl")).hash,
+    ):
+        assert said in page
+    assert page.count("<svg") == 1 + 1 + 4 + 2 + 1
+    assert "http" not in page.replace("http://www.w3.org", ""), "the page needs nothing else"
+    worst = figures_of(flights_in(tmp_path / "now" / "flights.jsonl")).worst
+    assert len(worst) == 10
+    assert {flight["grade"] for flight in worst} == {"failed"}
+    assert cli.main(["campaign", "report", str(tmp_path)]) == 2
+    assert cli.main(["campaign", "report"]) == 2
+    with pytest.raises(BadInput, match="no flights yet"):
+        render_report(manifest_of(tmp_path / "now"), [], 0.0)
+    assert fly_again(flown(3), ("--config", "a b.toml")).endswith("--seed 3 --config 'a b.toml' --report flight-3")
+
+
+@pytest.mark.parametrize("keys", [1, 2])
+def test_the_search_finds_the_smallest_disturbance(keys: int) -> None:
+    """The fake flight leaves the pad at 0.39 m: 0.01 m and 0.06 m for each m/s of wind, so at 6.33 m/s."""
+    given = overridable()
+    texts = ["wind.speed_m_s=0:10", "sea.peak_period_s=4:8"][:keys]
+    axes = [parse_axis(text, given, "--search") for text in texts]
+    search = Search(axes, 0, 80, lambda jobs: [flown(job.seed, job.point) for job in jobs])
+    found = search.run()
+    assert found is not None
+    assert search.flown <= 80
+    assert dict(found.flight["varied"])["wind.speed_m_s"] == pytest.approx(6.333, abs=0.15)
+    assert found.size == pytest.approx(0.633 / math.sqrt(keys), abs=0.04)
+    again = Search(axes, 0, 80, lambda jobs: [flown(job.seed, job.point) for job in jobs])
+    repeated = again.run()
+    assert repeated is not None
+    assert repeated.flight["hash"] == found.flight["hash"], "the search is a function of its seed"
+
+
+def test_a_search_without_a_failure_and_one_that_fails_undisturbed() -> None:
+    given = overridable()
+    calm = Search(
+        [parse_axis("wind.speed_m_s=0:3", given, "--search")], 0, 20, lambda jobs: [flown(0, job.point) for job in jobs]
+    )
+    assert calm.run() is None
+    wild = Search(
+        [parse_axis("wind.speed_m_s=9:3", given, "--search")], 0, 20, lambda jobs: [flown(0, job.point) for job in jobs]
+    )
+    found = wild.run()
+    assert found is not None
+    assert (found.size, wild.flown) == (0.0, 2)
+
+
+@pytest.mark.parametrize("kind", ["memory", "file"])
+def test_results_under_a_url(kind: str, tmp_path: Path) -> None:
+    url = f"memory://{uuid.uuid4().hex}" if kind == "memory" else f"file://{tmp_path}/c"
+    with closing(ObjectStore(url, plan(), range(3))) as store:
+        store.keep([flown(0)], 1.0)
+        store.keep([flown(1)], 2.0)
+        assert [flight["seed"] for flight in store.flights()] == [0, 1]
+    with closing(ObjectStore(url, plan(), range(3))) as store:
+        assert store.keys() == {"0", "1"}
+        store.keep([flown(2)], 0.5)
+    with closing(ObjectStore(url, plan(), range(3))) as store:
+        assert sorted(flight["seed"] for flight in store.flights()) == [0, 1, 2]
+        assert store.wall_s() == 2.5
+        assert store.put("x.html", b"hello") == f"{url}/x.html"
+    with pytest.raises(BadInput, match="holds another campaign: it was flown with another scenario"):
+        ObjectStore(url, plan(duration_limit_s=8.0), range(3))
+    if kind == "file":
+        (tmp_path / "other").mkdir()
+        (tmp_path / "other" / "mine.txt").write_text("x")
+        with pytest.raises(BadInput, match="holds something and no campaign"):
+            ObjectStore(f"file://{tmp_path}/other", plan(), range(3))
