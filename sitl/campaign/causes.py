@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable
 
@@ -13,7 +14,8 @@ def _unsafe(flight: Flight, begins: str) -> bool:
 
 
 def _rest(flight: Flight) -> str:
-    return str(flight["refused"]).partition(";")[0] if flight["refused"] else ""
+    """Return why the pilot gave up, without the figures that differ from flight to flight."""
+    return re.sub(r" (at|after|for) -?\d+(\.\d+)? \w+", "", str(flight["refused"] or "").partition(";")[0])
 
 
 RULES: tuple[tuple[str, Callable[[Flight], bool]], ...] = (

@@ -6,6 +6,7 @@ import importlib
 import logging
 import uuid
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from typing import Any
 
 from estimator.contracts.errors import BadInput, Recoverable, in_words
@@ -89,11 +90,7 @@ class ClusterWorkers:
 
     def _result(self, future: Any, job: Job) -> Flight:
         if future.status == "finished":
-            try:
-                flight: Flight = future.result(timeout=_CONNECT_S)
-            except (OSError, TimeoutError) as why:
-                raise self._gone() from why
-            return flight
+            return self._fetched(future)
         error = future.exception(timeout=_CONNECT_S) if future.status == "error" else None
         if type(error).__name__ == "KilledWorker":
             return finished(failed(self._name, job, "the workers that flew it died"), job, self._perception)
@@ -103,6 +100,17 @@ class ClusterWorkers:
             said = f"{type(error).__name__}: {in_words(error)}"
             raise Recoverable(f"--scheduler {self._address}: a worker could not fly: {said}") from error
         raise self._gone()
+
+    def _fetched(self, future: Any) -> Flight:
+        """Return a finished result; if its worker died meanwhile, another flies it again and this waits."""
+        while True:
+            try:
+                flight: Flight = future.result(timeout=_CONNECT_S)
+            except (OSError, TimeoutError, CancelledError) as why:
+                if self._client.status != "running":
+                    raise self._gone() from why
+            else:
+                return flight
 
     def _gone(self) -> Recoverable:
         return Recoverable(f"--scheduler {self._address}: the scheduler is gone; the same command goes on from what is kept")

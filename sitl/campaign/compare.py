@@ -14,7 +14,7 @@ _RESAMPLES = 2000
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class PairedDifference:
     """The mean of a figure in both campaigns, over the flights that have it in both, and the interval of the difference."""
 
     name: str
@@ -51,7 +51,7 @@ FIGURES: tuple[tuple[str, str, Callable[[Flight], float | None]], ...] = (
 )
 
 
-def differences_of(ours: Iterable[Flight], other: Iterable[Flight]) -> list[Difference]:
+def differences_of(ours: Iterable[Flight], other: Iterable[Flight]) -> list[PairedDifference]:
     """Return the differences between two campaigns in all figures, over the seeds (and varied values) that both have flown."""
     theirs = {job_of(flight).key: flight for flight in other}
     pairs = [(flight, theirs[key]) for flight in ours if (key := job_of(flight).key) in theirs]
@@ -61,7 +61,7 @@ def differences_of(ours: Iterable[Flight], other: Iterable[Flight]) -> list[Diff
         if both:
             table = np.array(both, dtype=float)
             low, high = bootstrap_interval(table[:, 0] - table[:, 1])
-            out.append(Difference(name, unit, len(both), float(table[:, 0].mean()), float(table[:, 1].mean()), low, high))
+            out.append(PairedDifference(name, unit, len(both), float(table[:, 0].mean()), float(table[:, 1].mean()), low, high))
     return out
 
 

@@ -118,5 +118,6 @@ class ObjectStore:
 
     def _records(self) -> Iterator[dict[str, Any]]:
         for path in sorted(self._fs.glob(posixpath.join(self._root, _PARTS, "*.jsonl"))):
-            for record, _ in records_in(self._fs.cat_file(path), f"{self.place}/{_PARTS}"):
+            lines = self._fs.cat_file(path).splitlines(keepends=True)
+            for record, _ in records_in(lines, f"{self.place}/{posixpath.basename(path)}"):
                 yield record

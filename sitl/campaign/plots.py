@@ -76,8 +76,8 @@ def distribution(name: str, values: Sequence[float], label: str, other: Sequence
             at = float(np.quantile(values, share))
             ax.plot([at, at], [0, share], color=_ORANGE, linewidth=1.0, linestyle=(0, (4, 3)))
             ax.plot([at], [share], "o", color=_ORANGE, markersize=4)
-            ax.annotate(f"{at:.3g}", (at, share), xytext=(5, -10), textcoords="offset points", fontsize=8)
-        ax.set(ylim=(0, 1.02), xlabel=label)
+            ax.annotate(f"{at:.3g}", (at, share), xytext=(-5, 3), textcoords="offset points", fontsize=8, ha="right")
+        ax.set(ylim=(0, 1.09), xlabel=label)
         ax.set_xlim(left=min(0.0, float(np.min(values))))
         ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 

@@ -12,7 +12,7 @@ from companion.report.page import document
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
 from sitl.campaign.causes import cause_of
-from sitl.campaign.compare import Difference, differences_of
+from sitl.campaign.compare import PairedDifference, differences_of
 from sitl.campaign.figures import CampaignFigures, effect_of, figures_of, map_of
 from sitl.campaign.summary import wilson
 from sitl.campaign.task import Flight
@@ -21,7 +21,7 @@ from sitl.scenario import from_mapping, pad_model
 REPORT = "report.html"
 _MAPS_MAX = 10
 _STYLE = """
-.plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); gap: .8rem; align-items: start; }
+.plots { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(26rem, 100%), 1fr)); gap: .8rem; align-items: start; }
 code { font: .82rem/1.4 ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
 .flights { padding: 0; list-style: none; display: grid; gap: .6rem; }
 .flights li { background: var(--card); border: 1px solid var(--line); border-radius: .5rem; padding: .5rem .8rem; }
@@ -52,8 +52,7 @@ def render_report(
     parts = [
         _head(manifest, figures, wall_s),
         _cards(figures),
-        _outcomes(figures),
-        _touchdowns(figures, pad_model(scenario)),
+        _outcomes(figures, pad_model(scenario)),
         _distributions(figures, None if against is None else figures_of(against[1])),
         _varied(manifest, figures),
         _causes(figures),
@@ -98,26 +97,20 @@ def _cards(figures: CampaignFigures) -> str:
     return '<div class="cards">' + "".join(f'<div class="card"><span>{k}</span><b>{v}</b></div>' for k, v in cells) + "</div>"
 
 
-def _outcomes(figures: CampaignFigures) -> str:
+def _outcomes(figures: CampaignFigures, pad: Pad) -> str:
     from sitl.campaign import plots
 
     t = figures.tally
     rows = [("on the pad", t.on_pad, "#0a9d76"), ("refused rightly", t.refused, "#e69f00"), ("failed", t.failed, "#d55e00")]
-    return (
-        f'<h2>Outcomes</h2><div class="plots"><figure>{plots.outcomes(rows, t.runs)}<figcaption>Wilson\'s 95 % intervals.'
-        "</figcaption></figure></div>"
-    )
-
-
-def _touchdowns(figures: CampaignFigures, pad: Pad) -> str:
-    from sitl.campaign import plots
-
+    drawn = f"<figure>{plots.outcomes(rows, t.runs)}<figcaption>Outcomes, with Wilson's 95 % intervals.</figcaption></figure>"
     if not figures.place_m:
-        return '<h2>Touchdown</h2><p class="note">No flight came to stand on deck.</p>'
-    return (
-        f'<h2>Touchdown on the pad</h2><div class="plots"><figure>{plots.touchdowns(pad, figures.place_m)}<figcaption>The last '
-        "contact of each flight, from above. Blue dots: good flights; orange crosses: failed ones.</figcaption></figure></div>"
-    )
+        drawn += '<p class="note">No flight touched the deck.</p>'
+    else:
+        drawn += (
+            f"<figure>{plots.touchdowns(pad, figures.place_m)}<figcaption>The last contact of each flight on the pad, from "
+            "above. Blue dots: good flights; orange crosses: failed ones.</figcaption></figure>"
+        )
+    return f'<h2>Outcomes and touchdowns</h2><div class="plots">{drawn}</div>'
 
 
 def _distributions(figures: CampaignFigures, other: CampaignFigures | None) -> str:
@@ -206,7 +199,7 @@ def _worst(manifest: Mapping[str, Any], figures: CampaignFigures) -> str:
     )
 
 
-def _comparison(name: str, rows: Sequence[Difference]) -> str:
+def _comparison(name: str, rows: Sequence[PairedDifference]) -> str:
     if not rows:
         raise BadInput(f"--against {name}: no seed was flown in both campaigns")
     cells = "".join(

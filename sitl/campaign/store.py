@@ -9,7 +9,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -220,38 +220,41 @@ def canonical_line(record: Mapping[str, Any]) -> str:
 
 
 def flights_in(path: Path) -> Iterator[Flight]:
-    """Return the flights of a file of results, each once.
+    """Return the flights of a file of results, each once; none if there is no file.
 
     Raises:
-        BadInput: a line before the last is damaged.
+        BadInput: a line before the last is damaged, or the file cannot be read.
     """
     seen: set[str] = set()
-    for record, _ in records_in(path.read_bytes() if path.exists() else b"", str(path)):
-        key = job_of(record["flight"]).key
-        if key not in seen:
-            seen.add(key)
-            yield record["flight"]
+    if not path.exists():
+        return
+    try:
+        with path.open("rb") as file:
+            for record, _ in records_in(file, str(path)):
+                key = job_of(record["flight"]).key
+                if key not in seen:
+                    seen.add(key)
+                    yield record["flight"]
+    except OSError as why:
+        raise unusable(str(path), why) from why
 
 
-def records_in(content: bytes, place: str) -> Iterator[tuple[dict[str, Any], int]]:
-    """Return the records of a file of results with the offset of their ends; a torn last line is left out.
+def records_in(lines: Iterable[bytes], place: str) -> Iterator[tuple[dict[str, Any], int]]:
+    """Return the records of lines of results with the offset of their ends; a torn last line is left out.
 
     Raises:
         BadInput: a line before the last is damaged.
     """
-    begin, number = 0, 0
-    while begin < len(content):
-        number += 1
-        end = content.find(b"\n", begin) + 1
-        if end == 0:
-            return
-        record = _record(content[begin:end])
+    end = damaged = 0
+    for number, line in enumerate(lines, 1):
+        if damaged and line.strip():
+            raise BadInput(f"{place}: line {damaged} is damaged; without that line its flight is flown again")
+        record = _record(line) if line.endswith(b"\n") else None
         if record is None:
-            if not content[end:].strip():
-                return
-            raise BadInput(f"{place}: line {number} is damaged; without that line its flight is flown again")
+            damaged = damaged or number
+            continue
+        end += len(line)
         yield record, end
-        begin = end
 
 
 def _record(line: bytes) -> dict[str, Any] | None:
@@ -270,10 +273,11 @@ def _scan(path: Path) -> tuple[set[str], dict[int, float], int]:
     keys: set[str] = set()
     sessions: dict[int, float] = {}
     good = 0
-    for record, good in records_in(path.read_bytes(), str(path)):  # noqa: B007
-        keys.add(job_of(record["flight"]).key)
-        session = int(record["session"])
-        sessions[session] = max(sessions.get(session, 0.0), float(record["at_s"]))
+    with path.open("rb") as file:
+        for record, good in records_in(file, str(path)):  # noqa: B007
+            keys.add(job_of(record["flight"]).key)
+            session = int(record["session"])
+            sessions[session] = max(sessions.get(session, 0.0), float(record["at_s"]))
     return keys, sessions, good
 
 

@@ -23,7 +23,7 @@ PAGES = [
     *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY", "CHANGELOG")),
 ]
 PACKAGES = "companion|drivers|estimator|sitl|configs|tests|benches|fuzz|mutants|supply|requirements"
-FOREIGN_OPTIONS = {"--user", "--offline", "--profile", "--require-hashes", "--list-ctrls-menus", "--cafile"}
+FOREIGN_OPTIONS = {"--scale", "--user", "--offline", "--profile", "--require-hashes", "--list-ctrls-menus", "--cafile"}
 """Options of systemctl, systemd-analyze, docker, pip, v4l2-ctl and mosquitto_pub."""
 ENDINGS = {"toml", "py", "md", "txt", "json", "csv", "png", "svg", "html"}
 

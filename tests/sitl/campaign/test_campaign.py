@@ -233,7 +233,7 @@ def test_a_signal_ends_the_command_with_what_is_kept(tmp_path: Path) -> None:
     child.send_signal(signal.SIGINT)
     _, said = child.communicate(timeout=30)
     assert child.returncode == 130
-    assert "of 50 flights are kept in c; the same command goes on from there" in said
+    assert " flights are kept in c; the same command goes on from there" in said
 
 
 def test_the_session_keeps_before_it_tells(tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
             **bad,
             "landed_on_pad": False,
             "outcome": "gave up",
-            "refused": "no pad; frames",
+            "refused": "no pad at 0.1 m; frames",
         },
         "time ran out": {**bad, "landed_on_pad": False, "outcome": "time ran out", "touchdown": None, "contacts": []},
     }
