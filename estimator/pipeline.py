@@ -56,23 +56,20 @@ def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]
     A sighting gives one result for each path. A sample gives one result for each path that uses it, and one for each path if it
     is refused before the paths.
     """
-    attitude = None
+    attitude, guard = None, memory.guard
     if isinstance(event, Sighting):
         attitude = attitude_at(memory, event.stamp)
         refusal = _refusal(memory.options, event)
         if refusal is None:
             before = memory.paths[0].at(event.stamp.measured_at)
-            guard, refusal = integrity.admit_sighting(memory.guard, event, attitude, before)
-            memory = replace(memory, guard=guard)
+            guard, refusal = integrity.admit_sighting(guard, event, attitude, before)
     else:
-        guard, refusal = integrity.admit(memory.guard, event)
-        memory = replace(memory, guard=guard)
+        guard, refusal = integrity.admit(guard, event)
     if refusal is not None:
         source, stamp = source_of(event), event.stamp
         refused = (FusionResult(path.name, source, refusal, stamp.measured_at, stamp.received_at) for path in memory.paths)
-        return memory, tuple(refused)
-    if isinstance(event, Attitude):
-        memory = replace(memory, attitudes=memory.attitudes.add(event))
+        return replace(memory, guard=guard), tuple(refused)
+    attitudes = memory.attitudes.add(event) if isinstance(event, Attitude) else memory.attitudes
     paths: list[Path] = []
     results: list[FusionResult] = []
     for path in memory.paths:
@@ -80,10 +77,9 @@ def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]
         paths.append(stepped)
         if result is not None:
             results.append(result)
-    memory = replace(memory, paths=tuple(paths))
     if isinstance(event, Sighting) and results[0].verdict is Verdict.FUSED:
-        memory = replace(memory, guard=integrity.fused(memory.guard, event, attitude))
-    return memory, tuple(results)
+        guard = integrity.fused(guard, event, attitude)
+    return replace(memory, guard=guard, attitudes=attitudes, paths=tuple(paths)), tuple(results)
 
 
 def steer_by(memory: Memory, name: PathName) -> Memory:

@@ -99,18 +99,21 @@ class Ending:
         return "time ran out" if self.outcome is None else self.outcome.value
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain values; lengths in m, speeds in m/s, angles in degrees, times in s."""
+        """Return plain values; lengths in m, speeds in m/s, angles in degrees, times in s; None for what nobody judged."""
         out: dict[str, Any] = {
             "scenario": self.scenario,
             "seed": self.seed,
             "landed_on_pad": self.on_pad,
             "outcome": self.word,
+            "refused": None,
             "duration_s": round(self.duration_s, 3),
             "touchdown": None if self.contact is None else _plain(self.contact),
             "contacts": [self._whole(contact) for contact in self.contacts],
+            "contacts_outside_commit": None,
             "in_water": any(contact.surface == "water" for contact in self.contacts),
             **({} if self.load is None else {"machine_too_slow": self.load.starved()}),
             "frames": {verdict.value: n for verdict, n in sorted(self.frames.items(), key=lambda item: item[0].value)},
+            "cpu_s": None,
         }
         if self.judged is not None:
             j = self.judged

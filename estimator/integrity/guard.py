@@ -39,19 +39,20 @@ def admit(guard: IntegrityGuard, event: Sample) -> tuple[IntegrityGuard, Verdict
     watch, verdict = clock.watch_arrival(guard.clock, kind, event.stamp, o.clock_step_max_s)
     if verdict is None:
         watch, verdict = clock.watch_delay(watch, kind, event.stamp, o.sample_delay_step_max_s, o.sample_delay_settle_s)
-    guard = replace(guard, clock=watch)
     if verdict is not None:
-        return guard, verdict
+        return replace(guard, clock=watch), verdict
     if isinstance(event, VehicleStatus):
-        return replace(guard, flying=event.flying is not False), None
+        return replace(guard, clock=watch, flying=event.flying is not False), None
     seen = guard.sensors.get(type(event), sensors.SensorWatch())
     seen, verdict = sensors.watch(seen, event, o, guard.flying)
-    guard = replace(guard, sensors=MappingProxyType({**guard.sensors, type(event): seen}))
+    against = guard.heights
     if verdict is None and isinstance(event, Range):
-        guard = replace(guard, heights=heights.ranged(guard.heights, event, o))
+        against = heights.ranged(against, event, o)
     elif verdict is None and isinstance(event, Baro):
-        guard = replace(guard, heights=heights.weighed(guard.heights, event, o))
-    return guard, verdict
+        against = heights.weighed(against, event, o)
+    # One copy for all that changed: there are hundreds of samples a second.
+    every = MappingProxyType({**guard.sensors, type(event): seen})
+    return replace(guard, clock=watch, sensors=every, heights=against), verdict
 
 
 def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:

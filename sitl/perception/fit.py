@@ -23,11 +23,12 @@ from sitl.perception.estimates import errors_of, fit_estimates
 from sitl.perception.parameters import FORMAT, DetectionCell, DetectionModel, Factor, PerceptionModel
 from sitl.perception.recorded import Recorded
 
-HEIGHTS_M = (0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.3, 3.0, 4.0, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0)
-SHOWN = (0.02, 0.12, 0.25, 0.45, 0.7, 0.95)
+HEIGHTS_M = (0.15, 0.25, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 2.0, 3.0, 5.0, 8.0, 14.0, 20.0, 28.0)
+SHOWN = (0.02, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.45, 0.7, 0.95)
+"""From high up, the detection probability rises from 0 to 1 between a quarter and two fifths of the disc."""
 TILTS_DEG = (3.0, 6.0, 10.0, 15.0, 22.0)
 LIGHTS_STOPS = (-4.0, -2.5, -1.5, -0.5, 0.5, 1.5)
-LEAST_FRAMES = 12
+LEAST_FRAMES = 10
 """Fewest samples of a cell, and of detections for its errors; smaller cells take the errors of the nearest that has more."""
 _OUTLIER = 5.0
 """Robust standard deviations beyond which an error is an outlier's."""
@@ -196,7 +197,13 @@ def _factor(
         ratio.append(float(np.sqrt(np.mean(np.square(errors)))) if len(errors) >= LEAST_FRAMES else 1.0)
     # Most samples are of one kind, which the cells describe by themselves: the factors are those of the others against it.
     usual = counts.index(max(counts))
-    return Factor(edges, tuple(counts), tuple(o / odds[usual] for o in odds), tuple(r / ratio[usual] for r in ratio))
+    known = [count >= LEAST_FRAMES for count in counts]
+    return Factor(
+        edges,
+        tuple(counts),
+        tuple(o / odds[usual] if is_known else 1.0 for o, is_known in zip(odds, known, strict=True)),
+        tuple(r / ratio[usual] if is_known else 1.0 for r, is_known in zip(ratio, known, strict=True)),
+    )
 
 
 def _odds(samples: Sequence[DetectionSample], before: dict[int, bool], cells: dict[tuple[int, int], DetectionCell]) -> float:

@@ -162,9 +162,9 @@ def model_for(settings: Settings, given: PerceptionModel | None) -> PerceptionMo
 class ModelPilot(Pilot):
     """The pilot with drawn detections in place of vision."""
 
-    def __init__(self, looker: _Detector, *args: Any, **options: Any) -> None:
+    def __init__(self, detector: _Detector, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._detector = looker
+        self._detector = detector
 
     def detect(self, frame: Frame, attitude: Attitude) -> Detection:
         """Draw the detection of a frame."""

@@ -34,9 +34,10 @@ from sitl.render_worker import RenderWorker
 from sitl.world import RenderedFrame, Truth, World
 
 REPRESENTED = frozenset(
-    {"lens_covered", "frames_dropped", "low_battery", "gust", "weak_rotor", "link_lost", "service_killed", "magnetometer_silent"}
+    {"lens_covered", "frames_dropped", "low_battery", "gust", "weak_rotor", "link_lost", "service_killed", "magnetometer"}
 )
-"""Kinds of faults that act on the vehicle, the link or sight. Every other one acts through the filter, which does not run."""
+"""Kinds of faults that act on the vehicle, the link or sight, or on what the filter does not read. Every other one acts through
+the filter, which does not run."""
 _SPAWN_KEY = 1302
 _N = 7
 _AGREED = 3

@@ -27,6 +27,8 @@ from sitl.flight import Flight, FlightResult
 from sitl.perception import detection_samples as samples_module
 from sitl.perception import parameters
 from sitl.perception.draw import Chance, DetectionTable, root_of, symmetric
+from sitl.perception.estimates import Errors, fit_estimates
+from sitl.perception.fit import Source, fit_detections
 from sitl.perception.levels import perceive
 from sitl.perception.model import KEPT_SCENES, Scenes, _registration, _turned
 from sitl.perception.port import Level
@@ -42,6 +44,8 @@ LOW = msgspec.structs.replace(
     CALM, start=msgspec.structs.replace(CALM.start, height_m=2.2, pad_forward_m=0.3, pad_right_m=0.2), duration_limit_s=40.0
 )
 FUSED = parameters.load("fused")
+EFFECTS = {"by_s": 1.0, "forward_m": 1.0, "frozen": True}
+"""Keys that give a fault of some kind an effect."""
 
 
 class Diary(NullObserver):
@@ -115,17 +119,7 @@ def test_faults_of_frames_act_in_the_model_as_in_pictures() -> None:
 
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - REPRESENTED))
 def test_truth_refuses_a_fault_that_it_cannot_represent_and_names_it(kind: str) -> None:
-    keys = {
-        "by_s": 1.0,
-        "by_m_s2": 1.0,
-        "by_deg_s": 1.0,
-        "by_deg": 1.0,
-        "roll_deg": 1.0,
-        "forward_m": 1.0,
-        "by_m": 1.0,
-        "by_pa": 1.0,
-    }
-    own = {key: value for key, value in keys.items() if key in KINDS[kind].__struct_fields__}
+    own = {key: value for key, value in EFFECTS.items() if key in KINDS[kind].__struct_fields__}
     world = World(faulty(kind, 0.5, 1.0, **own), 1)
     with pytest.raises(BadInput, match=kind):
         perceive("truth").begin(world)
@@ -238,3 +232,69 @@ def test_the_claimed_covariance_of_a_draw_is_positive() -> None:
         for shown in (0.05, 0.4, 1.0):
             drawn = table.draw(a_view(height, shown), 0.0, np.zeros(6), Chance(np.zeros(6), np.ones(4)))
             assert np.linalg.eigvalsh(drawn.cov).min() > 0.0
+
+
+def flown_samples(
+    rng: np.random.Generator, n: int, p: float, root: np.ndarray, bias: np.ndarray
+) -> list[samples_module.DetectionSample]:
+    """Detection samples from 2.5 m of the whole pad, found with probability p, with errors of a known bias and covariance."""
+    view, out = a_view(2.5), []
+    for i in range(n):
+        error = bias + root @ rng.standard_normal(6)
+        measured = samples_module.Measured(error, 4.0 * root @ root.T, False, False) if rng.random() < p else None
+        out.append(samples_module.DetectionSample(i / 30.0, view, measured, 0.9))
+    return out
+
+
+def test_the_fit_finds_what_made_the_samples() -> None:
+    rng = np.random.default_rng(3)
+    root = np.diag([1e-4, 2e-4, 5e-4, 1e-3, 1e-3, 2e-3])
+    bias = np.array([5e-5, 0.0, -2e-4, 0.0, 1e-3, 0.0])
+    usual = Source(tuple(flown_samples(rng, 4000, 0.9, root, bias)), 0.0)
+    dim = Source(tuple(flown_samples(rng, 1500, 0.5, 2.0 * root, bias)), -3.0)
+    model = fit_detections([usual, dim])
+    (cell,) = model.cell
+    assert cell.frames == 5500
+    assert cell.found == sum(sample.measured is not None for source in (usual, dim) for sample in source.samples)
+    assert cell.bias == pytest.approx(bias.tolist(), abs=6e-5)
+    assert symmetric(cell.claimed, 6).diagonal()[2] == pytest.approx(1e-6 * (0.82 + 4 * 0.18), rel=0.1)
+    # The dim flight, against the usual one: fewer finds, twice the errors.
+    i = np.searchsorted(model.light_stops.edges, -3.0)
+    table = DetectionTable(model)
+    assert table.probability(a_view(2.5), 0.0, True) == pytest.approx(0.9, abs=0.08)
+    assert table.probability(a_view(2.5), -3.0, True) < 0.75
+    assert model.light_stops.odds[i] < 0.4
+    assert model.light_stops.ratio[i] == pytest.approx(2.0, rel=0.25)
+    assert model.correlation < 0.05
+
+
+def test_the_fit_of_the_estimate_finds_its_covariance_and_its_memory() -> None:
+    rng, n, tau_s = np.random.default_rng(4), 6000, 0.8
+    keep = math.exp(-0.02 / tau_s)
+    x = np.zeros((n, 7))
+    for k in range(1, n):
+        x[k] = keep * x[k - 1] + math.sqrt(1 - keep * keep) * rng.standard_normal(7)
+    sigma = np.array([0.01, 0.02, 0.002, 0.03, 0.03, 0.02, 0.005])
+    at = np.arange(n) * 0.02
+    model = fit_estimates([Errors(at, np.full(n, 2.5), np.full(n, 0.1), x * sigma)])
+    (cell,) = model.cell
+    assert np.sqrt(symmetric(cell.error, 7).diagonal()) == pytest.approx(sigma, rel=0.35)
+    assert np.median(model.correlation_s) == pytest.approx(tau_s, rel=0.4)
+    with pytest.raises(BadInput, match="estimates"):
+        fit_estimates([Errors(at[:3], at[:3], at[:3], x[:3])])
+
+
+def test_too_few_samples_are_refused() -> None:
+    with pytest.raises(BadInput, match="too few"):
+        fit_detections([Source(tuple(flown_samples(np.random.default_rng(5), 20, 0.9, np.eye(6), np.zeros(6))), 0.0)])
+
+
+def test_a_recorded_flight_without_pictures_is_no_ground_for_a_fit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = tmp_path / "short.toml"
+    scenario.write_text('title = "short"\nbase = "calm"\nduration_limit_s = 1.0\n')
+    flown = tmp_path / "flown.mcap"
+    main(["simulate", str(scenario), "--perception", "model", "--record", str(flown), "--json"])
+    capsys.readouterr()
+    assert main(["perception", "fit", str(flown), "--output", str(tmp_path / "x.toml")]) == 2
+    assert "--perception model" in capsys.readouterr().err
+    assert not (tmp_path / "x.toml").exists()
