@@ -33,14 +33,9 @@ class Fault(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_f
         | None
     ) = None
     per_minute: (
-        Annotated[
-            float, number("begins again and again, this often on average, at times drawn by the seed", "per min", 0.01, 6000.0)
-        ]
-        | None
+        Annotated[float, number("average rate of a recurring fault, at times drawn by the seed", "per min", 0.01, 6000.0)] | None
     ) = None
-    for_s: Annotated[float, number("how long it lasts; without it, for the rest of the flight", "s", 0.001, 36000.0)] | None = (
-        None
-    )
+    for_s: Annotated[float, number("duration; without it, the rest of the flight", "s", 0.001, 36000.0)] | None = None
 
     def __post_init__(self) -> None:
         given = [name for name in _BEGINNINGS if getattr(self, name) is not None]

@@ -29,8 +29,8 @@ class FramesFrozen(Fault, frozen=True, tag="frames_frozen"):
 class FramesShifted(Fault, frozen=True, tag="frames_shifted"):
     """Frames show everything, the pad included, beside its true place."""
 
-    forward_m: Annotated[float, number("along the pad's arrow", "m", -20.0, 20.0)] = 0.0
-    right_m: Annotated[float, number("to starboard of the pad's arrow", "m", -20.0, 20.0)] = 0.0
+    forward_m: Annotated[float, number("shift along the pad's arrow", "m", -20.0, 20.0)] = 0.0
+    right_m: Annotated[float, number("shift to starboard of the pad's arrow", "m", -20.0, 20.0)] = 0.0
     fraction: Annotated[float, number("fraction of the frames that are shifted, drawn by the seed", "1", 0.01, 1.0)] = 1.0
 
     def check(self) -> None:
@@ -41,13 +41,13 @@ class FramesShifted(Fault, frozen=True, tag="frames_shifted"):
 class FramesDelayed(Fault, frozen=True, tag="frames_delayed"):
     """Frames arrive later than usual; their stamps stay true."""
 
-    by_s: Annotated[float, number("added to the usual delay", "s", 0.001, 10.0)]
+    by_s: Annotated[float, number("delay in addition to the usual one", "s", 0.001, 10.0)]
 
 
 class FramesMisstamped(Fault, frozen=True, tag="frames_misstamped"):
     """Frames carry a wrong stamp: with a negative error they claim to be older than they are."""
 
-    by_s: Annotated[float, number("stamp less the true instant of exposure", "s", -3600.0, 3600.0)]
+    by_s: Annotated[float, number("stamp minus the true instant of exposure", "s", -3600.0, 3600.0)]
 
 
 class FramesDropped(Fault, frozen=True, tag="frames_dropped"):
@@ -63,7 +63,7 @@ class NavdataSilent(Fault, frozen=True, tag="navdata_silent"):
 class NavdataMisstamped(Fault, frozen=True, tag="navdata_misstamped"):
     """Samples carry a wrong stamp: with a negative error they claim to be older than they are."""
 
-    by_s: Annotated[float, number("stamp less the true instant of the sample", "s", -3600.0, 3600.0)]
+    by_s: Annotated[float, number("stamp minus the true instant of the sample", "s", -3600.0, 3600.0)]
 
 
 class FlowBlind(Fault, frozen=True, tag="flow_blind"):
@@ -73,14 +73,14 @@ class FlowBlind(Fault, frozen=True, tag="flow_blind"):
 class LowBattery(Fault, frozen=True, tag="low_battery"):
     """The battery's charge falls at once to a fraction."""
 
-    fraction: Annotated[float, number("of a full battery that is left", "1", 0.0, 1.0)] = 0.1
+    fraction: Annotated[float, number("remaining fraction of a full battery", "1", 0.0, 1.0)] = 0.1
 
 
 class Gust(Fault, frozen=True, tag="gust"):
     """A single gust: the wind rises and falls as one minus a cosine over `for_s`."""
 
-    speed_m_s: Annotated[float, number("added wind at its height, half way through", "m/s", 0.0, 25.0)] = 5.0
-    from_deg: Annotated[float, number("where it blows from, clockwise from north", "deg", -360.0, 360.0)] = 0.0
+    speed_m_s: Annotated[float, number("speed of the added wind at its height, half way through", "m/s", 0.0, 25.0)] = 5.0
+    from_deg: Annotated[float, number("direction from which it blows, clockwise from north", "deg", -360.0, 360.0)] = 0.0
 
     def check(self) -> None:
         if self.for_s is None:

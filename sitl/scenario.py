@@ -1,4 +1,4 @@
-"""What a simulated flight consists of, read from one TOML file.
+"""The parts of a simulated flight, read from one TOML file.
 
     scenario = load("demo")            # a shipped one (configs/scenarios) or a path
 
@@ -42,7 +42,7 @@ _MEASURED = "a recorded AR.Drone 2.0 flight against motion capture"
 _THESIS = "the thesis' simulator"
 _EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES, "wind": WIND_EXCLUDES}
 FAULTS = "faults"
-"""Folder of the shipped scenarios with a fault each."""
+"""Folder of the shipped scenarios that have one fault each."""
 
 
 def _switch(meaning: str) -> Meta:
@@ -50,28 +50,34 @@ def _switch(meaning: str) -> Meta:
 
 
 class Start(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the vehicle is at first, against the pad as it lies at that instant."""
+    """The start of the vehicle, relative to the pad at that instant."""
 
     where: Annotated[
-        Literal["air", "pad"], choice("hovering in the air, or standing on the pad's centre with its motors off")
+        Literal["air", "pad"], choice("start of the vehicle: hovering in the air, or on the pad's centre with its motors off")
     ] = "air"
-    height_m: Annotated[float, number("of the body's origin over the pad's centre, in the air", "m", 0.3, 60.0)] = 5.0
-    pad_forward_m: Annotated[float, number("how far ahead of the vehicle the pad lies, in the air", "m", -100.0, 100.0)] = 0.0
-    pad_right_m: Annotated[float, number("how far to the right of the vehicle the pad lies, in the air", "m", -100.0, 100.0)] = (
+    height_m: Annotated[float, number("height of the body's origin over the pad's centre, in the air", "m", 0.3, 60.0)] = 5.0
+    pad_forward_m: Annotated[float, number("distance of the pad ahead of the vehicle, in the air", "m", -100.0, 100.0)] = 0.0
+    pad_right_m: Annotated[float, number("distance of the pad to the right of the vehicle, in the air", "m", -100.0, 100.0)] = 0.0
+    heading_deg: Annotated[float, number("heading of the vehicle from the arrow, clockwise from above", "deg", -360.0, 360.0)] = (
         0.0
     )
-    heading_deg: Annotated[float, number("of the vehicle against the arrow, clockwise from above", "deg", -360.0, 360.0)] = 0.0
-    with_vessel: Annotated[bool, _switch("starts with the vessel's steady velocity instead of at rest over the ground")] = True
+    with_vessel: Annotated[
+        bool, _switch("whether the vehicle starts with the vessel's steady velocity instead of at rest over the ground")
+    ] = True
 
 
 class CameraView(Struct, frozen=True, forbid_unknown_fields=True):
     """The bottom camera."""
 
     file: Annotated[str, text("a shipped camera (configs/cameras), or a path relative to the scenario file", 200)] = "sim"
-    exposure_s: Annotated[float, number("how long the shutter is open", "s", 0.0, 0.1, "assumed")] = 0.008
-    blur_sigma_px: Annotated[float, number("of lens and colour filter, Gaussian", "px", 0.0, 10.0, "assumed")] = 0.6
-    full_well_e: Annotated[float, number("electrons at full scale: sets the shot noise", "1", 100.0, 1e6, "assumed")] = 8000.0
-    read_noise_e: Annotated[float, number("electrons", "1", 0.0, 1000.0, "assumed")] = 12.0
+    exposure_s: Annotated[float, number("exposure time", "s", 0.0, 0.1, "assumed")] = 0.008
+    blur_sigma_px: Annotated[
+        float, number("standard deviation of the Gaussian blur of lens and colour filter", "px", 0.0, 10.0, "assumed")
+    ] = 0.6
+    full_well_e: Annotated[
+        float, number("electrons at full scale, which determine the shot noise", "1", 100.0, 1e6, "assumed")
+    ] = 8000.0
+    read_noise_e: Annotated[float, number("standard deviation of the read noise, electrons", "1", 0.0, 1000.0, "assumed")] = 12.0
 
 
 class PadView(Struct, frozen=True, forbid_unknown_fields=True):
@@ -81,82 +87,115 @@ class PadView(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LightSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """How the scene is lit and what the camera takes for white."""
+    """The light on the scene, and the white balance of the camera."""
 
-    colour_temperature_k: Annotated[float, number("of the light", "K", 1700.0, 25000.0)] = 6500.0
-    balanced_for_k: Annotated[float, number("what the camera takes for white", "K", 1700.0, 25000.0)] = 6500.0
+    colour_temperature_k: Annotated[float, number("colour temperature of the light", "K", 1700.0, 25000.0)] = 6500.0
+    balanced_for_k: Annotated[float, number("colour temperature that the camera takes for white", "K", 1700.0, 25000.0)] = 6500.0
     gain_red: Annotated[float, number("white-balance error on red beyond that; 1 for none", "1", 0.2, 5.0)] = 1.0
     gain_blue: Annotated[float, number("white-balance error on blue beyond that; 1 for none", "1", 0.2, 5.0)] = 1.0
     exposure_ev: Annotated[float, number("stops against white paint at 80 % of full scale", "1", -6.0, 6.0)] = 0.0
-    vignetting: Annotated[float, number("share of light lost in the corners", "1", 0.0, 1.0)] = 0.2
-    sun_elevation_deg: Annotated[float, number("over the horizon", "deg", 3.0, 90.0)] = 55.0
-    sun_azimuth_deg: Annotated[float, number("where the sun stands, clockwise from north", "deg", -360.0, 360.0)] = 140.0
+    vignetting: Annotated[float, number("fraction of light lost in the corners", "1", 0.0, 1.0)] = 0.2
+    sun_elevation_deg: Annotated[float, number("elevation of the sun over the horizon", "deg", 3.0, 90.0)] = 55.0
+    sun_azimuth_deg: Annotated[float, number("azimuth of the sun, clockwise from north", "deg", -360.0, 360.0)] = 140.0
     drone_shadow: Annotated[
-        float, number("share of light in the vehicle's own shadow that is missing; 0 under clouds", "1", 0.0, 1.0)
+        float, number("fraction of light missing in the vehicle's own shadow; 0 under clouds", "1", 0.0, 1.0)
     ] = 0.45
-    glare: Annotated[float, number("mirrored sun on the pad, in units of white paint", "1", 0.0, 10.0)] = 0.0
-    wetness: Annotated[float, number("of deck and pad, 0 dry to 1 soaked", "1", 0.0, 1.0)] = 0.0
+    glare: Annotated[float, number("brightness of the mirrored sun on the pad, in units of white paint", "1", 0.0, 10.0)] = 0.0
+    wetness: Annotated[float, number("wetness of deck and pad, from 0 (dry) to 1 (soaked)", "1", 0.0, 1.0)] = 0.0
     wear: Annotated[float, number("standard deviation of the paint's brightness", "1", 0.0, 0.5)] = 0.06
 
 
 class SensorSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """What the vehicle's sensors and its own estimator get wrong."""
+    """The errors of the vehicle's sensors and of its own estimator."""
 
     accel_bias_sigma_m_s2: Annotated[
         float,
-        number("of the accelerometer's constant error, each axis", "m/s^2", 0.0, 3.0, "biases of 80 mg in a captured navdata"),
+        number(
+            "standard deviation of the accelerometer's constant error, each axis",
+            "m/s^2",
+            0.0,
+            3.0,
+            "biases of 80 mg in a captured navdata",
+        ),
     ] = 0.6
     accel_noise_sigma_m_s2: Annotated[
-        float, number("a sample, motors turning", "m/s^2", 0.0, 5.0, _MEASURED + ": 0.040 to 0.046")
+        float, number("standard deviation of a sample, motors turning", "m/s^2", 0.0, 5.0, _MEASURED + ": 0.040 to 0.046")
     ] = 0.043
-    accel_rest_sigma_m_s2: Annotated[float, number("a sample, motors off", "m/s^2", 0.0, 5.0, _MEASURED + ": up to 0.012")] = 0.01
+    accel_rest_sigma_m_s2: Annotated[
+        float, number("standard deviation of a sample, motors off", "m/s^2", 0.0, 5.0, _MEASURED + ": up to 0.012")
+    ] = 0.01
     gyro_bias_sigma_rad_s: Annotated[
-        float, number("of the gyro's constant error after the drone took out its own offsets", "rad/s", 0.0, 0.2, _MEASURED)
+        float,
+        number(
+            "standard deviation of the gyro's constant error after the drone removed its own offsets",
+            "rad/s",
+            0.0,
+            0.2,
+            _MEASURED,
+        ),
     ] = 0.001
     gyro_noise_sigma_rad_s: Annotated[
-        float, number("a sample, motors turning", "rad/s", 0.0, 1.0, _MEASURED + ": 0.027 to 0.042")
+        float, number("standard deviation of a sample, motors turning", "rad/s", 0.0, 1.0, _MEASURED + ": 0.027 to 0.042")
     ] = 0.034
     gyro_rest_sigma_rad_s: Annotated[
-        float, number("a sample, motors off", "rad/s", 0.0, 1.0, _MEASURED + ": 0.0004 to 0.0005")
+        float, number("standard deviation of a sample, motors off", "rad/s", 0.0, 1.0, _MEASURED + ": 0.0004 to 0.0005")
     ] = 0.0005
     tilt_bias_sigma_deg: Annotated[
-        float, number("of the constant error of the drone's roll and pitch", "deg", 0.0, 10.0, _MEASURED)
+        float, number("standard deviation of the constant error of the drone's roll and pitch", "deg", 0.0, 10.0, _MEASURED)
     ] = 0.5
     tilt_drift_sigma_deg: Annotated[
-        float, number("of the wandering error of the drone's roll and pitch", "deg", 0.0, 10.0, _MEASURED + ": 0.16 and 0.77")
+        float,
+        number(
+            "standard deviation of the wandering error of the drone's roll and pitch",
+            "deg",
+            0.0,
+            10.0,
+            _MEASURED + ": 0.16 and 0.77",
+        ),
     ] = 0.4
     tilt_drift_time_s: Annotated[float, number("its correlation time", "s", 0.05, 600.0, _MEASURED)] = 1.0
     heading_bias_sigma_deg: Annotated[
-        float, number("of the constant error of the drone's heading", "deg", 0.0, 180.0, "assumed")
+        float, number("standard deviation of the constant error of the drone's heading", "deg", 0.0, 180.0, "assumed")
     ] = 3.0
     heading_drift_sigma_deg: Annotated[
-        float, number("of the wandering error of the drone's heading", "deg", 0.0, 60.0, _MEASURED + ": 2.4")
+        float, number("standard deviation of the wandering error of the drone's heading", "deg", 0.0, 60.0, _MEASURED + ": 2.4")
     ] = 2.0
     heading_drift_time_s: Annotated[float, number("its correlation time", "s", 0.05, 600.0, _MEASURED)] = 6.0
-    velocity_scale: Annotated[float, number("velocity told over true velocity", "1", 0.1, 2.0, _MEASURED)] = 0.83
+    velocity_scale: Annotated[float, number("scale factor: reported over true velocity", "1", 0.1, 2.0, _MEASURED)] = 0.83
     velocity_noise_sigma_m_s: Annotated[
-        float, number("of the wandering error of velocity", "m/s", 0.0, 1.0, _MEASURED + ": 0.011 to 0.024")
+        float,
+        number("standard deviation of the wandering error of the velocity", "m/s", 0.0, 1.0, _MEASURED + ": 0.011 to 0.024"),
     ] = 0.015
     velocity_noise_time_s: Annotated[float, number("its correlation time", "s", 0.01, 60.0, _MEASURED)] = 0.25
-    velocity_lag_s: Annotated[float, number("first-order lag of velocity", "s", 0.001, 1.0, _MEASURED + ": 0.02 to 0.04")] = 0.03
+    velocity_lag_s: Annotated[
+        float, number("first-order lag of the reported velocity", "s", 0.001, 1.0, _MEASURED + ": 0.02 to 0.04")
+    ] = 0.03
     velocity_over: Annotated[
         Literal["seen", "water"],
-        choice(
-            "what velocity is measured against: what the bottom camera sees (the moving deck when over it), or always the water"
-        ),
+        choice("reference of the velocity: the surface that the bottom camera sees (the deck when over it), or always the water"),
     ] = "seen"
-    ultrasound_rate_hz: Annotated[float, number("how often it measures", "Hz", 1.0, 60.0, "pic:ultrasound_freq 8")] = 25.0
-    ultrasound_min_m: Annotated[float, number("nothing nearer is heard", "m", 0.0, 1.0, "assumed")] = 0.2
-    ultrasound_max_m: Annotated[float, number("nothing farther is heard", "m", 0.5, 20.0, "Parrot's specification")] = 6.0
+    ultrasound_rate_hz: Annotated[float, number("rate of measurements", "Hz", 1.0, 60.0, "pic:ultrasound_freq 8")] = 25.0
+    ultrasound_min_m: Annotated[float, number("shortest measurable distance", "m", 0.0, 1.0, "assumed")] = 0.2
+    ultrasound_max_m: Annotated[float, number("longest measurable distance", "m", 0.5, 20.0, "Parrot's specification")] = 6.0
     ultrasound_cone_deg: Annotated[
-        float, number("full angle of the cone it hears; the nearest surface counts", "deg", 1.0, 90.0, _THESIS)
+        float, number("full angle of the sensor's cone; the nearest surface counts", "deg", 1.0, 90.0, _THESIS)
     ] = 40.0
-    ultrasound_sigma_m: Annotated[float, number("a reading", "m", 0.0, 1.0, _MEASURED + ": 0.003 to 0.007")] = 0.005
-    ultrasound_delay_s: Annotated[float, number("from the echo to the telemetry", "s", 0.0, 0.5, _MEASURED)] = 0.06
-    pressure_sigma_pa: Annotated[float, number("a reading", "Pa", 0.0, 200.0, _THESIS + ": 0.5 m of height")] = 6.0
-    pressure_drift_sigma_pa: Annotated[float, number("of the slow wandering", "Pa", 0.0, 500.0, "assumed")] = 10.0
-    magnetometer_sigma_t: Annotated[float, number("a reading, each axis", "T", 0.0, 1e-4, _THESIS + ": 0.013 G")] = 1.3e-6
-    magnetometer_bias_sigma_t: Annotated[float, number("of the constant error, each axis", "T", 0.0, 1e-4, "assumed")] = 1e-6
+    ultrasound_sigma_m: Annotated[
+        float, number("standard deviation of a reading", "m", 0.0, 1.0, _MEASURED + ": 0.003 to 0.007")
+    ] = 0.005
+    ultrasound_delay_s: Annotated[float, number("delay from the echo to the telemetry", "s", 0.0, 0.5, _MEASURED)] = 0.06
+    pressure_sigma_pa: Annotated[
+        float, number("standard deviation of a reading", "Pa", 0.0, 200.0, _THESIS + ": 0.5 m of height")
+    ] = 6.0
+    pressure_drift_sigma_pa: Annotated[
+        float, number("standard deviation of the slow wandering error", "Pa", 0.0, 500.0, "assumed")
+    ] = 10.0
+    magnetometer_sigma_t: Annotated[
+        float, number("standard deviation of a reading, each axis", "T", 0.0, 1e-4, _THESIS + ": 0.013 G")
+    ] = 1.3e-6
+    magnetometer_bias_sigma_t: Annotated[
+        float, number("standard deviation of the constant error, each axis", "T", 0.0, 1e-4, "assumed")
+    ] = 1e-6
     battery_start: Annotated[float, number("charge at the start", "1", 0.0, 1.0)] = 0.9
     battery_life_s: Annotated[float, number("flight time of a full battery", "s", 10.0, 36000.0, _THESIS)] = 1200.0
 
@@ -169,7 +208,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     """One flight to simulate."""
 
     title: Annotated[str, text("one line for people", 120)]
-    duration_limit_s: Annotated[float, number("the flight ends here at the latest", "s", 1.0, 36000.0)] = 120.0
+    duration_limit_s: Annotated[float, number("longest time of the flight", "s", 1.0, 36000.0)] = 120.0
     sea: Sea = Sea()
     vessel: VesselSettings = VesselSettings()
     wind: WindSettings = WindSettings()
@@ -196,14 +235,14 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def load(name_or_path: str | Path) -> Scenario:
-    """The scenario in a file, or a shipped one (`configs/scenarios/*.toml`, `faults/*.toml` there) when given its bare name.
+    """Return the scenario in a file, or a shipped one (`configs/scenarios/*.toml`, `faults/*.toml` there) by its bare name.
 
-    A file may name a `base`: it then says only what differs, and its faults come on top of those of the base.
-    Camera and pad files are read too; `camera.file` and `pad.file` of the result hold from the working directory.
+    A file may name a `base`. It then has only what differs, and its faults are added to those of the base. Camera and pad files
+    are read too; in the result `camera.file` and `pad.file` are relative to the working directory.
 
     Raises:
-        BadInput: a file that cannot be read or is not TOML; a key unknown, missing, of the wrong type or out of range; a base
-            that is its own; a camera or pad file with such a fault. One line that names the file and the key.
+        BadInput: a file cannot be read as TOML; a key is unknown, missing, of the wrong type or out of range; a base refers
+            to itself; or a camera or pad file has such a fault. The text is one line that names the file and the key.
     """
     path = _find(str(name_or_path), "scenarios", Path(), "scenario")
     scenario = from_mapping(_with_base(path, ()), str(path))
@@ -215,7 +254,7 @@ def load(name_or_path: str | Path) -> Scenario:
 
 
 def _with_base(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
-    """What the file and its bases hold together; each one is checked by itself so that an error names the file it is in."""
+    """Return the merged content of a file and its bases; each is checked alone, so that an error names its own file."""
     if path.resolve() in above:
         raise BadInput(f"{path}: base leads back to this file")
     data = read_toml(path)
@@ -242,9 +281,9 @@ def _with_base(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """The tables of both, key by key; the faults of the base come first.
+    """Return the tables of both, merged key by key; the faults of the base come first.
 
-    A key of `over` that takes the place of others, such as `sea.sea_state` of a height, takes them out of the base.
+    A key of `over` that replaces others, as `sea.sea_state` replaces a height, removes them from the base.
     """
     out = dict(base)
     for key, value in over.items():
@@ -261,15 +300,15 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def shipped_scenarios() -> list[str]:
-    """Names of the shipped scenarios; those with a fault are `faults/NAME`."""
+    """Return the names of the shipped scenarios; those with a fault are `faults/NAME`."""
     return [*shipped("scenarios"), *(f"{FAULTS}/{name}" for name in shipped(f"scenarios/{FAULTS}"))]
 
 
 def from_mapping(data: dict[str, Any], where: str) -> Scenario:
-    """A scenario from what a TOML file holds; `where` names the file in errors.
+    """Return the scenario that the mapping of a TOML file describes; `where` names the file in errors.
 
     Raises:
-        BadInput: as `load`, but for the camera and pad files, which are not looked at.
+        BadInput: as for `load`, except that camera and pad files are not read.
     """
     try:
         return msgspec.convert(data, Scenario, strict=True)
@@ -278,7 +317,7 @@ def from_mapping(data: dict[str, Any], where: str) -> Scenario:
 
 
 def camera_model(scenario: Scenario) -> Camera:
-    """The camera that `scenario.camera.file` names.
+    """Return the camera that `scenario.camera.file` names.
 
     Raises:
         BadInput: the file is missing or has a fault.
@@ -288,7 +327,7 @@ def camera_model(scenario: Scenario) -> Camera:
 
 
 def pad_model(scenario: Scenario) -> Pad:
-    """The pad that `scenario.pad.file` names.
+    """Return the pad that `scenario.pad.file` names.
 
     Raises:
         BadInput: the file is missing or has a fault.
@@ -298,7 +337,7 @@ def pad_model(scenario: Scenario) -> Pad:
 
 
 def vehicle_model(scenario: Scenario) -> VehicleFile:
-    """The vehicle that `scenario.vehicle.file` names.
+    """Return the vehicle that `scenario.vehicle.file` names.
 
     Raises:
         BadInput: the file is missing or has a fault, or a fault of the scenario weakens a rotor that the vehicle does not have.
@@ -313,10 +352,10 @@ def vehicle_model(scenario: Scenario) -> VehicleFile:
 
 
 def ship_model(scenario: Scenario) -> Ship:
-    """The vessel that `scenario.vessel` names.
+    """Return the vessel that `scenario.vessel` names.
 
     Raises:
-        BadInput: its file is missing, has a fault, or does not go with the scenario: a recording that is too short or moored, a
+        BadInput: its file is missing, has a fault, or contradicts the scenario: a recording that is too short or moored, a
             turn of a ship that is recorded or whose metacentric height is not known.
     """
     v = scenario.vessel
@@ -338,7 +377,7 @@ def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
         if recorded.lasts_s < scenario.duration_limit_s:
             raise BadInput(
                 f"{where}: the recording lasts {recorded.lasts_s:.1f} s and the flight up to {scenario.duration_limit_s:g} s; "
-                "shorten duration_limit_s, or let it be flown again with recording.loop_blend_s"
+                "shorten duration_limit_s, or repeat it with recording.loop_blend_s"
             )
     if v.turn_rate_deg_s != 0.0 and (ship.hull.gm_m is None or ship.hull.kg_m is None):
         raise BadInput(f"{where}: a turn needs gm_m and kg_m of the vessel, for its heel")
@@ -350,7 +389,7 @@ class _One(Struct, frozen=True):
 
 
 def _explain(data: dict[str, Any], said: str, inherited: int = 0) -> str:
-    """One line; a fault inside the list is explained against its own kind, and numbered as in its own file."""
+    """Return one line; a fault in the list is compared with its own kind, and numbered as in its own file."""
     if found := re.search(r"\$\.faults\[(\d+)\]", said):
         n = int(found[1])
         line = explain(_One, {"fault": data["faults"][n]}, said.replace(f".faults[{n}]", ".fault"))

@@ -67,10 +67,10 @@ class Sea(Struct, frozen=True, forbid_unknown_fields=True):
     spreading: Spread | None = None
     swell: WaveSystem | None = None
     wind_sea: WaveSystem | None = None
-    current_m_s: Annotated[float, number("of the water, which carries waves and unmoored vessels", "m/s", 0.0, 5.0)] = 0.0
-    current_to_deg: Annotated[float, number("where the current runs to, clockwise from north", "deg", -360.0, 360.0)] | None = (
-        None
-    )
+    current_m_s: Annotated[float, number("speed of the water, which carries waves and unmoored vessels", "m/s", 0.0, 5.0)] = 0.0
+    current_to_deg: (
+        Annotated[float, number("direction to which the current runs, clockwise from north", "deg", -360.0, 360.0)] | None
+    ) = None
 
     def __post_init__(self) -> None:
         parts = [name for name in ("swell", "wind_sea") if getattr(self, name) is not None]

@@ -34,14 +34,14 @@ class SensorFault(Fault, frozen=True):
     """A fault of one sensor; each kind says its numbers in `errors`."""
 
     frozen: Annotated[bool, choice("whether the reading at the beginning is repeated")] = False
-    delay_s: Annotated[float, number("how much older readings are than they claim", "s", 0.0, MOST_DELAY_S)] = 0.0
+    delay_s: Annotated[float, number("time by which readings are older than they claim", "s", 0.0, MOST_DELAY_S)] = 0.0
     dropped_fraction: Annotated[
         float,
         number(
             "fraction of the readings that fail, drawn by the seed: no echo or field, else the one before again", "1", 0.0, 1.0
         ),
     ] = 0.0
-    scale: Annotated[float, number("told value over the true value", "1", -10.0, 10.0)] = 1.0
+    scale: Annotated[float, number("reported value over the true value", "1", -10.0, 10.0)] = 1.0
 
     @property
     def errors(self) -> ReadingErrors:

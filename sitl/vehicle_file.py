@@ -26,26 +26,26 @@ class LoopSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     tilt_p: Annotated[float, number("square of the tilt response's natural frequency", "1/s^2", 1.0, 1000.0)]
     tilt_d: Annotated[float, number("twice the damping ratio times that frequency", "1/s", 0.5, 100.0)]
-    tilt_max_deg: Annotated[float, number("largest tilt that any loop asks for", "deg", 5.0, 60.0)]
-    yaw_rate_p: Annotated[float, number("of the rate of turn", "1/s", 0.1, 20.0)] = 2.0
+    tilt_max_deg: Annotated[float, number("largest tilt that any loop commands", "deg", 5.0, 60.0)]
+    yaw_rate_p: Annotated[float, number("gain of the yaw rate", "1/s", 0.1, 20.0)] = 2.0
 
 
 class FeetSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Four elastic feet."""
 
-    half_base_m: Annotated[float, number("each ahead or astern of the middle, and aside of it", "m", 0.02, 2.0)]
-    below_m: Annotated[float, number("below the body's origin", "m", 0.01, 1.0)]
-    top_m: Annotated[float, number("of the hull over the body's origin", "m", 0.01, 1.0)]
-    stiffness_n_m: Annotated[float, number("all four together", "N/m", 100.0, 200000.0)]
-    friction: Annotated[float, number("Coulomb's coefficient", "1", 0.05, 2.0)] = 0.6
+    half_base_m: Annotated[float, number("distance of each foot ahead or astern of the middle, and to its side", "m", 0.02, 2.0)]
+    below_m: Annotated[float, number("distance of the feet below the body's origin", "m", 0.01, 1.0)]
+    top_m: Annotated[float, number("height of the hull's top over the body's origin", "m", 0.01, 1.0)]
+    stiffness_n_m: Annotated[float, number("stiffness of all four feet together", "N/m", 100.0, 200000.0)]
+    friction: Annotated[float, number("Coulomb's coefficient of friction", "1", 0.05, 2.0)] = 0.6
 
 
 class LimitSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """What a full stick asks for until the configuration says otherwise."""
 
-    euler_angle_max_deg: Annotated[float, number("tilt", "deg", 1.0, 45.0)]
-    vz_max_m_s: Annotated[float, number("climb and descent", "m/s", 0.1, 5.0)]
-    yaw_rate_max_deg_s: Annotated[float, number("rate of turn", "deg/s", 5.0, 400.0)]
+    euler_angle_max_deg: Annotated[float, number("largest tilt", "deg", 1.0, 45.0)]
+    vz_max_m_s: Annotated[float, number("largest climb and descent rate", "m/s", 0.1, 5.0)]
+    yaw_rate_max_deg_s: Annotated[float, number("largest rate of turn", "deg/s", 5.0, 400.0)]
 
 
 class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -53,25 +53,28 @@ class VehicleFile(Struct, frozen=True, forbid_unknown_fields=True):
 
     title: Annotated[str, text("one line for people", 120)]
     source: Annotated[str, text("where the figures come from, and which are assumed", 2000)]
-    mass_kg: Annotated[float, number("ready to fly", "kg", 0.1, 30.0)]
+    mass_kg: Annotated[float, number("mass ready to fly", "kg", 0.1, 30.0)]
     inertia_kg_m2: Annotated[_Three, Meta(description="principal moments about x, y, z")]
     layout: Annotated[Literal["quad_x", "hexa_x"], choice("four rotors in an X, or six with two of them at the sides")]
-    arm_m: Annotated[float, number("quad: each axis ahead and aside; hexa: from the middle", "m", 0.03, 2.0)]
-    rotor_radius_m: Annotated[float, number("of one rotor", "m", 0.02, 0.6)]
-    rotors_above_m: Annotated[float, number("rotor plane over the body's origin", "m", 0.0, 0.5)]
+    arm_m: Annotated[
+        float, number("position of a rotor: for a quad ahead and aside, for a hexa its distance from the middle", "m", 0.03, 2.0)
+    ]
+    rotor_radius_m: Annotated[float, number("radius of one rotor", "m", 0.02, 0.6)]
+    rotors_above_m: Annotated[float, number("height of the rotor plane over the body's origin", "m", 0.0, 0.5)]
     yaw_torque_per_thrust_m: Annotated[float, number("drag torque of a rotor over its thrust", "m", 0.001, 0.2)]
-    thrust_max_n: Annotated[float, number("all rotors together", "N", 1.0, 1000.0)]
+    thrust_max_n: Annotated[float, number("largest thrust of all rotors together", "N", 1.0, 1000.0)]
     torque_max_n_m: Annotated[_Three, Meta(description="that the loops may ask for, about x, y, z")]
     motor_lag_s: Annotated[float, number("first-order lag of thrust and torque", "s", 0.0, 0.5)]
-    command_delay_s: Annotated[float, number("from the arrival of a stick command to its effect", "s", 0.0, 0.5)]
+    command_delay_s: Annotated[float, number("delay from the arrival of a stick command to its effect", "s", 0.0, 0.5)]
     drag_per_s: Annotated[_Three, Meta(description="1/s, deceleration per m/s of airspeed along the body's axes")]
     loops: LoopSettings
     feet: FeetSettings
     limits: LimitSettings
     ground_effect: Annotated[
-        Literal["body", "rotors"], choice("of what lies under the body's middle, or of each rotor by itself over the deck's edge")
+        Literal["body", "rotors"],
+        choice("ground effect by the surface under the body's middle, or by that under each rotor, as at the deck's edge"),
     ] = "rotors"
-    landing_speed_m_s: Annotated[float, number("descent of the vehicle's own landing", "m/s", 0.1, 1.5)] = 0.4
+    landing_speed_m_s: Annotated[float, number("descent rate of the vehicle's own landing", "m/s", 0.1, 1.5)] = 0.4
 
     def __post_init__(self) -> None:
         if min(self.inertia_kg_m2) <= 0 or min(self.torque_max_n_m) <= 0 or min(self.drag_per_s) < 0:

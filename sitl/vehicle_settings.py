@@ -19,27 +19,30 @@ class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The vehicle, and what may be changed about it."""
 
     file: Annotated[str, text("a shipped vehicle (configs/vehicles), or a path relative to the scenario file", 200)] = "ardrone2"
-    mass_kg: Annotated[float, number("inertia follows in proportion" + _UNLESS, "kg", 0.2, 30.0)] | None = None
+    mass_kg: Annotated[float, number("mass; the inertia is in proportion" + _UNLESS, "kg", 0.2, 30.0)] | None = None
     command_delay_s: (
-        Annotated[float, number("from the arrival of a stick command to its effect" + _UNLESS, "s", 0.0, 0.5)] | None
+        Annotated[float, number("delay from the arrival of a stick command to its effect" + _UNLESS, "s", 0.0, 0.5)] | None
     ) = None
     motor_lag_s: Annotated[float, number("time constant of rotor thrust" + _UNLESS, "s", 0.0, 0.5)] | None = None
-    landing_speed_m_s: Annotated[float, number("descent of its own landing" + _UNLESS, "m/s", 0.1, 1.5)] | None = None
+    landing_speed_m_s: Annotated[float, number("descent rate of its own landing" + _UNLESS, "m/s", 0.1, 1.5)] | None = None
     ground_effect: (
         Annotated[
             Literal["body", "rotors"],
-            choice("of what lies under the body's middle, or of each rotor by itself over the deck's edge" + _UNLESS),
+            choice(
+                "ground effect by the surface under the body's middle, or by that under each rotor, as at the deck's edge"
+                + _UNLESS
+            ),
         ]
         | None
     ) = None
     euler_angle_max_deg: (
-        Annotated[float, number("full stick, until the configuration says otherwise" + _UNLESS, "deg", 1.0, 28.0)] | None
+        Annotated[float, number("limit at full stick, until the configuration changes it" + _UNLESS, "deg", 1.0, 28.0)] | None
     ) = None
     vz_max_m_s: (
-        Annotated[float, number("full stick, until the configuration says otherwise" + _UNLESS, "m/s", 0.1, 2.0)] | None
+        Annotated[float, number("limit at full stick, until the configuration changes it" + _UNLESS, "m/s", 0.1, 2.0)] | None
     ) = None
     yaw_rate_max_deg_s: (
-        Annotated[float, number("full stick, until the configuration says otherwise" + _UNLESS, "deg/s", 10.0, 350.0)] | None
+        Annotated[float, number("limit at full stick, until the configuration changes it" + _UNLESS, "deg/s", 10.0, 350.0)] | None
     ) = None
 
     def airframe(self, vehicle: VehicleFile) -> Airframe:

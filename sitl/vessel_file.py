@@ -29,7 +29,7 @@ class ClosedForm(Struct, frozen=True, forbid_unknown_fields=True):
 
     block: Annotated[float, number("displaced volume over length x beam x draught", "1", 0.05, 1.0)]
     roll_period_s: Annotated[float, number("natural period of roll", "s", 0.3, 40.0)]
-    roll_damping: Annotated[float, number("over critical damping, waves and bilge together", "1", 0.01, 1.0)]
+    roll_damping: Annotated[float, number("damping over critical damping, waves and bilge together", "1", 0.01, 1.0)]
 
 
 class Mode(Struct, frozen=True, forbid_unknown_fields=True):
@@ -55,11 +55,11 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True):
 class Block(Struct, frozen=True, forbid_unknown_fields=True):
     """The superstructure, a block that the wind flows around; frames do not show it."""
 
-    forward_m: Annotated[float, number("of its centre from amidships", "m", -250.0, 250.0)]
-    length_m: Annotated[float, number("along the ship", "m", 0.2, 300.0)]
-    width_m: Annotated[float, number("across the ship", "m", 0.2, 80.0)]
-    height_m: Annotated[float, number("over the deck of the pad", "m", 0.2, 60.0)]
-    starboard_m: Annotated[float, number("of its centre from the middle line", "m", -40.0, 40.0)] = 0.0
+    forward_m: Annotated[float, number("distance of its centre forward of amidships", "m", -250.0, 250.0)]
+    length_m: Annotated[float, number("length along the ship", "m", 0.2, 300.0)]
+    width_m: Annotated[float, number("width across the ship", "m", 0.2, 80.0)]
+    height_m: Annotated[float, number("height over the deck of the pad", "m", 0.2, 60.0)]
+    starboard_m: Annotated[float, number("distance of its centre to starboard of the middle line", "m", -40.0, 40.0)] = 0.0
 
     def covers(self, forward_m: float, starboard_m: float) -> bool:
         """Whether a place on deck lies under it."""
@@ -72,10 +72,12 @@ class MotionFile(Struct, frozen=True, forbid_unknown_fields=True):
 
     file: Annotated[str, text("CSV file, relative to the vessel's file", 200)]
     loop_blend_s: (
-        Annotated[float, number("fly it again and again, its end blended into its beginning over this time", "s", 0.5, 60.0)]
+        Annotated[float, number("repeat the recording, with its end blended into its beginning over this time", "s", 0.5, 60.0)]
         | None
     ) = None
-    random_start: Annotated[bool, choice("begin at a random place in it, by the seed, instead of at its beginning")] = False
+    random_start: Annotated[
+        bool, choice("whether the flight begins at a random time of the recording, by the seed, instead of at its beginning")
+    ] = False
 
 
 class VesselFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -83,14 +85,16 @@ class VesselFile(Struct, frozen=True, forbid_unknown_fields=True):
 
     title: Annotated[str, text("one line for people", 120)]
     source: Annotated[str, text("where the figures come from, and which are assumed", 1000)]
-    length_m: Annotated[float, number("between perpendiculars; the deck has it too", "m", 0.5, 500.0)]
-    beam_m: Annotated[float, number("at the waterline", "m", 0.2, 80.0)]
-    draught_m: Annotated[float, number("of the hull", "m", 0.02, 30.0)]
+    length_m: Annotated[float, number("length between perpendiculars, which is also that of the deck", "m", 0.5, 500.0)]
+    beam_m: Annotated[float, number("beam at the waterline", "m", 0.2, 80.0)]
+    draught_m: Annotated[float, number("draught of the hull", "m", 0.02, 30.0)]
     freeboard_m: Annotated[float, number("height of the deck over calm water", "m", 0.05, 30.0)]
     bow_taper_m: Annotated[float, number("length over which the deck narrows to the stem; 0 for a barge", "m", 0.0, 200.0)] = 0.0
-    deck_beam_m: Annotated[float, number("width of the deck, where it is another than the beam", "m", 0.2, 80.0)] | None = None
-    pad_forward_m: Annotated[float, number("of the pad's centre from amidships", "m", -250.0, 250.0)] = 0.0
-    pad_starboard_m: Annotated[float, number("of the pad's centre from the middle line", "m", -40.0, 40.0)] = 0.0
+    deck_beam_m: Annotated[float, number("width of the deck if it differs from the beam", "m", 0.2, 80.0)] | None = None
+    pad_forward_m: Annotated[float, number("distance of the pad's centre forward of amidships", "m", -250.0, 250.0)] = 0.0
+    pad_starboard_m: Annotated[
+        float, number("distance of the pad's centre to starboard of the middle line", "m", -40.0, 40.0)
+    ] = 0.0
     gm_m: Annotated[float, number("transverse metacentric height; for the heel in a turn", "m", 0.01, 20.0)] | None = None
     kg_m: (
         Annotated[float, number("height of the centre of gravity over the keel; for the heel in a turn", "m", 0.01, 40.0)] | None

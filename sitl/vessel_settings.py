@@ -19,15 +19,17 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
     hull: Annotated[str, text(f"one of {', '.join(HULLS)}; {DEFAULT_HULL} unless said", 40)] | None = None
     file: Annotated[str, text("a shipped vessel (configs/vessels), or a path relative to the scenario file", 200)] | None = None
-    heading_deg: Annotated[float, number("of the bow, clockwise from north", "deg", -360.0, 360.0)] = 0.0
-    speed_m_s: Annotated[float, number("along the heading, through the water", "m/s", 0.0, 15.0)] = 0.0
+    heading_deg: Annotated[float, number("heading of the bow, clockwise from north", "deg", -360.0, 360.0)] = 0.0
+    speed_m_s: Annotated[float, number("speed along the heading, through the water", "m/s", 0.0, 15.0)] = 0.0
     moored: Annotated[bool, Meta(description="at anchor: wanders slowly in surge, sway and yaw")] = True
-    pad_yaw_deg: Annotated[float, number("the pad's arrow against the bow, clockwise from above", "deg", -360.0, 360.0)] = 0.0
+    pad_yaw_deg: Annotated[float, number("angle of the pad's arrow from the bow, clockwise from above", "deg", -360.0, 360.0)] = (
+        0.0
+    )
     turn_rate_deg_s: Annotated[float, number("rate of turn, clockwise from above; 0 keeps the course", "deg/s", -30.0, 30.0)] = (
         0.0
     )
-    turn_at_s: Annotated[float, number("when the turn begins", "s", 0.0, 36000.0)] = 0.0
-    turn_over_s: Annotated[float, number("how long it takes until the turn is steady", "s", 0.5, 300.0, "assumed")] = 10.0
+    turn_at_s: Annotated[float, number("time at which the turn begins", "s", 0.0, 36000.0)] = 0.0
+    turn_over_s: Annotated[float, number("time until the turn is steady", "s", 0.5, 300.0, "assumed")] = 10.0
 
     def __post_init__(self) -> None:
         if self.hull is not None and self.file is not None:

@@ -18,18 +18,18 @@ EXCLUDES: dict[str, tuple[str, ...]] = {"model": ("gust_sigma_m_s", "gust_time_s
 class DiscreteGust(Struct, frozen=True, forbid_unknown_fields=True):
     """One gust that rises, stays and goes."""
 
-    at_s: Annotated[float, number("when it begins", "s", 0.0, 36000.0)]
-    speed_m_s: Annotated[float, number("at its height, on top of the wind", "m/s", 0.1, 30.0)]
-    from_deg: Annotated[float, number("where it blows from, clockwise from north", "deg", -360.0, 360.0)]
-    rise_s: Annotated[float, number("how long it rises, and falls", "s", 0.05, 60.0)] = 1.0
-    hold_s: Annotated[float, number("how long it stays", "s", 0.0, 600.0)] = 2.0
+    at_s: Annotated[float, number("time at which the gust begins", "s", 0.0, 36000.0)]
+    speed_m_s: Annotated[float, number("speed at its height, in addition to the wind", "m/s", 0.1, 30.0)]
+    from_deg: Annotated[float, number("direction from which it blows, clockwise from north", "deg", -360.0, 360.0)]
+    rise_s: Annotated[float, number("time of its rise, and of its fall", "s", 0.05, 60.0)] = 1.0
+    hold_s: Annotated[float, number("time for which it stays at its height", "s", 0.0, 600.0)] = 2.0
 
 
 class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """The air around the vehicle."""
 
-    speed_m_s: Annotated[float, number("mean, 10 m over the water", "m/s", 0.0, 25.0)] = 2.0
-    from_deg: Annotated[float, number("where it blows from, clockwise from north", "deg", -360.0, 360.0)] = 0.0
+    speed_m_s: Annotated[float, number("mean speed 10 m over the water", "m/s", 0.0, 25.0)] = 2.0
+    from_deg: Annotated[float, number("direction from which it blows, clockwise from north", "deg", -360.0, 360.0)] = 0.0
     model: Annotated[
         Literal["gauss_markov", "dryden"],
         choice("turbulence: of a given strength everywhere, or MIL-F-8785C's at low altitude, by wind and height"),
@@ -44,10 +44,10 @@ class WindSettings(Struct, frozen=True, forbid_unknown_fields=True):
     profile: Annotated[
         Literal["uniform", "logarithmic"], choice("the mean is the same at all heights, or grows with the height over the water")
     ] = "uniform"
-    roughness_m: Annotated[float, number("of the sea's surface, for the profile", "m", 1e-5, 0.05, "open sea, DNV-RP-C205")] = (
-        0.0002
-    )
-    wake: Annotated[bool, choice("the vessel's superstructure slows and stirs the air behind it")] = False
+    roughness_m: Annotated[
+        float, number("roughness of the sea's surface, for the profile", "m", 1e-5, 0.05, "open sea, DNV-RP-C205")
+    ] = 0.0002
+    wake: Annotated[bool, choice("whether the vessel's superstructure slows and stirs the air behind it")] = False
     gusts: Annotated[tuple[DiscreteGust, ...], Meta(max_length=100, description="single gusts, in any order")] = ()
 
     def __post_init__(self) -> None:
