@@ -1,7 +1,7 @@
-"""One flight in virtual time: the daemon's pilot and the driver's logic against the simulated drone, without sockets.
+"""Fly one flight in virtual time: the daemon's pilot and the driver's logic against the simulated drone, without sockets.
 
-Everything between the two is what flies in earnest: AT commands as bytes, navdata, samples, vision, estimator, guidance. Left
-out are the sockets, the video codec and threads, so that a scenario and a seed give one result to the bit.
+Everything between the two is the code of a real flight: AT commands as bytes, navdata, samples, vision, estimator, guidance.
+Sockets, the video codec and threads are left out, so that a scenario and a seed give the same result to the bit.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ COMMAND_DELAY_S = 0.004
 STAMP_SIGMA_S = 0.002
 _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
 _WATCH_EACH = 10
-"""Ticks between two looks at the truth for the judgement: 50 ms."""
+"""Number of ticks between two checks of the truth for the grade: 50 ms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +134,7 @@ class Flight:
         self.world = World(scenario, seed)
         self._perception = perception or Pixels()
         self._perception.begin(self.world)
-        self.room: RenderWorker | None = None
+        self.worker: RenderWorker | None = None
         """Makes the frames, where one is set before the first step; else they are made in place. The same bits either way."""
         if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
@@ -214,7 +214,7 @@ class Flight:
         return self.result()
 
     def _killed(self) -> bool:
-        """Whether the service's process is gone; when it is back, it is a new one."""
+        """Whether the service's process is gone; after a restart it is a new process."""
         if self.world.active("service_killed"):
             if not self._gone:
                 self._arbiter.lost(self._clock.t)
@@ -228,7 +228,7 @@ class Flight:
         return False
 
     def _hold(self, now: MonoNs) -> None:
-        """What the sender does, a process of its own that the service's end leaves alone."""
+        """Act as the sender, which outlives the service."""
         if not self.world.active("navdata_silent") and not self.world.active("link_lost"):
             self._arbiter.on_report(DroneReport.of(self._drone.navdata()), after(now, NAVDATA_DELAY_S))
         if now >= self._due_command:
@@ -275,7 +275,7 @@ class Flight:
             return
         self.exposures += 1
         delay_s = self._timing.frame_delay_s + self.world.frame_delay_s
-        self._on_the_way.append((after(self.world.at, delay_s), self._perception.expose(self.world, self.room)))
+        self._on_the_way.append((after(self.world.at, delay_s), self._perception.expose(self.world, self.worker)))
 
     def _process(self, now: MonoNs) -> None:
         if self._looking is not None and now >= self._looking[0]:
@@ -360,11 +360,11 @@ class Flight:
         if outcome is not FlightOutcome.GAVE_UP:
             return None
         frames = self._watch.since_sight
-        told = ", ".join(f"{n} {verdict.value}" for verdict, n in frames.most_common())
-        said = self._reason or outcome.value
-        return f"{said}; frames since the pad was last truly seen: {told or 'none'}"
+        counts = ", ".join(f"{n} {verdict.value}" for verdict, n in frames.most_common())
+        reason = self._reason or outcome.value
+        return f"{reason}; frames since the pad was last truly seen: {counts or 'none'}"
 
 
 def _stamp(measured_at: MonoNs, received: MonoNs) -> Stamp:
-    """A sample that claims to be from the future is received, as far as its stamp can say, when it claims to be true."""
+    """Return the stamp of a sample. A sample with a stamp in the future counts as received at that stamp."""
     return Stamp(measured_at, max(measured_at, received), STAMP_SIGMA_S, "sim")

@@ -103,7 +103,7 @@ def fly(
         on_start(flight.health)
     with ExitStack() as stack:
         if render_beside and perception == "pixels":
-            flight.room = stack.enter_context(render_worker(flight.world.renderer))
+            flight.worker = stack.enter_context(render_worker(flight.world.renderer))
         steps = exposures = 0
         while flight.step():
             steps += 1

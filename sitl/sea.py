@@ -19,7 +19,7 @@ from sitl.spectra import GRAVITY_M_S2 as GRAVITY_M_S2
 from sitl.spectra import fully_grown_period_s, jonswap, most_probable_ochi_hubble, ochi_hubble_part
 
 Components = Literal["geometric", "equal_energy"]
-"""How the frequencies of the harmonics are chosen: a random place inside each of geometric bins, or of bins of equal energy."""
+"""The choice of the harmonics' frequencies: a random place inside each of geometric bins, or of bins of equal energy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class SeaState:
     hs_m: float
     tp_s: float
     gamma: float = 3.3
-    """1 gives the ITTC (Bretschneider) shape, 3.3 the mean JONSWAP one."""
+    """Peak enhancement: 1 gives the ITTC (Bretschneider) shape, 3.3 the mean JONSWAP one."""
     shape: float | None = None
     """The shape parameter of an Ochi-Hubble part, in place of JONSWAP; 3 is a swell, 1.5 a wind sea."""
 
@@ -88,10 +88,10 @@ SHELTERED_SLIGHT = SeaState(0.20, 3.0)
 
 
 def sea_state(code: int) -> SeaState:
-    """The preset of a WMO sea state code 0..6.
+    """Return the preset of a WMO sea state code 0..6.
 
     Raises:
-        BadInput: another code.
+        BadInput: the code is another one.
     """
     if code not in SEA_STATES:
         raise BadInput(f"sea state must be one of {', '.join(map(str, SEA_STATES))}, got {code!r}")
@@ -100,18 +100,18 @@ def sea_state(code: int) -> SeaState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Waves:
-    """B seas of N harmonics each; the surface stands at sum a cos(k.p - w t + phase) above mean water."""
+    """B seas of N harmonics each; the surface is at sum a cos(k.p - w t + phase) above mean water."""
 
     amplitude_m: F64
-    """(B, N)."""
+    """(B, N) amplitudes, m."""
     w_rad_s: F64
-    """(B, N), positive."""
+    """(B, N) angular frequencies, rad/s, positive."""
     towards_rad: F64
-    """(B, N)."""
+    """(B, N) directions to which the harmonics run, rad."""
     phase_rad: F64
-    """(B, N)."""
+    """(B, N) phases, rad."""
     current_ne_m_s: tuple[float, float] = (0.0, 0.0)
-    """Velocity of the water itself, m/s north and east, which carries the waves along; `w_rad_s` is as seen from the water."""
+    """Velocity of the water itself, m/s north and east, which carries the waves along; `w_rad_s` is relative to the water."""
 
     @staticmethod
     def draw(
@@ -124,16 +124,17 @@ class Waves:
         components: Components = "geometric",
         stream: int = 0,
     ) -> Waves:
-        """One sea a seed. The same seed gives the same sea, alone or in a batch, and `hs_m` is met exactly.
+        """Draw one sea for each seed. The same seed gives the same sea, alone or in a batch, and `hs_m` is met exactly.
 
-        Frequencies lie at random places inside bins from 0.5 to 5 times the peak's, so that the sum does not repeat itself
-        within a flight; amplitudes come from the spectrum's energy in the bin.
+        Frequencies lie at random places inside bins from 0.5 to 5 times the peak's, so that the sum does not repeat itself within
+        a flight; amplitudes come from the spectrum's energy in the bin.
 
         Args:
             components: geometric bins show the tail that moves small vessels; bins of equal energy lie close around the peak.
-            stream: tells systems of waves of one seed apart.
-            towards_rad: mean direction the waves run to.
+            stream: distinguishes the systems of waves of one seed.
+            towards_rad: mean direction to which the waves run.
             spreading: exponent s of the cos^2s((towards - mean) / 2) spread; 10 is a wind sea, 75 a long swell.
+
         Source: spread after Longuet-Higgins, Cartwright & Smith 1963; random phases and places as in DNV-RP-C205, 3.3.2.
         """
         edges = np.geomspace(0.5, 5.0, harmonics + 1) * math.tau / state.tp_s
@@ -164,7 +165,7 @@ class Waves:
 
     @staticmethod
     def flat(batch: int = 1) -> Waves:
-        """No waves at all."""
+        """Return seas without waves."""
         zero = np.zeros((batch, 1))
         return Waves(zero, zero + 1.0, zero, zero)
 
@@ -188,23 +189,23 @@ class Waves:
 
     @property
     def hs_m(self) -> F64:
-        """(B,) m, 4 sqrt(m0) of the harmonics."""
+        """Significant wave height (B,), m: 4 sqrt(m0) of the harmonics."""
         return np.asarray(4.0 * np.sqrt((self.amplitude_m**2).sum(axis=1) / 2.0))
 
     @property
     def k_ne(self) -> F64:
-        """(B, N, 2) rad/m, wave number north and east: w^2 = g k in deep water."""
+        """Wave numbers (B, N, 2) north and east, rad/m: w^2 = g k in deep water."""
         k = self.w_rad_s**2 / GRAVITY_M_S2
         return np.stack([k * np.cos(self.towards_rad), k * np.sin(self.towards_rad)], axis=-1)
 
     @property
     def seen_rad_s(self) -> F64:
-        """(B, N) rad/s, the frequencies at a place fixed over the ground: w + k . current (Doppler)."""
+        """Angular frequencies (B, N), rad/s, at a place fixed over the ground: w + k . current (Doppler)."""
         north, east = self.current_ne_m_s
         return self.w_rad_s if north == 0.0 and east == 0.0 else self.w_rad_s + self.k_ne @ np.array([north, east])
 
     def longest(self, n: int) -> Waves:
-        """The n harmonics of greatest amplitude, those that a frame from some metres up shows as swell."""
+        """Return the n harmonics of greatest amplitude, which a frame from some metres up shows as swell."""
         order = np.argsort(-self.amplitude_m, axis=1, kind="stable")[:, :n]
         amplitude, w, towards, phase = (
             np.take_along_axis(v, order, 1) for v in (self.amplitude_m, self.w_rad_s, self.towards_rad, self.phase_rad)
@@ -212,18 +213,18 @@ class Waves:
         return Waves(amplitude, w, towards, phase, self.current_ne_m_s)
 
     def elevation(self, p_ne: ArrayLike, t_s: ArrayLike = 0.0) -> F64:
-        """(B, ...) m above mean water at places (..., 2) m north and east and times broadcast to (...)."""
+        """Return the surface's height (B, ...), m above mean water, at places (..., 2) m north and east and times (...)."""
         return np.asarray((self.amplitude_m * np.cos(self._angle(p_ne, t_s))).sum(axis=-1).transpose(self._order(p_ne, t_s)))
 
     def slope(self, p_ne: ArrayLike, t_s: ArrayLike = 0.0) -> F64:
-        """(B, ..., 2) rise of the surface per metre north and east; shapes as in `elevation`."""
+        """Return the slope (B, ..., 2): rise of the surface per metre north and east; shapes as in `elevation`."""
         s = -self.amplitude_m * np.sin(self._angle(p_ne, t_s))
         k = self.k_ne
         order = self._order(p_ne, t_s)
         return np.stack([(s * k[..., i]).sum(axis=-1).transpose(order) for i in (0, 1)], axis=-1)
 
     def _angle(self, p_ne: ArrayLike, t_s: ArrayLike) -> F64:
-        """(..., B, N) rad."""
+        """Return the phase angle (..., B, N) of each harmonic, rad."""
         p = np.asarray(p_ne, dtype=float)[..., None, None, :]
         t = np.asarray(t_s, dtype=float)[..., None, None]
         k = self.k_ne

@@ -25,12 +25,12 @@ class Superstructure:
     """A block on deck that the wind flows around."""
 
     forward_m: float
-    """Its centre forward of amidships."""
+    """Distance of its centre forward of amidships, m."""
     starboard_m: float
     length_m: float
     width_m: float
     height_m: float
-    """Over the deck of the pad."""
+    """Height over the deck of the pad, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Hull:
     d_vessel_pad_m: tuple[float, float]
     """Position of the pad's centre forward and to starboard of amidships; the pad lies on deck."""
     deck_beam_m: float | None = None
-    """Width of the deck where it is another than the beam."""
+    """Width of the deck if it differs from the beam, m."""
     gm_m: float | None = None
     """Transverse metacentric height; a ship that turns needs it."""
     kg_m: float | None = None

@@ -42,15 +42,15 @@ class Mounted:
     """A point fixed to the vessel, with axes fixed to it."""
 
     p_ned: F64
-    """(..., 3) m."""
+    """(..., 3) position, m."""
     v_ned: F64
-    """(..., 3) m/s."""
+    """(..., 3) velocity, m/s."""
     a_ned: F64
     """(..., 3) acceleration of the motion, without gravity, m/s^2."""
     R_ned: F64
-    """(..., 3, 3), takes the mounted frame's coordinates to ned."""
+    """(..., 3, 3) rotation from the mounted frame to ned."""
     w: F64
-    """(..., 3) rad/s, angular velocity written in the mounted frame."""
+    """(..., 3) angular velocity in the mounted frame, rad/s."""
 
     def rotation(self) -> Rotation:
         """Return `R_ned` of a single mounted point.

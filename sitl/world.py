@@ -68,7 +68,7 @@ class Touchdown:
     surface: Literal["pad", "deck", "water"]
     """`pad` where the body's origin is over the pad's disc, `deck` beside it."""
     p_body_pad: F64
-    """(3,) m, the body's origin in the pad frame."""
+    """(3,) position of the body's origin in the pad frame, m."""
     lateral_m: float
     """Distance from the pad's centre, along the deck."""
     yaw_rad: float
@@ -95,9 +95,9 @@ class RenderedFrame:
     """One rendered frame."""
 
     px: NDArray[np.uint8]
-    """(H, W, 3) BGR."""
+    """(H, W, 3) BGR image."""
     exposed_at: MonoNs
-    """The middle of the exposure."""
+    """Instant of the middle of the exposure."""
     exposure_s: float
     stamp_error_s: float = 0.0
     """Error of the stamp that is sent with the frame, s: the stamp minus `exposed_at`."""
@@ -111,20 +111,20 @@ class Truth:
 
     at: MonoNs
     p_body_ned: F64
-    """(3,) m."""
+    """(3,) position of the body, m."""
     v_body_ned: F64
-    """(3,) m/s."""
+    """(3,) velocity of the body, m/s."""
     R_ned_body: Rotation
     p_pad_ned: F64
-    """(3,) m, the pad's centre."""
+    """(3,) position of the pad's centre, m."""
     v_pad_ned: F64
-    """(3,) m/s."""
+    """(3,) velocity of the pad's centre, m/s."""
     R_ned_pad: Rotation
     phase: VehiclePhase
     touchdown: Touchdown | None
     """The newest contact."""
     contacts: tuple[Touchdown, ...] = ()
-    """All of them so far, in order."""
+    """All contacts so far, in order."""
 
     def _level(self, v_ned: F64) -> F64:
         yaw = self.R_ned_body.rpy_rad[2]
@@ -133,17 +133,17 @@ class Truth:
 
     @property
     def d_body_pad_level(self) -> F64:
-        """(3,) m forward, right, down from the body's origin to the pad's centre."""
+        """(3,) vector from the body's origin to the pad's centre, m forward, right, down."""
         return self._level(self.p_pad_ned - self.p_body_ned)
 
     @property
     def v_pad_level(self) -> F64:
-        """(3,) m/s, velocity of the pad less that of the body."""
+        """(3,) velocity of the pad minus that of the body, m/s."""
         return self._level(self.v_pad_ned - self.v_body_ned)
 
     @property
     def yaw_rad(self) -> float:
-        """Heading of the body against the arrow, clockwise from above, (-pi, pi]."""
+        """Heading of the body relative to the arrow, clockwise from above, rad, (-pi, pi]."""
         return wrap_pi(self.R_ned_body.rpy_rad[2] - self.R_ned_pad.rpy_rad[2])
 
 
@@ -170,7 +170,7 @@ class World:
         self._sensors = Sensors(scenario.sensors, self._shape, seeds.sensors, self._step_s)
         self._tick = 0
         self.now = start
-        """The latest instant asked for; the physics is at most a step behind."""
+        """The latest instant requested; the physics is at most one step behind."""
         self._chunk: list[Ground] = []
         self._chunk_at = 0
         self._sea: tuple[float, float] = (0.0, 0.0)
@@ -181,7 +181,7 @@ class World:
         self.faults = FaultTimer(scenario.faults, seed)
         """The faults that are active now."""
         self.guidance_phase: str | None = None
-        """Phase of guidance, if whoever runs the flight knows it; for faults that begin in a phase."""
+        """Phase of guidance if the flight's runner sets it, for faults that begin in a phase."""
         self._faulty = FaultySensors(self.faults, seed)
         self._contacts: list[Touchdown] = []
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
@@ -194,7 +194,7 @@ class World:
 
     @property
     def limits(self) -> StickLimits:
-        """The values that a full stick asks for; its fields may be set at any time."""
+        """The values at full stick; its fields may be set at any time."""
         return self._vehicle.limits
 
     @property
@@ -207,15 +207,15 @@ class World:
         self._vehicle.command(stick.roll, stick.pitch, stick.gaz, stick.yaw, stick.progressive)
 
     def take_off(self) -> None:
-        """Leave the deck and hover; nothing unless it stands there with its motors off."""
+        """Leave the deck and hover; do nothing unless the vehicle is on deck with its motors off."""
         self._vehicle.take_off()
 
     def land(self) -> None:
-        """Descend where it is, holding its place by optical flow, and stop the motors on contact; nothing unless it flies."""
+        """Descend on the spot, held by optical flow, and stop the motors on contact; do nothing unless the vehicle flies."""
         self._vehicle.land()
 
     def stay_up(self) -> None:
-        """End the landing under way and hover; nothing unless it is landing."""
+        """End the present landing and hover; do nothing unless the vehicle is landing."""
         self._vehicle.stay_up()
 
     def emergency(self) -> None:
@@ -227,7 +227,10 @@ class World:
         self._vehicle.leave_emergency()
 
     def active(self, kind: str) -> bool:
-        """Whether a fault of this kind is on now. Faults of links are for whoever carries the samples, frames and commands."""
+        """Return whether a fault of this kind is active.
+
+        Faults of links concern the code that carries samples, frames and commands.
+        """
         return self.faults.active(kind)
 
     @property
@@ -237,7 +240,7 @@ class World:
 
     @property
     def frame_lost(self) -> bool:
-        """Whether a frame exposed now is lost on the way; the same answer for the same step."""
+        """Return whether a frame exposed now is lost; the answer is the same for the same step."""
         chance = np.random.default_rng([self._camera_seed, self._tick, 1])
         return any(chance.random() < fault.fraction for fault, _ in self.faults.on(FramesDropped))
 
@@ -264,29 +267,29 @@ class World:
         return self._renderer
 
     def expose(
-        self, room: RenderWorker | None = None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None = None
+        self, worker: RenderWorker | None = None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None = None
     ) -> Callable[[], RenderedFrame]:
         """Fix the scene now, and return the call that makes the frame.
 
         The call may run in another thread while the world goes on. One such call at a time.
 
         Args:
-            room: makes the frame from now on; the call then waits for it.
-            camera: takes the place of the renderer: it is given the scene, None while the lens is covered, and the number of
-                the step, and returns the image at once.
+            worker: renders the frame from now on; the function then waits for it.
+            camera: replaces the renderer: it receives the scene, or None while the lens is covered, and the number of the step,
+                and returns the image at once.
         """
         at, exposure_s = self.at, self.scenario.camera.exposure_s
         error_s = sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
         frozen = self.faults.active("frames_frozen") and self._newest_image is not None
-        image, true_view = (self._newest_image, False) if frozen else self._image(room, camera)
+        image, true_view = (self._newest_image, False) if frozen else self._image(worker, camera)
         assert image is not None
         self._newest_image = image
         return lambda: RenderedFrame(image(), at, exposure_s, error_s, true_view)
 
     def _image(
-        self, room: RenderWorker | None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None
+        self, worker: RenderWorker | None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None
     ) -> tuple[Callable[[], NDArray[np.uint8]], bool]:
-        """The call that makes the image of the scene as it is now, and whether that is what the camera truly sees."""
+        """Return the function that makes the image of the present scene, and whether that is the camera's true view."""
         covered = self.faults.active("lens_covered")
         if covered and camera is not None:
             black = camera(None, self._tick)
@@ -301,11 +304,11 @@ class World:
             seen = camera(shot, self._tick)
             return lambda: seen, not aside.any()
         expose = self.renderer.render
-        made = cache(room.order(shot, rng) if room is not None else lambda: expose(shot, rng))
+        made = cache(worker.order(shot, rng) if worker is not None else lambda: expose(shot, rng))
         return made, not aside.any()
 
     def _scene(self, aside: F64) -> Exposure:
-        """What is before the camera now, `aside` (3,) m in the pad frame beside its true place."""
+        """Return the scene of the camera, `aside` (3,) m in the pad frame beside its true place."""
         v, g = self._vehicle, self._ground
         return Exposure(
             t_s=self._seconds,
@@ -321,7 +324,7 @@ class World:
         )
 
     def _aside(self) -> F64:
-        """(3,) m in the pad frame, by which a frame exposed now shows everything beside its true place."""
+        """Return the offset (3,) m in the pad frame by which a frame exposed now shows everything beside its true place."""
         chance = np.random.default_rng([self._camera_seed, self._tick, 2])
         shifts = [f for f, _ in self.faults.on(FramesShifted) if f.fraction >= 1.0 or chance.random() < f.fraction]
         return np.array([sum(f.forward_m for f in shifts), sum(f.right_m for f in shifts), 0.0])
@@ -376,7 +379,7 @@ class World:
         return self._chunk[i]
 
     def _meet_sea(self) -> None:
-        """Level and vertical velocity of the water under the vehicle, for the next few steps."""
+        """Update the level and vertical velocity of the water under the vehicle, for the next few steps."""
         p, t, dt = self._vehicle.p, self._seconds, _SEA_EVERY * self._step_s
         now, then = self.waves.elevation(np.array([p[0], p[1]]), np.array([t, t + dt]))[0]
         self._sea = (-float(now), -float(then - now) / dt)
@@ -400,7 +403,7 @@ class World:
         return -float(sum(g.R[i][2] * (p[i] - g.p[i]) for i in range(3)))
 
     def _contact(self, phase: VehiclePhase) -> Touchdown:
-        """The contact that the newest step of the physics made, in flight phase `phase` until then."""
+        """Return the contact of the newest step of the physics; `phase` is the vehicle's phase before it."""
         v = self._vehicle
         d, u = np.array(v.touched_d), np.array(v.touched_v)
         lateral = math.hypot(d[0], d[1])
@@ -420,6 +423,6 @@ class World:
 
 
 def _gust(fault: Gust, since_s: float) -> tuple[float, float, float]:
-    """m/s in ned. Source: the "1 - cosine" discrete gust of MIL-F-8785C, 3.7.1.3, in time instead of place."""
+    """Return the gust's velocity in ned, m/s. Source: the "1 - cosine" discrete gust of MIL-F-8785C, 3.7.1.3, over time."""
     share = 0.5 * (1.0 - math.cos(math.tau * since_s / (fault.for_s or math.inf)))
     return wind_from(share * fault.speed_m_s, fault.from_deg)

@@ -122,7 +122,7 @@ class Model:
         self._scenes = Scenes(world.camera, world)
         self._light_stops = world.scenario.light.exposure_ev
 
-    def expose(self, world: World, room: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Keep the scene as it is now."""
         return world.expose(camera=self.scenes.expose)
 

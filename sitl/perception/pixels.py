@@ -25,6 +25,6 @@ class Pixels:
     def begin(self, world: World) -> None:
         """Begin a flight: every fault acts on rendered frames."""
 
-    def expose(self, world: World, room: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Render the scene as it is now."""
-        return world.expose(room)
+        return world.expose(worker)

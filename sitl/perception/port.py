@@ -41,6 +41,6 @@ class Perception(Protocol):
         """
         ...
 
-    def expose(self, world: World, room: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Expose a frame now; the call that comes back makes it when it arrives."""
         ...

@@ -97,7 +97,7 @@ class TruthLevel:
         self._world, self._scenes = world, Scenes(world.camera, world)
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
 
-    def expose(self, world: World, room: RenderWorker | None) -> Callable[[], RenderedFrame]:
+    def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Keep the scene as it is now."""
         return world.expose(camera=self.scenes.expose)
 

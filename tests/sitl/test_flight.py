@@ -92,7 +92,7 @@ def test_images_made_by_a_process_beside_are_the_same_to_the_bit() -> None:
     in_place = fly(short, 3)[1]
     diary = Diary()
     flight = Flight(short, 3, SIM, make_pilot(SIM, shadows=("median_mean",)), observers=[diary])
-    with render_worker(flight.world.renderer) as flight.room:
+    with render_worker(flight.world.renderer) as flight.worker:
         flight.run()
     assert len(diary.verdicts) > 40
     assert diary.digest == in_place.digest
