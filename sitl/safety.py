@@ -169,14 +169,14 @@ def grade(
         unsafe: the result of `dangers`.
         expect: the outcome that the scenario expects.
         left_alone: at the end there was no service or no link, so that nothing could be decided.
-        asks: at the end it hovered and waited for the operator's word about another pad, which nobody gives in a simulation.
+        asks: at the end it hovered and waited for the operator's decision about another pad, which nobody makes in a simulation.
     """
     if unsafe:
         return Grade.FAILED, "; ".join(unsafe)
     if outcome is FlightOutcome.LANDED and landed_m is not None:
         return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
     if outcome is FlightOutcome.GAVE_UP or (outcome is None and (left_alone or asks)):
-        said = "hovered without a service" if left_alone else "hovered and waited for the operator's word"
+        said = "hovered without a service" if left_alone else "hovered and waited for the operator"
         if outcome is FlightOutcome.GAVE_UP:
             said = "gave up"
         if expect == "land":

@@ -158,7 +158,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--all-methods needs --virtual; in real time the settings say which methods run")
     perception = perception_level(args.perception)
     if perception != "pixels" and not args.virtual:
-        raise BadInput("--perception needs --virtual; in real time the drone sends pictures")
+        raise BadInput("--perception needs --virtual; in real time the drone sends images")
     scenario = load_scenario(args.scenario)
     alone = args.virtual and not args.all_methods and perception == "pixels"
     settings = flown_settings(scenario, args.config, registration_alone=alone)

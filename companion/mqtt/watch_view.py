@@ -23,7 +23,7 @@ def screen(model: WatchModel, now_s: float, width: int, height: int, *, colour: 
     lines = [_head(model, paint)]
     drone = model.shown
     if drone is None:
-        lines += ["", "nothing heard yet" if model.connected else ""]
+        lines += ["", "nothing received yet" if model.connected else ""]
     else:
         if len(model.drones) > 1:
             lines += ["", *_fleet(model, now_s, paint)]
@@ -88,7 +88,7 @@ def _details(drone: DroneModel, now_s: float, width: int, paint: Paint) -> list[
         seen = ", ".join(name for name, found in drone.sighting.methods.items() if found is not None) or "nothing"
         lines.append(f"frame    {drone.sighting.sequence}: {_clean(drone.sighting.verdict)}; seen by {_clean(seen)}")
     rates = "   ".join(f"{kind} {_rate(a.rate_hz(now_s))}" for kind, a in sorted(drone.arrivals.items()) if kind != "status")
-    lines.append(f"heard    {rates}")
+    lines.append(f"rates    {rates}")
     if drone.missing or drone.copies or drone.malformed:
         lines.append(f"         events missing {drone.missing}, copies {drone.copies}, malformed messages {drone.malformed}")
     return lines + _health(drone, width, paint)
@@ -165,7 +165,7 @@ def _vehicle(drone: DroneModel, paint: Paint) -> str:
         battery = paint(battery, _RED)
     trouble = paint("   EMERGENCY", _RED) if vehicle.emergency else ""
     trouble += "" if vehicle.link_ok else paint("   link lost", _RED)
-    return f"{_clean(vehicle.mode)}   battery {battery}   heard {vehicle.age_s:.1f} s ago{trouble}"
+    return f"{_clean(vehicle.mode)}   battery {battery}   received {vehicle.age_s:.1f} s ago{trouble}"
 
 
 def _online(drone: DroneModel) -> str:
