@@ -86,7 +86,7 @@ class DeckUnder:
         pad = self._vessel.pad_at(t_s)
         return t_s, pad.p_ned, pad.v_ned, pad.R_ned, pad.w
 
-    def look(self, pose: AutopilotPose) -> Callable[[], RenderedFrame]:
+    def frame_at(self, pose: AutopilotPose) -> Callable[[], RenderedFrame]:
         """Return a function that renders the frame from this pose."""
         t_s, p, v, R, w = self._deck(pose.at)
         shot = Exposure(
@@ -183,7 +183,7 @@ class _Watcher:
             elif self._ready_for(pose):
                 assert self._deck is not None
                 self._newest = pose
-                image = await loop.run_in_executor(pool, self._deck.look(pose))
+                image = await loop.run_in_executor(pool, self._deck.frame_at(pose))
                 self.frames += 1
                 stamp = Stamp(pose.at, max(self._clock.now(), pose.at), _STAMP_SIGMA_S, "sim")
                 self._side.offer(Frame(stamp, self.frames, image.px, image.exposure_s))

@@ -51,7 +51,7 @@ class PoseSource:
 
     def __init__(self) -> None:
         self._origin: tuple[float, float, float] | None = None
-        self._told: MonoNs | None = None
+        self._truth_at: MonoNs | None = None
         self._w_body = np.zeros(3)
         self._apart = np.zeros(3)
         """(3,) mean of the true position minus the autopilot's, m."""
@@ -74,7 +74,7 @@ class PoseSource:
 
     def truthful(self, now: MonoNs) -> bool:
         """Whether the simulator reported the true position recently."""
-        return self._told is not None and seconds_between(self._told, now) < _TRUTH_LAST_S
+        return self._truth_at is not None and seconds_between(self._truth_at, now) < _TRUTH_LAST_S
 
     def on_message(self, message: Message, now: MonoNs, positions: tuple[LocalPosition, ...]) -> None:
         """Process any message of the vehicle.
@@ -128,8 +128,8 @@ class PoseSource:
         last = positions[-1]
         there = last.p_body_ned + seconds_between(last.stamp.measured_at, now) * last.v_body_ned
         apart = np.array([north, east, alt0_m - alt_m]) - there
-        since_s = 0.0 if self._told is None else min(max(seconds_between(self._told, now), 1e-3), _TRUTH_LAST_S)
+        since_s = 0.0 if self._truth_at is None else min(max(seconds_between(self._truth_at, now), 1e-3), _TRUTH_LAST_S)
         self._known_s += since_s
-        share = 1.0 if self._told is None else since_s / min(max(self._known_s, since_s), _MEAN_S)
+        share = 1.0 if self._truth_at is None else since_s / min(max(self._known_s, since_s), _MEAN_S)
         self._apart = self._apart + share * (apart - self._apart)
-        self._told, self._w_body = now, np.array(rates, dtype=float)
+        self._truth_at, self._w_body = now, np.array(rates, dtype=float)

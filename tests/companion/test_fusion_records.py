@@ -83,19 +83,19 @@ def same(a: FusionResult, b: FusionResult) -> bool:
 def test_a_recorded_result_reads_back_to_the_bit(source: Source, nis: float) -> None:
     if not COMPONENTS[source] and not math.isnan(nis):
         return
-    told = result(source, Verdict.GATED, nis=nis)
-    wire = msgspec.json.encode(encode.fusion(MonoNs(T + 1), told))
+    observations = result(source, Verdict.GATED, nis=nis)
+    wire = msgspec.json.encode(encode.fusion(MonoNs(T + 1), observations))
     read = msgspec.json.decode(wire, type=FusionRecord)
     assert read.at_ns == T + 1
-    assert same(decode.fusion(read), told)
+    assert same(decode.fusion(read), observations)
     assert b"null" not in wire, "viewers know no null"
 
 
 def test_figures_that_are_not_finite_are_left_out() -> None:
-    told = FusionResult(
+    observations = FusionResult(
         "ekf", "range", Verdict.SINGULAR, MonoNs(T), MonoNs(T), np.array([1.0]), np.array([[np.inf]]), ("range_m",)
     )
-    record = encode.fusion(MonoNs(T), told)
+    record = encode.fusion(MonoNs(T), observations)
     assert (record.innovation, record.innovation_cov, record.nis, record.test_ratio) == ([1.0], None, None, None)
 
 
@@ -110,7 +110,7 @@ def test_a_damaged_record_is_refused(wrong: dict[str, object]) -> None:
 
 
 def test_every_result_is_recorded_but_those_of_imu_samples_that_were_taken(tmp_path: Path) -> None:
-    told = [
+    observations = [
         result(),
         result("imu", nis=math.nan),
         result("imu", Verdict.IMPOSSIBLE, nis=math.nan),
@@ -118,24 +118,24 @@ def test_every_result_is_recorded_but_those_of_imu_samples_that_were_taken(tmp_p
     ]
     path = tmp_path / "flight.mcap"
     with Recorder(SingleFile(path), CAMERA, ABOUT, RecorderOptions(frames="none"), lossless=True) as recorder:
-        for i, one in enumerate(told):
+        for i, one in enumerate(observations):
             recorder.on_fusion(MonoNs(T + i), one)
     recording = open_recording([path])
     read = [event for event in recording.events() if isinstance(event, FusionRecord)]
     assert [r.at_ns - T for r in read] == [0, 2, 3]
-    assert all(same(decode.fusion(a), told[a.at_ns - T]) for a in read)
+    assert all(same(decode.fusion(a), observations[a.at_ns - T]) for a in read)
     assert recording.counts[channels.fusion("imu")] == 1
     assert not recording.skipped
 
 
 class Results(NullObserver):
-    """Every result that an observer was told."""
+    """Every result that an observer was observations."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[MonoNs, FusionResult]] = []
+        self.observations: list[tuple[MonoNs, FusionResult]] = []
 
     def on_fusion(self, at: MonoNs, result: FusionResult) -> None:
-        self.told.append((at, result))
+        self.observations.append((at, result))
 
 
 def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
@@ -149,11 +149,11 @@ def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
             flight.step()
     recording = open_recording([path])
     Replay(recording, pilot_of(recording, settings, None, own_camera=False, alone=True), sightings=True, observers=[again]).run()
-    assert {r.source for _, r in flown.told} >= {"sighting", "attitude", "velocity", "baro", "imu"}
-    assert len(again.told) == len(flown.told)
-    assert all(a[0] == b[0] and same(a[1], b[1]) for a, b in zip(again.told, flown.told, strict=True))
+    assert {r.source for _, r in flown.observations} >= {"sighting", "attitude", "velocity", "baro", "imu"}
+    assert len(again.observations) == len(flown.observations)
+    assert all(a[0] == b[0] and same(a[1], b[1]) for a, b in zip(again.observations, flown.observations, strict=True))
     recorded = [decode.fusion(e) for e in recording.events() if isinstance(e, FusionRecord)]
-    expected = [r for _, r in flown.told if r.source != "imu" or r.verdict is not Verdict.FUSED]
+    expected = [r for _, r in flown.observations if r.source != "imu" or r.verdict is not Verdict.FUSED]
     assert len(recorded) == len(expected) > 200
     assert all(same(a, b) for a, b in zip(recorded, expected, strict=True))
     for cut, left in ((Cut(), len(expected)), (Cut(inputs=True), 0)):
@@ -163,7 +163,7 @@ def test_a_replay_makes_the_results_of_the_flight_again(tmp_path: Path) -> None:
         assert len(found) == left, "what was concluded from the inputs is none of them"
         assert all(same(a, b) for a, b in zip(found, expected, strict=False))
     for (_, source), tally in flight.health.tallies.items():
-        assert tally.verdicts.total() == sum(r.source == source for _, r in flown.told), source
+        assert tally.verdicts.total() == sum(r.source == source for _, r in flown.observations), source
 
 
 def health_with(*results: FusionResult) -> Health:

@@ -128,7 +128,7 @@ def test_the_pad_lies_where_the_scenarios_start_says() -> None:
     assert beside.lateral_m == pytest.approx(math.hypot(ahead, right))
     standing = DeckUnder(scenario, 1, first, on_ground=True)
     assert standing.height_m(first) == pytest.approx(0.045)
-    assert flying.look(over)().px.shape == (360, 640, 3)
+    assert flying.frame_at(over)().px.shape == (360, 640, 3)
 
 
 class Elsewhere(FakeAutopilot):
