@@ -153,9 +153,15 @@ def with_moved(data: Mapping[str, Any]) -> Mapping[str, Any]:
         value = _found(data, old)
         if value is None:
             continue
-        data = _without(data, old)
-        table, _, last = new.rpartition(".")
-        data = {**data, table: {last: value, **data.get(table, {})}}
+        kept = table = _without(data, old)
+        *tables, last = new.split(".")
+        for name in tables:
+            table = table.setdefault(name, {})
+            if not isinstance(table, dict):
+                break  # the refusal of what stands there in place of a table says more
+        else:
+            table.setdefault(last, value)
+            data = kept
     return data
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ import pytest
 
 from companion.cli.main import main
 from companion.config.effect import MOVED, without_effect
+from companion.config.model import Settings
+from companion.config.refusal import walk
 from companion.config.settings import from_mapping, load, shipped
 from estimator.contracts.errors import BadInput
 
@@ -72,13 +75,26 @@ def test_a_retired_key_is_read_and_told_only_where_it_meant_something(
     assert data["guidance"]["pid"]["heading"]["kd"] == kd
 
 
+def with_key(path: str, value: object) -> dict[str, Any]:
+    data = copy.deepcopy(AUTOPILOT)
+    *tables, last = path.split(".")
+    table = data
+    for name in tables:
+        table = table.setdefault(name, {})
+    table[last] = value
+    return data
+
+
 @pytest.mark.parametrize(("old", "new"), sorted(MOVED.items()))
 def test_a_key_that_has_another_name_now_is_refused_in_a_file_and_read_in_a_recording(old: str, new: str) -> None:
-    last = old.rpartition(".")[2]
-    value = {"ranges": "on", "vision_target_estimator": True}.get(last, 2.0)
-    data = AUTOPILOT | {"vehicle": AUTOPILOT["vehicle"] | {last: value}}
+    default = dict(walk(Settings, "mavlink"))[new].default
+    value = "on" if default == "auto" else not default if isinstance(default, bool) else 1.5 * default
+    data = with_key(old, value)
     with pytest.raises(BadInput, match=rf"^own\.toml: {old} is now {new}$"):
         from_mapping(data, "own.toml")
-    settings = from_mapping(data, "a recording", recorded=True)
-    assert getattr(settings.landing_target, new.rpartition(".")[2]) == value
-    assert from_mapping(data | {"landing_target": {}}, "a recording", recorded=True) == settings
+    assert from_mapping(data, "a recording", recorded=True) == from_mapping(with_key(new, value), "own.toml")
+
+
+def test_a_recording_with_no_table_where_a_moved_key_belongs_is_refused_in_one_line() -> None:
+    with pytest.raises(BadInput, match=r"^a recording: "):
+        from_mapping(with_key("vehicle.ranges", "on") | {"landing_target": 3}, "a recording", recorded=True)
