@@ -106,7 +106,7 @@ def effect(of: Effect) -> str:
         top.yaxis.set_major_formatter(PercentFormatter(1.0))
         bottom.plot(x, 100.0 * of.lateral_m, "s-", color=_BLUE, markersize=4)
         bottom.set(ylabel="error, cm", xlabel=of.key)
-        bottom.set_ylim(bottom=0.0)
+        bottom.set_ylim(0.0, 115.0 * float(np.nanmax(of.lateral_m)) if np.isfinite(of.lateral_m).any() else 1.0)
         if not numeric:
             bottom.set_xticks(x, [str(value) for value in of.values])
 
@@ -127,7 +127,7 @@ def success_map(of: SuccessMap) -> str:
         ax.set_yticks(range(len(of.y)), of.y)
         ax.set(xlabel=of.x_key, ylabel=of.y_key)
 
-    return svg(draw, _WIDTH_IN, min(5.5, 1.2 + 0.38 * len(of.y)), f"map-{_id(of.x_key)}-{_id(of.y_key)}")
+    return svg(draw, _WIDTH_IN, min(5.5, max(2.6, 1.2 + 0.38 * len(of.y))), f"map-{_id(of.x_key)}-{_id(of.y_key)}")
 
 
 def _id(key: str) -> str:
