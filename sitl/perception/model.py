@@ -118,7 +118,7 @@ class Model:
         return make_pilot(settings, shadows, partial(ModelPilot, _Detector(self, found, settings)))
 
     def begin(self, world: World) -> None:
-        """Begin a flight: every fault acts as on pictures."""
+        """Begin a flight: every fault acts as on rendered frames."""
         self._scenes = Scenes(world.camera, world)
         self._light_stops = world.scenario.light.exposure_ev
 
