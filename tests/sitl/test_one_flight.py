@@ -33,7 +33,10 @@ def test_the_same_arguments_give_the_same_ending() -> None:
     again.pop("cpu_s")
     assert first == again
     assert first["outcome"] == "time ran out"
-    assert len(truth) == 200 // TRUTH_EACH, "one each 20 ms, the last one at the end"
+    told = [sample.at for sample in truth]
+    assert told == sorted(told)
+    assert len(told) >= 200 // TRUTH_EACH, "one each 20 ms, and one at each exposure"
+    assert told[-1] == 1_000_000_000, "the last one at the end"
     assert fly("near", scenario, 4, settings).as_json()["seed"] == 4
 
 
