@@ -20,6 +20,8 @@ PERIOD_S = 0.5
 """Interval between forecasts, and between comparisons, s."""
 _MEMORY_S = 60.0
 """Time constant with which old comparisons fade, s."""
+_PRIOR = 0.8
+"""The factor for a forecast much shorter than a period of the waves, before the first comparison."""
 _PRIOR_COUNT, _PRIOR_COUNT_FAR = 20.0, 100.0
 """The number of comparisons that the prior weighs: the first, plus the second times (horizon / period)^4. A wave that passes once
 is over before its forecasts can be compared, so beyond a period the prior decides."""
@@ -90,7 +92,7 @@ def prior_factor(horizons_s: F64, w_rad_s: F64) -> F64:
         horizons_s: (H,) horizons, s.
         w_rad_s: (5,) frequency of the waves by direction.
     """
-    return np.asarray(np.exp(-(_periods(horizons_s, w_rad_s) ** 2)))
+    return np.asarray(_PRIOR * np.exp(-(_periods(horizons_s, w_rad_s) ** 2)))
 
 
 def factor(skill: Skill, horizons_s: F64, w_rad_s: F64) -> F64:

@@ -33,8 +33,8 @@ def test_before_anything_was_compared_less_is_kept_the_more_of_a_period_a_foreca
     assert share.shape == (5, 5, 2)
     np.testing.assert_array_equal(share[..., 0], share[..., 1])
     np.testing.assert_allclose(share[0], 1.0)
-    np.testing.assert_allclose(share[1, :, 0], np.exp([-0.25, -1 / 16, -1 / 64, -1 / 256, -1e-4]))
-    np.testing.assert_allclose(share[3, :2, 0], np.exp([-2.25, -9 / 16]))
+    np.testing.assert_allclose(share[1, :, 0], 0.8 * np.exp([-0.25, -1 / 16, -1 / 64, -1 / 256, -1e-4]))
+    np.testing.assert_allclose(share[3, :2, 0], 0.8 * np.exp([-2.25, -9 / 16]))
     np.testing.assert_allclose(share[2], 0.5 * (share[1] + skill.factor(skill.unknown(), np.array([2.0]), w)[0]))
     np.testing.assert_allclose(share[4], share[3])
     assert np.all(np.diff(share[3, :, 0]) > 0.0), "a longer wave is foretold farther"
