@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
     "perception": ("companion.cli.perception", "fit the error models of simulated perception"),
     "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them"),
+    "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
     "soak": ("companion.cli.soak", "fly repeated landings and watch for leaks"),
     "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
     "record": ("companion.cli.record", "inspect, cut, repair and import recordings"),

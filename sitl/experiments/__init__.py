@@ -1,0 +1,1 @@
+"""The experiments of the thesis' chapter 5, flown again."""

@@ -1,0 +1,203 @@
+"""The experiments of the thesis' chapter 5 (Sundvoll 2020), each flown again and reduced to its figures.
+
+The thesis flew a motionless ship in Gazebo without wind, with a camera of 81 degrees; the same here, with the sensors of a real
+AR.Drone as they were measured. Its estimates ignore tilt; ours know it from the IMU, which errs by half a degree here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.config.model import Settings
+from companion.runtime.pilot import FlightOutcome
+from estimator.contracts.geometry import F64, wrap_pi
+from sitl.experiments.flown import METHODS, Estimate, Flown, fly_by_hand, fly_pilot
+from sitl.experiments.hand import ExternalPilot
+from sitl.experiments.paths import Pose, around_the_ship, full_turn, hold, up_and_down, way
+from sitl.experiments.printed import HEIGHTS_M, Quantity
+
+QUANTITIES: tuple[Quantity, ...] = ("x", "y", "z", "yaw")
+HOVER_S = 15.0
+_START = Pose(1.0, 2.0, 3.5, -90.0)
+"""Where the landings of sections 5.1.7 and 5.1.8 begin."""
+_GONE_S = 1.0
+"""Without a sighting for this long the pad counts as out of view."""
+
+
+class Spread(NamedTuple):
+    """The errors of one estimate of one quantity."""
+
+    mean: float
+    """mm, or degrees for the heading."""
+    std: float
+    least: float
+    most: float
+    available: float
+    """Fraction of the frames with an estimate."""
+
+
+def error_of(estimate: Estimate, quantity: Quantity) -> float | None:
+    """Return the error of a quantity in mm, or in degrees for the heading; None where the heading is unknown."""
+    if quantity == "yaw":
+        return None if estimate.yaw_rad is None else math.degrees(wrap_pi(estimate.yaw_rad - estimate.true_yaw_rad))
+    i = "xyz".index(quantity)
+    return 1e3 * float(estimate.xyz_m[i] - estimate.true_xyz_m[i])
+
+
+def spread(flown: Flown, name: str, quantity: Quantity) -> Spread | None:
+    """Return the spread of a method's errors (equations 5.1 and 5.2); None where it gave no estimate."""
+    errors = [e for one in flown.of(name) if (e := error_of(one, quantity)) is not None]
+    if not errors:
+        return None
+    a = np.array(errors)
+    return Spread(float(a.mean()), float(a.std()), float(a.min()), float(a.max()), len(a) / max(1, flown.frames))
+
+
+class Hover(NamedTuple):
+    """Sections 5.1.3: hovering at six heights."""
+
+    flights: dict[float, Flown]
+
+    def table(self, quantity: Quantity) -> dict[tuple[float, str], Spread]:
+        """Return the spreads of one quantity by height and method."""
+        rows = {}
+        for height_m, flown in self.flights.items():
+            for method in METHODS:
+                found = spread(flown, method, quantity)
+                if found is not None:
+                    rows[height_m, method] = found
+        return rows
+
+
+class Lag(NamedTuple):
+    """How far a path of the estimator trails the truth on the way up."""
+
+    path: str
+    lag_s: float
+    error_after_mm: float
+    """Standard deviation of the height's error at rest."""
+
+
+class Drift(NamedTuple):
+    """The error of a path without sight of the pad."""
+
+    path: str
+    blind_s: float
+    """Duration without sight."""
+    end_m: float
+    """Horizontal error at its end."""
+    most_m: float
+
+
+class Landed(NamedTuple):
+    """A landing from (1, 2, 3.5) at -90 degrees."""
+
+    flown: Flown
+    outcome: FlightOutcome | None
+    lateral_m: float | None
+    """Distance of the first contact with the deck from the pad's centre."""
+    duration_s: float
+
+
+class Chapter5(NamedTuple):
+    """All of it."""
+
+    up_and_down: Flown
+    hover: Hover
+    step: Flown
+    around: Flown
+    turn: Flown
+    landing: Landed
+    external: Landed
+
+
+def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None], heights_m: tuple[float, ...] = HEIGHTS_M) -> Chapter5:
+    """Fly every experiment of the simulator.
+
+    Args:
+        say: receives the title of each before it begins.
+        heights_m: heights of the hovering.
+
+    Raises:
+        BadInput: the settings name a camera or pad file with a fault.
+    """
+    say("5.1.2 up and down between 0.2 and 5 m")
+    path, duration_s = up_and_down(0.2, 5.0, 0.4, x_m=-0.1)
+    up = fly_by_hand(settings, path, duration_s, seed)
+    hovering = {}
+    for height_m in heights_m:
+        say(f"5.1.3 hovering at {height_m:g} m")
+        hovering[height_m] = fly_by_hand(settings, hold(Pose(0.0, 0.0, height_m)), HOVER_S, seed)
+    say("5.1.4 a step from 1 to 3 m")
+    low, high = Pose(0.0, 0.0, 1.0), Pose(0.0, 0.0, 3.0)
+    step = fly_by_hand(settings, way([(0.0, low), (3.0, low), (6.5, high), (10.0, high)]), 10.0, seed)
+    say("5.1.5 dead reckoning around the ship")
+    path, duration_s = around_the_ship(0.6)
+    around = fly_by_hand(settings, path, duration_s, seed)
+    say("5.1.6 a full turn")
+    path, duration_s = full_turn(1.0, 20.0)
+    turn = fly_by_hand(settings, path, duration_s, seed)
+    say("5.1.7 landing with PID and planner")
+    landing = _landed(fly_pilot(settings, _START, seed))
+    say("5.1.8 landing with an external controller")
+    external = _landed(fly_pilot(settings, _START, seed, ExternalPilot))
+    return Chapter5(up, Hover(hovering), step, around, turn, landing, external)
+
+
+def lags(step: Flown) -> list[Lag]:
+    """Return each path's lag behind the truth during the climb of section 5.1.4, by the best match of the height, 10 ms apart."""
+    times = np.array([t for t, _, _ in step.truth])
+    heights = np.array([xyz[2] for _, xyz, _ in step.truth])
+    speed = np.gradient(heights, times)
+    out = []
+    for path in ("median_mean", "dead_reckoning", "ekf"):
+        told = step.of(path)
+        if not told:
+            continue
+        t, z = np.array([e.t_s for e in told]), np.array([e.xyz_m[2] for e in told])
+        climbing = np.interp(t, times, speed) > 0.3
+        shifts = np.arange(-0.2, 1.0, 0.01)
+        misses = [float(np.mean((np.interp(t[climbing] - s, times, heights) - z[climbing]) ** 2)) for s in shifts]
+        rest = t > t[-1] - 2.0
+        still = 1e3 * float(np.std(z[rest] - np.interp(t[rest], times, heights)))
+        out.append(Lag(path, float(shifts[int(np.argmin(misses))]), still))
+    return out
+
+
+def drifts(around: Flown) -> list[Drift]:
+    """Return how far each path errs while the pad is out of view (section 5.1.5)."""
+    seen = np.array([e.t_s for e in around.of("best")])
+    gaps = np.diff(seen)
+    if not len(gaps) or gaps.max() < _GONE_S:
+        return []
+    i = int(np.argmax(gaps))
+    out = []
+    for path in ("dead_reckoning", "ekf"):
+        blind = [e for e in around.of(path) if seen[i] < e.t_s < seen[i + 1]]
+        if blind:
+            errors = [math.hypot(*(e.xyz_m - e.true_xyz_m)[:2]) for e in blind]
+            out.append(Drift(path, float(gaps[i]), errors[-1], max(errors)))
+    return out
+
+
+def headings(turn: Flown) -> dict[str, tuple[F64, F64]]:
+    """Return by method (times, heading errors in degrees) of the full turn of section 5.1.6."""
+    out = {}
+    for name in METHODS:
+        rows = [(e.t_s, error) for e in turn.of(name) if (error := error_of(e, "yaw")) is not None]
+        if rows:
+            t, errors = np.array(rows).T
+            out[name] = (t, errors)
+    return out
+
+
+def _landed(flown: Flown) -> Landed:
+    result = flown.result
+    assert result is not None
+    contacts = result.truth.contacts
+    lateral_m = contacts[-1].lateral_m if contacts else None
+    return Landed(flown, result.outcome, lateral_m, result.duration_s)

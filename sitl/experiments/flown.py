@@ -1,0 +1,153 @@
+"""Fly an experiment and keep what every method and path estimated beside the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from companion.config.build_pilot import make_pilot
+from companion.config.model import Settings
+from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
+from companion.runtime.pilot import Pilot
+from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.geometry import F64
+from estimator.contracts.time import MonoNs, seconds_between
+from sitl.experiments.hand import HandPilot
+from sitl.experiments.paths import Path, Pose, level_axes, thesis_axes, thesis_yaw_rad
+from sitl.flight import Flight, FlightResult, Timing
+from sitl.scenario import Scenario, load
+from sitl.world import Truth
+
+METHODS = ("ellipse", "arrow", "corners", "registration", "best")
+"""The thesis' three methods as they are here, the fourth, and the estimate that all of them make together."""
+SHADOWS: tuple[PathName, ...] = ("median_mean", "dead_reckoning")
+THESIS_RATE_HZ = 10.0
+_AT_REST_S = 3.0
+"""Time that the hand gets to arrive before anything counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One estimate beside the truth, in the thesis' axes."""
+
+    t_s: float
+    name: str
+    """Method of a sighting, or path of a belief."""
+    xyz_m: F64
+    yaw_rad: float | None
+    true_xyz_m: F64
+    true_yaw_rad: float
+
+
+@dataclass(slots=True)
+class Flown:
+    """A flown experiment."""
+
+    sightings: list[Estimate] = field(default_factory=list)
+    beliefs: list[Estimate] = field(default_factory=list)
+    truth: list[tuple[float, F64, float]] = field(default_factory=list)
+    """(t_s, (3,) m x, y, z, heading in rad) at 50 Hz."""
+    frames: int = 0
+    """Number of frames that were searched."""
+    result: FlightResult | None = None
+
+    def of(self, name: str) -> list[Estimate]:
+        """Return the estimates of one method or path."""
+        return [e for e in (*self.sightings, *self.beliefs) if e.name == name]
+
+
+class _Notes(NullObserver):
+    """Keeps what the observers of a service hear, with the truth of the same instant."""
+
+    def __init__(self, flown: Flown, after_s: float) -> None:
+        self.flown = flown
+        self.after_s = after_s
+        self.started = MonoNs(0)
+        self.truth: dict[int, Truth] = {}
+        """The truth by instant, ns, at every exposure."""
+        self.now: Callable[[], Truth]
+
+    def on_frame(self, processed: ProcessedFrame) -> None:
+        true = self.truth.get(processed.frame.stamp.measured_at) or min(
+            self.truth.values(), key=lambda one: abs(one.at - processed.frame.stamp.measured_at)
+        )
+        t_s = seconds_between(self.started, true.at)
+        if t_s < self.after_s or processed.detection is None:
+            return
+        self.flown.frames += 1
+        for name, one in (*processed.detection.methods.items(), ("best", processed.detection.selected)):
+            if one is not None:
+                self.flown.sightings.append(_beside(t_s, name, one.d_body_pad_level, one.yaw_rad, true))
+
+    def on_decision(self, decision: Decision) -> None:
+        true = self.now()
+        t_s = seconds_between(self.started, decision.at)
+        self.flown.truth.append((t_s, thesis_axes(true.d_body_pad_level), thesis_yaw_rad(true.yaw_rad)))
+        for belief in (decision.belief, *decision.shadows):
+            if isinstance(belief, RelativeState):
+                self.flown.beliefs.append(_beside(t_s, belief.path, belief.d_body_pad_level, belief.yaw_rad, true))
+
+
+def _beside(t_s: float, name: str, d: F64, yaw_rad: float | None, true: Truth) -> Estimate:
+    yaw = None if yaw_rad is None else thesis_yaw_rad(yaw_rad)
+    return Estimate(t_s, name, thesis_axes(d), yaw, thesis_axes(true.d_body_pad_level), thesis_yaw_rad(true.yaw_rad))
+
+
+def calm_scenario(start: Pose, duration_s: float) -> Scenario:
+    """Return the thesis' surroundings: flat water, no wind, a motionless ship; the drone begins in the air at a pose."""
+    calm = load("calm")
+    d = level_axes(start)
+    heading_deg = float(np.degrees(thesis_yaw_rad(np.radians(start.yaw_deg))))
+    begin = msgspec.structs.replace(
+        calm.start,
+        height_m=max(0.3, start.z_m),
+        pad_forward_m=float(d[0]),
+        pad_right_m=float(d[1]),
+        heading_deg=heading_deg,
+    )
+    return msgspec.structs.replace(calm, start=begin, duration_limit_s=duration_s)
+
+
+def fly_by_hand(settings: Settings, path: Path, duration_s: float, seed: int) -> Flown:
+    """Fly a path by hand at the thesis' ten frames a second; nothing of the first seconds, in which the hand arrives, is kept.
+
+    Raises:
+        BadInput: the settings name a camera or pad file with a fault.
+    """
+    first = path(0.0)
+    arrives_s = _AT_REST_S + (0.0 if first.z_m >= 0.3 else 2.0)
+    settings = msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="signal"))
+    pilot = make_pilot(settings, SHADOWS, HandPilot)
+    assert isinstance(pilot, HandPilot)
+    pilot.path = lambda t_s: path(max(0.0, t_s - arrives_s))
+    flown = _flown(settings, calm_scenario(first, arrives_s + duration_s), seed, pilot, arrives_s, 1.0 / THESIS_RATE_HZ)
+    flown.beliefs[:] = [one for one in flown.beliefs if one.t_s >= arrives_s]
+    return flown
+
+
+def fly_pilot(settings: Settings, start: Pose, seed: int, kind: Callable[..., Pilot] = Pilot, limit_s: float = 60.0) -> Flown:
+    """Fly a pilot that lands by itself from a pose."""
+    pilot = make_pilot(settings, SHADOWS, kind)
+    return _flown(settings, calm_scenario(start, limit_s), seed, pilot, 0.0, 1.0 / 30.0)
+
+
+def _flown(settings: Settings, scenario: Scenario, seed: int, pilot: Pilot, after_s: float, frame_period_s: float) -> Flown:
+    flown = Flown()
+    notes = _Notes(flown, after_s)
+    flight = Flight(scenario, seed, settings, pilot, observers=[notes], timing=Timing(frame_period_s=frame_period_s))
+    notes.started, notes.now = flight.world.started, flight.world.truth
+    if isinstance(pilot, HandPilot):
+        pilot.truth = flight.world.truth
+    exposures = 0
+    while flight.step():
+        if flight.exposures > exposures:
+            exposures = flight.exposures
+            truth = flight.world.truth()
+            notes.truth[truth.at] = truth
+            if len(notes.truth) > 200:
+                del notes.truth[next(iter(notes.truth))]
+    flown.result = flight.result()
+    return flown

@@ -1,0 +1,86 @@
+"""The thesis' experiments: axes, paths, what was printed, and a short one flown through the command's own functions."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.config.settings import load
+from sitl.experiments.chapter5 import QUANTITIES, error_of, spread
+from sitl.experiments.flown import Estimate, Flown, calm_scenario, fly_by_hand
+from sitl.experiments.paths import (
+    Pose,
+    around_the_ship,
+    full_turn,
+    hold,
+    level_axes,
+    thesis_axes,
+    thesis_yaw_rad,
+    up_and_down,
+)
+from sitl.experiments.printed import HEIGHTS_M, printed
+from sitl.world import World
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 10), st.floats(-3.1, 3.1))
+def test_the_axes_of_the_thesis_lead_back(x: float, y: float, z: float, yaw: float) -> None:
+    assert thesis_axes(level_axes(Pose(x, y, z))).tolist() == [x, y, z]
+    assert math.isclose(math.cos(thesis_yaw_rad(thesis_yaw_rad(yaw)) - yaw), 1.0, abs_tol=1e-12)
+
+
+def test_a_flight_begins_at_the_pose_of_the_thesis() -> None:
+    truth = World(calm_scenario(Pose(1.0, 2.0, 3.5, -90.0), 5.0), 1).truth()
+    assert thesis_axes(truth.d_body_pad_level) == pytest.approx([1.0, 2.0, 3.5], abs=0.02)
+    assert math.degrees(thesis_yaw_rad(truth.yaw_rad)) == pytest.approx(-90.0, abs=0.5)
+
+
+def test_paths_go_where_the_thesis_went() -> None:
+    path, duration_s = up_and_down(0.2, 5.0, 0.4, x_m=-0.1)
+    heights = [path(t).z_m for t in np.linspace(0.0, duration_s, 400)]
+    assert (min(heights), max(heights), heights[0], heights[-1]) == (0.2, 5.0, 0.2, 0.2)
+    assert path(0.0).x_m == -0.1
+    path, duration_s = around_the_ship(0.6)
+    places = [path(t)[:2] for t in np.linspace(0.0, duration_s, 500)]
+    assert max(math.dist(a, b) for a, b in pairwise(places)) < 0.6 * duration_s / 499 * 1.1
+    assert (min(p[0] for p in places), max(p[1] for p in places)) == (-6.0, 4.0)
+    assert places[-1] == (0.0, 0.0)
+    path, duration_s = full_turn(1.0, 20.0)
+    turned = np.unwrap([math.radians(path(t).yaw_deg) for t in np.linspace(0.0, duration_s, 500)])
+    assert math.degrees(turned[-1] - turned[0]) == pytest.approx(360.0)
+
+
+def test_what_the_thesis_printed_is_kept() -> None:
+    row = printed("z", 2.0, "arrow")
+    assert row is not None
+    assert (row.mean, row.std, row.available) == (191.92, 69.48, 1.0)
+    assert printed("yaw", 10.0, "arrow") is None
+    for quantity in QUANTITIES:
+        assert any(printed(quantity, height_m, "corners") for height_m in HEIGHTS_M)
+
+
+def test_the_spread_counts_frames_without_an_estimate() -> None:
+    flown = Flown(frames=4)
+    for error in (0.01, 0.03):
+        flown.sightings.append(Estimate(1.0, "arrow", np.array([error, 0.0, 1.0]), 0.1, np.array([0.0, 0.0, 1.0]), 0.0))
+    found = spread(flown, "arrow", "x")
+    assert found is not None
+    assert found == pytest.approx((20.0, 10.0, 10.0, 30.0, 0.5))
+    assert error_of(flown.sightings[0], "yaw") == pytest.approx(math.degrees(0.1))
+    assert spread(flown, "corners", "x") is None
+
+
+def test_a_short_hover_by_hand_sees_the_pad_and_errs_little() -> None:
+    flown = fly_by_hand(load("sim"), hold(Pose(0.0, 0.0, 1.0)), 0.6, 3)
+    assert flown.frames >= 5
+    for method in ("arrow", "corners", "registration", "best"):
+        found = spread(flown, method, "z")
+        assert found is not None
+        assert found.available > 0.8
+        assert abs(found.mean) < 10.0
+    assert {e.name for e in flown.beliefs} == {"ekf", "median_mean", "dead_reckoning"}
+    assert max(abs(float(e.xyz_m[2] - e.true_xyz_m[2])) for e in flown.of("ekf")) < 0.1
