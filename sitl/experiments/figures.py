@@ -122,10 +122,12 @@ def _around(flown: Flown) -> Figure:
     axes[0].plot(true[:, 0], true[:, 1], color="black", lw=1.0, label="truth")
     for path in ("dead_reckoning", "ekf"):
         told = flown.of(path)
+        t = np.array([e.t_s for e in told])
         xyz = np.array([e.xyz_m for e in told])
-        errors = [math.hypot(*(e.xyz_m - e.true_xyz_m)[:2]) for e in told]
+        xyz[1:][np.diff(t) > 0.5] = np.nan  # no line over a time without a belief
+        errors = np.hypot(*(xyz - np.array([e.true_xyz_m for e in told])).T[:2])
         axes[0].plot(xyz[:, 0], xyz[:, 1], color=colour(path), label=path)
-        axes[1].plot([e.t_s for e in told], errors, color=colour(path), label=path)
+        axes[1].plot(t, errors, color=colour(path), label=path)
     seen = flown.of("best")
     axes[1].plot([e.t_s for e in seen], np.zeros(len(seen)), "|", color=OTHER, label="pad in sight")
     axes[0].set(xlabel="x, m", ylabel="y, m", aspect="equal")

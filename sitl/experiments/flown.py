@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -40,6 +41,8 @@ class Estimate:
     yaw_rad: float | None
     true_xyz_m: F64
     true_yaw_rad: float
+    sigma_m: float
+    """Claimed standard deviation of the horizontal position, one axis."""
 
 
 @dataclass(slots=True)
@@ -80,7 +83,7 @@ class _Notes(NullObserver):
         self.flown.frames += 1
         for name, one in (*processed.detection.methods.items(), ("best", processed.detection.selected)):
             if one is not None:
-                self.flown.sightings.append(_beside(t_s, name, one.d_body_pad_level, one.yaw_rad, true))
+                self.flown.sightings.append(_beside(t_s, name, one.d_body_pad_level, one.yaw_rad, one.cov, true))
 
     def on_decision(self, decision: Decision) -> None:
         true = self.now()
@@ -88,16 +91,21 @@ class _Notes(NullObserver):
         self.flown.truth.append((t_s, thesis_axes(true.d_body_pad_level), thesis_yaw_rad(true.yaw_rad)))
         for belief in (decision.belief, *decision.shadows):
             if isinstance(belief, RelativeState):
-                self.flown.beliefs.append(_beside(t_s, belief.path, belief.d_body_pad_level, belief.yaw_rad, true))
+                self.flown.beliefs.append(_beside(t_s, belief.path, belief.d_body_pad_level, belief.yaw_rad, belief.cov, true))
 
 
-def _beside(t_s: float, name: str, d: F64, yaw_rad: float | None, true: Truth) -> Estimate:
+def _beside(t_s: float, name: str, d: F64, yaw_rad: float | None, cov: F64, true: Truth) -> Estimate:
     yaw = None if yaw_rad is None else thesis_yaw_rad(yaw_rad)
-    return Estimate(t_s, name, thesis_axes(d), yaw, thesis_axes(true.d_body_pad_level), thesis_yaw_rad(true.yaw_rad))
+    sigma_m = math.sqrt(max(0.0, 0.5 * float(cov[0, 0] + cov[1, 1])))
+    return Estimate(t_s, name, thesis_axes(d), yaw, thesis_axes(true.d_body_pad_level), thesis_yaw_rad(true.yaw_rad), sigma_m)
 
 
-def calm_scenario(start: Pose, duration_s: float) -> Scenario:
-    """Return the thesis' surroundings: flat water, no wind, a motionless ship; the drone begins in the air at a pose."""
+def calm_scenario(start: Pose, duration_s: float, *, exact_attitude: bool) -> Scenario:
+    """Return the thesis' surroundings: flat water, no wind, a motionless ship; the drone begins in the air at a pose.
+
+    Args:
+        exact_attitude: whether the drone reports its attitude without error, as the thesis' simulator nearly did.
+    """
     calm = load("calm")
     d = level_axes(start)
     heading_deg = float(np.degrees(thesis_yaw_rad(np.radians(start.yaw_deg))))
@@ -108,11 +116,20 @@ def calm_scenario(start: Pose, duration_s: float) -> Scenario:
         pad_right_m=float(d[1]),
         heading_deg=heading_deg,
     )
-    return msgspec.structs.replace(calm, start=begin, duration_limit_s=duration_s)
+    sensors = calm.sensors
+    if exact_attitude:
+        exact = dict.fromkeys(
+            ("tilt_bias_sigma_deg", "tilt_drift_sigma_deg", "heading_bias_sigma_deg", "heading_drift_sigma_deg"), 0.0
+        )
+        sensors = msgspec.structs.replace(sensors, **exact)
+    return msgspec.structs.replace(calm, start=begin, duration_limit_s=duration_s, sensors=sensors)
 
 
-def fly_by_hand(settings: Settings, path: Path, duration_s: float, seed: int) -> Flown:
+def fly_by_hand(settings: Settings, path: Path, duration_s: float, seed: int, *, exact_attitude: bool = True) -> Flown:
     """Fly a path by hand at the thesis' ten frames a second; nothing of the first seconds, in which the hand arrives, is kept.
+
+    Args:
+        exact_attitude: whether the drone reports its attitude without error.
 
     Raises:
         BadInput: the settings name a camera or pad file with a fault.
@@ -122,8 +139,9 @@ def fly_by_hand(settings: Settings, path: Path, duration_s: float, seed: int) ->
     settings = msgspec.structs.replace(settings, guidance=msgspec.structs.replace(settings.guidance, start="signal"))
     pilot = make_pilot(settings, SHADOWS, HandPilot)
     assert isinstance(pilot, HandPilot)
+    scenario = calm_scenario(first, arrives_s + duration_s, exact_attitude=exact_attitude)
     pilot.path = lambda t_s: path(max(0.0, t_s - arrives_s))
-    flown = _flown(settings, calm_scenario(first, arrives_s + duration_s), seed, pilot, arrives_s, 1.0 / THESIS_RATE_HZ)
+    flown = _flown(settings, scenario, seed, pilot, arrives_s, 1.0 / THESIS_RATE_HZ)
     flown.beliefs[:] = [one for one in flown.beliefs if one.t_s >= arrives_s]
     return flown
 
@@ -131,7 +149,7 @@ def fly_by_hand(settings: Settings, path: Path, duration_s: float, seed: int) ->
 def fly_pilot(settings: Settings, start: Pose, seed: int, kind: Callable[..., Pilot] = Pilot, limit_s: float = 60.0) -> Flown:
     """Fly a pilot that lands by itself from a pose."""
     pilot = make_pilot(settings, SHADOWS, kind)
-    return _flown(settings, calm_scenario(start, limit_s), seed, pilot, 0.0, 1.0 / 30.0)
+    return _flown(settings, calm_scenario(start, limit_s, exact_attitude=False), seed, pilot, 0.0, 1.0 / 30.0)
 
 
 def _flown(settings: Settings, scenario: Scenario, seed: int, pilot: Pilot, after_s: float, frame_period_s: float) -> Flown:

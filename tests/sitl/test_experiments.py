@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -34,7 +35,7 @@ def test_the_axes_of_the_thesis_lead_back(x: float, y: float, z: float, yaw: flo
 
 
 def test_a_flight_begins_at_the_pose_of_the_thesis() -> None:
-    truth = World(calm_scenario(Pose(1.0, 2.0, 3.5, -90.0), 5.0), 1).truth()
+    truth = World(calm_scenario(Pose(1.0, 2.0, 3.5, -90.0), 5.0, exact_attitude=True), 1).truth()
     assert thesis_axes(truth.d_body_pad_level) == pytest.approx([1.0, 2.0, 3.5], abs=0.02)
     assert math.degrees(thesis_yaw_rad(truth.yaw_rad)) == pytest.approx(-90.0, abs=0.5)
 
@@ -66,12 +67,15 @@ def test_what_the_thesis_printed_is_kept() -> None:
 def test_the_spread_counts_frames_without_an_estimate() -> None:
     flown = Flown(frames=4)
     for error in (0.01, 0.03):
-        flown.sightings.append(Estimate(1.0, "arrow", np.array([error, 0.0, 1.0]), 0.1, np.array([0.0, 0.0, 1.0]), 0.0))
+        flown.sightings.append(Estimate(1.0, "arrow", np.array([error, 0.0, 1.0]), 0.1, np.array([0.0, 0.0, 1.0]), 0.0, 0.01))
     found = spread(flown, "arrow", "x")
     assert found is not None
     assert found == pytest.approx((20.0, 10.0, 10.0, 30.0, 0.5))
     assert error_of(flown.sightings[0], "yaw") == pytest.approx(math.degrees(0.1))
     assert spread(flown, "corners", "x") is None
+    half = replace(flown.sightings[0], name="corners", yaw_rad=0.1 - math.pi)
+    assert error_of(half, "yaw") == pytest.approx(math.degrees(0.1))
+    assert error_of(replace(half, name="arrow"), "yaw") == pytest.approx(math.degrees(0.1 - math.pi))
 
 
 def test_a_short_hover_by_hand_sees_the_pad_and_errs_little() -> None:
