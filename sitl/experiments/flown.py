@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
-from companion.config.build_pilot import make_pilot
 
 from companion.config.model import Settings
+from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import Pilot
 from estimator.contracts.estimates import PathName, RelativeState
