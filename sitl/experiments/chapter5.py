@@ -16,14 +16,14 @@ import numpy as np
 from companion.config.model import Settings
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.geometry import F64, wrap_pi
-from sitl.experiments.flown import METHODS, Estimate, Flown, fly_by_hand, fly_pilot
+from sitl.experiments.flown import METHODS, Estimate, ExperimentFlight, fly_by_hand, fly_pilot
 from sitl.experiments.hand import ExternalPilot
-from sitl.experiments.paths import Pose, around_the_ship, full_turn, hold, up_and_down, way
+from sitl.experiments.paths import HeldPose, around_the_ship, full_turn, hold, up_and_down, way
 from sitl.experiments.printed import HEIGHTS_M, Quantity
 
 QUANTITIES: tuple[Quantity, ...] = ("x", "y", "z", "yaw")
 HOVER_S = 15.0
-_START = Pose(1.0, 2.0, 3.5, -90.0)
+_START = HeldPose(1.0, 2.0, 3.5, -90.0)
 """Where the landings of sections 5.1.7 and 5.1.8 begin."""
 _GONE_S = 1.0
 """Without a sighting for this long the pad counts as out of view."""
@@ -55,7 +55,7 @@ def error_of(estimate: Estimate, quantity: Quantity) -> float | None:
     return 1e3 * float(estimate.xyz_m[i] - estimate.true_xyz_m[i])
 
 
-def spread(flown: Flown, name: str, quantity: Quantity) -> Spread | None:
+def spread(flown: ExperimentFlight, name: str, quantity: Quantity) -> Spread | None:
     """Return the spread of a method's errors (equations 5.1 and 5.2); None where it gave no estimate."""
     errors = [e for one in flown.of(name) if (e := error_of(one, quantity)) is not None]
     if not errors:
@@ -64,10 +64,10 @@ def spread(flown: Flown, name: str, quantity: Quantity) -> Spread | None:
     return Spread(float(a.mean()), float(a.std()), float(a.min()), float(a.max()), len(a) / max(1, flown.frames))
 
 
-class Hover(NamedTuple):
+class HoverFlights(NamedTuple):
     """Sections 5.1.3: hovering at six heights."""
 
-    flights: dict[float, Flown]
+    flights: dict[float, ExperimentFlight]
 
     def table(self, quantity: Quantity) -> dict[tuple[float, str], Spread]:
         """Return the spreads of one quantity by height and method."""
@@ -107,7 +107,7 @@ class Drift(NamedTuple):
 class Landed(NamedTuple):
     """A landing from (1, 2, 3.5) at -90 degrees."""
 
-    flown: Flown
+    flown: ExperimentFlight
     outcome: FlightOutcome | None
     lateral_m: float | None
     """Distance of the first contact with the deck from the pad's centre."""
@@ -117,11 +117,11 @@ class Landed(NamedTuple):
 class Chapter5(NamedTuple):
     """All of it."""
 
-    up_and_down: Flown
-    hover: Hover
-    step: Flown
-    around: Flown
-    turn: Flown
+    up_and_down: ExperimentFlight
+    hover: HoverFlights
+    step: ExperimentFlight
+    around: ExperimentFlight
+    turn: ExperimentFlight
     landing: Landed
     external: Landed
 
@@ -142,9 +142,9 @@ def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None], heigh
     hovering = {}
     for height_m in heights_m:
         say(f"5.1.3 hovering at {height_m:g} m")
-        hovering[height_m] = fly_by_hand(settings, hold(Pose(0.0, 0.0, height_m)), HOVER_S, seed)
+        hovering[height_m] = fly_by_hand(settings, hold(HeldPose(0.0, 0.0, height_m)), HOVER_S, seed)
     say("5.1.4 a step from 1 to 3 m")
-    low, high = Pose(0.0, 0.0, 1.0), Pose(0.0, 0.0, 3.0)
+    low, high = HeldPose(0.0, 0.0, 1.0), HeldPose(0.0, 0.0, 3.0)
     step = fly_by_hand(settings, way([(0.0, low), (3.0, low), (6.5, high), (10.0, high)]), 10.0, seed)
     say("5.1.5 dead reckoning around the ship")
     path, duration_s = around_the_ship(0.6)
@@ -156,10 +156,10 @@ def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None], heigh
     landing = _landed(fly_pilot(settings, _START, seed))
     say("5.1.8 landing with an external controller")
     external = _landed(fly_pilot(settings, _START, seed, ExternalPilot))
-    return Chapter5(up, Hover(hovering), step, around, turn, landing, external)
+    return Chapter5(up, HoverFlights(hovering), step, around, turn, landing, external)
 
 
-def lags(step: Flown) -> list[Lag]:
+def lags(step: ExperimentFlight) -> list[Lag]:
     """Return each path's lag behind the truth during the climb of section 5.1.4, by the best match of the height, 10 ms apart."""
     times = np.array([t for t, _, _ in step.truth])
     heights = np.array([xyz[2] for _, xyz, _ in step.truth])
@@ -179,7 +179,7 @@ def lags(step: Flown) -> list[Lag]:
     return out
 
 
-def drifts(around: Flown) -> list[Drift]:
+def drifts(around: ExperimentFlight) -> list[Drift]:
     """Return how far each path errs while the pad is out of view (section 5.1.5)."""
     seen = np.array([e.t_s for e in around.of("best")])
     gaps = np.diff(seen)
@@ -196,7 +196,7 @@ def drifts(around: Flown) -> list[Drift]:
     return out
 
 
-def headings(turn: Flown) -> dict[str, tuple[F64, F64]]:
+def headings(turn: ExperimentFlight) -> dict[str, tuple[F64, F64]]:
     """Return by method (times, heading errors in degrees) of the full turn of section 5.1.6."""
     out = {}
     for name in METHODS:
@@ -207,7 +207,7 @@ def headings(turn: Flown) -> dict[str, tuple[F64, F64]]:
     return out
 
 
-def _landed(flown: Flown) -> Landed:
+def _landed(flown: ExperimentFlight) -> Landed:
     result = flown.result
     assert result is not None
     contacts = result.truth.contacts

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from companion.report.palette import MARKERS, OTHER, colour
 from estimator.contracts.geometry import wrap_pi
 from sitl.experiments.chapter5 import QUANTITIES, Chapter5, Landed, error_of, headings
-from sitl.experiments.flown import METHODS, Flown
+from sitl.experiments.flown import METHODS, ExperimentFlight
 from sitl.experiments.printed import HEIGHTS_M, printed
 
 _SHOWN = {"best": "fused"}
@@ -54,7 +54,7 @@ def _figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure,
     return figure, axes
 
 
-def _up_and_down(flown: Flown) -> Figure:
+def _up_and_down(flown: ExperimentFlight) -> Figure:
     figure, axes = _figure(4, 1, (9.0, 10.0))
     times = [t for t, _, _ in flown.truth if t >= min((e.t_s for e in flown.sightings), default=0.0)]
     heights = [xyz[2] for t, xyz, _ in flown.truth if t >= times[0]]
@@ -102,7 +102,7 @@ def _hover(chapter: Chapter5) -> Figure:
     return figure
 
 
-def _step(flown: Flown) -> Figure:
+def _step(flown: ExperimentFlight) -> Figure:
     figure, axes = _figure(1, 1, (9.0, 4.5))
     _true(axes[0], flown, 2)
     for path in _PATHS:
@@ -116,7 +116,7 @@ def _step(flown: Flown) -> Figure:
     return figure
 
 
-def _around(flown: Flown) -> Figure:
+def _around(flown: ExperimentFlight) -> Figure:
     figure, axes = _figure(1, 2, (10.0, 4.5))
     true = np.array([xyz for _, xyz, _ in flown.truth])
     axes[0].plot(true[:, 0], true[:, 1], color="black", lw=1.0, label="truth")
@@ -170,6 +170,6 @@ def _landings(*landings: tuple[Landed, str]) -> Figure:
     return figure
 
 
-def _true(ax: Axes, flown: Flown, i: int) -> None:
+def _true(ax: Axes, flown: ExperimentFlight, i: int) -> None:
     rows: Sequence[tuple[float, float]] = [(t, float(xyz[i])) for t, xyz, _ in flown.truth]
     ax.plot([t for t, _ in rows], [v for _, v in rows], color="black", lw=1.0, label="truth")

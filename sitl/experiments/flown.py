@@ -17,7 +17,7 @@ from estimator.contracts.estimates import PathName, RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.experiments.hand import HandPilot
-from sitl.experiments.paths import Path, Pose, level_axes, thesis_axes, thesis_yaw_rad
+from sitl.experiments.paths import HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
 from sitl.flight import Flight, FlightResult, Timing
 from sitl.scenario import Scenario, load
 from sitl.world import Truth
@@ -46,7 +46,7 @@ class Estimate:
 
 
 @dataclass(slots=True)
-class Flown:
+class ExperimentFlight:
     """A flown experiment."""
 
     sightings: list[Estimate] = field(default_factory=list)
@@ -65,7 +65,7 @@ class Flown:
 class _Notes(NullObserver):
     """Keeps what the observers of a service hear, with the truth of the same instant."""
 
-    def __init__(self, flown: Flown, after_s: float) -> None:
+    def __init__(self, flown: ExperimentFlight, after_s: float) -> None:
         self.flown = flown
         self.after_s = after_s
         self.started = MonoNs(0)
@@ -100,7 +100,7 @@ def _beside(t_s: float, name: str, d: F64, yaw_rad: float | None, cov: F64, true
     return Estimate(t_s, name, thesis_axes(d), yaw, thesis_axes(true.d_body_pad_level), thesis_yaw_rad(true.yaw_rad), sigma_m)
 
 
-def calm_scenario(start: Pose, duration_s: float, *, exact_attitude: bool) -> Scenario:
+def calm_scenario(start: HeldPose, duration_s: float, *, exact_attitude: bool) -> Scenario:
     """Return the thesis' surroundings: flat water, no wind, a motionless ship; the drone begins in the air at a pose.
 
     Args:
@@ -125,7 +125,7 @@ def calm_scenario(start: Pose, duration_s: float, *, exact_attitude: bool) -> Sc
     return msgspec.structs.replace(calm, start=begin, duration_limit_s=duration_s, sensors=sensors)
 
 
-def fly_by_hand(settings: Settings, path: Path, duration_s: float, seed: int, *, exact_attitude: bool = True) -> Flown:
+def fly_by_hand(settings: Settings, path: Path, duration_s: float, seed: int, *, exact_attitude: bool = True) -> ExperimentFlight:
     """Fly a path by hand at the thesis' ten frames a second; nothing of the first seconds, in which the hand arrives, is kept.
 
     Args:
@@ -146,14 +146,18 @@ def fly_by_hand(settings: Settings, path: Path, duration_s: float, seed: int, *,
     return flown
 
 
-def fly_pilot(settings: Settings, start: Pose, seed: int, kind: Callable[..., Pilot] = Pilot, limit_s: float = 60.0) -> Flown:
+def fly_pilot(
+    settings: Settings, start: HeldPose, seed: int, kind: Callable[..., Pilot] = Pilot, limit_s: float = 60.0
+) -> ExperimentFlight:
     """Fly a pilot that lands by itself from a pose."""
     pilot = make_pilot(settings, SHADOWS, kind)
     return _flown(settings, calm_scenario(start, limit_s, exact_attitude=False), seed, pilot, 0.0, 1.0 / 30.0)
 
 
-def _flown(settings: Settings, scenario: Scenario, seed: int, pilot: Pilot, after_s: float, frame_period_s: float) -> Flown:
-    flown = Flown()
+def _flown(
+    settings: Settings, scenario: Scenario, seed: int, pilot: Pilot, after_s: float, frame_period_s: float
+) -> ExperimentFlight:
+    flown = ExperimentFlight()
     notes = _Notes(flown, after_s)
     flight = Flight(scenario, seed, settings, pilot, observers=[notes], timing=Timing(frame_period_s=frame_period_s))
     notes.started, notes.now = flight.world.started, flight.world.truth

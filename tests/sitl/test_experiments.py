@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from companion.config.settings import load
 from sitl.experiments.chapter5 import QUANTITIES, error_of, spread
-from sitl.experiments.flown import Estimate, Flown, calm_scenario, fly_by_hand
+from sitl.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
 from sitl.experiments.paths import (
-    Pose,
+    HeldPose,
     around_the_ship,
     full_turn,
     hold,
@@ -30,12 +30,12 @@ from sitl.world import World
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 10), st.floats(-3.1, 3.1))
 def test_the_axes_of_the_thesis_lead_back(x: float, y: float, z: float, yaw: float) -> None:
-    assert thesis_axes(level_axes(Pose(x, y, z))).tolist() == [x, y, z]
+    assert thesis_axes(level_axes(HeldPose(x, y, z))).tolist() == [x, y, z]
     assert math.isclose(math.cos(thesis_yaw_rad(thesis_yaw_rad(yaw)) - yaw), 1.0, abs_tol=1e-12)
 
 
 def test_a_flight_begins_at_the_pose_of_the_thesis() -> None:
-    truth = World(calm_scenario(Pose(1.0, 2.0, 3.5, -90.0), 5.0, exact_attitude=True), 1).truth()
+    truth = World(calm_scenario(HeldPose(1.0, 2.0, 3.5, -90.0), 5.0, exact_attitude=True), 1).truth()
     assert thesis_axes(truth.d_body_pad_level) == pytest.approx([1.0, 2.0, 3.5], abs=0.02)
     assert math.degrees(thesis_yaw_rad(truth.yaw_rad)) == pytest.approx(-90.0, abs=0.5)
 
@@ -65,7 +65,7 @@ def test_what_the_thesis_printed_is_kept() -> None:
 
 
 def test_the_spread_counts_frames_without_an_estimate() -> None:
-    flown = Flown(frames=4)
+    flown = ExperimentFlight(frames=4)
     for error in (0.01, 0.03):
         flown.sightings.append(Estimate(1.0, "arrow", np.array([error, 0.0, 1.0]), 0.1, np.array([0.0, 0.0, 1.0]), 0.0, 0.01))
     found = spread(flown, "arrow", "x")
@@ -79,7 +79,7 @@ def test_the_spread_counts_frames_without_an_estimate() -> None:
 
 
 def test_a_short_hover_by_hand_sees_the_pad_and_errs_little() -> None:
-    flown = fly_by_hand(load("sim"), hold(Pose(0.0, 0.0, 1.0)), 0.6, 3)
+    flown = fly_by_hand(load("sim"), hold(HeldPose(0.0, 0.0, 1.0)), 0.6, 3)
     assert flown.frames >= 5
     for method in ("arrow", "corners", "registration", "best"):
         found = spread(flown, method, "z")
