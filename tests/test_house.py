@@ -34,6 +34,7 @@ DISTRIBUTION_NAMES = {
 }
 
 DRAWINGS = {
+    "sitl/experiments/figures.py",
     "companion/report/plots.py",
     "companion/report/svg.py",
     "sitl/campaign/plots.py",
