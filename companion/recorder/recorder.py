@@ -203,6 +203,8 @@ class Recorder:
         self._give(decision.at, decision)
         if self._recorded_health is None or seconds_between(self._recorded_health, decision.at) >= 1.0:
             self._recorded_health = decision.at
+            if self._lossless and self._thread.is_alive():
+                self._queue.join()  # how far the thread has come must not show in a file of virtual time
             self._show()
             if self._health is not None:
                 self._give(decision.at, encode.health(decision.at, self._health.snapshot()))
@@ -254,6 +256,7 @@ class Recorder:
                 if item is None:
                     break
                 self._guarded(self._take, item)
+                self._queue.task_done()
             self._guarded(self._end_file)
         finally:
             self._state = RecorderState.CLOSED
