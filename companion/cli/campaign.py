@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import Any
 
+from companion.cli import perception_option
 from companion.cli.campaign_progress import CampaignProgress
 from companion.cli.campaign_report import compared_with, report, require_report
 from companion.config.settings import shipped
@@ -31,7 +32,7 @@ from sitl.campaign.search import Falsified, Search, refuse_search
 from sitl.campaign.store import FolderStore, ResultStore, manifest_of_plan
 from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.task import Flight, job_of
-from sitl.one_flight import PERCEPTIONS, perception_level, settings_for
+from sitl.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
@@ -58,18 +59,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("folder", nargs="?", help="with report: the folder of a campaign")
     parser.add_argument("--runs", type=int, default=100, metavar="N", help="number of flights, at each point (default: 100)")
     parser.add_argument("--seed", type=int, default=0, metavar="FIRST", help="seed of the first flight (default: 0)")
-    parser.add_argument(
-        "--perception",
-        default="pixels",
-        metavar="LEVEL",
-        help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames)",
-    )
-    parser.add_argument(
-        "--perception-model",
-        metavar="FILE",
-        help="error model of --perception model or truth, from decklander perception fit (default: the shipped one of "
-        "vision.method)",
-    )
+    perception_option.add_arguments(parser)
     parser.add_argument(
         "--config",
         metavar="FILE",

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from companion.cli import record_option, report_option
+from companion.cli import perception_option, record_option, report_option
 from companion.cli.progress import ProgressObserver
 from companion.config.settings import camera_model, pad_model, shipped
 from companion.report.drawing import require_drawing
@@ -20,7 +20,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs
 from sitl.campaign.overrides import Overridable
-from sitl.one_flight import PERCEPTIONS, fly, perception_level, settings_for
+from sitl.one_flight import fly, perception_level, settings_for
 from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
 from sitl.world import Truth
@@ -46,18 +46,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--config", metavar="FILE", help="settings file to fly with (default: the profile sim with the scenario's camera and pad)"
     )
-    parser.add_argument(
-        "--perception",
-        default="pixels",
-        metavar="LEVEL",
-        help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames)",
-    )
-    parser.add_argument(
-        "--perception-model",
-        metavar="FILE",
-        help="error model of --perception model or truth, from decklander perception fit (default: the shipped one of "
-        "vision.method)",
-    )
+    perception_option.add_arguments(parser)
     parser.add_argument(
         "--set",
         action="append",

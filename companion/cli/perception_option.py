@@ -1,0 +1,23 @@
+"""The options `--perception` and `--perception-model` of the commands that simulate flights."""
+
+from __future__ import annotations
+
+import argparse
+
+from sitl.one_flight import PERCEPTIONS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add both options to a parser."""
+    parser.add_argument(
+        "--perception",
+        default="pixels",
+        metavar="LEVEL",
+        help=f"how the service perceives the pad: {', '.join(PERCEPTIONS)} (default: pixels, rendered frames)",
+    )
+    parser.add_argument(
+        "--perception-model",
+        metavar="FILE",
+        help="error model of --perception model or truth, from decklander perception fit (default: the shipped one of "
+        "vision.method)",
+    )
