@@ -59,8 +59,8 @@ class FaultySensors:
         self._seed = seed
         self._begun: dict[int, Readings] = {}
         """The true readings at the beginning of each frozen sensor's fault."""
-        self._told: dict[int, tuple[MonoNs, F64 | None]] = {}
-        """The newest value of each sensor that drops readings, and its instant."""
+        self._reported: dict[int, F64 | None] = {}
+        """The newest value that each sensor with dropped readings has reported."""
         self._past: deque[Readings] = deque()
         self._newest: tuple[Readings, Readings] | None = None
 
@@ -104,10 +104,9 @@ class FaultySensors:
             value = None if value is None or other is None else np.where(mine, other, value)
         rng = np.random.default_rng([self._seed, true.at // 1_000_000, number])
         if fault.dropped_fraction > 0.0 and rng.random() < fault.dropped_fraction:
-            before = self._told.get(id(fault), (true.at, value))[1]
-            value = None if isinstance(fault, _MAY_FAIL) else before
+            value = None if isinstance(fault, _MAY_FAIL) else self._reported.get(id(fault), value)
         elif fault.dropped_fraction > 0.0:
-            self._told[id(fault)] = true.at, value
+            self._reported[id(fault)] = value
         if value is not None:
             added = np.array(errors.offset) + since_s * np.array(errors.drift)
             if errors.noise > 0.0:

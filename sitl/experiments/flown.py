@@ -13,7 +13,7 @@ from companion.config.model import Settings
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
 from companion.runtime.pilot import Pilot
-from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.experiments.hand import HandPilot
@@ -90,7 +90,7 @@ class _Notes(NullObserver):
         t_s = seconds_between(self.started, decision.at)
         self.flown.truth.append((t_s, thesis_axes(true.d_body_pad_level), thesis_yaw_rad(true.yaw_rad)))
         for belief in (decision.belief, *decision.shadows):
-            if isinstance(belief, RelativeState):
+            if belief is not None:
                 self.flown.beliefs.append(_beside(t_s, belief.path, belief.d_body_pad_level, belief.yaw_rad, belief.cov, true))
 
 
