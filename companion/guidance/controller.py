@@ -1,0 +1,96 @@
+"""The port between the mission and the control law: what is known, where to be, and which command gets there.
+
+The mission decides on the target. A controller decides on the command, and nothing else: it never ends a descent, never asks
+whether the pad may be landed on, and holds what it is given. Controllers are pure: a step takes a frozen memory and returns the
+next one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from estimator.contracts.commands import Command
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64
+from estimator.contracts.motion import BodyMotion, DeckMotion
+from estimator.contracts.samples import _vector
+from estimator.contracts.time import MonoNs
+from estimator.ekf import Forecast
+
+HORIZONS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
+"""Horizons of the forecast that guidance asks for, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Impact:
+    """A contact with the deck, as an event; no height ever makes one."""
+
+    at: MonoNs
+    by: str
+    """What said so: `accelerometer` (a step that no flight makes) or `vehicle` (it reports that it is on the ground)."""
+    size_m_s2: float = math.nan
+    """The step of the acceleration; nan if the vehicle said so."""
+
+
+@dataclass(frozen=True, slots=True)
+class Knowledge:
+    """What guidance knows in one cycle. `level` is the body's own at `at` throughout."""
+
+    at: MonoNs
+    relative: RelativeState | None
+    """Where the pad is; None while no pad is tracked. It carries on without sight: ask its age, `consistent` and `cov`."""
+    body: BodyMotion | None = None
+    """None from an estimator path that does not estimate it."""
+    deck: DeckMotion | None = None
+    """None from an estimator path that does not estimate it."""
+    forecast: Forecast | None = None
+    """The deck at `HORIZONS_S` after `forecast.at`, which may be some cycles before `at`."""
+    impact: Impact | None = None
+    """The newest contact since take-off; None while there was none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """Where to be relative to the deck."""
+
+    d_body_pad_level: F64
+    """Wanted vector from the body to the pad, (3,) m: (0, 0, 2) is two metres above its centre."""
+    descent_rate_m_s: float | None = None
+    """The wanted rate against the deck, down positive. With a rate the wanted height is not looked at: 0.45 goes down to the deck
+    and presses on there, -0.5 climbs. None flies to the wanted height and holds it."""
+    vertical_rate_max_m_s: float = 1.0
+    """Largest rate against the deck with which a wanted height is flown to."""
+    speed_max_m_s: float = 1.5
+    """Largest horizontal speed against the deck with which a wanted place is flown to."""
+    yaw_rad: float | None = None
+    """The wanted heading against the pad's arrow, rad; None keeps the heading."""
+    lean_max_rad: float | None = None
+    """Largest tilt that may be asked for; None leaves it at the controller's own limit."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "d_body_pad_level", _vector("Target.d_body_pad_level", self.d_body_pad_level, (3,)))
+        numbers = (self.descent_rate_m_s, self.vertical_rate_max_m_s, self.speed_max_m_s, self.yaw_rad, self.lean_max_rad)
+        if not all(x is None or math.isfinite(x) for x in numbers):
+            raise ValueError(f"a target needs finite numbers, got {numbers}")
+
+
+Memory = TypeVar("Memory")
+
+
+class Controller(Protocol[Memory]):
+    """A control law.
+
+    `step` runs in every guidance cycle. With a target it returns the command that goes there; a target needs
+    `knowledge.relative`, and it is the mission's to say for how long an estimate without sight will do. Without a target
+    somebody else commands (hover, the vehicle's own landing, a person's hand): the law then only keeps what it has learned of
+    wind and trim up to date, so that it takes over without a bump, and returns `Hover`.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    def start(self) -> Memory: ...
+
+    def step(self, memory: Memory, now: MonoNs, knowledge: Knowledge, target: Target | None) -> tuple[Memory, Command]: ...
