@@ -45,7 +45,7 @@ async def measure(rate_hz: float) -> None:
     fake.rpy = lambda t: state.R_ned_body.rpy_rad
     component = Component(
         ComponentOptions(0.39, 0.5),
-        PilotTower(pilot, lambda: None),
+        PilotTower(pilot, lambda: None, clock),
         None,
         healthy=lambda: None,
         believe=pilot.belief,

@@ -27,7 +27,7 @@ from companion.mavlink.make import AutopilotPart
 from companion.mavlink.options import BridgeOptions
 from companion.runtime.health import Health
 from companion.runtime.make_pilot import make_pilot
-from drivers.mailbox import Latest, Line
+from drivers.mailbox import Line
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.endpoint import Endpoint, parse_endpoint
@@ -35,11 +35,11 @@ from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.signing import Signing, SigningKey, load_key
 from drivers.mavlink.signing_times import SigningTimes
-from estimator.contracts.commands import Command, Hover, Velocity
+from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
-from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Range, Sample, VehicleStatus
+from estimator.contracts.samples import Attitude, BodyVelocity, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from fuzz.target import SHARED_MEMORY, Choices, Target, block
 from sitl.autopilots.lock_step import LockStepClock
@@ -260,29 +260,17 @@ def run_bridge(data: bytes) -> None:
     asyncio.run(_bridge(Choices(data)))
 
 
-class _Vehicle:
-    """A drone that executes every command, or is absent."""
-
-    def __init__(self) -> None:
-        self.frames: Latest[Frame] = Latest()
-        self.samples: Line[Sample] = Line(16)
-
-    def command(self, command: Command) -> None:
-        assert command is not None
-
-
 async def _bridge(choices: Choices) -> None:
     clock, wires = LockStepClock(), Wires()
     links = [LinkOptions(parse_endpoint("udpin://127.0.0.1:14550")), LinkOptions(parse_endpoint("udpout://127.0.0.1:14551"))]
-    part = BridgePart(BridgeOptions(), links, clock, tap=lambda *crossed: None)
+    answers = iter(range(_STEPS * 64))
+    part = BridgePart(
+        BridgeOptions(), links, clock, order=lambda order: "not now" if next(answers) % 3 else None, tap=lambda *crossed: None
+    )
     sampler = _samples()
 
-    @asynccontextmanager
-    async def opening() -> AsyncIterator[_Vehicle]:
-        yield _Vehicle()
-
     with patch("drivers.mavlink.links.open_wire", wires.open):
-        async with part.beside(opening()), asyncio.TaskGroup() as group:
+        async with asyncio.TaskGroup() as group:
             task = group.create_task(part.run())
             await clock.settle()
             for sequence in range(_STEPS):

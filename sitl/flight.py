@@ -16,6 +16,7 @@ import numpy as np
 
 from companion.config.model import Settings, ardrone_options
 from companion.guidance.planner import Phase as GuidancePhase
+from companion.operator.orders import HandledOrder
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
@@ -239,11 +240,16 @@ class Flight:
         """Reset the state of the service's process to that of a new process."""
         now = self._clock.t
         self._pilot = pilot
+        pilot.operator.on_order = self._on_order
         self._streamer = CommandStreamer(self._options, Counters())
         self._sampler = NavdataSampler(self._options)
         self._due_guidance = self._due_frame = self._due_command = now
         self._on_the_way.clear()
         self._looking = None
+
+    def _on_order(self, handled: HandledOrder) -> None:
+        for observer in self._observers:
+            observer.on_order(handled)
 
     def _send(self, commands: Sequence[at.AtCommand]) -> None:
         for command in commands:

@@ -1,6 +1,6 @@
 """Emulate a MAVLink vehicle for a drone that speaks no MAVLink (an AR.Drone), so that a ground station can command it.
 
-    bridge = VehicleBridge(links.send, command)     # an observer; `on_message` takes what the links receive, `tick` the time
+    bridge = VehicleBridge(links.send, order)       # an observer; `on_message` takes what the links receive, `tick` the time
 
 The bridge sends as component 1 of the links' system. Its position is the integral of the drone's own velocities since take-off:
 it shows where the drone went, but it is not good enough to navigate by.
@@ -16,13 +16,12 @@ import numpy as np
 
 from companion.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED, Offered
 from companion.mavlink.refusals import Refusals
+from companion.operator.orders import OperatorOrder
 from companion.runtime.observer import NullObserver
 from drivers.mavlink.access import Source
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.vehicle import ARMED
-from estimator.contracts.commands import Command, Hover, Land, TakeOff
-from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
@@ -46,14 +45,12 @@ class VehicleBridge(NullObserver):
 
     Args:
         send: sends a message over the links.
-        command: sends a command to the drone; it may raise Recoverable.
-        go_on: ends a hold.
+        order: gives a person's order; returns why it is refused, or None.
     """
 
-    def __init__(self, send: Send, command: Callable[[Command], None], go_on: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, send: Send, order: Callable[[OperatorOrder], str | None]) -> None:
         self._send = send
-        self._command = command
-        self._go_on = go_on
+        self._order = order
         self._status: VehicleStatus | None = None
         self._attitude: Attitude | None = None
         self._velocity: BodyVelocity | None = None
@@ -130,14 +127,13 @@ class VehicleBridge(NullObserver):
         if m.command == mav.MAV_CMD_NAV_TAKEOFF:
             if self._flying or not self._armed:
                 return DENIED, []
-            return self._give(TakeOff()), []
+            return self._give(OperatorOrder.TAKE_OFF), []
         if m.command == mav.MAV_CMD_NAV_LAND:
-            return self._give(Land(persistent=True)), []
+            return self._give(OperatorOrder.LAND), []
         if m.command == mav.MAV_CMD_DO_PAUSE_CONTINUE and m.param1 == 1.0:
-            self._go_on()
-            return ACCEPTED, []
+            return self._give(OperatorOrder.BEGIN), []
         if m.command in _HOLDS:
-            return self._give(Hover()), []
+            return self._give(OperatorOrder.HOLD), []
         if m.command == mav.MAV_CMD_REQUEST_MESSAGE:
             number = int(m.param1) if math.isfinite(m.param1) else -1
             message = self._offered.make(number, now)
@@ -149,12 +145,8 @@ class VehicleBridge(NullObserver):
             return (ACCEPTED if done else UNSUPPORTED), []
         return UNSUPPORTED, []
 
-    def _give(self, command: Command) -> int:
-        try:
-            self._command(command)
-        except Recoverable:
-            return int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
-        return ACCEPTED
+    def _give(self, order: OperatorOrder) -> int:
+        return ACCEPTED if self._order(order) is None else int(mav.MAV_RESULT_TEMPORARILY_REJECTED)
 
     def _move(self, sample: BodyVelocity) -> None:
         before, self._velocity = self._velocity, sample

@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Protocol, TypeVar
 
 from companion.mavlink.bridge import VehicleBridge
 from companion.mavlink.options import BridgeOptions
 from companion.mavlink.refusals import link_counters
+from companion.operator.orders import OperatorOrder
 from companion.runtime.observer import NullObserver
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.links import LinkOptions, Links, Tap, open_links
-from estimator.contracts.commands import Command, Hover
-from estimator.contracts.errors import Recoverable
 from estimator.contracts.ports import Clock
 from estimator.contracts.samples import Sample
 
 _TICK_S = 0.02
-
-
-class _Drone(Protocol):
-    def command(self, command: Command) -> None: ...
-
-
-Taker = TypeVar("Taker", bound=_Drone)
 
 
 class BridgePart(NullObserver):
@@ -36,7 +26,7 @@ class BridgePart(NullObserver):
     Args:
         options: who the drone is shown as, and who may command it.
         links: the links to ground stations.
-        hold, go_on: functions that hold guidance when a station asks for a hold, and that end the hold.
+        order: gives a station's order; returns why it is refused, or None.
         tap: receives every message; None if no one listens.
     """
 
@@ -46,41 +36,17 @@ class BridgePart(NullObserver):
         links: Sequence[LinkOptions],
         clock: Clock,
         *,
-        hold: Callable[[], None] = lambda: None,
-        go_on: Callable[[], None] = lambda: None,
+        order: Callable[[OperatorOrder], str | None],
         tap: Tap | None = None,
     ) -> None:
         self._endpoints = tuple(links)
         self._system = options.system_id
         self._access = NamedSenders(options.named_operators())
         self._clock = clock
-        self._hold, self._go_on = hold, go_on
+        self._order = order
         self._tap = tap
         self._bridge: VehicleBridge | None = None
         self._links: Links | None = None
-        self._taker: Callable[[Command], None] | None = None
-
-    @asynccontextmanager
-    async def beside(self, opening: AbstractAsyncContextManager[Taker]) -> AsyncIterator[Taker]:
-        """Open the drone's link, and send the stations' commands to it while it is open."""
-        async with opening as drone:
-            self._taker = drone.command
-            try:
-                yield drone
-            finally:
-                self._taker = None
-
-    def command(self, command: Command) -> None:
-        """Send a command to the drone.
-
-        Raises:
-            Recoverable: the drone's link is not open.
-        """
-        if self._taker is None:
-            raise Recoverable("the drone is not there")
-        if isinstance(command, Hover):
-            self._hold()  # Without the hold, guidance would fly on at once.
-        self._taker(command)
 
     def on_sample(self, sample: Sample) -> None:
         if self._bridge is not None:
@@ -97,7 +63,7 @@ class BridgePart(NullObserver):
         identity = (self._system, int(mav.MAV_COMP_ID_ONBOARD_COMPUTER))
         async with open_links(self._endpoints, self._clock, identity, access=self._access) as links, asyncio.TaskGroup() as group:
             self._links, links.tap = links, self._tap
-            self._bridge = bridge = VehicleBridge(links.send, self.command, self._go_on)
+            self._bridge = bridge = VehicleBridge(links.send, self._order)
             try:
                 listening = group.create_task(self._listen(bridge, links))
                 while not listening.done():

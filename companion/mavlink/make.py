@@ -52,7 +52,7 @@ class AutopilotPart:
         self._sample_queue_items = settings.service.sample_queue_items
         self.component = Component(
             ComponentOptions(pilot.pad.disc_radius_m, settings.guidance.stale_after_s, settings.landing_target),
-            PilotTower(pilot, lambda: self.component.belief, recording),
+            PilotTower(pilot, lambda: self.component.belief, clock, recording),
             Tunables(settings, self._apply),
             healthy=health.flight_fault,
             believe=pilot.belief,

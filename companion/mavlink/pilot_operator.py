@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from companion.mavlink.operator import LandingProgress
-from companion.mqtt.operator import PilotOperator
+from companion.operator.orders import OrderSender, OrderSource
+from companion.operator.pilot_operator import PilotOperator
 from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.estimates import PathName, RelativeState
+from estimator.contracts.ports import Clock
 
 
 class PilotTower:
@@ -22,10 +24,11 @@ class PilotTower:
         self,
         pilot: Pilot,
         believe: Callable[[], RelativeState | None],
+        clock: Clock,
         recording: Callable[[bool], str | None] | None = None,
     ) -> None:
         self._pilot = pilot
-        self._handlers = PilotOperator(pilot, recording)
+        self._handlers = PilotOperator(pilot, OrderSender(OrderSource.MAVLINK), clock, recording)
         self._believe = believe
         self._from_m: float | None = None
 

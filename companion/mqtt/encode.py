@@ -24,7 +24,7 @@ from companion.mqtt.messages import (
 )
 from companion.runtime.health import FusionState, HealthSnapshot
 from companion.runtime.observer import Decision, ProcessedFrame
-from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import VehicleStatus
@@ -81,6 +81,10 @@ def order(command: Command | None) -> CommandReport | None:
             return CommandReport(kind="takeoff")
         case Land():
             return CommandReport(kind="land")
+        case CutMotors():
+            return CommandReport(kind="cut_motors")
+        case LeaveEmergency():
+            return CommandReport(kind="leave_emergency")
         case None:
             return None
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from companion.operator.orders import HandledOrder
 from companion.runtime.health import HealthSnapshot
 from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.samples import VehicleStatus
@@ -26,6 +27,18 @@ class PendingEvent:
     kind: Kind
     text: str
     data: Mapping[str, str | float | bool | None] = field(default_factory=dict)
+
+
+def order_event(handled: HandledOrder) -> PendingEvent:
+    """Return the event of a person's order and its answer."""
+    data: dict[str, str | float | bool | None] = {
+        "command": handled.order.value,
+        "source": handled.sender.source.value,
+        "sender": handled.sender.name,
+        "accepted": handled.accepted,
+        "reason": handled.refusal,
+    }
+    return PendingEvent(handled.at, "command", str(handled), data)
 
 
 @dataclass(slots=True)

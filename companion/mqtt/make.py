@@ -11,12 +11,13 @@ from companion.config import secret_files
 from companion.mqtt import access
 from companion.mqtt.commands import CommandHandler
 from companion.mqtt.connection import BrokerEndpoint
-from companion.mqtt.operator import PilotOperator
 from companion.mqtt.outbox import Outbox
 from companion.mqtt.part import MqttPart
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.spool import Spool
 from companion.mqtt.topics import Topics
+from companion.operator.orders import OrderSender, OrderSource
+from companion.operator.pilot_operator import PilotOperator
 from companion.runtime.health import Health
 from companion.runtime.pilot import Pilot
 from estimator.contracts.ports import Clock
@@ -37,8 +38,9 @@ def make_mqtt(
     endpoint = BrokerEndpoint.of(settings)
     spool = Spool(access.spool_folder(settings), settings.spool_max_kib * 1024)
     outbox = Outbox(spool, session, topics.event, settings.spool_fsync)
+    operator = PilotOperator(pilot, OrderSender(OrderSource.MQTT), clock, recording)
     key = secret_files.key(settings.command_key_file, "mqtt", "command_key_file")
-    command_handler = CommandHandler(topics, session, PilotOperator(pilot, recording), secrets.token_hex(16), key)
+    command_handler = CommandHandler(topics, session, operator, secrets.token_hex(16), key)
     return MqttPart(settings, endpoint, outbox, command_handler, health, clock, session=session, version=_version())
 
 

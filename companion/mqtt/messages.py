@@ -54,9 +54,9 @@ class BeliefReport(Struct, frozen=True, kw_only=True):
 
 
 class CommandReport(Struct, frozen=True, kw_only=True):
-    """The command that guidance sent to the vehicle."""
+    """The command that was sent to the vehicle, of guidance or of a person."""
 
-    kind: Literal["velocity", "hover", "takeoff", "land"]
+    kind: Literal["velocity", "hover", "takeoff", "land", "cut_motors", "leave_emergency"]
     v_level_m_s: Vector3 | None = None
     yaw_rate_rad_s: float | None = None
 

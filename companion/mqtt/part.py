@@ -18,11 +18,12 @@ import aiomqtt
 from companion.mqtt import encode as encoding
 from companion.mqtt.commands import CommandHandler
 from companion.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
-from companion.mqtt.events import Changes, PendingEvent
+from companion.mqtt.events import Changes, PendingEvent, order_event
 from companion.mqtt.messages import Message, OperatorNotice, StatusMessage, encode
 from companion.mqtt.outbox import Outbox
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.topics import Topics
+from companion.operator.orders import HandledOrder, OrderSource
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision, ProcessedFrame
 from drivers.reconnect import BackOff, reconnect
@@ -99,6 +100,11 @@ class MqttPart:
     def on_decision(self, decision: Decision) -> None:
         self._decision = decision
         self.tell(*self._changes.decision(decision))
+
+    def on_order(self, handled: HandledOrder) -> None:
+        """Queue an event for each order that did not come over MQTT; those that did have an event with their id."""
+        if handled.sender.source is not OrderSource.MQTT:
+            self.tell(order_event(handled))
 
     def tell(self, *events: PendingEvent) -> None:
         """Queue events in order. This never waits and never fails."""

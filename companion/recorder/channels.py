@@ -12,6 +12,8 @@ from estimator.contracts.fusion import Source
 
 IMAGE, ANNOTATIONS, CALIBRATION = "/camera/image", "/camera/annotations", "/camera/calibration"
 DETECTION, DECISION, TRUTH, LINK, HEALTH, LOG, TRANSFORMS = "/detection", "/decision", "/truth", "/link", "/health", "/log", "/tf"
+ORDER = "/order"
+"""The topic of people's orders and their answers."""
 FIXED_TRANSFORMS = "/tf_static"
 """The topic of the transforms that are written once per file. A viewer that seeks takes a topic's newest message, so nothing
 else may be written to this one."""
@@ -50,6 +52,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     **{belief(path): rec.BeliefRecord for path in PATHS},
     **{fusion(source): rec.FusionRecord for source in get_args(Source)},
     DECISION: rec.DecisionRecord,
+    ORDER: rec.OrderRecord,
     TRUTH: rec.TruthRecord,
     LINK: rec.LinkRecord,
     HEALTH: rec.HealthRecord,

@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.recorder import records as rec
 from companion.recorder.encode import COMMANDS
-from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose6, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, Source
 from estimator.contracts.geometry import F64, Rotation
@@ -152,7 +152,7 @@ def command(of: rec.DecisionRecord) -> Command | None:
     kind = {name: kind for kind, name in COMMANDS.items()}.get(of.command)
     if kind is Velocity and of.v_level is not None and of.yaw_rate_rad_s is not None:
         return Velocity(_vector(of.v_level), of.yaw_rate_rad_s)
-    for simple in (Hover, TakeOff, Land):
+    for simple in (Hover, TakeOff, Land, CutMotors, LeaveEmergency):
         if kind is simple:
             return simple()
     raise ValueError(f"no such command: {of.command!r}")

@@ -7,17 +7,21 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.operator.orders import HandledOrder
 from companion.recorder import records as rec
 from companion.runtime.health import HealthSnapshot
 from companion.runtime.observer import Decision, ProcessedFrame
-from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.thesis.detection import Detection
 
-COMMANDS: dict[type[Command], str] = {Velocity: "velocity", Hover: "hover", TakeOff: "take_off", Land: "land"}
+COMMANDS: dict[type[Command], str] = {
+    Velocity: "velocity", Hover: "hover", TakeOff: "take_off", Land: "land",
+    CutMotors: "cut_motors", LeaveEmergency: "leave_emergency",
+}  # fmt: skip
 
 
 def sample(of: Sample) -> rec.SampleRecord:
@@ -137,6 +141,12 @@ def decision(of: Decision) -> rec.DecisionRecord:
         return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn, of.reason)
     simple = None if of.command is None else COMMANDS[type(of.command)]
     return rec.DecisionRecord(int(of.at), of.phase, steering, simple, reason=of.reason)
+
+
+def order(of: HandledOrder) -> rec.OrderRecord:
+    """Return the record of a person's order and its answer."""
+    sender = of.sender
+    return rec.OrderRecord(int(of.at), sender.source.value, sender.name, of.order.value, of.accepted, of.refusal, of.detail)
 
 
 def health(at: MonoNs, of: HealthSnapshot) -> rec.HealthRecord:

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from companion.operator.orders import HandledOrder
 from companion.recorder import channels, encode
 from companion.recorder import foxglove as fox
 from companion.recorder import records as rec
@@ -71,6 +72,9 @@ class MessageEncoder:
                 yield channels.fusion(what.source), t, what
             case Decision():
                 yield from self._decision(t, what)
+            case HandledOrder():
+                yield channels.ORDER, t, encode.order(what)
+                yield channels.LOG, t, fox.log_line(t, fox.INFO if what.accepted else fox.WARNING, "operator", str(what))
             case rec.TruthRecord():
                 yield channels.TRUTH, t, what
                 pose = fox.pose_in_pad(t, np.array(what.d_body_pad_level), what.yaw_rad)

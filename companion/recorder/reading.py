@@ -277,6 +277,7 @@ _FOR_VIEWERS = {
     channels.TRANSFORMS,
     channels.FIXED_TRANSFORMS,
     channels.LOG,
+    channels.ORDER,
     channels.TRUE_POSE,
     *(channels.pose(path) for path in channels.PATHS),
 }

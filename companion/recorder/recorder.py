@@ -19,6 +19,7 @@ from enum import Enum
 from types import TracebackType
 from typing import Literal, ParamSpec
 
+from companion.operator.orders import HandledOrder
 from companion.recorder import encode
 from companion.recorder import records as rec
 from companion.recorder.mcap_file import About, McapFile
@@ -208,6 +209,9 @@ class Recorder:
             self._show()
             if self._health is not None:
                 self._give(decision.at, encode.health(decision.at, self._health.snapshot()))
+
+    def on_order(self, handled: HandledOrder) -> None:
+        self._give(handled.at, handled)
 
     def on_truth(self, truth: rec.TruthRecord) -> None:
         """Record the truth from a simulator or motion capture."""

@@ -189,11 +189,24 @@ class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     steering: str | None = None
     """Path of the estimate that steered; left out if there was none."""
     command: str | None = None
-    """velocity, hover, take_off or land; left out if no command was sent."""
+    """velocity, hover, take_off, land, cut_motors or leave_emergency; left out if no command was sent."""
     v_level: list[float] | None = None
     yaw_rate_rad_s: float | None = None
     reason: str = ""
     """Reason for anything other than a plain descent."""
+
+
+class OrderRecord(Struct, frozen=True, omit_defaults=True):
+    """An order of a person and its answer."""
+
+    at_ns: Instant
+    source: str
+    """Way on which it arrived: gamepad, terminal, mavlink, mqtt, signal; or limits."""
+    sender: str
+    order: str
+    accepted: bool
+    refusal: str | None = None
+    detail: str = ""
 
 
 class ContactRecord(Struct, frozen=True, omit_defaults=True):

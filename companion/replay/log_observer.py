@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from companion.operator.orders import HandledOrder
 from companion.recorder.reading import Recording
 from companion.recorder.records import TruthRecord
 from companion.report.flight_log import CommandRecord, FlightLog, FrameRecord, LoggedTouchdown, PhaseChange, TruthSample
@@ -57,6 +58,9 @@ class BeliefLogObserver:
                 self.beliefs[belief.path, belief.at] = belief
         if decision.command is not None:
             log.commands.append(CommandRecord(decision.at, decision.command))
+
+    def on_order(self, handled: HandledOrder) -> None:
+        return None
 
     def on_truth(self, truth: TruthRecord) -> None:
         """Keep the truth from a simulator or motion capture."""

@@ -16,7 +16,7 @@ from companion.report.flight_log import FlightLog
 from companion.report.innovations import InnovationSeries
 from companion.report.palette import MARKERS, OTHER, colour
 from companion.report.svg import FAINT, INK, draw_pad, svg
-from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import seconds_between
 
@@ -203,7 +203,7 @@ def commands(log: FlightLog) -> str:
     for i, record in enumerate(log.commands):
         if isinstance(record.command, Velocity):
             rows[i] = [*record.command.v_level, math.degrees(record.command.yaw_rate_rad_s)]
-    words = {Hover: "hover", Land: "land", TakeOff: "take off"}
+    words = {Hover: "hover", Land: "land", TakeOff: "take off", CutMotors: "cut motors", LeaveEmergency: "leave emergency"}
     kinds = [words.get(type(c.command)) for c in log.commands]
 
     def draw(figure: Figure) -> None:

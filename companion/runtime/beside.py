@@ -10,6 +10,7 @@ import logging
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
+from companion.operator.orders import HandledOrder
 from companion.runtime.containment import report
 from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.errors import BadInput
@@ -30,6 +31,8 @@ class Part(Protocol):
     def on_frame(self, processed: ProcessedFrame) -> None: ...
 
     def on_decision(self, decision: Decision) -> None: ...
+
+    def on_order(self, handled: HandledOrder) -> None: ...
 
     async def run(self) -> None: ...
 
@@ -87,3 +90,7 @@ class RestartablePart(Generic[Made]):
     def on_decision(self, decision: Decision) -> None:
         if self.now is not None:
             self.now.on_decision(decision)
+
+    def on_order(self, handled: HandledOrder) -> None:
+        if self.now is not None:
+            self.now.on_order(handled)

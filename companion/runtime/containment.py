@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import ParamSpec, TypeVar
 
+from companion.operator.orders import HandledOrder
 from companion.runtime.health import Health
 from companion.runtime.observer import Decision, Observer, ProcessedFrame
 from estimator.contracts.errors import in_words
@@ -91,6 +92,7 @@ class Audience:
         self._results = [(guard(o, "on_fusion"), o.on_fusion) for o in observers]
         self._frames = [(guard(o, "on_frame"), o.on_frame) for o in observers]
         self._decisions = [(guard(o, "on_decision"), o.on_decision) for o in observers]
+        self._orders = [(guard(o, "on_order"), o.on_order) for o in observers]
 
     def on_sample(self, sample: Sample) -> None:
         for guard, method in self._samples:
@@ -107,6 +109,10 @@ class Audience:
     def on_decision(self, decision: Decision) -> None:
         for guard, method in self._decisions:
             guard.call(method, decision)
+
+    def on_order(self, handled: HandledOrder) -> None:
+        for guard, method in self._orders:
+            guard.call(method, handled)
 
 
 def name_of(observer: object) -> str:

@@ -17,6 +17,7 @@ from typing import Protocol
 
 import cv2
 
+from companion.operator.orders import HandledOrder
 from companion.runtime.containment import Audience
 from companion.runtime.health import Health
 from companion.runtime.missing_inputs import missing_inputs
@@ -104,6 +105,7 @@ class Daemon:
         self._extras = dict(extras or {})
         self.health = health or Health(clock)
         self._audience = Audience(observers, self.health)
+        pilot.operator.on_order = self._on_order
 
     async def run(self) -> FlightOutcome | None:
         """Run until the flight has ended (with `once`) or `stop` is called; return its outcome, or None if there is none yet.
@@ -218,6 +220,7 @@ class Daemon:
                 try:
                     self._link.command(decision.command)
                 except Recoverable as why:
+                    self._pilot.operator.undelivered(decision.command, began)
                     log.debug("command not sent: %s", why)
             self._tell(decision)
             self._audience.on_decision(decision)
@@ -228,6 +231,10 @@ class Daemon:
             await self._clock.sleep(max(0.001, self._period_s - spent_s))
             late_s = seconds_between(began, self._clock.now()) - self._period_s
             self.health.delay("guidance_late", max(0.0, late_s))
+
+    def _on_order(self, handled: HandledOrder) -> None:
+        log.log(logging.INFO if handled.accepted else logging.WARNING, "%s", handled)
+        self._audience.on_order(handled)
 
     def _tell(self, decision: Decision) -> None:
         """Log the phase and its reason when they change."""

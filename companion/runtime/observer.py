@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from companion.operator.orders import HandledOrder
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -62,6 +63,10 @@ class Observer(Protocol):
 
     def on_decision(self, decision: Decision) -> None: ...
 
+    def on_order(self, handled: HandledOrder) -> None:
+        """Take an order of a person with its answer."""
+        ...
+
 
 class NullObserver:
     """An observer that does nothing; the base of observers that need only some of the calls."""
@@ -76,4 +81,7 @@ class NullObserver:
         return None
 
     def on_decision(self, decision: Decision) -> None:
+        return None
+
+    def on_order(self, handled: HandledOrder) -> None:
         return None

@@ -16,6 +16,8 @@ from companion.guidance.options import GuidanceOptions
 from companion.guidance.pid import Pid, SetPoint, pid_step
 from companion.guidance.plan import Plan
 from companion.guidance.planner import Phase, Planner, planner_step
+from companion.operator.arbiter import OperatorArbiter
+from companion.operator.options import ManualOptions
 from companion.runtime.observer import Decision
 from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land
@@ -58,6 +60,7 @@ class Pilot:
     Args:
         automatic: whether the approach begins as soon as the vehicle flies; otherwise it waits for `begin`.
         shadows: estimator paths that run for comparison only and never steer.
+        manual: the options of manual flight.
     """
 
     def __init__(
@@ -68,6 +71,7 @@ class Pilot:
         *,
         automatic: bool = True,
         shadows: Sequence[PathName] = (),
+        manual: ManualOptions | None = None,
     ) -> None:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
@@ -78,6 +82,8 @@ class Pilot:
         self.engage: Callable[[], None] = lambda: None
         """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
         self._new_flight()
+        self.operator = OperatorArbiter(self, manual)
+        """The arbiter of people's orders, which has the last word."""
 
     def _new_flight(self) -> None:
         self._begun = self._automatic
@@ -104,6 +110,16 @@ class Pilot:
     def vehicle(self) -> VehicleStatus | None:
         """The vehicle's latest status; None before the first."""
         return self._status
+
+    @property
+    def paused(self) -> bool:
+        """Whether a person paused guidance."""
+        return self._paused
+
+    @property
+    def may_try_again(self) -> bool:
+        """Whether `begin` resumes the flight although it has an outcome."""
+        return self.outcome in _TRIED
 
     def begin(self) -> None:
         """Start the approach for the operator, or resume it after a pause.
@@ -203,13 +219,15 @@ class Pilot:
         return results[0].verdict, results
 
     def decide(self, now: MonoNs) -> Decision:
-        """Run one guidance cycle. The command is None while guidance leaves the vehicle alone."""
+        """Run one guidance cycle. The command is None while guidance and people leave the vehicle alone."""
+        self.operator.tick(now)
         believed = self.all_believed(now)
         steering = self._memory.options.path
         belief = next((b for b in believed if b.path == steering), None)
-        command = self._command(now)
+        chosen = self.operator.choose(now, self._command(now))
         shadows = tuple(b for b in believed if b.path != steering)
-        return Decision(now, self.phase, command, belief, shadows, self._why(belief))
+        phase, why = chosen.phase or self.phase, chosen.reason or self._why(belief)
+        return Decision(now, phase, chosen.command, belief, shadows, why)
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the planner's reason and the estimate's alerts as text."""

@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings
+from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
+from companion.operator.pilot_operator import PilotOperator
 from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
 from companion.runtime.event_loop import heeded
@@ -103,11 +105,12 @@ def log_to_stderr(settings: Settings) -> None:
 
 async def live(daemon: Daemon, pilot: Pilot) -> FlightOutcome | None:
     """Run the daemon; SIGINT and SIGTERM end it, SIGUSR1 begins (or resumes) the approach, SIGUSR2 pauses it."""
-    handlers = {
+    operator = PilotOperator(pilot, OrderSender(OrderSource.SIGNAL), SystemClock())
+    handlers: dict[signal.Signals, Callable[[], object]] = {
         signal.SIGINT: daemon.stop,
         signal.SIGTERM: daemon.stop,
-        signal.SIGUSR1: pilot.begin,
-        signal.SIGUSR2: pilot.pause,
+        signal.SIGUSR1: lambda: operator.order(OperatorOrder.BEGIN),
+        signal.SIGUSR2: lambda: operator.order(OperatorOrder.HOLD),
     }
     with heeded(handlers):
         return await daemon.run()

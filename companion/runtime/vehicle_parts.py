@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings, ardrone_options
 from companion.config.settings import camera_model
-from companion.runtime.daemon import OpenLink, VehicleLink
+from companion.operator.orders import OrderSender, OrderSource
+from companion.operator.pilot_operator import PilotOperator
+from companion.runtime.daemon import OpenLink
 from companion.runtime.health import Health
 from companion.runtime.link_with_camera import with_camera
 from companion.runtime.observer import Observer
@@ -82,13 +83,11 @@ def _ardrone(settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap
         settings.bridge,
         signed_links(settings.bridge),
         clock,
-        hold=pilot.pause,
-        go_on=pilot.begin,
+        order=PilotOperator(pilot, OrderSender(OrderSource.MAVLINK), clock).order,
         tap=tap,
     )
     health.counters("bridge", bridge.counted)
 
-    def open_link() -> AbstractAsyncContextManager[VehicleLink]:
-        return bridge.beside(open_ardrone(options, clock, settings.service.sample_queue_items))
-
-    return VehicleParts(open_link, (bridge,), {"bridge": bridge.run})
+    return VehicleParts(
+        lambda: open_ardrone(options, clock, settings.service.sample_queue_items), (bridge,), {"bridge": bridge.run}
+    )

@@ -15,12 +15,14 @@ from drivers.ardrone.landing_watch import ORDERED_ABOVE_M, SILENT_ABOVE_M, Drone
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import RESET, acceleration_of, step
-from estimator.contracts.commands import Command, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Sample
 from estimator.contracts.time import MonoNs, after, seconds_between
 
 _EMERGENCY_PERIODS = 3
 """The drone acts on the rising edge; three periods survive a lost datagram."""
+_EMERGENCY_AGAIN_S = 0.3
+"""The time after which the emergency bit is sent again if navdata does not show its effect."""
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
 _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
 
@@ -60,6 +62,7 @@ class CommandStreamer:
         """Guidance gave another command after its landing."""
         self._watch = LandingWatch()
         self._emergency_periods = 0
+        self._toggled_at: MonoNs | None = None
         self._state: int | None = None
         self._navdata_at: MonoNs | None = None
         self._control: ControlState | None = None
@@ -80,7 +83,9 @@ class CommandStreamer:
 
     def take(self, command: Command, now: MonoNs) -> None:
         """Take the newest command."""
-        if isinstance(command, TakeOff):
+        if isinstance(command, CutMotors | LeaveEmergency):
+            self._toggle_emergency_unless(isinstance(command, CutMotors), now)
+        elif isinstance(command, TakeOff):
             self._take_off_at, self._landing, self._motion = now, None, None
         elif isinstance(command, Land):
             persistent = command.persistent or (self._landing is not None and self._landing.persistent)
@@ -88,13 +93,20 @@ class CommandStreamer:
             self._take_off_at, self._motion, self._landing_called_off = None, None, False
         else:
             self._motion = _Motion(command, now) if isinstance(command, Velocity) else None
-            if self._landing is not None and not self._landing.persistent:
+            ends = isinstance(command, Hover) and command.calls_off
+            if self._landing is not None and (ends or not self._landing.persistent):
                 self._landing, self._landing_called_off = None, True
 
-    def toggle_emergency(self) -> None:
-        """Cut the motors, or leave the emergency state, in the next period. It is done only on request."""
-        self._emergency_periods = _EMERGENCY_PERIODS
-        self._take_off_at = None
+    def _toggle_emergency_unless(self, cut: bool, now: MonoNs) -> None:
+        """Ask the drone to cut its motors, or to leave the emergency state, unless it says that it has.
+
+        The drone toggles, so a repeated command waits until navdata could show what the one before did.
+        """
+        self._take_off_at, self._motion = None, None
+        if self._state is not None and bool(self._state & NavdataState.EMERGENCY) is cut:
+            return
+        if self._toggled_at is None or seconds_between(self._toggled_at, now) > _EMERGENCY_AGAIN_S:
+            self._toggled_at, self._emergency_periods = now, _EMERGENCY_PERIODS
 
     def on_navdata(self, navdata: Navdata, now: MonoNs) -> None:
         """Take the next navdata datagram, in order."""

@@ -59,10 +59,6 @@ class ArDrone:
         """Leave the drone in its own hover on closing, instead of holding it for a successor: the service ends on purpose."""
         self._released = True
 
-    def toggle_emergency(self) -> None:
-        """Cut the motors at once, or leave the emergency state. Only this call does it."""
-        self._streamer.toggle_emergency()
-
     @property
     def navdata(self) -> Navdata | None:
         """The newest navdata datagram."""

@@ -23,12 +23,14 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, TAKE_OFF_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
-from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
 
 STILL = Velocity(np.zeros(3), 0.0)
+_FORCE = 21196.0
+"""Parameter 2 of COMPONENT_ARM_DISARM that disarms in flight (mavlink.io)."""
 _MEAN_S = 1.0
 """The time over which the velocity that a landing continues with is averaged."""
 
@@ -63,6 +65,8 @@ class SetpointStreamer:
         self._steered_at: MonoNs | None = None
         self._streaming_since: MonoNs | None = None
         self._take_off_at: MonoNs | None = None
+        self._cut_at: MonoNs | None = None
+        """When a person asked to cut the motors; None while nobody does."""
         self._asked: MonoNs | None = None
         self._asks = 0
         self._landed_from = ""
@@ -100,7 +104,12 @@ class SetpointStreamer:
         Args:
             v_deck_level: (3,) m/s, velocity of the surface below, already included in a velocity command; None for still ground.
         """
-        if isinstance(command, TakeOff):
+        if isinstance(command, CutMotors):
+            if self._cut_at is None:
+                self._cut_at, self._asked, self._asks = now, None, 0
+        elif isinstance(command, LeaveEmergency):
+            self._cut_at = None
+        elif isinstance(command, TakeOff):
             self._take_off_at, self._asked, self._asks = now, None, 0
         elif isinstance(command, Land):
             self._take_off_at = None
@@ -167,6 +176,8 @@ class SetpointStreamer:
 
     def period(self, now: MonoNs) -> list[Message]:
         """Return the messages of this period; call it at 10 Hz or more."""
+        if self._cut_at is not None:
+            return self._cut(now)
         out: list[Message] = []
         if self._take_off_at is not None:
             out += self._take_off(now)
@@ -292,6 +303,19 @@ class SetpointStreamer:
         if self._id.stack is Stack.ARDUPILOT:
             return [self._command(mav.MAV_CMD_NAV_TAKEOFF, height_m=self._o.take_off_height_m)]
         return []
+
+    def _cut(self, now: MonoNs) -> list[Message]:
+        """Stop the motors by force until the autopilot reports that it is disarmed; the forced form works in flight."""
+        assert self._cut_at is not None
+        if not self._condition.armed or seconds_between(self._cut_at, now) > self._o.request_period_s * self._o.request_tries:
+            self._cut_at = None
+            self._request_again(Hand.RELEASED)
+            return []
+        if not self._may_ask(now):
+            return []
+        target = self._id.address
+        number = mav.MAV_CMD_COMPONENT_ARM_DISARM
+        return [mav.MAVLink_command_long_message(*target, number, 0, 0.0, _FORCE, 0, 0, 0, 0, 0)]
 
     def _command(self, number: int, param1: float = 0.0, *, height_m: float = 0.0) -> Message:
         return mav.MAVLink_command_long_message(*self._id.address, number, 0, param1, 0, 0, 0, 0, 0, height_m)

@@ -31,6 +31,9 @@ class Velocity:
 class Hover:
     """Hold the position with the vehicle's own means; never descend."""
 
+    calls_off: bool = False
+    """A person's order: it also ends a landing that a person ordered."""
+
 
 @dataclass(frozen=True, slots=True)
 class TakeOff:
@@ -48,4 +51,14 @@ class Land:
     """A person's order: it needs no repeating and holds until the vehicle is on the ground or told to take off."""
 
 
-Command = Velocity | Hover | TakeOff | Land
+@dataclass(frozen=True, slots=True)
+class CutMotors:
+    """Stop the motors at once, wherever the vehicle is. Only a person orders it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeaveEmergency:
+    """Leave the state that `CutMotors` led to; the motors stay off until a take-off."""
+
+
+Command = Velocity | Hover | TakeOff | Land | CutMotors | LeaveEmergency

@@ -9,6 +9,7 @@ import msgspec
 
 from companion.config.model import CameraSettings, PadSettings
 from companion.config.settings import Settings, load
+from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
 from companion.recorder.recorder import Recorder
 from companion.recorder.records import TruthRecord
 from companion.recorder.setup import about, recorder_to_file
@@ -39,6 +40,9 @@ class ObservedCalls(NullObserver):
         self.decisions.append(decision)
 
 
+_ORDER_AT_STEP = 10
+
+
 def sim_settings() -> Settings:
     scenario = load_scenario(SCENARIO)
     settings = load("sim")
@@ -53,11 +57,14 @@ def sim_settings() -> Settings:
 def fly(observers: Sequence[Observer], seconds: float, recorder: Recorder | None = None) -> Flight:
     """The first seconds of a flight, with the truth passed to the recorder at 50 Hz."""
     settings = sim_settings()
-    flight = Flight(load_scenario(SCENARIO), 1, settings, make_pilot(settings, shadows=("median_mean",)), observers=observers)
+    pilot = make_pilot(settings, shadows=("median_mean",))
+    flight = Flight(load_scenario(SCENARIO), 1, settings, pilot, observers=observers)
     if recorder is not None:
         recorder.watch(flight.health)
     for step in range(round(seconds / 0.005)):
         flight.step()
+        if step == _ORDER_AT_STEP:
+            pilot.operator.take(OperatorOrder.RECORD, OrderSender(OrderSource.TERMINAL, "1"), flight.world.now, "on")
         if recorder is not None and step % 4 == 0:
             t = flight.world.truth()
             recorder.on_truth(TruthRecord(int(t.at), t.d_body_pad_level.tolist(), t.v_pad_level.tolist(), t.yaw_rad))

@@ -18,6 +18,7 @@ from companion.config.settings import load
 from companion.mavlink.bridge_part import BridgePart
 from companion.metrics.endpoint import MetricsEndpoint
 from companion.mqtt.part import MqttPart
+from companion.operator.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.recorder.recorder import Recorder
 from companion.runtime import event_loop, service
 from companion.runtime.daemon import Daemon
@@ -68,8 +69,16 @@ ERRORS: dict[str, Callable[[], BaseException]] = {
     "base group": lambda: BaseExceptionGroup("deep", [BaseExceptionGroup("in", [GeneratorExit(), ValueError("c")])]),
     "unspeakable": Unspeakable,
 }
-METHODS = ("on_sample", "on_fusion", "on_frame", "on_decision")
+METHODS = ("on_sample", "on_fusion", "on_frame", "on_decision", "on_order")
 ROLES = (*METHODS, "body", "child", "callback", "ending", "counters")
+
+
+class OrderingPilot(SeeingPilot):
+    """A pilot to whom a person gives an order in each cycle, which changes no command."""
+
+    def decide(self, now: MonoNs) -> Decision:
+        self.operator.take(OperatorOrder.RECORD, OrderSender(OrderSource.TERMINAL, "1"), now)
+        return super().decide(now)
 
 
 class Failing:
@@ -106,6 +115,9 @@ class Failing:
 
     def on_decision(self, decision: Decision) -> None:
         self._called("on_decision")
+
+    def on_order(self, handled: HandledOrder) -> None:
+        self._called("on_order")
 
     def counted(self) -> dict[str, float]:
         self._called("counters")
@@ -145,7 +157,7 @@ async def flown(
 
     daemon = Daemon(
         vehicle.open,
-        SeeingPilot(vehicle),
+        OrderingPilot(vehicle),
         clock,
         restart=RestartOptions(0.02, 2.0, 0.1, 5.0),
         guidance_rate_hz=50.0,
@@ -279,7 +291,7 @@ def test_the_services_own_parts_cannot_touch_the_flight(
     vehicle = FakeFlight(clock)
 
     async def one() -> tuple[list[tuple[int, str]], Health]:
-        daemon = service.make_daemon(settings_with_everything(tmp_path), SeeingPilot(vehicle), clock=clock)
+        daemon = service.make_daemon(settings_with_everything(tmp_path), OrderingPilot(vehicle), clock=clock)
         daemon._open_link, daemon._period_s = vehicle.open, 0.02
         return await fly(daemon, vehicle, clock, 0.4), daemon.health
 

@@ -9,7 +9,7 @@ from drivers.ardrone.arbiter import HOVER
 from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import UNKNOWN_VAR, BodyVelocity
 from estimator.contracts.time import MonoNs, Stamp
 
@@ -161,9 +161,41 @@ def test_the_watchdog_bit_is_answered(cockpit: Cockpit) -> None:
 
 def test_the_emergency_bit_rises_once_and_only_on_request(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.FLYING)
-    cockpit.streamer.toggle_emergency()
+    cockpit.streamer.take(CutMotors(), ms(0))
     bits = [c.emergency for t in range(6) for c in cockpit.sends(t) if isinstance(c, at.Ref)]
     assert bits == [True, True, True, False, False, False]
+
+
+def test_a_repeated_emergency_toggles_once_and_leaves_only_on_request(cockpit: Cockpit) -> None:
+    """The bit toggles the drone's state, so a cut that is repeated for safety must not undo itself."""
+
+    def bits(first: int, command: CutMotors | LeaveEmergency) -> list[bool]:
+        sent = []
+        for t in range(first, first + 200, 20):
+            cockpit.streamer.take(command, ms(t))
+            sent += [c.emergency for c in cockpit.sends(t) if isinstance(c, at.Ref)]
+        return sent
+
+    cockpit.hears(0, nd.ControlState.FLYING)
+    assert sum(bits(0, CutMotors())) == 3
+    cockpit.hears(210, nd.ControlState.DEFAULT, nd.NavdataState.EMERGENCY)
+    assert sum(bits(400, CutMotors())) == 0
+    assert sum(bits(700, LeaveEmergency())) == 3
+    cockpit.hears(900, nd.ControlState.LANDED)
+    assert sum(bits(1100, LeaveEmergency())) == 0
+
+
+@pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
+def test_a_person_calls_a_persons_landing_off_unless_it_is_about_to_end(
+    cockpit: Cockpit, altitude_m: float, sent: list[at.AtCommand]
+) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.streamer.take(Land(persistent=True), ms(1))
+    landing_at(cockpit, 50, altitude_m)
+    cockpit.streamer.take(Hover(), ms(51))
+    assert cockpit.sends(52) == [GROUND, HOVER], "guidance's hover is no order of a person"
+    cockpit.streamer.take(Hover(calls_off=True), ms(53))
+    assert cockpit.sends(54) == sent
 
 
 @pytest.mark.parametrize(

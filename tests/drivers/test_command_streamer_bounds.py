@@ -12,7 +12,7 @@ from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import RESET, step
-from estimator.contracts.commands import Command, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity
 from estimator.contracts.time import MonoNs, Stamp
@@ -145,7 +145,7 @@ def test_a_persons_landing_is_not_made_guidances_own_by_repeating_it(cockpit: Co
 def test_an_emergency_is_three_periods_and_ends_the_wish_to_take_off(cockpit: Cockpit) -> None:
     cockpit.hears(0, LANDED)
     cockpit.streamer.take(TakeOff(), ms(0))
-    cockpit.streamer.toggle_emergency()
+    cockpit.streamer.take(CutMotors(), ms(0))
     emergency = at.REF_BASE | at.REF_EMERGENCY
     assert [cockpit.ref(t) for t in range(1, 6)] == [emergency] * 3 + [GROUND] * 2
 

@@ -12,7 +12,7 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.vehicle import COPTER_MODES, PX4_MODES, Condition, Identity, Stack, custom_mode, mode_name, set_mode
-from estimator.contracts.commands import Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import CutMotors, Hover, Land, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
@@ -341,3 +341,14 @@ def test_taking_off_step_by_step() -> None:
     assert (up.command, up.param7) == (22, 3.0)
     flight.streamer.on_condition(Condition("guided", True, True))
     assert flight.periods(2.0) == []
+
+
+def test_cutting_the_motors_is_a_forced_disarm_until_the_autopilot_is_disarmed() -> None:
+    flight = Flight(Stack.ARDUPILOT, "guided")
+    flight.periods(0.2, GO)
+    flight.streamer.take(CutMotors(), flight.now)
+    sent = flight.periods(0.2, CutMotors())  # type: ignore[arg-type]
+    assert [(m.command, m.param1, m.param2) for m in sent] == [(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0)]
+    flight.streamer.on_condition(Condition("guided", False, False))
+    assert flight.periods(1.0) == []
+    assert velocities(flight.periods(0.2)) == [], "nothing flies on after it"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from companion.config.settings import load
-from companion.mqtt.operator import PilotOperator
+from companion.operator.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
+from companion.operator.pilot_operator import PilotOperator
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import FlightOutcome, Pilot
 from estimator.contracts.commands import Hover
@@ -19,9 +22,23 @@ def flying(shadows: tuple[str, ...] = ()) -> Pilot:
     return pilot
 
 
+class StillClock:
+    """A clock that stands."""
+
+    def now(self) -> MonoNs:
+        return MonoNs(2)
+
+    async def sleep(self, seconds: float) -> None:
+        raise AssertionError(seconds)
+
+
+def operating(pilot: Pilot, recording: Callable[[bool], str | None] | None = None) -> PilotOperator:
+    return PilotOperator(pilot, OrderSender(OrderSource.MQTT), StillClock(), recording)
+
+
 def test_start_pause_and_abort_reach_the_pilot_and_nothing_follows_an_abort() -> None:
     pilot = flying()
-    operator = PilotOperator(pilot)
+    operator = operating(pilot)
     assert operator.pause() is None
     assert pilot.decide(MonoNs(2)).phase == "paused"
     assert operator.start() is None
@@ -34,10 +51,10 @@ def test_start_pause_and_abort_reach_the_pilot_and_nothing_follows_an_abort() ->
 
 def test_a_path_that_runs_along_may_take_over_in_an_approach_another_only_while_paused() -> None:
     first = load("sim").estimator.path
-    operator = PilotOperator(flying(shadows=("median_mean",)))
+    operator = operating(flying(shadows=("median_mean",)))
     assert operator.steer_by("median_mean") is None
     assert operator.steer_by(first) is None
-    operator = PilotOperator(pilot := flying())
+    operator = operating(pilot := flying())
     assert operator.steer_by("median_mean") == "median_mean does not run along; pause the approach first"
     assert operator.pause() is None
     assert operator.steer_by("median_mean") is None
@@ -54,6 +71,25 @@ def test_recording_is_switched_where_there_is_a_recorder(on: bool) -> None:
         switched.append(wanted)
         return "the disk is full" if wanted else None
 
-    assert PilotOperator(flying()).record(on) == "there is no recorder in this service"
-    assert PilotOperator(flying(), switch).record(on) == ("the disk is full" if on else None)
+    assert operating(flying()).record(on) == "there is no recorder in this service"
+    assert operating(flying(), switch).record(on) == ("the disk is full" if on else None)
     assert switched == [on]
+
+
+def test_every_order_is_reported_with_its_answer() -> None:
+    pilot, reported = flying(), list[HandledOrder]()
+    pilot.operator.on_order = reported.append
+    operator = operating(pilot)
+    operator.pause()
+    operator.record(True)
+    operator.steer_by("median_mean")
+    operator.abort()
+    operator.start()
+    assert [(h.order, h.accepted) for h in reported] == [
+        (OperatorOrder.HOLD, True),
+        (OperatorOrder.RECORD, False),
+        (OperatorOrder.PATH, True),
+        (OperatorOrder.ABORT, True),
+        (OperatorOrder.BEGIN, False),
+    ]
+    assert str(reported[-1]) == "mqtt: begin: refused, the flight is over: aborted"

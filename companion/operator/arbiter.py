@@ -1,0 +1,278 @@
+"""The arbiter of people's orders: it answers each by the table of precedence, and decides who commands the vehicle. No I/O.
+
+It stands between guidance and the vehicle: guidance's command passes while no person commands. A person who flies by hand, or
+who ordered a landing, replaces it. Losing the sender that has the hand leads to a hold, never to its last command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from companion.operator.options import ManualOptions
+from companion.operator.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.operator.precedence import CROSSING_S, REASONS, TABLE, ControlSituation, Rule, crossed
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import MonoNs, seconds_between
+
+_STATUS_FRESH_S = 3.0
+"""A status older than this is none; an autopilot sends one with each heartbeat, every second."""
+_REPEAT_S = 0.5
+"""The time for which a landing, the cut of the motors and its end are repeated: a command may be lost on its way."""
+_CALL_OFF_S = 0.1
+"""The time for which the end of a landing is repeated; sticks count after it."""
+BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
+"""The phases in which a person commands."""
+
+
+class Guided(Protocol):
+    """What the arbiter asks of guidance."""
+
+    @property
+    def vehicle(self) -> VehicleStatus | None: ...
+
+    @property
+    def outcome(self) -> Enum | None: ...
+
+    @property
+    def paused(self) -> bool: ...
+
+    @property
+    def may_try_again(self) -> bool: ...
+
+    def begin(self) -> None: ...
+
+    def pause(self) -> None: ...
+
+    def abort(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """An order in force: who gave it, and when."""
+
+    sender: OrderSender
+    at: MonoNs
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """Who commands the vehicle."""
+
+    hand: OrderSender | None = None
+    """The sender that flies by hand."""
+    sticks: StickPositions = CENTRED
+    sticks_at: MonoNs | None = None
+    landing: Given | None = None
+    take_off: Given | None = None
+    """A take-off that is not sent yet."""
+    called_off: Given | None = None
+    """The order that called off a person's landing, while the vehicle is told so."""
+    cut: Given | None = None
+    reset: Given | None = None
+    accepted: tuple[OperatorOrder, Given] | None = None
+    """The newest accepted order among those that have a rank."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The command of one cycle."""
+
+    command: Command | None
+    phase: str | None = None
+    """The phase if a person commands, else None."""
+    reason: str = ""
+
+
+class OperatorArbiter:
+    """Takes orders and stick positions; see the module's docstring.
+
+    Args:
+        guided: guidance, which is held while a person commands.
+    """
+
+    def __init__(self, guided: Guided, manual: ManualOptions | None = None) -> None:
+        self._guided = guided
+        self._o = manual or ManualOptions()
+        self._control = Control()
+        self.on_order: Callable[[HandledOrder], None] = lambda handled: None
+        """Receives every order with its answer."""
+        self.ignored_sticks = 0
+        """Stick positions of senders that do not have the hand."""
+
+    @property
+    def hand(self) -> OrderSender | None:
+        """The sender that flies by hand; None while there is none."""
+        return self._control.hand
+
+    def situation(self, now: MonoNs) -> ControlSituation:
+        """Return the situation that decides about an order."""
+        status, control = self._guided.vehicle, self._control
+        heard = status is not None and seconds_between(status.stamp.received_at, now) <= _STATUS_FRESH_S
+        if heard and status is not None and status.emergency:
+            return ControlSituation.EMERGENCY
+        if control.landing is not None:
+            return ControlSituation.LANDING
+        if control.hand is not None:
+            return ControlSituation.MANUAL
+        if not heard or status is None:
+            return ControlSituation.UNHEARD
+        over = self._guided.outcome is not None
+        if status.flying is False:
+            return ControlSituation.DONE if over else ControlSituation.GROUND
+        return ControlSituation.OVER if over else ControlSituation.HELD if self._guided.paused else ControlSituation.GUIDED
+
+    def take(self, order: OperatorOrder, sender: OrderSender, now: MonoNs, detail: str = "") -> HandledOrder:
+        """Answer an order, and carry it out if the table allows."""
+        refusal = self._refusal(order, sender, now)
+        if refusal is None:
+            self._carry_out(order, Given(sender, now))
+        return self.tell(HandledOrder(now, sender, order, refusal, detail))
+
+    def tell(self, handled: HandledOrder) -> HandledOrder:
+        """Report an order that was answered, and return it."""
+        self.on_order(handled)
+        return handled
+
+    def move(self, sender: OrderSender, sticks: StickPositions, now: MonoNs) -> None:
+        """Take the present stick positions of a sender; they count only if it has the hand."""
+        if sender == self._control.hand:
+            self._control = replace(self._control, sticks=sticks, sticks_at=now)
+        else:
+            self.ignored_sticks += 1
+
+    def lost(self, sender: OrderSender, now: MonoNs, why: str) -> None:
+        """Hold if this sender had the hand, because it is gone."""
+        if sender == self._control.hand:
+            self._hold(sender, now, why)
+
+    def tick(self, now: MonoNs) -> None:
+        """Follow the time and the vehicle's status; call it before each cycle of guidance."""
+        control, status = self._control, self._guided.vehicle
+        if control.hand is not None:
+            if control.sticks_at is None or seconds_between(control.sticks_at, now) > self._o.silence_s:
+                self._hold(control.hand, now, f"nothing heard of it for {self._o.silence_s:g} s")
+            else:
+                self._guided.pause()
+        if control.called_off is not None and seconds_between(control.called_off.at, now) > _CALL_OFF_S:
+            self._control = replace(self._control, called_off=None)
+        if status is None:
+            return
+        if control.landing is not None and _since(control.landing, status) and (status.flying is False or status.emergency):
+            self._control = replace(self._control, landing=None)
+        if control.cut is not None and (status.emergency or seconds_between(control.cut.at, now) > _REPEAT_S):
+            self._control = replace(self._control, cut=None)
+        if control.reset is not None and (not status.emergency or seconds_between(control.reset.at, now) > _REPEAT_S):
+            self._control = replace(self._control, reset=None)
+
+    def choose(self, now: MonoNs, guided: Command | None) -> Chosen:
+        """Return the command of this cycle: a person's if one commands, else guidance's."""
+        control = self._control
+        if control.cut is not None:
+            return Chosen(CutMotors(), reason=f"{control.cut.sender} cut the motors")
+        if control.reset is not None:
+            return Chosen(LeaveEmergency())
+        if control.take_off is not None:
+            self._control = replace(control, take_off=None)
+            return Chosen(TakeOff(), reason=f"take-off for {control.take_off.sender}")
+        if control.called_off is not None:
+            return Chosen(Hover(calls_off=True), reason=f"{control.called_off.sender} called the landing off")
+        if control.landing is not None:
+            repeated = seconds_between(control.landing.at, now) <= _REPEAT_S
+            return Chosen(Land(persistent=True) if repeated else None, LANDING_FOR_PERSON, f"ordered by {control.landing.sender}")
+        if control.hand is not None:
+            status = self._guided.vehicle
+            flies = status is not None and status.flying is not False and not status.emergency
+            return Chosen(self._manual() if flies else None, BY_HAND, str(control.hand))
+        return Chosen(guided)
+
+    def undelivered(self, command: Command, now: MonoNs) -> None:
+        """Send a take-off again in the next cycle, because the vehicle's link did not take it."""
+        accepted = self._control.accepted
+        if isinstance(command, TakeOff) and accepted is not None and accepted[0] is OperatorOrder.TAKE_OFF:
+            order = accepted[1] if seconds_between(accepted[1].at, now) <= _REPEAT_S else None
+            self._control = replace(self._control, take_off=order)
+
+    def _manual(self) -> Command:
+        sticks, o = self._control.sticks, self._o
+        if sticks.centred:
+            return Hover()
+        v = np.array([sticks.forward * o.speed_max_m_s, sticks.right * o.speed_max_m_s, -sticks.climb * o.climb_max_m_s])
+        return Velocity(v, sticks.turn * o.turn_max_rad_s)
+
+    def _refusal(self, order: OperatorOrder, sender: OrderSender, now: MonoNs) -> str | None:
+        situation = self.situation(now)
+        rule = TABLE[order][situation]
+        control, status = self._control, self._guided.vehicle
+        if rule is Rule.HOLDER and sender == control.hand:
+            flies = order is OperatorOrder.TAKE_OFF and status is not None and status.flying is not False
+            return REASONS[Rule.FLYING] if flies else None
+        allowed = rule is Rule.YES or (rule is Rule.TRY_AGAIN and self._guided.may_try_again)
+        if not allowed:
+            outcome = self._guided.outcome
+            holder = control.landing.sender if situation is ControlSituation.LANDING and control.landing else control.hand
+            return REASONS[rule].format(holder=holder, outcome=None if outcome is None else outcome.value)
+        if control.accepted is None:
+            return None
+        earlier, given = control.accepted
+        ago_s = seconds_between(given.at, now)
+        if sender != given.sender and ago_s <= CROSSING_S and crossed(order, earlier):
+            return f"{given.sender} ordered {earlier.value} {ago_s:.1f} s ago"
+        return None
+
+    def _carry_out(self, order: OperatorOrder, given: Given) -> None:
+        control, guided = self._control, self._guided
+        if order in (OperatorOrder.PATH, OperatorOrder.RECORD):
+            return
+        self._control = control = replace(control, accepted=(order, given))
+        match order:
+            case OperatorOrder.EMERGENCY:
+                self._control = replace(control, cut=given, hand=None, landing=None, take_off=None, called_off=None)
+                guided.abort()
+            case OperatorOrder.MANUAL:
+                ended = given if control.landing is not None else None
+                self._control = replace(
+                    control, hand=given.sender, sticks=CENTRED, sticks_at=given.at, landing=None, called_off=ended
+                )
+                guided.pause()
+            case OperatorOrder.LAND:
+                self._control = replace(control, landing=given, hand=None, take_off=None)
+                guided.pause()
+            case OperatorOrder.ABORT:
+                self._control = replace(control, hand=None)
+                guided.abort()
+            case OperatorOrder.HOLD:
+                self._control = replace(control, hand=None)
+                guided.pause()
+            case OperatorOrder.TAKE_OFF:
+                # During a landing it may only end that: the motors of a vehicle that has just touched down would start.
+                begins, ends = (given, None) if control.landing is None else (None, given)
+                self._control = replace(control, take_off=begins, called_off=ends, landing=None)
+            case OperatorOrder.BEGIN:
+                self._control = replace(control, hand=None)
+                guided.begin()
+            case OperatorOrder.RELEASE:
+                self._control = replace(control, hand=None)
+            case OperatorOrder.RESET:
+                self._control = replace(control, reset=given)
+
+    def _hold(self, sender: OrderSender, now: MonoNs, why: str) -> None:
+        """Take the hand from a sender that is gone, and hover."""
+        self._control = replace(self._control, hand=None, sticks=CENTRED)
+        self._guided.pause()
+        self.tell(HandledOrder(now, sender, OperatorOrder.HOLD, None, f"({why})"))
+
+    def limit(self, now: MonoNs, why: str) -> None:
+        """Hold because a limit ended the landing."""
+        self._guided.pause()
+        self.tell(HandledOrder(now, OrderSender(OrderSource.LIMITS), OperatorOrder.HOLD, None, f"({why})"))
+
+
+def _since(given: Given, status: VehicleStatus) -> bool:
+    """Return whether the status is newer than the order."""
+    return status.stamp.received_at > given.at

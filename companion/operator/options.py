@@ -1,0 +1,33 @@
+"""The options of people's commands: who may give them, and how fast manual flight is."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from msgspec import Struct
+
+from estimator.contracts.keys import check_ranges, number
+
+
+class ManualOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """Manual flight: the velocities that full sticks command.
+
+    Raises:
+        ValueError: a number outside its range.
+    """
+
+    speed_max_m_s: Annotated[float, number("horizontal velocity at full stick", "m/s", 0.05, 10.0)] = 1.0
+    climb_max_m_s: Annotated[float, number("climb and descent rate at full stick", "m/s", 0.05, 3.0)] = 0.5
+    turn_max_deg_s: Annotated[float, number("turn rate at full stick", "deg/s", 5.0, 200.0)] = 45.0
+    silence_s: Annotated[
+        float, number("silence of the sender that has the hand after which the vehicle holds", "s", 0.1, 0.5)
+    ] = 0.5
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+    @property
+    def turn_max_rad_s(self) -> float:
+        """The turn rate at full stick, rad/s."""
+        return math.radians(self.turn_max_deg_s)

@@ -1,0 +1,297 @@
+"""Who commands the vehicle: every order in every situation, and what may never happen whatever people press."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.operator.arbiter import BY_HAND, LANDING_FOR_PERSON, OperatorArbiter
+from companion.operator.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.operator.precedence import CROSSING_S, RANKED, REASONS, TABLE, ControlSituation, Rule
+from companion.runtime.pilot import FlightOutcome
+from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp, after
+
+PAD, OTHER = OrderSender(OrderSource.GAMEPAD, "pad"), OrderSender(OrderSource.MAVLINK)
+GUIDED = Velocity(np.array([0.1, 0.0, 0.2]), 0.0)
+PERIOD_S = 0.02
+
+
+@dataclass
+class Guidance:
+    """Guidance as the arbiter sees it: what it was told, and what it would command."""
+
+    vehicle: VehicleStatus | None = None
+    outcome: Enum | None = None
+    paused: bool = False
+    told: list[str] = field(default_factory=list)
+
+    @property
+    def may_try_again(self) -> bool:
+        return self.outcome is FlightOutcome.GAVE_UP
+
+    def begin(self) -> None:
+        self.told.append("begin")
+        self.outcome, self.paused = None, False
+
+    def pause(self) -> None:
+        self.told.append("pause")
+        self.paused = True
+
+    def abort(self) -> None:
+        self.told.append("abort")
+        self.outcome = self.outcome or FlightOutcome.ABORTED
+
+
+class Bridge:
+    """An arbiter, its guidance and its clock."""
+
+    def __init__(self) -> None:
+        self.guidance = Guidance()
+        self.arbiter = OperatorArbiter(self.guidance)
+        self.reported: list[HandledOrder] = []
+        self.arbiter.on_order = self.reported.append
+        self.now = MonoNs(10**9)
+
+    def vehicle(self, flying: bool | None = True, *, emergency: bool = False) -> None:
+        stamp = Stamp(self.now, self.now, 0.001, "sim")
+        self.guidance.vehicle = VehicleStatus(stamp, flying, "hovering", 0.9, emergency, True)
+
+    def order(self, order: OperatorOrder, sender: OrderSender = PAD) -> str | None:
+        return self.arbiter.take(order, sender, self.now).refusal
+
+    def cycle(self, seconds: float = PERIOD_S, *, heard: bool = True) -> object:
+        """Run guidance cycles for this long, and return the last command."""
+        command: object = None
+        for _ in range(max(1, round(seconds / PERIOD_S))):
+            self.now = after(self.now, PERIOD_S)
+            if heard and self.guidance.vehicle is not None:
+                self.vehicle(self.guidance.vehicle.flying, emergency=self.guidance.vehicle.emergency)
+            self.arbiter.tick(self.now)
+            command = self.arbiter.choose(self.now, Hover() if self.guidance.paused else GUIDED).command
+        return command
+
+    def sticks(self, sender: OrderSender = PAD, **positions: float) -> None:
+        self.arbiter.move(sender, StickPositions(**positions), self.now)
+
+
+def bridge_in(situation: ControlSituation) -> Bridge:
+    """Return an arbiter in this situation; `PAD` has the hand or ordered the landing where there is one."""
+    bridge = Bridge()
+    if situation is not ControlSituation.UNHEARD:
+        bridge.vehicle(
+            situation not in (ControlSituation.GROUND, ControlSituation.DONE), emergency=situation is ControlSituation.EMERGENCY
+        )
+    match situation:
+        case ControlSituation.DONE:
+            bridge.guidance.outcome = FlightOutcome.LANDED
+        case ControlSituation.OVER:
+            bridge.guidance.outcome = FlightOutcome.ABORTED
+        case ControlSituation.EMERGENCY:
+            bridge.guidance.outcome = FlightOutcome.EMERGENCY
+        case ControlSituation.HELD:
+            bridge.guidance.paused = True
+        case ControlSituation.MANUAL:
+            assert bridge.order(OperatorOrder.MANUAL) is None
+        case ControlSituation.LANDING:
+            assert bridge.order(OperatorOrder.LAND) is None
+    bridge.now = after(bridge.now, 0.1)
+    assert bridge.arbiter.situation(bridge.now) is situation
+    return bridge
+
+
+def test_every_order_has_a_rule_in_every_situation_and_every_refusal_a_text() -> None:
+    assert set(TABLE) == set(OperatorOrder)
+    assert all(set(row) == set(ControlSituation) for row in TABLE.values())
+    assert set(REASONS) == set(Rule) - {Rule.YES}
+    assert [o for o in TABLE if o in RANKED] == list(RANKED), "the table lists the orders by rank"
+
+
+@pytest.mark.parametrize("situation", ControlSituation)
+@pytest.mark.parametrize("order", OperatorOrder)
+def test_the_arbiter_answers_by_the_table(order: OperatorOrder, situation: ControlSituation) -> None:
+    bridge = bridge_in(situation)
+    bridge.now = after(bridge.now, CROSSING_S)  # another sender's order before is no longer crossing
+    rule = TABLE[order][situation]
+    refused = bridge.order(order, OTHER)
+    if rule is Rule.YES:
+        assert refused is None
+    else:
+        assert refused is not None
+        if rule in (Rule.HOLDER, Rule.LANDING):
+            assert "gamepad pad" in refused
+    assert bridge.reported[-1].refusal == refused
+    if rule is Rule.HOLDER:
+        own = bridge_in(situation).order(order)
+        assert own == ("the vehicle flies already" if order is OperatorOrder.TAKE_OFF else None)
+
+
+def test_begin_tries_again_after_guidance_gave_up_and_not_after_an_abort() -> None:
+    bridge = bridge_in(ControlSituation.OVER)
+    assert bridge.order(OperatorOrder.BEGIN) == "the flight is over: aborted"
+    bridge.guidance.outcome = FlightOutcome.GAVE_UP
+    assert bridge.order(OperatorOrder.BEGIN) is None
+    assert bridge.guidance.told == ["begin"]
+
+
+def test_of_two_crossing_orders_the_first_in_the_table_wins_whichever_arrives_first() -> None:
+    for first, second in (
+        (OperatorOrder.ABORT, OperatorOrder.BEGIN),
+        (OperatorOrder.HOLD, OperatorOrder.BEGIN),
+        (OperatorOrder.LAND, OperatorOrder.HOLD),
+    ):
+        bridge = bridge_in(ControlSituation.GUIDED)
+        assert bridge.order(first, OTHER) is None
+        bridge.cycle(0.1)
+        refused = bridge.order(second)
+        assert refused is not None
+        bridge = bridge_in(ControlSituation.GUIDED)
+        assert bridge.order(second) is None
+        bridge.cycle(0.1)
+        assert bridge.order(first, OTHER) is None
+    bridge = bridge_in(ControlSituation.GUIDED)
+    assert bridge.order(OperatorOrder.HOLD, OTHER) is None
+    assert bridge.order(OperatorOrder.BEGIN, OTHER) is None, "one sender's orders are in order"
+    bridge = bridge_in(ControlSituation.GUIDED)
+    assert bridge.order(OperatorOrder.HOLD, OTHER) is None
+    bridge.cycle(CROSSING_S + 0.1)
+    assert bridge.order(OperatorOrder.BEGIN) is None, "a person who saw the hold may end it"
+
+
+def test_sticks_command_only_with_the_hand_and_centred_sticks_hover() -> None:
+    bridge = bridge_in(ControlSituation.GUIDED)
+    bridge.sticks(forward=1.0)
+    assert bridge.cycle() is GUIDED
+    assert bridge.arbiter.ignored_sticks == 1
+    assert bridge.order(OperatorOrder.MANUAL) is None
+    assert bridge.cycle() == Hover()
+    bridge.sticks(forward=0.5, right=-1.0, climb=1.0, turn=0.5)
+    command = bridge.cycle()
+    assert isinstance(command, Velocity)
+    assert command.v_level.tolist() == [0.5, -1.0, -0.5]
+    assert command.yaw_rate_rad_s == pytest.approx(0.5 * np.radians(45.0))
+    bridge.sticks(OTHER, forward=-1.0)
+    again = bridge.cycle()
+    assert isinstance(again, Velocity)
+    assert again.v_level.tolist() == command.v_level.tolist()
+    assert bridge.arbiter.choose(bridge.now, GUIDED).phase == BY_HAND
+    assert bridge.order(OperatorOrder.RELEASE) is None
+    assert bridge.cycle() == Hover(), "guidance stays paused after the hand is given back"
+    assert bridge.order(OperatorOrder.BEGIN) is None
+    assert bridge.cycle() is GUIDED
+
+
+@pytest.mark.parametrize("how", ["silence", "lost"])
+def test_a_lost_hand_is_a_hold_and_never_the_last_stick(how: str) -> None:
+    bridge = bridge_in(ControlSituation.GUIDED)
+    bridge.order(OperatorOrder.MANUAL)
+    bridge.sticks(forward=1.0)
+    assert isinstance(bridge.cycle(), Velocity)
+    if how == "lost":
+        bridge.arbiter.lost(OTHER, bridge.now, "unplugged")
+        assert bridge.arbiter.hand == PAD
+        bridge.arbiter.lost(PAD, bridge.now, "unplugged")
+        assert bridge.cycle() == Hover()
+    else:
+        assert isinstance(bridge.cycle(0.44), Velocity)
+        assert bridge.cycle(0.1) == Hover()
+    assert bridge.arbiter.hand is None
+    assert bridge.guidance.paused
+    assert (bridge.reported[-1].order, bridge.reported[-1].accepted) == (OperatorOrder.HOLD, True)
+    bridge.sticks(forward=1.0)
+    assert bridge.cycle() == Hover(), "sticks that come back do not take the hand back"
+
+
+def test_a_persons_landing_outlasts_guidance_and_is_called_off_by_the_hand_without_starting_motors() -> None:
+    bridge = bridge_in(ControlSituation.GUIDED)
+    assert bridge.order(OperatorOrder.LAND) is None
+    assert bridge.cycle(0.3) == Land(persistent=True)
+    assert bridge.cycle(1.0) is None, "the driver goes on with it, and a hand at the remote control is not overridden"
+    assert bridge.arbiter.choose(bridge.now, GUIDED).phase == LANDING_FOR_PERSON
+    for calls_off in (OperatorOrder.MANUAL, OperatorOrder.TAKE_OFF):
+        bridge = bridge_in(ControlSituation.LANDING)
+        assert bridge.order(calls_off) is None
+        assert bridge.cycle() == Hover(calls_off=True)
+        commands = [bridge.cycle() for _ in range(50)]
+        assert not any(isinstance(c, TakeOff) for c in commands)
+    bridge = bridge_in(ControlSituation.LANDING)
+    bridge.vehicle(False)
+    bridge.cycle()
+    assert bridge.arbiter.situation(bridge.now) is ControlSituation.GROUND
+
+
+def test_a_take_off_is_sent_once_and_again_if_the_link_did_not_take_it() -> None:
+    bridge = bridge_in(ControlSituation.GROUND)
+    assert bridge.order(OperatorOrder.TAKE_OFF) is None
+    assert bridge.cycle() == TakeOff()
+    assert bridge.cycle() is GUIDED
+    bridge.arbiter.undelivered(TakeOff(), bridge.now)
+    assert bridge.cycle() == TakeOff()
+    bridge.cycle(1.0)
+    bridge.arbiter.undelivered(TakeOff(), bridge.now)
+    assert bridge.cycle() is GUIDED, "not a second later, unexpectedly"
+
+
+def test_an_emergency_cuts_until_the_vehicle_says_so_and_only_reset_leaves_it() -> None:
+    bridge = bridge_in(ControlSituation.MANUAL)
+    assert bridge.order(OperatorOrder.EMERGENCY, OTHER) is None
+    assert bridge.cycle() == CutMotors()
+    bridge.vehicle(True, emergency=True)
+    assert bridge.cycle() != CutMotors()
+    assert bridge.order(OperatorOrder.EMERGENCY) == "the motors were cut; reset leaves the emergency state"
+    assert bridge.order(OperatorOrder.RESET) is None
+    assert bridge.cycle() == LeaveEmergency()
+    bridge.vehicle(False)
+    assert bridge.cycle() != LeaveEmergency()
+
+
+EVENTS = st.lists(
+    st.one_of(
+        st.tuples(st.sampled_from(OperatorOrder), st.sampled_from([PAD, OTHER])),
+        st.tuples(st.just("sticks"), st.sampled_from([PAD, OTHER])),
+        st.tuples(st.just("lost"), st.sampled_from([PAD, OTHER])),
+        st.tuples(st.just("vehicle"), st.sampled_from(["flies", "stands", "emergency", "says nothing"])),
+        st.tuples(st.just("wait"), st.sampled_from([0.02, 0.2, 0.6, 4.0])),
+    ),
+    max_size=40,
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(EVENTS)
+def test_whatever_people_do_nothing_commands_without_its_order(events: list[tuple[object, object]]) -> None:
+    bridge = Bridge()
+    bridge.vehicle(True)
+    landed_by, cut, moved_at = False, False, dict[object, MonoNs]()
+    for what, whom in events:
+        if isinstance(what, OperatorOrder):
+            accepted = bridge.order(what, whom) is None  # type: ignore[arg-type]
+            landed_by = (landed_by or (what is OperatorOrder.LAND and accepted)) and not (
+                accepted and what in (OperatorOrder.MANUAL, OperatorOrder.TAKE_OFF, OperatorOrder.EMERGENCY)
+            )
+            cut = cut or (what is OperatorOrder.EMERGENCY and accepted)
+            if accepted and what is OperatorOrder.MANUAL:
+                moved_at[whom] = bridge.now
+        elif what == "sticks":
+            bridge.sticks(whom, forward=1.0)  # type: ignore[arg-type]
+            moved_at[whom] = bridge.now
+        elif what == "lost":
+            bridge.arbiter.lost(whom, bridge.now, "unplugged")  # type: ignore[arg-type]
+        elif what == "vehicle":
+            flying = {"flies": True, "stands": False}.get(str(whom))
+            bridge.vehicle(flying, emergency=whom == "emergency")
+        command = bridge.cycle(float(whom) if what == "wait" else PERIOD_S)  # type: ignore[arg-type]
+        hand = bridge.arbiter.hand
+        assert cut or not isinstance(command, CutMotors)
+        assert landed_by or not isinstance(command, Land)
+        if hand is not None:
+            assert (bridge.now - moved_at[hand]) * 1e-9 <= 0.5 + 2 * PERIOD_S
+            assert command is not GUIDED, "guidance never flies while a person has the hand"
+        if isinstance(command, Velocity) and command is not GUIDED:
+            assert hand is not None
