@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.contracts.geometry import Rotation
+from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
+
+_APART_S = 0.1
+"""Time between two samples beyond which their difference says nothing about the rate at the newer one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,26 +20,31 @@ class AttitudeHistory:
     """Recent attitudes, oldest first, bounded by `span_s`."""
 
     span_s: float = 1.0
-    samples: tuple[Attitude, ...] = field(default=())
-    newest_rate_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Angular rate between the two newest samples, in `body`; it extrapolates the newest attitude a little past its time."""
+    samples: tuple[Attitude, ...] = ()
+
+    @property
+    def newest_rate_rad_s(self) -> F64:
+        """Angular rate (3,) between the newest two samples less than 0.1 s apart, in `body`; zero if there are none.
+
+        It extrapolates the newest attitude a little past its time.
+        """
+        for earlier, later in zip(self.samples[-2::-1], self.samples[:0:-1], strict=True):
+            dt = seconds_between(earlier.stamp.measured_at, later.stamp.measured_at)
+            if dt < _APART_S:
+                return (earlier.R_ned_body.inv @ later.R_ned_body).rotvec_rad / dt
+        return np.zeros(3)
 
     def add(self, sample: Attitude) -> AttitudeHistory:
         """Return the history with `sample` added; a sample that is not newer than the newest is ignored."""
-        rate = self.newest_rate_rad_s
         kept = self.samples
         if kept:
-            dt = seconds_between(kept[-1].stamp.measured_at, sample.stamp.measured_at)
-            if dt <= 0:
+            if sample.stamp.measured_at <= kept[-1].stamp.measured_at:
                 return self
-            if dt < 0.1:
-                x, y, z = (kept[-1].R_ned_body.inv @ sample.R_ned_body).rotvec_rad / dt
-                rate = (float(x), float(y), float(z))
             first = 0
             while first < len(kept) and seconds_between(kept[first].stamp.measured_at, sample.stamp.measured_at) > self.span_s:
                 first += 1
             kept = kept[first:]
-        return AttitudeHistory(self.span_s, (*kept, sample), rate)
+        return AttitudeHistory(self.span_s, (*kept, sample))
 
     def at(self, instant: MonoNs, stamp: Stamp, reach_s: float = 0.05, gap_s: float = 0.2) -> Attitude | None:
         """Return the attitude at `instant`, stamped `stamp`: interpolated on the great arc, or extrapolated from the newest.
@@ -52,7 +60,7 @@ class AttitudeHistory:
             ahead_s = seconds_between(newest.stamp.measured_at, instant)
             if ahead_s > reach_s:
                 return None
-            turned = np.array(self.newest_rate_rad_s) * ahead_s
+            turned = self.newest_rate_rad_s * ahead_s
             cov = newest.cov_body + np.diag((0.1 * turned) ** 2)
             return Attitude(stamp, newest.R_ned_body @ Rotation.from_rotvec(turned), cov)
         later = self.samples[i]

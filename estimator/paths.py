@@ -125,7 +125,7 @@ class EkfPath:
         if isinstance(event, VehicleStatus):
             return self, None
         memory, results = ekf.step(self.filter, event)
-        return replace(self, filter=memory), results[0]
+        return type(self)(memory), results[0]
 
     def at(self, now: MonoNs) -> RelativeState | None:
         return ekf.at(self.filter, now)

@@ -79,7 +79,7 @@ def step(memory: Memory, event: Event) -> tuple[Memory, tuple[FusionResult, ...]
             results.append(result)
     if isinstance(event, Sighting) and results[0].verdict is Verdict.FUSED:
         guard = integrity.fused(guard, event, attitude)
-    return replace(memory, guard=guard, attitudes=attitudes, paths=tuple(paths)), tuple(results)
+    return Memory(memory.options, attitudes, tuple(paths), guard), tuple(results)
 
 
 def steer_by(memory: Memory, name: PathName) -> Memory:

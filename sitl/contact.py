@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +18,7 @@ DEEPEST_M = 0.3
 """Depth below the deck's plane beyond which a point is under the deck and not in contact. No fall reaches it in one step."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DeckShape:
     """Outline of the deck around the pad's centre: a rectangle in the hull's axes whose fore end may taper to the stem."""
 
@@ -35,13 +36,17 @@ class DeckShape:
         if not all(math.isfinite(s) for s in sides) or self.fore_m + self.aft_m <= 0 or self.port_m + self.starboard_m <= 0:
             raise ValueError(f"a deck needs a length and a width, got fore, aft, port, starboard = {sides}")
 
+    @cached_property
+    def _turned(self) -> tuple[float, float, float, float]:
+        """Cosine and sine of the arrow's angle, and the middle and the half of the width, m."""
+        middle, half = 0.5 * (self.starboard_m - self.port_m), 0.5 * (self.starboard_m + self.port_m)
+        return math.cos(self.pad_yaw_rad), math.sin(self.pad_yaw_rad), middle, half
+
     def holds(self, x: Num, y: Num) -> Flag:
         """Return whether a point of the pad's plane (m along the arrow, m to starboard of it) lies on the deck."""
-        c, s = math.cos(self.pad_yaw_rad), math.sin(self.pad_yaw_rad)
+        c, s, middle, half = self._turned
         along = c * x - s * y
-        middle = 0.5 * (self.starboard_m - self.port_m)
         across = s * x + c * y - middle
-        half = 0.5 * (self.starboard_m + self.port_m)
         inside = (along >= -self.aft_m) & (along <= self.fore_m) & (across <= half) & (across >= -half)
         if self.taper_m > 0.0:
             share = across / half
@@ -53,10 +58,9 @@ class DeckShape:
 
         It is exact along a straight edge; at a corner the shares of the two edges are multiplied.
         """
-        c, s = math.cos(self.pad_yaw_rad), math.sin(self.pad_yaw_rad)
+        c, s, middle, half = self._turned
         along = c * x - s * y
-        across = s * x + c * y - 0.5 * (self.starboard_m - self.port_m)
-        half = 0.5 * (self.starboard_m + self.port_m)
+        across = s * x + c * y - middle
         fore: Num = self.fore_m
         if self.taper_m > 0.0:
             aside = m.clip(across / half, -1.0, 1.0)

@@ -52,7 +52,12 @@ _LAYOUTS: dict[str, tuple[Rotor, ...]] = {
 
 def rotors(airframe: Airframe) -> tuple[Rotor, ...]:
     """Return the rotors of an airframe."""
-    return _LAYOUTS[airframe.layout]
+    return rotors_of(airframe.layout)
+
+
+def rotors_of(layout: Layout) -> tuple[Rotor, ...]:
+    """Return the rotors of a layout."""
+    return _LAYOUTS[layout]
 
 
 @cache

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -98,7 +99,7 @@ def sea_state(code: int) -> SeaState:
     return SEA_STATES[code]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Waves:
     """B seas of N harmonics each; the surface is at sum a cos(k.p - w t + phase) above mean water."""
 
@@ -192,13 +193,13 @@ class Waves:
         """Significant wave height (B,), m: 4 sqrt(m0) of the harmonics."""
         return np.asarray(4.0 * np.sqrt((self.amplitude_m**2).sum(axis=1) / 2.0))
 
-    @property
+    @cached_property
     def k_ne(self) -> F64:
         """Wave numbers (B, N, 2) north and east, rad/m: w^2 = g k in deep water."""
         k = self.w_rad_s**2 / GRAVITY_M_S2
         return np.stack([k * np.cos(self.towards_rad), k * np.sin(self.towards_rad)], axis=-1)
 
-    @property
+    @cached_property
     def seen_rad_s(self) -> F64:
         """Angular frequencies (B, N), rad/s, at a place fixed over the ground: w + k . current (Doppler)."""
         north, east = self.current_ne_m_s

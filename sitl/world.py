@@ -43,6 +43,7 @@ _ORIGIN = MonoNs(0)
 _CHUNK = 100
 """Steps of deck motion computed at once. They are few enough for the matrix product to stay in one thread; others would spin."""
 _SEA_EVERY = 5
+_PHASES = tuple(VehiclePhase)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +191,7 @@ class World:
 
     @property
     def phase(self) -> VehiclePhase:
-        return VehiclePhase(int(self._vehicle.phase))
+        return _PHASES[int(self._vehicle.phase)]
 
     @property
     def limits(self) -> StickLimits:
@@ -241,8 +242,11 @@ class World:
     @property
     def frame_lost(self) -> bool:
         """Return whether a frame exposed now is lost; the answer is the same for the same step."""
+        dropping = self.faults.on(FramesDropped)
+        if not dropping:
+            return False
         chance = np.random.default_rng([self._camera_seed, self._tick, 1])
-        return any(chance.random() < fault.fraction for fault, _ in self.faults.on(FramesDropped))
+        return any(chance.random() < fault.fraction for fault, _ in dropping)
 
     def advance(self, to: MonoNs) -> None:
         """Run the physics up to `to`; an instant in the past changes nothing."""
@@ -294,8 +298,8 @@ class World:
         if covered and camera is not None:
             black = camera(None, self._tick)
             return lambda: black, False
-        rng = np.random.default_rng([self._camera_seed, self._tick])
         if covered:
+            rng = np.random.default_rng([self._camera_seed, self._tick])
             dark = rng.integers(0, 8, (self.camera.height, self.camera.width, 3), dtype=np.uint8)
             return lambda: dark, False
         aside = self._aside()
@@ -303,6 +307,7 @@ class World:
         if camera is not None:
             seen = camera(shot, self._tick)
             return lambda: seen, not aside.any()
+        rng = np.random.default_rng([self._camera_seed, self._tick])
         expose = self.renderer.render
         made = cache(worker.order(shot, rng) if worker is not None else lambda: expose(shot, rng))
         return made, not aside.any()
@@ -325,8 +330,11 @@ class World:
 
     def _aside(self) -> F64:
         """Return the offset (3,) m in the pad frame by which a frame exposed now shows everything beside its true place."""
+        shifting = self.faults.on(FramesShifted)
+        if not shifting:
+            return np.zeros(3)
         chance = np.random.default_rng([self._camera_seed, self._tick, 2])
-        shifts = [f for f, _ in self.faults.on(FramesShifted) if f.fraction >= 1.0 or chance.random() < f.fraction]
+        shifts = [f for f, _ in shifting if f.fraction >= 1.0 or chance.random() < f.fraction]
         return np.array([sum(f.forward_m for f in shifts), sum(f.right_m for f in shifts), 0.0])
 
     def truth(self) -> Truth:
@@ -365,7 +373,7 @@ class World:
         v, touched_s, phase = self._vehicle, self._vehicle.touched_s, self._vehicle.phase
         v.step(self._ground)
         if v.touched_what and v.touched_s != touched_s:
-            self._contacts.append(self._contact(VehiclePhase(int(phase))))
+            self._contacts.append(self._contact(_PHASES[int(phase)]))
         self._sensors.step(self._vehicle, self._ground, self._motors_on)
 
     def _deck(self) -> Ground:

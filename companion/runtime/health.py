@@ -226,11 +226,17 @@ class Health:
         self.frames[verdict] += 1
 
     def input(self, kind: str, verdict: Verdict) -> None:
-        self.inputs.setdefault(kind, Counter())[verdict] += 1
+        tally = self.inputs.get(kind)
+        if tally is None:
+            tally = self.inputs[kind] = Counter()
+        tally[verdict] += 1
 
     def fusion(self, result: FusionResult) -> None:
         """Count the result of one measurement on one path of the estimator."""
-        self.tallies.setdefault((result.path, result.source), FusionTally()).add(result)
+        tally = self.tallies.get((result.path, result.source))
+        if tally is None:
+            tally = self.tallies[result.path, result.source] = FusionTally()
+        tally.add(result)
 
     def fusion_states(self) -> tuple[FusionState, ...]:
         """Return the present results of each path and source, sorted by name."""

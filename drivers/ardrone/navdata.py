@@ -160,6 +160,7 @@ class ControlState(IntEnum):
         return self.value << 16
 
 
+_CONTROL_STATES = {state.value: state for state in ControlState}
 NO_OPTIONS: Mapping[int, Any] = {}
 
 
@@ -184,10 +185,7 @@ class Navdata:
     def control_state(self) -> ControlState | None:
         """The control state of the `Demo` option; None if the option is absent or its number is not known."""
         demo = self.options.get(0)
-        try:
-            return None if demo is None else ControlState(demo.ctrl_state >> 16)
-        except ValueError:
-            return None
+        return None if demo is None else _CONTROL_STATES.get(demo.ctrl_state >> 16)
 
     @staticmethod
     def of(state: int, sequence: int, options: tuple[Any, ...] = (), vision_defined: int = 1) -> Navdata:

@@ -142,9 +142,10 @@ def _imu(navdata: Navdata, stamp: Stamp) -> Imu | None:
 
 
 def _velocity(demo: Demo, stamp: Stamp, options: ArDroneOptions) -> BodyVelocity:
-    v = np.array([demo.vx_mm_s, demo.vy_mm_s, 0.0]) * (1e-3 / options.velocity_scale)
-    speed = min(float(np.hypot(v[0], v[1])), 1e6)
-    var = options.sigma_velocity_m_s**2 + (options.sigma_velocity_fraction * speed) ** 2
+    scale = 1e-3 / options.velocity_scale
+    ahead, aside = scale * demo.vx_mm_s, scale * demo.vy_mm_s
+    var = options.sigma_velocity_m_s**2 + (options.sigma_velocity_fraction * min(math.hypot(ahead, aside), 1e6)) ** 2
+    v = np.array([ahead, aside, 0.0])
     return BodyVelocity(stamp, v, np.array([[var, 0.0, 0.0], [0.0, var, 0.0], [0.0, 0.0, UNKNOWN_VAR]]))
 
 

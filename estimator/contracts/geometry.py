@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 F64 = NDArray[np.float64]
+_THRICE = 3.0 * np.eye(3)
 
 
 def wrap_pi(angle_rad: float) -> float:
@@ -50,7 +51,7 @@ def rpy_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> F64:
 
 def orthonormalised(m: F64) -> F64:
     """Return (3, 3) after one Newton step towards the nearest rotation, which stops drift over long products (Higham 1986)."""
-    return np.asarray(0.5 * m.dot(3.0 * np.eye(3) - m.T.dot(m)))
+    return np.asarray(0.5 * m.dot(_THRICE - m.T.dot(m)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +66,9 @@ class Rotation:
 
     def __post_init__(self) -> None:
         m = np.array(self.matrix, dtype=float)
-        if m.shape != (3, 3) or not np.isfinite(m).all():
-            raise ValueError(f"a rotation needs a finite (3, 3) matrix, got shape {m.shape}")
         # In plain numbers: numpy's calls on nine of them take ten times as long, and there are many rotations.
+        if m.shape != (3, 3) or not all(map(math.isfinite, m.ravel().tolist())):
+            raise ValueError(f"a rotation needs a finite (3, 3) matrix, got shape {m.shape}")
         (a, b, c), (d, e, f), (g, h, i) = m.tolist()
         off = (
             a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0,
@@ -124,7 +125,7 @@ class Rotation:
 
     @property
     def inv(self) -> Rotation:
-        return Rotation(self.matrix.T)
+        return _unchecked(self.matrix.T)
 
     @property
     def rpy_rad(self) -> tuple[float, float, float]:
@@ -138,30 +139,29 @@ class Rotation:
     @property
     def rotvec_rad(self) -> F64:
         """(3,) axis times angle, angle in [0, pi]; the inverse of `from_rotvec`."""
-        w, x, y, z = self.quat_wxyz
+        w, x, y, z = self.quat_wxyz.tolist()
         v = np.array([x, y, z])
-        s = float(np.linalg.norm(v))
+        s = math.sqrt(x * x + y * y + z * z)
         if s < 1e-9:
             return 2.0 * v
-        return v * (2.0 * math.atan2(s, w) / s)
+        return np.asarray(v * (2.0 * math.atan2(s, w) / s))
 
     @property
     def quat_wxyz(self) -> F64:
         """(4,) unit Hamilton quaternion with w >= 0 (Shepperd's choice of the largest component)."""
-        m = self.matrix
-        t = float(np.trace(m))
-        d = np.array([t, m[0, 0], m[1, 1], m[2, 2]])
-        i = int(np.argmax(d))
-        if i == 0:
-            q = np.array([1 + t, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-        elif i == 1:
-            q = np.array([m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - t, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]])
-        elif i == 2:
-            q = np.array([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - t, m[1, 2] + m[2, 1]])
+        (a, b, c), (d, e, f), (g, h, i) = self.matrix.tolist()
+        t = a + e + i
+        largest = max(t, a, e, i)
+        if largest == t:
+            w, x, y, z = 1 + t, h - f, c - g, d - b
+        elif largest == a:
+            w, x, y, z = h - f, 1 + 2 * a - t, b + d, c + g
+        elif largest == e:
+            w, x, y, z = c - g, b + d, 1 + 2 * e - t, f + h
         else:
-            q = np.array([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - t])
-        q = q / np.linalg.norm(q)
-        return np.asarray(-q if q[0] < 0 else q)
+            w, x, y, z = d - b, c + g, f + h, 1 + 2 * i - t
+        size = math.copysign(math.sqrt(w * w + x * x + y * y + z * z), w)
+        return np.array([w, x, y, z]) / size
 
     def without_heading(self) -> Rotation:
         """`R_level_body` of an `R_ned_body`: the same roll and pitch, yaw taken out."""
@@ -174,7 +174,7 @@ class Rotation:
     def __matmul__(self, other: F64) -> F64: ...
     def __matmul__(self, other: Rotation | F64) -> Rotation | F64:
         if isinstance(other, Rotation):
-            return Rotation(orthonormalised(self.matrix @ other.matrix))
+            return _unchecked(orthonormalised(self.matrix.dot(other.matrix)))
         return np.asarray(other @ self.matrix.T)
 
     def rotate_cov(self, cov_b: F64) -> F64:
@@ -184,6 +184,14 @@ class Rotation:
     def angle_to(self, other: Rotation) -> float:
         """Angle in radians of the rotation between the two."""
         return float(np.linalg.norm((self.inv @ other).rotvec_rad))
+
+
+def _unchecked(matrix: F64) -> Rotation:
+    """Return the rotation of a matrix that is one because it was made of checked ones."""
+    made = object.__new__(Rotation)
+    matrix.setflags(write=False)
+    object.__setattr__(made, "matrix", matrix)
+    return made
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -94,7 +94,7 @@ def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
         if refusal is not None:
             return replace(ekf, imu=imu), [result(event, refusal)]
     history, outcome = put(ekf.history, event, ekf.params)
-    return replace(ekf, history=history, imu=imu), [outcome]
+    return Ekf(ekf.options, ekf.params, history, ekf.limits, imu), [outcome]
 
 
 @lru_cache(maxsize=4)  # guidance, recorder and links each ask for the same instant; the answer is read-only

@@ -58,7 +58,7 @@ def watch_arrival(state: ClockWatch, kind: str, stamp: Stamp, step_max_s: float)
         return state._replace(now=received_at), None
     step = round(step_max_s * 1e9)
     if abs(received_at - now) <= step:
-        return state._replace(now=max(now, received_at), rival=None), None
+        return ClockWatch(max(now, received_at), None, state.delays), None
     rival = state.rival
     rival = (
         _Rival(received_at, received_at, 1, frozenset((kind,)))
@@ -93,4 +93,4 @@ def watch_delay(
         else:
             verdict = Verdict.TOO_OLD if d > delay.median_s else Verdict.TOO_NEW
             delay = delay._replace(off_since=since)
-    return state._replace(delays=MappingProxyType({**state.delays, kind: delay})), verdict
+    return ClockWatch(state.now, state.rival, MappingProxyType({**state.delays, kind: delay})), verdict

@@ -43,7 +43,7 @@ def admit(guard: IntegrityGuard, event: Sample) -> tuple[IntegrityGuard, Verdict
         return replace(guard, clock=watch), verdict
     if isinstance(event, VehicleStatus):
         return replace(guard, clock=watch, flying=event.flying is not False), None
-    seen = guard.sensors.get(type(event), sensors.SensorWatch())
+    seen = guard.sensors.get(type(event)) or sensors.SensorWatch()
     seen, verdict = sensors.watch(seen, event, o, guard.flying)
     against = guard.heights
     if verdict is None and isinstance(event, Range):
@@ -52,7 +52,7 @@ def admit(guard: IntegrityGuard, event: Sample) -> tuple[IntegrityGuard, Verdict
         against = heights.weighed(against, event, o)
     # One copy for all that changed: there are hundreds of samples a second.
     every = MappingProxyType({**guard.sensors, type(event): seen})
-    return replace(guard, clock=watch, sensors=every, heights=against), verdict
+    return IntegrityGuard(o, watch, every, guard.frames, guard.view, guard.tracks, against, guard.flying), verdict
 
 
 def admit_frame(guard: IntegrityGuard, frame: Frame) -> tuple[IntegrityGuard, Verdict | None]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.integrity.options import IntegrityOptions
@@ -31,7 +29,7 @@ class Plausible(NamedTuple):
     """The newest reading that passed."""
 
     numbers: tuple[float, ...]
-    """The numbers that `_step` compares."""
+    """The numbers that `_step` compares; none if no step of this kind of reading is too large."""
     at: int
     """Instant of the measurement, ns."""
 
@@ -58,18 +56,17 @@ def watch(state: SensorWatch, event: Reading, o: IntegrityOptions, flying: bool)
     repeat = Repeat(value, t)
     if state.repeat is not None and state.repeat.value == value:
         repeat = Repeat(value, min(state.repeat.since, t))
-    state = state._replace(repeat=repeat, frozen=False)
+    before, refused_since = state.plausible, state.refused_since
     if _beyond(event, o):
-        return state, Verdict.IMPOSSIBLE
+        return SensorWatch(repeat, False, before, refused_since), Verdict.IMPOSSIBLE
     if flying and (t - repeat.since) * 1e-9 > frozen_s:
-        return state._replace(frozen=True), Verdict.FROZEN
+        return SensorWatch(repeat, True, before, refused_since), Verdict.FROZEN
     numbers = _numbers(event)
-    before = state.plausible
-    if before is not None and t > before.at and _step(event, numbers, before, o):
-        since = t if state.refused_since is None else state.refused_since
+    if before is not None and t > before.at and numbers and _step(event, numbers, before, o):
+        since = t if refused_since is None else refused_since
         if (t - since) * 1e-9 < o.spike_s:
-            return state._replace(refused_since=since), Verdict.IMPOSSIBLE
-    return state._replace(plausible=Plausible(numbers, t), refused_since=None), None
+            return SensorWatch(repeat, False, before, since), Verdict.IMPOSSIBLE
+    return SensorWatch(repeat, False, Plausible(numbers, t), None), None
 
 
 def _bits(event: Reading, o: IntegrityOptions) -> tuple[bytes | float, float]:
@@ -105,8 +102,8 @@ def _beyond(event: Reading, o: IntegrityOptions) -> bool:
 def _numbers(event: Reading) -> tuple[float, ...]:
     match event:
         case BodyVelocity():
-            measured = event.cov_level.diagonal() < _UNMEASURED_VAR
-            return tuple(np.where(measured, event.v_level, 0.0).tolist())
+            var = event.cov_level.diagonal().tolist()
+            return tuple([v if of < _UNMEASURED_VAR else 0.0 for v, of in zip(event.v_level.tolist(), var, strict=True)])
         case Attitude():
             return tuple(event.R_ned_body.matrix[2].tolist())
         case Baro():

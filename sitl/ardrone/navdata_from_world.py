@@ -74,10 +74,17 @@ class Options(Mapping[int, Any]):
         self._made: dict[int, Any] = {}
 
     def __getitem__(self, tag: int) -> Any:
+        made = self.get(tag)
+        if made is None:
+            raise KeyError(tag)
+        return made
+
+    def get(self, tag: int, default: Any = None) -> Any:
+        """Return the option of this tag, or `default` if the datagram does not hold it."""
         made = self._made.get(tag)
         if made is None:
             if not self._mask >> tag & 1:
-                raise KeyError(tag)
+                return default
             made = self._made[tag] = _OPTIONS[tag](self._situation)
         return made
 
@@ -98,8 +105,8 @@ def _mdeg(angle_rad: float) -> float:
 
 
 def _demo(s: Situation) -> navdata.Demo:
-    roll, pitch, yaw = (float(a) for a in s.readings.rpy_rad)
-    vx, vy = (float(v) for v in s.readings.v_level_m_s)
+    roll, pitch, yaw = s.readings.rpy_rad.tolist()
+    vx, vy = s.readings.v_level_m_s.tolist()
     return navdata.Demo(
         ctrl_state=s.control_state,
         battery_percent=round(100 * s.readings.battery_fraction),
@@ -115,11 +122,11 @@ def _demo(s: Situation) -> navdata.Demo:
 
 
 def _raw_measures(s: Situation) -> navdata.RawMeasures:
-    x, y, z = (1e3 * f / STANDARD_GRAVITY for f in s.readings.f_body)
-    gyros = [_clip(math.degrees(w) * 16.4, -(2**15), 2**15 - 1) for w in s.readings.w_body]
+    x, y, z = (1e3 * f / STANDARD_GRAVITY for f in s.readings.f_body.tolist())
+    gyros = [_clip(math.degrees(w) * 16.4, -(2**15), 2**15 - 1) for w in s.readings.w_body.tolist()]
     echo = s.readings.ultrasound_m
     return navdata.RawMeasures(
-        raw_accs=tuple(_clip(2048 + 0.512 * mg, 0, 4095) for mg in (x, -y, -z)),
+        raw_accs=tuple([_clip(2048 + 0.512 * mg, 0, 4095) for mg in (x, -y, -z)]),
         raw_gyros=tuple(gyros),
         vbat_raw_mv=round(10_772 + 1_828 * s.readings.battery_fraction),
         flag_echo_ini=1,
@@ -134,8 +141,8 @@ def _phys_measures(s: Situation) -> navdata.PhysMeasures:
     return navdata.PhysMeasures(
         accs_temp_c=float(s.readings.temperature_c),
         gyro_temp=0,
-        phys_accs_mg=tuple(1e3 * float(v) / STANDARD_GRAVITY for v in f),
-        phys_gyros_deg_s=tuple(math.degrees(v) for v in w),
+        phys_accs_mg=tuple([1e3 * v / STANDARD_GRAVITY for v in f.tolist()]),
+        phys_gyros_deg_s=tuple([math.degrees(v) for v in w.tolist()]),
     )
 
 
