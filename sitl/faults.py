@@ -16,6 +16,8 @@ from sitl.sensor_faults import (
     Ultrasound,
     VelocityReading,
 )
+from sitl.ship_faults import DeckRoll, FerryWake, ShipSpeed, ShipTurn
+from sitl.stream_faults import CommandStream, FrameStream, NavdataStream
 
 
 class LensCovered(Fault, frozen=True, tag="lens_covered"):
@@ -38,26 +40,10 @@ class FramesShifted(Fault, frozen=True, tag="frames_shifted"):
             raise ValueError("forward_m or right_m must say how far the frames are shifted")
 
 
-class FramesDelayed(Fault, frozen=True, tag="frames_delayed"):
-    """Frames arrive later than usual; their stamps stay true."""
-
-    by_s: Annotated[float, number("delay in addition to the usual one", "s", 0.001, 10.0)]
-
-
 class FramesMisstamped(Fault, frozen=True, tag="frames_misstamped"):
     """Frames carry a wrong stamp: with a negative error they claim to be older than they are."""
 
     by_s: Annotated[float, number("stamp minus the true instant of exposure", "s", -3600.0, 3600.0)]
-
-
-class FramesDropped(Fault, frozen=True, tag="frames_dropped"):
-    """Frames are lost on the way."""
-
-    fraction: Annotated[float, number("fraction of the frames that are lost, drawn by the seed", "1", 0.01, 1.0)] = 1.0
-
-
-class NavdataSilent(Fault, frozen=True, tag="navdata_silent"):
-    """The vehicle sends no samples."""
 
 
 class NavdataMisstamped(Fault, frozen=True, tag="navdata_misstamped"):
@@ -97,6 +83,12 @@ class WeakRotor(Fault, frozen=True, tag="weak_rotor"):
     thrust_fraction: Annotated[float, number("fraction of its thrust that it still gives", "1", 0.0, 1.0)] = 0.8
 
 
+class TiltLimited(Fault, frozen=True, tag="tilt_limited"):
+    """The vehicle leans no further than this, whatever it is told or configured."""
+
+    to_deg: Annotated[float, number("largest roll or pitch", "deg", 0.5, 45.0)] = 3.0
+
+
 class LinkLost(Fault, frozen=True, tag="link_lost"):
     """Nothing passes between the vehicle and the service: no samples, no frames, no commands."""
 
@@ -109,9 +101,10 @@ AnyFault = (
     LensCovered
     | FramesFrozen
     | FramesShifted
-    | FramesDelayed
     | FramesMisstamped
-    | FramesDropped
+    | FrameStream
+    | NavdataStream
+    | CommandStream
     | Accelerometer
     | Gyro
     | AttitudeReading
@@ -120,12 +113,16 @@ AnyFault = (
     | Ultrasound
     | Barometer
     | Magnetometer
-    | NavdataSilent
     | NavdataMisstamped
     | FlowBlind
     | LowBattery
     | Gust
     | WeakRotor
+    | TiltLimited
+    | ShipSpeed
+    | ShipTurn
+    | DeckRoll
+    | FerryWake
     | LinkLost
     | ServiceKilled
 )

@@ -7,9 +7,9 @@ Sockets, the video codec and threads are left out, so that a scenario and a seed
 from __future__ import annotations
 
 import traceback
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -25,6 +25,8 @@ from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.landing_watch import DroneReport
+from drivers.ardrone.navdata import Navdata
+from drivers.ardrone.navdata_order import NavdataOrder, SequencePlace
 from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
@@ -35,6 +37,7 @@ from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import refusal
 from sitl.faults import ServiceKilled
+from sitl.faulty_streams import InTransit
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
 from sitl.render_worker import RenderWorker
@@ -153,7 +156,10 @@ class Flight:
         self._sequence = self._ticks = 0
         start = self.world.now
         self._clock = _VirtualClock(start)
-        self._on_the_way: deque[tuple[MonoNs, Callable[[], RenderedFrame]]] = deque()
+        streams = self.world.streams
+        self._frames_under_way: InTransit[Callable[[], RenderedFrame]] = InTransit(streams.frames)
+        self._navdata_under_way: InTransit[tuple[Navdata, MonoNs]] = InTransit(streams.navdata)
+        self._commands_under_way: InTransit[bytes] = InTransit(streams.commands)
         self._looking: tuple[MonoNs, ProcessedFrame] | None = None
         self._due_guidance = self._due_frame = self._due_command = start
         self._gone = False
@@ -161,7 +167,8 @@ class Flight:
         self.health = Health(self._clock)
         self._drone = Drone(self.world, DroneClock(start))
         for key, commands in configuration_commands(self._options):
-            self._send([*commands, at.Ctrl(at.CTRL_ACK)])
+            for command in [*commands, at.Ctrl(at.CTRL_ACK)]:
+                self._drone.take(self._encoded(command), start)
             if refused := refusal(self._drone.state.counters):
                 raise SetupImpossible(f"the simulated drone refused the configuration key {key}: {refused}")
         self._guidance_period_s = 1.0 / settings.guidance.rate_hz
@@ -173,10 +180,11 @@ class Flight:
         """Run one tick of 5 ms; return False when the flight is over."""
         now = after(self._clock.t, TICK_S)
         self._clock.t = now
+        self._deliver_commands(now)
         self._drone.tick(now)
         self._ticks += 1
         if self._ticks % _WATCH_EACH == 0:
-            self._watch.step(self.world.truth(), reached=not self.world.active("link_lost"))
+            self._watch.step(self.world.truth(), reached=not self.world.streams.commands.silent)
         if self._killed():
             self.world.guidance_phase = None
             self._hold(now)
@@ -196,8 +204,8 @@ class Flight:
 
     def _serve(self, now: MonoNs) -> None:
         """Run the service for one tick."""
-        if not self.world.active("navdata_silent") and not self.world.active("link_lost"):
-            self._deliver_samples(now)
+        for navdata, measured_at, received_at in self._navdata(now):
+            self._deliver_samples(navdata, measured_at, received_at)
         self._film(now)
         self._process(now)
         if now >= self._due_guidance:
@@ -230,8 +238,8 @@ class Flight:
 
     def _hold(self, now: MonoNs) -> None:
         """Act as the sender, which outlives the service."""
-        if not self.world.active("navdata_silent") and not self.world.active("link_lost"):
-            self._arbiter.on_report(DroneReport.of(self._drone.navdata()), after(now, NAVDATA_DELAY_S))
+        for navdata, _, received_at in self._navdata(now):
+            self._arbiter.on_report(DroneReport.of(navdata), received_at)
         if now >= self._due_command:
             self._due_command = after(self._due_command, self._options.command_period_s)
             self._send(self._arbiter.commands(now))
@@ -244,25 +252,38 @@ class Flight:
         self._streamer = CommandStreamer(self._options, Counters())
         self._sampler = NavdataSampler(self._options)
         self._due_guidance = self._due_frame = self._due_command = now
-        self._on_the_way.clear()
+        self._navdata_order = NavdataOrder()
+        self._frames_under_way.clear()
         self._looking = None
 
     def _on_order(self, handled: HandledOrder) -> None:
         for observer in self._observers:
             observer.on_order(handled)
 
+    def _encoded(self, command: at.AtCommand) -> bytes:
+        self._sequence += 1
+        return at.encode(self._sequence, command)
+
     def _send(self, commands: Sequence[at.AtCommand]) -> None:
         for command in commands:
-            self._sequence += 1
-            if self.world.active("link_lost"):
-                continue
-            self._drone.take(at.encode(self._sequence, command), self._clock.t)
+            self._commands_under_way.send(partial(bytes, self._encoded(command)), self._clock.t)
+        self._deliver_commands(self._clock.t)
 
-    def _deliver_samples(self, now: MonoNs) -> None:
-        navdata = self._drone.navdata()
-        received_at = after(now, NAVDATA_DELAY_S)
+    def _deliver_commands(self, now: MonoNs) -> None:
+        while (packet := self._commands_under_way.arrived(now)) is not None:
+            self._drone.take(packet[1], now)
+
+    def _navdata(self, now: MonoNs) -> Iterator[tuple[Navdata, MonoNs, MonoNs]]:
+        """Send the drone's next datagram; return those that arrive, in order, with the instants of measuring and of arrival."""
+        self._navdata_under_way.send(lambda: (self._drone.navdata(), self._drone.measured_at), now)
+        while (packet := self._navdata_under_way.arrived(now)) is not None:
+            navdata, measured_at = packet[1]
+            if self._navdata_order.place(navdata.sequence)[0] is not SequencePlace.OLD:
+                yield navdata, measured_at, after(now, NAVDATA_DELAY_S)
+
+    def _deliver_samples(self, navdata: Navdata, measured_at: MonoNs, received_at: MonoNs) -> None:
         self._streamer.on_navdata(navdata, received_at)
-        for sample in self._sampler.samples(navdata, _stamp(self._drone.measured_at, received_at)):
+        for sample in self._sampler.samples(navdata, _stamp(measured_at, received_at)):
             self._streamer.on_sample(sample)
             results = self._pilot.on_sample(sample)
             for result in results:
@@ -277,22 +298,22 @@ class Flight:
         if now < self._due_frame:
             return
         self._due_frame = after(self._due_frame, self._timing.frame_period_s)
-        if self.world.frame_lost or self.world.active("link_lost"):
-            return
+        self._frames_under_way.send(self._expose, self.world.at, self._timing.frame_delay_s)
+
+    def _expose(self) -> Callable[[], RenderedFrame]:
         self.exposures += 1
-        delay_s = self._timing.frame_delay_s + self.world.frame_delay_s
-        self._on_the_way.append((after(self.world.at, delay_s), self._perception.expose(self.world, self.worker)))
+        return self._perception.expose(self.world, self.worker)
 
     def _process(self, now: MonoNs) -> None:
         if self._looking is not None and now >= self._looking[0]:
             self._conclude(self._looking[1])
             self._looking = None
         arrived: Frame | None = None
-        while self._on_the_way and self._on_the_way[0][0] <= now and self._looking is None:
+        while self._looking is None and (packet := self._frames_under_way.arrived(now)) is not None:
             if arrived is not None:
                 self.health.frame(Verdict.REPLACED)
                 self._judge(arrived.seq, Verdict.REPLACED)
-            received_at, exposed = self._on_the_way.popleft()
+            received_at, exposed = packet
             image = exposed()
             self._frames += 1
             self._views[self._frames] = replace(image, px=_NO_PIXELS)

@@ -22,11 +22,13 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from sitl.contradictions import contradictions
 from sitl.faults import AnyFault, WeakRotor
 from sitl.rotors import rotors
 from sitl.sea_settings import EXCLUDES as SEA_EXCLUDES
 from sitl.sea_settings import Sea as Sea
 from sitl.seakeeping import hull
+from sitl.ship_faults import ShipTurn
 from sitl.vehicle_file import VehicleFile
 from sitl.vehicle_file import load as load_vehicle
 from sitl.vehicle_settings import VehicleSettings as VehicleSettings
@@ -226,12 +228,9 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     because: Annotated[str, text("one line that says why that is right", 300, shortest=0)] = ""
 
     def __post_init__(self) -> None:
-        for n, fault in enumerate(self.faults):
-            if fault.at_s is not None and fault.at_s >= self.duration_limit_s:
-                raise ValueError(f"faults[{n}].at_s is {fault.at_s:g} s, but the flight ends after {self.duration_limit_s:g} s")
-            below = fault.below_height_m
-            if below is not None and self.start.where == "air" and self.start.height_m < below:
-                raise ValueError(f"faults[{n}].below_height_m is {below:g} m, but the flight starts at {self.start.height_m:g} m")
+        start_m = self.start.height_m if self.start.where == "air" else None
+        for why in contradictions(self.faults, self.duration_limit_s, start_m, self.vessel):
+            raise ValueError(why)
 
 
 def load(name_or_path: str | Path) -> Scenario:
@@ -340,12 +339,17 @@ def vehicle_model(scenario: Scenario) -> VehicleFile:
     """Return the vehicle that `scenario.vehicle.file` names.
 
     Raises:
-        BadInput: the file is missing or has a fault, or a fault of the scenario weakens a rotor that the vehicle does not have.
+        BadInput: the file is missing or has a fault, or a fault of the scenario is of a rotor that the vehicle does not have or
+            begins lower than it ever is.
     """
     path = _find(scenario.vehicle.file, "vehicles", Path(), "vehicle.file")
     vehicle = load_vehicle(path)
-    names = [rotor.name for rotor in rotors(vehicle.airframe())]
+    frame = vehicle.airframe()
+    names = [rotor.name for rotor in rotors(frame)]
     for n, fault in enumerate(scenario.faults):
+        if fault.below_height_m is not None and fault.below_height_m <= frame.feet.below_m:
+            stands = f"{path} stands {frame.feet.below_m:g} m over the deck and is never lower"
+            raise BadInput(f"faults[{n}].below_height_m is {fault.below_height_m:g} m, but {stands}")
         if isinstance(fault, WeakRotor) and fault.rotor not in names:
             raise BadInput(f"faults[{n}].rotor must be one of {', '.join(names)} of {path}, found {fault.rotor!r}")
     return vehicle
@@ -379,7 +383,8 @@ def _fitting(ship: Ship, scenario: Scenario, where: str) -> Ship:
                 f"{where}: the recording lasts {recorded.lasts_s:.1f} s and the flight up to {scenario.duration_limit_s:g} s; "
                 "shorten duration_limit_s, or repeat it with recording.loop_blend_s"
             )
-    if v.turn_rate_deg_s != 0.0 and (ship.hull.gm_m is None or ship.hull.kg_m is None):
+    turns = v.turn_rate_deg_s != 0.0 or any(isinstance(fault, ShipTurn) for fault in scenario.faults)
+    if turns and (ship.hull.gm_m is None or ship.hull.kg_m is None):
         raise BadInput(f"{where}: a turn needs gm_m and kg_m of the vessel, for its heel")
     return ship
 

@@ -84,7 +84,7 @@ class TurningCourse:
         """Return the course at times (T,)."""
         turn = self.turn
         x = t_s - turn.at_s
-        s, s1, s2 = _smooth(x / turn.over_s)
+        s, s1, s2 = smooth_step(x / turn.over_s)
         share = np.stack([s, s1 / turn.over_s, s2 / turn.over_s**2], axis=-1)
         yaw, gained = self._yaw(x), self.after_m_s - self.before_m_s
         speed = self.before_m_s + gained * share[:, 0]
@@ -112,7 +112,7 @@ class TurningCourse:
 
     def _velocity(self, x: F64) -> F64:
         yaw = self._yaw(x)
-        speed = self.before_m_s + (self.after_m_s - self.before_m_s) * _smooth(x / self.turn.over_s)[0]
+        speed = self.before_m_s + (self.after_m_s - self.before_m_s) * smooth_step(x / self.turn.over_s)[0]
         return np.stack([speed * np.cos(yaw), speed * np.sin(yaw)], axis=-1)
 
     def _yaw(self, x: F64) -> F64:
@@ -121,7 +121,7 @@ class TurningCourse:
         return self.turn.rate_rad_s * (self.turn.over_s * developing + np.maximum(x - self.turn.over_s, 0.0))
 
 
-def _smooth(x: F64) -> tuple[F64, F64, F64]:
+def smooth_step(x: F64) -> tuple[F64, F64, F64]:
     """Return the fifth-order step from 0 to 1 and its two derivatives, which are 0 at both ends."""
     u = np.clip(x, 0.0, 1.0)
     return (

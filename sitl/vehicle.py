@@ -83,6 +83,8 @@ class Vehicle:
         self._healthy: tuple[float, ...] = (1.0,) * len(rotors(airframe))
         self.rotor_health = self._healthy
         """Share of its thrust that each rotor (in the order of `sitl.rotors.rotors`) delivers."""
+        self.tilt_max_rad = airframe.loops.tilt_max_rad
+        """Largest roll or pitch that any loop asks for."""
         self.air: Air | None = None
         """The air, where it is more than the uniform wind with its gusts."""
         self.current: tuple[float, float] = (0.0, 0.0)
@@ -343,9 +345,10 @@ class Vehicle:
         ix, iy = m.clip(self._integral[0] + gain * ex, -top, top), m.clip(self._integral[1] + gain * ey, -top, top)
         hold_x = k.velocity_p * ex - k.velocity_d * forward + ix
         hold_y = k.velocity_p * ey - k.velocity_d * right + iy
-        tilt = min(limits.euler_angle_max_rad, k.tilt_max_rad)
-        phi_asked = m.where(flying, roll * tilt, m.clip(hold_y / GRAVITY_M_S2, -k.tilt_max_rad, k.tilt_max_rad))
-        theta_asked = m.where(flying, pitch * tilt, m.clip(-hold_x / GRAVITY_M_S2, -k.tilt_max_rad, k.tilt_max_rad))
+        top_tilt = self.tilt_max_rad
+        tilt = min(limits.euler_angle_max_rad, top_tilt)
+        phi_asked = m.where(flying, roll * tilt, m.clip(hold_y / GRAVITY_M_S2, -top_tilt, top_tilt))
+        theta_asked = m.where(flying, pitch * tilt, m.clip(-hold_x / GRAVITY_M_S2, -top_tilt, top_tilt))
         rate_asked = m.where(flying, yaw * limits.yaw_rate_max_rad_s, 0.0)
         x_max, y_max, z_max = f.torque_max_n_m
         ix_, iy_, iz_ = f.inertia_kg_m2

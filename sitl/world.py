@@ -25,8 +25,10 @@ from sitl.airframe import StickLimits
 from sitl.camera import Exposure, Renderer
 from sitl.contact import Ground
 from sitl.fault_timer import FaultTimer
-from sitl.faults import FramesDelayed, FramesDropped, FramesMisstamped, FramesShifted, Gust, WeakRotor
+from sitl.faults import FramesMisstamped, FramesShifted, Gust, TiltLimited, WeakRotor
 from sitl.faulty_sensors import FaultySensors
+from sitl.faulty_streams import VehicleStreams
+from sitl.manoeuvre import Manoeuvre
 from sitl.render_worker import RenderWorker
 from sitl.rotors import rotors
 from sitl.scenario import Scenario, camera_model, pad_model
@@ -183,7 +185,10 @@ class World:
         """The faults that are active now."""
         self.guidance_phase: str | None = None
         """Phase of guidance if the flight's runner sets it, for faults that begin in a phase."""
+        self.streams = VehicleStreams(self.faults, seed)
+        """What becomes of samples, frames and commands, for the code that carries them."""
         self._faulty = FaultySensors(self.faults, seed)
+        self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
         self._renderer: Renderer | None = None
@@ -228,25 +233,8 @@ class World:
         self._vehicle.leave_emergency()
 
     def active(self, kind: str) -> bool:
-        """Return whether a fault of this kind is active.
-
-        Faults of links concern the code that carries samples, frames and commands.
-        """
+        """Return whether a fault of this kind is active."""
         return self.faults.active(kind)
-
-    @property
-    def frame_delay_s(self) -> float:
-        """Return the extra delay of a frame that is exposed now, s."""
-        return sum(fault.by_s for fault, _ in self.faults.on(FramesDelayed))
-
-    @property
-    def frame_lost(self) -> bool:
-        """Return whether a frame exposed now is lost; the answer is the same for the same step."""
-        dropping = self.faults.on(FramesDropped)
-        if not dropping:
-            return False
-        chance = np.random.default_rng([self._camera_seed, self._tick, 1])
-        return any(chance.random() < fault.fraction for fault, _ in dropping)
 
     def advance(self, to: MonoNs) -> None:
         """Run the physics up to `to`; an instant in the past changes nothing."""
@@ -381,7 +369,8 @@ class World:
         i = self._tick - self._chunk_at - 1
         if i >= len(self._chunk):
             self._chunk_at = self._tick - 1
-            pads = self.vessel.pad((self._chunk_at + 1 + np.arange(_CHUNK)) * self._step_s)
+            times = self._step_s * np.arange(self._chunk_at + 1, self._chunk_at + 1 + _CHUNK, dtype=np.float64)
+            pads = self._manoeuvre.pad(times) if self._manoeuvre else self.vessel.pad(times)
             self._chunk = [Ground.of(pads.p_ned[0, n], pads.v_ned[0, n], pads.R_ned[0, n], pads.w[0, n]) for n in range(_CHUNK)]
             i = 0
         return self._chunk[i]
@@ -397,6 +386,8 @@ class World:
         faults, v = self.faults, self._vehicle
         for begun in faults.update(self._seconds, self._height_m(), self.guidance_phase):
             self._faulty.begin(begun, self._sensors.read(self.at, v, self._motors_on))
+            if self._manoeuvre.begin(begun, self._seconds):
+                self._chunk, self._chunk_at = [], self._tick
         gusts = [_gust(fault, since_s) for fault, since_s in faults.on(Gust)]
         health = {rotor.name: 1.0 for rotor in rotors(v.airframe)}
         for fault, _ in faults.on(WeakRotor):
@@ -404,6 +395,8 @@ class World:
         v.extra_wind = (sum(g[0] for g in gusts), sum(g[1] for g in gusts), 0.0)
         v.rotor_health = tuple(health.values())
         v.flow_works = not faults.active("flow_blind")
+        tilts = [math.radians(fault.to_deg) for fault, _ in faults.on(TiltLimited)]
+        v.tilt_max_rad = min([v.airframe.loops.tilt_max_rad, *tilts])
 
     def _height_m(self) -> float:
         """Height of the body's origin over the deck's plane."""

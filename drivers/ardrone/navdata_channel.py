@@ -7,6 +7,7 @@ from collections.abc import Callable
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.datagrams import open_datagrams
 from drivers.ardrone.navdata import Navdata, decode
+from drivers.ardrone.navdata_order import NavdataOrder, SequencePlace
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.refusal import Refusal
 from drivers.ardrone.samples import NavdataSampler, time_us
@@ -18,8 +19,6 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 
 OPENING = b"\x01\x00\x00\x00"
 """The datagram that requests the unicast stream."""
-_REORDER = 64
-"""A datagram this far behind the newest was not overtaken on its way: the drone has restarted."""
 _LOOK_S = 0.05
 
 
@@ -52,7 +51,7 @@ class NavdataChannel:
                 floor_sigma_s=options.navdata_delay_sigma_s,
             )
         )
-        self._expected: int | None = None
+        self._order = NavdataOrder()
         self._received_at: MonoNs | None = None
         self.newest: Navdata | None = None
 
@@ -78,7 +77,7 @@ class NavdataChannel:
                     raise Recoverable(f"no navdata for {self._o.reopen_after_s} s")
                 if seconds_between(max(received_at, asked), now) > self._o.navdata_silence_s:
                     self._counters.navdata_silences += 1
-                    self._expected = None
+                    self._order.silence()
                     socket.send(OPENING)
                     asked = now
 
@@ -99,20 +98,13 @@ class NavdataChannel:
         self._received(navdata, samples, received_at)
 
     def _in_order(self, sequence: int) -> bool:
-        expected = self._expected
-        if self.newest is not None and sequence < self.newest.sequence:
-            restarted = sequence == 1 or expected is None or self.newest.sequence - sequence >= _REORDER
-            if not restarted:
-                return False
+        place, missing = self._order.place(sequence)
+        self._counters.navdata_lost += missing
+        if place is SequencePlace.RESTARTED:
             self._counters.navdata_restarts += 1
             self._map.reset()
             self._restarted()
-        elif expected is not None:
-            if sequence < expected:
-                return False
-            self._counters.navdata_lost += sequence - expected
-        self._expected = sequence + 1
-        return True
+        return place is not SequencePlace.OLD
 
     def _stamp(self, navdata: Navdata, received_at: MonoNs) -> Stamp:
         drone_us = time_us(navdata)

@@ -26,12 +26,12 @@ from sitl.ardrone.navdata_from_world import SentFrame
 from sitl.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoPort
 from sitl.ardrone.truth_log import TruthLog
 from sitl.ardrone.video import AccessUnit, Encoder
+from sitl.faulty_streams import Fate, InTransit
 from sitl.world import RenderedFrame, World
 
 DEMO_TICKS = 13
 """Ticks between two datagrams in demo mode and in the bootstrap: 15.4 Hz."""
 TRUTH_TICKS = 2
-_IN_ORDER_S = 1e-4
 CATCH_UP_MAX_S = 0.25
 """After a host stood still for longer than this the datagrams it missed are not sent late; the physics runs up to now."""
 
@@ -99,9 +99,9 @@ class ArDroneServer:
         self._control = ControlPort(self.counters)
         self._encoder: Encoder | None = None
         self._stream_position = 0
-        self._video_due = 0.0
         self._ticks = 0
         self.drone = Drone(world, self._drone_clock)
+        self._carry(world)
         self.stood_still_s = 0.0
         """Total time in which this host kept the drone from sending; up to `CATCH_UP_MAX_S` at a time is caught up."""
         self.silent = False
@@ -138,6 +138,13 @@ class ArDroneServer:
         world.started = world.now = self._clock.now()
         self.world = world
         self.drone.enter(world)
+        self._carry(world)
+
+    def _carry(self, world: World) -> None:
+        """Carry the packets of this world's drone."""
+        self._sent: InTransit[bytes] = InTransit(world.streams.navdata)
+        self._asked: InTransit[tuple[bytes, Address]] = InTransit(world.streams.commands)
+        self._filmed: InTransit[bytes] = InTransit(world.streams.frames)
 
     async def _listen(self, stack: AsyncExitStack) -> None:
         loop = asyncio.get_running_loop()
@@ -183,6 +190,7 @@ class ArDroneServer:
 
     def _tick(self, at: MonoNs) -> None:
         drone = self.drone
+        self._obey()
         drone.tick(at)
         self._ticks += 1
         if not drone.in_demo_mode or self._ticks % DEMO_TICKS == 0:
@@ -195,15 +203,22 @@ class ArDroneServer:
             self._truth.write(self.world.truth())
 
     def _send_navdata(self) -> None:
-        lost = self.silent or self.world.active("navdata_silent") or self.world.active("link_lost")
-        if self._navdata.clients and not lost:
-            self._navdata.send(navdata.encode(self.drone.navdata()))
+        now = self._clock.now()
+        if self._navdata.clients and not self.silent:
+            self._sent.send(lambda: navdata.encode(self.drone.navdata()), now)
+        while (packet := self._sent.arrived(now)) is not None:
+            self._navdata.send(packet[1])
 
     def _take(self, data: bytes, sender: Address) -> None:
-        if self.world.active("link_lost"):
-            return
-        self.drone.take(data, self._clock.now())
-        self._navdata.received_from(sender[0])
+        self._asked.send(lambda: (data, sender), self._clock.now())
+        self._obey()
+
+    def _obey(self) -> None:
+        now = self._clock.now()
+        while (packet := self._asked.arrived(now)) is not None:
+            data, sender = packet[1]
+            self.drone.take(data, now)
+            self._navdata.received_from(sender[0])
 
     # Frames
 
@@ -218,14 +233,14 @@ class ArDroneServer:
             due = max(after(due, period_s), after(self._clock.now(), -period_s))
             if not self._video.busy or not config.flag("general:video_enable"):
                 continue
-            if self.world.frame_lost or self.world.active("link_lost"):
+            fate = self.world.streams.frames.fate()
+            if not fate.copies:
                 continue
             rpy, altitude_m = self.drone.rpy_rad, self.drone.altitude_m
             front = None if config["video:video_channel"] == "1" else self.world.truth().R_ned_body
             shoot = partial(self._shoot, self.world.expose(), front, 1.0 / period_s, config.number("video:max_bitrate"))
-            late_s = self.world.frame_delay_s
             image, unit = await loop.run_in_executor(pool, shoot)
-            self._send_image(image, unit, rpy, altitude_m, late_s)
+            self._send_image(image, unit, rpy, altitude_m, fate)
 
     def _shoot(
         self, expose: Callable[[], RenderedFrame], front: Rotation | None, fps: float, bitrate_kbps: float
@@ -243,7 +258,7 @@ class ArDroneServer:
         return image, encoder.encode(px)
 
     def _send_image(
-        self, image: RenderedFrame, unit: AccessUnit, rpy: tuple[float, float, float], altitude_m: float, late_s: float
+        self, image: RenderedFrame, unit: AccessUnit, rpy: tuple[float, float, float], altitude_m: float, fate: Fate
     ) -> None:
         encoder = self._encoder
         assert encoder is not None
@@ -268,8 +283,12 @@ class ArDroneServer:
         )
         self._stream_position += len(unit.data) - unit.sps_size - unit.pps_size
         self.drone.shot = SentFrame(number, timestamp_ms, rpy, altitude_m, len(unit.data), round(encoder.max_bitrate_kbps))
-        wait_s = self._habits.video_delay_s + late_s - seconds_between(image.exposed_at, self._clock.now())
-        loop = asyncio.get_running_loop()
-        # A stream keeps its order: what follows a late frame waits behind it. Of two calls for one instant either may be first.
-        self._video_due = max(self._video_due + _IN_ORDER_S, loop.time() + max(0.0, wait_s))
-        loop.call_at(self._video_due, self._video.send, header.pack() + unit.data)
+        now = self._clock.now()
+        wait_s = max(0.0, self._habits.video_delay_s - seconds_between(image.exposed_at, now))
+        due = self._filmed.put(header.pack() + unit.data, fate, now, wait_s)
+        if due is not None:
+            asyncio.get_running_loop().call_later(seconds_between(now, due), self._send_frames, due)
+
+    def _send_frames(self, due: MonoNs) -> None:
+        while (packet := self._filmed.arrived(due)) is not None:
+            self._video.send(packet[1])

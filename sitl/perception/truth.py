@@ -34,10 +34,13 @@ from sitl.render_worker import RenderWorker
 from sitl.world import RenderedFrame, Truth, World
 
 REPRESENTED = frozenset(
-    {"lens_covered", "frames_dropped", "low_battery", "gust", "weak_rotor", "link_lost", "service_killed", "magnetometer"}
-)
-"""Kinds of faults that act on the vehicle, the link or sight, or on what the filter does not read. Every other one acts through
-the filter, which does not run."""
+    {
+        "lens_covered", "frames", "commands", "low_battery", "gust", "weak_rotor", "tilt_limited", "link_lost", "service_killed",
+        "magnetometer", "ship_speed", "ship_turn", "deck_roll", "ferry_wake",
+    }
+)  # fmt: skip
+"""Kinds of faults that act on the vessel, the vehicle, the link or sight, or on what the filter does not read. Every other one
+acts through the filter, which does not run."""
 _SPAWN_KEY = 1302
 _N = 7
 _AGREED = 3

@@ -24,8 +24,6 @@ from sitl.fault_timer import FaultTimer
 from sitl.faults import (
     KINDS,
     FlowBlind,
-    FramesDelayed,
-    FramesDropped,
     FramesFrozen,
     FramesMisstamped,
     FramesShifted,
@@ -49,6 +47,7 @@ from sitl.sensor_faults import (
     Ultrasound,
     VelocityReading,
 )
+from sitl.stream_faults import STREAMS, FrameStream
 from sitl.world import Readings, Stick, VehiclePhase, World
 
 CALM = Scenario(
@@ -221,21 +220,14 @@ def test_shifted_frames_show_the_pad_where_it_is_not() -> None:
     assert not shifted.true_view
 
 
-def test_a_share_of_the_frames_is_shifted_or_lost_and_the_seed_says_which() -> None:
-    def drawn(seed: int) -> tuple[list[bool], list[bool]]:
-        w = world(FramesShifted(at_s=0.0, right_m=2.5, fraction=0.5), FramesDropped(at_s=0.0, fraction=0.25), seed=seed)
-        shifted, lost = [], []
-        for n in range(200):
-            at(w, 0.004 * (n + 1))
-            shifted.append(bool(w._aside().any()))
-            lost.append(w.frame_lost)
-        return shifted, lost
+def test_a_share_of_the_frames_is_shifted_and_the_seed_says_which() -> None:
+    def drawn(seed: int) -> list[bool]:
+        w = world(FramesShifted(at_s=0.0, right_m=2.5, fraction=0.5), seed=seed)
+        return [bool(at(w, 0.004 * (n + 1))._aside().any()) for n in range(200)]
 
-    shifted, lost = drawn(1)
-    assert drawn(1) == (shifted, lost)
-    assert drawn(2) != (shifted, lost)
-    assert 70 <= sum(shifted) <= 130
-    assert 25 <= sum(lost) <= 75
+    assert drawn(1) == drawn(1)
+    assert drawn(2) != drawn(1)
+    assert 70 <= sum(drawn(1)) <= 130
 
 
 class Seen(NullObserver):
@@ -261,7 +253,7 @@ def flown(fault: Fault, seconds: float = 1.2, renew: bool = False) -> tuple[Flig
 
 
 def test_delayed_frames_come_late_with_true_stamps_and_misstamped_ones_in_time_with_wrong_stamps() -> None:
-    _, late = flown(FramesDelayed(at_s=0.5, by_s=0.3))
+    _, late = flown(FrameStream(at_s=0.5, delay_s=0.3))
     delays = [f.frame.stamp.delay_s for f in late.frames]
     assert delays[0] == pytest.approx(0.09, abs=0.005)
     assert delays[-1] == pytest.approx(0.39, abs=0.005)
@@ -361,9 +353,9 @@ def test_a_height_is_over_the_deck_and_starts_the_fault_in_the_world() -> None:
 
 
 def test_every_kind_has_a_test_of_its_effect() -> None:
-    elsewhere = {"lens_covered", "flow_blind", "navdata_silent", "gust", "weak_rotor"}
+    elsewhere = {"lens_covered", "flow_blind", "gust", "weak_rotor", *STREAMS}
+    elsewhere |= {"ship_speed", "ship_turn", "deck_roll", "ferry_wake", "tilt_limited"}
     here = {fault.kind for fault, *_ in READINGS} | {
-        "heading", "frames_frozen", "frames_shifted", "frames_dropped",
-        "frames_delayed", "frames_misstamped", "link_lost", "service_killed",
+        "heading", "frames_frozen", "frames_shifted", "frames_misstamped", "link_lost", "service_killed",
     }  # fmt: skip
     assert set(KINDS) == here | elsewhere

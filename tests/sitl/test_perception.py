@@ -44,7 +44,7 @@ LOW = msgspec.structs.replace(
     CALM, start=msgspec.structs.replace(CALM.start, height_m=2.2, pad_forward_m=0.3, pad_right_m=0.2), duration_limit_s=40.0
 )
 FUSED = parameters.load("fused")
-EFFECTS = {"by_s": 1.0, "forward_m": 1.0, "frozen": True}
+EFFECTS = {"by_s": 1.0, "forward_m": 1.0, "frozen": True, "dropped_fraction": 1.0}
 """Keys that give a fault of some kind an effect."""
 
 
@@ -107,9 +107,9 @@ def test_faults_of_frames_act_in_the_model_as_in_pictures() -> None:
     assert frozen.count(Verdict.REPEATED) >= 25
     covered = fly("model", faulty("lens_covered", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
     assert covered.count(Verdict.NO_PAD) >= 25
-    dropped = fly("model", faulty("frames_dropped", 0.5, 1.0), 3, limit_s=1.6)[1].verdicts
+    dropped = fly("model", faulty("frames", 0.5, 1.0, dropped_fraction=1.0), 3, limit_s=1.6)[1].verdicts
     assert len(dropped) <= len(frozen) - 25
-    late = fly("model", faulty("frames_delayed", 0.3, 1.3, by_s=0.8), 3, limit_s=1.6)[1].verdicts
+    late = fly("model", faulty("frames", 0.3, 1.3, delay_s=0.8), 3, limit_s=1.6)[1].verdicts
     assert Verdict.TOO_OLD in late
     stamped = fly("model", faulty("frames_misstamped", 0.5, 1.0, by_s=-2.0), 3, limit_s=1.6)[1].verdicts
     assert {Verdict.TOO_OLD, Verdict.NO_ATTITUDE} & set(stamped)

@@ -75,8 +75,8 @@ def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pyte
             "faults[0].by_s is not a known key of this kind of faults[0]",
         ),
         (
-            {"faults": [{"kind": "frames_delayed", "at_s": 1}]},
-            "faults[0].by_s is missing: it must be a number from 0.001 to 10 s",
+            {"faults": [{"kind": "frames_misstamped", "at_s": 1}]},
+            "faults[0].by_s is missing: it must be a number from -3600 to 3600 s",
         ),
         ({"faults": [{"kind": "gust", "at_s": 1}]}, "faults[0]: for_s must say how long the gust takes to pass"),
         ({"faults": [{"kind": "frames_shifted", "at_s": 1}]}, "faults[0]: forward_m or right_m must say"),

@@ -265,7 +265,7 @@ def test_limits_can_be_set_in_flight() -> None:
 
 
 def test_faults_come_and_go() -> None:
-    kinds = ("lens_covered", "flow_blind", "frames_dropped", "navdata_silent")
+    kinds = ("lens_covered", "flow_blind", "link_lost")
     silent = (Ultrasound(at_s=0.5, for_s=0.5, dropped_fraction=1.0), Magnetometer(at_s=0.5, for_s=0.5, dropped_fraction=1.0))
     faults = (*(KINDS[kind](at_s=0.5, for_s=0.5) for kind in kinds), *silent)
     world = World(with_(CALM, faults=faults), 1)

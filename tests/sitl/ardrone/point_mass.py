@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,28 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.airframe import StickLimits
+from sitl.fault import Fault
+from sitl.fault_timer import FaultTimer
+from sitl.faulty_streams import VehicleStreams
 from sitl.world import Readings, RenderedFrame, Stick, Truth, VehiclePhase
 
 G = 9.80665
 HOVER_HEIGHT_M = 0.8
 CLIMB_M_S, SINK_M_S = 2.0, 2.0
 STEERABLE = (VehiclePhase.HOVERING, VehiclePhase.FLYING)
+
+
+class Failing:
+    """The faults that a test has set to be active now."""
+
+    def __init__(self) -> None:
+        self.now: list[Fault] = []
+
+    def active(self, kind: str) -> bool:
+        return any(fault.kind == kind for fault in self.now)
+
+    def on(self, kind: type[Fault]) -> list[tuple[Fault, float]]:
+        return [(fault, 0.0) for fault in self.now if isinstance(fault, kind)]
 
 
 class PointMass:
@@ -26,9 +43,9 @@ class PointMass:
         self.now = self.started = start
         self.phase = VehiclePhase.HOVERING if height_m else VehiclePhase.LANDED
         self.limits = StickLimits()
-        self.faults: set[str] = set()
+        self.failing = Failing()
+        self.streams = VehicleStreams(cast(FaultTimer, self.failing), 1)
         self.stamp_error_s = 0.0
-        self.frame_delay_s = 0.0
         self.p = np.array([0.0, 0.0, -height_m])
         self.v = np.zeros(3)
         self.rpy = [0.0, 0.0, 0.0]
@@ -36,13 +53,6 @@ class PointMass:
         self._rng = np.random.default_rng(3)
         self._texture = (self._rng.random((360, 640, 3)) * 60 + 90).astype(np.uint8)
         self._images = 0
-
-    def active(self, kind: str) -> bool:
-        return kind in self.faults
-
-    @property
-    def frame_lost(self) -> bool:
-        return "frames_dropped" in self.faults
 
     def stick(self, stick: Stick) -> None:
         self._stick = stick

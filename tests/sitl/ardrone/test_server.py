@@ -20,6 +20,7 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, Recoverable
 from sitl.ardrone import truth_log
 from sitl.ardrone.server import ArDroneServer, Habits, Ports
+from sitl.stream_faults import FrameStream, NavdataStream
 from sitl.world import World
 from tests.sitl.ardrone.patient_clock import PatientClock
 from tests.sitl.ardrone.peer import Peer, Watcher
@@ -388,13 +389,13 @@ async def test_faults_silence_what_they_name(server: ArDroneServer, peer: Peer, 
     peer.ask()
     await peer.configure("general:navdata_demo", "FALSE")
     await watcher.frame()
-    world.faults |= {"navdata_silent", "frames_dropped"}
+    world.failing.now = [NavdataStream(at_s=0.0, dropped_fraction=1.0), FrameStream(at_s=0.0, dropped_fraction=1.0)]
     sent, before = (0, 0), (-1, -1)
     while sent != before:  # what was under way comes yet
         before = sent
         await asyncio.sleep(0.3)
         sent = server.counters["navdata_sent"], server.counters["video_sent"]
-    world.faults.clear()
+    world.failing.now = []
     async with asyncio.timeout(60):
         while server.counters["navdata_sent"] <= sent[0] + 20 or server.counters["video_sent"] <= sent[1]:  # noqa: ASYNC110
             await asyncio.sleep(0.02)  # what is sent is in the socket

@@ -1,0 +1,166 @@
+"""Faults of vessel and vehicle: what the deck and the vehicle do, and that the deck's motion stays consistent."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import F64, Rotation
+from sitl.fault import Fault
+from sitl.faults import TiltLimited
+from sitl.scenario import Scenario, Sea, VesselSettings, from_mapping, ship_model, vehicle_model
+from sitl.ship_faults import DeckRoll, FerryWake, ShipSpeed, ShipTurn
+from sitl.world import Stick, World
+from tests.sitl.test_faults import CALM, at
+
+UNDER_WAY = msgspec.structs.replace(
+    CALM,
+    vessel=VesselSettings(file="supply_ship", moored=False, speed_m_s=2.0, heading_deg=30.0),
+    sea=Sea(significant_height_m=0.0),
+)
+ROUGH = msgspec.structs.replace(UNDER_WAY, sea=Sea(significant_height_m=1.0, peak_period_s=8.0, runs_to_deg=200.0))
+
+
+def decks(scenario: Scenario, *faults: Fault, until_s: float, each_s: float = 0.1) -> list[tuple[F64, F64, F64, F64]]:
+    """Return position, velocity, rotation and angular velocity of the pad from the start on."""
+    w = World(msgspec.structs.replace(scenario, faults=faults), 2)
+    out = []
+    for n in range(round(until_s / each_s) + 1):
+        at(w, n * each_s)
+        truth = w.truth()
+        out.append((truth.p_pad_ned, truth.v_pad_ned, truth.R_ned_pad.matrix, np.array(w._ground.w)))
+    return out
+
+
+def heading(R: F64) -> float:
+    return math.degrees(Rotation(R).rpy_rad[2])
+
+
+def test_a_vessel_that_stops_comes_to_rest_where_her_speed_takes_her() -> None:
+    track = decks(UNDER_WAY, ShipSpeed(at_s=1.0, to_m_s=0.0, over_s=4.0), until_s=8.0)
+    assert np.hypot(*track[8][1][:2]) == pytest.approx(2.0, abs=1e-6)
+    assert np.hypot(*track[-1][1][:2]) == pytest.approx(0.0, abs=1e-6)
+    ran = track[-1][0] - track[0][0]
+    assert np.hypot(*ran[:2]) == pytest.approx(2.0 * 1.0 + 0.5 * 2.0 * 4.0, abs=0.02)
+    assert math.degrees(math.atan2(ran[1], ran[0])) == pytest.approx(30.0, abs=1e-3)
+
+
+def test_a_change_of_speed_with_an_end_is_taken_back() -> None:
+    track = decks(UNDER_WAY, ShipSpeed(at_s=0.5, for_s=3.0, to_m_s=4.0, over_s=1.0), until_s=6.0)
+    assert np.hypot(*track[20][1][:2]) == pytest.approx(4.0, abs=1e-6)
+    assert np.hypot(*track[-1][1][:2]) == pytest.approx(2.0, abs=1e-6)
+
+
+def test_a_turning_vessel_changes_her_heading_and_goes_where_she_points() -> None:
+    track = decks(UNDER_WAY, ShipTurn(at_s=1.0, rate_deg_s=3.0, over_s=2.0), until_s=11.0)
+    assert heading(track[5][2]) == pytest.approx(30.0, abs=1e-6)
+    assert heading(track[-1][2]) == pytest.approx(30.0 + 3.0 * (10.0 - 1.0), abs=0.01)
+    assert Rotation(track[-1][2]).rpy_rad[0] < -1e-4, "she heels outward, to port"
+    assert math.degrees(track[-1][3][2]) == pytest.approx(3.0, abs=0.01)
+
+
+def test_the_deck_rolls_by_as_much_as_it_says() -> None:
+    rolls = [
+        math.degrees(Rotation(R).rpy_rad[0]) for _, _, R, _ in decks(UNDER_WAY, DeckRoll(at_s=0.5, period_s=2.0), until_s=8.0)
+    ]
+    assert np.abs(rolls[:5]).max() < 1e-9
+    assert max(rolls) == pytest.approx(8.0, abs=0.1)
+    assert min(rolls) == pytest.approx(-8.0, abs=0.1)
+    ended = decks(UNDER_WAY, DeckRoll(at_s=0.5, period_s=2.0, for_s=4.0), until_s=6.0)
+    assert abs(Rotation(ended[-1][2]).rpy_rad[0]) < 1e-6
+
+
+def test_a_wake_lifts_and_rolls_the_deck_and_passes() -> None:
+    track = decks(UNDER_WAY, FerryWake(at_s=0.5, height_m=1.0, period_s=6.0, waves=3.0), until_s=20.0)
+    still = decks(UNDER_WAY, until_s=20.0)
+    heave = np.array([a[0][2] - b[0][2] for a, b in zip(track, still, strict=True)])
+    assert 0.02 < np.abs(heave).max() < 1.5
+    assert np.abs(heave[:5]).max() == 0.0
+    assert np.abs(heave[-10:]).max() < 1e-9
+    assert max(abs(Rotation(R).rpy_rad[0]) for _, _, R, _ in track) > math.radians(0.2)
+
+
+ALL = [
+    ShipSpeed(at_s=0.7, to_m_s=0.0, over_s=2.0),
+    ShipTurn(at_s=0.9, rate_deg_s=-8.0, over_s=1.5, for_s=4.0),
+    DeckRoll(at_s=0.3, period_s=2.5),
+    FerryWake(at_s=0.2, height_m=1.0, period_s=3.0, waves=3.0, from_deg=60.0),
+]
+
+
+@pytest.mark.parametrize("faults", [[fault] for fault in ALL] + [ALL])
+def test_velocity_and_rates_are_the_derivatives_of_the_pose(faults: list[Fault]) -> None:
+    """Contact forces come from both: a velocity that is not the rate of the position would throw the vehicle off the deck."""
+    h = 0.004
+    track = decks(ROUGH, *faults, until_s=4.0, each_s=h)
+    p, v, R, w = (np.array([one[i] for one in track]) for i in range(4))
+    np.testing.assert_allclose((p[2:] - p[:-2]) / (2 * h), v[1:-1], atol=2e-4)
+    turn = np.swapaxes(R[1:-1], 1, 2) @ (R[2:] - R[:-2]) / (2 * h)
+    rates = np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=-1)
+    np.testing.assert_allclose(rates, w[1:-1], atol=2e-4)
+
+
+def test_a_fault_that_begins_later_changes_nothing_before_and_only_itself_after() -> None:
+    one = decks(ROUGH, ALL[0], until_s=2.0, each_s=0.05)
+    both = decks(ROUGH, ALL[0], DeckRoll(at_s=1.51, period_s=2.0), until_s=2.0, each_s=0.05)
+    assert all(np.array_equal(a, b) for x, y in zip(one[:31], both[:31], strict=True) for a, b in zip(x, y, strict=True))
+    course = [np.hypot(*(y[1] - x[1])[:2]) for x, y in zip(one, both, strict=True)]
+    assert max(course) < 1.5, "the course goes on from where it was"
+
+
+def test_a_limited_tilt_is_never_exceeded() -> None:
+    tilts = []
+    for faults in ((), (TiltLimited(at_s=0.2, to_deg=3.0),)):
+        w = World(msgspec.structs.replace(CALM, faults=faults), 1)
+        w.stick(Stick(roll=1.0, progressive=True))
+        tilts.append(math.degrees(max(abs(at(w, 0.05 * n).truth().R_ned_body.rpy_rad[0]) for n in range(1, 60))))
+    assert tilts[0] > 9.0
+    assert tilts[1] < 6.0, "3 degrees, the overshoot, and the vehicle's own attitude error"
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ({"faults": [{"kind": "ship_speed", "at_s": 1, "to_m_s": 0.0}]}, "faults[0]: ship_speed is of a vessel under way"),
+        (
+            {"vessel": {"moored": False, "speed_m_s": 2.0}, "faults": [{"kind": "ship_speed", "at_s": 1, "to_m_s": 2.0}]},
+            "faults[0].to_m_s is 2 m/s, which is vessel.speed_m_s already",
+        ),
+        (
+            {"vessel": {"moored": False}, "faults": [{"kind": "ship_turn", "at_s": 1, "rate_deg_s": 2.0}]},
+            "faults[0]: a vessel that lies still does not turn; vessel.speed_m_s must be more than 0",
+        ),
+        (
+            {
+                "vessel": {"moored": False, "speed_m_s": 2.0, "turn_rate_deg_s": 1.0},
+                "faults": [{"kind": "ship_turn", "at_s": 1, "rate_deg_s": 2.0}],
+            },
+            "faults[0]: ship_turn does not go with a vessel that turns already",
+        ),
+        ({"faults": [{"kind": "ship_turn", "at_s": 1, "rate_deg_s": 0.0}]}, "faults[0]: rate_deg_s must not be 0"),
+        ({"faults": [{"kind": "deck_roll", "at_s": 1, "for_s": 3.0}]}, "faults[0]: for_s must be two periods or more, 16 s"),
+        ({"faults": [{"kind": "ferry_wake", "at_s": 1, "for_s": 3.0}]}, "faults[0]: for_s does not go with a wake"),
+    ],
+)
+def test_a_scenario_that_contradicts_itself_is_named(data: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadInput) as why:
+        from_mapping({"title": "x", **data}, "mine.toml")
+    assert f"mine.toml: {said}" in str(why.value)
+
+
+def test_what_vessel_and_vehicle_cannot_do_is_named() -> None:
+    no_heel = msgspec.structs.replace(
+        UNDER_WAY, vessel=VesselSettings(moored=False, speed_m_s=2.0), faults=(ShipTurn(at_s=1.0, rate_deg_s=2.0),)
+    )
+    with pytest.raises(BadInput, match="a turn needs gm_m and kg_m"):
+        ship_model(no_heel)
+    heavy = from_mapping(
+        {"title": "x", "vehicle": {"file": "hexa_7kg"}, "faults": [{"kind": "flow_blind", "below_height_m": 0.05}]}, "mine.toml"
+    )
+    with pytest.raises(BadInput, match=r"faults\[0\].below_height_m is 0.05 m, but .*hexa_7kg.toml stands .* and is never lower"):
+        vehicle_model(heavy)
