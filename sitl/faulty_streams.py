@@ -5,8 +5,9 @@ The same packets, faults and seed give the same result.
 
 from __future__ import annotations
 
-from collections import deque
+from bisect import insort
 from collections.abc import Callable
+from operator import itemgetter
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -16,6 +17,9 @@ from sitl.fault_timer import FaultTimer
 from sitl.stream_faults import KIND_OF_STREAM, STREAMS, Stream
 
 _T = TypeVar("_T")
+LAG_S = 0.015
+"""Time after which a doubled packet arrives again, and an overtaken one after the other: by then the service has finished with
+the first."""
 
 
 class Fate(NamedTuple):
@@ -76,14 +80,15 @@ class VehicleStreams:
 class InTransit(Generic[_T]):
     """Packets of one stream under way, each with the instant of its arrival.
 
-    A stream keeps its order: what follows a late packet waits behind it. Only a packet that the faults let overtake another
-    arrives before that.
+    A stream keeps its order: what follows a late packet waits behind it. Only a packet that is overtaken
+    arrives `LAG_S` after the one that overtook it, and a doubled one again `LAG_S` after the first.
     """
 
     def __init__(self, stream: FaultyStream) -> None:
         self._stream = stream
-        self._under_way: deque[tuple[MonoNs, _T]] = deque()
-        self._held: list[_T] = []
+        self._under_way: list[tuple[MonoNs, _T]] = []
+        self._held: list[tuple[_T, int]] = []
+        self._due: MonoNs | None = None
 
     def send(self, make: Callable[[], _T], now: MonoNs, usual_s: float = 0.0) -> None:
         """Send a packet.
@@ -98,14 +103,15 @@ class InTransit(Generic[_T]):
 
     def put(self, packet: _T, fate: Fate, now: MonoNs, usual_s: float = 0.0) -> MonoNs | None:
         """Send a packet of a known fate; return the instant of its arrival, None while that is not known."""
-        copies = [packet] * fate.copies
         if fate.overtaken:
-            self._held += copies
+            self._held.append((packet, fate.copies))
             return None
         due = after(now, usual_s + self._stream.delay_s)
-        if self._under_way:
-            due = max(due, self._under_way[-1][0])
-        self._under_way.extend((due, each) for each in [*copies, *self._held])
+        self._due = due = due if self._due is None else max(due, self._due)
+        later = after(due, LAG_S)
+        again = [(due if n == 0 else later, packet) for n in range(fate.copies)]
+        for each in [*again, *((later, held) for held, copies in self._held for _ in range(copies))]:
+            insort(self._under_way, each, key=itemgetter(0))
         self._held.clear()
         return due
 
@@ -113,9 +119,10 @@ class InTransit(Generic[_T]):
         """Return the next packet that has arrived, with the instant of its arrival, and forget it; None if there is none."""
         if not self._under_way or self._under_way[0][0] > now:
             return None
-        return self._under_way.popleft()
+        return self._under_way.pop(0)
 
     def clear(self) -> None:
         """Forget all that is under way."""
         self._under_way.clear()
         self._held.clear()
+        self._due = None

@@ -26,7 +26,7 @@ from sitl.ardrone.navdata_from_world import SentFrame
 from sitl.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, VideoPort
 from sitl.ardrone.truth_log import TruthLog
 from sitl.ardrone.video import AccessUnit, Encoder
-from sitl.faulty_streams import Fate, InTransit
+from sitl.faulty_streams import LAG_S, Fate, InTransit
 from sitl.world import RenderedFrame, World
 
 DEMO_TICKS = 13
@@ -287,7 +287,8 @@ class ArDroneServer:
         wait_s = max(0.0, self._habits.video_delay_s - seconds_between(image.exposed_at, now))
         due = self._filmed.put(header.pack() + unit.data, fate, now, wait_s)
         if due is not None:
-            asyncio.get_running_loop().call_later(seconds_between(now, due), self._send_frames, due)
+            for at in (due, after(due, LAG_S)):
+                asyncio.get_running_loop().call_later(seconds_between(now, at), self._send_frames, at)
 
     def _send_frames(self, due: MonoNs) -> None:
         while (packet := self._filmed.arrived(due)) is not None:

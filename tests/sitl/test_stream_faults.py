@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.ardrone.navdata_order import NavdataOrder, SequencePlace
+from drivers.ardrone.navdata_order import NavdataOrder
+from drivers.ardrone.navdata_order import SequencePlace as P
+from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
 from sitl.fault_timer import FaultTimer
@@ -57,7 +61,7 @@ def test_a_share_is_lost_or_doubled_and_the_seed_says_which(effect: str, share: 
     assert 0.22 < share(out) < 0.38  # type: ignore[operator]
     assert out == carried(FrameStream(at_s=0.0, **{effect: 0.3}))
     assert out != carried(FrameStream(at_s=0.0, **{effect: 0.3}), seed=2)
-    assert [n for n, _ in out] == sorted(n for n, _ in out)
+    assert all(b - a >= -2 for a, b in itertools.pairwise(n for n, _ in out)), "a copy comes just after the packet behind it"
 
 
 def test_overtaken_packets_come_after_the_next_one_that_is_not() -> None:
@@ -117,8 +121,9 @@ def test_doubled_and_overtaken_samples_reach_the_service_once_and_in_order() -> 
 
 def test_doubled_frames_come_twice_and_overtaken_ones_with_older_stamps() -> None:
     _, twice = flown(FrameStream(at_s=0.0, duplicated_fraction=1.0), 0.6)
-    stamps = [f.frame.stamp.measured_at for f in twice.frames]
-    assert len(stamps) == 2 * len(set(stamps)) or len(stamps) == 2 * len(set(stamps)) - 1
+    verdicts = [f.verdict for f in twice.frames]
+    assert verdicts[1::2] == [Verdict.REPEATED] * len(verdicts[1::2])
+    assert len(verdicts) > 20
     _, swapped = flown(FrameStream(at_s=0.0, reordered_fraction=0.5), 1.0)
     steps = np.diff([f.frame.stamp.measured_at for f in swapped.frames])
     assert (steps < 0).sum() >= 3
@@ -138,7 +143,7 @@ def test_a_datagram_that_was_overtaken_is_old_and_a_restarted_drone_is_not() -> 
     order = NavdataOrder()
     places = [order.place(n) for n in (5, 6, 9, 8, 9, 10, 1)]
     assert places == [
-        (SequencePlace.NEXT, 0), (SequencePlace.NEXT, 0), (SequencePlace.NEXT, 2), (SequencePlace.OLD, 0), (SequencePlace.OLD, 0), (SequencePlace.NEXT, 0), (SequencePlace.RESTARTED, 0),
+        (P.NEXT, 0), (P.NEXT, 0), (P.NEXT, 2), (P.OLD, 0), (P.OLD, 0), (P.NEXT, 0), (P.RESTARTED, 0),
     ]  # fmt: skip
     order.silence()
-    assert order.place(40) == (SequencePlace.NEXT, 0)
+    assert order.place(40) == (P.NEXT, 0)
