@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol, Self
 
@@ -10,8 +11,10 @@ import numpy as np
 from estimator import dead_reckoning, ekf, filters
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
+from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
+from estimator.ekf import Forecast
 
 Event = Sample | Sighting
 
@@ -32,6 +35,14 @@ class Path(Protocol):
 
     def at(self, now: MonoNs) -> RelativeState | None:
         """Return the belief at an instant; None before there is one."""
+        ...
+
+    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+        """Return the motion of body and deck at an instant; None for what this path does not estimate or does not know yet."""
+        ...
+
+    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
+        """Return the deck at these times, s, after an instant; None if this path does not forecast or tracks no pad."""
         ...
 
 
@@ -84,6 +95,12 @@ class MedianMeanPath:
             details=(("yaw_ambiguous", float(out.yaw_ambiguous)),),
         )
 
+    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+        return None, None
+
+    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
+        return None
+
 
 @dataclass(frozen=True, slots=True)
 class DeadReckoningPath:
@@ -110,6 +127,12 @@ class DeadReckoningPath:
     def at(self, now: MonoNs) -> RelativeState | None:
         return dead_reckoning.at(self.state, now)
 
+    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+        return None, None
+
+    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
+        return None
+
 
 @dataclass(frozen=True, slots=True)
 class EkfPath:
@@ -129,6 +152,12 @@ class EkfPath:
 
     def at(self, now: MonoNs) -> RelativeState | None:
         return ekf.at(self.filter, now)
+
+    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+        return ekf.motion_at(self.filter, now)
+
+    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
+        return ekf.forecast(self.filter, now, horizons_s)
 
 
 def _uncompared(path: PathName, event: Event, verdict: Verdict) -> FusionResult:

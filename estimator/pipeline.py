@@ -16,8 +16,10 @@ from estimator import dead_reckoning, ekf, filters, integrity
 from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
+from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude, Frame
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.ekf import Forecast
 from estimator.options import EstimatorOptions
 from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
 
@@ -104,6 +106,16 @@ def belief(memory: Memory, now: MonoNs) -> RelativeState | None:
 def beliefs(memory: Memory, now: MonoNs) -> tuple[RelativeState, ...]:
     """Return every path's belief; the steering path's comes first if it has one."""
     return tuple(_dressed(state, memory.guard, now) for path in memory.paths if (state := path.at(now)) is not None)
+
+
+def motion(memory: Memory, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+    """Return the motion of body and deck by the steering path; None for what it does not estimate or does not know yet."""
+    return memory.paths[0].motion(now)
+
+
+def forecast(memory: Memory, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
+    """Return the deck at these times, s, after an instant by the steering path; None if it does not forecast."""
+    return memory.paths[0].forecast(now, horizons_s)
 
 
 def attitude_at(memory: Memory, stamp: Stamp) -> Attitude | None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Literal
 
@@ -35,6 +35,7 @@ from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.sensors import Readings, Sensors
 from sitl.stage import air, airframe, deck_shape, flight_seeds, limits, place, renderer, sea_and_vessel, wind, wind_from
 from sitl.vehicle import SEA, Vehicle, VehiclePhase
+from sitl.vessel import Mounted
 
 __all__ = ["Readings", "RenderedFrame", "Stick", "Touchdown", "Truth", "VehiclePhase", "World"]
 
@@ -128,6 +129,10 @@ class Truth:
     """The newest contact."""
     contacts: tuple[Touchdown, ...] = ()
     """All contacts so far, in order."""
+    a_body_ned: F64 = field(default_factory=lambda: np.zeros(3))
+    """(3,) acceleration of the body, m/s^2."""
+    w_body: F64 = field(default_factory=lambda: np.zeros(3))
+    """(3,) turn rates of the body, rad/s."""
 
     def _level(self, v_ned: F64) -> F64:
         yaw = self.R_ned_body.rpy_rad[2]
@@ -339,7 +344,13 @@ class World:
             phase=self.phase,
             touchdown=self._contacts[-1] if self._contacts else None,
             contacts=tuple(self._contacts),
+            a_body_ned=np.array(v.a),
+            w_body=v.w_body,
         )
+
+    def pad_ahead(self, ahead_s: F64) -> Mounted:
+        """Return the pad's true motion at (H,) s after the newest step."""
+        return self.vessel.pad(self._seconds + ahead_s)
 
     @property
     def _motors_on(self) -> bool:

@@ -24,7 +24,7 @@ from companion.mqtt.messages import (
 )
 from companion.runtime.health import FusionState, HealthSnapshot
 from companion.runtime.observer import Decision, ProcessedFrame
-from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import VehicleStatus
@@ -75,6 +75,12 @@ def order(command: Command | None) -> CommandReport | None:
     match command:
         case Velocity():
             return CommandReport(kind="velocity", v_level_m_s=_vector(command.v_level), yaw_rate_rad_s=command.yaw_rate_rad_s)
+        case Lean():
+            forward, right = (command.a_level + command.trim_level).tolist()
+            v = _vector(command.v_level)
+            return CommandReport(
+                kind="lean", v_level_m_s=v, yaw_rate_rad_s=command.yaw_rate_rad_s, lean_level_m_s2=(forward, right)
+            )
         case Hover():
             return CommandReport(kind="hover")
         case TakeOff():

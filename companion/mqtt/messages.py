@@ -56,9 +56,11 @@ class BeliefReport(Struct, frozen=True, kw_only=True):
 class CommandReport(Struct, frozen=True, kw_only=True):
     """The command that was sent to the vehicle, of guidance or of a person."""
 
-    kind: Literal["velocity", "hover", "takeoff", "land", "cut_motors", "leave_emergency"]
+    kind: Literal["velocity", "lean", "hover", "takeoff", "land", "cut_motors", "leave_emergency"]
     v_level_m_s: Vector3 | None = None
     yaw_rate_rad_s: float | None = None
+    lean_level_m_s2: tuple[float, float] | None = None
+    """Commanded tilt as an acceleration forward and right, m/s^2."""
 
 
 class VehicleState(Struct, frozen=True, kw_only=True):

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from companion.mqtt.messages import EventMessage, StageReport
 from companion.mqtt.watch_model import DroneModel, WatchModel
+from estimator.contracts.motion import G_M_S2
 
 STALE_S = 3.0
 _RED, _GREEN, _YELLOW, _BOLD, _DIM = "31", "32", "33", "1", "2"
@@ -151,9 +152,11 @@ def _order(drone: DroneModel) -> str:
     if order.v_level_m_s is None or order.yaw_rate_rad_s is None:
         return order.kind
     forward, right, down = order.v_level_m_s
-    return (
-        f"forward {forward:+.2f} right {right:+.2f} down {down:+.2f} m/s   turn {math.degrees(order.yaw_rate_rad_s):+.0f} deg/s"
-    )
+    turn = f"turn {math.degrees(order.yaw_rate_rad_s):+.0f} deg/s"
+    if order.lean_level_m_s2 is not None:
+        ahead, beside = (math.degrees(math.atan(a / G_M_S2)) for a in order.lean_level_m_s2)
+        return f"lean forward {ahead:+.1f} right {beside:+.1f} deg   down {down:+.2f} m/s   {turn}"
+    return f"forward {forward:+.2f} right {right:+.2f} down {down:+.2f} m/s   {turn}"
 
 
 def _vehicle(drone: DroneModel, paint: Paint) -> str:

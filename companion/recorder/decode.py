@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.recorder import records as rec
 from companion.recorder.encode import COMMANDS
-from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose6, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, Source
 from estimator.contracts.geometry import F64, Rotation
@@ -152,6 +152,8 @@ def command(of: rec.DecisionRecord) -> Command | None:
     kind = {name: kind for kind, name in COMMANDS.items()}.get(of.command)
     if kind is Velocity and of.v_level is not None and of.yaw_rate_rad_s is not None:
         return Velocity(_vector(of.v_level), of.yaw_rate_rad_s)
+    if kind is Lean and None not in (of.a_level, of.trim_level, of.v_level, of.yaw_rate_rad_s):
+        return Lean(np.array(of.a_level), np.array(of.trim_level), np.array(of.v_level), float(of.yaw_rate_rad_s or 0.0))
     for simple in (Hover, TakeOff, Land, CutMotors, LeaveEmergency):
         if kind is simple:
             return simple()

@@ -11,7 +11,7 @@ from companion.operator.orders import HandledOrder
 from companion.recorder import records as rec
 from companion.runtime.health import HealthSnapshot
 from companion.runtime.observer import Decision, ProcessedFrame
-from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
@@ -19,7 +19,7 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.thesis.detection import Detection
 
 COMMANDS: dict[type[Command], str] = {
-    Velocity: "velocity", Hover: "hover", TakeOff: "take_off", Land: "land",
+    Velocity: "velocity", Lean: "lean", Hover: "hover", TakeOff: "take_off", Land: "land",
     CutMotors: "cut_motors", LeaveEmergency: "leave_emergency",
 }  # fmt: skip
 
@@ -139,6 +139,10 @@ def decision(of: Decision) -> rec.DecisionRecord:
     if isinstance(of.command, Velocity):
         v, turn = of.command.v_level.tolist(), of.command.yaw_rate_rad_s
         return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn, of.reason)
+    if isinstance(of.command, Lean):
+        lean = of.command
+        v, a, trim = lean.v_level.tolist(), lean.a_level.tolist(), lean.trim_level.tolist()
+        return rec.DecisionRecord(int(of.at), of.phase, steering, "lean", v, lean.yaw_rate_rad_s, of.reason, a, trim)
     simple = None if of.command is None else COMMANDS[type(of.command)]
     return rec.DecisionRecord(int(of.at), of.phase, steering, simple, reason=of.reason)
 

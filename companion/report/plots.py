@@ -16,8 +16,9 @@ from companion.report.flight_log import FlightLog
 from companion.report.innovations import InnovationSeries
 from companion.report.palette import MARKERS, OTHER, colour
 from companion.report.svg import FAINT, INK, draw_pad, svg
-from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.commands import CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64
+from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import seconds_between
 
 _MANY_POINTS = 400
@@ -197,24 +198,32 @@ def _dots(ax: Axes, t_s: F64, y: F64, **ink: Any) -> None:
 
 
 def commands(log: FlightLog) -> str:
-    """Draw the commands to the vehicle: velocities and yaw rate as lines, hovering and landing as bands."""
+    """Draw the commands to the vehicle: velocities, tilt and yaw rate as lines, hovering and landing as bands."""
     t = np.array([seconds_between(log.started, c.at) for c in log.commands])
-    rows = np.full((len(t), 4), np.nan)
+    rows, leans = np.full((len(t), 4), np.nan), np.full((len(t), 2), np.nan)
     for i, record in enumerate(log.commands):
-        if isinstance(record.command, Velocity):
+        if isinstance(record.command, Velocity | Lean):
             rows[i] = [*record.command.v_level, math.degrees(record.command.yaw_rate_rad_s)]
+        if isinstance(record.command, Lean):
+            leans[i] = np.degrees(np.arctan((record.command.a_level + record.command.trim_level) / G_M_S2))
     words = {Hover: "hover", Land: "land", TakeOff: "take off", CutMotors: "cut motors", LeaveEmergency: "leave emergency"}
     kinds = [words.get(type(c.command)) for c in log.commands]
+    tilts = bool(np.isfinite(leans).any())
 
     def draw(figure: Figure) -> None:
-        axes = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
-        for k, (name, ink) in enumerate((("forward", "#1f86c9"), ("right", "#e69f00"), ("down", "#cc79a7"))):
+        axes = figure.subplots(3 if tilts else 2, 1, sharex=True, height_ratios=[2, 2, 1] if tilts else [2, 1])
+        inks = (("forward", "#1f86c9"), ("right", "#e69f00"), ("down", "#cc79a7"))
+        for k, (name, ink) in enumerate(inks):
             axes[0].step(t, rows[:, k], where="post", color=ink, label=name)
         axes[0].set_ylabel("velocity, m/s")
         axes[0].legend(loc="upper right", ncols=3, fontsize=8)
-        axes[1].step(t, rows[:, 3], where="post", color=OTHER)
-        axes[1].set_ylabel("turn, degrees/s")
-        axes[1].set_xlabel("time, s")
+        if tilts:
+            for k, (name, ink) in enumerate(inks[:2]):
+                axes[1].step(t, leans[:, k], where="post", color=ink, label=name)
+            axes[1].set_ylabel("tilt, degrees")
+        axes[-1].step(t, rows[:, 3], where="post", color=OTHER)
+        axes[-1].set_ylabel("turn, degrees/s")
+        axes[-1].set_xlabel("time, s")
         begin = 0
         for i in range(1, len(t) + 1):
             if i == len(t) or kinds[i] != kinds[begin]:
@@ -225,7 +234,7 @@ def commands(log: FlightLog) -> str:
                     axes[0].text(t[begin], 1.01, word, transform=axes[0].get_xaxis_transform(), fontsize=7)
                 begin = i
 
-    return svg(draw, 9.6, 3.8, "commands")
+    return svg(draw, 9.6, 5.4 if tilts else 3.8, "commands")
 
 
 def verdicts(log: FlightLog) -> str:

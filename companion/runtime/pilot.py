@@ -11,6 +11,8 @@ from enum import Enum
 
 from msgspec import structs
 
+from companion.guidance.contact import ContactWatch, watched
+from companion.guidance.controller import HORIZONS_S, Impact, Knowledge
 from companion.guidance.lease import NO_LANDING
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.pid import Pid, SetPoint, pid_step
@@ -23,8 +25,10 @@ from estimator import pipeline
 from estimator.contracts.commands import Command, Hover, Land
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
-from estimator.contracts.time import MonoNs, Stamp
+from estimator.contracts.motion import BodyMotion, DeckMotion
+from estimator.contracts.samples import Attitude, Frame, Imu, Sample, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.ekf import Forecast
 from estimator.options import EstimatorOptions
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
@@ -49,6 +53,8 @@ class FlightOutcome(Enum):
     """The operator aborted the flight; the vehicle hovers."""
 
 
+FORECAST_S = 0.1
+"""Time between two forecasts of the deck, s: they cost more than the rest of a guidance cycle, and change slowly."""
 _TRIED = (FlightOutcome.GAVE_UP, FlightOutcome.LAND_TIMEOUT)
 """Outcomes after which the vehicle hovers and the operator may begin again."""
 _PLAIN = (Phase.WAITING, Phase.APPROACH, Phase.DESCEND, Phase.LAND)
@@ -97,6 +103,9 @@ class Pilot:
         self.reason = ""
         """Why the vehicle is not simply descending, as text for the operator."""
         self.outcome: FlightOutcome | None = None
+        self._contact = ContactWatch()
+        self._impact: Impact | None = None
+        self._forecast: Forecast | None = None
 
     @property
     def camera(self) -> Camera:
@@ -177,15 +186,42 @@ class Pilot:
         """Return every path's estimate; the steering path's comes first if it has one."""
         return pipeline.beliefs(self._memory, now)
 
+    def knowledge(self, now: MonoNs) -> Knowledge:
+        """Return what guidance knows at an instant."""
+        body, deck = self.motion(now)
+        known = self._forecast
+        if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
+            self._forecast = self.forecast(now, HORIZONS_S)
+        return Knowledge(now, self.belief(now), body, deck, self._forecast, self._impact)
+
+    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+        """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
+        return pipeline.motion(self._memory, now)
+
+    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
+        """Return the deck at these times, s, after an instant by the steering path; None if it does not forecast."""
+        return pipeline.forecast(self._memory, now, horizons_s)
+
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process a sample. Return its fusion results, path by path."""
         if isinstance(sample, VehicleStatus):
-            self._status = sample
-            self._stood = self._stood or (self.outcome is not None and sample.flying is False)
-            if sample.flying and self._stood:
-                self._new_flight()
-            self._flew = self._flew or sample.flying is True
+            self._on_status(sample)
             return ()
+        if isinstance(sample, Imu) and self._flew:
+            self._contact = watched(self._contact, sample)
+            self._impact = self._contact.newest or self._impact
+        return self._fuse(sample)
+
+    def _on_status(self, status: VehicleStatus) -> None:
+        self._status = status
+        self._stood = self._stood or (self.outcome is not None and status.flying is False)
+        if status.flying and self._stood:
+            self._new_flight()
+        if self._flew and status.flying is False and (self._impact is None or self._impact.by != "vehicle"):
+            self._impact = Impact(status.stamp.measured_at, "vehicle")
+        self._flew = self._flew or status.flying is True
+
+    def _fuse(self, sample: Sample) -> tuple[FusionResult, ...]:
         self._memory, results = pipeline.step(self._memory, sample)
         return results
 

@@ -14,8 +14,8 @@ from drivers.ardrone.counters import Counters
 from drivers.ardrone.landing_watch import ORDERED_ABOVE_M, SILENT_ABOVE_M, DroneReport, LandingWatch
 from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.velocity_loop import RESET, acceleration_of, step
-from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from drivers.ardrone.velocity_loop import RESET, acceleration_of, lean, step
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Sample
 from estimator.contracts.time import MonoNs, after, seconds_between
 
@@ -28,9 +28,9 @@ _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LA
 
 
 class _Motion(NamedTuple):
-    """A velocity that guidance asks for."""
+    """A velocity or a lean that guidance asks for."""
 
-    velocity: Velocity
+    wanted: Velocity | Lean
     asked_at: MonoNs
 
 
@@ -48,14 +48,15 @@ class CommandStreamer:
     A take-off holds until the drone flies; it is given up after `take_off_timeout_s` or an emergency. A landing is renewed in
     each guidance cycle; any other command, or `landing_timeout_s` without one, calls it off, except near the ground, where the
     drone finishes it. A landing that a person ordered holds until the drone is on the ground or a take-off is commanded. A
-    landing that the firmware began because it received no commands is called off. Velocity and hover change the sticks alone.
+    landing that the firmware began because it received no commands is called off. Velocity, lean and hover change the sticks
+    alone; the tilt that holds against the wind is kept over a hover.
     """
 
     def __init__(self, options: ArDroneOptions, counters: Counters) -> None:
         self._o = options
         self._counters = counters
         self._motion: _Motion | None = None
-        """The velocity to fly; None to hover."""
+        """The velocity or lean to fly; None to hover."""
         self._take_off_at: MonoNs | None = None
         self._landing: _Landing | None = None
         self._landing_called_off = False
@@ -92,7 +93,7 @@ class CommandStreamer:
             self._landing = _Landing(now, persistent)
             self._take_off_at, self._motion, self._landing_called_off = None, None, False
         else:
-            self._motion = _Motion(command, now) if isinstance(command, Velocity) else None
+            self._motion = _Motion(command, now) if isinstance(command, Velocity | Lean) else None
             ends = isinstance(command, Hover) and command.calls_off
             if self._landing is not None and (ends or not self._landing.persistent):
                 self._landing, self._landing_called_off = None, True
@@ -117,7 +118,7 @@ class CommandStreamer:
         if self._state & NavdataState.FLYING or self._state & NavdataState.EMERGENCY:
             self._take_off_at = None
         elif self._control in _ON_GROUND:
-            self._landing, self._landing_called_off = None, False
+            self._landing, self._landing_called_off, self._loop = None, False, RESET
 
     def on_sample(self, sample: Sample) -> None:
         """Take a sample of the drone; velocities and attitudes are kept for steering, others are ignored."""
@@ -178,18 +179,27 @@ class CommandStreamer:
         if seconds_between(motion.asked_at, now) > self._o.command_timeout_s:
             self._counters.hover_for_age += 1
             return self._hover()
-        measured = self._velocity
-        if measured is None or seconds_between(measured.stamp.measured_at, now) > self._o.velocity_timeout_s:
-            self._counters.hover_for_blindness += 1
-            return self._hover()
-        dt_s = 0.0 if self._stepped is None else seconds_between(self._stepped, now)
-        attitude = self._attitude
-        recent = attitude is not None and seconds_between(attitude.stamp.measured_at, now) <= self._o.velocity_timeout_s
-        a_level = acceleration_of(attitude.R_ned_body) if attitude is not None and recent else None
-        self._loop, sticks = step(self._loop, motion.velocity, measured.v_level, a_level, dt_s, self._o)
+        attitude = self._attitude if self._recent(self._attitude, now) else None
+        heading = None if attitude is None else attitude.R_ned_body.rpy_rad[2]
+        if isinstance(motion.wanted, Lean):
+            if attitude is None:
+                self._counters.hover_for_blindness += 1
+                return self._hover()
+            self._loop, sticks = lean(motion.wanted, heading, self._o)
+        else:
+            measured = self._velocity
+            if measured is None or not self._recent(measured, now):
+                self._counters.hover_for_blindness += 1
+                return self._hover()
+            dt_s = 0.0 if self._stepped is None else seconds_between(self._stepped, now)
+            a_level = None if attitude is None else acceleration_of(attitude.R_ned_body)
+            self._loop, sticks = step(self._loop.at_heading(heading), motion.wanted, measured.v_level, a_level, dt_s, self._o)
         self._stepped = now
         return Pcmd(PCMD_PROGRESSIVE, sticks.roll, sticks.pitch, sticks.gaz, sticks.yaw)
 
+    def _recent(self, sample: BodyVelocity | Attitude | None, now: MonoNs) -> bool:
+        return sample is not None and seconds_between(sample.stamp.measured_at, now) <= self._o.velocity_timeout_s
+
     def _hover(self) -> Pcmd:
-        self._loop, self._stepped = RESET, None
+        self._stepped = None
         return HOVER

@@ -1,9 +1,12 @@
-"""Convert a commanded velocity to the sticks of PCMD. No I/O and no state.
+"""Convert a commanded velocity or lean to the sticks of PCMD. No I/O and no state.
 
 The drone takes roll and pitch as fractions of a tilt angle, so a velocity needs a loop here: a PI controller on the measured
 velocity with the drag of the commanded speed fed forward, solved for the tilt that gives that acceleration, limited as a vector.
 The tilt follows its command late; commanding more than the tilt still lacks (`velocity_lead`) compensates part of that delay.
 The drone itself closes the loops of climb and turn rate, which are only scaled here.
+
+A lean is flown as it is: its acceleration is the tilt. Its trim becomes the loop's integral, so a velocity that follows begins
+with the tilt that holds against the wind, and the integral keeps its direction over the ground while the nose turns.
 
 The default drag, 0.43 1/s, is the regression of acceleration on tilt and speed in a flight under motion capture.
 """
@@ -11,12 +14,12 @@ The default drag, 0.43 1/s, is the regression of acceleration on tilt and speed 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.commands import Velocity
+from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
 
 _G_M_S2 = 9.80665
@@ -38,6 +41,16 @@ class LoopState:
 
     forward_m_s2: float = 0.0
     right_m_s2: float = 0.0
+    heading_rad: float | None = None
+    """The heading for which it holds; None if it was not known."""
+
+    def at_heading(self, heading_rad: float | None) -> LoopState:
+        """Return the state in the axes of another heading: the wind stays where it is while the nose turns."""
+        if heading_rad is None or self.heading_rad is None:
+            return replace(self, heading_rad=self.heading_rad if heading_rad is None else heading_rad)
+        c, s = math.cos(heading_rad - self.heading_rad), math.sin(heading_rad - self.heading_rad)
+        x, y = self.forward_m_s2, self.right_m_s2
+        return LoopState(c * x + s * y, c * y - s * x, heading_rad)
 
 
 RESET = LoopState()
@@ -72,14 +85,33 @@ def step(
     accelerate = _within(feed_forward + integral, most_m_s2)
     if a_level is not None:
         accelerate = _within(accelerate + options.velocity_lead * (accelerate - a_level), most_m_s2)
+    state = LoopState(float(integral[0]), float(integral[1]), state.heading_rad)
+    return state, _sticks(accelerate, float(wanted.v_level[2]), wanted.yaw_rate_rad_s, options)
+
+
+def lean(wanted: Lean, heading_rad: float | None, options: ArDroneOptions) -> tuple[LoopState, Sticks]:
+    """Return the sticks of a lean, limited as a vector, and the loop's state from which a velocity would go on.
+
+    Args:
+        heading_rad: the present heading; None if it is not known.
+    """
+    most_m_s2 = _G_M_S2 * math.tan(options.euler_angle_max_rad)
+    trim = _within(wanted.trim_level, options.velocity_integral_max_m_s2)
+    accelerate = _within(wanted.a_level + wanted.trim_level, most_m_s2)
+    state = LoopState(float(trim[0]), float(trim[1]), heading_rad)
+    return state, _sticks(accelerate, float(wanted.v_level[2]), wanted.yaw_rate_rad_s, options)
+
+
+def _sticks(accelerate: F64, descend_m_s: float, yaw_rate_rad_s: float, options: ArDroneOptions) -> Sticks:
+    """Return the sticks that give an acceleration, (2,) m/s^2 forward and right, a descent rate and a turn rate."""
     size = float(np.hypot(accelerate[0], accelerate[1]))
     tilt = math.atan2(size, _G_M_S2) / options.euler_angle_max_rad
     forward, right = accelerate / size * tilt if size > 0 else (0.0, 0.0)
-    return LoopState(float(integral[0]), float(integral[1])), Sticks(
+    return Sticks(
         roll=_unit(float(right)),
         pitch=_unit(-float(forward)),
-        gaz=_unit(-float(wanted.v_level[2]) / options.vz_max_m_s),
-        yaw=_unit(wanted.yaw_rate_rad_s / options.yaw_rate_max_rad_s),
+        gaz=_unit(-descend_m_s / options.vz_max_m_s),
+        yaw=_unit(yaw_rate_rad_s / options.yaw_rate_max_rad_s),
     )
 
 

@@ -24,7 +24,7 @@ from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import Condition, Identity, Stack, is_autopilot, stack_of
 from drivers.queue_sizes import SAMPLE_QUEUE_ITEMS
-from estimator.contracts.commands import Command, Velocity
+from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.ports import Clock
@@ -138,10 +138,11 @@ class Autopilot:
         if self._known is None or self._known.lost:
             raise Recoverable("no autopilot is heard")
         now, v_deck_level = self._clock.now(), None
-        if isinstance(command, Velocity) and self.attitude is not None:
-            # The autopilot's velocities are over the ground.
+        if isinstance(command, Velocity | Lean) and self.attitude is not None:
+            # The autopilot's velocities are over the ground, as a lean's are.
             v_deck_level = Rotation.from_rpy(0.0, 0.0, self.attitude.R_ned_body.rpy_rad[2]).inv @ self.deck_velocity(now)
-            command = Velocity(command.v_level + v_deck_level, command.yaw_rate_rad_s)
+            if isinstance(command, Velocity):
+                command = Velocity(command.v_level + v_deck_level, command.yaw_rate_rad_s)
         self._known.streamer.take(command, now, v_deck_level)
 
     def release(self) -> None:

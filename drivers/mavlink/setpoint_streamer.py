@@ -23,7 +23,7 @@ from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import HOLD_MODE, LAND_MODE, TAKE_OFF_MODE, VELOCITY_MODE, Condition, Identity, Stack, set_mode
-from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
@@ -56,7 +56,7 @@ class SetpointStreamer:
     def __init__(self, identity: Identity, options: AutopilotOptions) -> None:
         self._id = identity
         self._o = options
-        self._motion: Velocity = STILL
+        self._motion: Velocity | Lean = STILL
         self._motion_at: MonoNs | None = None
         self._mean_velocity = np.zeros(3)
         """The mean of the velocities commanded lately, (3,) m/s: it follows the deck without the corrections."""
@@ -320,7 +320,7 @@ class SetpointStreamer:
     def _command(self, number: int, param1: float = 0.0, *, height_m: float = 0.0) -> Message:
         return mav.MAVLink_command_long_message(*self._id.address, number, 0, param1, 0, 0, 0, 0, 0, height_m)
 
-    def _setpoint(self, now: MonoNs, velocity: Velocity) -> list[Message]:
+    def _setpoint(self, now: MonoNs, velocity: Velocity | Lean) -> list[Message]:
         attitude = self._attitude
         if attitude is None or seconds_between(attitude.stamp.measured_at, now) > self._o.attitude_timeout_s:
             self.blind_periods += 1

@@ -27,6 +27,36 @@ class Velocity:
         object.__setattr__(self, "v_level", v)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Lean:
+    """Lean so that the body accelerates, climb or descend at a rate, and turn at a rate.
+
+    A vehicle that takes tilt flies `a_level + trim_level` as a tilt. One that takes velocities flies `v_level`, with `a_level` as
+    what it is about to do: it cancels wind and drag by itself.
+    """
+
+    a_level: F64
+    """Acceleration over the ground, (2,) m/s^2 forward and right."""
+    trim_level: F64
+    """Acceleration that cancels wind, drag and the error of the reported tilt, (2,) m/s^2 in addition."""
+    v_level: F64
+    """Velocity over the ground, (3,) m/s: forward and right as they go with the acceleration, down as it is to be flown."""
+    yaw_rate_rad_s: float
+    """Clockwise from above positive."""
+
+    def __post_init__(self) -> None:
+        a, trim, v = (np.array(x, dtype=float) for x in (self.a_level, self.trim_level, self.v_level))
+        whole = a.shape == trim.shape == (2,) and v.shape == (3,)
+        if not whole or not all(map(math.isfinite, (*a.tolist(), *trim.tolist(), *v.tolist(), self.yaw_rate_rad_s))):
+            raise ValueError(
+                "a lean command needs finite numbers of shapes (2,), (2,), (3,), (), "
+                f"got {self.a_level!r}, {self.trim_level!r}, {self.v_level!r}, {self.yaw_rate_rad_s!r}"
+            )
+        for name, value in (("a_level", a), ("trim_level", trim), ("v_level", v)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+
 @dataclass(frozen=True, slots=True)
 class Hover:
     """Hold the position with the vehicle's own means; never descend."""
@@ -61,4 +91,4 @@ class LeaveEmergency:
     """Leave the state that `CutMotors` led to; the motors stay off until a take-off."""
 
 
-Command = Velocity | Hover | TakeOff | Land | CutMotors | LeaveEmergency
+Command = Velocity | Lean | Hover | TakeOff | Land | CutMotors | LeaveEmergency

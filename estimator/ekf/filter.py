@@ -1,4 +1,4 @@
-"""The filter's public functions: start, step, at, forecast, moving."""
+"""The filter's public functions: start, step, at, motion_at, forecast, moving."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import numpy as np
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, RelativeState
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs
+from estimator.ekf import answers, gate, measure, motion, so3
 from estimator.ekf import forecast as forecasting
-from estimator.ekf import gate, measure, motion, so3
 from estimator.ekf.algebra import Algebra
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
@@ -149,6 +150,25 @@ def _confirmed(b: Belief, now: MonoNs, cov: F64, o: EkfOptions) -> bool:
     """
     newest = max(b.sighted, b.aids[VELOCITY].fused)
     return (now - newest) * 1e-9 <= o.confirm_s and float(cov.diagonal()[:3].max()) <= o.consistent_sigma_m**2
+
+
+def motion_at(ekf: Ekf, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+    """Return the motion of body and deck at an instant; each is None while it is not known.
+
+    The state is propagated to the instant; the covariance is the one of at most `EkfOptions.tick_s` before.
+    """
+    b = ekf.history.before(now)
+    if b is None:
+        return None, None
+    tracked = b.sighted >= 0 and (now - b.sighted) * 1e-9 <= ekf.options.forget_s
+    b = propagated(b, now, ekf.params)
+    P = b.P
+    b = motion.moved(b, ekf.params.process_noise)[0]._replace(P=P)
+    body = answers.body_motion(b, now, ekf.options)
+    if not tracked:
+        return body, None
+    x, T = measure.aligned(b)
+    return body, answers.deck_motion(b._replace(x=x, P=T.dot(P).dot(T.T)), now)
 
 
 def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:

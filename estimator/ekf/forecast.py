@@ -45,6 +45,8 @@ class Forecast:
     """(H, 3) m."""
     cov_d_level: F64
     """(H, 3, 3) m^2."""
+    v_pad_level: F64
+    """(H, 3) velocity of the pad's centre over the ground, m/s."""
     deck_height_m: F64
     """(H,) of the pad's centre above its mean level, positive up."""
     sigma_deck_height_m: F64
@@ -90,7 +92,7 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
     d_now = Z.dot(x[POS_REL])
     by_heading = np.array([d_now[1], -d_now[0], 0.0])
     u, sway = x[VESSEL_VEL], x[SWAY_PER_HEAVE]
-    d, cov_d = np.zeros((n, 3)), np.zeros((n, 3, 3))
+    d, cov_d, v_pad = np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3))
     height, rise, roll, pitch = (np.zeros((2, n)) for _ in range(4))
     for k in range(n):
         T = float(h[k])
@@ -116,6 +118,9 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
         phase = np.append(sway, 1.0)
         noise += (np.outer(phase, phase) - np.diag([0.0, 0.0, 1.0])) * var[2]
         d[k] = Z.dot(ned)
+        v = waves.mean[k, :3, 1].copy()
+        v[:2] += turn.by.dot(u) + sway * v[2]
+        v_pad[k] = Z.dot(v)
         cov_d[k] = J.dot(P).dot(J.T) + Z.dot(noise).dot(Z.T)
         for out, channel in ((roll, 3), (pitch, 4)):
             c = np.zeros(N)
@@ -127,7 +132,7 @@ def forecast(b: Belief, at: MonoNs, horizons_s: F64, o: EkfOptions) -> Forecast:
         out[0] = waves.mean[:, 2, row]
         out[1] = np.sqrt(waves.var[:, 2, row] + waves.by_rate[:, 2, row] ** 2 * P[DECK_RATE[2], DECK_RATE[2]])
     return Forecast(
-        at, h, d, cov_d, -height[0], height[1], -rise[0], rise[1], roll[0], roll[1], pitch[0], pitch[1]
+        at, h, d, cov_d, v_pad, -height[0], height[1], -rise[0], rise[1], roll[0], roll[1], pitch[0], pitch[1]
     )  # fmt: skip
 
 

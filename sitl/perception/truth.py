@@ -23,13 +23,16 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
-from estimator.contracts.samples import Attitude, Frame, Sample, VehicleStatus
+from estimator.contracts.motion import BodyMotion, DeckMotion
+from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
+from estimator.ekf import Forecast
 from estimator.vision.thesis.detection import Detection
 from sitl.perception.draw import DetectionTable, root_of, symmetric
 from sitl.perception.model import Scenes, model_for
 from sitl.perception.parameters import EstimateModel, PerceptionModel, load
 from sitl.perception.port import Level
+from sitl.perception.true_motion import TrueMotion
 from sitl.render_worker import RenderWorker
 from sitl.world import RenderedFrame, Truth, World
 
@@ -118,6 +121,11 @@ class TruthLevel:
             raise RuntimeError("no flight has begun")
         return self._scenes
 
+    def true_motion(self) -> TrueMotion:
+        """Return a source of the true motion, made uncertain, with a generator of its own."""
+        seed = np.random.SeedSequence(self.world.seed, spawn_key=(_SPAWN_KEY, 1))
+        return TrueMotion(self.world, np.random.Generator(np.random.PCG64(seed)))
+
     def fresh(self) -> F64:
         """Return (7,) new standard normal numbers."""
         return self._rng.standard_normal(_N)
@@ -139,10 +147,28 @@ class TruthPilot(Pilot):
         self._standard: F64 | None = None
         self._at = MonoNs(0)
         self._newest: tuple[MonoNs, RelativeState | None] | None = None
+        self._reported: Attitude | None = None
+        self._true_motion: TrueMotion | None = None
 
-    def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
-        """Process the vehicle's status; no other sample is of use without a filter."""
-        return super().on_sample(sample) if isinstance(sample, VehicleStatus) else ()
+    def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
+        """Return the true motion of body and deck with an error; the deck's once the pad has been seen."""
+        body, deck = self._moved().motion(now, self._reported)
+        return body, None if self.believed(now) is None else deck
+
+    def forecast(self, now: MonoNs, horizons_s: Sequence[float]) -> Forecast | None:
+        """Return the true deck ahead with an error."""
+        state = self.believed(now)
+        return None if state is None else self._moved().forecast(now, horizons_s, state.d_body_pad_level)
+
+    def _moved(self) -> TrueMotion:
+        if self._true_motion is None:
+            self._true_motion = self._level.true_motion()
+        return self._true_motion
+
+    def _fuse(self, sample: Sample) -> tuple[FusionResult, ...]:
+        """Keep the attitude that the vehicle reports; no other sample is of use without a filter."""
+        self._reported = sample if isinstance(sample, Attitude) else self._reported
+        return ()
 
     def attitude_at(self, stamp: Stamp) -> Attitude | None:
         """Return the true attitude now; nothing is computed from it."""

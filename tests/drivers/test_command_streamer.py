@@ -9,8 +9,9 @@ from drivers.ardrone.arbiter import HOVER
 from drivers.ardrone.command_streamer import CommandStreamer
 from drivers.ardrone.counters import Counters
 from drivers.ardrone.options import ArDroneOptions
-from estimator.contracts.commands import CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.samples import UNKNOWN_VAR, BodyVelocity
+from estimator.contracts.commands import CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity
 from estimator.contracts.time import MonoNs, Stamp
 
 FLY = at.Ref(at.REF_BASE | at.REF_TAKE_OFF)
@@ -38,6 +39,10 @@ class Cockpit:
     def measures(self, t: int, forward_m_s: float = 0.0) -> None:
         stamp = Stamp(ms(t), ms(t), 0.001, "synced")
         self.streamer.on_sample(BodyVelocity(stamp, np.array([forward_m_s, 0.0, 0.0]), np.diag([0.1, 0.1, UNKNOWN_VAR])))
+
+    def stands(self, t: int, heading_rad: float = 0.0) -> None:
+        attitude = Rotation.from_rpy(0.0, 0.0, heading_rad)
+        self.streamer.on_sample(Attitude(Stamp(ms(t), ms(t), 0.001, "synced"), attitude, 1e-4 * np.eye(3)))
 
     def sends(self, t: int) -> list[at.AtCommand]:
         return self.streamer.command(ms(t)).commands()
@@ -260,3 +265,54 @@ def test_a_word_ends_with_the_guidance_cycle_that_it_came_from(cockpit: Cockpit)
     assert cockpit.streamer.command(ms(90)).until == ms(120)
     cockpit.streamer.take(Hover(), ms(90))
     assert cockpit.streamer.command(ms(100)).until == ms(220)
+
+
+LEAN = Lean(np.array([0.3, -0.2]), np.array([0.6, 0.1]), np.array([0.1, 0.0, 0.35]), 0.0)
+
+
+def _sticks(cockpit: Cockpit, t: int) -> at.Pcmd:
+    sticks = cockpit.sends(t)[-1]
+    assert isinstance(sticks, at.Pcmd)
+    return sticks
+
+
+def test_a_lean_is_flown_without_a_measured_velocity_but_not_without_an_attitude(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.streamer.take(LEAN, ms(0))
+    assert _sticks(cockpit, 1) == HOVER
+    cockpit.stands(2)
+    flown = _sticks(cockpit, 3)
+    assert flown.pitch < 0.0 < -flown.roll + 0.2
+    assert flown.gaz == pytest.approx(-0.5)
+    assert cockpit.counters.hover_for_blindness == 1
+
+
+def test_a_lean_that_nobody_renews_is_flown_as_hover(cockpit: Cockpit) -> None:
+    """Whatever a law asks for, it ends with the law."""
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.streamer.take(LEAN, ms(0))
+    for t in (0, 100, 200, 300, 400):
+        cockpit.stands(t)
+        assert (_sticks(cockpit, t) == HOVER) is (t > 250), t
+        assert cockpit.streamer.command(ms(t)).until <= ms(max(t, 250) + 250)
+
+
+def test_the_tilt_against_the_wind_is_kept_over_a_hover_and_forgotten_on_the_ground(cockpit: Cockpit) -> None:
+    cockpit.hears(0, nd.ControlState.FLYING)
+    cockpit.stands(0)
+    cockpit.streamer.take(LEAN, ms(0))
+    _sticks(cockpit, 1)
+    cockpit.streamer.take(Hover(), ms(10))
+    assert _sticks(cockpit, 11) == HOVER
+    still = Velocity(np.zeros(3), 0.0)
+    for t in (200, 220):
+        cockpit.stands(t)
+        cockpit.measures(t)
+        cockpit.streamer.take(still, ms(t))
+        assert _sticks(cockpit, t + 1).pitch < -0.2
+    cockpit.hears(300, nd.ControlState.LANDED)
+    cockpit.hears(400, nd.ControlState.FLYING)
+    cockpit.stands(401)
+    cockpit.measures(401)
+    cockpit.streamer.take(still, ms(401))
+    assert _sticks(cockpit, 402).pitch == pytest.approx(0.0)

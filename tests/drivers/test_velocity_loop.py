@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.ardrone.options import ArDroneOptions
-from drivers.ardrone.velocity_loop import RESET, LoopState, Sticks, step
-from estimator.contracts.commands import Velocity
+from drivers.ardrone.velocity_loop import RESET, LoopState, Sticks, lean, step
+from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64
 
 OPTIONS = ArDroneOptions()
@@ -107,3 +107,28 @@ def test_options_refuse_nonsense() -> None:
         ArDroneOptions(velocity_gain_1_s=-1.0)
     with pytest.raises(ValueError, match="euler_angle_max_deg"):
         ArDroneOptions(euler_angle_max_deg=61.0)
+
+
+@given(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+def test_a_lean_is_the_tilt_of_its_acceleration_and_never_more_than_the_limit(
+    forward: float, right: float, trim_forward: float, trim_right: float
+) -> None:
+    wanted = Lean(np.array([forward, right]), np.array([trim_forward, trim_right]), np.zeros(3), 0.0)
+    _, s = lean(wanted, None, OPTIONS)
+    tilt = math.hypot(s.roll, s.pitch) * OPTIONS.euler_angle_max_rad
+    size = math.hypot(forward + trim_forward, right + trim_right)
+    assert tilt == pytest.approx(min(math.atan(size / 9.80665), OPTIONS.euler_angle_max_rad), abs=1e-9)
+    assert s.pitch * (forward + trim_forward) <= 1e-12
+    assert s.roll * (right + trim_right) >= -1e-12
+
+
+@pytest.mark.parametrize(("heading", "forward", "right"), [(0.0, 1.2, 0.4), (math.pi / 2, 0.4, -1.2), (math.pi, -1.2, -0.4)])
+def test_a_velocity_after_a_lean_begins_with_its_trim_wherever_the_nose_has_turned(
+    heading: float, forward: float, right: float
+) -> None:
+    """Otherwise the wind carries the drone off for as long as an integral takes to come back."""
+    state, _ = lean(Lean(np.zeros(2), np.array([1.2, 0.4]), np.zeros(3), 0.0), 0.0, OPTIONS)
+    _, s = step(state.at_heading(heading), wanted(), STILL, None, 0.0, OPTIONS)
+    size = math.hypot(1.2, 0.4)
+    share = math.atan(size / 9.80665) / OPTIONS.euler_angle_max_rad / size
+    assert (-s.pitch, s.roll) == pytest.approx((forward * share, right * share))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,7 +22,7 @@ from companion.mqtt.messages import PUBLISHED, decode
 from companion.mqtt.settings import MqttSettings
 from companion.mqtt.topics import Topics, split
 from companion.runtime.health import Health
-from estimator.contracts.commands import Hover, Land, TakeOff
+from estimator.contracts.commands import Hover, Land, Lean, TakeOff
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
@@ -131,6 +132,15 @@ def test_a_frame_reads_back_as_what_was_seen() -> None:
     nothing = decode("sighting", messages.encode(encode.sighting(SESSION, seen(NOW, False))))
     assert isinstance(nothing, messages.SightingMessage)
     assert nothing.selected is None
+
+
+LEAN = Lean(np.array([0.5, -0.25]), np.array([1.0, 2.0]), np.array([0.1, 0.2, 0.3]), 0.4)
+
+
+def test_a_lean_is_told_as_the_tilt_that_is_flown() -> None:
+    said = encode.state(SESSION, decision(NOW, command=LEAN), None).order
+    assert said is not None
+    assert (said.kind, said.lean_level_m_s2, said.v_level_m_s) == ("lean", (1.5, 1.75), (0.1, 0.2, 0.3))
 
 
 @pytest.mark.parametrize(("given", "kind"), [(Hover(), "hover"), (Land(), "land"), (TakeOff(), "takeoff")])

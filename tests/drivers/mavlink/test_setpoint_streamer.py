@@ -12,7 +12,7 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.setpoint_streamer import Hand, SetpointStreamer
 from drivers.mavlink.vehicle import COPTER_MODES, PX4_MODES, Condition, Identity, Stack, custom_mode, mode_name, set_mode
-from estimator.contracts.commands import CutMotors, Hover, Land, TakeOff, Velocity
+from estimator.contracts.commands import CutMotors, Hover, Land, Lean, TakeOff, Velocity
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
@@ -68,6 +68,20 @@ def test_a_setpoint_says_in_north_and_east_what_was_meant_in_forward_and_right(y
     assert (forward, right, m.vz) == pytest.approx((0.5, -0.25, 0.125))
     with pytest.raises(ValueError, match="finite"):
         velocity_setpoint(0, (7, 1), GO, math.nan)
+
+
+@pytest.mark.parametrize("yaw_deg", range(-135, 181, 45))
+def test_a_lean_is_a_velocity_with_its_acceleration_fed_forward_and_no_trim(yaw_deg: int) -> None:
+    """The autopilot cancels the wind by itself: sent the trim as well, it would cancel it twice."""
+    yaw = math.radians(yaw_deg)
+    lean = Lean(np.array([0.6, -0.4]), np.array([9.0, 7.0]), np.array([0.5, -0.25, 0.125]), 0.3)
+    m = velocity_setpoint(0, (7, 1), lean, yaw)
+    assert {n for n in range(12) if m.type_mask >> n & 1} == {0, 1, 2, 10}
+    forward = math.cos(yaw) * m.afx + math.sin(yaw) * m.afy
+    right = -math.sin(yaw) * m.afx + math.cos(yaw) * m.afy
+    assert (forward, right, m.afz) == pytest.approx((0.6, -0.4, 0.0))
+    plain = velocity_setpoint(0, (7, 1), GO, yaw)
+    assert (m.vx, m.vy, m.vz, m.yaw_rate) == (plain.vx, plain.vy, plain.vz, plain.yaw_rate)
 
 
 def test_the_mask_uses_velocity_and_yaw_rate_and_nothing_else() -> None:

@@ -1,0 +1,90 @@
+"""One horizontal axis of `follow_deck`: what is observed, what is under way, and the tilt to command. Floats only, for speed."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from companion.guidance import disturbance
+from companion.guidance.disturbance import Observed, ObserverGains
+from companion.guidance.response import TiltResponse
+from companion.guidance.tilt_law import TiltGains, tilt_command
+
+_DISTURBANCE_MAX_M_S2 = 4.0
+_GYRO_SHARE = 0.25
+"""Weight of the gyro against the model in the rate of the tilt."""
+
+
+class Axis(NamedTuple):
+    """The memory of one axis."""
+
+    seen: Observed
+    lean: float
+    """Reported tilt, m/s^2."""
+    rate: float
+    """Its rate, m/s^3."""
+    lag: float
+    """The rotors' state, m/s^2."""
+    under_way: tuple[float, ...]
+    """Commanded tilt, newest first, m/s^2."""
+
+
+class AxisInput(NamedTuple):
+    """What is measured on one axis in one cycle."""
+
+    p: float
+    """The pad against the body by the filter, m."""
+    w: float
+    """Its rate, m/s."""
+    lean: float
+    """Reported tilt, m/s^2."""
+    rate: float
+    """Its rate by the gyro, m/s^3."""
+    a_body: float
+    """Levelled acceleration of the body, m/s^2."""
+    a_deck: float = 0.0
+    """Acceleration of the deck, m/s^2."""
+
+
+def begun(z: AxisInput, n: int, before: Axis | None = None) -> Axis:
+    """Return the memory at the first cycle, or after a silence: what was learned of the wind is kept.
+
+    Args:
+        n: number of commands under way.
+    """
+    d, b = (0.0, 0.0) if before is None else (before.seen.d, before.seen.b)
+    return Axis(Observed(z.p, z.w, d, b), z.lean, 0.0, z.lean, (z.lean,) * n)
+
+
+def observed(axis: Axis, z: AxisInput, dt: float, gains: ObserverGains, tilt: TiltResponse) -> Axis:
+    """Return the memory after `dt` s with this cycle's measurement."""
+    seen = disturbance.observed(axis.seen, gains, dt, z.a_deck, 0.5 * (z.lean + axis.lean), z.p, z.w, z.a_body)
+    d = min(_DISTURBANCE_MAX_M_S2, max(-_DISTURBANCE_MAX_M_S2, seen.d))
+    keep = math.exp(-dt / tilt.lag_s) if tilt.lag_s > 1e-4 else 0.0
+    lag = keep * axis.lag + (1.0 - keep) * axis.under_way[-1]
+    w = tilt.frequency_rad_s
+    rate = axis.rate + dt * (w * w * (axis.lag - axis.lean) - 2.0 * tilt.damping * w * axis.rate)
+    rate += _GYRO_SHARE * (z.rate - rate)
+    return Axis(seen._replace(d=d), z.lean, rate, lag, axis.under_way)
+
+
+def commanded(axis: Axis, u: float) -> Axis:
+    """Return the memory with another command under way."""
+    return axis._replace(under_way=(u, *axis.under_way[:-1]))
+
+
+def reference(axis: Axis, a_deck: float) -> float:
+    """Return the tilt that keeps the body over the deck, m/s^2: its acceleration less the disturbance."""
+    return a_deck - axis.seen.d
+
+
+def command(axis: Axis, gains: TiltGains, off_m: float, a_deck: float, a_deck_then: float) -> float:
+    """Return the tilt to command, m/s^2, not limited yet.
+
+    Args:
+        off_m: the pad's place less the wanted one, m.
+        a_deck, a_deck_then: acceleration of the deck now and when the command has taken effect.
+    """
+    now, then = reference(axis, a_deck), reference(axis, a_deck_then)
+    under_way = axis.under_way[: len(gains.under_way)]
+    return tilt_command(gains, off_m, axis.seen.w, axis.lean, axis.rate, axis.lag, under_way, now, then)

@@ -1,0 +1,101 @@
+"""What pushes the vehicle sideways, one axis at a time: an observer of place, speed, disturbance and accelerometer error.
+
+    p' = w,   w' = a_deck - a_lean - d,   d' = noise,   b' = noise
+p, w: the pad against the body (the filter's, with errors of their own); a_lean: the reported tilt as an acceleration; d: what
+else accelerates the body (wind, drag, the error of the reported tilt); b: the error of the levelled accelerometer. p, w and the
+acceleration a_lean + d + b are measured. The accelerometer feels a gust at once; place and speed show it a second later.
+That the disturbance is the measured acceleration less the one that was asked for is the idea of incremental control; here it
+passes a Kalman filter with steady gains.
+Source: Smeur, de Croon & Chu, Gust disturbance alleviation with incremental nonlinear dynamic inversion, IROS 2016, sec. III.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.guidance.riccati import observer
+
+SIGMAS_P_M = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
+"""Standard deviations of the place for which gains are kept, m."""
+
+
+class ObserverNoise(NamedTuple):
+    """The noise that the observer is solved for."""
+
+    sigma_w_m_s: float = 0.023
+    """The filter's speed of the pad against the body; its errors last for many cycles, so they count for more than they are."""
+    sigma_a_m_s2: float = 0.04
+    psd_d: float = 1.6
+    """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04;
+    with more the accelerometer is believed at once, which the stability margins allow (`benches.law`)."""
+    psd_b: float = 0.006
+    """The same of the accelerometer's error: a tilt of the filter that wanders by some tenths of a degree within seconds."""
+    psd_w: float = 0.00125
+    """The same of the speed: the deck's own acceleration is known that badly."""
+    accelerometer: bool = True
+    """Whether the accelerometer is used."""
+
+
+class ObserverGains(NamedTuple):
+    """Steady gains: rows p, w, d, b; columns place, speed, acceleration."""
+
+    rows: tuple[tuple[float, float, float], ...]
+
+
+class Observed(NamedTuple):
+    """The state of one axis."""
+
+    p: float
+    w: float
+    d: float
+    b: float
+
+
+def observer_gains(noise: ObserverNoise, period_s: float) -> tuple[ObserverGains, ...]:
+    """Return the steady gains for each of `SIGMAS_P_M`."""
+    T = period_s
+    A = np.eye(4)
+    A[0, 1], A[0, 2], A[1, 2] = T, -0.5 * T * T, -T
+    Q = np.diag([1e-8, noise.psd_w * T, noise.psd_d * T, noise.psd_b * T])
+    C = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
+    out = []
+    for sigma in SIGMAS_P_M:
+        # An error of the filter lasts for some ten cycles: R counts it as if it were new in each.
+        R = np.diag([10.0 * sigma**2, 10.0 * noise.sigma_w_m_s**2, noise.sigma_a_m_s2**2 if noise.accelerometer else 1e6])
+        L = observer(A, C, Q, R)
+        out.append(ObserverGains(tuple((float(a), float(b), float(c)) for a, b, c in L)))
+    return tuple(out)
+
+
+def chosen(table: tuple[ObserverGains, ...], sigma_p_m: float) -> ObserverGains:
+    """Return the gains for a standard deviation of the place."""
+    for sigma, one in zip(SIGMAS_P_M, table, strict=True):
+        if sigma_p_m <= 1.4 * sigma:
+            return one
+    return table[-1]
+
+
+def observed(
+    x: Observed, gains: ObserverGains, dt: float, a_deck: float, a_lean: float, p: float, w: float, a_body: float | None
+) -> Observed:
+    """Return the state of one axis after `dt` s.
+
+    Args:
+        a_deck: acceleration of the deck, m/s^2.
+        a_lean: reported tilt as an acceleration, mean over the step.
+        p, w: place and speed of the pad against the body by the filter, m and m/s.
+        a_body: levelled acceleration of the body; None if it is not known now.
+    """
+    push = a_deck - a_lean - x.d
+    p1, w1 = x.p + dt * x.w + 0.5 * dt * dt * push, x.w + dt * push
+    ep, ew = p - p1, w - w1
+    ea = 0.0 if a_body is None else a_body - a_lean - x.d - x.b
+    (pp, pw, pa), (wp, ww, wa), (dp, dw, da), (bp, bw, ba) = gains.rows
+    return Observed(
+        p1 + pp * ep + pw * ew + pa * ea,
+        w1 + wp * ep + ww * ew + wa * ea,
+        x.d + dp * ep + dw * ew + da * ea,
+        x.b + bp * ep + bw * ew + ba * ea,
+    )

@@ -1,0 +1,77 @@
+"""From where the pad is to the tilt that gets over it: a linear-quadratic regulator that knows the commands still under way.
+
+The state of one axis is [p, w, a, a', f, u1 .. un]: place and speed of the pad against the body, tilt and its rate less the tilt
+that holds the body over the deck (the reference), the rotors' lag, and the commands that have not reached the vehicle. With the
+commands under way in the state the regulator is a Smith predictor: it acts on where the vehicle will be when its command arrives.
+Sources: Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, sec. 2.4; Smith, A controller to overcome dead time,
+ISA J. 6(2), 1959; Mirkin & Raskin, Every stabilizing dead-time controller has an observer-predictor-based structure, Automatica
+39(10), 2003.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import structs
+
+from companion.guidance.response import TiltResponse, tilt_model
+from companion.guidance.riccati import regulator
+
+
+class TiltWeights(NamedTuple):
+    """The regulator's weights: each is what costs as much as the others."""
+
+    p_m: float = 0.006
+    w_m_s: float = 0.9
+    u_m_s2: float = 0.9
+
+
+class TiltGains(NamedTuple):
+    """u = reference - (p x p + w x w + a x (a - reference) + ...)."""
+
+    p: float
+    w: float
+    a: float
+    rate: float
+    lag: float
+    under_way: tuple[float, ...]
+    """Of the commands under way, newest first."""
+
+
+def tilt_gains(response: TiltResponse, weights: TiltWeights, period_s: float, *, delay_line: bool = True) -> TiltGains:
+    """Return the gains for a vehicle, solved once.
+
+    Args:
+        delay_line: whether commands under way are in the state; False takes the vehicle to answer at once.
+
+    Raises:
+        ValueError: there are no gains that stabilise such a vehicle.
+    """
+    model = tilt_model(response if delay_line else structs.replace(response, delay_s=0.0), period_s)
+    n, m = model.A.shape[0], model.states
+    Q = np.zeros((n, n))
+    Q[0, 0], Q[1, 1] = weights.p_m**-2, weights.w_m_s**-2
+    K = regulator(model.A, model.B[:, None], Q, np.array([[weights.u_m_s2**-2]]))[0].tolist()
+    lag = K[4] if m == 5 else 0.0
+    return TiltGains(K[0], K[1], K[2], K[3], lag, tuple(K[m:]))
+
+
+def tilt_command(
+    gains: TiltGains, p: float, w: float, a: float, rate: float, lag: float, under_way: tuple[float, ...], now: float, then: float
+) -> float:
+    """Return the tilt to command on one axis, as an acceleration.
+
+    Args:
+        p: the pad's place less the wanted one, m.
+        w: speed of the pad against the body, m/s.
+        a, rate: reported tilt, m/s^2, and its rate, m/s^3.
+        lag: the rotors' state, m/s^2.
+        under_way: commands that have not arrived, newest first, m/s^2; as many as there are gains.
+        now: tilt that holds the body over the deck now, m/s^2.
+        then: the same when this command has taken effect.
+    """
+    off = gains.p * p + gains.w * w + gains.a * (a - now) + gains.rate * rate + gains.lag * (lag - now)
+    for k, u in zip(gains.under_way, under_way, strict=True):
+        off += k * (u - now)
+    return then - off
