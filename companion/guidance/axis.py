@@ -15,7 +15,7 @@ _GYRO_SHARE = 0.25
 """Weight of the gyro against the model in the rate of the tilt."""
 
 
-class Axis(NamedTuple):
+class TiltAxis(NamedTuple):
     """The memory of one axis."""
 
     seen: Observed
@@ -29,7 +29,7 @@ class Axis(NamedTuple):
     """Commanded tilt, newest first, m/s^2."""
 
 
-class AxisInput(NamedTuple):
+class AxisMeasured(NamedTuple):
     """What is measured on one axis in one cycle."""
 
     p: float
@@ -46,17 +46,17 @@ class AxisInput(NamedTuple):
     """Acceleration of the deck, m/s^2."""
 
 
-def begun(z: AxisInput, n: int, before: Axis | None = None) -> Axis:
+def begun(z: AxisMeasured, n: int, before: TiltAxis | None = None) -> TiltAxis:
     """Return the memory at the first cycle, or after a silence: what was learned of the wind is kept.
 
     Args:
         n: number of commands under way.
     """
     d, b = (0.0, 0.0) if before is None else (before.seen.d, before.seen.b)
-    return Axis(Observed(z.p, z.w, d, b), z.lean, 0.0, z.lean, (z.lean,) * n)
+    return TiltAxis(Observed(z.p, z.w, d, b), z.lean, 0.0, z.lean, (z.lean,) * n)
 
 
-def observed(axis: Axis, z: AxisInput, dt: float, gains: ObserverGains, tilt: TiltResponse) -> Axis:
+def observed(axis: TiltAxis, z: AxisMeasured, dt: float, gains: ObserverGains, tilt: TiltResponse) -> TiltAxis:
     """Return the memory after `dt` s with this cycle's measurement."""
     seen = disturbance.observed(axis.seen, gains, dt, z.a_deck, 0.5 * (z.lean + axis.lean), z.p, z.w, z.a_body)
     d = min(_DISTURBANCE_MAX_M_S2, max(-_DISTURBANCE_MAX_M_S2, seen.d))
@@ -65,20 +65,20 @@ def observed(axis: Axis, z: AxisInput, dt: float, gains: ObserverGains, tilt: Ti
     w = tilt.frequency_rad_s
     rate = axis.rate + dt * (w * w * (axis.lag - axis.lean) - 2.0 * tilt.damping * w * axis.rate)
     rate += _GYRO_SHARE * (z.rate - rate)
-    return Axis(seen._replace(d=d), z.lean, rate, lag, axis.under_way)
+    return TiltAxis(seen._replace(d=d), z.lean, rate, lag, axis.under_way)
 
 
-def commanded(axis: Axis, u: float) -> Axis:
+def commanded(axis: TiltAxis, u: float) -> TiltAxis:
     """Return the memory with another command under way."""
     return axis._replace(under_way=(u, *axis.under_way[:-1]))
 
 
-def reference(axis: Axis, a_deck: float) -> float:
+def reference(axis: TiltAxis, a_deck: float) -> float:
     """Return the tilt that keeps the body over the deck, m/s^2: its acceleration less the disturbance."""
     return a_deck - axis.seen.d
 
 
-def command(axis: Axis, gains: TiltGains, off_m: float, a_deck: float, a_deck_then: float) -> float:
+def command(axis: TiltAxis, gains: TiltGains, off_m: float, a_deck: float, a_deck_then: float) -> float:
     """Return the tilt to command, m/s^2, not limited yet.
 
     Args:

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.guidance import climb_law, disturbance
-from companion.guidance.axis import Axis, AxisInput, begun, command, commanded, observed, reference
+from companion.guidance.axis import TiltAxis, AxisMeasured, begun, command, commanded, observed, reference
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverGains, ObserverNoise
 from companion.guidance.heave import STILL, DeckAhead, deck_ahead
 from companion.guidance.response import Response
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
-from companion.guidance.view import View, lean_in_view
+from companion.guidance.view import FieldOfView, lean_in_view
 from estimator.contracts.commands import Command, Hover, Lean
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
@@ -37,7 +37,7 @@ class FollowDeckMemory:
     """The controller's memory. Its axes are north and east by the filter's heading."""
 
     at: MonoNs | None = None
-    axes: tuple[Axis, Axis] | None = None
+    axes: tuple[TiltAxis, TiltAxis] | None = None
     pushed_down_m_s2: float = 0.0
     """What accelerates the body beside its answer to climb commands."""
     climbs: tuple[float, ...] = ()
@@ -84,7 +84,7 @@ class FollowDeck:
         self,
         response: Response,
         period_s: float,
-        view: View | None = None,
+        view: FieldOfView | None = None,
         *,
         weights: TiltWeights | None = None,
         noise: ObserverNoise | None = None,
@@ -132,12 +132,12 @@ class FollowDeck:
 
     def _axes(
         self, memory: FollowDeckMemory, now: MonoNs, relative: RelativeState, body: BodyMotion, here: DeckAhead, frame: _Frame
-    ) -> tuple[Axis, Axis]:
+    ) -> tuple[TiltAxis, TiltAxis]:
         """Observe: return the memory of both axes with this cycle's measurement."""
         d, v, a = relative.d_body_pad_level.tolist(), relative.v_pad_level.tolist(), body.a_level.tolist()
         roll_rate, pitch_rate, _ = body.w_body.tolist()
         measured = (d, v, body.lean_m_s2, (-G_M_S2 * pitch_rate, G_M_S2 * roll_rate), a, here.a_m_s2)
-        north, east = (AxisInput(*of) for of in zip(*(frame.ned(m[0], m[1]) for m in measured), strict=True))
+        north, east = (AxisMeasured(*of) for of in zip(*(frame.ned(m[0], m[1]) for m in measured), strict=True))
         dt = 0.0 if memory.at is None else seconds_between(memory.at, now)
         if memory.axes is None or not 0.0 < dt <= _GAP_MAX_S:
             x, y = (None, None) if memory.axes is None else memory.axes
@@ -153,7 +153,7 @@ class FollowDeck:
 
     def _lean(
         self,
-        axes: tuple[Axis, Axis],
+        axes: tuple[TiltAxis, TiltAxis],
         relative: RelativeState,
         knowledge: Knowledge,
         target: Target,

@@ -13,7 +13,7 @@ FROM_M = 0.6
 """Below this height the pad leaves the picture anyway, and the lean is left alone."""
 
 
-class View(NamedTuple):
+class FieldOfView(NamedTuple):
     """The camera's field, in the body's axes."""
 
     forward_m: float
@@ -25,7 +25,7 @@ class View(NamedTuple):
 
 
 def lean_in_view(
-    view: View, lean: tuple[float, float], trim: tuple[float, float], d_body_pad_level: list[float]
+    view: FieldOfView, lean: tuple[float, float], trim: tuple[float, float], d_body_pad_level: list[float]
 ) -> tuple[float, float]:
     """Return the lean, m/s^2 forward and right, cut so that the pad's centre stays in the picture.
 
