@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.guidance import climb_law, disturbance
-from companion.guidance.axis import TiltAxis, AxisMeasured, begun, command, commanded, observed, reference
+from companion.guidance.axis import AxisMeasured, TiltAxis, begun, command, commanded, observed, reference
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverGains, ObserverNoise
 from companion.guidance.heave import STILL, DeckAhead, deck_ahead
