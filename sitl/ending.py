@@ -56,6 +56,8 @@ class FlightGrade:
     contacts_outside_commit: int
     lowest_blind_m: float | None
     """Lowest height over the deck in its deepest descent without true sight of the pad; None where there was none."""
+    go_arounds: int
+    """How often guidance went around."""
     faults: tuple[tuple[str, float], ...]
     """Faults that began: kind, and seconds after the start."""
     expect: str
@@ -125,6 +127,7 @@ class Ending:
                 "unsafe": list(j.unsafe),
                 "lowest_blind_m": j.lowest_blind_m,
                 "contacts_outside_commit": j.contacts_outside_commit,
+                "go_arounds": j.go_arounds,
                 "faults": [{"kind": kind, "at_s": round(at_s, 3)} for kind, at_s in j.faults],
                 "cpu_s": round(j.cpu_s, 2),
             }

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, get_args
 
 from estimator.contracts.keys import choice, number
 from sitl.fault import Fault
+from sitl.operator_faults import OperatorActs
 from sitl.sensor_faults import (
     Accelerometer,
     AttitudeReading,
@@ -125,6 +126,7 @@ AnyFault = (
     | FerryWake
     | LinkLost
     | ServiceKilled
+    | OperatorActs
 )
 KINDS: dict[str, type[Fault]] = {str(kind.__struct_config__.tag): kind for kind in get_args(AnyFault)}
 """Every kind of fault by its word."""

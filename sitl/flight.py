@@ -17,6 +17,7 @@ import numpy as np
 from companion.config.model import Settings, ardrone_options
 from companion.guidance.planner import Phase as GuidancePhase
 from companion.operator.orders import HandledOrder
+from companion.operator.precedence import ControlSituation
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer, ProcessedFrame
 from companion.runtime.pilot import FlightOutcome, Pilot
@@ -41,8 +42,9 @@ from sitl.faulty_streams import InTransit
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
 from sitl.render_worker import RenderWorker
-from sitl.safety import BLIND_DESCENT_MAX_M, BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
+from sitl.safety import BLIND_DESCENT_MAX_M, GO_AROUND_PHASES, BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
 from sitl.scenario import Scenario
+from sitl.simulated_person import SimulatedPerson
 from sitl.world import RenderedFrame, Touchdown, Truth, VehiclePhase, World
 
 NAVDATA_DELAY_S = 0.004
@@ -85,6 +87,8 @@ class FlightResult:
     """The reason for the grade."""
     refused: str | None
     """The reason why the pilot gave up; None if it did not."""
+    go_arounds: int
+    """How often guidance went around."""
     faults: tuple[tuple[str, float], ...]
     """The kind of each fault that began, and the time at which it began, in seconds after the start."""
 
@@ -147,6 +151,8 @@ class Flight:
         self._died: str | None = None
         self._reason = ""
         self._watch = SightWatch(self.world.now)
+        self._person = SimulatedPerson(self.world.faults)
+        self._go_arounds = 0
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
         self._timing = timing or Timing()
@@ -352,7 +358,10 @@ class Flight:
         self._watch.frame(view.exposed_at, verdict, true_view=view.true_view, stamp_error_s=view.stamp_error_s)
 
     def _decide(self, now: MonoNs) -> None:
+        self._person.act(self._pilot.operator, now)
         decision = self._pilot.decide(now)
+        goes_around, went_around = (phase in GO_AROUND_PHASES for phase in (decision.phase, self.world.guidance_phase))
+        self._go_arounds += goes_around and not went_around
         if decision.command is not None:
             self._streamer.take(decision.command, now)
         self.world.guidance_phase = decision.phase
@@ -366,7 +375,18 @@ class Flight:
         unsafe = dangers(self._watch.worst, truth.contacts, self._died, self._watch.unreached_m)
         alone = self.world.active("service_killed") or self.world.active("link_lost")
         asks = self.world.guidance_phase == GuidancePhase.ANOTHER_PAD.value
-        worth, because = grade(outcome, on_pad_m(truth.contacts), unsafe, self.world.scenario.expect, left_alone=alone, asks=asks)
+        situation, scenario, refused = self._pilot.operator.situation(self._clock.t), self.world.scenario, self._refused(outcome)
+        worth, because = grade(
+            outcome,
+            on_pad_m(truth.contacts),
+            unsafe,
+            scenario.expect,
+            left_alone=alone,
+            asks=asks,
+            held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
+            go_arounds=self._go_arounds,
+            refusal=(scenario.refusal, refused or ""),
+        )
         if self._watch.unreached_m > BLIND_DESCENT_MAX_M and not unsafe:
             because += f"; came down {self._watch.unreached_m:.2f} m while nothing reached it"
         return FlightResult(
@@ -379,7 +399,8 @@ class Flight:
             unsafe,
             worth,
             because,
-            self._refused(outcome),
+            refused,
+            self._go_arounds,
             tuple((fault.kind, began_s) for fault, began_s in self.world.faults.begun),
         )
 

@@ -139,6 +139,7 @@ def ending_of(name: str, seed: int, scenario: Scenario, result: FlightResult, cp
         result.refused,
         outside_commit(result.truth.contacts),
         round(result.blind.lowest_m, 3) if math.isfinite(result.blind.lowest_m) else None,
+        result.go_arounds,
         result.faults,
         scenario.expect,
         cpu_s,

@@ -29,6 +29,11 @@ STAMP_ERROR_MAX_S = 0.5
 """Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
 COMMIT_PHASES = frozenset({GuidancePhase.LAND.value})
 """The phases of guidance in which contact is intended."""
+GO_AROUND_PHASES = frozenset({GuidancePhase.GO_AROUND.value, GuidancePhase.CLIMB.value, GuidancePhase.ANOTHER_PAD.value})
+"""The phases of guidance that end a try by climbing."""
+Expected = Literal["land", "refuse", "go_around", "hold", "either"]
+"""The outcome that a scenario expects: it lands on the pad, refuses to, goes around and then lands, holds for the operator, or
+either lands or refuses."""
 _IN_THE_AIR = (VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)
 
 
@@ -156,10 +161,13 @@ def grade(
     outcome: FlightOutcome | None,
     landed_m: float | None,
     unsafe: Sequence[str],
-    expect: Literal["land", "refuse", "either"],
+    expect: Expected,
     *,
     left_alone: bool = False,
     asks: bool = False,
+    held: bool = False,
+    go_arounds: int = 0,
+    refusal: tuple[str, str] = ("", ""),
 ) -> tuple[Grade, str]:
     """Return the grade of a flight and the reason for it.
 
@@ -170,16 +178,27 @@ def grade(
         expect: the outcome that the scenario expects.
         left_alone: at the end there was no service or no link, so that nothing could be decided.
         asks: at the end it hovered and waited for the operator's decision about another pad, which nobody makes in a simulation.
+        held: at the end a person held it, flew it, or had ended the landing.
+        go_arounds: how often it went around.
+        refusal: words that the reason of a refusal must hold, and the reason that it gave.
     """
     if unsafe:
         return Grade.FAILED, "; ".join(unsafe)
+    if expect == "hold":
+        if held:
+            return Grade.REFUSED_RIGHTLY, "held for the operator"
+        return Grade.FAILED, f"did not hold for the operator: {'time ran out' if outcome is None else outcome.value}"
     if outcome is FlightOutcome.LANDED and landed_m is not None:
+        if expect == "go_around" and not go_arounds:
+            return Grade.FAILED, f"landed {100 * landed_m:.1f} cm from the centre without going around first"
         return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
     if outcome is FlightOutcome.GAVE_UP or (outcome is None and (left_alone or asks)):
         said = "hovered without a service" if left_alone else "hovered and waited for the operator"
         if outcome is FlightOutcome.GAVE_UP:
             said = "gave up"
-        if expect == "land":
+        if expect in ("land", "go_around"):
             return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
+        if outcome is FlightOutcome.GAVE_UP and refusal[0].lower() not in refusal[1].lower():
+            return Grade.FAILED, f"gave up for another reason than {refusal[0]!r}: {refusal[1]}"
         return Grade.REFUSED_RIGHTLY, said
     return Grade.FAILED, "time ran out: it neither landed nor gave up" if outcome is None else outcome.value

@@ -24,6 +24,7 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.contradictions import contradictions
 from sitl.faults import AnyFault, WeakRotor
+from sitl.operator_faults import OperatorActs
 from sitl.rotors import rotors
 from sitl.sea_settings import EXCLUDES as SEA_EXCLUDES
 from sitl.sea_settings import Sea as Sea
@@ -222,15 +223,25 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     vehicle: VehicleSettings = VehicleSettings()
     faults: Annotated[tuple[AnyFault, ...], Meta(max_length=100, description="in any order")] = ()
     expect: Annotated[
-        Literal["land", "refuse", "either"],
-        choice("the right outcome: it lands on the pad, it refuses to (hovers or climbs and says so), or either"),
+        Literal["land", "refuse", "go_around", "hold", "either"],
+        choice(
+            "the right outcome: it lands on the pad, it refuses to (hovers or climbs and says so), it goes around and lands, "
+            "it holds for the operator, or it either lands or refuses"
+        ),
     ] = "land"
+    refusal: Annotated[str, text("words that the reason of a refusal must hold; empty for any reason", 100, shortest=0)] = ""
     because: Annotated[str, text("one line that says why that is right", 300, shortest=0)] = ""
 
     def __post_init__(self) -> None:
         start_m = self.start.height_m if self.start.where == "air" else None
         for why in contradictions(self.faults, self.duration_limit_s, start_m, self.vessel):
             raise ValueError(why)
+        if self.refusal and self.expect not in ("refuse", "either"):
+            raise ValueError(
+                f"refusal is the reason of a refusal, and expect is {self.expect!r}: give refusal only with refuse or either"
+            )
+        if self.expect == "hold" and not any(isinstance(fault, OperatorActs) for fault in self.faults):
+            raise ValueError("expect is 'hold', but nobody takes over: give a fault of kind operator")
 
 
 def load(name_or_path: str | Path) -> Scenario:

@@ -86,6 +86,7 @@ def failed(name: str, job: Job, error: str, cpu_s: float = 0.0) -> Flight:
         "unsafe": [],
         "lowest_blind_m": None,
         "contacts_outside_commit": 0,
+        "go_arounds": 0,
         "faults": [],
         "cpu_s": round(cpu_s, 2),
     }

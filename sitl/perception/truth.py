@@ -39,7 +39,7 @@ from sitl.world import RenderedFrame, Truth, World
 REPRESENTED = frozenset(
     {
         "lens_covered", "frames", "commands", "low_battery", "gust", "weak_rotor", "tilt_limited", "link_lost", "service_killed",
-        "magnetometer", "ship_speed", "ship_turn", "deck_roll", "ferry_wake",
+        "operator", "magnetometer", "ship_speed", "ship_turn", "deck_roll", "ferry_wake",
     }
 )  # fmt: skip
 """Kinds of faults that act on the vessel, the vehicle, the link or sight, or on what the filter does not read. Every other one

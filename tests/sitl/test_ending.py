@@ -16,7 +16,7 @@ TOUCHDOWN = {"surface", "on_pad", "lateral_m", "yaw_deg", "vertical_speed_m_s", 
 def test_every_ending_has_the_keys_that_machines_read() -> None:
     contact = Contact(MonoNs(2_000_000_000), "pad", 0.03, 0.1, 0.4, 0.05, "landing", True, "land")
     bare = Ending("calm", 1, FlightOutcome.LANDED, (contact,), 3.0, Counter())
-    grade = FlightGrade("on pad", "3 cm", (), None, 0, None, (), "land", 1.5)
+    grade = FlightGrade("on pad", "3 cm", (), None, 0, None, 0, (), "land", 1.5)
     judged = Ending("calm", 1, FlightOutcome.LANDED, (contact,), 3.0, Counter(), judged=grade)
     for ending in (bare, judged):
         told = ending.as_json()

@@ -88,7 +88,7 @@ def test_a_loaded_scenario_holds_from_anywhere(tmp_path: Path, monkeypatch: pyte
         ({"faults": [{"kind": "flow_blind", "in_phase": "lunch"}]}, "in_phase must be one of waiting, "),
         ({"faults": [{"kind": "flow_blind", "at_s": 120}]}, "faults[0].at_s is 120 s, but the flight ends after 120 s"),
         ({"faults": [{"kind": "flow_blind", "below_height_m": 6}]}, "below_height_m is 6 m, but the flight starts at 5 m"),
-        ({"expect": "miracle"}, 'expect must be one of "either", "land", "refuse"'),
+        ({"expect": "miracle"}, 'expect must be one of "either", "go_around", "hold", "land", "refuse"'),
         ({"faults": 7}, "faults"),
         ({"faults": [7]}, "faults[0]"),
     ],

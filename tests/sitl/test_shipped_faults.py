@@ -1,0 +1,134 @@
+"""Every shipped fault truly acts: what the world shows with it and without is the same before it begins and another after."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.config.settings import load as load_settings
+from companion.operator.precedence import ControlSituation
+from companion.runtime.pilot import FlightOutcome as Outcome
+from estimator.contracts.time import MonoNs, after, seconds_between
+from sitl.camera import Exposure
+from sitl.fault import Fault
+from sitl.faults import KINDS, ServiceKilled
+from sitl.flight import Flight
+from sitl.operator_faults import OperatorActs
+from sitl.perception.levels import perceive
+from sitl.safety import Grade, grade
+from sitl.scenario import FAULTS, Scenario, load, shipped_scenarios
+from sitl.stream_faults import STREAMS
+from sitl.world import Stick, World
+from tests.sitl.test_faults import CALM
+
+BEGINS_S, BEFORE_S, LATER_S = 0.5, 0.4, 2.0
+OF_THE_SERVICE = (ServiceKilled, OperatorActs)
+SHIPPED = [name for name in shipped_scenarios() if name.startswith(f"{FAULTS}/")]
+SIM = load_settings("sim")
+
+
+def soon(fault: Fault) -> Fault:
+    """The same fault, but it begins at a time."""
+    beginnings = dict.fromkeys(("below_height_m", "above_height_m", "in_phase", "per_minute"))
+    return msgspec.structs.replace(fault, **beginnings, at_s=BEGINS_S)
+
+
+def shown(scenario: Scenario, until_s: float) -> list[Any]:
+    """Everything that a flight could see of its world, at each 20 ms, under one stick."""
+    world, out = World(scenario, 3), []
+
+    def camera(shot: Exposure | None, tick: int) -> Any:
+        place = None if shot is None else [*shot.p_pad_ned, *shot.p_body_ned]
+        return np.array([tick]), place
+
+    for n in range(1, round(until_s / 0.02) + 1):
+        world.stick(Stick(roll=0.6, pitch=0.2, gaz=-0.1, progressive=True))
+        world.advance(after(world.started, 0.02 * n))
+        r, truth = world.readings(), world.truth()
+        frame = world.expose(camera=camera)()
+        image, place = frame.px  # type: ignore[misc]
+        out += [
+            [*r.f_body, *r.w_body, *r.rpy_rad, *r.v_level_m_s, r.ultrasound_m, r.pressure_pa, r.battery_fraction],
+            None if r.magnetometer is None else [*r.magnetometer],
+            seconds_between(MonoNs(0), r.at),
+            [*truth.p_body_ned, *truth.p_pad_ned, *truth.R_ned_pad.matrix.ravel()],
+            [int(image[0]), place, frame.stamp_error_s],
+            [(stream.fate(), stream.delay_s) for stream in (getattr(world.streams, name) for name in STREAMS)],
+        ]
+    return out
+
+
+def test_every_kind_is_in_a_shipped_scenario_or_shown_elsewhere() -> None:
+    seen = {fault.kind for name in SHIPPED for fault in load(name).faults}
+    assert {"flow_blind", "barometer", "velocity", "magnetometer"} >= set(KINDS) - seen
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_shipped_fault_acts_and_not_before_it_begins(name: str) -> None:
+    scenario = load(name)
+    assert scenario.because
+    own = tuple(soon(fault) for fault in scenario.faults if not isinstance(fault, OF_THE_SERVICE))
+    without = msgspec.structs.replace(scenario, faults=(), expect="land", refusal="")
+    before = shown(without, BEFORE_S)
+    after_it = shown(without, LATER_S)
+    for fault in own:
+        with_it = msgspec.structs.replace(without, faults=(fault,))
+        assert shown(with_it, BEFORE_S) == before
+        assert shown(with_it, LATER_S) != after_it, fault.kind
+    assert own or any(isinstance(fault, OF_THE_SERVICE) for fault in scenario.faults)
+
+
+def flown(*faults: Fault, until_s: float) -> Flight:
+    level = perceive("truth")
+    flight = Flight(msgspec.structs.replace(CALM, faults=faults), 1, SIM, level.pilot(SIM), perception=level)
+    for _ in range(round(until_s / 0.005)):
+        flight.step()
+    return flight
+
+
+@pytest.mark.parametrize(
+    ("fault", "situation"),
+    [
+        (OperatorActs(at_s=0.5, order="hold"), ControlSituation.HELD),
+        (OperatorActs(at_s=0.5, order="manual", climb=1.0), ControlSituation.MANUAL),
+        (OperatorActs(at_s=0.5, order="abort"), ControlSituation.OVER),
+        (OperatorActs(at_s=0.5, order="land"), ControlSituation.LANDING),
+        (OperatorActs(at_s=0.5, for_s=0.5, order="hold"), ControlSituation.GUIDED),
+        (OperatorActs(at_s=0.5, for_s=0.5, order="manual"), ControlSituation.GUIDED),
+    ],
+)
+def test_a_person_takes_over_and_gives_back(fault: OperatorActs, situation: ControlSituation) -> None:
+    flight = flown(fault, until_s=1.2)
+    assert flight._pilot.operator.situation(flight._clock.t) is situation
+    early = flown(fault, until_s=0.45)
+    assert early._pilot.operator.situation(early._clock.t) is ControlSituation.GUIDED
+
+
+def test_sticks_of_a_person_fly_the_drone() -> None:
+    up, held = (flown(OperatorActs(at_s=0.2, order="manual", climb=c), until_s=2.0).world.truth() for c in (1.0, 0.0))
+    assert held.p_body_ned[2] - up.p_body_ned[2] > 0.4
+
+
+def test_only_sensible_orders_are_accepted() -> None:
+    with pytest.raises(ValueError, match="they go with order manual"):
+        OperatorActs(at_s=1.0, order="hold", climb=0.5)
+    with pytest.raises(ValueError, match="which ends the flight"):
+        OperatorActs(at_s=1.0, order="abort", for_s=2.0)
+
+
+def test_grades_of_holding_going_around_and_of_the_reason_of_a_refusal() -> None:
+    assert grade(None, None, (), "hold", held=True) == (Grade.REFUSED_RIGHTLY, "held for the operator")
+    assert grade(Outcome.LANDED, 0.1, (), "hold")[0] is Grade.FAILED
+    assert grade(Outcome.LANDED, 0.1, (), "go_around", go_arounds=1)[0] is Grade.ON_PAD
+    assert grade(Outcome.LANDED, 0.1, (), "go_around")[0] is Grade.FAILED
+    assert grade(Outcome.GAVE_UP, None, (), "go_around", go_arounds=3)[0] is Grade.FAILED
+    assert (
+        grade(Outcome.GAVE_UP, None, (), "refuse", refusal=("Not found", "the pad was not found again"))[0]
+        is Grade.REFUSED_RIGHTLY
+    )
+    given, because = grade(Outcome.GAVE_UP, None, (), "refuse", refusal=("battery", "the pad was not found again"))
+    assert given is Grade.FAILED
+    assert because == "gave up for another reason than 'battery': the pad was not found again"
