@@ -16,14 +16,17 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
-from sitl.light import Development, Light, Sensor
-from sitl.projection import F32, Lens, lens_of
-from sitl.render_deck import DeckPainter, draw, drone_shadow
-from sitl.render_pad import PadPainter
+from sitl.light import FULL_SCALE, I16, Development, Light, Sensor, counts
+from sitl.projection import F32, SHIFT, Lens, lens_of
+from sitl.render_deck import WEAR_ONE, DeckPainter, draw, drone_shadow
+from sitl.render_pad import PadInImage, PadPainter, Pose, Stroke
 from sitl.render_sea import SeaPainter
 from sitl.surroundings import Surroundings
 
 U8 = NDArray[np.uint8]
+
+GAIN_ONE = 16384
+"""Value of a factor of one on the light."""
 
 
 def _zeros() -> F64:
@@ -85,103 +88,125 @@ class Renderer:
 
     def render(self, shot: Exposure, rng: np.random.Generator) -> U8:
         """Return the sensor's image, (H, W, 3) BGR. One number is drawn from `rng`, for the noise."""
-        return self._development.sensor_image(self.radiance(shot), rng)
+        return self._development.sensor_image(self._light_on_sensor(shot), rng)
 
     def radiance(self, shot: Exposure) -> F32:
-        """Return the linear light on the sensor before noise and tone curve, (H, W, 3) BGR; 1 is full scale, without clipping."""
-        R_body_cam, p_body_cam = self.camera.T_body_cam.R.matrix, self.camera.T_body_cam.t
+        """Return the linear light on the sensor before noise and tone curve, (H, W, 3) BGR; 1 is full scale, clipped at 4."""
+        return self._light_on_sensor(shot) * np.float32(1.0 / FULL_SCALE)
+
+    def _light_on_sensor(self, shot: Exposure) -> I16:
+        """Return `radiance` in counts."""
         poses = [_pose(shot, self.camera, 0.0)]
         R_cam_pad, t_cam_pad = poses[0]
-        R_ned_cam = shot.R_ned_body.matrix @ R_body_cam
-        p_cam_ned = shot.p_body_ned + shot.R_ned_body.matrix @ p_body_cam
         half = self.sensor.exposure_s / 2
         ends = [_pose(shot, self.camera, s) for s in (-half, half)] if half > 0 else []
 
-        canvas, gain, added = self._scenery(shot, R_ned_cam, p_cam_ned, R_cam_pad, t_cam_pad)
+        canvas, gain, added = self._scenery(shot, R_cam_pad, t_cam_pad)
         if ends:
             canvas = _smear(canvas, self._lens, poses[0], ends)
-        placed = None
-        if self._pad is not None:
-            travel = self._pad.travel_px(*ends) if ends else 0.0
-            if travel > 0.3:
-                n = min(8, math.ceil(travel) + 1)
-                centres = (np.arange(n) + 0.5) / n * 2 * half - half
-                poses = [_pose(shot, self.camera, float(s)) for s in centres]
-            placed = self._pad.place(poses)
+        placed = self._place(shot, poses[0], ends)
         behind = None
         if placed is not None and self.pad is not None:
-            behind = self._development.table[0][canvas[placed.rows, placed.cols], np.arange(3)]
+            behind = self._development.expose(canvas.reshape(-1, 1, 3).take(placed.pixels, axis=0))[:, 0]
             codes = _paint_codes(self.pad)
             for paint, polygon in placed.fills:
-                cv2.fillPoly(canvas, [polygon], codes[paint].tolist(), cv2.LINE_8, 6)
+                cv2.fillPoly(canvas, [polygon], codes[paint].tolist(), cv2.LINE_8, SHIFT)
         light = self._development.expose(canvas)
         if placed is not None and behind is not None and self._paints is not None:
-            light[placed.rows, placed.cols] = placed.shares[:, :1] * behind + placed.shares[:, 1:] @ self._paints[1:]
-        cv2.multiply(light, cv2.merge([gain, gain, gain]), dst=light)
+            mixed = placed.shares[1:].T @ self._paints[1:].astype(np.float32)
+            mixed += placed.shares[0][:, None] * behind
+            mixed += np.float32(0.5)
+            light.reshape(-1, 3)[placed.pixels] = mixed.astype(np.int16)
+        gains = cv2.cvtColor(gain.view(np.uint16), cv2.COLOR_GRAY2BGR).view(np.int16)
+        cv2.multiply(light, gains, dst=light, scale=1.0 / GAIN_ONE)
         if added is not None:
             level = self._development.gains_bgr
-            cv2.add(light, cv2.merge([added * g for g in level]), dst=light)
+            cv2.add(light, counts(cv2.merge([added * g for g in level])), dst=light)
         return self._development.blur(light)
 
-    def _scenery(
-        self, shot: Exposure, R_ned_cam: F64, p_cam_ned: F64, R_cam_pad: F64, t_cam_pad: F64
-    ) -> tuple[U8, F32, F32 | None]:
+    def _place(self, shot: Exposure, middle: Pose, ends: list[Pose]) -> PadInImage | None:
+        """Return the pad in the frame; the exposure is divided into parts so short that the pad's way is straight in each."""
+        if self._pad is None:
+            return None
+        way = self._pad.travel_px(*ends) if ends else np.zeros(2)
+        travel = float(way.max())
+        if not travel > 0.3:
+            return self._pad.place([Stroke.still(middle)], np.zeros(2))
+        n = 1 if travel < 6.0 else 3 if travel < 20.0 else 5
+        if n == 1:
+            return self._pad.place([Stroke(ends[0], middle, ends[1])], way)
+        times = (np.arange(2 * n + 1) / (2 * n) - 0.5) * self.sensor.exposure_s
+        poses = [_pose(shot, self.camera, float(s)) for s in times]
+        return self._pad.place([Stroke(*poses[2 * i : 2 * i + 3]) for i in range(n)], way)
+
+    def _scenery(self, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64) -> tuple[U8, I16, F32 | None]:
         """Return the paint values of everything except the pad, the factors on its light, and the added light."""
         h, w = self.camera.height, self.camera.width
-        gain = self._vignette.copy()
+        gain = self._vignette
         added: F32 | None = None
         normal_distance = float(R_cam_pad[:, 2] @ t_cam_pad)
         plane = self._lens.plane_from_ray(np.stack([R_cam_pad[:, 0], R_cam_pad[:, 1], t_cam_pad], axis=1))
         deck = self._deck if normal_distance > 1e-3 and plane is not None else None
-        mask = deck.mask(R_cam_pad, t_cam_pad) if deck is not None else None
-        all_deck = mask is not None and int(mask.min()) == 255
-        canvas = np.empty((h, w, 3), np.uint8)
-        if not all_deck:
-            rows, cols = slice(0, h), slice(0, w)
-            if mask is not None:
-                x, y, bw, bh = cv2.boundingRect((mask < 255).astype(np.uint8))
-                rows, cols = slice(y, y + bh), slice(x, x + bw)
-            ship = self._ship_on_water(shot) if self._deck is not None else []
-            canvas[rows, cols] = self._sea.paint(R_ned_cam, p_cam_ned, shot.t_s, rows, cols, ship)
-            for on, polygons in self._decals:
-                if on == "sea":
-                    for points, rgb in polygons:
-                        draw(canvas, self._lens, (np.c_[points, np.zeros(len(points))] - p_cam_ned) @ R_ned_cam, rgb)
-            if ship:
-                self._hull_side(canvas, shot, R_ned_cam, p_cam_ned, ship[0])
-        if deck is not None and mask is not None and plane is not None and mask.any():
-            x, y, bw, bh = cv2.boundingRect(mask)
-            rows, cols = slice(y, y + bh), slice(x, x + bw)
+        mask = None
+        if deck is not None and plane is not None and not deck.fills(plane):
+            mask = deck.mask(R_cam_pad, t_cam_pad)
+            mask = None if int(mask.min()) == 255 else mask
+        canvas = None if deck is not None and mask is None else self._water(shot, mask)
+        if deck is not None and plane is not None and (mask is None or mask.any()):
+            x, y, bw, bh = cv2.boundingRect(mask) if mask is not None else (0, 0, w, h)
+            part = slice(y, y + bh), slice(x, x + bw)
             footprint = normal_distance / self.camera.fx
-            painted = deck.paint(self._lens.rays[rows, cols], plane, footprint)
-            worn, wet = deck.wear(self._lens.rays[rows, cols], plane, footprint)
-            if all_deck:
-                canvas[rows, cols] = painted
+            painted = deck.paint(part, plane, footprint)
+            paint, worn = cv2.cvtColor(painted, cv2.COLOR_BGRA2BGR), cv2.extractChannel(painted, 3)
+            cover = mask[part] if mask is not None else None
+            if canvas is None or cover is None:
+                canvas = np.asarray(paint, dtype=np.uint8)
             else:
-                part = mask[rows, cols]
-                cv2.copyTo(painted, (part == 255).astype(np.uint8), canvas[rows, cols])
-                edges: NDArray[np.int32] | None = cv2.findNonZero(cv2.inRange(part, 1, 254))  # type: ignore[assignment]
-                c, r = (edges if edges is not None else np.empty((0, 1, 2), np.int32))[:, 0].T
-                share = part[r, c, None].astype(np.float32) / np.float32(255.0)
-                edge = canvas[rows, cols]
-                edge[r, c] = np.round(share * painted[r, c] + (1 - share) * edge[r, c])
-                covered = part.astype(np.float32) * np.float32(1.0 / 255.0)
-                worn = None if worn is None else (worn - np.float32(1.0)) * covered + np.float32(1.0)
-                wet = None if wet is None else wet * covered
-            if worn is not None:
-                gain[rows, cols] *= worn
+                cv2.copyTo(paint, cv2.inRange(cover, 255, 255), canvas[part])
+                edges = np.flatnonzero(cv2.inRange(cover, 1, 254) != 0)
+                r, c = np.divmod(edges, bw)
+                share = cover[r, c, None].astype(np.float32) / np.float32(255.0)
+                edge = canvas[part]
+                edge[r, c] = np.round(share * paint[r, c] + (1 - share) * edge[r, c])
+                worn = cv2.copyTo(worn, cover, np.full_like(worn, WEAR_ONE))
+            gain = gain.copy()
+            cv2.multiply(gain[part], worn.astype(np.int16), dst=gain[part], scale=1.0 / WEAR_ONE)
+            wet = deck.wet(part, plane, footprint)
             if wet is not None:
+                covered = np.float32(1.0) if cover is None else cover.astype(np.float32) * np.float32(1.0 / 255.0)
+                gain[part] = np.round(gain[part] * ((wet[0] - np.float32(1.0)) * covered + np.float32(1.0)))
                 added = np.zeros((h, w), np.float32)
-                added[rows, cols] = wet
+                added[part] = wet[1] * covered
             for on, polygons in self._decals:
                 if on == "deck":
                     for points, rgb in polygons:
                         draw(canvas, self._lens, np.c_[points, np.zeros(len(points))] @ R_cam_pad.T + t_cam_pad, rgb)
         if normal_distance > 1e-3 and plane is not None and (deck is not None or self._pad is not None):
-            self._cast_shadow(gain, shot, R_cam_pad, t_cam_pad, mask)
+            gain = self._cast_shadow(gain, shot, R_cam_pad, t_cam_pad, mask)
             if self.light.glare > 0:
                 added = self._add_glare(added, R_cam_pad, t_cam_pad, plane)
+        assert canvas is not None
         return canvas, gain, added
+
+    def _water(self, shot: Exposure, mask: U8 | None) -> U8:
+        """Return the sea and what floats on it, (H, W, 3) BGR, where the deck does not cover all; elsewhere it is black."""
+        h, w = self.camera.height, self.camera.width
+        R_ned_cam = shot.R_ned_body.matrix @ self.camera.T_body_cam.R.matrix
+        p_cam_ned = shot.p_body_ned + shot.R_ned_body.matrix @ self.camera.T_body_cam.t
+        canvas = np.zeros((h, w, 3), np.uint8)
+        rows, cols = slice(0, h), slice(0, w)
+        if mask is not None:
+            x, y, bw, bh = cv2.boundingRect(cv2.inRange(mask, 0, 254))
+            rows, cols = slice(y // 2 * 2, min(h, -(-(y + bh) // 2) * 2)), slice(x // 2 * 2, min(w, -(-(x + bw) // 2) * 2))
+        ship = self._ship_on_water(shot) if self._deck is not None else []
+        canvas[rows, cols] = self._sea.paint(R_ned_cam, p_cam_ned, shot.t_s, rows, cols, ship)
+        for on, polygons in self._decals:
+            if on == "sea":
+                for points, rgb in polygons:
+                    draw(canvas, self._lens, (np.c_[points, np.zeros(len(points))] - p_cam_ned) @ R_ned_cam, rgb)
+        if ship:
+            self._hull_side(canvas, shot, R_ned_cam, p_cam_ned, ship[0])
+        return canvas
 
     def _ship_on_water(self, shot: Exposure) -> list[F64]:
         """Return the outlines on calm water, (N, 3) m ned: the hull at the waterline, the shadow that it casts, and its wake."""
@@ -225,20 +250,25 @@ class Renderer:
             quad = np.array([rim[i], rim[(i + 1) % len(rim)], below[i], line[i]])
             draw(canvas, self._lens, (quad - p_cam_ned) @ R_ned_cam, (46, 58, 74))
 
-    def _cast_shadow(self, gain: F32, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, mask: U8 | None) -> None:
+    def _cast_shadow(self, gain: I16, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, mask: U8 | None) -> I16:
         if self.light.drone_shadow == 0:
-            return
+            return gain
         R_pad_ned = shot.R_ned_pad.matrix.T
         p_body_pad = R_pad_ned @ (shot.p_body_ned - shot.p_pad_ned)
         cast = drone_shadow(
             self._lens, R_cam_pad, t_cam_pad, R_pad_ned @ shot.R_ned_body.matrix, p_body_pad, R_pad_ned @ self._to_sun
         )
         if cast is None:
-            return
-        alpha, rows, cols = cast
+            return gain
+        depth, rows, cols = cast
         if mask is not None:
-            alpha = alpha * (mask[rows, cols].astype(np.float32) * np.float32(1.0 / 255.0))
-        gain[rows, cols] *= np.float32(1.0) - np.float32(self.light.drone_shadow) * alpha
+            depth = np.asarray(cv2.multiply(depth, mask[rows, cols], scale=1.0 / 255.0), dtype=np.uint8)
+        left = GAIN_ONE * (1.0 - self.light.drone_shadow * np.arange(256) / 255.0)
+        if gain is self._vignette:
+            gain = gain.copy()
+        part = gain[rows, cols]
+        cv2.multiply(part, cv2.LUT(depth, np.round(left).astype(np.int16)), dst=part, scale=1.0 / GAIN_ONE)
+        return gain
 
     def _add_glare(self, added: F32 | None, R_cam_pad: F64, t_cam_pad: F64, plane: F64) -> F32:
         h, w = self.camera.height, self.camera.width
@@ -254,8 +284,7 @@ class Renderer:
         x1, y1 = np.clip(np.ceil(uv.max(axis=0)) + 1, 1, (w, h)).astype(int)
         if x1 - x0 < 1 or y1 - y0 < 1:
             return out
-        places = cv2.perspectiveTransform(np.ascontiguousarray(self._lens.rays[y0:y1, x0:x1]), plane)
-        places -= np.array(light.glare_centre_m, np.float32)
+        places = self._lens.meet(plane, (slice(y0, y1), slice(x0, x1))) - np.array(light.glare_centre_m, np.float32)
         r2 = places[..., 0] ** 2 + places[..., 1] ** 2
         # Flat in the middle and soft at the rim, as the image of the sun on varnished paint is: half of it at the radius.
         spot = np.exp(np.float32(-math.log(2.0)) * (r2 * np.float32(1.0 / light.glare_radius_m**2)) ** 2)
@@ -284,11 +313,11 @@ def _paint_codes(pad: Pad) -> NDArray[np.intp]:
     return np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1]], dtype=np.intp)
 
 
-def _vignette(lens: Lens, loss: float) -> F32:
+def _vignette(lens: Lens, loss: float) -> I16:
     """Return the (H, W) vignetting: the fourth power of the cosine of the angle off the axis, scaled to the corners' loss."""
     r2 = (lens.rays**2).sum(axis=-1)
     fall = 1.0 - (1.0 + r2) ** -2
-    return np.asarray(1.0 - loss * fall / fall.max(), dtype=np.float32)
+    return np.asarray(np.round(GAIN_ONE * (1.0 - loss * fall / fall.max())), dtype=np.int16)
 
 
 def _smear(canvas: U8, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64, F64]]) -> U8:
@@ -306,7 +335,7 @@ def _smear(canvas: U8, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64
     if not length >= 1.0:
         return canvas
     way = way * min(1.0, 31.0 / length)
-    half = math.ceil(min(length, 31.0) / 2) + 1
+    half = math.floor(min(length, 31.0) / 2) + 1
     kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
     for s in (np.arange(64) + 0.5) / 64 - 0.5:
         x, y = half + way[0] * s, half + way[1] * s

@@ -20,6 +20,7 @@ from estimator.contracts.errors import BadInput
 from sitl.projection import F32
 
 U8 = NDArray[np.uint8]
+I16 = NDArray[np.int16]
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,25 +131,73 @@ def linear_from_srgb(value: NDArray[np.floating] | NDArray[np.integer]) -> NDArr
     return np.asarray(np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4))
 
 
+FULL_SCALE = 8192
+"""Counts of linear light at the sensor's full scale. Light is kept in int16: steps of a thirteenth of the default read noise, and
+clipped before the blur of the lens at four times full scale."""
+
+
 @lru_cache(maxsize=2)
 def _decode(blend: str) -> F32:
     codes = np.arange(256)
     return np.asarray(linear_from_srgb(codes) if blend == "linear" else codes / 255.0, dtype=np.float32)
 
 
-@lru_cache(maxsize=2)
-def _encode(blend: str) -> U8:
-    """Return the frame's value (65536,) for light in steps of 1/65535 of full scale."""
-    light = np.arange(65536) / 65535.0
+def _encode(blend: str, light: NDArray[np.float64]) -> U8:
+    """Return the frame's values for light 0..1 of full scale; light outside is clipped."""
+    light = np.clip(light, 0.0, 1.0)
     if blend == "linear":
         light = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     return np.round(light * 255.0).astype(np.uint8)
 
 
-@lru_cache(maxsize=1)
-def _noise_bank() -> F32:
-    """Return 4194304 standard normal numbers, always the same; each frame uses a part that begins at a random place."""
-    return np.random.default_rng(0x0153).standard_normal(1 << 22, dtype=np.float32)
+@lru_cache(maxsize=2)
+def _noise_bank(steps: int) -> I16:
+    """Return 4194304 normal numbers of deviation `steps`, always the same; a frame uses a part from a random place on."""
+    bank = np.random.default_rng(0x0153).standard_normal(1 << 22, dtype=np.float32)
+    return np.round(bank * np.float32(steps)).astype(np.int16)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Noise:
+    """Tables that add the sensor's noise: to values whose noise is the same at every light, and from them to the frame.
+
+    The transform is g(L) = 2 F (sqrt(L / F + r^2) - r) for light L with variance L / F + r^2: its slope is one over the standard
+    deviation. Source: Anscombe, The transformation of Poisson, binomial and negative-binomial data, Biometrika 35, 1948.
+    """
+
+    steps: int
+    """Steps to one standard deviation."""
+    even: I16
+    """(1, 65536) transformed light by the count of light."""
+    frame: U8
+    """(1, 65536) value of the frame by the bits of transformed light with noise."""
+
+
+@lru_cache(maxsize=4)
+def _noise(sensor: Sensor) -> _Noise | None:
+    """Return the tables of a sensor, or None if its noise is less than a step of light."""
+    well, read = sensor.full_well_e, sensor.read_noise_e / sensor.full_well_e
+    light = np.arange(32768) / FULL_SCALE
+    deviation = np.sqrt(light / well + read**2)
+    if not deviation.max() > 0.5 / FULL_SCALE:
+        return None
+    if math.isfinite(well):
+        even = 2.0 * well * (deviation - read)
+    else:
+        even = light / read
+    steps = 64
+    while steps > 1 and steps * (even[-1] + 16.0) > 65000.0:
+        steps //= 2
+    low = -32768.0 + 8.0 * steps
+    codes = np.arange(-32768, 32768)
+    g = (codes - low) / steps
+    back = g * (g / (4.0 * well) + read) if math.isfinite(well) else g * read
+    # Below the vertex of the parabola, some read noise under black, everything is black.
+    back = np.where(g < -2.0 * well * read, 0.0, back)
+    table = np.concatenate([even, np.zeros(32768)]) * steps + low
+    frame = np.empty(65536, np.uint8)
+    frame[codes & 0xFFFF] = _encode(sensor.blend, back)
+    return _Noise(steps, np.round(np.minimum(table, 32767.0)).astype(np.int16)[None], frame[None])
 
 
 class Development:
@@ -157,34 +206,41 @@ class Development:
     def __init__(self, light: Light, sensor: Sensor) -> None:
         self._sensor = sensor
         self.gains_bgr = light.gains_bgr() if sensor.blend == "linear" else light.gains_bgr() ** np.float32(1 / 2.2)
-        self.table: F32 = np.ascontiguousarray(_decode(sensor.blend)[None, :, None] * self.gains_bgr)
-        """Light (1, 256, 3) of every paint value under this light and exposure."""
+        table = _decode(sensor.blend)[None, :, None] * self.gains_bgr
+        self.table: I16 = counts(table)
+        """Light (1, 256, 3) of every paint value under this light and exposure, in counts."""
+        even = np.ptp(self.gains_bgr) == 0.0
+        self._exposing: I16 = np.ascontiguousarray(self.table[..., 0]) if even else self.table
+        self._noise = _noise(sensor)
+        self._clean = _encode(sensor.blend, np.concatenate([np.arange(32768), np.zeros(32768)]) / FULL_SCALE)[None]
 
-    def expose(self, paint: U8) -> F32:
-        """Return the light of (H, W, 3) paint values."""
-        return np.asarray(cv2.LUT(paint, self.table), dtype=np.float32)
+    def expose(self, paint: U8) -> I16:
+        """Return the light of (H, W, 3) paint values, in counts."""
+        return np.asarray(cv2.LUT(paint, self._exposing), dtype=np.int16) if paint.size else np.empty(paint.shape, np.int16)
 
-    def blur(self, light: F32) -> F32:
+    def blur(self, light: I16) -> I16:
         """Return the light after the blur of the lens."""
         sigma = self._sensor.psf_sigma_px
         if sigma < 0.05:
             return light
         size = 2 * math.ceil(3.0 * sigma) + 1
-        return np.asarray(cv2.GaussianBlur(light, (size, size), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+        return np.asarray(cv2.GaussianBlur(light, (size, size), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.int16)
 
-    def sensor_image(self, light: F32, rng: np.random.Generator) -> U8:
+    def sensor_image(self, light: I16, rng: np.random.Generator) -> U8:
         """Return the frame of eight bits: add shot and read noise and apply the tone curve.
 
         One number is drawn from `rng`. The function modifies `light`.
         """
-        s = self._sensor
-        if math.isfinite(s.full_well_e) or s.read_noise_e > 0:
-            bank = _noise_bank()
-            start = int(rng.integers(bank.size - light.size))
-            noise = bank[start : start + light.size].reshape(light.shape)
-            floor = (s.read_noise_e / s.full_well_e) ** 2
-            sigma = cv2.sqrt(cv2.addWeighted(light, 1.0 / s.full_well_e, light, 0.0, floor))
-            cv2.multiply(sigma, noise, dst=sigma)
-            cv2.add(light, sigma, dst=light)
-        whole = cv2.addWeighted(light, 65535.0, light, 0.0, 0.0, dtype=cv2.CV_16U)
-        return np.asarray(cv2.LUT(whole, _encode(s.blend)), dtype=np.uint8)
+        noise = self._noise
+        if noise is None:
+            return np.asarray(cv2.LUT(light.view(np.uint16), self._clean), dtype=np.uint8)
+        bank = _noise_bank(noise.steps)
+        start = int(rng.integers(bank.size - light.size))
+        cv2.LUT(light.view(np.uint16), noise.even, dst=light)
+        cv2.add(light, bank[start : start + light.size].reshape(light.shape), dst=light)
+        return np.asarray(cv2.LUT(light.view(np.uint16), noise.frame), dtype=np.uint8)
+
+
+def counts(light: F32) -> I16:
+    """Return light of 1 at full scale in counts, clipped to what is kept."""
+    return np.asarray(np.round(np.clip(light * np.float32(FULL_SCALE), 0.0, 32767.0)), dtype=np.int16)

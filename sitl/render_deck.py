@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -16,13 +18,66 @@ from sitl.textures import grain
 
 U8 = NDArray[np.uint8]
 
+_NONE = np.empty(0, np.float32)
+
+
+WEAR_ONE = 128
+"""Value of the fourth channel of a drawing where wear does not change the light."""
+
+_NEAR_M, _NEAR_PPM = 1.2, 500.0
+"""Half side and resolution of the drawing for pictures from near by."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WornDrawing:
+    """A deck's drawing with the wear of its paint as fourth channel, in several resolutions."""
+
+    levels: tuple[tuple[U8, F64], ...]
+    """Drawings and the homographies from the deck's axes to texels, the finest first; that covers the pad's surroundings."""
+    texels_per_m: float
+    """Resolution of the second level; each one after it has half of that of the one before."""
+
+
+@lru_cache(maxsize=4)
+def worn(deck: Deck, wear: float) -> WornDrawing:
+    """Return the drawing of a deck whose paint's brightness has the standard deviation `wear`."""
+    drawing = draw_deck(deck)
+    whole = _with_wear(drawing.paint, drawing.corner_m, drawing.texels_per_m, deck.seed, wear)
+    levels = [whole]
+    while min(levels[-1].shape[:2]) >= 32:
+        levels.append(np.asarray(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8))
+    (x0, y0), ppm = drawing.corner_m, drawing.texels_per_m
+    placed = []
+    for level in levels:
+        per_x, per_y = (level.shape[i] / whole.shape[i] * ppm for i in (0, 1))
+        placed.append((level, np.array([[0.0, per_y, -per_y * y0 - 0.5], [per_x, 0.0, -per_x * x0 - 0.5], [0.0, 0.0, 1.0]])))
+    side = round(2 * _NEAR_M * _NEAR_PPM)
+    near_from_deck = np.array([[0.0, 1.0, _NEAR_M], [1.0, 0.0, _NEAR_M], [0.0, 0.0, 1.0 / _NEAR_PPM]]) * _NEAR_PPM
+    near_from_deck[:2, 2] -= 0.5
+    whole_from_near = (placed[0][1] @ np.linalg.inv(near_from_deck))[:2]
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    paint = cv2.warpAffine(drawing.paint, whole_from_near, (side, side), flags=flags, borderMode=cv2.BORDER_REFLECT)
+    near = _with_wear(np.asarray(paint, dtype=np.uint8), (-_NEAR_M, -_NEAR_M), _NEAR_PPM, deck.seed, wear)
+    return WornDrawing(((near, near_from_deck), *placed), ppm)
+
+
+def _with_wear(paint: U8, corner_m: tuple[float, float], texels_per_m: float, seed: int, wear: float) -> U8:
+    """Return a drawing with its wear as fourth channel: paint wears in patches of two texels or more."""
+    h, w = paint.shape[:2]
+    rows, cols = (h + 1) // 2, (w + 1) // 2
+    step = 2.0 / texels_per_m
+    y, x = np.meshgrid(corner_m[1] + (np.arange(cols) + 0.5) * step, corner_m[0] + (np.arange(rows) + 0.5) * step)
+    gain = 1.0 + wear * grain(seed).read(np.stack([x, y], axis=-1).astype(np.float32), step)
+    coarse = np.round(np.clip(WEAR_ONE * gain, 0.05 * WEAR_ONE, 255.0)).astype(np.uint8)
+    return np.dstack([paint, np.asarray(cv2.resize(coarse, (2 * cols, 2 * rows))[:h, :w], dtype=np.uint8)])
+
 
 class DeckPainter:
     """Renders a deck through one lens."""
 
     def __init__(self, lens: Lens, deck: Deck, light: Light) -> None:
         self._lens, self._deck, self._light = lens, deck, light
-        self._drawing = draw_deck(deck)
+        self._drawing = worn(deck, light.wear)
         self._grain = grain(deck.seed)
         outline = deck.outline()
         self._rim = np.concatenate([outline, np.zeros((len(outline), 1))], axis=1)
@@ -33,6 +88,15 @@ class DeckPainter:
         """Outline of the deck, (N, 3) m in `pad`."""
         return np.asarray(self._rim @ self._R_deck_pad)
 
+    def fills(self, pad_from_ray: F64) -> bool:
+        """Whether the deck certainly covers all of the frame; near its edges the answer may be False even so."""
+        q = np.c_[self._lens.border_rays, np.ones(len(self._lens.border_rays))] @ (self._R_deck_pad @ pad_from_ray).T
+        if q[:, 2].min() <= 0:
+            return False
+        p, corner = q[:, None, :2] / q[:, None, 2:], self._rim[:, :2]
+        side, off = np.roll(corner, -1, axis=0) - corner, p - corner
+        return bool((side[:, 0] * off[..., 1] - side[:, 1] * off[..., 0]).min() > 0)
+
     def mask(self, R_cam_pad: F64, t_cam_pad: F64) -> U8:
         """Return the deck's coverage of each pixel, (H, W), 0..255; OpenCV's drawing antialiases the edges."""
         camera = self._lens.camera
@@ -42,65 +106,76 @@ class DeckPainter:
             cv2.fillPoly(out, [fixed_point(uv)], 255, cv2.LINE_AA, SHIFT)
         return out
 
-    def paint(self, rays: F32, pad_from_ray: F64, footprint_m: float) -> U8:
-        """Return the paint (h, w, 3) BGR where rays (h, w, 2) meet the deck, by the homography from rays to `pad`."""
+    def paint(self, part: tuple[slice, slice], pad_from_ray: F64, footprint_m: float) -> U8:
+        """Return the paint and its wear (h, w, 4) where the rays of a part of the frame meet the deck.
+
+        Args:
+            part: rows and columns.
+            pad_from_ray: homography from rays to `pad`.
+            footprint_m: size of a pixel on the deck.
+        """
         drawing = self._drawing
-        level = min(len(drawing.levels) - 1, max(0, round(math.log2(max(footprint_m * drawing.texels_per_m, 1e-3)))))
-        image = drawing.levels[level]
-        full = drawing.levels[0]
-        per_x = image.shape[0] / full.shape[0] * drawing.texels_per_m
-        per_y = image.shape[1] / full.shape[1] * drawing.texels_per_m
-        x0, y0 = drawing.corner_m
-        texel_from_deck = np.array([[0.0, per_y, -per_y * y0 - 0.5], [per_x, 0.0, -per_x * x0 - 0.5], [0.0, 0.0, 1.0]])
-        index: F32 = np.asarray(cv2.perspectiveTransform(rays, texel_from_deck @ self.to_deck(pad_from_ray)), dtype=np.float32)
+        deck_from_ray = self._R_deck_pad @ pad_from_ray
+        # A texel of up to 1.7 pixels: finer ones cost more memory traffic than they show.
+        whole = max(0, round(math.log2(max(footprint_m * drawing.texels_per_m, 1e-3)) + 0.25))
+        level = 1 + min(len(drawing.levels) - 2, whole)
+        if whole == 0 and footprint_m * _NEAR_PPM < 0.75 and self._near(deck_from_ray):
+            level = 0
+        image, texel_from_deck = drawing.levels[level]
+        index = self._lens.meet(texel_from_deck @ deck_from_ray, part)
         corners = index[[0, 0, -1, -1], [0, -1, 0, -1]]
-        if np.abs(corners).max() > 1e4 or (pad_from_ray[2, :2] @ self._lens.corner_rays.T + pad_from_ray[2, 2]).min() <= 0:
+        if np.abs(corners).max() > 1e4 or (deck_from_ray[2, :2] @ self._lens.corner_rays.T + deck_from_ray[2, 2]).min() <= 0:
             # Near the horizon texels are far away; OpenCV's border mode would reflect them back one length at a time.
             np.clip(index, -1e4, 1e4, out=index)
-        nothing = np.empty(0, np.float32)
-        return np.asarray(cv2.remap(image, index, nothing, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), dtype=np.uint8)
+        return np.asarray(cv2.remap(image, index, _NONE, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), dtype=np.uint8)
 
-    def to_deck(self, pad_from_ray: F64) -> F64:
-        """Return the homography from rays to the deck's axes."""
-        return np.asarray(self._R_deck_pad @ pad_from_ray)
+    def _near(self, deck_from_ray: F64) -> bool:
+        """Whether all of the frame shows the pad's surroundings."""
+        q = np.c_[self._lens.corner_rays, np.ones(4)] @ deck_from_ray.T
+        return bool(q[:, 2].min() > 0 and np.abs(q[:, :2] / q[:, 2:]).max() < _NEAR_M)
 
-    def wear(self, rays: F32, pad_from_ray: F64, footprint_m: float) -> tuple[F32 | None, F32 | None]:
-        """Return factors on the light from the surface and light added to it, each (h, w) or None, at half resolution."""
-        light = self._light
-        if light.wear == 0 and light.wetness == 0:
-            return None, None
-        h, w = rays.shape[:2]
-        coarse = cv2.resize(rays, (max(1, w // 2), max(1, h // 2)))
-        places: F32 = np.asarray(cv2.perspectiveTransform(coarse, self.to_deck(pad_from_ray)), dtype=np.float32)
-        gain = np.ones(places.shape[:2], np.float32)
-        if light.wear > 0:
-            gain += np.float32(light.wear) * self._grain.read(places, 2.0 * footprint_m)
-            np.maximum(gain, np.float32(0.05), out=gain)
-        added = None
-        if light.wetness > 0:
-            puddle = self._grain.read(places, max(2.0 * footprint_m, 0.12), 3.1)
-            puddle = np.clip((puddle + np.float32(1.8 * light.wetness - 1.3)) * np.float32(1.8), 0.0, 1.0)
-            gain *= np.float32(1.0 - 0.25 * light.wetness) - np.float32(0.2 * light.wetness) * puddle
-            added = np.asarray(cv2.resize(np.float32(0.08 * light.wetness) * puddle, (w, h)), dtype=np.float32)
-        return np.asarray(cv2.resize(gain, (w, h)), dtype=np.float32), added
+    def wet(self, part: tuple[slice, slice], pad_from_ray: F64, footprint_m: float) -> tuple[F32, F32] | None:
+        """Return the factors of a wet deck on its light, and the sky's light that its puddles mirror, (h, w) each.
+
+        Returns:
+            None on a dry deck.
+        """
+        wetness = self._light.wetness
+        if wetness == 0:
+            return None
+        places = self._lens.meet(self._R_deck_pad @ pad_from_ray, part)
+        h, w = places.shape[:2]
+        coarse: F32 = np.asarray(cv2.resize(places, (max(1, w // 2), max(1, h // 2))), dtype=np.float32)
+        puddle = self._grain.read(coarse, max(2.0 * footprint_m, 0.12), 3.1)
+        puddle = np.clip((puddle + np.float32(1.8 * wetness - 1.3)) * np.float32(1.8), 0.0, 1.0)
+        puddle = np.asarray(cv2.resize(puddle, (w, h)), dtype=np.float32)
+        gain = np.float32(1.0 - 0.25 * wetness) - np.float32(0.2 * wetness) * puddle
+        return gain, np.float32(0.08 * wetness) * puddle
+
+
+_TURN = np.linspace(0.0, math.tau, 20, endpoint=False)
+_DRONE = (
+    np.array([(0.20, -0.05, 0.0), (0.20, 0.05, 0.0), (-0.20, 0.05, 0.0), (-0.20, -0.05, 0.0)]),
+    *(
+        np.stack([x + 0.115 * np.cos(_TURN), y + 0.115 * np.sin(_TURN), np.zeros(20)], axis=1)
+        for x, y in ((0.14, 0.14), (0.14, -0.14), (-0.14, 0.14), (-0.14, -0.14))
+    ),
+)
+"""Hull and rotors of the drone, outlines (N, 3) m in `body`."""
 
 
 def drone_shadow(
     lens: Lens, R_cam_pad: F64, t_cam_pad: F64, R_pad_body: F64, p_body_pad: F64, to_sun_pad: F64
-) -> tuple[F32, slice, slice] | None:
-    """Return the fraction of sunlight that the drone's shadow takes away, and the part of the frame that it covers.
+) -> tuple[U8, slice, slice] | None:
+    """Return how deep each pixel is in the drone's shadow, 0..255, and the part of the frame that it covers.
 
     The shadow is that of a quadcopter half a metre wide, with four rotors inside guards and a slim hull, cast along the sun onto
     the pad's plane. The width of the sun softens its edge.
     """
     if to_sun_pad[2] > -0.05 or p_body_pad[2] > -0.01:
         return None
-    shapes = [np.array([(0.20, -0.05, 0.0), (0.20, 0.05, 0.0), (-0.20, 0.05, 0.0), (-0.20, -0.05, 0.0)])]
-    a = np.linspace(0.0, math.tau, 20, endpoint=False)
-    for x, y in ((0.14, 0.14), (0.14, -0.14), (-0.14, 0.14), (-0.14, -0.14)):
-        shapes.append(np.stack([x + 0.115 * np.cos(a), y + 0.115 * np.sin(a), np.zeros(20)], axis=1))
     cast = []
-    for shape in shapes:
+    for shape in _DRONE:
         p = shape @ R_pad_body.T + p_body_pad
         cast.append((p - to_sun_pad * (p[:, 2:] / to_sun_pad[2])) @ R_cam_pad.T + t_cam_pad)
     polygons = [uv for uv in lens.outlines(cast) if len(uv)]
@@ -118,11 +193,17 @@ def drone_shadow(
     x1, y1 = min(camera.width, math.ceil(high[0])), min(camera.height, math.ceil(high[1]))
     if x1 - x0 < 2 or y1 - y0 < 2:
         return None
-    canvas = np.zeros((y1 - y0, x1 - x0), np.float32)
+    # A blurred shape needs no more resolution than its blur.
+    coarser = 4 if sigma >= 3.2 else 2 if sigma >= 1.6 else 1
+    size = (max(2, (x1 - x0) // coarser), max(2, (y1 - y0) // coarser))
+    scale = np.array([size[0] / (x1 - x0), size[1] / (y1 - y0)])
+    canvas = np.zeros(size[::-1], np.uint8)
     for uv in polygons:
-        cv2.fillPoly(canvas, [fixed_point(uv - (x0, y0))], 1.0, cv2.LINE_8, SHIFT)
-    size = 2 * math.ceil(2.5 * sigma) + 1
-    return np.asarray(cv2.GaussianBlur(canvas, (size, size), sigma), np.float32), slice(y0, y1), slice(x0, x1)
+        line = cv2.LINE_AA if coarser > 1 else cv2.LINE_8
+        cv2.fillPoly(canvas, [fixed_point((uv - (x0, y0) + 0.5) * scale - 0.5)], 255, line, SHIFT)
+    width = 2 * math.ceil(2.5 * sigma / coarser) + 1
+    soft = cv2.GaussianBlur(canvas, (width, width), sigma / coarser)
+    return np.asarray(cv2.resize(soft, (x1 - x0, y1 - y0)), np.uint8), slice(y0, y1), slice(x0, x1)
 
 
 def draw(canvas: U8, lens: Lens, points_cam: F64, rgb: RGB) -> None:

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
 from sitl.light import Light
-from sitl.projection import F32, SHIFT, Lens, fixed_point
+from sitl.projection import CELL_PX, F32, SHIFT, Lens, fixed_point
 from sitl.surroundings import Surroundings
 from sitl.textures import foam, ripples
 
 U8 = NDArray[np.uint8]
-_COARSE = 8
-"""Distance, px, between the points at which swell, sky and glitter are computed; they vary slowly."""
 
 
 class SeaPainter:
@@ -37,61 +35,61 @@ class SeaPainter:
         self._ripples, self._foam = ripples(surroundings.seed), foam(surroundings.seed)
 
     def paint(self, R_ned_cam: F64, p_cam_ned: F64, t_s: float, rows: slice, cols: slice, ship: list[F64]) -> U8:
-        """Return (h, w, 3) BGR of the part `rows`, `cols` of the frame.
+        """Return (h, w, 3) BGR of the part `rows`, `cols` of the frame, which begin and end at even numbers.
 
         Args:
             ship: outlines on the water, (N, 3) m ned: none, or the hull at the waterline, its shadow, and its wake if it makes
                 way.
         """
         lens = self._lens
-        rays = lens.rays[rows, cols]
-        h, w = rays.shape[:2]
+        h, w = rows.stop - rows.start, cols.stop - cols.start
         plane = np.stack([R_ned_cam[0], R_ned_cam[1], -(R_ned_cam.T @ p_cam_ned)], axis=1)
         inverse = lens.plane_from_ray(plane)
         if inverse is None or p_cam_ned[2] > 0:
             return np.full((h, w, 3), self._table[90, 0], np.uint8)
         # Water has no sharp edges: rendering at half the resolution takes a quarter of the time.
-        half = (max(2, w // 2), max(2, h // 2))
-        where = _places(np.asarray(cv2.resize(rays, half), dtype=np.float32), inverse)
+        where = lens.meet_halves(inverse, (rows, cols))
+        half = where.shape[1::-1]
         footprint = 2.0 * -float(p_cam_ned[2]) / lens.camera.fx
-        level, glint = self._slow(rays, R_ned_cam, p_cam_ned, inverse, t_s)
+        slow = cv2.resize(self._slow(R_ned_cam, inverse, t_s, rows, cols), half)
+        level, glint = slow[..., 0], slow[..., 1]
         wind = 1.1 * t_s
         small = self._ripples.read(where, footprint, 0.43, (-0.5 * wind, -0.35 * wind))
         large = self._ripples.read(where, footprint, 1.9, (-0.3 * wind, -0.9 * wind))
-        chop = cv2.addWeighted(small, 0.6 * self._roughness, large, 0.8 * self._roughness, 0.0)
-        contrasted = cv2.multiply(chop, cv2.resize(glint, half))
-        value: F32 = np.asarray(cv2.add(contrasted, cv2.resize(level, half)), dtype=np.float32)
+        rough = self._roughness
+        value: F32 = np.asarray(cv2.addWeighted(small, 0.6 * rough, large, 0.8 * rough, 0.0), dtype=np.float32)
+        value *= glint
+        value += level
         if math.isfinite(self._whitecaps):
             caps = self._foam.read(where, footprint, 1.0, (-0.4 * wind, -0.4 * wind))
             caps = np.clip((caps + 0.5 * large - np.float32(self._whitecaps)) * np.float32(3.0), 0.0, 1.0)
             value += np.float32(120.0) * caps
         if ship:
             self._ship_on_water(value, where, footprint, R_ned_cam, p_cam_ned, rows, cols, t_s, ship)
-        painted = cv2.applyColorMap(cv2.resize(np.clip(value, 0.0, 255.0).astype(np.uint8), (w, h)), self._table)
+        codes = cv2.convertScaleAbs(np.maximum(value, np.float32(0.0), out=value))
+        painted = cv2.applyColorMap(cv2.resize(codes, (w, h)), self._table)
         below = lens.corner_rays @ R_ned_cam[2, :2] + R_ned_cam[2, 2]
         if below.min() < 0.02:
-            down = rays @ R_ned_cam[2, :2].astype(np.float32) + np.float32(R_ned_cam[2, 2])
+            down = lens.rays[rows, cols] @ R_ned_cam[2, :2].astype(np.float32) + np.float32(R_ned_cam[2, 2])
             painted[down < 0.02] = (214, 200, 186)
         return np.asarray(painted, dtype=np.uint8)
 
-    def _slow(self, rays: F32, R_ned_cam: F64, p_cam_ned: F64, inverse: F64, t_s: float) -> tuple[F32, F32]:
-        """Return brightness level and ripple contrast, (h / 8, w / 8) each, from swell, mirrored sky and sun."""
-        h, w = rays.shape[:2]
-        ch, cw = max(2, h // _COARSE), max(2, w // _COARSE)
-        coarse = cv2.resize(rays, (cw, ch), interpolation=cv2.INTER_LINEAR)
-        d = np.concatenate([coarse, np.ones((ch, cw, 1), np.float32)], axis=-1) @ R_ned_cam.T.astype(np.float32)
-        d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    def _slow(self, R_ned_cam: F64, inverse: F64, t_s: float, rows: slice, cols: slice) -> F32:
+        """Return brightness level and ripple contrast, (R, C, 2), each 16 pixels, from swell, mirrored sky and sun."""
+        r, c = (np.arange(part.start // CELL_PX + 1, -(-part.stop // CELL_PX) + 1, 2) for part in (rows, cols))
+        coarse = self._lens.coarse[np.ix_(r, c)]
+        d = coarse @ R_ned_cam[:, :2].T.astype(np.float32) + R_ned_cam[:, 2].astype(np.float32)
+        d /= np.sqrt(1.0 + (coarse * coarse).sum(axis=-1, keepdims=True))
         down = np.clip(d[..., 2], 0.02, 1.0)
         level = 52.0 + 95.0 * (1.0 - down) ** 2
         bisector = self._to_sun.astype(np.float32) - d
         tilt2 = (bisector[..., 0] ** 2 + bisector[..., 1] ** 2) / np.minimum(bisector[..., 2], -0.05) ** 2
-        glitter = np.exp(-tilt2 / (2 * 0.16**2))
+        glitter = np.exp(tilt2 * np.float32(-1.0 / (2 * 0.16**2)))
         if self._swell is not None:
-            ne = np.clip(cv2.perspectiveTransform(coarse, inverse), -1e4, 1e4)[::3, ::3]
-            slope = self._swell.slope(ne, t_s)[0]
-            along = slope @ np.array([0.75, 0.66])
-            level += cv2.resize((150.0 * along).astype(np.float32), (cw, ch))
-        return np.asarray(level + 22.0 * glitter, np.float32), np.asarray(26.0 + 70.0 * glitter, np.float32)
+            ne = np.clip(cv2.perspectiveTransform(coarse, inverse), -1e4, 1e4)[::2, ::2]
+            along = self._swell.slope(ne, t_s)[0] @ np.array([0.75, 0.66])
+            level = level + cv2.resize((150.0 * along).astype(np.float32), level.shape[::-1])
+        return np.stack([level + 22.0 * glitter, 26.0 + 70.0 * glitter], axis=-1).astype(np.float32)
 
     def _ship_on_water(
         self, value: F32, where: F32, footprint: float, R_ned_cam: F64, p_cam_ned: F64, rows: slice, cols: slice, t_s: float,
@@ -101,39 +99,28 @@ class SeaPainter:
         small = (max(2, w // 2), max(2, h // 2))
         scale = (small[0] / (cols.stop - cols.start), small[1] / (rows.stop - rows.start))
 
-        def mask(points_ned: F64, sigma: float) -> F32 | None:
+        def mask(points_ned: F64, sigma: float, most: float) -> F32 | None:
+            """Return the polygon with a soft edge, `most` inside, (h, w)."""
             uv = self._lens.outline((points_ned - p_cam_ned) @ R_ned_cam, 4)
             if not len(uv):
                 return None
-            canvas = np.zeros((small[1], small[0]), np.float32)
+            canvas = np.zeros((small[1], small[0]), np.uint8)
             here = (uv - (cols.start, rows.start)) * scale
-            cv2.fillPoly(canvas, [fixed_point(here)], 1.0, cv2.LINE_8, SHIFT)
-            size = 2 * math.ceil(2.0 * sigma) + 1
-            soft = cv2.GaussianBlur(canvas, (size, size), sigma)
-            return np.asarray(cv2.resize(soft, (w, h)), dtype=np.float32)
+            cv2.fillPoly(canvas, [fixed_point(here)], 255, cv2.LINE_8, SHIFT)
+            size = 2 * math.ceil(1.7 * sigma) + 1
+            soft = cv2.resize(cv2.blur(cv2.blur(canvas, (size, size)), (size, size)), (w, h))
+            return soft * np.float32(most / 255.0)
 
         px_per_m = 0.5 / footprint
-        shadow = mask(ship[1], float(np.clip(0.06 * px_per_m, 0.6, 12.0)))
+        shadow = mask(ship[1], float(np.clip(0.06 * px_per_m, 0.6, 12.0)), 0.5)
         if shadow is not None:
-            value *= 1.0 - np.float32(0.5) * shadow
-        streaks = self._foam.read(where, footprint, 0.25, (-0.2 * t_s, 0.1 * t_s))
-        streaks = np.clip(streaks * np.float32(0.5) + np.float32(0.35), 0.0, 1.0)
-        wash = mask(ship[0], float(np.clip(0.10 * px_per_m, 0.6, 20.0)))
-        if wash is not None:
-            value += wash * streaks * np.float32(55.0 if len(ship) == 2 else 110.0)
-        if len(ship) > 2:
-            wake = mask(ship[2], float(np.clip(0.25 * px_per_m, 0.8, 30.0)))
-            if wake is not None:
-                value += wake * streaks * np.float32(130.0)
-
-
-def _places(rays: F32, plane_from_ray: F64) -> F32:
-    """Return where each ray meets the water, (h, w, 2) m north and east.
-
-    A ray above the horizon gets a meaningless value within 100 km.
-    """
-    where: F32 = np.asarray(cv2.perspectiveTransform(rays, plane_from_ray), dtype=np.float32)
-    return np.clip(where, -1e5, 1e5, out=where)
+            value *= np.float32(1.0) - shadow
+        wash = mask(ship[0], float(np.clip(0.10 * px_per_m, 0.6, 20.0)), 55.0 if len(ship) == 2 else 110.0)
+        wake = mask(ship[2], float(np.clip(0.25 * px_per_m, 0.8, 30.0)), 130.0) if len(ship) > 2 else None
+        white = wash if wake is None else wake if wash is None else wash + wake
+        if white is not None:
+            streaks = self._foam.read(where, footprint, 0.25, (-0.2 * t_s, 0.1 * t_s))
+            value += white * np.clip(streaks * np.float32(0.5) + np.float32(0.35), 0.0, 1.0)
 
 
 def _water_table(water: tuple[int, int, int]) -> U8:

@@ -177,11 +177,10 @@ _DRAWINGS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeckDrawing:
-    """Painted steel around the pad, BGR, and half-size versions of it."""
+    """Painted steel around the pad, BGR."""
 
-    levels: tuple[U8, ...]
+    paint: U8
     texels_per_m: float
-    """Resolution of the first level."""
     corner_m: tuple[float, float]
     """Position of the first texel's outer corner, in the deck's axes; rows run with x, columns with y."""
 
@@ -280,8 +279,4 @@ def draw_deck(deck: Deck) -> DeckDrawing:
     rubbed = np.clip(0.35 * blotches(0.3) + 0.35 * blotches(0.08) - 0.15, 0.0, 0.55)[..., None]
     image += rubbed * (worn - image)
 
-    levels = [np.clip(image, 0, 255).astype(np.uint8)]
-    while min(levels[-1].shape[:2]) >= 32:
-        half = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        levels.append(np.asarray(half, dtype=np.uint8))
-    return DeckDrawing(tuple(levels), ppm, (x0, y0))
+    return DeckDrawing(np.clip(image, 0, 255).astype(np.uint8), ppm, (x0, y0))

@@ -76,6 +76,17 @@ def test_the_pad_is_hidden_from_below_and_the_image_without_one_has_no_paint_of_
     assert np.array_equal(with_pad, without)
 
 
+def test_a_deck_that_only_just_fills_the_frame_leaves_no_sea() -> None:
+    # The frame's corners meet the deck within a pixel of its edge, where a quick test by its outline cannot tell.
+    high = shot(2.0)
+    corners = PLAIN.rays(np.array([(-0.5, -0.5), (639.5, 359.5)])) * 2.0
+    length, width = np.abs(corners[1] - corners[0])[::-1]
+    level = replace(high, R_ned_pad=Rotation.identity())
+    grey = Deck(float(length) + 0.002, float(width) + 0.002, (0.0, 0.0), paint=(200, 200, 200))
+    image = Renderer(PLAIN, None, Surroundings(grey), FLAT, IDEAL).radiance(level)
+    assert image.shape == (360, 640, 3)
+
+
 def test_the_deck_s_edge_is_where_opencv_projects_it() -> None:
     deck = Deck(4.0, 2.0, (0.5, 0.1), pad_yaw_rad=0.4)
     high = shot(6.0)
