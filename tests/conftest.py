@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,10 @@ import pytest
 # One test, one core: `make test` starts a worker for each core. Set before numpy is imported; what tests start inherits it.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
+
+# Services of different workers must not meet at one local socket.
+os.environ["XDG_RUNTIME_DIR"] = f"{tempfile.gettempdir()}/decklander-tests-{os.getpid()}"
+os.environ.pop("RUNTIME_DIRECTORY", None)
 
 ROOT = Path(__file__).parents[1]
 SLOW = (

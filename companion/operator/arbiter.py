@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.operator.options import ManualOptions
 from companion.operator.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
-from companion.operator.precedence import CROSSING_S, REASONS, TABLE, ControlSituation, Rule, crossed
+from companion.operator.precedence import CROSSING_S, IDLE_HAND_S, REASONS, TABLE, ControlSituation, Rule, crossed
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
@@ -68,6 +68,8 @@ class Control:
     """The sender that flies by hand."""
     sticks: StickPositions = CENTRED
     sticks_at: MonoNs | None = None
+    moved_at: MonoNs | None = None
+    """When a stick was last out of its centre, or the hand was taken."""
     landing: Given | None = None
     take_off: Given | None = None
     """A take-off that is not sent yet."""
@@ -110,17 +112,21 @@ class OperatorArbiter:
         """The sender that flies by hand; None while there is none."""
         return self._control.hand
 
+    def heard(self, now: MonoNs) -> VehicleStatus | None:
+        """Return the vehicle's status, or None if it has not reported one lately."""
+        status = self._guided.vehicle
+        return status if status is not None and seconds_between(status.stamp.received_at, now) <= _STATUS_FRESH_S else None
+
     def situation(self, now: MonoNs) -> ControlSituation:
         """Return the situation that decides about an order."""
-        status, control = self._guided.vehicle, self._control
-        heard = status is not None and seconds_between(status.stamp.received_at, now) <= _STATUS_FRESH_S
-        if heard and status is not None and status.emergency:
+        status, control = self.heard(now), self._control
+        if status is not None and status.emergency:
             return ControlSituation.EMERGENCY
         if control.landing is not None:
             return ControlSituation.LANDING
         if control.hand is not None:
             return ControlSituation.MANUAL
-        if not heard or status is None:
+        if status is None:
             return ControlSituation.UNHEARD
         over = self._guided.outcome is not None
         if status.flying is False:
@@ -142,7 +148,8 @@ class OperatorArbiter:
     def move(self, sender: OrderSender, sticks: StickPositions, now: MonoNs) -> None:
         """Take the present stick positions of a sender; they count only if it has the hand."""
         if sender == self._control.hand:
-            self._control = replace(self._control, sticks=sticks, sticks_at=now)
+            moved_at = self._control.moved_at if sticks.centred else now
+            self._control = replace(self._control, sticks=sticks, sticks_at=now, moved_at=moved_at)
         else:
             self.ignored_sticks += 1
 
@@ -209,10 +216,11 @@ class OperatorArbiter:
         situation = self.situation(now)
         rule = TABLE[order][situation]
         control, status = self._control, self._guided.vehicle
-        if rule is Rule.HOLDER and sender == control.hand:
+        if rule in (Rule.HOLDER, Rule.IDLE) and sender == control.hand:
             flies = order is OperatorOrder.TAKE_OFF and status is not None and status.flying is not False
             return REASONS[Rule.FLYING] if flies else None
-        allowed = rule is Rule.YES or (rule is Rule.TRY_AGAIN and self._guided.may_try_again)
+        idle = control.moved_at is None or seconds_between(control.moved_at, now) > IDLE_HAND_S
+        allowed = rule is Rule.YES or (rule is Rule.TRY_AGAIN and self._guided.may_try_again) or (rule is Rule.IDLE and idle)
         if not allowed:
             outcome = self._guided.outcome
             holder = control.landing.sender if situation is ControlSituation.LANDING and control.landing else control.hand
@@ -237,12 +245,19 @@ class OperatorArbiter:
             case OperatorOrder.MANUAL:
                 ended = given if control.landing is not None else None
                 self._control = replace(
-                    control, hand=given.sender, sticks=CENTRED, sticks_at=given.at, landing=None, called_off=ended
+                    control,
+                    hand=given.sender,
+                    sticks=CENTRED,
+                    sticks_at=given.at,
+                    moved_at=given.at,
+                    landing=None,
+                    called_off=ended,
                 )
                 guided.pause()
             case OperatorOrder.LAND:
                 self._control = replace(control, landing=given, hand=None, take_off=None)
-                guided.pause()
+                if guided.vehicle is None or guided.vehicle.flying is not False:
+                    guided.pause()
             case OperatorOrder.ABORT:
                 self._control = replace(control, hand=None)
                 guided.abort()

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from msgspec import Struct
 
-from estimator.contracts.keys import check_ranges, number
+from estimator.contracts.keys import check_ranges, number, text
 
 
 class ManualOptions(Struct, frozen=True, forbid_unknown_fields=True):
@@ -31,3 +31,26 @@ class ManualOptions(Struct, frozen=True, forbid_unknown_fields=True):
     def turn_max_rad_s(self) -> float:
         """The turn rate at full stick, rad/s."""
         return math.radians(self.turn_max_deg_s)
+
+
+class OperatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
+    """The commands of people on this computer: the terminal (`decklander fly`) and the gamepad.
+
+    Raises:
+        ValueError: the socket is neither a word nor an absolute path.
+    """
+
+    socket: Annotated[
+        str,
+        text(
+            'path of the local socket of `decklander fly`; "auto" for one in the service\'s runtime folder, named after the '
+            'vehicle; "off" for none',
+            200,
+        ),
+    ] = "auto"
+    manual: ManualOptions = ManualOptions()
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.socket not in ("auto", "off") and not self.socket.startswith("/"):
+            raise ValueError(f'socket must be "auto", "off" or an absolute path, got {self.socket!r}')

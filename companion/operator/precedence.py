@@ -15,6 +15,9 @@ from companion.operator.orders import OperatorOrder
 CROSSING_S = 0.5
 """An order that ranks lower and arrives within this time after another sender's was given without knowledge of it, s."""
 
+IDLE_HAND_S = 3.0
+"""The time with centred sticks after which another person may take the hand: its holder may be gone, s."""
+
 RANKED = (
     OperatorOrder.EMERGENCY,
     OperatorOrder.MANUAL,
@@ -55,6 +58,8 @@ class Rule(Enum):
     YES = "yes"
     HOLDER = "holder"
     """Accepted from the sender that has the hand, refused from all others."""
+    IDLE = "holder, or idle"
+    """The same, and from everybody while the holder's sticks have been centred for `IDLE_HAND_S`."""
     TRY_AGAIN = "if given up"
     """Accepted if guidance gave up, so that it may try again; refused after an abort."""
     OVER = "no: over"
@@ -70,6 +75,7 @@ class Rule(Enum):
 REASONS: Mapping[Rule, str] = MappingProxyType(
     {
         Rule.HOLDER: "{holder} has the hand",
+        Rule.IDLE: "{holder} has the hand and moves it",
         Rule.TRY_AGAIN: "the flight is over: {outcome}",
         Rule.OVER: "the flight is over: {outcome}",
         Rule.FLYING: "the vehicle flies already",
@@ -100,7 +106,7 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
     {
         #                     unheard ground done guided held over manual landing emergency
         OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _E),
-        OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, _H, _Y, _E),
+        OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, Rule.IDLE, _Y, _E),
         OperatorOrder.LAND: _row(_Y, _Y, _Y, _Y, _Y, _Y, _H, _Y, _E),
         OperatorOrder.ABORT: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),
         OperatorOrder.HOLD: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),

@@ -32,6 +32,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
         settings.guidance,
         automatic=settings.guidance.start == "automatic",
         shadows=shadows,
+        manual=settings.operator.manual,
     )
 
 

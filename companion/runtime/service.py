@@ -9,8 +9,10 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from companion.config.model import Settings
+from companion.operator.local_socket import OperatorSocket
 from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
 from companion.operator.pilot_operator import PilotOperator
+from companion.operator.socket_path import socket_path
 from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
 from companion.runtime.event_loop import heeded
@@ -61,6 +63,11 @@ def make_daemon(
         mqtt = RestartablePart("mqtt", lambda: make_mqtt(settings.mqtt, pilot, health, ticking, recording))
         watching.append(mqtt)
         extras["mqtt"] = mqtt.run
+    if (path := socket_path(settings)) is not None:
+        terminals = OperatorSocket(path, pilot, ticking)
+        watching.append(terminals)
+        extras["operator"] = terminals.run
+        health.counters("operator", terminals.counted)
     if settings.metrics.endpoint != "off":
         from companion.metrics.endpoint import MetricsEndpoint
 

@@ -124,10 +124,10 @@ def test_the_arbiter_answers_by_the_table(order: OperatorOrder, situation: Contr
         assert refused is None
     else:
         assert refused is not None
-        if rule in (Rule.HOLDER, Rule.LANDING):
+        if rule in (Rule.HOLDER, Rule.IDLE, Rule.LANDING):
             assert "gamepad pad" in refused
     assert bridge.reported[-1].refusal == refused
-    if rule is Rule.HOLDER:
+    if rule in (Rule.HOLDER, Rule.IDLE):
         own = bridge_in(situation).order(order)
         assert own == ("the vehicle flies already" if order is OperatorOrder.TAKE_OFF else None)
 
@@ -185,6 +185,25 @@ def test_sticks_command_only_with_the_hand_and_centred_sticks_hover() -> None:
     assert bridge.cycle() == Hover(), "guidance stays paused after the hand is given back"
     assert bridge.order(OperatorOrder.BEGIN) is None
     assert bridge.cycle() is GUIDED
+
+
+def test_an_idle_hand_may_be_taken_by_another_person_and_a_moving_one_may_not() -> None:
+    """A remote shell that hangs leaves a process that sends centred sticks for nobody."""
+    bridge = bridge_in(ControlSituation.GUIDED)
+    bridge.order(OperatorOrder.MANUAL)
+    for second in range(8):
+        bridge.sticks(forward=1.0 if second < 4 else 0.0)
+        bridge.cycle(0.4)
+        bridge.sticks(forward=1.0 if second < 4 else 0.0)
+        assert bridge.order(OperatorOrder.MANUAL, OTHER) == "gamepad pad has the hand and moves it"
+        bridge.cycle(0.1)
+    for _ in range(8):
+        bridge.sticks()
+        bridge.cycle(0.2)
+    assert bridge.order(OperatorOrder.MANUAL, OTHER) is None
+    assert bridge.arbiter.hand == OTHER
+    bridge.sticks(forward=1.0)
+    assert bridge.cycle() == Hover()
 
 
 @pytest.mark.parametrize("how", ["silence", "lost"])

@@ -1,0 +1,250 @@
+"""Terminals at the service's local socket: real sockets, the real pilot, and `decklander fly` in a pseudo-terminal."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import select
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.cli.fly_keyboard import KEY_S, KeyMotion, keys_in
+from companion.cli.main import main
+from companion.config.settings import load
+from companion.operator.client import connected
+from companion.operator.local_socket import OperatorSocket
+from companion.operator.orders import HandledOrder, OperatorOrder, StickPositions
+from companion.operator.socket_path import answers, running, socket_path
+from companion.operator.wire import FlightState, answer_of, request_of
+from companion.runtime.make_pilot import make_pilot
+from companion.runtime.pilot import Pilot
+from drivers.clock import SystemClock
+from estimator.contracts.commands import Hover, Velocity
+from estimator.contracts.errors import BadInput, Recoverable
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import Stamp
+from sitl.testing.fake_ardrone import until
+
+
+class Service:
+    """The parts of a service that orders meet: the socket, the pilot and guidance cycles, without a vehicle."""
+
+    def __init__(self, path: Path) -> None:
+        self.pilot: Pilot = make_pilot(load("sim"))
+        self.clock = SystemClock()
+        self.served = OperatorSocket(path, self.pilot, self.clock)
+        self.orders: list[HandledOrder] = []
+        self.pilot.operator.on_order = self.orders.append
+        self.command: object = None
+        self.flying = True
+
+    async def live(self) -> None:
+        while True:
+            now = self.clock.now()
+            self.pilot.on_sample(VehicleStatus(Stamp(now, now, 0.001, "arrival"), self.flying, "hovering", 0.5, False, True))
+            decision = self.pilot.decide(now)
+            self.served.on_decision(decision)
+            self.command = decision.command
+            await asyncio.sleep(0.02)
+
+
+@asynccontextmanager
+async def serving(path: Path) -> AsyncIterator[Service]:
+    service = Service(path)
+    async with asyncio.TaskGroup() as group:
+        tasks = [group.create_task(service.served.run()), group.create_task(service.live())]
+        await until(lambda: answers(path))
+        yield service
+        for task in tasks:
+            task.cancel()
+
+
+async def test_a_terminal_flies_by_hand_and_its_end_is_a_hold(tmp_path: Path) -> None:
+    path = tmp_path / "s.sock"
+    states: list[FlightState] = []
+    async with serving(path) as service:
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        async with connected(path, states.append) as client:
+            client.watch()
+            assert (await client.order(OperatorOrder.RELEASE)).text == "refused: nobody flies by hand"
+            assert (await client.order(OperatorOrder.MANUAL)).accepted
+            client.move(StickPositions(forward=1.0))
+            await until(lambda: isinstance(service.command, Velocity))
+            await until(lambda: states[-1].yours and states[-1].situation == "by hand")
+            async with connected(path) as other:
+                refused = await other.order(OperatorOrder.BEGIN)
+                assert "has the hand" in refused.text
+                assert not refused.accepted
+        await until(lambda: isinstance(service.command, Hover))
+        assert service.pilot.paused
+        assert "its terminal closed" in service.orders[-1].detail
+    assert not path.exists()
+
+
+async def test_a_terminal_that_stands_still_loses_the_hand(tmp_path: Path) -> None:
+    async with serving(tmp_path / "s.sock") as service, connected(tmp_path / "s.sock") as client:
+        await client.order(OperatorOrder.MANUAL)
+        client.move(StickPositions(forward=1.0))
+        await until(lambda: isinstance(service.command, Velocity))
+        await until(lambda: isinstance(service.command, Hover))
+        client.move(StickPositions(forward=1.0))
+        await asyncio.sleep(0.05)
+        assert isinstance(service.command, Hover)
+
+
+@pytest.mark.parametrize(
+    "lines", [b"{}\n", b"x" * 3000, b"\xff\xfe\n", b'{"kind":"sticks","forward":2.0}\n', b'{"kind":"sticks"}\n' * 150]
+)
+async def test_garbage_and_floods_end_their_own_connection_alone(tmp_path: Path, lines: bytes) -> None:
+    path = tmp_path / "s.sock"
+    async with serving(path) as service:
+        reader, writer = await asyncio.open_unix_connection(path)
+        writer.write(lines)
+        assert b"refused" in await reader.read()
+        writer.close()
+        async with connected(path) as client:
+            assert (await client.order(OperatorOrder.HOLD)).accepted
+        assert service.served.counts["refused"] == 1
+
+
+@given(st.binary(max_size=80))
+def test_no_bytes_make_the_decoders_raise(line: bytes) -> None:
+    assert isinstance(request_of(line), str) or line
+    assert answer_of(line) is None or line
+
+
+async def test_a_stale_socket_is_replaced_and_a_living_one_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "s.sock"
+    async with serving(path):
+        with pytest.raises(Recoverable, match="another service listens"):
+            await Service(path).served.run()
+        assert answers(path)
+    left = await asyncio.start_unix_server(lambda reader, writer: None, path)
+    left.close()
+    await left.wait_closed()
+    path.touch()
+    async with serving(path), connected(path) as client:
+        assert (await client.order(OperatorOrder.HOLD)).accepted
+    with pytest.raises(Recoverable, match="No such file"):
+        async with connected(path):
+            pass
+
+
+async def test_the_client_says_that_the_service_is_gone(tmp_path: Path) -> None:
+    path = tmp_path / "s.sock"
+    async with serving(path) as service:
+        lost = ""
+        try:
+            async with connected(path) as client:
+                assert (await client.order(OperatorOrder.HOLD)).accepted
+                for connection in list(service.served.connections):
+                    connection.close()
+                await asyncio.sleep(5.0)
+        except* Recoverable as why:
+            lost = str(why.exceptions[0])
+        assert lost == "the service has closed the connection"
+        with pytest.raises(Recoverable, match="has closed the connection"):
+            await client.order(OperatorOrder.HOLD)
+
+
+def test_the_path_follows_the_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    settings = load("sim")
+    assert socket_path(settings) == tmp_path / "decklander" / "127.0.0.1-5556.sock"
+
+    def with_socket(text: str) -> object:
+        return msgspec.structs.replace(settings, operator=msgspec.structs.replace(settings.operator, socket=text))
+
+    assert socket_path(with_socket("off")) is None  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="at most"):
+        socket_path(with_socket("/" + "x" * 150))  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="off"):
+        running(with_socket("off"))  # type: ignore[arg-type]
+    with pytest.raises(Recoverable, match="no service runs with these settings"):
+        running(settings)
+
+
+def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    path = socket_path(load("sim"))
+    assert path is not None
+    assert main(["fly", "hold"]) == 1
+    assert "no service runs" in capsys.readouterr().err
+    assert main(["fly", "--config", "sim"]) == 2, "no terminal"
+    assert main(["fly", "hold", "--wait", "3"]) == 2
+    capsys.readouterr()
+    commands: list[object] = []
+
+    async def terminal() -> list[tuple[OperatorOrder, bool]]:
+        async with serving(path) as service:
+            code = [str(Path(sys.executable).parent / "decklander"), "fly"]
+            for order, expected in (("takeoff", 1), ("hold", 0), ("status", 0)):
+                done = await asyncio.to_thread(
+                    subprocess.run, [*code, order, "--config", "sim"], capture_output=True, text=True, check=False
+                )
+                assert done.returncode == expected, done
+                assert done.stdout.startswith(f"{order}: " if order != "status" else "paused"), done
+            parent, child = pty.openpty()
+            process = await asyncio.to_thread(subprocess.Popen, code, stdin=child, stdout=child, stderr=child)
+            os.close(child)
+            await _screen(parent, "watching")
+            os.write(parent, b"m")
+            await _screen(parent, "manual: accepted")
+            for _ in range(10):
+                os.write(parent, b"\x1b[A")
+                await asyncio.sleep(0.05)
+                commands.append(service.command)
+            await until(lambda: isinstance(service.command, Hover))  # the key is let go
+            assert service.pilot.operator.hand is not None
+            os.write(parent, b"q")
+            assert await asyncio.to_thread(process.wait, 10) == 0
+            os.close(parent)
+            return [(handled.order, handled.accepted) for handled in service.orders]
+
+    orders = asyncio.run(terminal())
+    assert orders == [
+        (OperatorOrder.TAKE_OFF, False),
+        (OperatorOrder.HOLD, True),
+        (OperatorOrder.MANUAL, True),
+        (OperatorOrder.RELEASE, True),
+    ]
+    assert [c.v_level.tolist() for c in commands if isinstance(c, Velocity)][-1] == [0.5, 0.0, 0.0]
+
+
+async def _screen(parent: int, text: str) -> None:
+    """Wait until the terminal shows the text."""
+    shown, end = "", time.monotonic() + 10.0
+    while text not in shown:
+        assert time.monotonic() < end, shown
+        if select.select([parent], [], [], 0)[0]:
+            shown += os.read(parent, 4096).decode(errors="replace")
+        await asyncio.sleep(0.02)
+
+
+def test_keys_are_sticks_with_a_dead_man() -> None:
+    assert list(keys_in("w\x1b[A\x1bOD\x1b[3~x")) == ["w", "up", "left", "x"]
+    motion = KeyMotion().pressed("w", 10.0).pressed("left", 10.1)
+    assert motion.sticks(10.2) == StickPositions(climb=0.5, right=-0.5)
+    assert motion.sticks(10.0 + KEY_S + 0.05) == StickPositions(right=-0.5)
+    assert motion.sticks(10.1 + KEY_S).centred
+    for _ in range(20):
+        motion = motion.pressed("+", 10.0)
+    assert motion.pressed("d", 11.0).sticks(11.1) == StickPositions(turn=1.0)
+
+
+@given(st.text(max_size=30))
+def test_whatever_a_terminal_sends_is_keys(text: str) -> None:
+    assert all(key and "\x1b" not in key for key in keys_in(text))
