@@ -21,12 +21,17 @@ from companion.config.effect import refuse_moved, with_moved, without_retired
 from companion.config.model import PadSettings, Settings
 from companion.config.refusal import explain
 from companion.config.secret_files import CREDENTIAL
+from companion.guidance.response import Response, response_from_mapping
 from drivers.ardrone.options import ArDroneOptions
+from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput, unusable
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 
-__all__ = ["Settings", "camera_model", "find_file", "from_mapping", "load", "pad_model", "read_toml", "shipped"]
+__all__ = [
+    "Settings", "camera_model", "find_file", "from_mapping", "load", "pad_model", "read_toml", "response_model", "shipped",
+    "shipped_response",
+]  # fmt: skip
 
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
@@ -60,8 +65,14 @@ def load(name_or_path: str | Path) -> Settings:
             settings.mqtt, path.parent, ["password_file", "ca_file", "certificate_file", "key_file", "command_key_file", "spool"]
         ),
     )
+    follow = settings.guidance.follow_deck
+    if not follow.response_by_vehicle:
+        named = _reference(follow.response, "responses", path, "guidance.follow_deck.response")
+        guidance = msgspec.structs.replace(settings.guidance, follow_deck=msgspec.structs.replace(follow, response=named))
+        settings = msgspec.structs.replace(settings, guidance=guidance)
     camera_model(settings)
     pad_model(settings)
+    response_model(settings)
     return settings
 
 
@@ -106,6 +117,29 @@ def pad_model(settings: Settings) -> Pad:
     return Pad.from_mapping(read_toml(path), str(path))
 
 
+def response_model(settings: Settings) -> Response:
+    """Return the vehicle's response that `settings.guidance.follow_deck.response` names, or that of the kind of vehicle.
+
+    Raises:
+        BadInput: the file is missing or has a fault.
+    """
+    o = settings.guidance.follow_deck
+    by_kind = "autopilot" if isinstance(settings.vehicle, AutopilotOptions) else "ardrone2"
+    named = by_kind if o.response_by_vehicle else o.response
+    path = find_file(named, "responses", Path(), "guidance.follow_deck.response")
+    return response_from_mapping(read_toml(path), str(path))
+
+
+def shipped_response(name: str) -> Response:
+    """Return a shipped response by its name.
+
+    Raises:
+        BadInput: there is none of that name.
+    """
+    path = find_file(name, "responses", Path(), "response")
+    return response_from_mapping(read_toml(path), str(path))
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file.
 
@@ -123,7 +157,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def shipped(folder: str = "") -> list[str]:
-    """Return the names of the shipped files of one kind: "" profiles, "cameras", "pads"."""
+    """Return the names of the shipped files of one kind: "" profiles, "cameras", "pads", "responses"."""
     return sorted(p.stem for p in (SHIPPED / folder).glob("*.toml"))
 
 

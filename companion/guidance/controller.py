@@ -8,8 +8,10 @@ next one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
+
+import numpy as np
 
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState
@@ -60,6 +62,8 @@ class Target:
     descent_rate_m_s: float | None = None
     """The wanted rate against the deck, down positive. With a rate the wanted height is not looked at: 0.45 goes down to the deck
     and presses on there, -0.5 climbs. None flies to the wanted height and holds it."""
+    v_body_level: F64 = field(default_factory=lambda: np.zeros(3))
+    """Velocity of the target itself against the pad, (3,) m/s: for one that is moved along a way."""
     vertical_rate_max_m_s: float = 1.0
     """Largest rate against the deck with which a wanted height is flown to."""
     speed_max_m_s: float = 1.5
@@ -71,6 +75,7 @@ class Target:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "d_body_pad_level", _vector("Target.d_body_pad_level", self.d_body_pad_level, (3,)))
+        object.__setattr__(self, "v_body_level", _vector("Target.v_body_level", self.v_body_level, (3,)))
         numbers = (self.descent_rate_m_s, self.vertical_rate_max_m_s, self.speed_max_m_s, self.yaw_rad, self.lean_max_rad)
         if not all(x is None or math.isfinite(x) for x in numbers):
             raise ValueError(f"a target needs finite numbers, got {numbers}")

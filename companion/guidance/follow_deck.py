@@ -8,7 +8,7 @@ do not turn with the nose.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from companion.guidance.axis import AxisMeasured, TiltAxis, begun, command, comm
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.disturbance import ObserverGains, ObserverNoise
 from companion.guidance.heave import STILL, DeckAhead, deck_ahead
+from companion.guidance.pid import Pid
+from companion.guidance.pid_controller import PidController
 from companion.guidance.response import Response
 from companion.guidance.tilt_law import TiltWeights, tilt_gains
 from companion.guidance.view import FieldOfView, lean_in_view
@@ -42,6 +44,8 @@ class FollowDeckMemory:
     """What accelerates the body beside its answer to climb commands."""
     climbs: tuple[float, ...] = ()
     """Commanded vertical speeds, newest first, m/s down."""
+    plain: Pid = field(default_factory=Pid.start)
+    """The memory of the fallback."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +77,7 @@ class FollowDeck:
         noise: of the observer.
         forecast: whether the deck's motion is known ahead; without it the deck is followed from behind.
         delay_line: whether commands under way are known; without it the vehicle is taken to answer at once.
+        fallback: flies where the estimator path knows nothing of the body's motion.
 
     Raises:
         ValueError: there are no gains that stabilise such a vehicle.
@@ -90,7 +95,9 @@ class FollowDeck:
         noise: ObserverNoise | None = None,
         forecast: bool = True,
         delay_line: bool = True,
+        fallback: PidController | None = None,
     ) -> None:
+        self._fallback = fallback
         self.response, self.period_s, self.view = response, period_s, view
         self.gains = tilt_gains(response.tilt, weights or TiltWeights(), period_s, delay_line=delay_line)
         self.observers = disturbance.observer_gains(noise or ObserverNoise(), period_s)
@@ -105,10 +112,14 @@ class FollowDeck:
     def step(
         self, memory: FollowDeckMemory, now: MonoNs, knowledge: Knowledge, target: Target | None
     ) -> tuple[FollowDeckMemory, Command]:
-        """Run one guidance cycle; `Hover` without a target, or without an estimate of pad and body."""
+        """Run one guidance cycle; `Hover` without a target, or without an estimate."""
         body, relative, deck = knowledge.body, knowledge.relative, knowledge.deck
-        if body is None or relative is None:
+        if relative is None or (body is None and self._fallback is None):
             return memory, Hover()
+        if body is None:
+            assert self._fallback is not None
+            plain, given = self._fallback.step(memory.plain, now, knowledge, target)
+            return replace(memory, plain=plain), given
         frame = _Frame.of(body)
         here = self._deck_ahead(deck, knowledge, 0.0)
         axes = self._axes(memory, now, relative, body, here, frame)
@@ -116,7 +127,7 @@ class FollowDeck:
         pushed = climb_law.pushed(
             memory.pushed_down_m_s2, float(body.a_level[2]), v_down, memory.climbs[-1], self.period_s, self.response.climb
         )
-        memory = FollowDeckMemory(now, axes, pushed, memory.climbs)
+        memory = FollowDeckMemory(now, axes, pushed, memory.climbs, memory.plain)
         if target is None:
             return self._noted(memory, (axes[0].lean, axes[1].lean), v_down), Hover()
         forward, right, trim = self._lean(axes, relative, knowledge, target, here, frame)

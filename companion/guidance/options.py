@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from estimator.contracts.keys import check_ranges, choice, number
+from companion.guidance.follow_deck_options import FollowDeckOptions
+from estimator.contracts.keys import check_ranges, choice, name, number
 
 _TUNED = "tuned in simulation"
 _Kp = Annotated[float, number("proportional gain", "1/s", 0.0, 20.0, _TUNED)]
@@ -231,7 +232,16 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         number("longest time from the land command to the landing; after it the drone goes around", "s", 1.0, 120.0),
     ] = 6.0
+    controller: Annotated[
+        str,
+        name(
+            "the control law: follow_deck (tilt and forecast, down to contact), pid (the thesis' position controller), or the "
+            "name under which an installed package offers one",
+            64,
+        ),
+    ] = "pid"
     pid: PidOptions = PidOptions()
+    follow_deck: FollowDeckOptions = FollowDeckOptions()
     planner: PlannerOptions = PlannerOptions()
 
     def __post_init__(self) -> None:

@@ -8,12 +8,13 @@ with u, f, a as accelerations g tan(tilt). A commanded vertical speed acts after
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
 from companion.guidance.riccati import exponential
+from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import check_ranges, number
 from estimator.contracts.motion import G_M_S2
@@ -66,6 +67,18 @@ class Response(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     tilt: TiltResponse
     climb: ClimbResponse
+
+
+def response_from_mapping(table: dict[str, Any], where: str) -> Response:
+    """Return the response that the content of a file describes; `where` begins the error.
+
+    Raises:
+        BadInput: a key is missing, unknown, of the wrong type or out of range.
+    """
+    try:
+        return msgspec.convert(table, Response)
+    except (msgspec.ValidationError, ValueError) as why:
+        raise BadInput(f"{where}: {why}") from why
 
 
 class TiltModel(msgspec.Struct, frozen=True):

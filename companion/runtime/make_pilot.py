@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 from msgspec import structs
 
 from companion.config.model import Settings
-from companion.config.settings import camera_model, pad_model
+from companion.config.settings import camera_model, pad_model, response_model
+from companion.guidance.controller import Controller
+from companion.guidance.controllers import ControllerSetup, make_controller
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.view import FieldOfView
 from companion.runtime.pilot import Pilot
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import PathName
 from estimator.options import EstimatorOptions
+from estimator.vision.camera import Camera
 from estimator.vision.tracker import TrackerConfig
 
 
@@ -33,7 +39,40 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
         automatic=settings.guidance.start == "automatic",
         shadows=shadows,
         manual=settings.operator.manual,
+        law=law_of(settings),
     )
+
+
+def law_of(settings: Settings) -> Callable[[GuidanceOptions], Controller[Any]]:
+    """Return what makes the control law from guidance's options, which may be tuned in flight, and all else that it needs.
+
+    Raises:
+        BadInput: the response or camera file has a fault, or there is no such controller.
+    """
+    response, view = response_model(settings), field_of_view(camera_model(settings))
+    over_ground = isinstance(settings.vehicle, AutopilotOptions)
+
+    def make(guidance: GuidanceOptions) -> Controller[Any]:
+        return make_controller(ControllerSetup(guidance, response, view, over_ground))
+
+    make(settings.guidance)
+    return make
+
+
+def field_of_view(camera: Camera) -> FieldOfView | None:
+    """Return the field of a camera that looks down, in the body's axes; None of one that looks elsewhere.
+
+    Half a field is that from the optical axis to the nearer edge.
+    """
+    mount = camera.T_body_cam
+    down = mount.R.matrix[:, 2]
+    if float(down[2]) < math.cos(math.radians(10.0)):
+        return None
+    half_u = math.atan(min(camera.cx, camera.width - 1 - camera.cx) / camera.fx)
+    half_v = math.atan(min(camera.cy, camera.height - 1 - camera.cy) / camera.fy)
+    across = abs(float(mount.R.matrix[1, 0])) > math.sqrt(0.5)
+    half_forward, half_right = (half_v, half_u) if across else (half_u, half_v)
+    return FieldOfView(float(mount.t[0]), float(mount.t[1]), half_forward, half_right)
 
 
 def tracker(settings: Settings) -> TrackerConfig:

@@ -8,14 +8,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
+from typing import Any
 
 from msgspec import structs
 
+from companion.config.settings import shipped_response
 from companion.guidance.contact import ContactWatch, watched
-from companion.guidance.controller import HORIZONS_S, Impact, Knowledge
+from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
+from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.lease import NO_LANDING
 from companion.guidance.options import GuidanceOptions
-from companion.guidance.pid import Pid, SetPoint, pid_step
+from companion.guidance.pid import SetPoint
 from companion.guidance.plan import Plan
 from companion.guidance.planner import Phase, Planner, planner_step
 from companion.operator.arbiter import OperatorArbiter
@@ -53,11 +56,15 @@ class FlightOutcome(Enum):
     """The operator aborted the flight; the vehicle hovers."""
 
 
-FORECAST_S = 0.1
+FORECAST_S = 0.2
 """Time between two forecasts of the deck, s: they cost more than the rest of a guidance cycle, and change slowly."""
 _TRIED = (FlightOutcome.GAVE_UP, FlightOutcome.LAND_TIMEOUT)
 """Outcomes after which the vehicle hovers and the operator may begin again."""
 _PLAIN = (Phase.WAITING, Phase.APPROACH, Phase.DESCEND, Phase.LAND)
+
+
+def _law_for_ardrone(guidance: GuidanceOptions) -> Controller[Any]:
+    return make_controller(ControllerSetup(guidance, shipped_response("ardrone2")))
 
 
 class Pilot:
@@ -66,6 +73,7 @@ class Pilot:
     Args:
         automatic: whether the approach begins as soon as the vehicle flies; otherwise it waits for `begin`.
         shadows: estimator paths that run for comparison only and never steer.
+        law: makes the control law from guidance's options; by default it is made for an AR.Drone.
         manual: the options of manual flight.
     """
 
@@ -77,12 +85,15 @@ class Pilot:
         *,
         automatic: bool = True,
         shadows: Sequence[PathName] = (),
+        law: Callable[[GuidanceOptions], Controller[Any]] | None = None,
         manual: ManualOptions | None = None,
     ) -> None:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
         self._memory = pipeline.start(options, shadows)
         self._plan = Plan.over_the_pad(guidance)
+        self._make_law = law or _law_for_ardrone
+        self._law = self._make_law(guidance)
         self._automatic = automatic
         self._status: VehicleStatus | None = None
         self.engage: Callable[[], None] = lambda: None
@@ -95,7 +106,7 @@ class Pilot:
         self._begun = self._automatic
         self._paused = False
         self._planner = Planner.start()
-        self._pid = Pid.start()
+        self._law_memory = self._law.start()
         self._landing_commanded = False
         self._flew = False
         self._stood = False
@@ -166,7 +177,10 @@ class Pilot:
 
     def retune(self, guidance: GuidanceOptions, *, min_confidence: float, max_delay_s: float) -> None:
         """Use other settings from now on; the present approach continues."""
+        before = self._plan.guidance
         self._plan = Plan.over_the_pad(guidance)
+        if guidance != before:
+            self._law, self._law_memory = self._make_law(guidance), self._law.start()
         options = structs.replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
         self._memory = replace(self._memory, options=options)
 
@@ -296,9 +310,15 @@ class Pilot:
         self.reason = "" if phase in _PLAIN else self._planner.reason
         if phase is Phase.GAVE_UP:
             self._end(FlightOutcome.LAND_TIMEOUT if NO_LANDING in self._planner.reason else FlightOutcome.GAVE_UP)
+        target = None
         if isinstance(aim, SetPoint):
-            self._pid, command = pid_step(self._pid, self._plan.guidance.pid, now, belief, aim, self._plan.guidance.stale_after_s)
-            return command
+            target = Target(aim.d_body_pad_level, yaw_rad=aim.yaw_rad, v_body_level=aim.v_body_level)
+        self._law_memory, command = self._law.step(self._law_memory, now, self.knowledge(now), target)
+        if not isinstance(aim, SetPoint):
+            return self._finished(aim)
+        return command
+
+    def _finished(self, aim: Command) -> Command:
         self._landing_commanded = self._landing_commanded or isinstance(aim, Land)
         return aim
 

@@ -56,6 +56,7 @@ _AHEAD = np.stack([transition(W, ZETA, h, AT_REST).A[:, :2] for h in skill.HORIZ
 DRIFT_VAR = np.array([[25.0, 9.0, 1.0]] * 3 + [[math.radians(2.0) ** 2, 0.0, 0.0]] * 2)
 """(5, 3) prior of offset, its rate, acceleration. A deck's list is an offset that does not drift."""
 _SIZE = 7
+_PRESENT = np.array([1.0, 0.0, 0.0, 0.0])
 CARRIED = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
 """Whether the IMU's errors affect a direction, (5,); a deck's roll and pitch are measured directly."""
 _UPRIGHT = slice(2, 5)
@@ -202,23 +203,36 @@ def ahead(sea: DeckMotionBank, t: int, rate: F64, horizons_s: F64) -> Ahead:
     column = P[..., 1]
     P = P - column[..., :, None] * column[..., None, :] / np.maximum(column[..., 1], 1e-18)[..., None, None]
     now = (w * x).sum(axis=1)[:, 0]
-    shape = (horizons_s.size, 5, 2)
-    mean, by_rate, var, var_change = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape[:2])
-    for k, horizon in enumerate(horizons_s.tolist()):
-        A, q = transition(W, ZETA, horizon, AT_REST)
-        a, noise = A[:, :2], size * np.diagonal(q, axis1=1, axis2=2)[:, :2]
-        observed = np.einsum("gri,cgi->cgr", a, x)
-        mean[k] = (w * observed).sum(axis=1)
-        by_rate[k] = (w * a[..., 1]).sum(axis=1)
-        var[k] = (w * (np.einsum("gri,cgij,grj->cgr", a, P, a) + noise + (observed - mean[k][:, None]) ** 2)).sum(axis=1)
-        a = a[:, 0] - np.array([1.0, 0.0, 0.0, 0.0])
-        moved = observed[..., 0] - x[..., 0]
-        spread = (moved - (weight * moved).sum(axis=1, keepdims=True)) ** 2
-        var_change[k] = (weight * (np.einsum("gi,cgij,gj->cg", a, P, a) + noise[..., 0] + spread)).sum(axis=1)
+    # Arrays have axes (direction, member, horizon, displacement or rate): one product a member, whatever the number of horizons.
+    reach, noise = _reach(tuple(horizons_s.tolist()))
+    member = weight[..., None, None]
+    a = reach.reshape(W.size, -1, 2, 4)
+    observed = (x[:, :, None, :] @ reach.transpose(0, 2, 1)).reshape(*x.shape[:2], -1, 2)
+    mean = (member * observed).sum(axis=1)
+    own = (((reach @ P) * reach).sum(axis=-1)).reshape(observed.shape)
+    var = (member * (own + size[..., None] * noise + (observed - mean[:, None]) ** 2)).sum(axis=1)
+    change = a[:, :, 0] - _PRESENT
+    moved = observed[..., 0] - x[..., :1]
+    spread = (moved - (member[..., 0] * moved).sum(axis=1, keepdims=True)) ** 2
+    own_change = ((change @ P) * change).sum(axis=-1)
+    var_change = (member[..., 0] * (own_change + size * noise[..., 0] + spread)).sum(axis=1).T
+    by_rate = np.einsum("cg,ghr->hcr", weight, a[..., 1])
+    mean, var = mean.transpose(1, 0, 2), var.transpose(1, 0, 2)
     kept = skill.factor(sea.skill, horizons_s, sea.w_rad_s)
     skill_var = ((1.0 - kept) * mean) ** 2
     mean = kept * mean
     return Ahead(mean, mean[..., 0] - now, by_rate, var + skill_var, var_change + skill_var[..., 0])
+
+
+@lru_cache(maxsize=16)  # guidance asks for the same horizons again and again
+def _reach(horizons_s: tuple[float, ...]) -> tuple[F64, F64]:
+    """Return displacement and rate of the members at H horizons: (G, H 2, 4) of the transition, (G, H, 2) noise for sigma = 1."""
+    steps = [transition(W, ZETA, horizon, AT_REST) for horizon in horizons_s]
+    reach = np.stack([step.A[:, :2] for step in steps], axis=1).reshape(W.size, -1, 4)
+    noise = np.stack([np.diagonal(step.q, axis1=1, axis2=2)[:, :2] for step in steps], axis=1)
+    reach.setflags(write=False)
+    noise.setflags(write=False)
+    return reach, noise
 
 
 def _carried(x: F64, P: F64, dt: float, by: Carrying, reach_m: float) -> tuple[F64, F64]:

@@ -1,0 +1,87 @@
+"""The controllers by name: the two of this program, and any that an installed package offers.
+
+A package offers one as an entry point of the group `decklander.controllers`, under the name that the setting
+`guidance.controller` then holds: a function that takes a `ControllerSetup` and returns a `Controller`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any
+
+from msgspec import structs
+
+from companion.guidance.controller import Controller
+from companion.guidance.disturbance import ObserverNoise
+from companion.guidance.follow_deck import FollowDeck
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.pid_controller import PidController
+from companion.guidance.response import Response
+from companion.guidance.view import FieldOfView
+from estimator.contracts.errors import BadInput
+
+GROUP = "decklander.controllers"
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerSetup:
+    """What a controller is made from."""
+
+    guidance: GuidanceOptions
+    response: Response
+    view: FieldOfView | None = None
+    over_ground: bool = False
+    """Whether the vehicle's driver takes velocities over the ground and adds the deck's own to them."""
+
+
+def make_controller(setup: ControllerSetup) -> Controller[Any]:
+    """Return the controller that `guidance.controller` names.
+
+    Raises:
+        BadInput: there is none of that name, it cannot be loaded, or it finds no gains for the vehicle's response.
+    """
+    name = setup.guidance.controller
+    make = _OWN.get(name) or _offered(name)
+    try:
+        return make(setup)
+    except ValueError as why:
+        raise BadInput(f"guidance.controller {name!r}: {why}") from why
+
+
+def _follow_deck(setup: ControllerSetup) -> Controller[Any]:
+    o = setup.guidance.follow_deck
+    tilt, climb = setup.response.tilt, setup.response.climb
+    response = Response(
+        structs.replace(tilt, max_deg=min(tilt.max_deg, o.tilt_max_deg)),
+        structs.replace(climb, max_m_s=min(climb.max_m_s, o.climb_max_m_s)),
+    )
+    return FollowDeck(
+        response,
+        1.0 / setup.guidance.rate_hz,
+        setup.view if o.keep_in_view else None,
+        noise=ObserverNoise(accelerometer=o.accelerometer),
+        forecast=o.forecast,
+        delay_line=o.delay_line,
+        fallback=PidController(setup.guidance.pid, heaves=not setup.over_ground),
+    )
+
+
+def _pid(setup: ControllerSetup) -> Controller[Any]:
+    return PidController(setup.guidance.pid, heaves=not setup.over_ground)
+
+
+_OWN: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {"follow_deck": _follow_deck, "pid": _pid}
+
+
+def _offered(name: str) -> Callable[[ControllerSetup], Controller[Any]]:
+    offered = {entry.name: entry for entry in entry_points(group=GROUP)}
+    if name not in offered:
+        known = ", ".join(sorted({*_OWN, *offered}))
+        raise BadInput(f"guidance.controller: there is no controller {name!r}; known are {known}")
+    try:
+        found: Callable[[ControllerSetup], Controller[Any]] = offered[name].load()
+    except Exception as why:
+        raise BadInput(f"guidance.controller: {name!r} of {offered[name].value} cannot be loaded: {why}") from why
+    return found

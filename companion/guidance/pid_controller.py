@@ -1,0 +1,59 @@
+"""The thesis' position controller as one of the controllers (`pid`): the same gains, flown against the deck.
+
+Two faults of the thesis' way are mended. Its velocity was over the ground, so the deck rose into a drone that held its height;
+here the deck's own vertical speed is added. And it hovered while it did not know what to do, which forgot the tilt against the
+wind; here the integral outlives a hover, and the driver keeps the trim.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from companion.guidance.controller import Knowledge, Target
+from companion.guidance.options import PidOptions
+from companion.guidance.pid import Pid, SetPoint, pid_step
+from estimator.contracts.commands import Command, Hover, Velocity
+from estimator.contracts.time import MonoNs
+
+
+class PidController:
+    """The controller.
+
+    Args:
+        options: gains and limits.
+        heaves: whether the deck's vertical speed is added here; False for a vehicle whose driver adds it.
+    """
+
+    name = "pid"
+
+    def __init__(self, options: PidOptions, *, heaves: bool = True) -> None:
+        self._options, self._heaves = options, heaves
+
+    def start(self) -> Pid:
+        """Return the memory before the first cycle."""
+        return Pid.start()
+
+    def step(self, memory: Pid, now: MonoNs, knowledge: Knowledge, target: Target | None) -> tuple[Pid, Command]:
+        """Run one guidance cycle; `Hover` without a target or an estimate."""
+        estimate = knowledge.relative
+        if target is None or estimate is None:
+            return memory, Hover()
+        wanted, along = np.array(target.d_body_pad_level), np.array(target.v_body_level)
+        if target.descent_rate_m_s is not None:
+            wanted[2], along[2] = estimate.height_m, target.descent_rate_m_s
+        # Whether the estimate will do is the mission's to say; the controller flies what it is given.
+        given = replace(estimate, sighted=now, at=now, consistent=True)
+        memory, command = pid_step(memory, self._options, now, given, SetPoint(wanted, target.yaw_rad, along), 1.0)
+        if not isinstance(command, Velocity):
+            return memory, command
+        v = np.array(command.v_level)
+        if target.descent_rate_m_s is None:
+            v[2] = min(target.vertical_rate_max_m_s, max(-target.vertical_rate_max_m_s, v[2]))
+        speed = float(np.hypot(v[0], v[1]))
+        if speed > target.speed_max_m_s:
+            v[:2] *= target.speed_max_m_s / speed
+        if self._heaves and knowledge.deck is not None:
+            v[2] += knowledge.deck.v_level[2]
+        return memory, Velocity(v, command.yaw_rate_rad_s)

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from msgspec import structs
+
+from companion.config.settings import camera_model, from_mapping, load, response_model
+from companion.guidance.controllers import ControllerSetup, make_controller
+from companion.guidance.follow_deck import FollowDeck
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.pid_controller import PidController
+from companion.guidance.response import response_from_mapping
+from companion.runtime.make_pilot import field_of_view, law_of
+from estimator.contracts.errors import BadInput
+from estimator.contracts.geometry import Rotation, Transform
+from estimator.vision.camera import Camera
+
+SETTINGS = load("sim")
+RESPONSE = response_model(SETTINGS)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("follow_deck", FollowDeck), ("pid", PidController)])
+def test_the_setting_chooses_the_law(name: str, kind: type) -> None:
+    guidance = GuidanceOptions(controller=name)
+    assert isinstance(law_of(structs.replace(SETTINGS, guidance=guidance))(guidance), kind)
+
+
+def test_a_controller_that_is_not_installed_is_refused_with_those_that_are() -> None:
+    with pytest.raises(BadInput, match=r"no controller 'mpc'; known are follow_deck, pid"):
+        make_controller(ControllerSetup(GuidanceOptions(controller="mpc"), RESPONSE))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"tilt": {"delay_s": 0.05, "frequency_rad_s": 4.0, "damping": 0.8}}, "climb"),
+        ({"tilt": {"delay_s": 5.0, "frequency_rad_s": 4.0, "damping": 0.8}, "climb": {"delay_s": 0.1, "lag_s": 0.3}}, "delay_s"),
+        ({"tilt": {"delay": 0.05}}, "delay"),
+    ],
+)
+def test_a_response_file_with_a_fault_says_which(table: dict[str, object], said: str) -> None:
+    with pytest.raises(BadInput, match=rf"^mine.toml: .*{said}"):
+        response_from_mapping(table, "mine.toml")
+
+
+def test_settings_that_name_no_response_are_refused() -> None:
+    table = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
+    settings = from_mapping({**table, "guidance": {"follow_deck": {"response": "ardrone3"}}}, "rig.toml")
+    with pytest.raises(BadInput, match="did you mean 'ardrone2'"):
+        response_model(settings)
+
+
+def test_the_field_of_view_is_in_the_body_axes_whatever_way_the_camera_is_turned() -> None:
+    def camera(turn_deg: float, tilt_deg: float = 0.0) -> Camera:
+        R = Rotation.from_rpy(math.radians(tilt_deg), 0.0, math.radians(turn_deg))
+        given = camera_model(SETTINGS)
+        return replace(given, T_body_cam=Transform(R, given.T_body_cam.t))
+
+    nose_up, sideways = field_of_view(camera(90.0)), field_of_view(camera(0.0))
+    assert nose_up is not None
+    assert sideways is not None
+    assert (nose_up.half_forward_rad, nose_up.half_right_rad) == (sideways.half_right_rad, sideways.half_forward_rad)
+    assert math.degrees(nose_up.half_forward_rad) == pytest.approx(25.6, abs=0.1)
+    assert field_of_view(camera(90.0, 60.0)) is None
