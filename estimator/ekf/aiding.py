@@ -10,13 +10,12 @@ import math
 import numpy as np
 
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import COMPONENTS, FusionResult
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import UNKNOWN_VAR, Baro, BodyVelocity, Range, VesselReport
 from estimator.ekf import gate, measure, motion
 from estimator.ekf.algebra import nis_of
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event, FilterParams, corrected, propagated, propagated_with_covariance, result
+from estimator.ekf.propagate import Event, FilterParams, Outcome, corrected, propagated, propagated_with_covariance
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -61,7 +60,7 @@ _CORRELATION = (
 )  # fmt: skip
 
 
-def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple[Belief, FusionResult]:
+def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple[Belief, Outcome]:
     """Fuse a velocity over the ground or over the deck.
 
     If the options do not say which, the samples decide between the two hypotheses, and the remaining ambiguity widens the noise.
@@ -74,7 +73,7 @@ def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple
     v, cov = event.v_level, event.cov_level
     axes = measure.measured_axes(cov)
     if not axes or (deck_weight == 1.0 and b.sighted < 0):
-        return b, result(event, Verdict.GATED)
+        return b, Outcome(Verdict.GATED)
     over = motion.peek_velocity(b)
     if deck_weight > 0.0:
         over = over - deck_weight * measure.v_pad_ned(b.x)
@@ -131,17 +130,17 @@ def _for_the_deck(ground: measure.LinearizedMeasurement, deck: measure.Linearize
     return max(-3.0, min(3.0, 0.5 * (max(misfit_ground, least) - max(misfit_deck, least))))
 
 
-def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, FusionResult]:
+def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, Outcome]:
     """Fuse a distance along the body's down axis. It is refused before the first sighting and beyond the deck's edge."""
     b = propagated(b, event.stamp.measured_at, params)
     if b.sighted < 0:
-        return b, result(event, Verdict.GATED)
+        return b, Outcome(Verdict.GATED)
     x = motion.peek(b)
     # There is water beyond the deck's edge.
     away, spread = _foot(b, x)
     row = None if away + 2.0 * spread > params.options.deck_radius_m else measure.distance(x, b.R, event.range_m, event.sigma_m)
     if row is None:
-        return b, result(event, Verdict.GATED)
+        return b, Outcome(Verdict.GATED)
     return gather(b, RANGE, event, row.innov, row.R, params)
 
 
@@ -153,11 +152,11 @@ def _foot(b: Belief, x: F64) -> tuple[float, float]:
     return math.hypot(float(foot[0]), float(foot[1])), spread
 
 
-def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, FusionResult]:
+def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, Outcome]:
     """Fuse a barometric height. It is refused before the first sighting."""
     b = propagated(b, event.stamp.measured_at, params)
     if b.sighted < 0:
-        return b, result(event, Verdict.GATED)
+        return b, Outcome(Verdict.GATED)
     innov = np.array([event.height_m - (motion.peek_height(b) + float(b.x[BARO_OFFSET]))])
     return gather(b, HEIGHT, event, innov, np.array([[event.sigma_m * event.sigma_m]]), params)
 
@@ -171,7 +170,7 @@ def gather(
     params: FilterParams,
     axes: tuple[int, ...] = (),
     deck_weight: float = 0.0,
-) -> tuple[Belief, FusionResult]:
+) -> tuple[Belief, Outcome]:
     """Add a sample to those that are fused at the end of the aiding period, unless the gate rejects it.
 
     The covariance of the prediction changes little within a period, so it is computed for the period's first sample only.
@@ -187,27 +186,27 @@ def gather(
     if so_far is None or so_far.axes != axes or so_far.deck_weight != deck_weight or _stale(so_far, b.t, o):
         H, ambiguity = _predicted(b, kind, axes, deck_weight)
         if H is None:
-            return b, result(event, Verdict.GATED)
+            return b, Outcome(Verdict.GATED)
         spread = H.dot(b.P).dot(H.T) + ambiguity
         so_far = Gathered(0, b.t, axes, deck_weight, H, ambiguity, spread, np.zeros(innov.size), np.zeros_like(R))
     S = so_far.spread + R
     nis = nis_of(innov, S)
-    components = tuple([COMPONENTS["velocity"][i] for i in axes])
     if nis is None:
-        return b, result(event, Verdict.SINGULAR, innov, S, components=components)
+        return b, Outcome(Verdict.SINGULAR, innov, S, axes=axes)
     nis_max = gate.nis_max(o.gate_probability, innov.size)
     if nis > nis_max:
         since = aid.refused if aid.refused >= 0 else b.t
         if (b.t - since) * 1e-9 > _STUCK_S:
             b = _inflated(b, kind, innov)
             since = -1
-        return _with_aid(b, kind, aid._replace(refused=since)), result(event, Verdict.GATED, innov, S, nis, nis_max, components)
-    so_far = so_far._replace(n=so_far.n + 1, innov=so_far.innov + innov, R=so_far.R + R)
+        return _with_aid(b, kind, aid._replace(refused=since)), Outcome(Verdict.GATED, innov, S, nis, nis_max, axes)
+    n, since, _, _, H, ambiguity, spread, innov_sum, R_sum = so_far
+    so_far = Gathered(n + 1, since, axes, deck_weight, H, ambiguity, spread, innov_sum + innov, R_sum + R)
     b = _with_aid(b, kind, Aid(so_far, aid.fused))
     first = min([other.gathered.since for other in b.aids if other.gathered is not None])
     if (b.t - first) * 1e-9 >= o.aiding_period_s or aid.fused < 0:
         b = aided(b, params)
-    return b, result(event, Verdict.FUSED, innov, S, nis, nis_max, components)
+    return b, Outcome(Verdict.FUSED, innov, S, nis, nis_max, axes)
 
 
 def _stale(gathered: Gathered, t: int, o: EkfOptions) -> bool:
@@ -218,7 +217,7 @@ def _stale(gathered: Gathered, t: int, o: EkfOptions) -> bool:
 def _with_aid(b: Belief, kind: int, aid: Aid) -> Belief:
     aids = list(b.aids)
     aids[kind] = aid
-    return b._replace(aids=tuple(aids))
+    return b.changed(aids=tuple(aids))
 
 
 def _predicted(b: Belief, kind: int, axes: tuple[int, ...], deck_weight: float) -> tuple[F64 | None, F64]:
@@ -271,7 +270,7 @@ def aided(b: Belief, params: FilterParams) -> Belief:
         H.append(some.H)
         R.append((some.R / some.n + some.ambiguity) * inflation)
         aids[kind] = Aid(None, b.t, aid.refused)
-    b = b._replace(aids=tuple(aids))
+    b = b.changed(aids=tuple(aids))
     if not innov:
         return b
     noise = np.zeros((sum(i.size for i in innov),) * 2)
@@ -312,20 +311,20 @@ def _inflated(b: Belief, kind: int, innov: F64) -> Belief:
     return b._replace(P=P)
 
 
-def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[Belief, FusionResult]:
+def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[Belief, Outcome]:
     """Fuse a vessel's report: its velocity, its heading, or both."""
     o = params.options
     b = aided(propagated_with_covariance(b, event.stamp.measured_at, params), params)
     rows = []
-    components: tuple[str, ...] = ()
+    axes: tuple[int, ...] = ()
     if event.v_vessel_ned is not None and event.cov_v_ned is not None:
-        components += COMPONENTS["vessel"][:3]
+        axes += (0, 1, 2)
         rows.append(measure.vessel_velocity(b.x, event.v_vessel_ned, event.cov_v_ned))
     if event.heading_rad is not None and event.sigma_heading_rad is not None:
-        components += COMPONENTS["vessel"][3:]
+        axes += (3,)
         rows.append(measure.vessel_heading(b.x, event.heading_rad + o.pad_yaw_in_vessel_rad, event.sigma_heading_rad))
     if not rows:
-        return b, result(event, Verdict.GATED)
+        return b, Outcome(Verdict.GATED)
     n = sum(r.innov.size for r in rows)
     R = np.zeros((n, n))
     at = 0
@@ -335,10 +334,10 @@ def fuse_vessel(b: Belief, event: VesselReport, params: FilterParams) -> tuple[B
     innov = np.concatenate([r.innov for r in rows])
     fix = params.algebra.correct(b.P, innov, np.concatenate([r.H for r in rows]), R)
     if fix is None:
-        return b, result(event, Verdict.SINGULAR, innov, components=components)
+        return b, Outcome(Verdict.SINGULAR, innov, axes=axes)
     nis_max = gate.nis_max(o.gate_probability, n)
     if fix.nis > nis_max:
-        return b, result(event, Verdict.GATED, innov, fix.S, fix.nis, nis_max, components)
+        return b, Outcome(Verdict.GATED, innov, fix.S, fix.nis, nis_max, axes)
     b = corrected(b, fix.dx, fix.P)
     b = b._replace(heading_known=b.heading_known or event.heading_rad is not None)
-    return b, result(event, Verdict.FUSED, innov, fix.S, fix.nis, nis_max, components)
+    return b, Outcome(Verdict.FUSED, innov, fix.S, fix.nis, nis_max, axes)

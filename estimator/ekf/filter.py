@@ -21,7 +21,7 @@ from estimator.ekf.algebra import Algebra
 from estimator.ekf.forecast import Forecast
 from estimator.ekf.history import History, put
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event, FilterParams, propagated, propagated_with_covariance, result
+from estimator.ekf.propagate import Event, FilterParams, Outcome, propagated, propagated_with_covariance, result
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_ERR,
@@ -93,7 +93,7 @@ def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
     if ekf.limits is not None and isinstance(event, Imu):
         imu, refusal = sensors.watch(imu, event, ekf.limits, flying=True)
         if refusal is not None:
-            return replace(ekf, imu=imu), [result(event, refusal)]
+            return replace(ekf, imu=imu), [result(event, Outcome(refusal))]
     history, outcome = put(ekf.history, event, ekf.params)
     return Ekf(ekf.options, ekf.params, history, ekf.limits, imu), [outcome]
 

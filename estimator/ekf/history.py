@@ -12,7 +12,7 @@ from estimator.contracts.estimates import Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf.process_event import process_event
-from estimator.ekf.propagate import Event, FilterParams, result
+from estimator.ekf.propagate import Event, FilterParams, Outcome, result
 from estimator.ekf.state import Belief
 
 _RANK = {Imu: 0, Attitude: 1, BodyVelocity: 2, Range: 3, Baro: 4, VesselReport: 5, Sighting: 6}
@@ -82,16 +82,16 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
         n = before.n + 1 if before is not None and abs(stamp.received_at - before.received_at) <= leap_ns else 1
         if n < o.leap_count:
             verdict = Verdict.TOO_NEW if stamp.received_at > history.received_at else Verdict.TOO_OLD
-            return history._replace(leapt=Leap(stamp.received_at, n)), result(event, verdict)
+            return history._replace(leapt=Leap(stamp.received_at, n)), result(event, Outcome(verdict))
         history = history._replace(leapt=None) if stamp.received_at > history.received_at else History()
     elif history.leapt is not None:
         history = history._replace(leapt=None)
     received_at = max(history.received_at, stamp.received_at)
     t = stamp.measured_at
     if t > received_at + round(o.max_ahead_s * 1e9):
-        return history._replace(received_at=received_at), result(event, Verdict.TOO_NEW)
+        return history._replace(received_at=received_at), result(event, Outcome(Verdict.TOO_NEW))
     if t <= history.forgotten:
-        return history._replace(received_at=received_at), result(event, Verdict.TOO_OLD)
+        return history._replace(received_at=received_at), result(event, Outcome(Verdict.TOO_OLD))
     key = (t, rank, event.seq, event.method) if isinstance(event, Sighting) else (t, rank, 0, "")
     nodes = history.nodes
     i = len(nodes)
@@ -103,7 +103,8 @@ def put(history: History, event: Event, params: FilterParams) -> tuple[History, 
         b, _ = process_event(b, node.event, params)
         again.append(Node(node.key, node.event, b))
     nodes = nodes[:i] + tuple(again)
-    return _trimmed(history._replace(nodes=nodes, received_at=received_at), round(o.history_s * 1e9)), outcome
+    history = History(history.base, nodes, history.forgotten, received_at, history.leapt)
+    return _trimmed(history, round(o.history_s * 1e9)), result(event, outcome)
 
 
 def _trimmed(history: History, span_ns: int) -> History:

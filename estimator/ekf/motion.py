@@ -110,10 +110,10 @@ def propagate_state(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, *
     """
     dt = (t - b.t) * 1e-9
     if dt <= 0.0:
-        return b._replace(**also) if also else b
+        return b.changed(**also) if also else b
     if b.t_imu < 0 or t - b.t_imu > hold_ns:
         free = -G_NED
-        return b._replace(
+        return b.changed(
             t=t,
             dp=b.dp + b.dv * dt + free * (0.5 * dt * dt),
             dv=b.dv + free * dt,
@@ -125,7 +125,7 @@ def propagate_state(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, *
     R = b.R.dot(turn)
     mid = 0.5 * (b.R + R)
     a = mid.dot(f_body - b.x[ACCEL_BIAS])
-    return b._replace(
+    return b.changed(
         t=t,
         R=R,
         dp=b.dp + b.dv * dt + a * (0.5 * dt * dt),
@@ -141,7 +141,7 @@ def propagate_covariance(b: Belief, process_noise: ProcessNoise, algebra: Algebr
     if b.t <= b.t_cov:
         return b
     after, F, Q = moved(b, process_noise)
-    return after._replace(P=algebra.predict(b.P, F, Q))
+    return after.changed(P=algebra.predict(b.P, F, Q))
 
 
 class Linear(NamedTuple):
@@ -311,7 +311,7 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
         flat[_VEL_BY_POS] -= jolt * T
 
     R = orthonormalised(b.R)
-    belief = b._replace(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v,
+    belief = b.changed(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v,
         ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + process_noise.psd_coast * b.coast_s,
         jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
     )  # fmt: skip

@@ -7,15 +7,13 @@ import math
 import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf import deck_motion_bank, measure, motion, so3
 from estimator.ekf.aiding import fuse_baro, fuse_range, fuse_velocity, fuse_vessel, gather
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event, FilterParams, forgotten, propagated, propagated_with_covariance, result
+from estimator.ekf.propagate import Event, FilterParams, Outcome, forgotten, propagated, propagated_with_covariance
 from estimator.ekf.state import (
-    ATT_AXES,
     ATT_BIAS,
     ATT_ERR,
     ATTITUDE,
@@ -40,7 +38,7 @@ _SMOOTH_S = 0.03
 """Time constant of the smoothed body rate, s."""
 
 
-def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple[Belief | None, FusionResult]:
+def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:
     """Return the belief after one event, which must not be older than the belief, and the event's result.
 
     A refused event leaves the belief unchanged. `b` is None before the first attitude.
@@ -64,7 +62,7 @@ def process_event(b: Belief | None, event: Event, params: FilterParams) -> tuple
             return fuse_vessel(b, event, params)
 
 
-def _first(event: Event, params: FilterParams) -> tuple[Belief | None, FusionResult]:
+def _first(event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:
     """Initialize the belief from an attitude, or from the tilt that an accelerometer at about 1 g shows."""
     o = params.options
     t = event.stamp.measured_at
@@ -72,7 +70,7 @@ def _first(event: Event, params: FilterParams) -> tuple[Belief | None, FusionRes
         b = initial(
             o, t, event.R_ned_body.matrix, o.sigma_initial_tilt_rad, o.sigma_initial_heading_rad, deck_motion_bank.unknown()
         )
-        return _levelled(_correlated(b, o), event), result(event, Verdict.FUSED)
+        return _levelled(_correlated(b, o), event), Outcome(Verdict.FUSED)
     if isinstance(event, Imu):
         f = event.f_body
         size = float(np.linalg.norm(f))
@@ -80,8 +78,8 @@ def _first(event: Event, params: FilterParams) -> tuple[Belief | None, FusionRes
             x, y, z = f.tolist()
             R = rpy_matrix(math.atan2(-y, -z), math.atan2(x, math.hypot(y, z)), 0.0)
             b = initial(o, t, R, _FELT_TILT_RAD, math.radians(2.0), deck_motion_bank.unknown())
-            return b._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=f), result(event, Verdict.FUSED)
-    return None, result(event, Verdict.NO_ATTITUDE)
+            return b._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=f), Outcome(Verdict.FUSED)
+    return None, Outcome(Verdict.NO_ATTITUDE)
 
 
 def _correlated(b: Belief, o: EkfOptions) -> Belief:
@@ -97,10 +95,10 @@ def _correlated(b: Belief, o: EkfOptions) -> Belief:
 
 
 def _levelled(b: Belief, event: Attitude) -> Belief:
-    return b._replace(levelled_by=event.R_ned_body.matrix, cov_levelled_by=event.cov_body, heading_is_given=True)
+    return b.changed(levelled_by=event.R_ned_body.matrix, cov_levelled_by=event.cov_body, heading_is_given=True)
 
 
-def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, FusionResult]:
+def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, Outcome]:
     o, t = params.options, event.stamp.measured_at
     hold_ns = round(o.hold_s * 1e9)
     w_body, f_body = event.w_body, event.f_body
@@ -120,7 +118,7 @@ def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, FusionRes
         b = propagated(b, t, params)._replace(t_imu=t, w=w_body, w_smooth=w_body, f=f_body)
     if (b.t - b.t_cov) * 1e-9 >= o.tick_s:
         b = motion.propagate_covariance(b, params.process_noise, params.algebra)
-    return forgotten(b, o), result(event, Verdict.FUSED)
+    return forgotten(b, o), Outcome(Verdict.FUSED)
 
 
 def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions) -> tuple[Belief, F64, F64]:
@@ -137,15 +135,15 @@ def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions)
     return b, b.w + scale_w * (event.w_body - b.w), b.f + scale_f * (event.f_body - b.f)
 
 
-def _attitude(b: Belief, event: Attitude, params: FilterParams) -> tuple[Belief, FusionResult]:
+def _attitude(b: Belief, event: Attitude, params: FilterParams) -> tuple[Belief, Outcome]:
     o, t = params.options, event.stamp.measured_at
     if not b.heading_is_given:
         b = _correlated(_turned_to(propagated_with_covariance(b, t, params), event.R_ned_body.matrix, o), o)
-        return _levelled(b, event), result(event, Verdict.FUSED)
+        return _levelled(b, event), Outcome(Verdict.FUSED)
     b = propagated(b, t, params)
-    if max(b.P[i, i] for i in ATT_AXES) > _DIVERGED_VAR:
+    if max(b.P.diagonal()[ATT_ERR].tolist()) > _DIVERGED_VAR:
         b = _correlated(_set_attitude(propagated_with_covariance(b, t, params), event.R_ned_body.matrix, o), o)
-        return _levelled(b, event), result(event, Verdict.FUSED)
+        return _levelled(b, event), Outcome(Verdict.FUSED)
     innov = measure.attitude_innov(b.x, b.R, event.R_ned_body.matrix)
     b, outcome = gather(b, ATTITUDE, event, innov, event.cov_body, params)
     return _levelled(b, event), outcome

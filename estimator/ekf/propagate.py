@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.fusion import FusionResult, components_of, source_of
+from estimator.contracts.fusion import COMPONENTS, FusionResult, components_of, source_of
 from estimator.contracts.geometry import F64, skew
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VesselReport
 from estimator.ekf import measure, motion, so3
@@ -27,25 +27,29 @@ class FilterParams(NamedTuple):
     algebra: Algebra
 
 
-def result(
-    event: Event,
-    verdict: Verdict,
-    innov: F64 | None = None,
-    S: F64 | None = None,
-    nis: float = math.nan,
-    nis_max: float = math.nan,
-    components: tuple[str, ...] = (),
-) -> FusionResult:
-    """Return what became of one event.
+class Outcome(NamedTuple):
+    """What became of one event. Re-propagation repeats many events whose outcomes nobody asks for, so it holds no more."""
 
-    Args:
-        innov: (m,) measured minus predicted, None where nothing was compared.
-        S: (m, m) covariance of the innovation.
-        nis_max: the gate's limit of the NIS.
-        components: names of the m components; by default the first m of the event's source.
-    """
+    verdict: Verdict
+    innovation: F64 | None = None
+    """(m,) measured minus predicted, None where nothing was compared."""
+    innovation_cov: F64 | None = None
+    """(m, m) covariance of the innovation."""
+    nis: float = math.nan
+    nis_max: float = math.nan
+    """The gate's limit of the NIS."""
+    axes: tuple[int, ...] = ()
+    """Indices of the m components among those of the event's source; by default the first m."""
+
+
+def result(event: Event, outcome: Outcome) -> FusionResult:
+    """Return the outcome of an event with the event's source, instants and names of components."""
+    verdict, innov, S, nis, nis_max, axes = outcome
     source = source_of(event)
-    if innov is not None and not components:
+    components: tuple[str, ...] = ()
+    if axes:
+        components = tuple([COMPONENTS[source][i] for i in axes])
+    elif innov is not None:
         components = components_of(source, innov.size)
     for array in (innov, S):
         if array is not None:
@@ -113,4 +117,4 @@ def corrected(b: Belief, dx: F64, P: F64) -> Belief:
     P = P.copy()
     P[ATT_ERR, :] = G.dot(P[ATT_ERR, :])
     P[:, ATT_ERR] = P[:, ATT_ERR].dot(G.T)
-    return b._replace(x=x, P=P, R=R, R_cov=R)
+    return b.changed(x=x, P=P, R=R, R_cov=R)

@@ -7,13 +7,12 @@ import math
 import numpy as np
 
 from estimator.contracts.estimates import Sighting, Verdict
-from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
 from estimator.ekf import deck_jolt, deck_motion_bank, gate, measure, so3
 from estimator.ekf.aiding import aided
 from estimator.ekf.algebra import Correction
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import FilterParams, corrected, forgotten, partial, propagated_with_covariance, result
+from estimator.ekf.propagate import FilterParams, Outcome, corrected, forgotten, partial, propagated_with_covariance
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -45,18 +44,18 @@ _RATE_KNOWN_VAR = 0.35**2
 """Variance of the rate of what a sighting measures, (m/s)^2, above which the camera's delay is not corrected."""
 
 
-def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Belief, FusionResult]:
+def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Belief, Outcome]:
     """Return the belief after one sighting, which must not be older than the belief, and the sighting's result."""
     o, t = params.options, event.stamp.measured_at
     if event.confidence < o.min_confidence:
-        return b, result(event, Verdict.GATED)
+        return b, Outcome(Verdict.GATED)
     b = forgotten(aided(propagated_with_covariance(b, t, params), params), o)
     fresh = b.sighted < 0
     if fresh:
         b = _initialized(b, event, o, reset=False)
     row, fix = _compared(b, event, params)
     if fix is None:
-        return b, result(event, Verdict.SINGULAR, row.innov)
+        return b, Outcome(Verdict.SINGULAR, row.innov)
     if not fresh:
         b, row, fix = _jolted(b, event, row, fix, params)
     dof = row.innov.size
@@ -73,7 +72,7 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
             b = _with_new_heading(b, event)
             row, fix = _compared(b, event, params)
             if fix is None:
-                return b, result(event, Verdict.SINGULAR, row.innov)
+                return b, Outcome(Verdict.SINGULAR, row.innov)
             nis, dof = fix.nis, row.innov.size
     if not fresh:
         b = b._replace(nis_mean=gate.mean_of(b.nis_mean, nis, dof))
@@ -82,11 +81,11 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
         streak = gate.extended(b.rejections, t, offset, float(np.trace(row.R[:3, :3])) / 3.0)
         b = b._replace(rejections=streak)
         if not gate.should_reset(streak, b.agreed, o):
-            return b, result(event, Verdict.GATED, row.innov, fix.S, nis, gate.nis_max(o.gate_probability, dof))
+            return b, Outcome(Verdict.GATED, row.innov, fix.S, nis, gate.nis_max(o.gate_probability, dof))
         b = _initialized(b, event, o, reset=True)._replace(nis_mean=1.0)
         row, fix = _compared(b, event, params)
         if fix is None:
-            return b, result(event, Verdict.SINGULAR, row.innov)
+            return b, Outcome(Verdict.SINGULAR, row.innov)
         nis = fix.nis
     lost = gate.sigma_of(b.P[POS_REL, POS_REL]) > 0.3
     fix = partial(b.P, fix, *_withheld(b))
@@ -96,7 +95,7 @@ def fuse_sighting(b: Belief, event: Sighting, params: FilterParams) -> tuple[Bel
         sighted=max(t, b.sighted), agreed=1 if fresh or lost else b.agreed + 1, rejections=RejectionStreak(), heading_known=known
     )
     nis_max = gate.nis_max(o.gate_probability, row.innov.size)
-    return _learned(b, event, row, params), result(event, Verdict.FUSED, row.innov, fix.S, nis, nis_max)
+    return _learned(b, event, row, params), Outcome(Verdict.FUSED, row.innov, fix.S, nis, nis_max)
 
 
 def _jolted(
