@@ -11,11 +11,11 @@ import numpy as np
 
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import UNKNOWN_VAR, Baro, BodyVelocity, Range, VesselReport
+from estimator.contracts.samples import Baro, BodyVelocity, Range, VesselReport
 from estimator.ekf import gate, measure, motion
 from estimator.ekf.algebra import nis_of
 from estimator.ekf.options import EkfOptions
-from estimator.ekf.propagate import Event, FilterParams, Outcome, corrected, propagated, propagated_with_covariance
+from estimator.ekf.propagate import FilterParams, Outcome, corrected, propagated, propagated_with_covariance
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -54,7 +54,7 @@ _OVER_EXPECTED = 3.0
 """Log-odds of measuring against the deck when the body is surely over it, and against the water when it surely is not."""
 _REFUTED = 6.0
 """NIS above which a hypothesis is refuted by its own covariance; one true sample in twenty exceeds it."""
-_ZERO3, _NO_AMBIGUITY = np.zeros(3), np.zeros(())
+_NO_AMBIGUITY = np.zeros(())
 _CORRELATION = (
     "attitude_correlation_s", "velocity_correlation_s", "range_correlation_s", "baro_correlation_s",
 )  # fmt: skip
@@ -76,13 +76,12 @@ def fuse_velocity(b: Belief, event: BodyVelocity, params: FilterParams) -> tuple
         return b, Outcome(Verdict.GATED)
     over = motion.peek_velocity(b)
     if deck_weight > 0.0:
-        over = over - deck_weight * measure.v_pad_ned(b.x)
-    innov = v - measure.measured_velocity(over, b.R, float(b.x[VEL_SCALE]))
-    if axes == (0, 1):
-        innov, cov = innov[:2], cov[:2, :2]
-    elif len(axes) < 3:
-        innov, cov = innov[list(axes)], cov[np.ix_(axes, axes)]
-    return gather(b, VELOCITY, event, innov, cov, params, axes=axes, deck_weight=deck_weight)
+        (x, y, z), (north, east, down) = over, measure.pad_velocity(b.x)
+        over = x - deck_weight * north, y - deck_weight * east, z - deck_weight * down
+    expected = measure.measured_velocity(over, b.R, b.x.item(VEL_SCALE))
+    innov = tuple([v.item(i) - expected[i] for i in axes])
+    cov = cov[_picked(axes)][:, _picked(axes)]
+    return gather(b, VELOCITY, innov, cov, params, axes=axes, deck_weight=deck_weight)
 
 
 def _deck_weight(b: Belief, o: EkfOptions) -> float:
@@ -141,7 +140,7 @@ def fuse_range(b: Belief, event: Range, params: FilterParams) -> tuple[Belief, O
     row = None if away + 2.0 * spread > params.options.deck_radius_m else measure.distance(x, b.R, event.range_m, event.sigma_m)
     if row is None:
         return b, Outcome(Verdict.GATED)
-    return gather(b, RANGE, event, row.innov, row.R, params)
+    return gather(b, RANGE, tuple(row.innov.tolist()), row.R, params)
 
 
 def _foot(b: Belief, x: F64) -> tuple[float, float]:
@@ -157,15 +156,14 @@ def fuse_baro(b: Belief, event: Baro, params: FilterParams) -> tuple[Belief, Out
     b = propagated(b, event.stamp.measured_at, params)
     if b.sighted < 0:
         return b, Outcome(Verdict.GATED)
-    innov = np.array([event.height_m - (motion.peek_height(b) + float(b.x[BARO_OFFSET]))])
-    return gather(b, HEIGHT, event, innov, np.array([[event.sigma_m * event.sigma_m]]), params)
+    innov = event.height_m - (motion.peek_height(b) + b.x.item(BARO_OFFSET))
+    return gather(b, HEIGHT, (innov,), np.array([[event.sigma_m * event.sigma_m]]), params)
 
 
 def gather(
     b: Belief,
     kind: int,
-    event: Event,
-    innov: F64,
+    innov: tuple[float, ...],
     R: F64,
     params: FilterParams,
     axes: tuple[int, ...] = (),
@@ -188,22 +186,23 @@ def gather(
         if H is None:
             return b, Outcome(Verdict.GATED)
         spread = H.dot(b.P).dot(H.T) + ambiguity
-        so_far = Gathered(0, b.t, axes, deck_weight, H, ambiguity, spread, np.zeros(innov.size), np.zeros_like(R))
+        so_far = Gathered(0, b.t, axes, deck_weight, H, ambiguity, spread, (0.0,) * len(innov), np.zeros_like(R))
     S = so_far.spread + R
     nis = nis_of(innov, S)
     if nis is None:
         return b, Outcome(Verdict.SINGULAR, innov, S, axes=axes)
-    nis_max = gate.nis_max(o.gate_probability, innov.size)
+    nis_max = gate.nis_max(o.gate_probability, len(innov))
     if nis > nis_max:
         since = aid.refused if aid.refused >= 0 else b.t
         if (b.t - since) * 1e-9 > _STUCK_S:
-            b = _inflated(b, kind, innov)
+            b = _inflated(b, kind, np.array(innov))
             since = -1
         return _with_aid(b, kind, aid._replace(refused=since)), Outcome(Verdict.GATED, innov, S, nis, nis_max, axes)
     n, since, _, _, H, ambiguity, spread, innov_sum, R_sum = so_far
-    so_far = Gathered(n + 1, since, axes, deck_weight, H, ambiguity, spread, innov_sum + innov, R_sum + R)
+    innov_sum = tuple([total + one for total, one in zip(innov_sum, innov, strict=True)])
+    so_far = Gathered(n + 1, since, axes, deck_weight, H, ambiguity, spread, innov_sum, R_sum + R)
     b = _with_aid(b, kind, Aid(so_far, aid.fused))
-    first = min([other.gathered.since for other in b.aids if other.gathered is not None])
+    first = min([other.gathered.since for other in b.aids if other.gathered])
     if (b.t - first) * 1e-9 >= o.aiding_period_s or aid.fused < 0:
         b = aided(b, params)
     return b, Outcome(Verdict.FUSED, innov, S, nis, nis_max, axes)
@@ -230,21 +229,17 @@ def _predicted(b: Belief, kind: int, axes: tuple[int, ...], deck_weight: float) 
     if kind == RANGE:
         row = measure.distance(x, b.R, 0.0, 1.0)
         return None if row is None else row.H, _NO_AMBIGUITY
-    row = measure.velocity(x, b.R, _ZERO3, _axes_only(axes), deck_weight)
+    H = measure.by_velocity(x, b.R, deck_weight)[_picked(axes)]
     ambiguity = deck_weight * (1.0 - deck_weight)
-    if row is None or ambiguity == 0.0:
-        return None if row is None else row.H, _NO_AMBIGUITY
-    ground = measure.velocity(x, b.R, _ZERO3, _axes_only(axes), 0.0)
-    if ground is None:
-        return None, _NO_AMBIGUITY
-    gap = (row.innov - ground.innov) / deck_weight
-    slope = (row.H - ground.H) / deck_weight
-    return row.H, ambiguity * (np.outer(gap, gap) + slope.dot(b.P).dot(slope.T) + 1e-9 * np.eye(gap.size))
+    if ambiguity == 0.0:
+        return H, _NO_AMBIGUITY
+    gap, slope = (part[_picked(axes)] for part in measure.by_deck_velocity(x, b.R))
+    return H, ambiguity * (np.outer(gap, gap) + slope.dot(b.P).dot(slope.T) + 1e-9 * np.eye(gap.size))
 
 
-def _axes_only(axes: tuple[int, ...]) -> F64:
-    """Return a (3, 3) covariance that marks these axes as measured."""
-    return np.diag([0.0 if i in axes else UNKNOWN_VAR for i in range(3)])
+def _picked(axes: tuple[int, ...]) -> slice | list[int]:
+    """Return the index of some of three components; of the first ones as a slice, which numpy takes without a copy."""
+    return slice(len(axes)) if axes == (0, 1, 2)[: len(axes)] else list(axes)
 
 
 def aided(b: Belief, params: FilterParams) -> Belief:
@@ -266,7 +261,7 @@ def aided(b: Belief, params: FilterParams) -> Belief:
         # Errors with correlation time tau leave one independent sample in 2 tau, however many samples there are.
         window = (b.t - aid.fused) * 1e-9 if aid.fused >= 0 else math.inf
         inflation = max(1.0 / some.n, 2.0 * float(getattr(o, _CORRELATION[kind])) / max(window, 1e-3))
-        innov.append(some.innov / some.n)
+        innov.append(np.array(some.innov) / some.n)
         H.append(some.H)
         R.append((some.R / some.n + some.ambiguity) * inflation)
         aids[kind] = Aid(None, b.t, aid.refused)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ class Correction(NamedTuple):
     """Normalised innovation squared: `innov' inv(S) innov`."""
 
 
-def nis_of(innov: F64, S: F64) -> float | None:
+def nis_of(innov: Sequence[float] | F64, S: F64) -> float | None:
     """Return the normalised innovation squared, `innov' inv(S) innov`, or None if S is not positive definite.
 
     The function eliminates as Cholesky does, with Python floats: for the one to three components of a sensor's sample this takes
@@ -33,7 +34,7 @@ def nis_of(innov: F64, S: F64) -> float | None:
         innov: (m,) innovation.
         S: (m, m) covariance of the innovation.
     """
-    rest, rows = innov.tolist(), S.tolist()
+    rest, rows = list(innov), S.tolist()
     m = len(rest)
     nis = 0.0
     for i in range(m):

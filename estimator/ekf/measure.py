@@ -15,6 +15,7 @@ from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64, rpy_matrix, skew
 from estimator.contracts.samples import UNKNOWN_VAR
 from estimator.ekf import so3
+from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -49,6 +50,8 @@ _POS = np.array(POS_AXES)
 _DOWN = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros((0, N))
 _ROLL, _PITCH = int(DECK_DISP[3]), int(DECK_DISP[4])
+_SURGING, _SWAYING, _HEAVING = DECK_RATE[:3].tolist()
+_ATT_BIAS_X, _ATT_BIAS_Y = ATT_BIAS.tolist()
 NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
 _NOT_A_PART = 1.5
 """An attitude covariance above this many times the covariance that should contain it is no part of it. The different
@@ -61,6 +64,9 @@ BY_ATTITUDE, BY_HEIGHT = np.zeros((3, N)), np.zeros((1, N))
 BY_ATTITUDE[:, ATT_ERR] = _I3
 BY_ATTITUDE[[0, 1], ATT_BIAS] = 1.0
 BY_HEIGHT[0, [5, DECK_DISP[2], BARO_OFFSET]] = 1.0, -1.0, 1.0
+_BY_VEL, _BY_V_PAD = np.zeros((3, N)), np.zeros((3, N))
+_BY_VEL[:, VEL] = _I3
+_BY_V_PAD[[0, 1, 0, 1, 2], [VESSEL_NORTH, VESSEL_EAST, *DECK_RATE[:3]]] = 1.0
 BY_ATTITUDE.setflags(write=False)
 BY_HEIGHT.setflags(write=False)
 
@@ -101,18 +107,22 @@ def deck(x: F64) -> PadAttitude:
 
 def v_pad_ned(x: F64) -> F64:
     """Return the velocity of the pad's centre in ned, (3,) m/s."""
-    v = x[DECK_RATE[:3]].copy()
-    v[:2] += x[VESSEL_VEL] + x[SWAY_PER_HEAVE] * v[2]
-    return v
+    return np.array(pad_velocity(x))
+
+
+def pad_velocity(x: F64) -> Vec3:
+    """Return `v_pad_ned` in Python floats."""
+    north, east, down = x.item(_SURGING), x.item(_SWAYING), x.item(_HEAVING)
+    north += x.item(VESSEL_NORTH) + x.item(SWAY_NORTH) * down
+    east += x.item(VESSEL_EAST) + x.item(SWAY_EAST) * down
+    return north, east, down
 
 
 def by_v_pad_ned(x: F64) -> F64:
     """Return the (3, N) Jacobian of `v_pad_ned`."""
-    J = np.zeros((3, N))
-    J[[0, 1], [VESSEL_NORTH, VESSEL_EAST]] = 1.0
-    J[[0, 1, 2], DECK_RATE[:3]] = 1.0
-    J[:2, DECK_RATE[2]] = x[SWAY_PER_HEAVE]
-    J[[0, 1], [SWAY_NORTH, SWAY_EAST]] = x[DECK_RATE[2]]
+    J = _BY_V_PAD.copy()
+    J[:2, _HEAVING] = x[SWAY_PER_HEAVE]
+    J[0, SWAY_NORTH] = J[1, SWAY_EAST] = x.item(_HEAVING)
     return J
 
 
@@ -124,7 +134,7 @@ def wrap(angle: float) -> float:
 def sighting(
     x: F64,
     R: F64,
-    w: F64,
+    w: Vec3,
     s: Sighting,
     levelled_by: F64 | None,
     cov_levelled_by: F64,
@@ -289,14 +299,13 @@ def without(cov: F64, J: F64, cov_attitude: F64, keep: float = 0.02) -> F64:
 
 def attitude(x: F64, R: F64, seen: F64, cov_body: F64) -> LinearizedMeasurement:
     """Return the measurement of the vehicle's own attitude, (3, 3) R_ned_body, which has a constant tilt error."""
-    return LinearizedMeasurement(attitude_innov(x, R, seen), BY_ATTITUDE, cov_body, _NONE)
+    return LinearizedMeasurement(np.array(attitude_innov(x, R, seen)), BY_ATTITUDE, cov_body, _NONE)
 
 
-def attitude_innov(x: F64, R: F64, seen: F64) -> F64:
-    """Return only the innovation of `attitude`, (3,) rad."""
-    innov = so3.log(R.T.dot(seen))
-    innov[:2] -= x[ATT_BIAS]
-    return innov
+def attitude_innov(x: F64, R: F64, seen: F64) -> Vec3:
+    """Return only the innovation of `attitude`, rad."""
+    roll, pitch, yaw = so3.rotation_vector(R.T.dot(seen))
+    return roll - x.item(_ATT_BIAS_X), pitch - x.item(_ATT_BIAS_Y), yaw
 
 
 def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, deck_weight: float) -> LinearizedMeasurement | None:
@@ -310,22 +319,37 @@ def velocity(x: F64, R: F64, v_level: F64, cov_level: F64, deck_weight: float) -
     axes = measured_axes(cov_level)
     if not axes:
         return None
-    scale = float(x[VEL_SCALE])
-    Z = so3.about_down(-so3.heading(R))
     over = x[VEL] - deck_weight * v_pad_ned(x)
-    v = Z.dot(over)
-    k = np.array([scale, scale, 1.0])
-    H = np.zeros((3, N))
-    H[:, ATT_ERR] = (k * np.array([v[1], -v[0], 0.0]))[:, None] * so3.heading_row(R).dot(R)
-    H[:, VEL] = k[:, None] * Z
-    if deck_weight > 0.0:
-        H -= deck_weight * H[:, VEL].dot(by_v_pad_ned(x))
-    H[:2, VEL_SCALE] = v[:2]
-    innov = v_level - measured_velocity(over, R, scale)
+    innov = v_level - measured_velocity(over.tolist(), R, x.item(VEL_SCALE))
+    H = by_velocity(x, R, deck_weight)
     if len(axes) == 3:
         return LinearizedMeasurement(innov, H, cov_level, _NONE)
     pick = list(axes)
-    return LinearizedMeasurement(innov[pick], H[pick], cov_level[pick][:, pick], _NONE)
+    return LinearizedMeasurement(innov[pick], H[pick], cov_level[np.ix_(axes, axes)], _NONE)
+
+
+def by_velocity(x: F64, R: F64, deck_weight: float) -> F64:
+    """Return the (3, N) Jacobian of `velocity` for all three components."""
+    if deck_weight == 0.0:
+        return _by_measured(x[VEL], _BY_VEL, R, x.item(VEL_SCALE))
+    return _by_measured(x[VEL] - deck_weight * v_pad_ned(x), _BY_VEL - deck_weight * by_v_pad_ned(x), R, x.item(VEL_SCALE))
+
+
+def by_deck_velocity(x: F64, R: F64) -> tuple[F64, F64]:
+    """Return the deck's own velocity as the sensor of a body at rest would measure it, (3,) m/s, and its Jacobian (3, N)."""
+    v, scale = pad_velocity(x), x.item(VEL_SCALE)
+    return np.array(measured_velocity(v, R, scale)), _by_measured(np.array(v), by_v_pad_ned(x), R, scale)
+
+
+def _by_measured(v_ned: F64, by_v_ned: F64, R: F64, scale: float) -> F64:
+    """Return the (3, N) Jacobian of `measured_velocity` for a velocity and that velocity's own Jacobian (3, N)."""
+    to_level = so3.about_down(-so3.heading(R))
+    to_level[:2] *= scale
+    ahead, aside, _ = v = to_level.dot(v_ned)
+    H: F64 = to_level.dot(by_v_ned)
+    H[:2, ATT_ERR] += np.array([[aside], [-ahead]]) * so3.heading_row(R).dot(R)
+    H[:2, VEL_SCALE] += v[:2] / scale
+    return H
 
 
 def measured_axes(cov_level: F64) -> tuple[int, ...]:
@@ -334,12 +358,12 @@ def measured_axes(cov_level: F64) -> tuple[int, ...]:
     return tuple([i for i in (0, 1, 2) if var[i] < NOT_MEASURED_VAR])
 
 
-def measured_velocity(v_ned: F64, R: F64, scale: float) -> F64:
-    """Return what a sensor with that scale measures of a velocity, (3,) m/s in `level`."""
-    x, y, z = v_ned.tolist()
-    ahead, aside = float(R[0, 0]), float(R[1, 0])
+def measured_velocity(v_ned: Vec3, R: F64, scale: float) -> Vec3:
+    """Return what a sensor with that scale measures of a velocity, m/s in `level`."""
+    x, y, z = v_ned
+    ahead, aside = R.item(0, 0), R.item(1, 0)
     k = scale / math.hypot(ahead, aside)
-    return np.array([k * (ahead * x + aside * y), k * (ahead * y - aside * x), z])
+    return k * (ahead * x + aside * y), k * (ahead * y - aside * x), z
 
 
 def distance(x: F64, R: F64, range_m: float, sigma_m: float) -> LinearizedMeasurement | None:

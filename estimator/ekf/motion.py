@@ -17,6 +17,7 @@ from estimator.ekf.algebra import Algebra
 from estimator.ekf.deck_motion_bank import carrying
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.oscillator import transition
+from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ACCEL_BIAS,
     ATT_AXES,
@@ -25,11 +26,9 @@ from estimator.ekf.state import (
     BARO_OFFSET,
     CAMERA_DELAY,
     CAMERA_MOUNT,
-    DECK_DISP,
-    DECK_RATE,
-    G_NED,
     GRAVITY_M_S2,
     GYRO_BIAS,
+    NO_VEC3,
     PAD_YAW,
     POS_AXES,
     POS_DOWN,
@@ -63,6 +62,7 @@ _SHORT_FRACTION = 0.002
 above twice their own frequency, but a sea has. This fraction enters as white acceleration, which drives one oscillator of that
 energy."""
 _SEA = slice(int(WAVES[0, 0]), int(WAVES[-1, -1]) + 1)
+_DISPLACEMENTS, _RATES = (slice(_SEA.start + i, _SEA.stop, WAVES.shape[1]) for i in (0, 1))
 # These are indices into a flattened (N, N) matrix. Assignment by one index list takes a third of the time of assignment by two.
 _BLOCKS = (WAVES[:, :, None] * N + WAVES[:, None, :]).ravel()
 _POS_BY_WAVES = (_POS[:, None] * N + WAVES[:3]).ravel()
@@ -70,7 +70,8 @@ _WAVES_BY_POS = (WAVES[:3] * N + _POS[:, None]).ravel()
 _POS_BY_VEL = slice(POS_NORTH * N + VEL_NORTH, (POS_DOWN + 1) * N, N + 1)
 _VEL_BY_POS = slice(VEL_NORTH * N + POS_NORTH, (VEL_DOWN + 1) * N, N + 1)
 _FIRST = np.array([1.0, 0.0, 0.0, 0.0])
-_ZERO3, _ZERO33 = np.zeros(3), np.zeros((3, 3))
+_ZERO33 = np.zeros((3, 3))
+_IMU_BIASES = slice(GYRO_BIAS.start, ACCEL_BIAS.stop)
 _HEAVE = slice(int(WAVES[2, 0]), int(WAVES[2, 3]) + 1)
 _YAW = np.array([WAVE_YAW, YAW_RATE])
 _YAW_DAMPING = 0.5
@@ -103,7 +104,7 @@ class ProcessNoise:
         self.psd_coast_turn = o.asd_coast_rad_s**2
 
 
-def propagate_state(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, **also: Any) -> Belief:
+def propagate_state(b: Belief, t: int, w_body: Vec3, f_body: Vec3, hold_ns: int, **also: Any) -> Belief:
     """Propagate the nominal state to instant `t`, ns, by the measured rate and specific force; coast if no IMU sample holds.
 
     The fields of the belief that `also` names are replaced in the same step.
@@ -112,28 +113,23 @@ def propagate_state(b: Belief, t: int, w_body: F64, f_body: F64, hold_ns: int, *
     if dt <= 0.0:
         return b.changed(**also) if also else b
     if b.t_imu < 0 or t - b.t_imu > hold_ns:
-        free = -G_NED
-        return b.changed(
-            t=t,
-            dp=b.dp + b.dv * dt + free * (0.5 * dt * dt),
-            dv=b.dv + free * dt,
-            turned=b.turned + b.R * dt,
-            coast_s=b.coast_s + dt,
-            **also,
-        )
-    turn = so3.exp((w_body - b.x[GYRO_BIAS]) * dt)
+        dp, dv = _moved_by(b, (0.0, 0.0, -GRAVITY_M_S2 * dt), dt)
+        return b.changed(t=t, dp=dp, dv=dv, turned=b.turned + b.R * dt, coast_s=b.coast_s + dt, **also)
+    gx, gy, gz, ax, ay, az = b.x[_IMU_BIASES].tolist()
+    (wx, wy, wz), (fx, fy, fz) = w_body, f_body
+    turn = so3.rotation_by((wx - gx) * dt, (wy - gy) * dt, (wz - gz) * dt)
     R = b.R.dot(turn)
-    mid = 0.5 * (b.R + R)
-    a = mid.dot(f_body - b.x[ACCEL_BIAS])
-    return b.changed(
-        t=t,
-        R=R,
-        dp=b.dp + b.dv * dt + a * (0.5 * dt * dt),
-        dv=b.dv + a * dt,
-        turned=b.turned + mid * dt,
-        levelled_by=None if b.levelled_by is None else b.levelled_by.dot(turn),
-        **also,
-    )
+    step = (b.R + R) * (0.5 * dt)
+    dp, dv = _moved_by(b, step.dot((fx - ax, fy - ay, fz - az)).tolist(), dt)
+    levelled_by = None if b.levelled_by is None else b.levelled_by.dot(turn)
+    return b.changed(t=t, R=R, dp=dp, dv=dv, turned=b.turned + step, levelled_by=levelled_by, **also)
+
+
+def _moved_by(b: Belief, dv: Vec3, dt: float) -> tuple[Vec3, Vec3]:
+    """Return the belief's `dp` and `dv` after a step of dt s in which the velocity changes steadily by `dv`, m/s."""
+    (px, py, pz), (vx, vy, vz), (x, y, z), half = b.dp, b.dv, dv, 0.5 * dt
+    dp = px + vx * dt + x * half, py + vy * dt + y * half, pz + vz * dt + z * half
+    return dp, (vx + x, vy + y, vz + z)
 
 
 def propagate_covariance(b: Belief, process_noise: ProcessNoise, algebra: Algebra) -> Belief:
@@ -311,8 +307,8 @@ def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
         flat[_VEL_BY_POS] -= jolt * T
 
     R = orthonormalised(b.R)
-    belief = b.changed(R=R, x=x, t_cov=b.t, R_cov=R, dv=_ZERO3, dp=_ZERO3, turned=_ZERO33, coast_s=0.0, ins_p=ins_p, ins_v=ins_v,
-        ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + process_noise.psd_coast * b.coast_s,
+    belief = b.changed(R=R, x=x, t_cov=b.t, R_cov=R, dv=NO_VEC3, dp=NO_VEC3, turned=_ZERO33, coast_s=0.0,
+        ins_p=ins_p, ins_v=ins_v, ins_var_m2_s2=b.ins_var_m2_s2 + b.jolt_var_m2_s2 + process_noise.psd_coast * b.coast_s,
         jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
     )  # fmt: skip
     return belief, F, Q
@@ -327,26 +323,26 @@ def peek(b: Belief) -> F64:
     if T <= 0.0:
         return b.x
     x = b.x.copy()
-    drift = b.x[DECK_RATE[:3]] * T - b.x[VEL] * T - b.dp
+    rates = b.x[_RATES]
+    drift = rates[:3] * T - b.x[VEL] * T - b.dp
     drift[2] -= 0.5 * GRAVITY_M_S2 * T * T
-    drift[:2] += (b.x[VESSEL_VEL] + b.x[SWAY_PER_HEAVE] * b.x[DECK_RATE[2]]) * T
+    drift[:2] += (b.x[VESSEL_VEL] + b.x[SWAY_PER_HEAVE] * rates[2]) * T
     x[POS_REL] += drift
-    x[DECK_DISP] += b.x[DECK_RATE] * T
+    x[_DISPLACEMENTS] += rates * T
     x[VEL] += b.dv
     x[VEL_DOWN] += GRAVITY_M_S2 * T
     x[PAD_YAW] += (b.x[YAW_RATE] + b.x[TURN_RATE]) * T
     return x
 
 
-def peek_velocity(b: Belief) -> F64:
-    """Return only v_body_ned of `peek`, (3,) m/s."""
-    v = b.x[VEL] + b.dv
-    v[2] += GRAVITY_M_S2 * 1e-9 * (b.t - b.t_cov)
-    return v
+def peek_velocity(b: Belief) -> Vec3:
+    """Return only v_body_ned of `peek`, m/s."""
+    (x, y, z), (dx, dy, dz) = b.x[VEL].tolist(), b.dv
+    return x + dx, y + dy, z + dz + GRAVITY_M_S2 * 1e-9 * (b.t - b.t_cov)
 
 
 def peek_height(b: Belief) -> float:
     """Return only the depth of the pad's mean level below the body, as `peek` has it, metres."""
     T = (b.t - b.t_cov) * 1e-9
     x = b.x
-    return float(x[POS_DOWN] - x[DECK_DISP[2]] - x[VEL_DOWN] * T - b.dp[2]) - 0.5 * GRAVITY_M_S2 * T * T
+    return x.item(POS_DOWN) - x.item(_HEAVE.start) - x.item(VEL_DOWN) * T - b.dp[2] - 0.5 * GRAVITY_M_S2 * T * T

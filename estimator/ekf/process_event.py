@@ -13,6 +13,7 @@ from estimator.ekf import deck_motion_bank, measure, motion, so3
 from estimator.ekf.aiding import fuse_baro, fuse_range, fuse_velocity, fuse_vessel, gather
 from estimator.ekf.options import EkfOptions
 from estimator.ekf.propagate import Event, FilterParams, Outcome, forgotten, propagated, propagated_with_covariance
+from estimator.ekf.so3 import Vec3
 from estimator.ekf.state import (
     ATT_BIAS,
     ATT_ERR,
@@ -78,7 +79,8 @@ def _first(event: Event, params: FilterParams) -> tuple[Belief | None, Outcome]:
             x, y, z = f.tolist()
             R = rpy_matrix(math.atan2(-y, -z), math.atan2(x, math.hypot(y, z)), 0.0)
             b = initial(o, t, R, _FELT_TILT_RAD, math.radians(2.0), deck_motion_bank.unknown())
-            return b._replace(t_imu=t, w=event.w_body, w_smooth=event.w_body, f=f), Outcome(Verdict.FUSED)
+            w = _floats(event.w_body)
+            return b._replace(t_imu=t, w=w, w_smooth=w, f=(x, y, z)), Outcome(Verdict.FUSED)
     return None, Outcome(Verdict.NO_ATTITUDE)
 
 
@@ -101,18 +103,18 @@ def _levelled(b: Belief, event: Attitude) -> Belief:
 def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, Outcome]:
     o, t = params.options, event.stamp.measured_at
     hold_ns = round(o.hold_s * 1e9)
-    w_body, f_body = event.w_body, event.f_body
-    # Python floats: for three components, numpy's calls cost more time than the whole step is allowed.
-    (fx, fy, fz), (wx, wy, wz) = f_body.tolist(), w_body.tolist()
+    w_body, f_body = _floats(event.w_body), _floats(event.f_body)
     alive = b.t_imu >= 0 and t - b.t_imu <= hold_ns
     if alive:
-        (gx, gy, gz), (vx, vy, vz) = b.f.tolist(), b.w.tolist()
+        (fx, fy, fz), (gx, gy, gz) = f_body, b.f
+        (wx, wy, wz), (vx, vy, vz), (sx, sy, sz) = w_body, b.w, b.w_smooth
         step_f, step_w = max(abs(fx - gx), abs(fy - gy), abs(fz - gz)), max(abs(wx - vx), abs(wy - vy), abs(wz - vz))
         if step_f > o.accel_step_m_s2 or step_w > o.gyro_step_rad_s:
             b, w_body, f_body = _limited(b, event, step_f, step_w, o)
+            (wx, wy, wz), (fx, fy, fz) = w_body, f_body
         weight = -math.expm1(-(t - b.t_imu) * 1e-9 / _SMOOTH_S)
-        smooth = b.w_smooth + weight * (w_body - b.w_smooth)
-        w, f = 0.5 * (b.w + w_body), 0.5 * (b.f + f_body)
+        smooth = sx + weight * (wx - sx), sy + weight * (wy - sy), sz + weight * (wz - sz)
+        w, f = (0.5 * (vx + wx), 0.5 * (vy + wy), 0.5 * (vz + wz)), (0.5 * (gx + fx), 0.5 * (gy + fy), 0.5 * (gz + fz))
         b = motion.propagate_state(b, t, w, f, hold_ns, t_imu=t, w=w_body, w_smooth=smooth, f=f_body)
     else:
         b = propagated(b, t, params)._replace(t_imu=t, w=w_body, w_smooth=w_body, f=f_body)
@@ -121,7 +123,12 @@ def _imu(b: Belief, event: Imu, params: FilterParams) -> tuple[Belief, Outcome]:
     return forgotten(b, o), Outcome(Verdict.FUSED)
 
 
-def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions) -> tuple[Belief, F64, F64]:
+def _floats(v: F64) -> Vec3:
+    x, y, z = v.tolist()
+    return x, y, z
+
+
+def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions) -> tuple[Belief, Vec3, Vec3]:
     """Return the belief, rate and force of a sample whose change was cut to what the vehicle can do.
 
     The part that was cut off is added to the belief's jolt variances.
@@ -132,7 +139,8 @@ def _limited(b: Belief, event: Imu, step_f: float, step_w: float, o: EkfOptions)
         jolt_var_m2_s2=b.jolt_var_m2_s2 + (step_f * dt) ** 2 * (scale_f < 1.0),
         jolt_var_rad2=b.jolt_var_rad2 + (step_w * dt) ** 2 * (scale_w < 1.0),
     )
-    return b, b.w + scale_w * (event.w_body - b.w), b.f + scale_f * (event.f_body - b.f)
+    w, f = np.array(b.w), np.array(b.f)
+    return b, _floats(w + scale_w * (event.w_body - w)), _floats(f + scale_f * (event.f_body - f))
 
 
 def _attitude(b: Belief, event: Attitude, params: FilterParams) -> tuple[Belief, Outcome]:
@@ -145,7 +153,7 @@ def _attitude(b: Belief, event: Attitude, params: FilterParams) -> tuple[Belief,
         b = _correlated(_set_attitude(propagated_with_covariance(b, t, params), event.R_ned_body.matrix, o), o)
         return _levelled(b, event), Outcome(Verdict.FUSED)
     innov = measure.attitude_innov(b.x, b.R, event.R_ned_body.matrix)
-    b, outcome = gather(b, ATTITUDE, event, innov, event.cov_body, params)
+    b, outcome = gather(b, ATTITUDE, innov, event.cov_body, params)
     return _levelled(b, event), outcome
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ class Outcome(NamedTuple):
     """What became of one event. Re-propagation repeats many events whose outcomes nobody asks for, so it holds no more."""
 
     verdict: Verdict
-    innovation: F64 | None = None
+    innovation: Sequence[float] | F64 | None = None
     """(m,) measured minus predicted, None where nothing was compared."""
     innovation_cov: F64 | None = None
     """(m, m) covariance of the innovation."""
@@ -44,7 +45,8 @@ class Outcome(NamedTuple):
 
 def result(event: Event, outcome: Outcome) -> FusionResult:
     """Return the outcome of an event with the event's source, instants and names of components."""
-    verdict, innov, S, nis, nis_max, axes = outcome
+    verdict, compared, S, nis, nis_max, axes = outcome
+    innov = None if compared is None else np.array(compared)
     source = source_of(event)
     components: tuple[str, ...] = ()
     if axes:

@@ -8,10 +8,18 @@ import numpy as np
 
 from estimator.contracts.geometry import F64, skew
 
+Vec3 = tuple[float, float, float]
+"""A vector in Python floats: numpy's calls on three numbers take several times as long."""
+
 
 def exp(v: F64) -> F64:
     """Return the rotation (3, 3) by the rotation vector `v` (3,), rad: the exponential map of SO(3), by Rodrigues' formula."""
     x, y, z = v.tolist()
+    return rotation_by(x, y, z)
+
+
+def rotation_by(x: float, y: float, z: float) -> F64:
+    """Return `exp` of a rotation vector that is given in Python floats."""
     t2 = x * x + y * y + z * z
     if t2 < 1e-8:
         a, b = 1.0 - t2 / 6.0, 0.5 - t2 / 24.0
@@ -31,19 +39,25 @@ def exp(v: F64) -> F64:
 
 def log(m: F64) -> F64:
     """Return the rotation vector (3,), rad: the inverse of `exp` for angles below pi; at pi it has one of the two signs."""
+    return np.array(rotation_vector(m))
+
+
+def rotation_vector(m: F64) -> Vec3:
+    """Return `log` of a rotation (3, 3) in Python floats."""
     (a, b, c), (d, e, f), (g, h, i) = m.tolist()
     sx, sy, sz = 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b)
     s = math.sqrt(sx * sx + sy * sy + sz * sz)
     cosine = 0.5 * (a + e + i - 1.0)
     if s < 1e-6:
         if cosine > 0.0:
-            return np.array([sx, sy, sz])
+            return sx, sy, sz
         # Near half a turn the antisymmetric part vanishes: the axis is the largest column of R + I.
         column = m + np.eye(3)
         axis = column[:, int(np.argmax(np.diag(column)))]
-        return np.asarray(math.pi * axis / np.linalg.norm(axis))
+        x, y, z = (math.pi * axis / np.linalg.norm(axis)).tolist()
+        return x, y, z
     k = math.atan2(s, cosine) / s
-    return np.array([k * sx, k * sy, k * sz])
+    return k * sx, k * sy, k * sz
 
 
 def left_jacobian(v: F64) -> F64:

@@ -10,6 +10,7 @@ import numpy as np
 from estimator.contracts.geometry import F64
 from estimator.ekf.deck_motion_bank import DeckMotionBank
 from estimator.ekf.options import EkfOptions
+from estimator.ekf.so3 import Vec3
 
 GRAVITY_M_S2 = 9.80665
 G_NED = np.array([0.0, 0.0, GRAVITY_M_S2])
@@ -78,6 +79,9 @@ ATTITUDE, VELOCITY, RANGE, HEIGHT = range(4)
 """Kinds of aiding that are averaged before they are fused."""
 
 
+NO_VEC3: Vec3 = (0.0, 0.0, 0.0)
+
+
 class Gathered(NamedTuple):
     """The samples of one kind of aiding that wait to be fused together."""
 
@@ -94,7 +98,7 @@ class Gathered(NamedTuple):
     """(m, m) covariance that the uncertainty of `deck_weight` adds to the noise."""
     spread: F64
     """(m, m) covariance of the prediction at `since`, including `ambiguity`."""
-    innov: F64
+    innov: tuple[float, ...]
     """(m,) sum of the innovations."""
     R: F64
     """(m, m) sum of the samples' covariances."""
@@ -147,9 +151,9 @@ class Belief(NamedTuple):
     t_cov: int
     R_cov: F64
     """`R` at `t_cov`."""
-    dv: F64
+    dv: Vec3
     """(3,) integral of the specific force in ned since `t_cov`, m/s."""
-    dp: F64
+    dp: Vec3
     """(3,) second integral of the specific force in ned since `t_cov`, m."""
     turned: F64
     """(3, 3) integral of `R` since `t_cov`, s."""
@@ -157,11 +161,11 @@ class Belief(NamedTuple):
     """Time since `t_cov` without an IMU, s."""
     t_imu: int
     """Instant of the newest IMU sample, ns; -1 if there is none."""
-    w: F64
+    w: Vec3
     """(3,) rate as the gyro measured it, rad/s."""
-    w_smooth: F64
+    w_smooth: Vec3
     """(3,) gyro rate after a first-order low-pass, rad/s: one sample's noise, times the height, would look like image motion."""
-    f: F64
+    f: Vec3
     """(3,) specific force as the accelerometer measured it, m/s^2."""
     levelled_by: F64 | None
     """(3, 3) R_ned_body of the vehicle's own attitude, propagated by the gyro; None before the first attitude sample."""
@@ -246,9 +250,9 @@ def initial(options: EkfOptions, t: int, R: F64, sigma_tilt_rad: float, sigma_he
     P[WAVES[:, :, None], WAVES[:, None, :]] = waves_unknown(sea)
     z3 = np.zeros(3)
     return Belief(
-        t=t, R=R, x=x, P=P, t_cov=t, R_cov=R, dv=z3, dp=z3, turned=np.zeros((3, 3)), coast_s=0.0,
-        t_imu=-1, w=z3, w_smooth=z3, f=z3, levelled_by=None, cov_levelled_by=np.zeros((3, 3)), heading_is_given=False,
-        ins_p=z3, ins_v=z3, ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
+        t=t, R=R, x=x, P=P, t_cov=t, R_cov=R, dv=NO_VEC3, dp=NO_VEC3, turned=np.zeros((3, 3)), coast_s=0.0,
+        t_imu=-1, w=NO_VEC3, w_smooth=NO_VEC3, f=NO_VEC3, levelled_by=None, cov_levelled_by=np.zeros((3, 3)),
+        heading_is_given=False, ins_p=z3, ins_v=z3, ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0,
         aids=(Aid(),) * 4, over_pad=0.0, t_velocity=-1, sea=sea, rejections=RejectionStreak(),
         sighted=-1, agreed=0, nis_mean=1.0, ratios=InnovationRatios(), heading_known=False, heading_held_s=0.0, heading_seen=-1,
     )  # fmt: skip

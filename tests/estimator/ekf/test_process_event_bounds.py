@@ -101,12 +101,12 @@ def test_an_attitude_begins_as_it_is_told_and_levels_what_is_seen() -> None:
 
 def moving(**fields: object) -> Belief:
     """A sample of 10 ms ago holds: accelerating ahead and turning a little."""
-    fields = {"t_imu": T, "w": np.array([0.1, 0.2, 0.3]), "w_smooth": np.array([0.0, 0.1, 0.2]), "f": REST + 0.5, **fields}
+    fields = {"t_imu": T, "w": (0.1, 0.2, 0.3), "w_smooth": (0.0, 0.1, 0.2), "f": (0.5, 0.5, 0.5 - G), **fields}
     return belief(**fields)  # type: ignore[arg-type]
 
 
 def test_a_sample_carries_on_by_the_mean_of_it_and_the_one_before() -> None:
-    b = moving(w=np.zeros(3), w_smooth=np.zeros(3))
+    b = moving(w=(0.0, 0.0, 0.0), w_smooth=(0.0, 0.0, 0.0))
     f = REST + np.array([1.5, -0.5, 2.5])
     after, verdict = folded(b, imu(T + 20 * MS, (0.0, 0.0, 0.4), f))
     assert verdict is Verdict.FUSED
@@ -122,9 +122,9 @@ def test_a_sample_carries_on_by_the_mean_of_it_and_the_one_before() -> None:
 
 def test_a_low_pass_comes_nearer_and_does_not_begin_anew() -> None:
     b = moving()
-    after, _ = folded(b, imu(T + 20 * MS, (1.0, 1.0, 1.0), b.f + 0.1))
+    after, _ = folded(b, imu(T + 20 * MS, (1.0, 1.0, 1.0), np.add(b.f, 0.1)))
     share = 1.0 - math.exp(-0.02 / 0.03)
-    np.testing.assert_allclose(after.w_smooth, b.w_smooth + share * (1.0 - b.w_smooth))
+    np.testing.assert_allclose(after.w_smooth, (1.0 - share) * np.array(b.w_smooth) + share)
 
 
 @pytest.mark.parametrize(("since", "holds"), [(HOLD, True), (HOLD + 1, False)])
@@ -142,13 +142,15 @@ def test_a_sample_holds_for_sixty_milliseconds_and_what_follows_a_gap_stands_alo
         assert after.coast_s == pytest.approx(1e-9)
     else:
         assert after.coast_s == 0.0
-        assert np.all(after.w_smooth < 0.48), "smoothed with the one before"
+        assert max(after.w_smooth) < 0.48, "smoothed with the one before"
 
 
 def test_a_sample_of_the_first_instant_holds_as_well() -> None:
     b = moving(t=0, t_imu=0, sighted=0)
-    after, _ = folded(b, imu(20 * MS, b.w + 0.3, b.f + 0.2))
-    np.testing.assert_allclose(after.w_smooth, b.w_smooth + (1.0 - math.exp(-0.02 / 0.03)) * (b.w + 0.3 - b.w_smooth))
+    after, _ = folded(b, imu(20 * MS, np.add(b.w, 0.3), np.add(b.f, 0.2)))
+    np.testing.assert_allclose(
+        after.w_smooth, b.w_smooth + (1.0 - math.exp(-0.02 / 0.03)) * np.subtract(np.add(b.w, 0.3), b.w_smooth)
+    )
     none = moving(t_imu=-1)
     after, verdict = folded(none, imu(T + 20 * MS, none.w, none.f))
     assert (verdict, after.t_imu) == (Verdict.FUSED, T + 20 * MS)
@@ -184,16 +186,16 @@ def test_a_step_is_one_from_the_sample_before_not_one_from_nothing() -> None:
 @pytest.mark.parametrize(("since_ms", "settles"), [(90, False), (99, False), (100, True), (110, True)])
 def test_the_covariance_moves_on_ten_times_a_second(since_ms: int, settles: bool) -> None:
     b = moving(t_cov=T - (since_ms - 10) * MS)
-    after, _ = folded(b, imu(T + 10 * MS, b.w + 0.1, b.f))
+    after, _ = folded(b, imu(T + 10 * MS, np.add(b.w, 0.1), b.f))
     assert after.t_cov == (T + 10 * MS if settles else b.t_cov)
     assert (after.P is not b.P) is settles
 
 
 def test_a_pad_not_seen_for_half_a_minute_is_forgotten_by_any_sample() -> None:
     b = moving(sighted=T - 30 * S + 5 * MS)
-    after, _ = folded(b, imu(T + 10 * MS, b.w + 0.1, b.f))
+    after, _ = folded(b, imu(T + 10 * MS, np.add(b.w, 0.1), b.f))
     assert (after.sighted, after.agreed) == (-1, 0)
-    after, _ = folded(b, imu(T + 4 * MS, b.w + 0.1, b.f))
+    after, _ = folded(b, imu(T + 4 * MS, np.add(b.w, 0.1), b.f))
     assert after.sighted == b.sighted
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, rpy_matrix
 from estimator.ekf import gate, measure, so3, vision_update
 from estimator.ekf.algebra import Algebra, Correction
+from estimator.ekf.propagate import Outcome
 from estimator.ekf.state import (
     CAMERA_DELAY,
     CAMERA_MOUNT,
@@ -211,7 +211,7 @@ def test_a_heaving_deck_teaches_the_camera_s_place_and_delay_by_a_share(heave_m_
 # The heading
 
 
-def headed(wrong_by: float, **fields: Any) -> tuple[Belief, Belief, FusionResult]:
+def headed(wrong_by: float, **fields: Any) -> tuple[Belief, Belief, Outcome]:
     """A sighting whose place is right and whose heading is off by so much; what was believed, what is, what became of it."""
     b = belief(x=under(), P=diagonal(d=0.01, head=0.01), **fields)
     return b, *fuse_sighting(b, sighting((0.1, 0.0, 2.0), wrong_by), TOOLS)
