@@ -244,18 +244,21 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("expect is 'hold', but nobody takes over: give a fault of kind operator")
 
 
-def load(name_or_path: str | Path) -> Scenario:
+def load(name_or_path: str | Path, base: str | None = None) -> Scenario:
     """Return the scenario in a file, or a shipped one (`configs/scenarios/*.toml`, `faults/*.toml` there) by its bare name.
 
     A file may name a `base`. It then has only what differs, and its faults are added to those of the base. Camera and pad files
     are read too; in the result `camera.file` and `pad.file` are relative to the working directory.
+
+    Args:
+        base: a scenario that takes the place of the base that the file names; so the same fault is flown in another sea.
 
     Raises:
         BadInput: a file cannot be read as TOML; a key is unknown, missing, of the wrong type or out of range; a base refers
             to itself; or a camera or pad file has such a fault. The text is one line that names the file and the key.
     """
     path = _find(str(name_or_path), "scenarios", Path(), "scenario")
-    scenario = from_mapping(_with_base(path, ()), str(path))
+    scenario = from_mapping(_with_base(path, (), base), str(path))
     camera_model(scenario)
     pad_model(scenario)
     ship_model(scenario)
@@ -263,17 +266,20 @@ def load(name_or_path: str | Path) -> Scenario:
     return scenario
 
 
-def _with_base(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+def _with_base(path: Path, above: tuple[Path, ...], instead: str | None = None) -> dict[str, Any]:
     """Return the merged content of a file and its bases; each is checked alone, so that an error names its own file."""
     if path.resolve() in above:
         raise BadInput(f"{path}: base leads back to this file")
     data = read_toml(path)
     name = data.pop("base", None)
+    beside = path.parent
+    if instead is not None:
+        name, beside = instead, Path()
     base: dict[str, Any] = {}
     if name is not None:
         if not isinstance(name, str):
             raise BadInput(f"{path}: base must be the name of a scenario or a path, found {name!r}")
-        base = _with_base(_find(name, "scenarios", path.parent, f"{path}: base"), (*above, path.resolve()))
+        base = _with_base(_find(name, "scenarios", beside, f"{path}: base"), (*above, path.resolve()))
     whole = _merged(base, data)
     try:
         scenario = msgspec.convert(whole, Scenario, strict=True)

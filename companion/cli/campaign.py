@@ -18,6 +18,7 @@ from companion.config.settings import shipped
 from companion.runtime.signals import Stopped
 from estimator.contracts.errors import BadInput
 from sitl.campaign import parquet
+from sitl.campaign.by_scenario import by_scenario, in_columns
 from sitl.campaign.cluster import ClusterWorkers
 from sitl.campaign.code import code_version
 from sitl.campaign.design import SAMPLED, described, factorial, parse_axis, refuse_repeated, sampled
@@ -25,7 +26,7 @@ from sitl.campaign.lab import missing_from_lab, require_lab
 from sitl.campaign.local import LocalWorkers
 from sitl.campaign.object_store import ObjectStore
 from sitl.campaign.overrides import Overridable
-from sitl.campaign.plan import CampaignPlan, Job, Point, make_plan, seeds_of
+from sitl.campaign.plan import AnyPlan, CampaignPlan, Job, Point, SetPlan, make_plan, seeds_of
 from sitl.campaign.report import REPORT, fly_again, render_report
 from sitl.campaign.run import Session
 from sitl.campaign.search import Falsified, Search, refuse_search
@@ -34,8 +35,10 @@ from sitl.campaign.summary import CampaignTally, in_words
 from sitl.campaign.task import Flight, job_of
 from sitl.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
-from sitl.scenario import FAULTS
+from sitl.scenario import FAULTS, Scenario
 from sitl.scenario import load as load_scenario
+from sitl.scenario_set import is_set, shipped_sets
+from sitl.scenario_set import load as load_set
 
 _ALONE = "vision.method=registration"
 """The thesis' vision methods cost two thirds of the CPU time of a flight, and nobody looks at them in a campaign."""
@@ -54,12 +57,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "scenario",
         help=f"scenario file, or the name of a shipped one ({', '.join(shipped('scenarios'))}; {FAULTS}/NAME for those "
-        "with a fault); or the word report",
+        f"with a fault); or a set of scenarios ({', '.join(shipped_sets())}, or its file); or the word report",
     )
     parser.add_argument("folder", nargs="?", help="with report: the folder of a campaign")
     parser.add_argument("--runs", type=int, default=100, metavar="N", help="number of flights, at each point (default: 100)")
     parser.add_argument("--seed", type=int, default=0, metavar="FIRST", help="seed of the first flight (default: 0)")
     perception_option.add_arguments(parser)
+    parser.set_defaults(perception=None)
     parser.add_argument(
         "--config",
         metavar="FILE",
@@ -119,8 +123,7 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--against goes with --report")
     if args.report:
         require_report("--report")
-    plan, given = _plan(args)
-    plan, points, search = _design(args, plan, given)
+    plan, points, search = _set_plan(args) if is_set(args.scenario) else _design(args, *_plan(args))
     compared_with(args.against)
     with closing(_store(args, plan, seeds)) as store:
         try:
@@ -128,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
                 session = Session(workforce, store)
                 if search is not None:
                     return _searched(args, plan, store, session, search)
-                jobs = [Job(seed, point) for seed in seeds for point in points]
+                jobs = [Job(seed, point, name) for name in _names(plan) for seed in seeds for point in points]
                 _fly_left(args, plan, store, session, jobs, _by(args, min(workers, len(jobs))))
         except Stopped:
             kept = len(store.keys())
@@ -137,19 +140,45 @@ def run(args: argparse.Namespace) -> int:
         return _conclude(args, plan, store, {job.key for job in jobs})
 
 
+def _names(plan: AnyPlan) -> Sequence[str]:
+    return list(plan.members) if isinstance(plan, SetPlan) else [""]
+
+
+def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point], None]:
+    if args.vary or args.search or args.design:
+        raise BadInput("--vary, --design and --search go with one scenario, not with a set of them")
+    chosen, scenarios = load_set(args.scenario)
+    members = {}
+    for member in chosen.scenario:
+        name = member.name
+        level = chosen.level(member) if args.perception is None else args.perception
+        try:
+            members[name], _ = _plan_of(args, name, scenarios[name], level)
+            perceive(members[name].perception, args.perception_model).refuse(scenarios[name].faults)
+        except BadInput as why:
+            raise BadInput(f"{args.scenario}: {name}: {why}") from why
+    base = () if chosen.base is None else ("--base", chosen.base)
+    args.perception = None  # each flight says its own when it is to be flown again
+    return SetPlan(args.scenario, chosen.title, members, (*base, *_options(args, args.set))), [()], None
+
+
 def _plan(args: argparse.Namespace) -> tuple[CampaignPlan, Overridable]:
-    perception = perception_level(args.perception)
+    args.perception = args.perception or "pixels"
+    return _plan_of(args, args.scenario, load_scenario(args.scenario), args.perception)
+
+
+def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str) -> tuple[CampaignPlan, Overridable]:
+    perception = perception_level(level)
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
     perceive(perception, args.perception_model)
-    scenario = load_scenario(args.scenario)
     settings = settings_for(scenario, args.config)
     alone = args.config is None and perception == "pixels"
     values = [*([_ALONE] if alone else []), *args.set]
     given = Overridable(scenario, settings)
     overrides = [given.parse(text, "--set") for text in values]
     scenario, settings = given.with_values(overrides, "--set")
-    plan = make_plan(args.scenario, scenario, settings, perception, args.perception_model, tuple(_options(args, values)))
+    plan = make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args, values)))
     return plan, Overridable(scenario, settings)
 
 
@@ -157,7 +186,7 @@ def _options(args: argparse.Namespace, values: Iterable[str]) -> Iterator[str]:
     """Return the arguments with which `decklander simulate` flies a flight of this campaign again."""
     if args.config:
         yield from ("--config", args.config)
-    if args.perception != "pixels":
+    if args.perception not in (None, "pixels"):
         yield from ("--perception", args.perception)
     if args.perception_model:
         yield from ("--perception-model", args.perception_model)
@@ -195,16 +224,14 @@ def _design(
     return plan.with_design(design), points, None
 
 
-def _store(args: argparse.Namespace, plan: CampaignPlan, seeds: range) -> ResultStore:
+def _store(args: argparse.Namespace, plan: AnyPlan, seeds: range) -> ResultStore:
     if args.out is not None and "://" in args.out:
         return ObjectStore(args.out, plan, seeds)
     folder = Path(args.out) if args.out else Path("campaigns") / f"{Path(plan.name).stem}-{plan.digest()}"
     return FolderStore(folder, plan, seeds)
 
 
-def _workforce(
-    args: argparse.Namespace, plan: CampaignPlan, workers: int
-) -> AbstractContextManager[LocalWorkers | ClusterWorkers]:
+def _workforce(args: argparse.Namespace, plan: AnyPlan, workers: int) -> AbstractContextManager[LocalWorkers | ClusterWorkers]:
     if args.scheduler is not None:
         return ClusterWorkers(plan, code_version(), args.scheduler)
     return LocalWorkers(plan, code_version(), workers)
@@ -217,7 +244,7 @@ def _by(args: argparse.Namespace, workers: int) -> str:
 
 
 def _fly_left(
-    args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, session: Session, jobs: Sequence[Job], by: str
+    args: argparse.Namespace, plan: AnyPlan, store: ResultStore, session: Session, jobs: Sequence[Job], by: str
 ) -> None:
     asked = {job.key for job in jobs}
     left = len(asked - store.keys())
@@ -237,7 +264,7 @@ def _fly_left(
         session.fly(jobs, on_flight)
 
 
-def _searched(args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, session: Session, axes: Sequence[Any]) -> int:
+def _searched(args: argparse.Namespace, plan: AnyPlan, store: ResultStore, session: Session, axes: Sequence[Any]) -> int:
     """Search the smallest disturbance that makes the flight fail; return 0 if nothing in the ranges does, else 1."""
     kept = {job_of(flight).key: flight for flight in store.flights()}
     if not args.json:
@@ -265,13 +292,13 @@ def _searched(args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, 
     return code
 
 
-def _smallest(found: Falsified, plan: CampaignPlan) -> dict[str, Any]:
+def _smallest(found: Falsified, plan: AnyPlan) -> dict[str, Any]:
     flight = found.flight
     own = {"size": round(found.size, 4), "varied": flight["varied"], "because": flight["because"]}
     return {**own, "command": fly_again(flight, plan.options)}
 
 
-def _in_words(found: Falsified, plan: CampaignPlan) -> str:
+def _in_words(found: Falsified, plan: AnyPlan) -> str:
     values = ", ".join(f"{key} = {value:g}" for key, value in found.flight["varied"].items())
     return (
         f"smallest disturbance that makes it fail, {100 * found.size:.0f} % of the ranges: {values}\n"
@@ -280,7 +307,7 @@ def _in_words(found: Falsified, plan: CampaignPlan) -> str:
 
 
 def _conclude(
-    args: argparse.Namespace, plan: CampaignPlan, store: ResultStore, asked: set[str], more: dict[str, Any] | None = None
+    args: argparse.Namespace, plan: AnyPlan, store: ResultStore, asked: set[str], more: dict[str, Any] | None = None
 ) -> int:
     counted = CampaignTally()
     varied: dict[str, Any] = {}
@@ -288,6 +315,9 @@ def _conclude(
         counted.take(flight)
         varied = flight.get("varied", varied)
     summary = {**counted.summary(plan.name, plan.perception, store.wall_s()), "out": store.place, **(more or {})}
+    each = by_scenario(plan.identity()["members"], _asked(store, asked)) if isinstance(plan, SetPlan) else []
+    if each:
+        summary["scenarios"] = [one.as_json() for one in each]
     files = []
     if missing := missing_from_lab("pyarrow"):
         sys.stderr.write(f"{parquet.TABLE} is not written: it needs {missing[0]} (requirements/lab.txt, decklander[lab])\n")
@@ -300,6 +330,7 @@ def _conclude(
     if args.json:
         sys.stdout.write(json.dumps({"summary": summary}) + "\n")
     else:
+        sys.stdout.write(f"{in_columns(each)}\n" if each else "")
         sys.stdout.write(f"{in_words(summary)}\nresults: {', '.join([store.place, *files])}\n")
     return 0 if counted.failed == 0 else 1
 

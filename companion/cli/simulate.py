@@ -54,6 +54,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="KEY=VALUE",
         help="give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated",
     )
+    parser.add_argument(
+        "--base",
+        metavar="SCENARIO",
+        help="fly it on this scenario instead of the base that its file names, as a fault in another sea",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write a report into this folder")
     record_option.add_arguments(parser)
@@ -97,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
     report_option.prepare_folder(args.report)
     if perception != "pixels":
         args.record_frames = "none"
-    scenario = load_scenario(args.scenario)
+    scenario = load_scenario(args.scenario, args.base)
     settings = settings_for(scenario, args.config)
     given = Overridable(scenario, settings)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")

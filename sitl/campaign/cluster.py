@@ -12,8 +12,8 @@ from typing import Any
 from estimator.contracts.errors import BadInput, Recoverable, in_words
 from sitl.campaign.code import code_version, differences
 from sitl.campaign.lab import require_lab
-from sitl.campaign.plan import CampaignPlan, Job
-from sitl.campaign.task import Flight, Flyer, Order, OtherCode, failed, finished, fly_flight, fly_order
+from sitl.campaign.plan import AnyPlan, Job
+from sitl.campaign.task import Flight, Flyer, Order, OtherCode, base_of, failed, finished, fly_flight, fly_order
 
 _CONNECT_S = 10.0
 _WORKERS_S = 30.0
@@ -34,12 +34,12 @@ class ClusterWorkers:
         OtherCode: a worker has other code.
     """
 
-    def __init__(self, plan: CampaignPlan, code: dict[str, str], address: str, flyer: Flyer = fly_flight) -> None:
+    def __init__(self, plan: AnyPlan, code: dict[str, str], address: str, flyer: Flyer = fly_flight) -> None:
         require_lab(f"--scheduler {address}", "dask", "distributed")
         distributed: Any = importlib.import_module("distributed")
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it reports is said here, in one line
-        self._name, self._perception = plan.name, plan.perception
-        self._base, self._code, self._address, self._flyer = plan.base(), code, address, flyer
+        self._plan, self._bases = plan, dict[str, bytes]()
+        self._code, self._address, self._flyer = code, address, flyer
         self._run = uuid.uuid4().hex[:8]
         try:
             self._client: Any = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
@@ -85,7 +85,7 @@ class ClusterWorkers:
             done.clear()
 
     def _submit(self, job: Job) -> Any:
-        order = Order(job, self._base, self._code, self._flyer)
+        order = Order(job, base_of(self._plan, job, self._bases), self._code, self._flyer)
         return self._client.submit(fly_order, order, key=f"fly-{self._run}-{job.key}", pure=False)
 
     def _result(self, future: Any, job: Job) -> Flight:
@@ -93,7 +93,9 @@ class ClusterWorkers:
             return self._fetched(future)
         error = future.exception(timeout=_CONNECT_S) if future.status == "error" else None
         if type(error).__name__ == "KilledWorker":
-            return finished(failed(self._name, job, "the workers that flew it died"), job, self._perception)
+            return finished(
+                failed(self._plan.of(job).name, job, "the workers that flew it died"), job, self._plan.of(job).perception
+            )
         if isinstance(error, BadInput):
             raise OtherCode(f"--scheduler {self._address}: {in_words(error)}") from error
         if isinstance(error, BaseException):

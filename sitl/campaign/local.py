@@ -11,8 +11,8 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait as wait_for_connections
 
-from sitl.campaign.plan import CampaignPlan, Job
-from sitl.campaign.task import Flight, Flyer, Order, failed, finished, fly_flight, fly_order
+from sitl.campaign.plan import AnyPlan, Job
+from sitl.campaign.task import Flight, Flyer, Order, base_of, failed, finished, fly_flight, fly_order
 
 _ORDERS_EACH = 2
 """Orders that wait for each worker, so that none is idle between two flights."""
@@ -27,9 +27,9 @@ class LocalWorkers:
         flyer: flies one scenario once.
     """
 
-    def __init__(self, plan: CampaignPlan, code: dict[str, str], workers: int, flyer: Flyer = fly_flight) -> None:
-        self._name, self._perception = plan.name, plan.perception
-        self._base, self._code, self._workers, self._flyer = plan.base(), code, workers, flyer
+    def __init__(self, plan: AnyPlan, code: dict[str, str], workers: int, flyer: Flyer = fly_flight) -> None:
+        self._plan, self._bases = plan, dict[str, bytes]()
+        self._code, self._workers, self._flyer = code, workers, flyer
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> LocalWorkers:
@@ -74,11 +74,13 @@ class LocalWorkers:
             return future.result()
         except BrokenProcessPool:
             self._end()
-            return finished(failed(self._name, job, "the process that flew it died"), job, self._perception)
+            return finished(
+                failed(self._plan.of(job).name, job, "the process that flew it died"), job, self._plan.of(job).perception
+            )
 
     def _submit(self, job: Job) -> tuple[Future[Flight], bool]:
         """Return the flight's future, and whether the pool was found broken."""
-        order = Order(job, self._base, self._code, self._flyer)
+        order = Order(job, base_of(self._plan, job, self._bases), self._code, self._flyer)
         try:
             if self._pool is None:
                 self._pool = _new_pool(self._workers)

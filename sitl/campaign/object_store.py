@@ -15,7 +15,7 @@ from typing import Any
 
 from estimator.contracts.errors import BadInput, Recoverable, in_words
 from sitl.campaign.lab import require_lab
-from sitl.campaign.plan import CampaignPlan
+from sitl.campaign.plan import AnyPlan
 from sitl.campaign.store import MANIFEST, line_of, manifest_of_plan, parse_manifest, records_in, refuse_other
 from sitl.campaign.task import Flight, job_of
 
@@ -33,7 +33,7 @@ class ObjectStore:
         Recoverable: the place cannot be reached.
     """
 
-    def __init__(self, url: str, plan: CampaignPlan, seeds: range) -> None:
+    def __init__(self, url: str, plan: AnyPlan, seeds: range) -> None:
         require_lab(f"--out {url}", "fsspec")
         import fsspec
 
@@ -105,7 +105,7 @@ class ObjectStore:
             raise Recoverable(f"{self.place}: {in_words(why)}; the same command goes on from what is kept") from why
         self._held.clear()
 
-    def _claim(self, plan: CampaignPlan, seeds: range) -> None:
+    def _claim(self, plan: AnyPlan, seeds: range) -> None:
         path = posixpath.join(self._root, MANIFEST)
         manifest: dict[str, Any] | None = None
         if self._fs.exists(path):

@@ -34,11 +34,13 @@ class Job:
 
     seed: int
     point: Point = ()
+    scenario: str = ""
+    """Name of the scenario in a campaign of a set; empty in a campaign of one scenario."""
 
     @property
     def key(self) -> str:
         """The flight's name within its campaign."""
-        return f"{self.seed}" if not self.point else f"{self.seed} {canonical(dict(self.point))}"
+        return " ".join(filter(None, (self.scenario, f"{self.seed}", canonical(dict(self.point)) if self.point else "")))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +61,10 @@ class CampaignPlan:
     options: tuple[str, ...] = ()
     """Further arguments of `decklander simulate` that fly one flight of the campaign again."""
 
+    def of(self, job: Job) -> CampaignPlan:
+        """Return the plan by which a job is flown."""
+        return self
+
     def base(self) -> bytes:
         """Return what a worker needs beside a job, as JSON."""
         own: dict[str, Any] = {
@@ -71,7 +77,7 @@ class CampaignPlan:
         return canonical(own).encode()
 
     def identity(self) -> dict[str, Any]:
-        """Return what two runs must share to be one campaign."""
+        """Return what two runs must share to be one campaign, and what a report says of it."""
         return {
             "format": FORMAT,
             "name": self.name,
@@ -86,11 +92,59 @@ class CampaignPlan:
 
     def digest(self) -> str:
         """Return a digest of the identity, which names the campaign's default folder."""
-        return hashlib.blake2b(canonical(self.identity()).encode(), digest_size=4).hexdigest()
+        return digest_of(self.identity())
 
     def with_design(self, design: Mapping[str, Any]) -> CampaignPlan:
         """Return the plan with another description of its points."""
         return replace(self, design=design)
+
+
+@dataclass(frozen=True, slots=True)
+class SetPlan:
+    """What a campaign of a set of scenarios flies: one plan for each scenario, by its name."""
+
+    name: str
+    title: str
+    members: Mapping[str, CampaignPlan]
+    options: tuple[str, ...] = ()
+    """As those of a `CampaignPlan`, without the level of perception, which each flight says."""
+
+    @property
+    def perception(self) -> str:
+        """The levels of perception, in words."""
+        return ", ".join(dict.fromkeys(plan.perception for plan in self.members.values()))
+
+    def of(self, job: Job) -> CampaignPlan:
+        """Return the plan by which a job is flown."""
+        return self.members[job.scenario]
+
+    def identity(self) -> dict[str, Any]:
+        """Return what two runs must share to be one campaign, and what a report says of it."""
+        each = {name: plan.identity() for name, plan in self.members.items()}
+        first = next(iter(each.values()))
+        own = ("scenario", "settings", "perception", "perception_model")
+        files = {f"{name}: {key}": digest for name, one in each.items() for key, digest in one["files"].items()}
+        return {
+            **first,
+            "name": self.name,
+            "perception": self.perception,
+            "scenario": {**first["scenario"], "title": self.title},
+            "files": files,
+            "members": {name: {key: one[key] for key in own} for name, one in each.items()},
+        }
+
+    def digest(self) -> str:
+        """Return a digest of the identity, which names the campaign's default folder."""
+        return digest_of(self.identity())
+
+
+AnyPlan = CampaignPlan | SetPlan
+"""What a campaign flies: one scenario or a set of them."""
+
+
+def digest_of(identity: Mapping[str, Any]) -> str:
+    """Return a short digest of an identity."""
+    return hashlib.blake2b(canonical(identity).encode(), digest_size=4).hexdigest()
 
 
 def make_plan(
@@ -128,7 +182,7 @@ def make_plan(
     return CampaignPlan(name, tables[0], tables[1], perception, perception_model, {}, files, options)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def unpacked(base: bytes) -> tuple[str, Overridable, Perception, str | None]:
     """Return the name, the scenario with its settings, the perception and its error model's file of a plan's base.
 

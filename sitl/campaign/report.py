@@ -11,6 +11,7 @@ from typing import Any
 from companion.report.page import document
 from estimator.contracts.errors import BadInput
 from estimator.vision.pad import Pad
+from sitl.campaign.by_scenario import HEADINGS, by_scenario, row
 from sitl.campaign.causes import cause_of
 from sitl.campaign.compare import PairedDifference, differences_of
 from sitl.campaign.figures import CampaignFigures, effect_of, figures_of, map_of
@@ -20,6 +21,8 @@ from sitl.scenario import from_mapping, pad_model
 
 REPORT = "report.html"
 _MAPS_MAX = 10
+_TEXTS = ("scenario", "expected", "by", "why")
+"""Columns of the table of scenarios that hold text."""
 _STYLE = """
 .plots { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(26rem, 100%), 1fr)); gap: .8rem; align-items: start; }
 code { font: .82rem/1.4 ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
@@ -44,7 +47,7 @@ def render_report(
     Raises:
         BadInput: there are no flights, or none that both campaigns have flown.
     """
-    kept = list(flights) if against is not None else flights
+    kept = list(flights) if against is not None or "members" in manifest else flights
     figures = figures_of(kept)
     if figures.tally.runs == 0:
         raise BadInput("the campaign has no flights yet, so there is nothing to report")
@@ -55,6 +58,7 @@ def render_report(
         _outcomes(figures, pad_model(scenario)),
         _distributions(figures, None if against is None else figures_of(against[1])),
         _varied(manifest, figures),
+        _scenarios(manifest, kept),
         _causes(figures),
         _worst(manifest, figures),
         "" if against is None else _comparison(against[0], differences_of(kept, against[1])),
@@ -172,9 +176,31 @@ def _causes(figures: CampaignFigures) -> str:
     )
 
 
+def _scenarios(manifest: Mapping[str, Any], flights: Iterable[Flight]) -> str:
+    """Return the table of a set's scenarios."""
+    if "members" not in manifest:
+        return ""
+    head = "".join(f'<th class="{"text" if name in _TEXTS else ""}">{name}</th>' for name in HEADINGS)
+    rows = ""
+    for one in by_scenario(manifest["members"], flights):
+        cells = zip(HEADINGS, row(one), strict=True)
+        rows += (
+            "<tr>"
+            + "".join(f'<td class="{"text" if name in _TEXTS else ""}">{escape(cell)}</td>' for name, cell in cells)
+            + "</tr>"
+        )
+    return (
+        f'<h2>Each scenario</h2><div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+        '<p class="note">Outside commit: contacts with turning motors while guidance did not intend to land. Unsafe: flights '
+        "with a descent without sight, a contact beside the pad or in water, or a service that died.</p>"
+    )
+
+
 def fly_again(flight: Flight, options: Sequence[str], folder: str = "") -> str:
     """Return the command that flies a flight of a campaign again, with pictures."""
     words = ["decklander", "simulate", flight["scenario"], "--seed", str(flight["seed"]), *options]
+    if flight.get("in_set") and flight["perception"] != "pixels":
+        words += ["--perception", flight["perception"]]
     for key, value in flight.get("varied", {}).items():
         words += ["--set", f"{key}={str(value).lower() if isinstance(value, bool) else value}"]
     return shlex.join([*words, "--report", folder or f"flight-{flight['seed']}"])

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from estimator.contracts.errors import BadInput, Recoverable, unusable
 from sitl.campaign.code import differences
-from sitl.campaign.plan import CampaignPlan, Job
+from sitl.campaign.plan import AnyPlan, Job
 from sitl.campaign.task import Flight, flight_hash, job_of
 
 MANIFEST, FLIGHTS = "manifest.json", "flights.jsonl"
@@ -66,7 +66,7 @@ class FolderStore:
         BadInput: the folder cannot be used, holds another campaign or another version's, or another process uses it.
     """
 
-    def __init__(self, folder: Path, plan: CampaignPlan, seeds: range) -> None:
+    def __init__(self, folder: Path, plan: AnyPlan, seeds: range) -> None:
         self.place = str(folder)
         self._path = folder / FLIGHTS
         try:
@@ -124,7 +124,7 @@ class FolderStore:
     def close(self) -> None:
         os.close(self._file)
 
-    def _claim(self, folder: Path, plan: CampaignPlan, seeds: range) -> None:
+    def _claim(self, folder: Path, plan: AnyPlan, seeds: range) -> None:
         path = folder / MANIFEST
         identity = plan.identity()
         if path.exists():
@@ -143,7 +143,7 @@ class FolderStore:
             raise unusable(f"--out {folder}: {MANIFEST}", why) from why
 
 
-def manifest_of_plan(plan: CampaignPlan, seeds: range, before: Mapping[str, Any] | None) -> dict[str, Any]:
+def manifest_of_plan(plan: AnyPlan, seeds: range, before: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the manifest of a campaign of which these seeds are to be flown; `before` is the one that is there already."""
     asked: list[list[int]] = list(before["seeds"]) if before is not None else []
     now = [seeds.start, len(seeds)]

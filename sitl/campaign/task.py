@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from companion.config.model import Settings
 from estimator.contracts.errors import BadInput, in_words
 from sitl.campaign.code import code_version, differences
-from sitl.campaign.plan import Job, canonical, unpacked
+from sitl.campaign.plan import AnyPlan, Job, canonical, unpacked
 from sitl.one_flight import Perception, fly
 from sitl.scenario import Scenario
 
@@ -38,6 +38,13 @@ class Order(NamedTuple):
     base: bytes
     code: dict[str, str]
     flyer: Flyer
+
+
+def base_of(plan: AnyPlan, job: Job, known: dict[str, bytes]) -> bytes:
+    """Return what a worker needs beside a job; `known` holds that of each scenario."""
+    if job.scenario not in known:
+        known[job.scenario] = plan.of(job).base()
+    return known[job.scenario]
 
 
 def fly_flight(
@@ -95,6 +102,8 @@ def failed(name: str, job: Job, error: str, cpu_s: float = 0.0) -> Flight:
 def finished(flight: Flight, job: Job, perception: str) -> Flight:
     """Return a flight's result with what the campaign knows of it, and its hash."""
     flight = {**flight, "perception": perception, **({"varied": dict(job.point)} if job.point else {})}
+    if job.scenario:
+        flight["in_set"] = True
     return {**flight, "hash": flight_hash(flight)}
 
 
@@ -106,7 +115,7 @@ def flight_hash(flight: Flight) -> str:
 
 def job_of(flight: Flight) -> Job:
     """Return the job of which this is the result."""
-    return Job(flight["seed"], tuple(flight.get("varied", {}).items()))
+    return Job(flight["seed"], tuple(flight.get("varied", {}).items()), flight["scenario"] if flight.get("in_set") else "")
 
 
 def _cpu_s() -> float:

@@ -34,6 +34,7 @@ from estimator.vision.register.registration import Registration
 from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.thesis.detection import Detection
 from sitl.camera import Exposure
+from sitl.fault import Fault
 from sitl.perception.draw import Chance, DetectionTable
 from sitl.perception.parameters import PerceptionModel, load
 from sitl.perception.port import Level
@@ -117,8 +118,11 @@ class Model:
         found = model_for(settings, self._given)
         return make_pilot(settings, shadows, partial(ModelPilot, _Detector(self, found, settings)))
 
+    def refuse(self, faults: Sequence[Fault]) -> None:
+        """Refuse no fault: every one acts as on rendered frames."""
+
     def begin(self, world: World) -> None:
-        """Begin a flight: every fault acts as on rendered frames."""
+        """Begin a flight."""
         self._scenes = Scenes(world.camera, world)
         self._light_stops = world.scenario.light.exposure_ev
 

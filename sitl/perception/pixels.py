@@ -8,6 +8,7 @@ from companion.config.model import Settings
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.pilot import Pilot
 from estimator.contracts.estimates import PathName
+from sitl.fault import Fault
 from sitl.perception.port import Level
 from sitl.render_worker import RenderWorker
 from sitl.world import RenderedFrame, World
@@ -22,8 +23,11 @@ class Pixels:
         """Return the pilot that also flies a real drone."""
         return make_pilot(settings, shadows)
 
+    def refuse(self, faults: Sequence[Fault]) -> None:
+        """Refuse no fault: every one acts on rendered frames."""
+
     def begin(self, world: World) -> None:
-        """Begin a flight: every fault acts on rendered frames."""
+        """Begin a flight."""
 
     def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Render the scene as it is now."""

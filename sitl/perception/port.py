@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 from companion.config.model import Settings
 from companion.runtime.pilot import Pilot
 from estimator.contracts.estimates import PathName
+from sitl.fault import Fault
 from sitl.render_worker import RenderWorker
 from sitl.world import RenderedFrame, World
 
@@ -30,6 +31,14 @@ class Perception(Protocol):
 
         Raises:
             BadInput: the camera or pad file is missing or has a fault.
+        """
+        ...
+
+    def refuse(self, faults: Sequence[Fault]) -> None:
+        """Refuse faults that this level cannot represent.
+
+        Raises:
+            BadInput: there is one; the text names it.
         """
         ...
 

@@ -28,12 +28,14 @@ from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.vision.thesis.detection import Detection
+from sitl.fault import Fault
 from sitl.perception.draw import DetectionTable, root_of, symmetric
 from sitl.perception.model import Scenes, model_for
 from sitl.perception.parameters import EstimateModel, PerceptionModel, load
 from sitl.perception.port import Level
 from sitl.perception.true_motion import TrueMotion
 from sitl.render_worker import RenderWorker
+from sitl.stream_faults import FrameStream
 from sitl.world import RenderedFrame, Truth, World
 
 REPRESENTED = frozenset(
@@ -92,14 +94,26 @@ class TruthLevel:
         """
         return make_pilot(settings, shadows, partial(TruthPilot, self, model_for(settings, self._given), settings))
 
+    def refuse(self, faults: Sequence[Fault]) -> None:
+        """Refuse a fault that acts on what does not run at this level.
+
+        Raises:
+            BadInput: there is one; the text names it.
+        """
+        for fault in faults:
+            only_order = isinstance(fault, FrameStream) and not fault.delay_s and not fault.dropped_fraction
+            if fault.kind not in REPRESENTED or only_order:
+                raise BadInput(
+                    f"the fault {fault.kind} acts on vision or the filter, which --perception truth leaves out; use model"
+                )
+
     def begin(self, world: World) -> None:
         """Begin a flight.
 
         Raises:
             BadInput: a fault of the scenario acts on what does not run at this level.
         """
-        if odd := sorted({fault.kind for fault in world.scenario.faults} - REPRESENTED):
-            raise BadInput(f"the fault {odd[0]} acts on vision or the filter, which --perception truth leaves out; use model")
+        self.refuse(world.scenario.faults)
         self._world, self._scenes = world, Scenes(world.camera, world)
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
 

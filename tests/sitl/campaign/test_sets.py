@@ -1,0 +1,144 @@
+"""Campaigns of a set: each scenario at its own level with its own line, one folder, one hash."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from companion.cli import main as cli
+from estimator.contracts.errors import BadInput
+from sitl.campaign.by_scenario import by_scenario, in_columns
+from sitl.campaign.code import code_version
+from sitl.campaign.plan import Job, SetPlan
+from sitl.campaign.task import Order, base_of, fly_order, job_of
+from sitl.perception.levels import perceive
+from sitl.scenario import load as load_scenario
+from sitl.scenario_set import is_set, load, shipped_sets
+from tests.sitl.campaign.fakes import fake_fly, plan
+from tests.sitl.near import NEAR
+
+TWO = 'title = "two"\nperception = "truth"\n[[scenario]]\nname = "near.toml"\n[[scenario]]\nname = "held.toml"\n'
+
+
+def written(folder: Path, text: str = TWO) -> str:
+    (folder / "near.toml").write_text(NEAR)
+    (folder / "held.toml").write_text(
+        'title = "held"\nbase = "near.toml"\nexpect = "hold"\nduration_limit_s = 2.0\n[[faults]]\nkind = "operator"\nat_s = 0.5\n'
+    )
+    path = folder / "two.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_set_is_flown_scenario_by_scenario_into_one_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    chosen, out = written(tmp_path), str(tmp_path / "out")
+    command = ["campaign", chosen, "--runs", "2", "--workers", "1", "--out", out]
+    code = cli.main([*command, "--json"])
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    flights, summary = lines[:-1], lines[-1]["summary"]
+    assert [(f["scenario"], f["seed"], f["perception"]) for f in flights] == [
+        ("near.toml", 0, "truth"), ("near.toml", 1, "truth"), ("held.toml", 0, "truth"), ("held.toml", 1, "truth"),
+    ]  # fmt: skip
+    assert all(f["grade"] == "refused rightly" for f in flights[2:])
+    assert code == (0 if all(f["grade"] != "failed" for f in flights) else 1)
+    assert [(s["scenario"], s["expect"], s["runs"], s["refused"]) for s in summary["scenarios"][1:]] == [
+        ("held.toml", "hold", 2, 2)
+    ]
+    assert cli.main(command) == code
+    said = capsys.readouterr()
+    assert "4 of 4 flights are there already" in said.err
+    assert [line.split()[0] for line in said.out.splitlines()[:3]] == ["scenario", "near.toml", "held.toml"]
+    assert summary["hash"] in said.out
+
+
+def test_jobs_of_a_set_find_their_plan_and_come_back_from_their_result() -> None:
+    chosen = SetPlan("two", "Two", {"a": plan("a"), "b": plan("b", start={"height_m": 1.0})})
+    known: dict[str, bytes] = {}
+    for job in (Job(3, (), "a"), Job(3, (), "b"), Job(4, (), "b")):
+        flight = fly_order(Order(job, base_of(chosen, job, known), code_version(), fake_fly))
+        assert flight["scenario"] == job.scenario
+        assert job_of(flight) == job
+    assert set(known) == {"a", "b"}
+    assert known["a"] != known["b"]
+    other = SetPlan("two", "Two", {"a": plan("a"), "b": plan("b")})
+    assert chosen.digest() != other.digest()
+
+
+def test_the_table_counts_each_scenario_and_names_causes() -> None:
+    members = {
+        name: {"scenario": {"expect": expect}, "perception": "truth"} for name, expect in (("a", "land"), ("b", "go_around"))
+    }
+    flights = [
+        {**fly_order(Order(Job(seed), plan(name).base(), code_version(), fake_fly)), "scenario": name}
+        for name, seed in (("a", 1), ("a", 2), ("b", 3))
+    ]
+    flights[1] |= {"grade": "failed", "unsafe": ["in the water"], "in_water": True, "landed_on_pad": False}
+    a, b = by_scenario(members, flights)
+    assert (a.runs, a.on_pad, a.failed, a.in_water, a.unsafe, a.causes) == (2, 1, 1, 1, 1, "in the water")
+    assert (b.runs, b.failed, b.causes) == (1, 0, "")
+    lines = in_columns([a, b]).splitlines()
+    assert lines[1].split() == [
+        "a",
+        "land",
+        "truth",
+        "2",
+        "1",
+        "0",
+        "1",
+        str(a.contacts_outside_commit),
+        "1",
+        "1",
+        "in",
+        "the",
+        "water",
+    ]
+    assert "go around" in lines[2]
+
+
+@pytest.mark.parametrize("name", shipped_sets())
+def test_shipped_sets_load_and_every_scenario_acts_at_its_level(name: str) -> None:
+    chosen, scenarios = load(name)
+    assert is_set(name)
+    for member in chosen.scenario:
+        perceive(chosen.level(member)).refuse(scenarios[member.name].faults)
+
+
+def test_the_thirty_are_thirty_and_each_says_what_is_right() -> None:
+    _, scenarios = load("thirty_faults")
+    assert len(scenarios) >= 29
+    assert all(scenario.because and scenario.faults for scenario in scenarios.values())
+
+
+def test_a_set_may_give_its_scenarios_another_base(tmp_path: Path) -> None:
+    path = written(tmp_path, TWO.replace('[[scenario]]\nname = "near.toml"\n', 'base = "sea_state_4"\n'))
+    _, scenarios = load(path)
+    rough = load_scenario("sea_state_4")
+    assert scenarios["held.toml"].sea == rough.sea
+    assert scenarios["held.toml"].expect == "hold"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('title = "x"\nscenario = []\n', "scenario"),
+        (TWO + '[[scenario]]\nname = "near.toml"\n', "scenario 'near.toml' is listed twice"),
+        (TWO.replace("held.toml", "hald.toml"), "scenario[1].name: "),
+        (TWO.replace('"truth"', '"eyes"'), 'perception must be one of "model", "pixels", "truth", found "eyes"'),
+        (TWO + 'level = "x"\n', "scenario"),
+    ],
+)
+def test_what_is_wrong_with_a_set_is_named(tmp_path: Path, text: str, said: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(BadInput) as why:
+        load(path)
+    assert str(why.value).startswith(f"{path}: ")
+    assert said in str(why.value)
+
+
+def test_wrong_use_of_a_set_is_one_clear_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["campaign", "thirty_faults", "--vary", "wind.speed_m_s=0:4:2"]) == 2
+    assert "--vary, --design and --search go with one scenario" in capsys.readouterr().err
+    assert cli.main(["campaign", "thirty_faults", "--perception", "truth"]) == 2
+    assert "thirty_faults: faults/camera_freezes: the fault frames_frozen acts on vision" in capsys.readouterr().err
