@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("companion.cli.demo", "land a simulated drone on this machine and write a report"),
     "run": ("companion.cli.run", "run the landing service"),
     "fly": ("companion.cli.fly", "give orders to the running service, or fly by the keyboard"),
+    "gamepad": ("companion.cli.gamepad", "list gamepads and show what they send"),
     "detect": ("companion.cli.detect", "find the pad in images, videos or recordings"),
     "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
     "perception": ("companion.cli.perception", "fit the error models of simulated perception"),

@@ -47,6 +47,7 @@ _RULES = (
     _Rule("mqtt.ca_file,mqtt.certificate_file,mqtt.key_file", lambda s: s.mqtt.transport == "tcp", 'mqtt.transport is "tcp"'),
     _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),
     _Rule("metrics.", lambda s: s.metrics.endpoint == "off", 'metrics.endpoint is "off"', "metrics.endpoint"),
+    _Rule("operator.gamepad_device", lambda s: s.operator.gamepad == "off", 'operator.gamepad is "off"'),
     _Rule("landing_target.", lambda s: isinstance(s.vehicle, ArDroneOptions), 'vehicle.kind is "ardrone"'),
     _Rule("bridge.", lambda s: not s.bridge.links.strip(), "bridge.links is empty"),
     _Rule("bridge.signing_time_file", lambda s: not s.bridge.signing_key_file, "bridge.signing_key_file is empty"),

@@ -1,4 +1,4 @@
-"""Check the files that settings name besides camera and pad: keys, passwords and certificates.
+"""Check the files that settings name besides camera and pad: keys, passwords, certificates and the gamepad's mapping.
 
 `load` reads the camera and the pad. What is checked here would be read when a link is opened, which may be in flight.
 """
@@ -55,6 +55,11 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
         from companion.metrics.endpoint import read_token
 
         yield "metrics.token_file", (settings.metrics.token_file,), lambda: read_token(settings.metrics)
+
+    if settings.operator.gamepad != "off":
+        from companion.operator.gamepad_file import mapping_of
+
+        yield "operator.gamepad", (settings.operator.gamepad,), lambda: mapping_of(settings.operator.gamepad)
 
 
 def _signing(section: str, reference: str) -> tuple[str, tuple[str, ...], Callable[[], object]]:

@@ -48,6 +48,15 @@ class OperatorOptions(Struct, frozen=True, forbid_unknown_fields=True):
             200,
         ),
     ] = "auto"
+    gamepad: Annotated[
+        str,
+        text(
+            'mapping of the gamepad: the name of a shipped file, or a path from the working directory; "off" for no gamepad', 4096
+        ),
+    ] = "off"
+    gamepad_device: Annotated[
+        str, text('a part of the gamepad\'s name, or its path; "any" for the first one that is found', 256)
+    ] = "any"
     manual: ManualOptions = ManualOptions()
 
     def __post_init__(self) -> None:

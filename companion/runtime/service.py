@@ -12,7 +12,7 @@ from companion.config.model import Settings
 from companion.operator.local_socket import OperatorSocket
 from companion.operator.orders import OperatorOrder, OrderSender, OrderSource
 from companion.operator.pilot_operator import PilotOperator
-from companion.operator.socket_path import socket_path
+from companion.operator.socket_path import OFF, socket_path
 from companion.runtime.beside import RestartablePart
 from companion.runtime.daemon import Daemon
 from companion.runtime.event_loop import heeded
@@ -68,6 +68,13 @@ def make_daemon(
         watching.append(terminals)
         extras["operator"] = terminals.run
         health.counters("operator", terminals.counted)
+    if settings.operator.gamepad != OFF:
+        from companion.operator.gamepad_file import mapping_of
+        from companion.operator.gamepad_part import GamepadPart
+
+        gamepad = GamepadPart(mapping_of(settings.operator.gamepad), settings.operator.gamepad_device, pilot, ticking)
+        extras["gamepad"] = gamepad.run
+        health.counters("gamepad", gamepad.counted)
     if settings.metrics.endpoint != "off":
         from companion.metrics.endpoint import MetricsEndpoint
 
