@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import logging
+import time
 import uuid
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
@@ -17,6 +18,9 @@ from sitl.campaign.task import Flight, Flyer, Order, OtherCode, base_of, failed,
 
 _CONNECT_S = 10.0
 _WORKERS_S = 30.0
+_POLL_S, _LOOK_S = 0.02, 2.0
+_WORKERLESS_S = 60.0
+"""Time without any worker after which a campaign ends: one that restarts its workers has them back by then."""
 _ORDERS_EACH = 3
 """Orders that wait for each thread of the cluster, so that none is idle between two flights."""
 
@@ -66,7 +70,7 @@ class ClusterWorkers:
 
         Raises:
             OtherCode: a worker that joined has other code.
-            Recoverable: the scheduler is gone.
+            Recoverable: the scheduler is gone, or all workers are.
         """
         distributed: Any = importlib.import_module("distributed")
         under_way: dict[str, Job] = {}
@@ -79,10 +83,30 @@ class ClusterWorkers:
                     done.add(future)
                 if not under_way:
                     return
+                self._await(done)
                 future = next(done)
                 yield self._result(future, under_way.pop(future.key))
         finally:
             done.clear()
+
+    def _await(self, done: Any) -> None:
+        """Wait for a result.
+
+        Raises:
+            Recoverable: the cluster has had no worker for too long.
+        """
+        workers_at = looked_at = time.monotonic()
+        while not done.has_ready() and self._client.status == "running":
+            time.sleep(_POLL_S)
+            now = time.monotonic()
+            if now - looked_at >= _LOOK_S:
+                looked_at = now
+                workers_at = now if self._client.ncores() else workers_at
+            if now - workers_at > _WORKERLESS_S:
+                raise Recoverable(
+                    f"--scheduler {self._address}: the cluster has had no worker for {_WORKERLESS_S:g} s; start one "
+                    f"(dask worker {self._address}), and the same command goes on from what is kept"
+                )
 
     def _submit(self, job: Job) -> Any:
         order = Order(job, base_of(self._plan, job, self._bases), self._code, self._flyer)

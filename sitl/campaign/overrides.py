@@ -20,13 +20,16 @@ Value = bool | int | float | str
 Override = tuple[str, Value]
 _FORCED = "settings."
 """Prefix that reaches a key of the settings which the scenario has too."""
+_SHARED = ("camera.file", "pad.file")
+"""Keys of the scenario that the settings follow."""
 
 
 class Overridable:
     """A scenario and settings of which single keys can be given other values.
 
     A key is looked for in the scenario first, then in the settings; `settings.` before it skips the scenario. An item of a list
-    has its number for a key, as in `faults.0.speed_m_s`. The methods' argument `where` begins their errors, as in `--vary`.
+    has its number for a key, as in `faults.0.speed_m_s`. The scenario's camera and pad are also those of the settings, unless
+    `settings.camera.file` or `settings.pad.file` is given too. The methods' argument `where` begins their errors, as in `--vary`.
     """
 
     def __init__(self, scenario: Scenario, settings: Settings) -> None:
@@ -91,6 +94,12 @@ class Overridable:
             table[_index(table, path[-1])] = value
         scenario = scenario_from_mapping(tables[0], where) if changed[0] else self._scenario
         settings = self._settings
+        for key, value in overrides:
+            # The service flies with the camera and the pad of the scenario, unless its own key says another one.
+            if key in _SHARED and ("settings." + key) not in dict(overrides):
+                changed[1] = True
+                table, name = key.split(".")
+                tables[1][table][name] = value
         if changed[1]:
             settings = settings_from_mapping(tables[1], where)
             if fault := settings.fault():

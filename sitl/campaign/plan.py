@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from companion.config.model import Settings
-from companion.config.settings import SHIPPED
+from companion.config.settings import SHIPPED, read_toml
 from companion.config.settings import camera_model as camera_of_settings
 from companion.config.settings import from_mapping as settings_from_mapping
 from companion.config.settings import pad_model as pad_of_settings
@@ -169,8 +169,8 @@ def make_plan(
         for key, part in table.items():
             if isinstance(part, dict) and isinstance(file := part.get("file"), str):
                 path = Path(file)
-                if path.is_file():
-                    files[f"{whose}: {key}"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
+                for behind, one in files_from(path):
+                    files[f"{whose}: {key}{behind}"] = hashlib.blake2b(one.read_bytes(), digest_size=8).hexdigest()
                 if path.suffix == ".toml" and path.parent.parent == SHIPPED:
                     part["file"] = path.stem
     camera_model(scenario)
@@ -180,6 +180,28 @@ def make_plan(
     if perception_model is not None and (path := Path(perception_model)).is_file():
         files["perception model"] = hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
     return CampaignPlan(name, tables[0], tables[1], perception, perception_model, {}, files, options)
+
+
+def files_from(path: Path, depth: int = 4) -> Iterator[tuple[str, Path]]:
+    """Return a file and all that it names under a key `file`, as a vessel names its recording, each with the keys before it.
+
+    Raises:
+        BadInput: a TOML file among them cannot be read.
+    """
+    if not path.is_file():
+        return
+    yield "", path
+    if path.suffix == ".toml" and depth:
+        for keys, named in _named(read_toml(path)):
+            yield from ((f": {keys}{more}", one) for more, one in files_from(path.parent / named, depth - 1))
+
+
+def _named(table: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            if isinstance(file := value.get("file"), str):
+                yield key, file
+            yield from ((f"{key}.{inner}", file) for inner, file in _named(value))
 
 
 @lru_cache(maxsize=64)

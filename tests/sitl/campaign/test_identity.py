@@ -1,0 +1,83 @@
+"""What makes a campaign this one and no other: the files behind its files, and settings that follow the scenario."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from companion.config.settings import SHIPPED
+from estimator.contracts.errors import BadInput, Recoverable
+from sitl.campaign import cluster
+from sitl.campaign.cluster import ClusterWorkers
+from sitl.campaign.overrides import Overridable
+from sitl.campaign.plan import make_plan
+from sitl.one_flight import settings_for
+from sitl.scenario import load
+
+ROWS = "time_s,surge_m,sway_m,heave_down_m,roll_deg,pitch_deg,yaw_deg\n"
+
+
+def recorded(folder: Path, heave_m: float) -> Path:
+    """A scenario on a vessel that moves as recorded."""
+    rows = "".join(f"{0.5 * n},0,0,{heave_m if n == 7 else 0},0,0,0\n" for n in range(200))
+    (folder / "motion.csv").write_text(ROWS + rows)
+    (folder / "boat.toml").write_text(
+        'title = "boat"\nsource = "a test"\nlength_m = 8\nbeam_m = 3\ndraught_m = 0.4\nfreeboard_m = 0.6\n'
+        '[recording]\nfile = "motion.csv"\n'
+    )
+    path = folder / "recorded.toml"
+    path.write_text('title = "x"\nduration_limit_s = 40\n[vessel]\nfile = "boat.toml"\nmoored = false\n')
+    return path
+
+
+def test_a_changed_recording_behind_the_vessels_file_is_another_campaign(tmp_path: Path) -> None:
+    plans = []
+    for heave_m in (0.1, 0.1, 0.2):
+        scenario = load(recorded(tmp_path, heave_m))
+        plans.append(make_plan("recorded", scenario, settings_for(scenario, None), "truth"))
+    assert "scenario: vessel: recording" in plans[0].files
+    assert plans[0].digest() == plans[1].digest()
+    assert plans[0].digest() != plans[2].digest()
+    assert {key for key in plans[0].files if plans[0].files[key] != plans[2].files[key]} == {"scenario: vessel: recording"}
+
+
+def test_the_settings_follow_the_scenarios_camera_and_pad() -> None:
+    scenario = load("calm")
+    given = Overridable(scenario, settings_for(scenario, None))
+
+    def files(*texts: str) -> tuple[str, str, str]:
+        own, settings = given.with_values([given.parse(text, "--set") for text in texts], "--set")
+        return tuple(Path(file).stem for file in (own.camera.file, settings.camera.file, settings.pad.file))  # type: ignore[return-value]
+
+    assert files() == ("sim", "sim", "thesis")
+    assert files("camera.file=usb_640x480") == ("usb_640x480", "usb_640x480", "thesis")
+    assert files("pad.file=printed") == ("sim", "sim", "printed")
+    assert files("camera.file=usb_640x480", "settings.camera.file=sim") == ("usb_640x480", "sim", "thesis")
+    assert files("settings.camera.file=usb_640x480") == ("sim", "usb_640x480", "thesis")
+    with pytest.raises(BadInput, match=r"nothing\.toml"):
+        make_plan("x", *given.with_values([("camera.file", "nothing.toml")], "--set"), "truth")
+    assert (SHIPPED / "cameras" / "usb_640x480.toml").is_file()
+
+
+def test_a_cluster_whose_workers_are_all_gone_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scheduler lives and waits for workers for ever; the campaign says so instead."""
+    monkeypatch.setattr(cluster, "_LOOK_S", 0.02)
+    monkeypatch.setattr(cluster, "_WORKERLESS_S", 0.1)
+    workers: Any = ClusterWorkers.__new__(ClusterWorkers)
+    workers._address = "tcp://host:8786"
+    looks: list[int] = []
+
+    def ncores() -> dict[str, int]:
+        looks.append(1)
+        return {"tcp://one": 1} if len(looks) < 8 else {}
+
+    workers._client = SimpleNamespace(status="running", ncores=ncores)
+    with pytest.raises(
+        Recoverable, match=r"had no worker for 0.1 s; start one \(dask worker tcp://host:8786\), and the same command"
+    ):
+        workers._await(SimpleNamespace(has_ready=lambda: False))
+    assert len(looks) >= 10, "it waited while there was a worker"
+    workers._await(SimpleNamespace(has_ready=lambda: True))
