@@ -180,6 +180,9 @@ class World:
         self.now = start
         """The latest instant requested; the physics is at most one step behind."""
         self._chunk: list[Ground] = []
+        self._pads: Mounted | None = None
+        """The motion of which `_chunk` was made; the row of the newest step is `_pads_row`."""
+        self._pads_row = 0
         self._chunk_at = 0
         self._sea: tuple[float, float] = (0.0, 0.0)
         at = self.vessel.pad_at(0.0)
@@ -352,6 +355,13 @@ class World:
         """Return the pad's true motion at (H,) s after the newest step."""
         return self.vessel.pad(self._seconds + ahead_s)
 
+    def pad_motion(self) -> Mounted:
+        """Return the pad's true motion at the newest step, with shapes (3,) and (3, 3)."""
+        if self._pads is None:
+            return self.vessel.pad_at(0.0)
+        n, pads = self._pads_row, self._pads
+        return Mounted(pads.p_ned[0, n], pads.v_ned[0, n], pads.a_ned[0, n], pads.R_ned[0, n], pads.w[0, n])
+
     @property
     def _motors_on(self) -> bool:
         return self.phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
@@ -382,8 +392,10 @@ class World:
             self._chunk_at = self._tick - 1
             times = self._step_s * np.arange(self._chunk_at + 1, self._chunk_at + 1 + _CHUNK, dtype=np.float64)
             pads = self._manoeuvre.pad(times) if self._manoeuvre else self.vessel.pad(times)
+            self._pads = pads
             self._chunk = [Ground.of(pads.p_ned[0, n], pads.v_ned[0, n], pads.R_ned[0, n], pads.w[0, n]) for n in range(_CHUNK)]
             i = 0
+        self._pads_row = i
         return self._chunk[i]
 
     def _meet_sea(self) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, seconds_between
@@ -25,6 +25,13 @@ AHEAD_S = (0.0, 0.3, 1.0, 2.0, 3.0)
 AHEAD_FRACTION = (0.0, 0.06, 0.2, 0.4, 0.6)
 """Error of the forecast change of velocity, as a fraction of the deck's own rms velocity on waves."""
 _CHANNELS = 3 + 3 + 3 + 4 + 3
+_SIGMA_DECK = np.array([*SIGMA_DECK_M_S, *SIGMA_DECK_M_S2])
+_SIGMA_TILT = np.array([SIGMA_TILT_RAD, SIGMA_TILT_RAD, SIGMA_TILT_RATE_RAD_S, SIGMA_TILT_RATE_RAD_S])
+_COV_ACCEL, _COV_DECK, _COV_TILT = (
+    (SIGMA_ACCEL_M_S2**2 + SIGMA_SAMPLE_M_S2**2) * np.eye(3),
+    np.diag(_SIGMA_DECK**2),
+    np.diag(_SIGMA_TILT**2),
+)
 
 
 class TrueMotion:
@@ -43,24 +50,18 @@ class TrueMotion:
     def motion(self, now: MonoNs, reported: Attitude | None) -> tuple[BodyMotion | None, DeckMotion]:
         """Return the motion at an instant."""
         standard = self._wander(now)
-        truth, pad = self._world.truth(), self._world.pad_ahead(np.zeros(1))
+        truth, pad = self._world.truth(), self._world.pad_motion()
         heading = truth.R_ned_body.rpy_rad[2]
-        Z = Rotation.from_rpy(0.0, 0.0, -heading).matrix
+        Z = rpy_matrix(0.0, 0.0, -heading)
         body = None
         if reported is not None:
-            a = Z @ truth.a_body_ned + SIGMA_ACCEL_M_S2 * standard[:3] + SIGMA_SAMPLE_M_S2 * self._rng.standard_normal(3)
-            cov = (SIGMA_ACCEL_M_S2**2 + SIGMA_SAMPLE_M_S2**2) * np.eye(3)
-            body = BodyMotion(now, heading, a, cov, truth.w_body, reported.R_ned_body, reported.cov_body)
-        sigma = np.array([*SIGMA_DECK_M_S, *SIGMA_DECK_M_S2])
-        v = Z @ (pad.v_ned[0, 0] + sigma[:3] * standard[3:6])
-        a = Z @ (pad.a_ned[0, 0] + sigma[3:] * standard[6:9])
-        deck = Rotation(pad.R_ned[0, 0])
-        rate = deck.inv @ pad.w[0, 0]
-        tilt = np.array([*deck.rpy_rad[:2], rate[0], rate[1]])
-        tilt_sigma = np.array([SIGMA_TILT_RAD, SIGMA_TILT_RAD, SIGMA_TILT_RATE_RAD_S, SIGMA_TILT_RATE_RAD_S])
-        tilt = tilt + tilt_sigma * standard[9:13]
-        t = tilt.tolist()
-        return body, DeckMotion(now, v, a, np.diag(sigma**2), t[0], t[1], t[2], t[3], np.diag(tilt_sigma**2))
+            a = Z.dot(truth.a_body_ned) + SIGMA_ACCEL_M_S2 * standard[:3] + SIGMA_SAMPLE_M_S2 * self._rng.standard_normal(3)
+            body = BodyMotion(now, heading, a, _COV_ACCEL, truth.w_body, reported.R_ned_body, reported.cov_body)
+        v = Z.dot(pad.v_ned + _SIGMA_DECK[:3] * standard[3:6])
+        a = Z.dot(pad.a_ned + _SIGMA_DECK[3:] * standard[6:9])
+        tilt = np.array([*pad.rotation().rpy_rad[:2], *pad.w[:2].tolist()]) + _SIGMA_TILT * standard[9:13]
+        roll, pitch, roll_rate, pitch_rate = tilt.tolist()
+        return body, DeckMotion(now, v, a, _COV_DECK, roll, pitch, roll_rate, pitch_rate, _COV_TILT)
 
     def forecast(self, now: MonoNs, horizons_s: Sequence[float], d_body_pad_level: F64) -> Forecast:
         """Return the deck ahead of an instant.
@@ -70,14 +71,14 @@ class TrueMotion:
         """
         standard = self._wander(now)
         h = np.asarray(horizons_s, dtype=float)
-        truth, pad, here = self._world.truth(), self._world.pad_ahead(h), self._world.pad_ahead(np.zeros(1))
+        truth, pad, here = self._world.truth(), self._world.pad_ahead(h), self._world.pad_motion()
         Z = Rotation.from_rpy(0.0, 0.0, -truth.R_ned_body.rpy_rad[2]).matrix
         fraction = np.interp(h, AHEAD_S, AHEAD_FRACTION)[:, None]
         spread = fraction * self._rms_m_s
         off = spread * standard[13:16]
         deck_sigma = np.array(SIGMA_DECK_M_S)
         v = pad.v_ned[0] + off + deck_sigma * standard[3:6]
-        moved = pad.p_ned[0] - here.p_ned[0] + off * (h[:, None] / 3.0)
+        moved = pad.p_ned[0] - here.p_ned + off * (h[:, None] / 3.0)
         d = d_body_pad_level + (moved - h[:, None] * truth.v_body_ned) @ Z.T
         sigma_d = 0.02 + spread * h[:, None] / 2.0
         tilts = np.array([Rotation(R).rpy_rad[:2] for R in pad.R_ned[0]])
