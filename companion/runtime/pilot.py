@@ -77,6 +77,9 @@ class Pilot:
         manual: the options of manual flight.
     """
 
+    unread: frozenset[type[Sample]] = frozenset()
+    """Kinds of samples of which the pilot makes no use."""
+
     def __init__(
         self,
         tracker: TrackerConfig,

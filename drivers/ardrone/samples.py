@@ -30,6 +30,7 @@ from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocit
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 
 G_M_S2 = 9.80665
+_COMMAND_ACK = int(NavdataState.COMMAND_ACK)
 _MODES = {
     ControlState.DEFAULT: "default",
     ControlState.INIT: "init",
@@ -57,7 +58,7 @@ def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: ArDroneOptions
         Range (along the body's down axis), Baro (height over the 1013.25 hPa level), VehicleStatus, in this order.
     """
     out = _of_every_datagram(navdata, stamp, options)
-    out += [made for make in _REPEATED.values() if (made := make(navdata, stamp, options)) is not None]
+    out += [made for make, _ in _REPEATED.values() if (made := make(navdata, stamp, options)) is not None]
     return out
 
 
@@ -95,27 +96,29 @@ class NavdataSampler:
 
     The drone repeats a reading in every datagram until the sensor has a new one (ultrasound 25 Hz, barometer about 100 Hz in
     200 datagrams a second). A range, height or status is returned when its source changed, or after `repeat_s`.
+
+    Args:
+        unread: kinds among these three that nobody reads; they are not made.
     """
 
-    def __init__(self, options: ArDroneOptions = DEFAULT, repeat_s: float = 0.1) -> None:
+    def __init__(
+        self, options: ArDroneOptions = DEFAULT, repeat_s: float = 0.1, unread: frozenset[type[Sample]] = frozenset()
+    ) -> None:
         self._options = options
         self._repeat_s = repeat_s
+        self._repeated = {kind: makers for kind, makers in _REPEATED.items() if kind not in unread}
         self._given: dict[type[Any], tuple[Any, MonoNs]] = {}
 
     def samples(self, navdata: Navdata, stamp: Stamp) -> list[Sample]:
         """Return the samples that are new in this datagram."""
-        keys = {
-            Range: _range_key(navdata),
-            Baro: navdata.get(PressureRaw),
-            VehicleStatus: (navdata.state & ~NavdataState.COMMAND_ACK, navdata.control_state),
-        }
         out = _of_every_datagram(navdata, stamp, self._options)
-        for kind, make in _REPEATED.items():
-            if self._repeats(kind, keys[kind], stamp.measured_at):
+        for kind, (make, source) in self._repeated.items():
+            key = source(navdata)
+            if self._repeats(kind, key, stamp.measured_at):
                 continue
             made = make(navdata, stamp, self._options)
             if made is not None:
-                self._given[kind] = keys[kind], stamp.measured_at
+                self._given[kind] = key, stamp.measured_at
                 out.append(made)
         return out
 
@@ -196,9 +199,15 @@ def _status(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> VehicleS
     )
 
 
-_REPEATED: dict[type[Any], Callable[[Navdata, Stamp, ArDroneOptions], Sample | None]] = {
-    Range: _range,
-    Baro: _baro,
-    VehicleStatus: _status,
+def _status_key(navdata: Navdata) -> tuple[int, ControlState | None]:
+    return navdata.state & ~_COMMAND_ACK, navdata.control_state
+
+
+_Maker = Callable[[Navdata, Stamp, ArDroneOptions], Sample | None]
+_REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata], Any]]] = {
+    Range: (_range, _range_key),
+    Baro: (_baro, lambda navdata: navdata.get(PressureRaw)),
+    VehicleStatus: (_status, _status_key),
 }
-"""The makers of samples for sensors that are slower than the datagrams, in the order in which they return them."""
+"""The makers of samples for sensors that are slower than the datagrams, in the order in which they return them, each with what
+changes when the sensor has a new reading."""

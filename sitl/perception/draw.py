@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -99,6 +100,12 @@ class DetectionTable:
     def _ratio(self, view: View, light_stops: float) -> float:
         m = self.model
         return m.tilt_deg.ratio[bisect_right(self._tilts, view.tilt_rad)] * _of(m.light_stops, light_stops, m.light_stops.ratio)
+
+
+@lru_cache(maxsize=8)
+def detection_table(model: DetectionModel) -> DetectionTable:
+    """Return the table of a model; the flights of one process share it."""
+    return DetectionTable(model)
 
 
 def symmetric(lower: tuple[float, ...], n: int) -> F64:

@@ -35,7 +35,7 @@ from estimator.vision.register.sighting import registered_sighting
 from estimator.vision.thesis.detection import Detection
 from sitl.camera import Exposure
 from sitl.fault import Fault
-from sitl.perception.draw import Chance, DetectionTable
+from sitl.perception.draw import Chance, detection_table
 from sitl.perception.parameters import PerceptionModel, load
 from sitl.perception.port import Level
 from sitl.perception.view import View, Viewer
@@ -180,7 +180,7 @@ class _Detector:
 
     def __init__(self, owner: Model, model: PerceptionModel, settings: Settings) -> None:
         self._owner = owner
-        self._table = DetectionTable(model.detection)
+        self._table = detection_table(model.detection)
         self._fused = model.method == "fused"
         own = tracker(settings)
         self._camera, self._sigma_deck_rad = own.camera, own.options.deck_tilt_sigma_rad

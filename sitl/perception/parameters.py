@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -129,6 +130,12 @@ def load(name_or_path: str) -> PerceptionModel:
         BadInput: there is no such file, or it does not hold a model of this version. One line that names file and key.
     """
     path = find_file(name_or_path, FOLDER, Path(), "--perception-model")
+    return _read(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=8)
+def _read(path: Path, changed_ns: int) -> PerceptionModel:
+    """Return the model in a file that was last changed at this time; the flights of one process read it once."""
     data = read_toml(path)
     if data.get("format") != FORMAT:
         raise BadInput(f"{path}: format {data.get('format')!r} is not {FORMAT}: fit it again with decklander perception fit")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any
 
@@ -24,12 +24,12 @@ from estimator.contracts.estimates import PathName, RelativeState, Sighting, Ver
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, Frame, Sample
+from estimator.contracts.samples import Attitude, Baro, Frame, Range, Sample
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.vision.thesis.detection import Detection
 from sitl.fault import Fault
-from sitl.perception.draw import DetectionTable, root_of, symmetric
+from sitl.perception.draw import detection_table, root_of, symmetric
 from sitl.perception.model import Scenes, model_for
 from sitl.perception.parameters import EstimateModel, PerceptionModel, load
 from sitl.perception.port import Level
@@ -60,15 +60,22 @@ class EstimateTable:
         self.model = model
         cells = {(c.height, c.age): root_of(symmetric(c.error, _N)) for c in model.cell}
         self._heights, self._ages = list(model.heights_m), list(model.ages_s)
+        squares = {cell: (root, root.dot(root.T)) for cell, root in cells.items()}
         self._roots = [
-            [cells[min(cells, key=lambda c: (abs(c[1] - j) + 2 * abs(c[0] - i), c))] for j in range(len(self._ages) + 1)]
+            [squares[min(cells, key=lambda c: (abs(c[1] - j) + 2 * abs(c[0] - i), c))] for j in range(len(self._ages) + 1)]
             for i in range(len(self._heights) + 1)
         ]
         self.rates = 1.0 / np.array(model.correlation_s)
 
-    def root(self, height_m: float, age_s: float) -> F64:
-        """Return the (7, 7) root of the covariance, positions over the height."""
+    def root(self, height_m: float, age_s: float) -> tuple[F64, F64]:
+        """Return the root of the covariance and the covariance, both (7, 7), positions over the height."""
         return self._roots[bisect_right(self._heights, height_m)][bisect_right(self._ages, age_s)]
+
+
+@lru_cache(maxsize=8)
+def _estimate_table(model: EstimateModel) -> EstimateTable:
+    """Return the table of a model; the flights of one process share it."""
+    return EstimateTable(model)
 
 
 class TruthLevel:
@@ -148,10 +155,12 @@ class TruthLevel:
 class TruthPilot(Pilot):
     """The pilot with the true state, made uncertain, in place of vision and filter."""
 
+    unread = frozenset({Range, Baro})
+
     def __init__(self, level: TruthLevel, model: PerceptionModel, settings: Settings, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._level = level
-        self._detections, self._estimates = DetectionTable(model.detection), EstimateTable(model.estimate)
+        self._detections, self._estimates = detection_table(model.detection), _estimate_table(model.estimate)
         self._path: PathName = settings.estimator.path
         self._forget_s = settings.estimator.ekf.forget_s
         self._sigma_max_m = settings.estimator.ekf.consistent_sigma_m
@@ -208,10 +217,10 @@ class TruthPilot(Pilot):
         d = np.array([c * d_ned[0] + s * d_ned[1], c * d_ned[1] - s * d_ned[0], d_ned[2]])
         arrow = R_ned_cam @ view.R_cam_pad[:, 0]
         yaw = wrap_pi(heading - math.atan2(arrow[1], arrow[0]))
-        root = self._estimates.root(float(d[2]), 0.0)
+        _, square = self._estimates.root(float(d[2]), 0.0)
         at = [0, 1, 2, 6]
         scale = np.array([d[2], d[2], d[2], 1.0])
-        cov = root.dot(root.T)[np.ix_(at, at)] * np.outer(scale, scale) + 1e-12 * np.eye(4)
+        cov = square[np.ix_(at, at)] * np.outer(scale, scale) + 1e-12 * np.eye(4)
         seen = Sighting(frame.stamp, frame.seq, "registration", d, yaw, False, cov, 1.0)
         return Detection(seen, "registration", MappingProxyType({"registration": seen}))
 
@@ -242,10 +251,10 @@ class TruthPilot(Pilot):
             return None
         truth = self._level.world.truth()
         height_m = max(0.05, float(truth.d_body_pad_level[2]))
-        root = self._estimates.root(height_m, seconds_between(self._sighted, now))
+        root, square = self._estimates.root(height_m, seconds_between(self._sighted, now))
         scale = np.array([height_m, height_m, height_m, 1.0, 1.0, 1.0, 1.0])
         error = scale * root.dot(self._wander(now))
-        cov = root.dot(root.T) * np.outer(scale, scale)
+        cov = square * np.multiply.outer(scale, scale)
         sigma_m = math.sqrt(float(cov.diagonal()[:3].max()))
         return _state(truth, now, self._path, self._sighted, error, cov, self._agreed >= _AGREED and sigma_m <= self._sigma_max_m)
 
