@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from msgspec import structs
 
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
@@ -24,7 +25,8 @@ class WithoutErrors:
 
 def test_the_tilt_rates_are_those_of_the_deck_whatever_the_ships_heading() -> None:
     """A rate turned by the ship's heading once more would exchange roll and pitch."""
-    world = World(load("sea_state_4"), 3)
+    scenario = load("sea_state_4")
+    world = World(structs.replace(scenario, vessel=structs.replace(scenario.vessel, heading_deg=100.0)), 3)
     told = TrueMotion(world, WithoutErrors())  # type: ignore[arg-type]
     differences, rates, size = [], [], []
     for k in range(1, 200):
