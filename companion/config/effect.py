@@ -47,6 +47,16 @@ _RULES = (
     _Rule("mqtt.ca_file,mqtt.certificate_file,mqtt.key_file", lambda s: s.mqtt.transport == "tcp", 'mqtt.transport is "tcp"'),
     _Rule("mqtt.commands_max_hz", lambda s: s.mqtt.transport != "off" and s.mqtt.commands == "off", 'mqtt.commands is "off"'),
     _Rule("metrics.", lambda s: s.metrics.endpoint == "off", 'metrics.endpoint is "off"', "metrics.endpoint"),
+    _Rule(
+        "limits.fence_radius_m,limits.fence_polygon,limits.fence_brake_s,limits.fence_ends_s",
+        lambda s: s.limits.fence == "off",
+        'limits.fence is "off"',
+    ),
+    _Rule(
+        "limits.fence_radius_m",
+        lambda s: s.limits.fence != "off" and bool(s.limits.fence_polygon),
+        "there is limits.fence_polygon",
+    ),
     _Rule("operator.gamepad_device", lambda s: s.operator.gamepad == "off", 'operator.gamepad is "off"'),
     _Rule("landing_target.", lambda s: isinstance(s.vehicle, ArDroneOptions), 'vehicle.kind is "ardrone"'),
     _Rule("bridge.", lambda s: not s.bridge.links.strip(), "bridge.links is empty"),

@@ -15,6 +15,7 @@ from companion.guidance.options import GuidanceOptions
 from companion.mavlink.options import BridgeOptions, OutputOptions
 from companion.metrics.settings import MetricsSettings
 from companion.mqtt.settings import MqttSettings
+from companion.operator.limit_options import LimitOptions
 from companion.operator.options import OperatorOptions
 from companion.recorder.options import RecorderOptions
 from companion.runtime.restart_options import RestartOptions
@@ -77,6 +78,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     landing_target: OutputOptions = OutputOptions()
     bridge: BridgeOptions = BridgeOptions()
     operator: OperatorOptions = OperatorOptions()
+    limits: LimitOptions = LimitOptions()
 
     def fault(self) -> str | None:
         """Return the reason why keys do not go together, beginning with the key, or None if they do."""

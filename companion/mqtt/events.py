@@ -12,7 +12,7 @@ from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
-Kind = Literal["service", "phase", "vehicle", "pad", "part", "command"]
+Kind = Literal["service", "phase", "vehicle", "pad", "part", "command", "limit"]
 
 LOST_AFTER_S = 1.0
 """The time without a sighting after which the pad counts as lost, s."""
@@ -46,6 +46,7 @@ class Changes:
     """Keeps just enough of the previous state to detect a change."""
 
     _phase: str | None = None
+    _limit: str = ""
     _mode: str | None = None
     _emergency: bool = False
     _battery_low: bool = False
@@ -54,7 +55,16 @@ class Changes:
     _parts: dict[str, tuple[bool, int]] = field(default_factory=dict)
 
     def decision(self, decision: Decision) -> list[PendingEvent]:
-        """Return an event for a new phase of guidance."""
+        """Return an event for a new phase of guidance, and one for limits that begin or end."""
+        return [*self._new_phase(decision), *self._new_limit(decision)]
+
+    def _new_limit(self, decision: Decision) -> list[PendingEvent]:
+        before, self._limit = self._limit, decision.limit
+        if before == decision.limit:
+            return []
+        return [PendingEvent(decision.at, "limit", decision.limit or "no limit any more", {"limit": decision.limit or None})]
+
+    def _new_phase(self, decision: Decision) -> list[PendingEvent]:
         before, self._phase = self._phase, decision.phase
         if before == decision.phase:
             return []

@@ -188,7 +188,7 @@ class EventMessage(Message, frozen=True, kw_only=True):
     id: str
     spool: str
     sequence: int
-    kind: Literal["service", "phase", "vehicle", "pad", "part", "command"]
+    kind: Literal["service", "phase", "vehicle", "pad", "part", "command", "limit"]
     text: str
     """Description of the event in English."""
     data: dict[str, str | float | bool | None]

@@ -13,11 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
+from companion.operator.limit_options import LimitOptions
+from companion.operator.limits import Limit, PlaceMemory, limited, place_step
 from companion.operator.options import ManualOptions
 from companion.operator.orders import CENTRED, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
 from companion.operator.precedence import CROSSING_S, IDLE_HAND_S, REASONS, TABLE, ControlSituation, Rule, crossed
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, LeaveEmergency, TakeOff, Velocity
-from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.samples import Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
 _STATUS_FRESH_S = 3.0
@@ -26,6 +29,7 @@ _REPEAT_S = 0.5
 """The time for which a landing, the cut of the motors and its end are repeated: a command may be lost on its way."""
 _CALL_OFF_S = 0.1
 """The time for which the end of a landing is repeated; sticks count after it."""
+_LIMIT_GAP_S = 1.0
 BY_HAND, LANDING_FOR_PERSON = "flown by hand", "landing for the operator"
 """The phases in which a person commands."""
 
@@ -82,6 +86,34 @@ class Control:
 
 
 @dataclass(frozen=True, slots=True)
+class Limited:
+    """The limits that changed commands lately."""
+
+    at: tuple[tuple[Limit, MonoNs], ...] = ()
+    """When each limit changed a command last."""
+    fenced_since: MonoNs | None = None
+    """Since when the fence has changed commands, with gaps below `_LIMIT_GAP_S`."""
+    ended: str = ""
+    """Why the limits ended the landing, while guidance is held for it."""
+
+    def step(self, hit: tuple[Limit, ...], now: MonoNs) -> Limited:
+        """Return the memory after a cycle in which these limits changed the command."""
+        if not hit and not self.at:
+            return self
+        recent = {limit: at for limit, at in self.at if seconds_between(at, now) <= _LIMIT_GAP_S} | dict.fromkeys(hit, now)
+        since = (self.fenced_since or now) if Limit.FENCE in recent else None
+        return replace(self, at=tuple(recent.items()), fenced_since=since)
+
+    def fenced_s(self, now: MonoNs) -> float:
+        """Return for how long the fence has changed commands, s."""
+        return 0.0 if self.fenced_since is None else seconds_between(self.fenced_since, now)
+
+    def text(self) -> str:
+        """Return the limits in force; a limit counts a little longer, so that it is not reported again and again."""
+        return "limited by " + ", ".join(sorted(limit.value for limit, _ in self.at)) if self.at else ""
+
+
+@dataclass(frozen=True, slots=True)
 class Chosen:
     """The command of one cycle."""
 
@@ -89,18 +121,24 @@ class Chosen:
     phase: str | None = None
     """The phase if a person commands, else None."""
     reason: str = ""
+    limit: str = ""
+    """The limits that change the command, or ended the landing."""
 
 
 class OperatorArbiter:
     """Takes orders and stick positions; see the module's docstring.
 
     Args:
-        guided: guidance, which is held while a person commands.
+        guided: guidance, which is held while a person commands, or when a limit ends its landing.
+        limits: the limits of every command.
     """
 
-    def __init__(self, guided: Guided, manual: ManualOptions | None = None) -> None:
+    def __init__(self, guided: Guided, manual: ManualOptions | None = None, limits: LimitOptions | None = None) -> None:
         self._guided = guided
         self._o = manual or ManualOptions()
+        self._limits = limits or LimitOptions()
+        self._place = PlaceMemory()
+        self._limited = Limited()
         self._control = Control()
         self.on_order: Callable[[HandledOrder], None] = lambda handled: None
         """Receives every order with its answer."""
@@ -158,6 +196,10 @@ class OperatorArbiter:
         if sender == self._control.hand:
             self._hold(sender, now, why)
 
+    def on_sample(self, sample: Sample) -> None:
+        """Take a sample of the vehicle, which the limits need."""
+        self._place = place_step(self._place, sample)
+
     def tick(self, now: MonoNs) -> None:
         """Follow the time and the vehicle's status; call it before each cycle of guidance."""
         control, status = self._control, self._guided.vehicle
@@ -177,8 +219,30 @@ class OperatorArbiter:
         if control.reset is not None and (not status.emergency or seconds_between(control.reset.at, now) > _REPEAT_S):
             self._control = replace(self._control, reset=None)
 
-    def choose(self, now: MonoNs, guided: Command | None) -> Chosen:
-        """Return the command of this cycle: a person's if one commands, else guidance's."""
+    def choose(self, now: MonoNs, guided: Command | None, belief: RelativeState | None = None) -> Chosen:
+        """Return the command of this cycle within the limits: a person's if one commands, else guidance's.
+
+        Args:
+            belief: the steering estimate of the pad.
+        """
+        chosen, manual = self._choose(now, guided), self._control.hand is not None
+        hit: tuple[Limit, ...] = ()
+        if chosen.command is not None:
+            command, hit = limited(chosen.command, self._limits, self._place, belief, now, manual=manual)
+            chosen = replace(chosen, command=command)
+        self._limited = self._limited.step(hit, now)
+        fenced_s = self._limited.fenced_s(now)
+        if not manual and fenced_s >= self._limits.fence_ends_s and not self._guided.paused:
+            why = f"{Limit.FENCE.value} held guidance back for {self._limits.fence_ends_s:g} s"
+            self._guided.pause()
+            self.tell(HandledOrder(now, OrderSender(OrderSource.LIMITS), OperatorOrder.HOLD, None, f"({why})"))
+            self._limited = replace(self._limited, ended=f"landing ended: {why}")
+            chosen = replace(chosen, command=Hover())
+        if not self._guided.paused or manual:
+            self._limited = replace(self._limited, ended="")
+        return replace(chosen, limit=self._limited.ended or self._limited.text())
+
+    def _choose(self, now: MonoNs, guided: Command | None) -> Chosen:
         control = self._control
         if control.cut is not None:
             return Chosen(CutMotors(), reason=f"{control.cut.sender} cut the motors")
@@ -225,6 +289,9 @@ class OperatorArbiter:
             outcome = self._guided.outcome
             holder = control.landing.sender if situation is ControlSituation.LANDING and control.landing else control.hand
             return REASONS[rule].format(holder=holder, outcome=None if outcome is None else outcome.value)
+        charge, least = (None if status is None else status.battery_fraction), self._limits.take_off_charge_min
+        if order is OperatorOrder.TAKE_OFF and control.landing is None and charge is not None and charge < least:
+            return f"the battery is at {100 * charge:.0f} %, and a take-off needs {100 * least:.0f} %"
         if control.accepted is None:
             return None
         earlier, given = control.accepted
@@ -281,11 +348,6 @@ class OperatorArbiter:
         self._control = replace(self._control, hand=None, sticks=CENTRED)
         self._guided.pause()
         self.tell(HandledOrder(now, sender, OperatorOrder.HOLD, None, f"({why})"))
-
-    def limit(self, now: MonoNs, why: str) -> None:
-        """Hold because a limit ended the landing."""
-        self._guided.pause()
-        self.tell(HandledOrder(now, OrderSender(OrderSource.LIMITS), OperatorOrder.HOLD, None, f"({why})"))
 
 
 def _since(given: Given, status: VehicleStatus) -> bool:

@@ -39,6 +39,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
         automatic=settings.guidance.start == "automatic",
         shadows=shadows,
         manual=settings.operator.manual,
+        limits=settings.limits,
         law=law_of(settings),
     )
 

@@ -44,6 +44,8 @@ class Decision:
     """Beliefs of the paths that do not steer."""
     reason: str = ""
     """Why the vehicle is not simply descending, as text for the operator."""
+    limit: str = ""
+    """The limits that changed the command, or why they ended the landing; empty while there are none."""
 
 
 class Observer(Protocol):

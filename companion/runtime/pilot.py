@@ -22,6 +22,7 @@ from companion.guidance.pid import SetPoint
 from companion.guidance.plan import Plan
 from companion.guidance.planner import Phase, Planner, planner_step
 from companion.operator.arbiter import OperatorArbiter
+from companion.operator.limit_options import LimitOptions
 from companion.operator.options import ManualOptions
 from companion.runtime.observer import Decision
 from estimator import pipeline
@@ -75,6 +76,7 @@ class Pilot:
         shadows: estimator paths that run for comparison only and never steer.
         law: makes the control law from guidance's options; by default it is made for an AR.Drone.
         manual: the options of manual flight.
+        limits: the limits of every command.
     """
 
     unread: frozenset[type[Sample]] = frozenset()
@@ -90,6 +92,7 @@ class Pilot:
         shadows: Sequence[PathName] = (),
         law: Callable[[GuidanceOptions], Controller[Any]] | None = None,
         manual: ManualOptions | None = None,
+        limits: LimitOptions | None = None,
     ) -> None:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
@@ -102,7 +105,7 @@ class Pilot:
         self.engage: Callable[[], None] = lambda: None
         """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
         self._new_flight()
-        self.operator = OperatorArbiter(self, manual)
+        self.operator = OperatorArbiter(self, manual, limits)
         """The arbiter of people's orders, which has the last word."""
 
     def _new_flight(self) -> None:
@@ -221,6 +224,7 @@ class Pilot:
 
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process a sample. Return its fusion results, path by path."""
+        self.operator.on_sample(sample)
         if isinstance(sample, VehicleStatus):
             self._on_status(sample)
             return ()
@@ -277,10 +281,10 @@ class Pilot:
         believed = self.all_believed(now)
         steering = self._memory.options.path
         belief = next((b for b in believed if b.path == steering), None)
-        chosen = self.operator.choose(now, self._command(now))
+        chosen = self.operator.choose(now, self._command(now), belief)
         shadows = tuple(b for b in believed if b.path != steering)
-        phase, why = chosen.phase or self.phase, chosen.reason or self._why(belief)
-        return Decision(now, phase, chosen.command, belief, shadows, why)
+        phase, why = chosen.phase or self.phase, chosen.limit or chosen.reason or self._why(belief)
+        return Decision(now, phase, chosen.command, belief, shadows, why, limit=chosen.limit)
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the planner's reason and the estimate's alerts as text."""

@@ -1,0 +1,253 @@
+"""Limits of commands: nothing crosses the fence, nothing climbs too high, and no limit makes the vehicle descend."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.config.settings import load
+from companion.operator.fence import margin, within
+from companion.operator.limit_options import LimitOptions
+from companion.operator.limits import Limit, PlaceMemory, limited, place_step
+from companion.operator.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.runtime.make_pilot import make_pilot
+from estimator.contracts.commands import Command, Hover, Land, Lean, TakeOff, Velocity
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Range, VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp, after
+
+NOW = MonoNs(10**9)
+L_SHAPE = ((-10.0, -10.0), (10.0, -10.0), (10.0, 0.0), (0.0, 0.0), (0.0, 10.0), (-10.0, 10.0))
+
+
+def at(now: MonoNs) -> Stamp:
+    return Stamp(now, now, 0.001, "sim")
+
+
+def place(
+    p: tuple[float, float] = (0.0, 0.0),
+    yaw_deg: float = 0.0,
+    *,
+    baro_m: float = 5.0,
+    range_m: float | None = None,
+    charge: float = 0.9,
+) -> PlaceMemory:
+    return PlaceMemory(
+        np.array(p),
+        BodyVelocity(at(NOW), np.zeros(3), np.eye(3)),
+        Attitude(at(NOW), Rotation.from_rpy(0.0, 0.0, math.radians(yaw_deg)), np.eye(3)),
+        flying=True,
+        baro_m=baro_m,
+        ground_baro_m=0.0,
+        range=None if range_m is None else Range(at(NOW), range_m, 0.02),
+        charge=charge,
+    )
+
+
+def pad_at(d: tuple[float, float, float], v: tuple[float, float, float] = (0.0, 0.0, 0.0), yaw_deg: float = 0.0) -> RelativeState:
+    return RelativeState(NOW, "ekf", np.array(d), np.array(v), math.radians(yaw_deg), 0.01 * np.eye(7), NOW, True)
+
+
+def flown(v: tuple[float, float, float], yaw_rate: float = 0.0) -> Velocity:
+    return Velocity(np.array(v), yaw_rate)
+
+
+@given(
+    st.sampled_from([(), L_SHAPE]),
+    st.lists(st.tuples(st.floats(-8, 8), st.floats(-8, 8), st.integers(1, 60)), min_size=1, max_size=6),
+)
+def test_no_velocity_leads_out_of_a_fence(corners: tuple[tuple[float, float], ...], legs: list[tuple[float, float, int]]) -> None:
+    p, dt = np.array([-5.0, -5.0]), 0.05
+    for vx, vy, steps in legs:
+        for _ in range(steps):
+            v = within(np.array([vx, vy]), p, 12.0, corners, 2.0)
+            assert math.hypot(*v) <= math.hypot(vx, vy) + 1e-9
+            p = p + dt * v
+            assert margin(p, 12.0, corners)[0] >= -0.02, "a step along a circle's tangent"
+
+
+@given(st.floats(-40, 40), st.floats(-40, 40), st.floats(-5, 5), st.floats(-5, 5), st.sampled_from([(), L_SHAPE]))
+def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(
+    x: float, y: float, vx: float, vy: float, corners: tuple[tuple[float, float], ...]
+) -> None:
+    p = np.array([x, y])
+    inside_m, n = margin(p, 12.0, corners)
+    kept = within(np.array([vx, vy]), p, 12.0, corners, 2.0)
+    if inside_m < -1e-3:
+        assert float(kept @ n) <= 1e-9
+        back = -2.0 * n
+        assert within(back, p, 12.0, corners, 2.0) == pytest.approx(back)
+
+
+@given(
+    st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 3)),
+    st.tuples(st.floats(-80, 80), st.floats(-80, 80)),
+    st.floats(-180, 180),
+    st.floats(-5, 90),
+    st.one_of(st.none(), st.floats(0, 6)),
+    st.floats(0, 1),
+    st.sampled_from(["off", "start", "ship"]),
+    st.booleans(),
+    st.booleans(),
+    st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.just(0.0)),
+)
+def test_no_limit_ever_makes_it_descend_or_fly_faster(
+    v: tuple[float, float, float],
+    p: tuple[float, float],
+    yaw_deg: float,
+    baro_m: float,
+    range_m: float | None,
+    charge: float,
+    fence: str,
+    manual: bool,
+    leans: bool,
+    sails: tuple[float, float, float],
+) -> None:
+    options = LimitOptions(fence=fence, fence_radius_m=30.0)  # type: ignore[arg-type]
+    belief = pad_at((p[0], p[1], 4.0), sails, yaw_deg)
+    asked: Velocity | Lean = flown(v)
+    if leans:
+        asked = Lean(np.array([0.5, -0.5]), np.zeros(2), np.array(v), 0.1)
+    where = place(p, yaw_deg, baro_m=baro_m, range_m=range_m, charge=charge)
+    command, hit = limited(asked, options, where, belief, NOW, manual=manual)
+    assert isinstance(command, Velocity | Lean)
+    down, before = float(command.v_level[2]), v[2]
+    assert (before <= down <= 0.0) if before <= 0.0 else (0.0 <= down <= before)
+    assert math.hypot(*command.v_level[:2]) <= math.hypot(*v[:2]) + 1e-9
+    assert command.yaw_rate_rad_s == asked.yaw_rate_rad_s
+    assert (command is asked) == (not hit)
+
+
+@pytest.mark.parametrize("command", [Hover(), Land(), Land(persistent=True), TakeOff()])
+def test_only_velocities_and_leans_are_limited(command: Command) -> None:
+    far = place((500.0, 0.0), baro_m=200.0, charge=0.01)
+    assert limited(command, LimitOptions(fence="start"), far, None, NOW, manual=True) == (command, ())
+
+
+def test_the_fence_around_the_start_is_in_north_and_east_and_the_command_in_forward_and_right() -> None:
+    options = LimitOptions(fence="start", fence_radius_m=10.0)
+    east_edge = place((0.0, 10.0), yaw_deg=90.0)
+    command, hit = limited(flown((1.0, 0.5, 0.0), 0.2), options, east_edge, None, NOW, manual=False)
+    assert isinstance(command, Velocity)
+    assert hit == (Limit.FENCE,)
+    assert command.v_level == pytest.approx([0.0, 0.5, 0.0])
+    back, hit = limited(flown((-1.0, 0.0, 0.0)), options, east_edge, None, NOW, manual=False)
+    assert not hit
+    assert isinstance(back, Velocity)
+
+
+def test_the_fence_around_a_ship_sails_with_it() -> None:
+    """The fence moves at 2 m/s: flying with it is free, outrunning it is not, and it drags nobody along."""
+    options = LimitOptions(fence="ship", fence_radius_m=10.0)
+    ahead, behind = pad_at((-10.0, 0.0, 3.0), (2.0, 0.0, 0.0)), pad_at((10.0, 0.0, 3.0), (2.0, 0.0, 0.0))
+    _, hit = limited(flown((2.0, 0.5, 0.0)), options, place(), ahead, NOW, manual=False)
+    assert not hit
+    outrunning, hit = limited(flown((3.0, 0.5, 0.0)), options, place(), ahead, NOW, manual=False)
+    assert hit == (Limit.FENCE,)
+    assert isinstance(outrunning, Velocity)
+    assert outrunning.v_level[:2] == pytest.approx([2.0, 0.5])
+    assert limited(flown((0.0, 1.0, 0.0)), options, place(), behind, NOW, manual=False)[1] == ()
+    away, hit = limited(flown((-1.0, 0.0, 0.0)), options, place(), behind, NOW, manual=False)
+    assert isinstance(away, Velocity)
+    assert away.v_level[:2] == pytest.approx([0.0, 0.0])
+    unknown = RelativeState(NOW, "ekf", np.array([10.0, 0.0, 3.0]), np.zeros(3), 0.0, 100.0 * np.eye(7), NOW, True)
+    assert limited(flown((-1.0, 0.0, 0.0)), options, place(), unknown, NOW, manual=False)[1] == ()
+
+
+def test_heights_and_battery() -> None:
+    options = LimitOptions(height_max_m=20.0, manual_height_min_m=0.5)
+    up, hit = limited(flown((0.0, 0.0, -2.0)), options, place(baro_m=19.5), None, NOW, manual=False)
+    assert isinstance(up, Velocity)
+    assert (up.v_level[2], hit) == (pytest.approx(-0.5), (Limit.HEIGHT_MAX,))
+    for manual, down_m_s in ((True, 0.1), (False, 0.5)):
+        down, _ = limited(flown((0.0, 0.0, 0.5)), options, place(range_m=0.6), None, NOW, manual=manual)
+        assert isinstance(down, Velocity)
+        assert down.v_level[2] == pytest.approx(down_m_s), "guidance lands, a hand does not touch the deck by its sticks"
+    low = place((5.0, 0.0), charge=0.1)
+    for manual, forward_m_s in ((True, 0.0), (False, 1.0)):
+        away, _ = limited(flown((1.0, 0.0, 0.0)), options, low, None, NOW, manual=manual)
+        assert isinstance(away, Velocity)
+        assert away.v_level[0] == pytest.approx(forward_m_s)
+    _, hit = limited(flown((1.0, 0.0, 0.0)), options, low, pad_at((3.0, 0.0, 2.0)), NOW, manual=True)
+    assert not hit
+
+
+def test_a_polygon_is_checked() -> None:
+    assert LimitOptions(fence_polygon="0 0, 10 0, 10 10.5").corners() == ((0.0, 0.0), (10.0, 0.0), (10.0, 10.5))
+    for wrong, why in (
+        ("0 0, 1 1", "three corners"),
+        ("0 0, 1, 2 2", "'1' is not a corner"),
+        ("0 0, 1 nan, 2 2", "too far away"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            LimitOptions(fence_polygon=wrong)
+
+
+def test_the_place_is_the_integral_of_the_velocity_since_the_start() -> None:
+    memory = PlaceMemory()
+    now = NOW
+    for n in range(201):
+        now = after(now, 0.02)
+        memory = place_step(memory, Attitude(at(now), Rotation.from_rpy(0.0, 0.0, math.radians(90.0)), np.eye(3)))
+        memory = place_step(memory, Baro(at(now), 100.0 if n < 100 else 103.0, 0.5))
+        memory = place_step(memory, VehicleStatus(at(now), n >= 100, "", 0.5, False, True))
+        memory = place_step(memory, BodyVelocity(at(now), np.array([1.0, 0.0, 0.0]), np.eye(3)))
+    assert memory.p_start_ned == pytest.approx([0.0, 2.02])
+    assert memory.baro_m is not None
+    assert memory.ground_baro_m == 100.0
+    assert limited(flown((0.0, 0.0, -9.0)), LimitOptions(height_max_m=4.0), memory, None, now, manual=False)[1] == (
+        Limit.HEIGHT_MAX,
+    )
+
+
+def test_the_service_flies_by_hand_to_the_fence_and_no_farther_and_refuses_a_take_off_on_an_empty_battery() -> None:
+    settings = load("sim")
+    limits = LimitOptions(fence="start", fence_radius_m=5.0)
+    pilot = make_pilot(msgspec.structs.replace(settings, limits=limits))
+    sender, now, v, p = OrderSender(OrderSource.GAMEPAD), NOW, np.zeros(3), np.zeros(3)
+    pilot.on_sample(VehicleStatus(at(now), False, "landed", 0.1, False, True))
+    refusal = pilot.operator.take(OperatorOrder.TAKE_OFF, sender, now).refusal
+    assert refusal == "the battery is at 10 %, and a take-off needs 20 %"
+    reasons = set()
+    for n in range(1500):
+        now = after(now, 0.02)
+        p = p + 0.02 * v
+        pilot.on_sample(Attitude(at(now), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-5 * np.eye(3)))
+        pilot.on_sample(BodyVelocity(at(now), v, 0.01 * np.eye(3)))
+        pilot.on_sample(VehicleStatus(at(now), True, "flying", 0.9, False, True))
+        if n == 10:
+            assert pilot.operator.take(OperatorOrder.MANUAL, sender, now).accepted
+        pilot.operator.move(sender, StickPositions(forward=1.0), now)
+        decision = pilot.decide(now)
+        reasons.add(decision.limit)
+        v = decision.command.v_level if isinstance(decision.command, Velocity) else np.zeros(3)
+    assert p[0] == pytest.approx(5.0, abs=0.05)
+    assert reasons == {"", "limited by the geofence"}
+    assert pilot.operator.hand == sender, "the hand stays with the person"
+
+
+def test_a_fence_that_holds_guidance_back_ends_the_landing_and_says_so() -> None:
+    """The pad lies outside: guidance flies at the fence for `fence_ends_s`, then the drone holds; a person may begin again."""
+    pilot = make_pilot(msgspec.structs.replace(load("sim"), limits=LimitOptions(fence="start", fence_radius_m=5.0)))
+    orders: list[HandledOrder] = []
+    pilot.operator.on_order = orders.append
+    pilot.on_sample(Attitude(at(NOW), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-5 * np.eye(3)))
+    pilot.on_sample(VehicleStatus(at(NOW), True, "flying", 0.9, False, True))
+    pilot.operator._place = place((4.9, 0.0))
+    now, said = NOW, list[str]()
+    for _ in range(250):
+        now = after(now, 0.02)
+        pilot.operator.tick(now)
+        chosen = pilot.operator.choose(now, Hover() if pilot.paused else flown((1.0, 0.0, 0.0)))
+        said += [chosen.limit] if not said or said[-1] != chosen.limit else []
+    assert said == ["limited by the geofence", "landing ended: the geofence held guidance back for 3 s"]
+    assert chosen.command == Hover()
+    assert [(o.sender.source, o.order) for o in orders] == [(OrderSource.LIMITS, OperatorOrder.HOLD)]
+    assert pilot.operator.take(OperatorOrder.BEGIN, OrderSender(OrderSource.MQTT), now).accepted
+    assert isinstance(pilot.operator.choose(after(now, 0.02), flown((-1.0, 0.0, 0.0))).command, Velocity)
