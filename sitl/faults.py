@@ -7,6 +7,7 @@ from typing import Annotated, Literal, get_args
 from estimator.contracts.keys import choice, number
 from sitl.fault import Fault
 from sitl.operator_faults import OperatorActs
+from sitl.picture_faults import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, WetLens
 from sitl.sensor_faults import (
     Accelerometer,
     AttitudeReading,
@@ -103,6 +104,13 @@ AnyFault = (
     | FramesFrozen
     | FramesShifted
     | FramesMisstamped
+    | PadCovered
+    | ObjectOnPad
+    | OtherPad
+    | Glint
+    | LightFalls
+    | WetLens
+    | FocalLength
     | FrameStream
     | NavdataStream
     | CommandStream

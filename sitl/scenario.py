@@ -25,6 +25,7 @@ from estimator.vision.pad import Pad
 from sitl.contradictions import contradictions
 from sitl.faults import AnyFault, WeakRotor
 from sitl.operator_faults import OperatorActs
+from sitl.picture_faults import OtherPad
 from sitl.rotors import rotors
 from sitl.sea_settings import EXCLUDES as SEA_EXCLUDES
 from sitl.sea_settings import Sea as Sea
@@ -348,6 +349,10 @@ def pad_model(scenario: Scenario) -> Pad:
     Raises:
         BadInput: the file is missing or has a fault.
     """
+    for n, fault in enumerate(scenario.faults):
+        if isinstance(fault, OtherPad):
+            other = _find(fault.file, "pads", Path(), f"faults[{n}].file")
+            Pad.from_mapping(read_toml(other), str(other))
     path = _find(scenario.pad.file, "pads", Path(), "pad.file")
     return Pad.from_mapping(read_toml(path), str(path))
 

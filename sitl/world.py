@@ -29,6 +29,8 @@ from sitl.faults import FramesMisstamped, FramesShifted, Gust, TiltLimited, Weak
 from sitl.faulty_sensors import FaultySensors
 from sitl.faulty_streams import VehicleStreams
 from sitl.manoeuvre import Manoeuvre
+from sitl.picture_effects import PictureEffects
+from sitl.picture_faults import OtherPad, PictureFault
 from sitl.render_worker import RenderWorker
 from sitl.rotors import rotors
 from sitl.scenario import Scenario, camera_model, pad_model
@@ -200,6 +202,7 @@ class World:
         self._contacts: list[Touchdown] = []
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
         self._renderer: Renderer | None = None
+        self._picture_effects: PictureEffects | None = None
         self._apply_faults()
 
     @property
@@ -266,6 +269,12 @@ class World:
             self._renderer = renderer(self.scenario, self.waves, self.vessel)
         return self._renderer
 
+    @property
+    def _effects(self) -> PictureEffects:
+        if self._picture_effects is None:
+            self._picture_effects = PictureEffects(self.camera, self.pad, self.renderer.light, self._camera_seed)
+        return self._picture_effects
+
     def expose(
         self, worker: RenderWorker | None = None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None = None
     ) -> Callable[[], RenderedFrame]:
@@ -305,8 +314,13 @@ class World:
             return lambda: seen, not aside.any()
         rng = np.random.default_rng([self._camera_seed, self._tick])
         expose = self.renderer.render
-        made = cache(worker.order(shot, rng) if worker is not None else lambda: expose(shot, rng))
-        return made, not aside.any()
+        made = worker.order(shot, rng) if worker is not None else lambda: expose(shot, rng)
+        wrong = [fault for fault, _ in self.faults.on(PictureFault)]
+        if not wrong:
+            return cache(made), not aside.any()
+        own, effects = np.random.default_rng([self._camera_seed, self._tick, 3]), self._effects
+        hidden = any(isinstance(fault, OtherPad) and fault.instead for fault in wrong)
+        return cache(lambda: effects.drawn(made(), wrong, shot, own)), not aside.any() and not hidden
 
     def _scene(self, aside: F64) -> Exposure:
         """Return the scene of the camera, `aside` (3,) m in the pad frame beside its true place."""

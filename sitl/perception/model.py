@@ -39,6 +39,7 @@ from sitl.perception.draw import Chance, detection_table
 from sitl.perception.parameters import PerceptionModel, load
 from sitl.perception.port import Level
 from sitl.perception.view import View, Viewer
+from sitl.picture_faults import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
 from sitl.render_worker import RenderWorker
 from sitl.world import RenderedFrame, World
 
@@ -46,6 +47,8 @@ KEPT_SCENES = 512
 """Number of exposures that may be under way: ten seconds of delay at 50 frames a second."""
 _SPAWN_KEY = 1301
 """Keeps the random numbers of detections apart from those of the world, which has the first children of the seed."""
+MODELLED = (PadCovered, LightFalls, FocalLength)
+"""Faults of the picture that act without a rendered one: on what is shown of the pad, on its light, on its distance."""
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 _NOTHING = np.zeros((0, 2))
 _TOKEN = 4
@@ -60,6 +63,10 @@ class Scene(NamedTuple):
     chance: Chance
     R_ned_body: F64
     """(3, 3), true."""
+    light_stops: float = 0.0
+    """Light on the pad against white paint at 80 % of full scale."""
+    focal: float = 1.0
+    """True focal length of the lens over that in the camera's file."""
 
 
 class Scenes:
@@ -70,7 +77,7 @@ class Scenes:
     """
 
     def __init__(self, camera: Camera, world: World) -> None:
-        self._viewer = Viewer(camera, world.pad)
+        self._viewer, self._world = Viewer(camera, world.pad), world
         self._shape = (camera.height, camera.width, 3)
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(world.seed, spawn_key=(_SPAWN_KEY,))))
         self._scenes: OrderedDict[bytes, Scene] = OrderedDict()
@@ -85,7 +92,13 @@ class Scenes:
         token = tick.to_bytes(_TOKEN, "little")
         row = np.zeros((1, self._shape[1], 1), np.uint8)
         row[0, :_TOKEN, 0] = np.frombuffer(token, np.uint8)
-        self._scenes[token] = Scene(view, chance, R)
+        faults = self._world.faults
+        if view is not None:
+            for covered, _ in faults.on(PadCovered):
+                view = view._replace(shown=view.shown * (1.0 - covered.fraction))
+        focal = math.prod(fault.scale for fault, _ in faults.on(FocalLength))
+        stops = self._world.scenario.light.exposure_ev + light_stops(faults.on(LightFalls))
+        self._scenes[token] = Scene(view, chance, R, stops, focal)
         if len(self._scenes) > KEPT_SCENES:
             self._scenes.popitem(last=False)
         return np.broadcast_to(row, self._shape)
@@ -107,7 +120,6 @@ class Model:
     def __init__(self, model: PerceptionModel | str | None = None) -> None:
         self._given = load(model) if isinstance(model, str) else model
         self._scenes: Scenes | None = None
-        self._light_stops = 0.0
 
     def pilot(self, settings: Settings, shadows: Sequence[PathName] = ()) -> Pilot:
         """Return a pilot whose detections are drawn.
@@ -119,12 +131,23 @@ class Model:
         return make_pilot(settings, shadows, partial(ModelPilot, _Detector(self, found, settings)))
 
     def refuse(self, faults: Sequence[Fault]) -> None:
-        """Refuse no fault: every one acts as on rendered frames."""
+        """Refuse a fault that only a rendered frame shows; every other one acts as on rendered frames.
+
+        Raises:
+            BadInput: there is one; the text names it.
+        """
+        for fault in faults:
+            if isinstance(fault, PictureFault) and not isinstance(fault, MODELLED):
+                raise BadInput(f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels")
 
     def begin(self, world: World) -> None:
-        """Begin a flight."""
+        """Begin a flight.
+
+        Raises:
+            BadInput: as `refuse`.
+        """
+        self.refuse(world.scenario.faults)
         self._scenes = Scenes(world.camera, world)
-        self._light_stops = world.scenario.light.exposure_ev
 
     def expose(self, world: World, worker: RenderWorker | None) -> Callable[[], RenderedFrame]:
         """Keep the scene as it is now."""
@@ -136,11 +159,6 @@ class Model:
         if self._scenes is None:
             raise RuntimeError("no flight has begun")
         return self._scenes
-
-    @property
-    def light_stops(self) -> float:
-        """Light on the pad against white paint at 80 % of full scale."""
-        return self._light_stops
 
 
 def model_for(settings: Settings, given: PerceptionModel | None) -> PerceptionModel:
@@ -191,8 +209,8 @@ class _Detector:
 
     def detect(self, frame: Frame, attitude: Attitude) -> Detection:
         """Return the detection of a frame; the pilot calls this once for each frame that it admits."""
-        scene, light = self._owner.scenes.of(frame), self._owner.light_stops
-        view, chance = scene.view, scene.chance
+        scene = self._owner.scenes.of(frame)
+        view, chance, light = scene.view, scene.chance, scene.light_stops
         self._wander(frame.stamp.received_at, chance.normal)
         self._found = view is not None and bool(chance.uniform[0] < self._table.probability(view, light, self._found))
         if not self._found or view is None or self._standard is None:
@@ -201,7 +219,9 @@ class _Detector:
         R = _turned(drawn.error[3:]).dot(view.R_cam_pad)
         if drawn.turned:
             R = R.dot(_HALF_TURN)
-        pose = PadPose(Rotation(R), view.t_cam_pad + drawn.error[:3])
+        # A longer lens shows the pad larger: it is taken for nearer, in the same direction from the axis.
+        t = view.t_cam_pad / np.array([1.0, 1.0, scene.focal])
+        pose = PadPose(Rotation(R), t + drawn.error[:3])
         orientation = Orientation.of(attitude, self._sigma_deck_rad)
         seen = registered_sighting(frame, _registration(pose, drawn.cov, drawn.ambiguous), self._camera, orientation)
         seen = replace(seen, confidence=drawn.confidence, features=())

@@ -41,7 +41,7 @@ from sitl.world import RenderedFrame, Truth, World
 REPRESENTED = frozenset(
     {
         "lens_covered", "frames", "commands", "low_battery", "gust", "weak_rotor", "tilt_limited", "link_lost", "service_killed",
-        "operator", "magnetometer", "ship_speed", "ship_turn", "deck_roll", "ferry_wake",
+        "operator", "pad_covered", "light_falls", "magnetometer", "ship_speed", "ship_turn", "deck_roll", "ferry_wake",
     }
 )  # fmt: skip
 """Kinds of faults that act on the vessel, the vehicle, the link or sight, or on what the filter does not read. Every other one
@@ -204,7 +204,7 @@ class TruthPilot(Pilot):
     def detect(self, frame: Frame, attitude: Attitude) -> Detection:
         """Draw whether the pad is seen in a frame, and say where it truly was."""
         scene = self._level.scenes.of(frame)
-        view, light = scene.view, self._level.world.scenario.light.exposure_ev
+        view, light = scene.view, scene.light_stops
         self._found = view is not None and bool(scene.chance.uniform[0] < self._detections.probability(view, light, self._found))
         if not self._found or view is None:
             return Detection(None, None, MappingProxyType({"registration": None}))

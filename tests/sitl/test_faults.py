@@ -34,6 +34,7 @@ from sitl.faults import (
     ServiceKilled,
 )
 from sitl.flight import Flight
+from sitl.picture_faults import PictureFault
 from sitl.safety import Grade
 from sitl.scenario import Scenario, Sea, Start, VesselSettings, WindSettings
 from sitl.sensor_faults import (
@@ -354,6 +355,7 @@ def test_a_height_is_over_the_deck_and_starts_the_fault_in_the_world() -> None:
 
 def test_every_kind_has_a_test_of_its_effect() -> None:
     elsewhere = {"lens_covered", "flow_blind", "gust", "weak_rotor", *STREAMS}
+    elsewhere |= {kind.__struct_config__.tag for kind in PictureFault.__subclasses__()}
     elsewhere |= {"operator", "ship_speed", "ship_turn", "deck_roll", "ferry_wake", "tilt_limited"}
     here = {fault.kind for fault, *_ in READINGS} | {
         "heading", "frames_frozen", "frames_shifted", "frames_misstamped", "link_lost", "service_killed",

@@ -1,0 +1,149 @@
+"""Faults of the picture: what changes in a frame, where, and what acts without a rendered frame."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from companion.config.settings import load as load_settings
+from estimator.contracts.errors import BadInput
+from estimator.contracts.estimates import Verdict
+from sitl.fault import Fault
+from sitl.flight import Flight
+from sitl.perception.levels import perceive
+from sitl.perception.model import MODELLED
+from sitl.picture_faults import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
+from sitl.scenario import from_mapping, load, pad_model, shipped_scenarios
+from sitl.world import RenderedFrame, World
+from tests.sitl.test_faults import CALM, at
+
+SIM = load_settings("sim")
+
+
+def frame(*faults: Fault, seconds: float = 0.3) -> RenderedFrame:
+    return at(World(msgspec.structs.replace(CALM, faults=faults), 1), seconds).render()
+
+
+def changed(fault: PictureFault, least: int = 12) -> tuple[float, float, float]:
+    """Return the fraction of pixels that a fault changes, and their middle right of and below the pad's centre, in radii."""
+    one, other = frame(fault).px, frame().px
+    v, u = np.nonzero(np.abs(one.astype(int) - other).max(axis=-1) > least)
+    camera = World(CALM, 1).camera
+    radius_px = 0.39 * camera.fx / 3.0
+    cu, cv = pad_middle(other)
+    return len(u) / one[..., 0].size, (float(u.mean()) - cu) / radius_px, (float(v.mean()) - cv) / radius_px
+
+
+def green(px: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    b, g, r = (px[..., i].astype(int) for i in range(3))
+    return (g > 50) & (g > 2 * b) & (g > 2 * r)
+
+
+def pad_middle(px: NDArray[np.uint8]) -> tuple[float, float]:
+    v, u = np.nonzero(green(px))
+    return float(u.mean()), float(v.mean())
+
+
+def test_half_of_the_pad_is_hidden_on_the_side_that_it_says() -> None:
+    whole = frame().px
+    for side, right in ((90.0, True), (-90.0, False)):
+        left = green(frame(PadCovered(at_s=0.1, fraction=0.5, from_deg=side)).px)
+        assert left.sum() == pytest.approx(0.5 * green(whole).sum(), rel=0.1)
+        assert bool(np.nonzero(left)[1].mean() < pad_middle(whole)[0]) is right
+
+
+@pytest.mark.parametrize(
+    ("fault", "right", "down", "share"),
+    [
+        (ObjectOnPad(at_s=0.1, right_m=0.78, size_m=0.5), 2.0, 0.0, (0.001, 0.03)),
+        (ObjectOnPad(at_s=0.1, thing="lifebuoy", forward_m=0.78, size_m=0.5), 0.0, -2.0, (0.001, 0.03)),
+        (OtherPad(at_s=0.1, forward_m=1.17), 0.0, -3.0, (0.01, 0.06)),
+        (Glint(at_s=0.1, forward_m=0.0, right_m=0.39), 1.0, 0.0, (0.005, 0.1)),
+    ],
+)
+def test_things_lie_where_they_say(fault: PictureFault, right: float, down: float, share: tuple[float, float]) -> None:
+    part, u, v = changed(fault)
+    assert share[0] < part < share[1]
+    assert (u, v) == pytest.approx((right, down), abs=0.2)
+    assert np.array_equal(frame(fault, seconds=0.08).px, frame(seconds=0.08).px), "nothing before it begins"
+
+
+def test_a_pad_in_the_place_of_the_right_one_is_no_true_sight() -> None:
+    wrong = frame(OtherPad(at_s=0.1, instead=True, size=0.5))
+    assert not wrong.true_view
+    assert frame(OtherPad(at_s=0.1, forward_m=1.2)).true_view
+    assert green(wrong.px).sum() == pytest.approx(0.25 * green(frame().px).sum(), rel=0.15)
+
+
+def test_less_light_is_darker_and_noisier_and_a_lens_blurs_and_zooms() -> None:
+    bright, dark = frame().px.astype(float), frame(LightFalls(at_s=0.1, fraction=0.1)).px.astype(float)
+    assert 0.25 < dark.mean() / bright.mean() < 0.4, "a tenth of the light is a third of the value"
+    deck = np.s_[100:140, 380:420]
+    assert dark[deck].std() / dark[deck].mean() > 1.5 * bright[deck].std() / bright[deck].mean()
+    sharp, wet = (np.abs(np.diff(px.astype(float), axis=1)).mean() for px in (frame().px, frame(WetLens(at_s=0.1, drops=80)).px))
+    assert wet < 0.85 * sharp
+    assert np.array_equal(frame(WetLens(at_s=0.1)).px, frame(WetLens(at_s=0.1)).px)
+    assert green(frame(FocalLength(at_s=0.1, scale=1.2)).px).sum() == pytest.approx(1.44 * green(frame().px).sum(), rel=0.03)
+
+
+def flown(level: str, *faults: Fault, seconds: float = 1.6) -> Flight:
+    perception = perceive(level)  # type: ignore[arg-type]
+    scenario = msgspec.structs.replace(CALM, faults=faults)
+    flight = Flight(scenario, 1, SIM, perception.pilot(SIM), perception=perception)
+    for _ in range(round(seconds / 0.005)):
+        flight.step()
+    return flight
+
+
+def test_what_acts_without_a_rendered_frame_acts_there_too() -> None:
+    clear, covered = flown("truth"), flown("truth", PadCovered(at_s=0.4, fraction=1.0))
+    assert clear.health.frames[Verdict.NO_PAD] < 5 < covered.health.frames[Verdict.NO_PAD]
+    dark = flown("truth", LightFalls(at_s=0.0, fraction=0.0005))
+    scene = next(reversed(dark._perception.scenes._scenes.values()))  # type: ignore[attr-defined]
+    assert scene.light_stops == pytest.approx(np.log2(0.0005))
+    heights = []
+    for faults in ((), (FocalLength(at_s=0.0, scale=1.1),)):
+        flight = flown("model", *faults)
+        belief = flight._pilot.believed(flight._clock.t)
+        assert belief is not None
+        heights.append(belief.height_m / float(flight.world.truth().d_body_pad_level[2]))
+    assert heights[1] / heights[0] == pytest.approx(1.0 / 1.1, rel=0.03)
+
+
+@pytest.mark.parametrize("kind", sorted(PictureFault.__subclasses__(), key=str))
+def test_a_level_that_cannot_show_a_picture_refuses_it_by_name(kind: type[PictureFault]) -> None:
+    fault = kind(at_s=1.0, **({"instead": True} if kind is OtherPad else {}))
+    if kind in MODELLED:
+        perceive("model").refuse([fault])
+    else:
+        with pytest.raises(BadInput, match=f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels"):
+            perceive("model").refuse([fault])
+    perceive("pixels").refuse([fault])
+
+
+def test_what_cannot_be_drawn_is_named() -> None:
+    with pytest.raises(ValueError, match="forward_m or right_m must say where the other pad is"):
+        OtherPad(at_s=1.0)
+    with pytest.raises(ValueError, match="nothing would change"):
+        FocalLength(at_s=1.0, scale=1.0)
+    odd = from_mapping(
+        {"title": "x", "faults": [{"kind": "other_pad", "at_s": 1, "instead": True, "file": "theses"}]}, "mine.toml"
+    )
+    with pytest.raises(BadInput, match=r"faults\[0\].file: .*did you mean 'thesis'"):
+        pad_model(odd)
+
+
+PICTURES = [
+    n for n in shipped_scenarios() if n.startswith("faults/") and any(isinstance(f, PictureFault) for f in load(n).faults)
+]
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_shipped_fault_of_the_picture_changes_it(name: str) -> None:
+    beginnings = dict.fromkeys(("below_height_m", "above_height_m", "in_phase", "per_minute"))
+    for fault in load(name).faults:
+        soon = msgspec.structs.replace(fault, **beginnings, at_s=0.1)
+        part, _, _ = changed(soon, least=6)  # type: ignore[arg-type]
+        assert part > 0.001
