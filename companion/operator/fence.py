@@ -10,6 +10,8 @@ from estimator.contracts.geometry import F64
 
 Corners = tuple[tuple[float, float], ...]
 _ON_THE_LINE_M = 1e-6
+_TANGENT_S = 0.1
+"""More than half the period of commands keeps a vehicle that flies along a circle inside it."""
 
 
 def margin(p: F64, radius_m: float, corners: Corners) -> tuple[float, F64]:
@@ -60,7 +62,11 @@ def within(v: F64, p: F64, radius_m: float, corners: Corners, brake_s: float) ->
     excess = float(v @ n) - max(0.0, inside_m / brake_s)
     if excess > 0.0:
         v = v - excess * n
-    if inside_m <= 0.0 or not corners:
+    if not corners:
+        # Along the tangent it would creep outwards: the next instant counts as well.
+        later_m, n_later = margin(p + _TANGENT_S * v, radius_m, corners)
+        return v - max(0.0, float(v @ n_later)) * n_later if later_m < 0.0 else v
+    if inside_m <= 0.0:
         return v
     # Another edge may be met sooner than the nearest one, in a corner for example.
     later_m, n_later = margin(p + brake_s * v, radius_m, corners)

@@ -7,7 +7,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config.settings import load
@@ -58,6 +58,7 @@ def flown(v: tuple[float, float, float], yaw_rate: float = 0.0) -> Velocity:
     return Velocity(np.array(v), yaw_rate)
 
 
+@settings(deadline=None, max_examples=40)
 @given(
     st.sampled_from([(), L_SHAPE]),
     st.lists(st.tuples(st.floats(-8, 8), st.floats(-8, 8), st.integers(1, 60)), min_size=1, max_size=6),
@@ -69,9 +70,10 @@ def test_no_velocity_leads_out_of_a_fence(corners: tuple[tuple[float, float], ..
             v = within(np.array([vx, vy]), p, 12.0, corners, 2.0)
             assert math.hypot(*v) <= math.hypot(vx, vy) + 1e-9
             p = p + dt * v
-            assert margin(p, 12.0, corners)[0] >= -0.02, "a step along a circle's tangent"
+            assert margin(p, 12.0, corners)[0] >= -1e-3
 
 
+@settings(deadline=None)
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(-5, 5), st.floats(-5, 5), st.sampled_from([(), L_SHAPE]))
 def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(
     x: float, y: float, vx: float, vy: float, corners: tuple[tuple[float, float], ...]
@@ -85,6 +87,7 @@ def test_outside_a_fence_nothing_leads_farther_and_the_way_back_is_free(
         assert within(back, p, 12.0, corners, 2.0) == pytest.approx(back)
 
 
+@settings(deadline=None)
 @given(
     st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 3)),
     st.tuples(st.floats(-80, 80), st.floats(-80, 80)),
@@ -136,7 +139,7 @@ def test_the_fence_around_the_start_is_in_north_and_east_and_the_command_in_forw
     command, hit = limited(flown((1.0, 0.5, 0.0), 0.2), options, east_edge, None, NOW, manual=False)
     assert isinstance(command, Velocity)
     assert hit == (Limit.FENCE,)
-    assert command.v_level == pytest.approx([0.0, 0.5, 0.0])
+    assert command.v_level == pytest.approx([0.0, 0.5, 0.0], abs=0.01)
     back, hit = limited(flown((-1.0, 0.0, 0.0)), options, east_edge, None, NOW, manual=False)
     assert not hit
     assert isinstance(back, Velocity)
@@ -146,13 +149,15 @@ def test_the_fence_around_a_ship_sails_with_it() -> None:
     """The fence moves at 2 m/s: flying with it is free, outrunning it is not, and it drags nobody along."""
     options = LimitOptions(fence="ship", fence_radius_m=10.0)
     ahead, behind = pad_at((-10.0, 0.0, 3.0), (2.0, 0.0, 0.0)), pad_at((10.0, 0.0, 3.0), (2.0, 0.0, 0.0))
-    _, hit = limited(flown((2.0, 0.5, 0.0)), options, place(), ahead, NOW, manual=False)
+    _, hit = limited(flown((2.0, 0.0, 0.0)), options, place(), ahead, NOW, manual=False)
     assert not hit
     outrunning, hit = limited(flown((3.0, 0.5, 0.0)), options, place(), ahead, NOW, manual=False)
     assert hit == (Limit.FENCE,)
     assert isinstance(outrunning, Velocity)
-    assert outrunning.v_level[:2] == pytest.approx([2.0, 0.5])
-    assert limited(flown((0.0, 1.0, 0.0)), options, place(), behind, NOW, manual=False)[1] == ()
+    assert outrunning.v_level[:2] == pytest.approx([2.0, 0.5], abs=0.01)
+    aside, _ = limited(flown((0.0, 0.5, 0.0)), options, place(), behind, NOW, manual=False)
+    assert isinstance(aside, Velocity)
+    assert aside.v_level[:2] == pytest.approx([0.0, 0.5], abs=0.01)
     away, hit = limited(flown((-1.0, 0.0, 0.0)), options, place(), behind, NOW, manual=False)
     assert isinstance(away, Velocity)
     assert away.v_level[:2] == pytest.approx([0.0, 0.0])
@@ -207,9 +212,9 @@ def test_the_place_is_the_integral_of_the_velocity_since_the_start() -> None:
 
 
 def test_the_service_flies_by_hand_to_the_fence_and_no_farther_and_refuses_a_take_off_on_an_empty_battery() -> None:
-    settings = load("sim")
+    shipped = load("sim")
     limits = LimitOptions(fence="start", fence_radius_m=5.0)
-    pilot = make_pilot(msgspec.structs.replace(settings, limits=limits))
+    pilot = make_pilot(msgspec.structs.replace(shipped, limits=limits))
     sender, now, v, p = OrderSender(OrderSource.GAMEPAD), NOW, np.zeros(3), np.zeros(3)
     pilot.on_sample(VehicleStatus(at(now), False, "landed", 0.1, False, True))
     refusal = pilot.operator.take(OperatorOrder.TAKE_OFF, sender, now).refusal

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.cli.fly_keyboard import KEY_S, KeyMotion, keys_in
@@ -118,6 +118,7 @@ async def test_garbage_and_floods_end_their_own_connection_alone(tmp_path: Path,
         assert service.served.counts["refused"] == 1
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=80))
 def test_no_bytes_make_the_decoders_raise(line: bytes) -> None:
     assert isinstance(request_of(line), str) or line
@@ -160,11 +161,11 @@ async def test_the_client_says_that_the_service_is_gone(tmp_path: Path) -> None:
 
 def test_the_path_follows_the_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    settings = load("sim")
-    assert socket_path(settings) == tmp_path / "decklander" / "127.0.0.1-5556.sock"
+    shipped = load("sim")
+    assert socket_path(shipped) == tmp_path / "decklander" / "127.0.0.1-5556.sock"
 
     def with_socket(text: str) -> object:
-        return msgspec.structs.replace(settings, operator=msgspec.structs.replace(settings.operator, socket=text))
+        return msgspec.structs.replace(shipped, operator=msgspec.structs.replace(shipped.operator, socket=text))
 
     assert socket_path(with_socket("off")) is None  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="at most"):
@@ -172,7 +173,7 @@ def test_the_path_follows_the_settings(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.raises(BadInput, match="off"):
         running(with_socket("off"))  # type: ignore[arg-type]
     with pytest.raises(Recoverable, match="no service runs with these settings"):
-        running(settings)
+        running(shipped)
 
 
 def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(
@@ -245,6 +246,7 @@ def test_keys_are_sticks_with_a_dead_man() -> None:
     assert motion.pressed("d", 11.0).sticks(11.1) == StickPositions(turn=1.0)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=30))
 def test_whatever_a_terminal_sends_is_keys(text: str) -> None:
     assert all(key and "\x1b" not in key for key in keys_in(text))
