@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -98,17 +99,41 @@ def step(ekf: Ekf, event: Event) -> tuple[Ekf, list[FusionResult]]:
     return Ekf(ekf.options, ekf.params, history, ekf.limits, imu), [outcome]
 
 
+class Settled(NamedTuple):
+    """The belief propagated to an instant, with the covariance of at most `EkfOptions.tick_s` before."""
+
+    b: Belief
+    """Everything but `P` holds at the instant."""
+    F: F64
+    Q: F64
+    """(N, N): with F they propagate `P` to the instant."""
+    x: F64
+    """(N,) state with the deck moved from the camera's time to the body's, as `measure.aligned` gives it."""
+    T: F64
+    """(N, N) Jacobian of `x`."""
+
+
+@lru_cache(maxsize=4)  # the estimate and the motion at one instant begin alike; the answer is read-only
+def _settled(ekf: Ekf, now: MonoNs) -> Settled | None:
+    """Return the belief at an instant, propagated from the last event before it; None before the first attitude."""
+    before = ekf.history.before(now)
+    if before is None:
+        return None
+    b, F, Q = motion.moved(propagated(before, now, ekf.params), ekf.params.process_noise)
+    return Settled(b, F, Q, *measure.aligned(b))
+
+
+def _tracked(b: Belief, now: MonoNs, o: EkfOptions) -> bool:
+    return b.sighted >= 0 and (now - b.sighted) * 1e-9 <= o.forget_s
+
+
 @lru_cache(maxsize=4)  # guidance, recorder and links each ask for the same instant; the answer is read-only
 def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
     """Return the estimate of the pad at an instant, propagated from the last event before it, or None if no pad is tracked."""
-    b = ekf.history.before(now)
-    if b is None or b.sighted < 0 or (now - b.sighted) * 1e-9 > ekf.options.forget_s:
+    settled = _settled(ekf, now)
+    if settled is None or not _tracked(settled.b, now, ekf.options):
         return None
-    b = propagated(b, now, ekf.params)
-    P = b.P
-    # Only seven components are returned, so only their covariance is propagated, not that of the whole state.
-    b, F, Q = motion.moved(b, ekf.params.process_noise)
-    x, T = measure.aligned(b)
+    b, F, Q, x, T = settled
     psi = so3.heading(b.R)
     Z = so3.about_down(-psi)
     d, v = Z.dot(x[POS_REL]), Z.dot(measure.v_pad_ned(x) - x[VEL])
@@ -121,10 +146,11 @@ def at(ekf: Ekf, now: MonoNs) -> RelativeState | None:
     J[3:6, ATT_ERR] = np.outer([v[1], -v[0], 0.0], turning)
     J[6, ATT_ERR] = turning
     J[6, PAD_YAW] = -1.0
+    # Only seven components are returned, so only their covariance is propagated, not that of the whole state.
     J = J.dot(T)
     cov = J.dot(Q).dot(J.T)
     J = J.dot(F)
-    cov += J.dot(P).dot(J.T)
+    cov += J.dot(b.P).dot(J.T)
     yaw: float | None = wrap_pi(psi - float(x[PAD_YAW]))
     if not b.heading_known:
         yaw = None
@@ -157,18 +183,14 @@ def motion_at(ekf: Ekf, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | No
 
     The state is propagated to the instant; the covariance is the one of at most `EkfOptions.tick_s` before.
     """
-    b = ekf.history.before(now)
-    if b is None:
+    settled = _settled(ekf, now)
+    if settled is None:
         return None, None
-    tracked = b.sighted >= 0 and (now - b.sighted) * 1e-9 <= ekf.options.forget_s
-    b = propagated(b, now, ekf.params)
-    P = b.P
-    b = motion.moved(b, ekf.params.process_noise)[0]._replace(P=P)
+    b, _, _, x, T = settled
     body = answers.body_motion(b, now, ekf.options)
-    if not tracked:
+    if not _tracked(b, now, ekf.options):
         return body, None
-    x, T = measure.aligned(b)
-    return body, answers.deck_motion(b._replace(x=x, P=T.dot(P).dot(T.T)), now)
+    return body, answers.deck_motion(b.changed(x=x, P=T.dot(b.P).dot(T.T)), now)
 
 
 def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Forecast | None:
@@ -186,7 +208,7 @@ def forecast(ekf: Ekf, now: MonoNs, horizons_s: Sequence[float] | F64) -> Foreca
     if not (np.all(np.isfinite(h)) and np.all(h >= 0.0)):
         raise ValueError(f"horizons must be seconds of 0 or more, got {horizons_s!r}")
     b = ekf.history.before(now)
-    if b is None or b.sighted < 0 or (now - b.sighted) * 1e-9 > ekf.options.forget_s:
+    if b is None or not _tracked(b, now, ekf.options):
         return None
     b = propagated_with_covariance(b, now, ekf.params)
     x, T = measure.aligned(b)

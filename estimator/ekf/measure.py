@@ -29,6 +29,9 @@ from estimator.ekf.state import (
     PAD_YAW,
     POS_AXES,
     POS_DOWN,
+    POS_EAST,
+    POS_HORIZONTAL,
+    POS_NORTH,
     POS_REL,
     RANGE_OFFSET,
     SWAY_EAST,
@@ -51,6 +54,9 @@ _DOWN = np.array([0.0, 0.0, 1.0])
 _NONE = np.zeros((0, N))
 _ROLL, _PITCH = int(DECK_DISP[3]), int(DECK_DISP[4])
 _SURGING, _SWAYING, _HEAVING = DECK_RATE[:3].tolist()
+_IN = np.eye(N)
+_BY_RATE = np.concatenate([DECK_DISP * N + DECK_RATE, _POS * N + DECK_RATE[:3]])
+"""Indices into a flattened (N, N) matrix of the derivatives of displacements and position by the deck's rates."""
 _ATT_BIAS_X, _ATT_BIAS_Y = ATT_BIAS.tolist()
 NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
 _NOT_A_PART = 1.5
@@ -242,19 +248,19 @@ def aligned(b: Belief) -> tuple[F64, F64]:
 
     The result is for the filter's output; the filter does not continue from it.
     """
-    late, rate = float(b.x[CAMERA_DELAY]), b.x[DECK_RATE]
+    late, rate = b.x.item(CAMERA_DELAY), b.x[DECK_RATE]
     x = b.x.copy()
     x[DECK_DISP] -= late * rate
-    sway = b.x[SWAY_PER_HEAVE]
+    sway, heaving = b.x[SWAY_PER_HEAVE], b.x.item(_HEAVING)
     rate_ned = rate[:3].copy()
-    rate_ned[:2] += sway * rate[2]
+    rate_ned[:2] += sway * heaving
     x[POS_REL] -= late * rate_ned
-    T = np.eye(N)
-    T[DECK_DISP, DECK_RATE] = T[_POS, DECK_RATE[:3]] = -late
-    T[_POS[:2], DECK_RATE[2]] = -late * sway
-    T[_POS[:2], [SWAY_NORTH, SWAY_EAST]] = -late * rate[2]
+    T = _IN.copy()
+    T.reshape(-1)[_BY_RATE] = -late
+    T[POS_HORIZONTAL, _HEAVING] = -late * sway
+    T[POS_NORTH, SWAY_NORTH] = T[POS_EAST, SWAY_EAST] = -late * heaving
     T[DECK_DISP, CAMERA_DELAY] = -rate
-    T[_POS, CAMERA_DELAY] = -rate_ned
+    T[POS_REL, CAMERA_DELAY] = -rate_ned
     return x, T
 
 

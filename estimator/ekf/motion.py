@@ -232,9 +232,12 @@ def _yawing(w: float, T: float) -> tuple[F64, F64]:
     wd = math.sqrt(w * w - delta * delta)
     e = math.exp(-delta * T)
     c, s = e * math.cos(wd * T), e * math.sin(wd * T) / wd
-    A = np.array([[c + delta * s, s], [-w * w * s, c - delta * s]])
-    P = np.diag([1.0 / (w * w), 1.0])
-    return A, P - A.dot(P).dot(A.T)
+    a, b, d, f = c + delta * s, s, -w * w * s, c - delta * s
+    # P - A P A' with the stationary P = diag(1 / w^2, 1).
+    at_rest = 1.0 / (w * w)
+    across = -(a * d * at_rest + b * f)
+    q = np.array([[at_rest - (a * a * at_rest + b * b), across], [across, 1.0 - (d * d * at_rest + f * f)]])
+    return np.array([[a, b], [d, f]]), q
 
 
 def moved(b: Belief, process_noise: ProcessNoise) -> tuple[Belief, F64, F64]:
