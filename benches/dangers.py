@@ -4,7 +4,7 @@
     python -m benches.dangers --first 211 --only camera_freezes gust_8_m_s
     python -m benches.dangers --out dangers.jsonl              # continues an earlier run with the same file
 
-Flights are in virtual time with rendered frames. Vision is `registration` unless `--fused`, which also runs the thesis' methods.
+Flights are in virtual time with rendered frames. `--fused` also runs the thesis' methods of vision.
 SIGTERM and Ctrl-C end it early; the table then has the finished flights, and a line says how many are missing.
 """
 
@@ -19,7 +19,6 @@ from typing import Any
 
 import msgspec
 
-from companion.cli.soak_parts import without_thesis_methods
 from companion.config.model import CameraSettings, PadSettings, Settings
 from companion.config.settings import load, shipped
 from companion.runtime.signals import Stopped, install
@@ -89,7 +88,9 @@ def arguments() -> argparse.Namespace:
 
 def main() -> int:
     args = arguments()
-    settings = load(args.config) if args.fused else without_thesis_methods(load(args.config))
+    settings = load(args.config)
+    if args.fused:
+        settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
     method = settings.vision.method
     flights: list[dict[str, Any]] = []
     if args.out is not None and args.out.exists():

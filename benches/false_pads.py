@@ -45,7 +45,7 @@ def scene_of(chunk: int, i: int) -> PadScene:
 
 def sure_of(px: NDArray[np.uint8], camera: Camera, pad: Pad, R_level_body: Rotation | None) -> float:
     """Return the confidence of the sighting in a frame, or 0 if there is none."""
-    tracker = TrackerConfig(camera, pad, TrackerOptions(colours="simulator"))
+    tracker = TrackerConfig(camera, pad, TrackerOptions("fused", "simulator"))
     attitude = None if R_level_body is None else Attitude(STAMP, R_level_body, np.eye(3) * math.radians(1.0) ** 2)
     seen, _ = track(tracker, TrackerMemory(), Frame(STAMP, 0, px), attitude)
     return 0.0 if seen.selected is None else seen.selected.confidence

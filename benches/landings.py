@@ -159,7 +159,7 @@ def main() -> int:
     flying.add_argument("--scenario", default="moderate")
     flying.add_argument("--perception", default="model", choices=PERCEPTIONS)
     flying.add_argument("--perception-model")
-    flying.add_argument("--method", default="fused", choices=("fused", "registration", "thesis"))
+    flying.add_argument("--method", default="registration", choices=("fused", "registration", "thesis"))
     flying.add_argument("--first", type=int, default=501, help="first seed; the models were fitted on 301 to 312")
     flying.add_argument("--flights", type=int, default=4)
     flying.add_argument("--workers", type=int, default=1)

@@ -27,8 +27,8 @@ class PadTracker:
     Args:
         camera: intrinsics and mount of the camera.
         pad: the drawing of the pad, in metres.
-        method: "fused" combines all methods by covariance, "registration" aligns the drawing alone, "thesis" takes the three
-            older methods alone.
+        method: "registration" aligns the drawing, "thesis" takes the thesis' three methods, "fused" combines all four by
+            covariance, at three times the cost.
         colours: the colour limits of the thesis' methods: "simulator", "indoor" or "outdoor".
         min_confidence: a find with less confidence (0..1) counts as none.
         sigma_deck_rad: one standard deviation of the deck's roll and pitch, rad.
@@ -43,7 +43,7 @@ class PadTracker:
         camera: Camera,
         pad: Pad,
         *,
-        method: TrackerMethod = "fused",
+        method: TrackerMethod = "registration",
         colours: ColourSetName = "indoor",
         min_confidence: float = 0.2,
         sigma_deck_rad: float = SIGMA_DECK_RAD,

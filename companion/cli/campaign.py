@@ -6,7 +6,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import Any
@@ -40,9 +40,6 @@ from sitl.scenario import load as load_scenario
 from sitl.scenario_set import is_set, shipped_sets
 from sitl.scenario_set import load as load_set
 
-_ALONE = "vision.method=registration"
-"""The thesis' vision methods cost two thirds of the CPU time of a flight, and nobody looks at them in a campaign."""
-
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `decklander campaign` to the parser."""
@@ -67,8 +64,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--config",
         metavar="FILE",
-        help="settings file to fly with (default: the profile sim with the scenario's camera and pad; with rendered frames "
-        "registration is its only vision method)",
+        help="settings file to fly with (default: the profile sim with the scenario's camera and pad)",
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="give a key of scenario or settings another value"
@@ -159,7 +155,7 @@ def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point], None]:
             raise BadInput(f"{args.scenario}: {name}: {why}") from why
     base = () if chosen.base is None else ("--base", chosen.base)
     args.perception = None  # each flight says its own when it is to be flown again
-    return SetPlan(args.scenario, chosen.title, members, (*base, *_options(args, args.set))), [()], None
+    return SetPlan(args.scenario, chosen.title, members, (*base, *_options(args))), [()], None
 
 
 def _plan(args: argparse.Namespace) -> tuple[CampaignPlan, Overridable]:
@@ -173,16 +169,14 @@ def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str
         raise BadInput("--perception-model goes with --perception model or truth")
     perceive(perception, args.perception_model)
     settings = settings_for(scenario, args.config)
-    alone = args.config is None and perception == "pixels"
-    values = [*([_ALONE] if alone else []), *args.set]
     given = Overridable(scenario, settings)
-    overrides = [given.parse(text, "--set") for text in values]
+    overrides = [given.parse(text, "--set") for text in args.set]
     scenario, settings = given.with_values(overrides, "--set")
-    plan = make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args, values)))
+    plan = make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
     return plan, Overridable(scenario, settings)
 
 
-def _options(args: argparse.Namespace, values: Iterable[str]) -> Iterator[str]:
+def _options(args: argparse.Namespace) -> Iterator[str]:
     """Return the arguments with which `decklander simulate` flies a flight of this campaign again."""
     if args.config:
         yield from ("--config", args.config)
@@ -190,7 +184,7 @@ def _options(args: argparse.Namespace, values: Iterable[str]) -> Iterator[str]:
         yield from ("--perception", args.perception)
     if args.perception_model:
         yield from ("--perception-model", args.perception_model)
-    for value in values:
+    for value in args.set:
         yield from ("--set", value)
 
 

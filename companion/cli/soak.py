@@ -18,7 +18,7 @@ import msgspec
 
 from companion.cli.soak_flights import Class, Flown, Outcomes, real, virtual
 from companion.cli.soak_judge import Findings, Reading, findings, give_back, read
-from companion.cli.soak_parts import cpu_at, start_time_s, without_thesis_methods
+from companion.cli.soak_parts import cpu_at, start_time_s
 from companion.cli.soak_plot import plot
 from companion.config.model import Settings
 from companion.config.settings import shipped
@@ -79,9 +79,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--config", metavar="FILE", help="settings file to fly with (default: the profile sim)")
     parser.add_argument("--no-cpu", action="store_true", help="skip the measurements of start time and CPU load")
     parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights (default: 0)")
-    parser.add_argument(
-        "--all-methods", action="store_true", help="run the thesis' vision methods too, at three times the CPU (needs --virtual)"
-    )
     parser.add_argument(
         "--perception",
         default="pixels",
@@ -154,14 +151,11 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput("--flights needs --virtual, and is 1 or more")
     if args.failed_max < 0:
         raise BadInput(f"--failed-max must be 0 or more, got {args.failed_max}")
-    if args.all_methods and not args.virtual:
-        raise BadInput("--all-methods needs --virtual; in real time the settings say which methods run")
     perception = perception_level(args.perception)
     if perception != "pixels" and not args.virtual:
         raise BadInput("--perception needs --virtual; in real time the drone sends images")
     scenario = load_scenario(args.scenario)
-    alone = args.virtual and not args.all_methods and perception == "pixels"
-    settings = flown_settings(scenario, args.config, registration_alone=alone)
+    settings = flown_settings(scenario, args.config)
     if args.plot is not None:
         require_drawing("--plot")
         _writable("--plot", args.plot)
@@ -190,18 +184,13 @@ def run(args: argparse.Namespace) -> int:
     return 0 if found is not None and not found.faults and not tally.outcomes.faults(args.failed_max) else 1
 
 
-def flown_settings(scenario: Scenario, config: str | None, *, registration_alone: bool) -> Settings:
+def flown_settings(scenario: Scenario, config: str | None) -> Settings:
     """Return the settings of the flights: those of a file or of the profile `sim`, without what only a person would need.
-
-    Args:
-        registration_alone: leave out the vision methods that guidance does not need.
 
     Raises:
         BadInput: as `companion.config.settings.load`.
     """
     settings = settings_for(scenario, config)
-    if registration_alone:
-        settings = without_thesis_methods(settings)
     service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")
     own = settings.guidance.planner
     planner = msgspec.structs.replace(own, operator_wait_s=min(own.operator_wait_s, OPERATOR_WAIT_S))

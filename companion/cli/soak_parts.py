@@ -14,8 +14,6 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from itertools import chain
 
-import msgspec
-
 from companion.config.model import Settings, ardrone_options
 from companion.runtime.daemon import Daemon, VehicleLink
 from companion.runtime.make_pilot import make_pilot
@@ -71,11 +69,6 @@ def start_time_s(config: str) -> float:
             finally:
                 child.terminate()
                 child.wait()
-
-
-def without_thesis_methods(settings: Settings) -> Settings:
-    """Return the settings with registration as the only vision method: a third of the CPU, the same estimate for guidance."""
-    return msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="registration"))
 
 
 @dataclass(frozen=True, slots=True)

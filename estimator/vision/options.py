@@ -10,7 +10,7 @@ from msgspec import Struct
 from estimator.contracts.keys import check_ranges, choice, number
 
 TrackerMethod = Literal["fused", "registration", "thesis"]
-"""The methods that form the sighting: all fused, registration alone, or the thesis' three with its selection by priority."""
+"""The methods that form the sighting: registration alone, all fused, or the thesis' three with its selection by priority."""
 ColourSetName = Literal["simulator", "indoor", "outdoor"]
 
 
@@ -23,8 +23,8 @@ class TrackerOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     method: Annotated[
         TrackerMethod,
-        choice("methods of detection: all together; registration alone; the thesis' three, chosen by priority"),
-    ] = "fused"
+        choice("methods of detection: registration alone; all four, fused; the thesis' three, chosen by priority"),
+    ] = "registration"
     colours: Annotated[
         ColourSetName,
         choice("set of colour limits by which the thesis' methods segment the pad", "thesis table 4.1"),

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from companion.config.model import Settings
@@ -127,7 +128,7 @@ class Chapter5(NamedTuple):
 
 
 def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None], heights_m: tuple[float, ...] = HEIGHTS_M) -> Chapter5:
-    """Fly every experiment of the simulator.
+    """Fly every experiment of the simulator, with all methods of vision, which the tables compare.
 
     Args:
         say: receives the title of each before it begins.
@@ -136,6 +137,7 @@ def fly_chapter(settings: Settings, seed: int, say: Callable[[str], None], heigh
     Raises:
         BadInput: the settings name a camera or pad file with a fault.
     """
+    settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
     say("5.1.2 up and down between 0.2 and 5 m")
     path, duration_s = up_and_down(0.2, 5.0, 0.4, x_m=-0.1)
     up = fly_by_hand(settings, path, duration_s, seed)

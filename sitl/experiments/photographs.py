@@ -59,7 +59,7 @@ def read_photographs(folder: Path, camera: Camera, pad: Pad) -> Photographs:
         R_level_body = Rotation.from_rpy(roll, pitch, 0.0)
         true = (R_level_body @ camera.T_body_cam.R) @ t
         attitude = Attitude(_STAMP, R_level_body, np.eye(3) * _TILT_SIGMA_RAD**2)
-        tracker = PadTracker(camera, pad)
+        tracker = PadTracker(camera, pad, method="fused")
         best = tracker.track(np.asarray(px, np.uint8), stamp=_STAMP, attitude=attitude)
         methods = {} if tracker.detection is None else tracker.detection.methods
         for name, seen in (*methods.items(), ("best", best)):

@@ -100,9 +100,7 @@ def test_the_plot_is_written_and_a_place_that_takes_none_is_named(tmp_path: Path
         plot(tmp_path / "soak.tiff.nothing", readings, flights)
 
 
-@pytest.mark.parametrize(
-    "words", [["--failed-max", "-1"], ["--all-methods"], ["--virtual", "--flights", "1", "--plot", "/dev/null/x.png"]]
-)
+@pytest.mark.parametrize("words", [["--failed-max", "-1"], ["--virtual", "--flights", "1", "--plot", "/dev/null/x.png"]])
 def test_wrong_words_are_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["soak", *words]) == 2
     assert capsys.readouterr().err.count("\n") == 1
