@@ -43,7 +43,7 @@ def riccati(A: F64, B: F64, Q: F64, R: F64) -> F64:
         G = G + step.dot(np.linalg.solve(W, G)).dot(step.T)
         more = step.T.dot(H).dot(forward)
         H, step = H + more, step.dot(forward)
-        if not np.all(np.isfinite(H)):
+        if not float(np.abs(H).max()) < 1e100:
             break
         if float(np.abs(more).max()) <= 1e-12 * float(np.abs(H).max()):
             return np.asarray(0.5 * (H + H.T))

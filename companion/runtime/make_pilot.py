@@ -13,8 +13,10 @@ from companion.config.settings import camera_model, pad_model, response_model
 from companion.guidance.controller import Controller
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.options import GuidanceOptions
+from companion.guidance.response import Response
 from companion.guidance.view import FieldOfView
 from companion.runtime.pilot import Pilot
+from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.estimates import PathName
 from estimator.options import EstimatorOptions
@@ -50,7 +52,7 @@ def law_of(settings: Settings) -> Callable[[GuidanceOptions], Controller[Any]]:
     Raises:
         BadInput: the response or camera file has a fault, or there is no such controller.
     """
-    response, view = response_model(settings), field_of_view(camera_model(settings))
+    response, view = _within_driver(response_model(settings), settings), field_of_view(camera_model(settings))
     over_ground = isinstance(settings.vehicle, AutopilotOptions)
 
     def make(guidance: GuidanceOptions) -> Controller[Any]:
@@ -58,6 +60,18 @@ def law_of(settings: Settings) -> Callable[[GuidanceOptions], Controller[Any]]:
 
     make(settings.guidance)
     return make
+
+
+def _within_driver(response: Response, settings: Settings) -> Response:
+    """Return the response with no more than the driver lets through: the law has to know what is truly flown."""
+    vehicle = settings.vehicle
+    if not isinstance(vehicle, ArDroneOptions):
+        return response
+    tilt, climb = response.tilt, response.climb
+    return Response(
+        structs.replace(tilt, max_deg=max(2.0, min(tilt.max_deg, vehicle.euler_angle_max_deg))),
+        structs.replace(climb, max_m_s=min(climb.max_m_s, vehicle.vz_max_m_s)),
+    )
 
 
 def field_of_view(camera: Camera) -> FieldOfView | None:

@@ -65,9 +65,18 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
     )
     euler_angle_max_deg: Annotated[
         float,
-        number("largest tilt of the drone, commanded by full stick", "deg", 1.0, 30.0, "firmware default 0.21 rad"),
-    ] = 12.0
-    vz_max_m_s: Annotated[float, number("largest climb and descent rate", "m/s", 0.2, 2.0, "firmware default 700 mm/s")] = 0.7
+        number(
+            "largest tilt of the drone, commanded by full stick",
+            "deg",
+            1.0,
+            30.0,
+            "firmware default 0.21 rad; a wind of 4 m/s takes 8 to 9 degrees, and gusts need as much again",
+        ),
+    ] = 20.0
+    vz_max_m_s: Annotated[
+        float,
+        number("largest climb and descent rate", "m/s", 0.2, 2.0, "firmware default 700 mm/s; a deck at sea state 4 reaches it"),
+    ] = 1.0
     yaw_rate_max_deg_s: Annotated[float, number("largest turn rate", "deg/s", 40.0, 350.0, "firmware default")] = 100.0
     velocity_gain_1_s: Annotated[
         float, number("acceleration commanded for each m/s of velocity error", "1/s", 0.0, 10.0, "tuned in simulation")

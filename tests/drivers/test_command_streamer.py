@@ -125,7 +125,7 @@ def test_no_ref_once_the_drone_is_silent(cockpit: Cockpit) -> None:
 def test_velocity_is_flown_by_the_sticks_and_hover_by_none(cockpit: Cockpit) -> None:
     cockpit.hears(0, nd.ControlState.HOVERING)
     cockpit.measures(0)
-    cockpit.streamer.take(Velocity(np.array([0.4, 0.2, -0.35]), 0.5), ms(0))
+    cockpit.streamer.take(Velocity(np.array([0.4, 0.2, -0.5]), 0.5), ms(0))
     ref, sticks = cockpit.sends(1)
     assert ref == FLY
     assert isinstance(sticks, at.Pcmd)
@@ -267,7 +267,7 @@ def test_a_word_ends_with_the_guidance_cycle_that_it_came_from(cockpit: Cockpit)
     assert cockpit.streamer.command(ms(100)).until == ms(220)
 
 
-LEAN = Lean(np.array([0.3, -0.2]), np.array([0.6, 0.1]), np.array([0.1, 0.0, 0.35]), 0.0)
+LEAN = Lean(np.array([0.3, -0.2]), np.array([0.6, 0.1]), np.array([0.1, 0.0, 0.5]), 0.0)
 
 
 def _sticks(cockpit: Cockpit, t: int) -> at.Pcmd:
