@@ -108,7 +108,8 @@ def loop(
     def law(state: F64, z: F64) -> tuple[F64, float]:
         s = state.tolist()
         axis = TiltAxis(Observed(*s[:4]), s[4], s[5], s[6], tuple(s[7:]))
-        axis = observed(axis, AxisMeasured(*z[:5].tolist(), a_deck=0.0), PERIOD_S, seeing, told)
+        p, w, lean, rate, a_body = z.tolist()
+        axis = observed(axis, AxisMeasured(p, w, lean, rate, a_body), PERIOD_S, seeing, told)
         u = command(axis, gains, axis.seen.p, 0.0, 0.0)
         axis = commanded(axis, u)
         return np.array([*axis.seen, axis.lean, axis.rate, axis.lag, *axis.under_way]), u
