@@ -1,12 +1,9 @@
-"""Stability margins of the law that follows the deck, the error it should reach, and the cost of a step.
+"""Show the stability margins of the law that follows the deck, the error that it should reach, and the cost of a step.
 
-    python -m benches.law [--response FILE] [--late MS] [--softer]
+    python -m benches.law [--response NAME]
 
-One horizontal axis is linear, so the whole loop (vehicle, observer, regulator with the commands under way) is one matrix, made by
-asking the law's own functions what they do to each unit vector. The loop is broken where the command leaves the law: gain margin,
-phase margin and the delay that it stands beyond the one it knows come from the frequency response there. The error is the
-stationary covariance under gusts, a wandering tilt and the filter's errors near the deck.
-Source: Astrom & Murray, Feedback Systems, 2nd ed., sec. 10.3 (margins), 12.2 (sensitivity).
+The rows leave parts of the law out, or let the vehicle answer otherwise than its response file says. Both come from
+`companion.guidance.margins`.
 """
 
 from __future__ import annotations
@@ -16,161 +13,20 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
 
 from companion.config.settings import find_file, read_toml, shipped_response
-from companion.guidance.axis import AxisMeasured, TiltAxis, command, commanded, observed
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.disturbance import Observed, ObserverNoise, chosen, observer_gains
+from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.follow_deck import FollowDeck
-from companion.guidance.response import Response, TiltResponse, response_from_mapping, tilt_model
-from companion.guidance.tilt_law import TiltWeights, tilt_gains
+from companion.guidance.margins import PERIOD_S, AxisDisturbances, GaussMarkov, LoopMargins, margins
+from companion.guidance.response import Response, response_from_mapping
 from estimator.contracts.estimates import RelativeState
-from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import BodyMotion, DeckMotion
 from estimator.contracts.time import MonoNs
-
-PERIOD_S = 0.02
-SIGMA_P_M = 0.01
-
-
-class Wander(NamedTuple):
-    """A Gauss-Markov process."""
-
-    sigma: float
-    time_s: float
-
-
-class Surroundings(NamedTuple):
-    """What disturbs one axis at sea state 4, near the deck (levels of perception `model` and `truth`)."""
-
-    gust_m_s2: Wander = Wander(0.21, 2.0)
-    """Gusts of 0.6 m/s on a drag of 0.35 1/s."""
-    tilt_m_s2: Wander = Wander(0.07, 1.0)
-    """Error of the reported tilt."""
-    place_m: Wander = Wander(0.006, 20.0)
-    """Errors of the filter's place, speed and levelled acceleration."""
-    speed_m_s: Wander = Wander(0.012, 1.0)
-    accel_m_s2: Wander = Wander(0.04, 4.0)
-    deck_m_s2: Wander = Wander(0.06, 1.2)
-    """Acceleration of the deck sideways that nobody knows."""
-    sample_m_s2: float = 0.043
-    """One sample of the accelerometer."""
-    drag_1_s: float = 0.35
-
-
-class Loop(NamedTuple):
-    """One axis under the law."""
-
-    stable: bool
-    gain: tuple[float, float]
-    """Factors of the vehicle's answer, down and up, within which the loop stays stable; 0 and inf if there is no such limit."""
-    phase_deg: float
-    """Phase margin."""
-    delay_s: float
-    """Further delay, unknown to the law, that the loop stands."""
-    sensitivity: float
-    """Largest amplification of a disturbance."""
-    error_m: float
-    """Standard deviation of the place, one axis, in the given surroundings."""
-    speed_m_s: float
-
-
-def loop(
-    told: TiltResponse,
-    true: TiltResponse | None = None,
-    *,
-    weights: TiltWeights | None = None,
-    noise: ObserverNoise | None = None,
-    delay_line: bool = True,
-    around: Surroundings | None = None,
-) -> Loop:
-    """Return the loop of one axis.
-
-    Args:
-        told: the response that the law is made for.
-        true: the vehicle's own; None for the same.
-        weights, noise, delay_line: of the law.
-        around: what disturbs it.
-    """
-    around = around or Surroundings()
-    gains = tilt_gains(told, weights or TiltWeights(), PERIOD_S, delay_line=delay_line)
-    seeing = chosen(observer_gains(noise or ObserverNoise(), PERIOD_S), SIGMA_P_M)
-    vehicle = tilt_model(true or told, PERIOD_S)
-    n = max(1, math.ceil(told.delay_s / PERIOD_S - 1e-9))
-    a_plant, own = vehicle.A.shape[0], 7 + n
-    A = vehicle.A.copy()
-    A[1, 1] -= PERIOD_S * around.drag_1_s
-
-    def law(state: F64, z: F64) -> tuple[F64, float]:
-        s = state.tolist()
-        axis = TiltAxis(Observed(*s[:4]), s[4], s[5], s[6], tuple(s[7:]))
-        p, w, lean, rate, a_body = z.tolist()
-        axis = observed(axis, AxisMeasured(p, w, lean, rate, a_body), PERIOD_S, seeing, told)
-        u = command(axis, gains, axis.seen.p, 0.0, 0.0)
-        axis = commanded(axis, u)
-        return np.array([*axis.seen, axis.lean, axis.rate, axis.lag, *axis.under_way]), u
-
-    columns = [law(e, np.zeros(5)) for e in np.eye(own)]
-    Ac, Cc = np.array([c[0] for c in columns]).T, np.array([c[1] for c in columns])
-    columns = [law(np.zeros(own), e) for e in np.eye(5)]
-    Bc, Dc = np.array([c[0] for c in columns]).T, np.array([c[1] for c in columns])
-    measured = np.zeros((5, a_plant))
-    measured[[0, 1, 2, 3, 4], [0, 1, 2, 3, 2]] = 1.0
-
-    exo = (around.gust_m_s2, around.tilt_m_s2, around.place_m, around.speed_m_s, around.accel_m_s2, around.deck_m_s2)
-    e = len(exo)
-    by_exo, sensed = np.zeros((a_plant, e)), np.zeros((5, e))
-    push = np.array([-1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-    by_exo[0], by_exo[1] = 0.5 * PERIOD_S**2 * push, PERIOD_S * push
-    sensed[0, 2] = sensed[1, 3] = sensed[4, 4] = sensed[4, 0] = 1.0
-    sensed[4, 1] = -1.0
-    keep = np.diag([math.exp(-PERIOD_S / w.time_s) for w in exo])
-    B = vehicle.B[:, None]
-    M = np.block(
-        [
-            [A + B @ (Dc @ measured)[None], by_exo + B @ (Dc @ sensed)[None], B @ Cc[None]],
-            [np.zeros((e, a_plant)), keep, np.zeros((e, own))],
-            [Bc @ measured, Bc @ sensed, Ac],
-        ]
-    )
-    stable = float(np.abs(np.linalg.eigvals(M)).max()) < 1.0
-    Q = np.zeros_like(M)
-    for i, w in enumerate(exo):
-        Q[a_plant + i, a_plant + i] = w.sigma**2 * (1.0 - keep[i, i] ** 2)
-    white = np.concatenate([vehicle.B * Dc[4], np.zeros(e), Bc[:, 4]])
-    Q += around.sample_m_s2**2 * np.outer(white, white)
-    X, power = Q, M
-    for _ in range(40 if stable else 0):
-        X, power = X + power @ X @ power.T, power @ power
-    L = _open_loop(A, vehicle.B, measured, Ac, Bc, Cc, Dc)
-    return Loop(stable, *_margins(*L), math.sqrt(X[0, 0]) if stable else math.inf, math.sqrt(X[1, 1]) if stable else math.inf)
-
-
-def _open_loop(
-    A: F64, B: F64, measured: F64, Ac: F64, Bc: F64, Cc: F64, Dc: F64
-) -> tuple[F64, np.ndarray[tuple[int, ...], np.dtype[np.complex128]]]:
-    w = np.geomspace(0.05, 0.98 * math.pi / PERIOD_S, 1500)
-    out = np.empty(w.size, complex)
-    for i, z in enumerate(np.exp(1j * w * PERIOD_S)):
-        plant = measured @ np.linalg.solve(z * np.eye(A.shape[0]) - A, B)
-        out[i] = -((Cc @ np.linalg.solve(z * np.eye(Ac.shape[0]) - Ac, Bc) + Dc) @ plant)
-    return w, out
-
-
-def _margins(w: F64, L: np.ndarray[tuple[int, ...], np.dtype[np.complex128]]) -> tuple[tuple[float, float], float, float, float]:
-    size, angle = np.abs(L), np.angle(L)
-    crossings = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) < 0.0)
-    phase = [float((angle[i] + math.pi) % math.tau) for i in crossings]
-    delay = [p / float(w[i]) for p, i in zip(phase, crossings, strict=True)]
-    turned = np.flatnonzero((angle[:-1] * angle[1:] < 0.0) & (np.abs(angle[:-1]) > 2.0))
-    factors = [1.0 / float(size[i]) for i in turned]
-    down, up = max([f for f in factors if f < 1.0], default=0.0), min([f for f in factors if f > 1.0], default=math.inf)
-    worst = min([min(p, math.tau - p) for p in phase], default=math.pi)
-    return (down, up), math.degrees(worst), min(delay, default=math.inf), float(np.max(1.0 / np.abs(1.0 + L)))
 
 
 def step_cost_s(response: Response, steps: int = 2000) -> float:
@@ -193,7 +49,7 @@ def step_cost_s(response: Response, steps: int = 2000) -> float:
     return (time.process_time() - began) / steps
 
 
-def _row(name: str, of: Loop) -> str:
+def _row(name: str, of: LoopMargins) -> str:
     if not of.stable:
         return f"{name:38s} unstable\n"
     down, up = of.gain
@@ -218,19 +74,19 @@ def main() -> int:
     heads = ("gain -", "gain +", "phase", "delay ms", "peak", "cm a side", "median", "p95")
     out.write(f"{'':37s} {heads[0]:>6s} {heads[1]:>7s} {heads[2]:>7s} {heads[3]:>8s} {heads[4]:>8s} {heads[5]:>9s}")
     out.write(f" {heads[6]:>8s} {heads[7]:>7s}\n")
-    whole = loop(tilt)
+    whole = margins(tilt)
     out.write(_row("the law", whole))
-    out.write(_row("without the accelerometer", loop(tilt, noise=ObserverNoise(accelerometer=False))))
-    out.write(_row("without the delay line", loop(tilt, delay_line=False)))
+    out.write(_row("without the accelerometer", margins(tilt, noise=ObserverNoise(accelerometer=False))))
+    out.write(_row("without the delay line", margins(tilt, delay_line=False)))
     for ms in (40, 100):
         late = structs.replace(tilt, delay_s=tilt.delay_s + 1e-3 * ms)
-        out.write(_row(f"{ms} ms more delay, unknown", loop(tilt, late)))
-        out.write(_row(f"{ms} ms more delay, known", loop(late)))
+        out.write(_row(f"{ms} ms more delay, unknown", margins(tilt, late)))
+        out.write(_row(f"{ms} ms more delay, known", margins(late)))
     for share in (0.7, 1.4):
         other = structs.replace(tilt, frequency_rad_s=share * tilt.frequency_rad_s)
-        out.write(_row(f"tilt {share:g} times as quick, unknown", loop(tilt, other)))
-    double = Surroundings(gust_m_s2=Wander(0.42, 2.0))
-    out.write(_row("gusts doubled", loop(tilt, around=double)))
+        out.write(_row(f"tilt {share:g} times as quick, unknown", margins(tilt, other)))
+    double = AxisDisturbances(gust_m_s2=GaussMarkov(0.42, 2.0))
+    out.write(_row("gusts doubled", margins(tilt, around=double)))
     out.write(f"\none step of the controller: {1e6 * step_cost_s(response):.0f} us\n")
     return 0 if whole.stable and whole.delay_s >= 0.06 else 1
 

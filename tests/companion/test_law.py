@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
-from benches.law import loop
 from companion.config.settings import shipped_response
 from companion.guidance import climb_law
 from companion.guidance.controller import Knowledge, Target
 from companion.guidance.follow_deck import FollowDeck
 from companion.guidance.heave import STILL, deck_ahead
+from companion.guidance.margins import margins
 from companion.guidance.response import ClimbResponse, TiltResponse, tilt_model
 from companion.guidance.riccati import exponential, observer, regulator, riccati
 from companion.guidance.view import LEAST_M_S2, FieldOfView, lean_in_view
@@ -84,15 +84,15 @@ def test_the_discrete_model_is_the_continuous_one(delay_s: float, lag_s: float) 
 
 
 def test_the_shipped_law_stands_sixty_milliseconds_more_than_it_knows() -> None:
-    whole = loop(RESPONSE.tilt)
+    whole = margins(RESPONSE.tilt)
     assert whole.stable
     assert whole.delay_s >= 0.06
     assert whole.gain[1] >= 1.9
     assert whole.phase_deg >= 25.0
     assert whole.error_m < 0.018
     slower = structs.replace(RESPONSE.tilt, delay_s=RESPONSE.tilt.delay_s + 0.1)
-    assert not loop(RESPONSE.tilt, slower).stable or loop(RESPONSE.tilt, slower).sensitivity > 3.0
-    assert loop(slower).stable
+    assert not margins(RESPONSE.tilt, slower).stable or margins(RESPONSE.tilt, slower).sensitivity > 3.0
+    assert margins(slower).stable
 
 
 # --- in flight -------------------------------------------------------------------------------------------------------------
