@@ -106,14 +106,16 @@ async def _once(args: argparse.Namespace, path: Path) -> int:
 
 async def _wait(states: asyncio.Queue[FlightState], order: str, seconds: float) -> str | None:
     """Return None once the order's effect is reported, or the vehicle's last mode if that takes longer."""
-    mode = "not heard"
+    mode, flew = "not heard", False
     try:
         async with asyncio.timeout(seconds):
             while True:
                 state = await states.get()
                 mode = state.mode or mode
+                flew = flew or state.flying is True
                 up = state.flying is True and state.mode != "taking_off"
-                if (up and order == "takeoff") or (state.flying is False and order != "takeoff"):
+                down = state.flying is False and (order == "land" or flew)
+                if up if order == "takeoff" else down:
                     return None
     except TimeoutError:
         return mode

@@ -22,7 +22,7 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 _EMERGENCY_PERIODS = 3
 """The drone acts on the rising edge; three periods survive a lost datagram."""
 _EMERGENCY_AGAIN_S = 0.3
-"""The time after which the emergency bit is sent again if navdata does not show its effect."""
+"""The emergency bit is sent again if navdata this long after it does not show its effect."""
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
 _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
 
@@ -64,6 +64,8 @@ class CommandStreamer:
         self._watch = LandingWatch()
         self._emergency_periods = 0
         self._toggled_at: MonoNs | None = None
+        self._toggled_to: bool | None = None
+        """Whether the newest toggle asked to cut the motors; None before the first."""
         self._state: int | None = None
         self._navdata_at: MonoNs | None = None
         self._control: ControlState | None = None
@@ -101,13 +103,15 @@ class CommandStreamer:
     def _toggle_emergency_unless(self, cut: bool, now: MonoNs) -> None:
         """Ask the drone to cut its motors, or to leave the emergency state, unless it says that it has.
 
-        The drone toggles, so a repeated command waits until navdata could show what the one before did.
+        The drone toggles, so a repeated command waits for navdata that would show what the one before did.
         """
         self._take_off_at, self._motion = None, None
         if self._state is not None and bool(self._state & NavdataState.EMERGENCY) is cut:
             return
-        if self._toggled_at is None or seconds_between(self._toggled_at, now) > _EMERGENCY_AGAIN_S:
-            self._toggled_at, self._emergency_periods = now, _EMERGENCY_PERIODS
+        toggled_at, heard_at = self._toggled_at, self._navdata_at
+        waits = toggled_at is not None and (heard_at is None or seconds_between(toggled_at, heard_at) < _EMERGENCY_AGAIN_S)
+        if not waits or self._toggled_to is not cut:
+            self._toggled_at, self._toggled_to, self._emergency_periods = now, cut, _EMERGENCY_PERIODS
 
     def on_navdata(self, navdata: Navdata, now: MonoNs) -> None:
         """Take the next navdata datagram, in order."""

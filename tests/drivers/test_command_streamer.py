@@ -183,11 +183,14 @@ def test_a_repeated_emergency_toggles_once_and_leaves_only_on_request(cockpit: C
 
     cockpit.hears(0, nd.ControlState.FLYING)
     assert sum(bits(0, CutMotors())) == 3
-    cockpit.hears(210, nd.ControlState.DEFAULT, nd.NavdataState.EMERGENCY)
-    assert sum(bits(400, CutMotors())) == 0
-    assert sum(bits(700, LeaveEmergency())) == 3
-    cockpit.hears(900, nd.ControlState.LANDED)
-    assert sum(bits(1100, LeaveEmergency())) == 0
+    assert sum(bits(400, CutMotors())) == 0, "without navdata nobody knows that it did not work"
+    cockpit.hears(650, nd.ControlState.FLYING)
+    assert sum(bits(660, CutMotors())) == 3, "it did not work"
+    cockpit.hears(900, nd.ControlState.DEFAULT, nd.NavdataState.EMERGENCY)
+    assert sum(bits(910, CutMotors())) == 0
+    assert sum(bits(1200, LeaveEmergency())) == 3
+    cockpit.hears(1500, nd.ControlState.LANDED)
+    assert sum(bits(1510, LeaveEmergency())) == 0
 
 
 @pytest.mark.parametrize(("altitude_m", "sent"), [(0.3, [FLY, HOVER]), (0.1, [HOVER])])
