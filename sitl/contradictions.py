@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from sitl.fault import Fault
+from sitl.report_faults import VesselReports
 from sitl.ship_faults import ShipSpeed, ShipTurn
 from sitl.vessel_settings import VesselSettings
 
@@ -26,6 +27,8 @@ def never_begins(fault: Fault, duration_limit_s: float, start_height_m: float | 
 
 def not_of_this_vessel(fault: Fault, vessel: VesselSettings) -> str:
     """Return why a vessel cannot have a fault, in words that follow its path; empty if it can."""
+    if isinstance(fault, VesselReports) and vessel.reports_hz == 0.0:
+        return ": vessel_reports is of a ship that reports, and this one does not; vessel.reports_hz must be more than 0"
     if not isinstance(fault, ShipSpeed | ShipTurn):
         return ""
     if vessel.moored:

@@ -8,6 +8,7 @@ from estimator.contracts.keys import choice, number
 from sitl.fault import Fault
 from sitl.operator_faults import OperatorActs
 from sitl.picture_faults import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, WetLens
+from sitl.report_faults import VesselReports
 from sitl.sensor_faults import (
     Accelerometer,
     AttitudeReading,
@@ -132,6 +133,7 @@ AnyFault = (
     | ShipTurn
     | DeckRoll
     | FerryWake
+    | VesselReports
     | LinkLost
     | ServiceKilled
     | OperatorActs

@@ -32,7 +32,7 @@ from drivers.ardrone.samples import NavdataSampler
 from drivers.ardrone.setup import configuration_commands
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.samples import Frame
+from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
@@ -45,6 +45,7 @@ from sitl.render_worker import RenderWorker
 from sitl.safety import BLIND_DESCENT_MAX_M, GO_AROUND_PHASES, BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
 from sitl.scenario import Scenario
 from sitl.simulated_person import SimulatedPerson
+from sitl.vessel_reports import VesselReporter
 from sitl.world import RenderedFrame, Touchdown, Truth, VehiclePhase, World
 
 NAVDATA_DELAY_S = 0.004
@@ -152,6 +153,7 @@ class Flight:
         self._reason = ""
         self._watch = SightWatch(self.world.now)
         self._person = SimulatedPerson(self.world.faults)
+        self._reporter = VesselReporter(self.world)
         self._go_arounds = 0
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
@@ -212,6 +214,8 @@ class Flight:
         """Run the service for one tick."""
         for navdata, measured_at, received_at in self._navdata(now):
             self._deliver_samples(navdata, measured_at, received_at)
+        if (report := self._reporter.report(now)) is not None:
+            self._take(report)
         self._film(now)
         self._process(now)
         if now >= self._due_guidance:
@@ -291,14 +295,17 @@ class Flight:
         self._streamer.on_navdata(navdata, received_at)
         for sample in self._sampler.samples(navdata, _stamp(measured_at, received_at)):
             self._streamer.on_sample(sample)
-            results = self._pilot.on_sample(sample)
+            self._take(sample)
+
+    def _take(self, sample: Sample) -> None:
+        results = self._pilot.on_sample(sample)
+        for result in results:
+            self.health.input(type(sample).__name__, result.verdict)
+            self.health.fusion(result)
+        for observer in self._observers:
+            observer.on_sample(sample)
             for result in results:
-                self.health.input(type(sample).__name__, result.verdict)
-                self.health.fusion(result)
-            for observer in self._observers:
-                observer.on_sample(sample)
-                for result in results:
-                    observer.on_fusion(sample.stamp.received_at, result)
+                observer.on_fusion(sample.stamp.received_at, result)
 
     def _film(self, now: MonoNs) -> None:
         if now < self._due_frame:

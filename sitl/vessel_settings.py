@@ -29,6 +29,9 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
         0.0
     )
     turn_at_s: Annotated[float, number("time at which the turn begins", "s", 0.0, 36000.0)] = 0.0
+    reports_hz: Annotated[
+        float, number("rate at which the ship reports her velocity and heading to the service; 0 for never", "Hz", 0.0, 20.0)
+    ] = 0.0
     turn_over_s: Annotated[float, number("time until the turn is steady", "s", 0.5, 300.0, "assumed")] = 10.0
 
     def __post_init__(self) -> None:

@@ -44,7 +44,7 @@ LOW = msgspec.structs.replace(
     CALM, start=msgspec.structs.replace(CALM.start, height_m=2.2, pad_forward_m=0.3, pad_right_m=0.2), duration_limit_s=40.0
 )
 FUSED = parameters.load("fused")
-EFFECTS = {"by_s": 1.0, "forward_m": 1.0, "frozen": True, "dropped_fraction": 1.0, "instead": True}
+EFFECTS = {"by_s": 1.0, "forward_m": 1.0, "frozen": True, "dropped_fraction": 1.0, "instead": True, "silent": True}
 """Keys that give a fault of some kind an effect."""
 
 
@@ -120,9 +120,8 @@ def test_faults_of_frames_act_in_the_model_as_in_pictures() -> None:
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - REPRESENTED))
 def test_truth_refuses_a_fault_that_it_cannot_represent_and_names_it(kind: str) -> None:
     own = {key: value for key, value in EFFECTS.items() if key in KINDS[kind].__struct_fields__}
-    world = World(faulty(kind, 0.5, 1.0, **own), 1)
     with pytest.raises(BadInput, match=kind):
-        perceive("truth").begin(world)
+        perceive("truth").refuse([KINDS[kind](at_s=0.5, for_s=1.0, **own)])
 
 
 def test_the_true_pose_comes_through_vision_and_back() -> None:

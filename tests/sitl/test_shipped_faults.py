@@ -19,6 +19,7 @@ from sitl.flight import Flight
 from sitl.operator_faults import OperatorActs
 from sitl.perception.levels import perceive
 from sitl.picture_faults import PictureFault
+from sitl.report_faults import VesselReports
 from sitl.safety import Grade, grade
 from sitl.scenario import FAULTS, Scenario, load, shipped_scenarios
 from sitl.stream_faults import STREAMS
@@ -26,8 +27,8 @@ from sitl.world import Stick, World
 from tests.sitl.test_faults import CALM
 
 BEGINS_S, BEFORE_S, LATER_S = 0.5, 0.4, 2.0
-ELSEWHERE = (ServiceKilled, OperatorActs, PictureFault)
-"""What this file's camera without pictures does not show: the last are in `test_picture_faults.py`."""
+ELSEWHERE = (ServiceKilled, OperatorActs, PictureFault, VesselReports)
+"""What this file's camera without pictures does not show: test_picture_faults.py and test_vessel_reports.py do."""
 SHIPPED = [name for name in shipped_scenarios() if name.startswith(f"{FAULTS}/")]
 SIM = load_settings("sim")
 
