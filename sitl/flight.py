@@ -260,7 +260,7 @@ class Flight:
         self._pilot = pilot
         pilot.operator.on_order = self._on_order
         self._streamer = CommandStreamer(self._options, Counters())
-        self._sampler = NavdataSampler(self._options, unread=frozenset() if self._observers else pilot.unread)
+        self._sampler = NavdataSampler(self._options)
         self._due_guidance = self._due_frame = self._due_command = now
         self._navdata_order = NavdataOrder()
         self._frames_under_way.clear()

@@ -68,15 +68,12 @@ def place_step(memory: PlaceMemory, sample: Sample) -> PlaceMemory:
             ground_m = sample.height_m if memory.ground_baro_m is None else memory.ground_baro_m
             return replace(memory, baro_m=sample.height_m, ground_baro_m=ground_m)
         case BodyVelocity():
-            before = memory.velocity
-            memory = replace(memory, velocity=sample)
-            if before is None or memory.attitude is None or not memory.flying:
-                return memory
-            dt_s = seconds_between(before.stamp.measured_at, sample.stamp.measured_at)
-            if not 0.0 < dt_s <= _GAP_S:
-                return memory
-            step = _turned(sample.v_level[:2], memory.attitude.R_ned_body.rpy_rad[2]) * dt_s
-            return replace(memory, p_start_ned=memory.p_start_ned + step)
+            before, p_start_ned = memory.velocity, memory.p_start_ned
+            if before is not None and memory.attitude is not None and memory.flying:
+                dt_s = seconds_between(before.stamp.measured_at, sample.stamp.measured_at)
+                if 0.0 < dt_s <= _GAP_S:
+                    p_start_ned = p_start_ned + _turned(sample.v_level[:2], memory.attitude.R_ned_body.rpy_rad[2]) * dt_s
+            return replace(memory, velocity=sample, p_start_ned=p_start_ned)
     return memory
 
 

@@ -79,9 +79,6 @@ class Pilot:
         limits: the limits of every command.
     """
 
-    unread: frozenset[type[Sample]] = frozenset()
-    """Kinds of samples of which the pilot makes no use."""
-
     def __init__(
         self,
         tracker: TrackerConfig,

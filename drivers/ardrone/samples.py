@@ -96,23 +96,17 @@ class NavdataSampler:
 
     The drone repeats a reading in every datagram until the sensor has a new one (ultrasound 25 Hz, barometer about 100 Hz in
     200 datagrams a second). A range, height or status is returned when its source changed, or after `repeat_s`.
-
-    Args:
-        unread: kinds among these three that nobody reads; they are not made.
     """
 
-    def __init__(
-        self, options: ArDroneOptions = DEFAULT, repeat_s: float = 0.1, unread: frozenset[type[Sample]] = frozenset()
-    ) -> None:
+    def __init__(self, options: ArDroneOptions = DEFAULT, repeat_s: float = 0.1) -> None:
         self._options = options
         self._repeat_s = repeat_s
-        self._repeated = {kind: makers for kind, makers in _REPEATED.items() if kind not in unread}
         self._given: dict[type[Any], tuple[Any, MonoNs]] = {}
 
     def samples(self, navdata: Navdata, stamp: Stamp) -> list[Sample]:
         """Return the samples that are new in this datagram."""
         out = _of_every_datagram(navdata, stamp, self._options)
-        for kind, (make, source) in self._repeated.items():
+        for kind, (make, source) in _REPEATED.items():
             key = source(navdata)
             if self._repeats(kind, key, stamp.measured_at):
                 continue

@@ -24,7 +24,7 @@ from estimator.contracts.estimates import PathName, RelativeState, Sighting, Ver
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, Baro, Frame, Range, Sample
+from estimator.contracts.samples import Attitude, Frame, Sample
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.vision.thesis.detection import Detection
@@ -154,8 +154,6 @@ class TruthLevel:
 
 class TruthPilot(Pilot):
     """The pilot with the true state, made uncertain, in place of vision and filter."""
-
-    unread = frozenset({Range, Baro})
 
     def __init__(self, level: TruthLevel, model: PerceptionModel, settings: Settings, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
