@@ -24,15 +24,16 @@ SIGMAS_P_M = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
 class ObserverNoise(NamedTuple):
     """The noise that the observer is solved for."""
 
-    sigma_w_m_s: float = 0.023
-    """The filter's speed of the pad against the body; its errors last for many cycles, so they count for more than they are."""
-    sigma_a_m_s2: float = 0.04
-    psd_d: float = 1.6
-    """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04;
-    with more the accelerometer is believed at once, which the stability margins allow (`benches.law`)."""
-    psd_b: float = 0.006
-    """The same of the accelerometer's error: a tilt of the filter that wanders by some tenths of a degree within seconds."""
-    psd_w: float = 0.00125
+    sigma_w_m_s: float = 0.11
+    """The filter's speed of the pad against the body. Its errors are 0.01 to 0.02 m/s and last for a second, so each cycle's reading
+    counts for less than it would if they were new every time."""
+    sigma_a_m_s2: float = 0.02
+    psd_d: float = 100.0
+    """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04; with
+    so much more the accelerometer is believed within a cycle, as far as the stability margins allow (`benches.law`)."""
+    psd_b: float = 3.0
+    """The same of the accelerometer's error: what place and speed contradict is its error within a tenth of a second."""
+    psd_w: float = 0.05
     """The same of the speed: the deck's own acceleration is known that badly."""
     accelerometer: bool = True
     """Whether the accelerometer is used."""
