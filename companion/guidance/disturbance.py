@@ -25,12 +25,12 @@ class ObserverNoise(NamedTuple):
     """The noise that the observer is solved for."""
 
     sigma_w_m_s: float = 0.11
-    """The filter's speed of the pad against the body. Its errors are 0.01 to 0.02 m/s and last for a second, so each cycle's reading
-    counts for less than it would if they were new every time."""
+    """The filter's speed of the pad against the body. Its errors are 0.01 to 0.02 m/s and last for a second, so a cycle's reading
+    counts for less than if they were new every time."""
     sigma_a_m_s2: float = 0.02
     psd_d: float = 100.0
-    """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04; with
-    so much more the accelerometer is believed within a cycle, as far as the stability margins allow (`benches.law`)."""
+    """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04;
+    with so much more the accelerometer is believed within a cycle, as far as the stability margins allow (`benches.law`)."""
     psd_b: float = 3.0
     """The same of the accelerometer's error: what place and speed contradict is its error within a tenth of a second."""
     psd_w: float = 0.05
