@@ -21,8 +21,9 @@ from estimator.contracts.time import MonoNs, after, seconds_between
 
 _EMERGENCY_PERIODS = 3
 """The drone acts on the rising edge; three periods survive a lost datagram."""
-_EMERGENCY_AGAIN_S = 0.3
-"""The emergency bit is sent again if navdata this long after it does not show its effect."""
+_CUT_AGAIN_S, _LEAVE_AGAIN_S = 0.3, 2.0
+"""The emergency bit is sent again if navdata this long after it does not show its effect. If the first was only late, that undoes
+it: motors that were to stop stay off all the same, but a drone that was to leave the emergency state would be back in it."""
 _ON_GROUND = (ControlState.DEFAULT, ControlState.INIT, ControlState.LANDED, None)
 _NOT_STEERABLE = (ControlState.TAKING_OFF, ControlState.LANDING, ControlState.LANDED)
 
@@ -109,7 +110,8 @@ class CommandStreamer:
         if self._state is not None and bool(self._state & NavdataState.EMERGENCY) is cut:
             return
         toggled_at, heard_at = self._toggled_at, self._navdata_at
-        waits = toggled_at is not None and (heard_at is None or seconds_between(toggled_at, heard_at) < _EMERGENCY_AGAIN_S)
+        again_s = _CUT_AGAIN_S if cut else _LEAVE_AGAIN_S
+        waits = toggled_at is not None and (heard_at is None or seconds_between(toggled_at, heard_at) < again_s)
         if not waits or self._toggled_to is not cut:
             self._toggled_at, self._toggled_to, self._emergency_periods = now, cut, _EMERGENCY_PERIODS
 
