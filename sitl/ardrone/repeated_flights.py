@@ -23,10 +23,14 @@ from estimator.contracts.time import seconds_between
 from sitl.ardrone.server import ArDroneServer
 from sitl.ardrone.state import AIRBORNE
 from sitl.faults import ServiceKilled
+from sitl.operator_faults import OperatorActs
+from sitl.report_faults import VesselReports
 from sitl.safety import dangers
 from sitl.scenario import FAULTS, Scenario, load
 from sitl.world import VehiclePhase, World
 
+VIRTUAL_ONLY = (ServiceKilled, OperatorActs, VesselReports)
+"""Faults of what runs beside the drone, which no drone behind sockets can have."""
 _POLL_S = 0.1
 
 
@@ -57,18 +61,22 @@ def faulty(scenario: Scenario, seed: int, *, virtual: bool = False) -> Scenario:
     name, fault = choices[int(np.random.default_rng([seed, 0xFA]).integers(len(choices)))]
     title = f"{scenario.title}; {FAULTS}/{name}"[:120]
     faults = (*scenario.faults, *fault.faults)
-    return msgspec.structs.replace(scenario, title=title, faults=faults, expect=fault.expect, because=fault.because)
+    right = {"expect": fault.expect, "refusal": fault.refusal, "because": fault.because}
+    return msgspec.structs.replace(scenario, title=title, faults=faults, **right)
 
 
 def real_time(scenario: Scenario) -> bool:
     """Return whether a drone behind sockets can have all faults of the scenario."""
-    return all(fault.in_phase is None and not isinstance(fault, ServiceKilled) for fault in scenario.faults)
+    return all(fault.in_phase is None and not isinstance(fault, VIRTUAL_ONLY) for fault in scenario.faults)
 
 
 @cache
 def _choices(virtual: bool) -> list[tuple[str, Scenario]]:
     every = [(name, load(f"{FAULTS}/{name}")) for name in shipped(f"scenarios/{FAULTS}")]
-    return [(name, scenario) for name, scenario in every if virtual or real_time(scenario)]
+    # A fault that has a vessel or a vehicle of its own needs it: a ship at anchor does not stop.
+    usual = load("demo")
+    every = [(name, other) for name, other in every if other.vessel == usual.vessel and other.vehicle == usual.vehicle]
+    return [(name, other) for name, other in every if virtual or real_time(other)]
 
 
 async def fly_repeatedly(

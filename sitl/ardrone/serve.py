@@ -19,7 +19,7 @@ from typing import Any
 
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput, DecklanderError
-from sitl.ardrone.repeated_flights import fly_repeatedly, real_time
+from sitl.ardrone.repeated_flights import VIRTUAL_ONLY, fly_repeatedly, real_time
 from sitl.ardrone.server import ArDroneServer, Habits, Ports
 from sitl.scenario import Scenario, load
 from sitl.world import World
@@ -106,7 +106,8 @@ def main(argv: list[str] | None = None) -> int:
         habits = Habits(pave_header_size=asked.pave_header)
         scenario = load(asked.scenario)
         if not real_time(scenario):
-            raise BadInput(f"{asked.scenario}: service_killed and in_phase are for flights in virtual time (decklander simulate)")
+            kinds = ", ".join(sorted(str(kind.__struct_config__.tag) for kind in VIRTUAL_ONLY))
+            raise BadInput(f"{asked.scenario}: {kinds} and in_phase are for flights in virtual time (decklander simulate)")
         flights = {"repeat": asked.repeat, "faults": asked.faults}
         asyncio.run(serve(scenario, asked.seed, asked.host, ports, asked.truth, habits, **flights))
     except DecklanderError as why:
