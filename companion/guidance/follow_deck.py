@@ -133,9 +133,10 @@ class FollowDeck:
         forward, right, trim = self._lean(axes, relative, knowledge, target, here, frame)
         down = self._down(memory, relative, knowledge, target, v_down)
         memory = self._noted(memory, frame.ned(forward, right), down)
-        v = relative.v_pad_level.tolist()
-        along = [0.0, 0.0] if deck is None else [float(deck.v_level[k]) - v[k] for k in range(2)]
-        a = np.array([forward - trim[0], right - trim[1]])
+        v, a = relative.v_pad_level.tolist(), np.array([forward - trim[0], right - trim[1]])
+        # A vehicle that takes velocities gets the one that it will have: it goes that way even where it ignores accelerations.
+        soon = self.response.tilt.slowness_s
+        along = [0.0, 0.0] if deck is None else [float(deck.v_level[k] + soon * a[k]) - v[k] for k in range(2)]
         return memory, Lean(a, np.array(trim), np.array([*along, down]), _turn(relative, target))
 
     def _deck_ahead(self, deck: DeckMotion | None, knowledge: Knowledge, ahead_s: float) -> DeckAhead:

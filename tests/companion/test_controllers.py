@@ -64,3 +64,9 @@ def test_the_field_of_view_is_in_the_body_axes_whatever_way_the_camera_is_turned
     assert (nose_up.half_forward_rad, nose_up.half_right_rad) == (sideways.half_right_rad, sideways.half_forward_rad)
     assert math.degrees(nose_up.half_forward_rad) == pytest.approx(25.6, abs=0.1)
     assert field_of_view(camera(90.0, 60.0)) is None
+
+
+@pytest.mark.parametrize("profile", ["raspberry_ardupilot", "raspberry_px4"])
+def test_a_vehicle_whose_response_is_only_assumed_does_not_fly_by_it(profile: str) -> None:
+    settings = load(profile)
+    assert isinstance(law_of(settings)(settings.guidance), PidController)

@@ -253,3 +253,13 @@ def test_a_lean_keeps_the_pad_in_the_picture_as_far_as_the_wind_allows(
         bearing = math.atan2(off, height)
         shown = abs(bearing + math.atan(got / G_M_S2)) <= half + 1e-9
         assert shown or abs(got) <= LEAST_M_S2 + 1e-9 or abs(got) <= 1e-9 or abs(bearing) > half
+
+
+def test_the_velocity_of_a_lean_is_the_one_that_the_body_will_have() -> None:
+    """An autopilot that ignores the acceleration still flies towards the pad."""
+    law = FollowDeck(RESPONSE, T)
+    known = _known(0, np.array([1.0, 0.0, 1.0]), np.array([-0.2, 0.0, 0.0]))
+    _, command = law.step(law.start(), known.at, known, HOLD)
+    assert isinstance(command, Lean)
+    assert command.a_level[0] > 0.1
+    assert command.v_level[0] == pytest.approx(0.2 + RESPONSE.tilt.slowness_s * command.a_level[0])
