@@ -7,7 +7,9 @@ coverage integrated over pixel and exposure); sea, deck and decals are scenery.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 
 import cv2
 import numpy as np
@@ -16,17 +18,18 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64, Rotation
 from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
+from sitl.drops import Drops, wet_lens
 from sitl.light import FULL_SCALE, I16, Development, Light, Sensor, counts
-from sitl.projection import F32, SHIFT, Lens, lens_of
+from sitl.projection import F32, SHIFT, lens_of
 from sitl.render_deck import WEAR_ONE, DeckPainter, draw, drone_shadow
+from sitl.render_lens import GAIN_ONE, moved, row_map, smear, vignette
+from sitl.render_light import Lamps, glint, mast_shadow, through_haze
 from sitl.render_pad import PadInImage, PadPainter, Pose, Stroke
 from sitl.render_sea import SeaPainter
+from sitl.render_ship import hull_side, on_water
 from sitl.surroundings import Surroundings
 
 U8 = NDArray[np.uint8]
-
-GAIN_ONE = 16384
-"""Value of a factor of one on the light."""
 
 
 def _zeros() -> F64:
@@ -60,6 +63,7 @@ class Renderer:
 
     Args:
         pad: the pad, or None for a scene without one; the deck then lies where the pad would be.
+        drops: water on the lens; None for a dry one.
     """
 
     def __init__(
@@ -69,6 +73,8 @@ class Renderer:
         surroundings: Surroundings | None = None,
         light: Light | None = None,
         sensor: Sensor | None = None,
+        lamps: Lamps | None = None,
+        drops: Drops | None = None,
     ) -> None:
         self.camera, self.pad = camera, pad
         self.surroundings = surroundings if surroundings is not None else Surroundings()
@@ -79,65 +85,110 @@ class Renderer:
         self._sea = SeaPainter(self._lens, self.surroundings, self.light)
         deck = self.surroundings.deck
         self._deck = DeckPainter(self._lens, deck, self.light) if deck is not None else None
-        self._development = Development(self.light, self.sensor)
-        self._paints = self._development.table[0][_paint_codes(pad), np.arange(3)] if pad is not None else None
-        self._vignette = _vignette(self._lens, self.light.vignetting)
+        self.lamps, self.drops = lamps if lamps is not None else Lamps(), drops
+        self._development = self.development(self.light, self.sensor)
+        self._vignette = vignette(self._lens, self.light.vignetting)
         self._decals = [(decal.on, decal.polygons()) for decal in self.surroundings.decals]
         e, a = self.light.sun_elevation_rad, self.light.sun_azimuth_rad
         self._to_sun = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), -math.sin(e)])
 
-    def render(self, shot: Exposure, rng: np.random.Generator) -> U8:
+    def development(self, light: Light, sensor: Sensor) -> Development:
+        """Return the sensor model with another exposure, amplification or white balance than this renderer's own."""
+        return Development(light, sensor, self.lamps.most_bgr(light) if self.lamps.floods else None)
+
+    def render(self, shot: Exposure, rng: np.random.Generator, development: Development | None = None) -> U8:
         """Return the sensor's image, (H, W, 3) BGR. One number is drawn from `rng`, for the noise."""
-        return self._development.sensor_image(self._light_on_sensor(shot), rng)
+        development = development or self._development
+        return development.sensor_image(self._light_on_sensor(shot, development), rng)
+
+    def order(self, shot: Exposure, rng: np.random.Generator) -> Callable[[], U8]:
+        """Return the function that renders a frame; it may be called again."""
+        return cache(lambda: self.render(shot, rng))
 
     def radiance(self, shot: Exposure) -> F32:
         """Return the linear light on the sensor before noise and tone curve, (H, W, 3) BGR; 1 is full scale, clipped at 4."""
-        return self._light_on_sensor(shot) * np.float32(1.0 / FULL_SCALE)
+        return self._light_on_sensor(shot, self._development) * np.float32(1.0 / FULL_SCALE)
 
-    def _light_on_sensor(self, shot: Exposure) -> I16:
+    def _light_on_sensor(self, shot: Exposure, development: Development) -> I16:
         """Return `radiance` in counts."""
         poses = [_pose(shot, self.camera, 0.0)]
         R_cam_pad, t_cam_pad = poses[0]
-        half = self.sensor.exposure_s / 2
-        ends = [_pose(shot, self.camera, s) for s in (-half, half)] if half > 0 else []
+        exposure_s = development.sensor.exposure_s
+        ends = [_pose(shot, self.camera, s * exposure_s) for s in (-0.5, 0.5)] if exposure_s > 0 else []
 
         canvas, gain, added = self._scenery(shot, R_cam_pad, t_cam_pad)
         if ends:
-            canvas = _smear(canvas, self._lens, poses[0], ends)
-        placed = self._place(shot, poses[0], ends)
+            canvas = smear(canvas, self._lens, poses[0], ends)
+        half = development.sensor.readout_s / 2
+        rows = None
+        if half > 0:
+            rows = row_map(self._lens, _pose(shot, self.camera, -half), poses[0], _pose(shot, self.camera, half))
+        if rows is not None:
+            canvas, gain = np.asarray(moved(canvas, rows), np.uint8), np.asarray(moved(gain, rows), np.int16)
+            added = None if added is None else np.asarray(moved(added, rows), np.float32)
+        placed = self._place(shot, poses[0], ends, development.sensor)
         behind = None
         if placed is not None and self.pad is not None:
-            behind = self._development.expose(canvas.reshape(-1, 1, 3).take(placed.pixels, axis=0))[:, 0]
+            behind = development.expose(canvas.reshape(-1, 1, 3).take(placed.pixels, axis=0))[:, 0]
             codes = _paint_codes(self.pad)
             for paint, polygon in placed.fills:
                 cv2.fillPoly(canvas, [polygon], codes[paint].tolist(), cv2.LINE_8, SHIFT)
-        light = self._development.expose(canvas)
-        if placed is not None and behind is not None and self._paints is not None:
-            mixed = placed.shares[1:].T @ self._paints[1:].astype(np.float32)
+        light = development.expose(canvas)
+        if placed is not None and behind is not None and self.pad is not None:
+            paints = development.table[0][_paint_codes(self.pad)[1:], np.arange(3)].astype(np.float32)
+            mixed = placed.shares[1:].T @ paints
             mixed += placed.shares[0][:, None] * behind
             mixed += np.float32(0.5)
             light.reshape(-1, 3)[placed.pixels] = mixed.astype(np.int16)
-        gains = cv2.cvtColor(gain.view(np.uint16), cv2.COLOR_GRAY2BGR).view(np.int16)
-        cv2.multiply(light, gains, dst=light, scale=1.0 / GAIN_ONE)
+        cv2.multiply(light, self._gains(gain, development, R_cam_pad, t_cam_pad), dst=light, scale=1.0 / GAIN_ONE)
         if added is not None:
-            level = self._development.gains_bgr
-            cv2.add(light, counts(cv2.merge([added * g for g in level])), dst=light)
-        return self._development.blur(light)
+            cv2.add(light, counts(cv2.merge([added * g for g in development.gains_bgr])), dst=light)
+        if self.lamps.pad_lamps:
+            own = np.zeros(gain.shape, np.float32)
+            self.lamps.shine(own, self._lens, R_cam_pad, t_cam_pad)
+            own = own if rows is None else np.asarray(moved(own, rows), np.float32)
+            level = np.float32(2.0**-self.light.daylight_ev)
+            cv2.add(light, counts(cv2.merge([own * g * level for g in development.gains_bgr])), dst=light)
+        if self.drops is not None:
+            wet_lens(light, self.drops.present(shot.t_s, self.camera.width, self.camera.height))
+        return development.blur(light)
 
-    def _place(self, shot: Exposure, middle: Pose, ends: list[Pose]) -> PadInImage | None:
+    def _gains(self, gain: I16, development: Development, R_cam_pad: F64, t_cam_pad: F64) -> I16:
+        """Return the factors (H, W, 3) on the light from those under the sky alone (H, W)."""
+        plane = self._lens.plane_from_ray(np.stack([R_cam_pad[:, 0], R_cam_pad[:, 1], t_cam_pad], axis=1))
+        if self.lamps.floods and plane is not None and float(R_cam_pad[:, 2] @ t_cam_pad) > 1e-3:
+            # Shadows are the sun's: what the lamps add is not darker in them.
+            lamp = self.lamps.on_plane(self._lens, plane) * (self._vignette * np.float32(1.0))
+            each = [
+                np.clip((gain + lamp * ratio) / lifted, 0.0, 32767.0).astype(np.int16)
+                for ratio, lifted in zip(self.lamps.ratios_bgr(self.light), development.lifted_bgr, strict=True)
+            ]
+            return np.asarray(cv2.merge(each), dtype=np.int16)
+        if self.lamps.floods:
+            each = [(gain / lifted).astype(np.int16) for lifted in development.lifted_bgr]
+            return np.asarray(cv2.merge(each), dtype=np.int16)
+        return cv2.cvtColor(gain.view(np.uint16), cv2.COLOR_GRAY2BGR).view(np.int16)
+
+    def _place(self, shot: Exposure, middle: Pose, ends: list[Pose], sensor: Sensor) -> PadInImage | None:
         """Return the pad in the frame; the exposure is divided into parts so short that the pad's way is straight in each."""
         if self._pad is None:
             return None
+        half = sensor.readout_s / 2
+
+        def rows(at_s: float) -> tuple[Pose, Pose] | None:
+            return (_pose(shot, self.camera, at_s - half), _pose(shot, self.camera, at_s + half)) if half > 0 else None
+
         way = self._pad.travel_px(*ends) if ends else np.zeros(2)
         travel = float(way.max())
         if not travel > 0.3:
-            return self._pad.place([Stroke.still(middle)], np.zeros(2))
+            return self._pad.place([Stroke.still(middle, rows(0.0))], np.zeros(2))
         n = 1 if travel < 6.0 else 3 if travel < 20.0 else 5
         if n == 1:
-            return self._pad.place([Stroke(ends[0], middle, ends[1])], way)
-        times = (np.arange(2 * n + 1) / (2 * n) - 0.5) * self.sensor.exposure_s
+            return self._pad.place([Stroke(ends[0], middle, ends[1], rows(0.0))], way)
+        times = (np.arange(2 * n + 1) / (2 * n) - 0.5) * sensor.exposure_s
         poses = [_pose(shot, self.camera, float(s)) for s in times]
-        return self._pad.place([Stroke(*poses[2 * i : 2 * i + 3]) for i in range(n)], way)
+        strokes = [Stroke(poses[2 * i], poses[2 * i + 1], poses[2 * i + 2], rows(float(times[2 * i + 1]))) for i in range(n)]
+        return self._pad.place(strokes, way)
 
     def _scenery(self, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64) -> tuple[U8, I16, F32 | None]:
         """Return the paint values of everything except the pad, the factors on its light, and the added light."""
@@ -185,6 +236,10 @@ class Renderer:
             gain = self._cast_shadow(gain, shot, R_cam_pad, t_cam_pad, mask)
             if self.light.glare > 0:
                 added = self._add_glare(added, R_cam_pad, t_cam_pad, plane)
+        if self.light.glint > 0:
+            added = self._add_glint(added, shot, R_cam_pad, plane if deck is not None else None, mask)
+        if math.isfinite(self.light.visibility_m):
+            gain, added = self._haze(gain, added, shot, R_cam_pad, normal_distance if deck is not None else None)
         assert canvas is not None
         return canvas, gain, added
 
@@ -198,77 +253,82 @@ class Renderer:
         if mask is not None:
             x, y, bw, bh = cv2.boundingRect(cv2.inRange(mask, 0, 254))
             rows, cols = slice(y // 2 * 2, min(h, -(-(y + bh) // 2) * 2)), slice(x // 2 * 2, min(w, -(-(x + bw) // 2) * 2))
-        ship = self._ship_on_water(shot) if self._deck is not None else []
+        ship, rim = [], np.empty((0, 3))
+        if self._deck is not None and self.surroundings.deck is not None:
+            R_ned_pad = shot.R_ned_pad.matrix
+            rim = self._deck.rim_pad() @ R_ned_pad.T + shot.p_pad_ned
+            ship = on_water(self.surroundings.deck, rim, R_ned_pad, self._to_sun, self.surroundings.wake_speed_m_s)
         canvas[rows, cols] = self._sea.paint(R_ned_cam, p_cam_ned, shot.t_s, rows, cols, ship)
         for on, polygons in self._decals:
             if on == "sea":
                 for points, rgb in polygons:
                     draw(canvas, self._lens, (np.c_[points, np.zeros(len(points))] - p_cam_ned) @ R_ned_cam, rgb)
         if ship:
-            self._hull_side(canvas, shot, R_ned_cam, p_cam_ned, ship[0])
+            hull_side(canvas, self._lens, rim, ship[0], R_ned_cam, p_cam_ned)
         return canvas
 
-    def _ship_on_water(self, shot: Exposure) -> list[F64]:
-        """Return the outlines on calm water, (N, 3) m ned: the hull at the waterline, the shadow that it casts, and its wake."""
-        deck, painter = self.surroundings.deck, self._deck
-        if deck is None or painter is None:
-            return []
-        rim = painter.rim_pad() @ shot.R_ned_pad.matrix.T + shot.p_pad_ned
-        line = rim.copy()
-        line[:, 2] = 0.0
-        reach = np.minimum(rim[:, 2:], 0.0) / self._to_sun[2]
-        cast = rim - self._to_sun * reach
-        cast[:, 2] = 0.0
-        hull = cv2.convexHull(np.concatenate([line, cast])[:, :2].astype(np.float32))[:, 0].astype(float)
-        out = [line, np.c_[hull, np.zeros(len(hull))]]
-        speed = self.surroundings.wake_speed_m_s
-        if speed > 0.2:
-            yaw = deck.pad_yaw_rad
-            ahead = shot.R_ned_pad.matrix @ np.array([math.cos(yaw), -math.sin(yaw), 0.0])
-            ahead = np.array([ahead[0], ahead[1], 0.0]) / max(1e-6, math.hypot(ahead[0], ahead[1]))
-            side = np.array([-ahead[1], ahead[0], 0.0])
-            stern = line[[0, -1]].mean(axis=0)
-            long, half = 3.0 * speed + 2.0 * deck.length_m, deck.width_m / 2
-            out.append(
-                np.array(
-                    [
-                        stern - 0.8 * half * side, stern + 0.8 * half * side,
-                        stern - long * ahead + 1.9 * half * side, stern - long * ahead - 1.9 * half * side,
-                    ]
-                )
-            )  # fmt: skip
-        return out
-
-    def _hull_side(self, canvas: U8, shot: Exposure, R_ned_cam: F64, p_cam_ned: F64, line: F64) -> None:
-        if self._deck is None:
-            return
-        rim = self._deck.rim_pad() @ shot.R_ned_pad.matrix.T + shot.p_pad_ned
-        below = np.roll(line, -1, axis=0)
-        along, down = np.roll(rim, -1, axis=0) - rim, line - rim
-        outward = along[:, [1, 2, 0]] * down[:, [2, 0, 1]] - along[:, [2, 0, 1]] * down[:, [1, 2, 0]]
-        for i in np.nonzero(((rim - p_cam_ned) * outward).sum(axis=1) < 0)[0]:
-            quad = np.array([rim[i], rim[(i + 1) % len(rim)], below[i], line[i]])
-            draw(canvas, self._lens, (quad - p_cam_ned) @ R_ned_cam, (46, 58, 74))
-
     def _cast_shadow(self, gain: I16, shot: Exposure, R_cam_pad: F64, t_cam_pad: F64, mask: U8 | None) -> I16:
+        R_pad_ned = shot.R_ned_pad.matrix.T
+        if self.light.mast is not None:
+            fallen = mast_shadow(self._lens, self.light.mast, R_cam_pad, t_cam_pad, R_pad_ned @ self._to_sun)
+            gain = gain if fallen is None else self._shaded(gain, fallen, self.light.mast.shadow, mask)
         if self.light.drone_shadow == 0:
             return gain
-        R_pad_ned = shot.R_ned_pad.matrix.T
         p_body_pad = R_pad_ned @ (shot.p_body_ned - shot.p_pad_ned)
         cast = drone_shadow(
             self._lens, R_cam_pad, t_cam_pad, R_pad_ned @ shot.R_ned_body.matrix, p_body_pad, R_pad_ned @ self._to_sun
         )
         if cast is None:
             return gain
+        gain = self._shaded(gain, cast, self.light.drone_shadow, mask)
+        return gain
+
+    def _shaded(self, gain: I16, cast: tuple[U8, slice, slice], share: float, mask: U8 | None) -> I16:
+        """Return the factors on the light with a shadow that takes `share` of it, where the deck is."""
         depth, rows, cols = cast
         if mask is not None:
             depth = np.asarray(cv2.multiply(depth, mask[rows, cols], scale=1.0 / 255.0), dtype=np.uint8)
-        left = GAIN_ONE * (1.0 - self.light.drone_shadow * np.arange(256) / 255.0)
+        left = np.asarray(np.round(GAIN_ONE * (1.0 - share * np.arange(256) / 255.0)), dtype=np.int16)
         if gain is self._vignette:
             gain = gain.copy()
         part = gain[rows, cols]
-        cv2.multiply(part, cv2.LUT(depth, np.round(left).astype(np.int16)), dst=part, scale=1.0 / GAIN_ONE)
+        cv2.multiply(part, cv2.LUT(depth, left), dst=part, scale=1.0 / GAIN_ONE)
         return gain
+
+    def _add_glint(self, added: F32 | None, shot: Exposure, R_cam_pad: F64, deck_plane: F64 | None, mask: U8 | None) -> F32:
+        """Add the mirrored sun: on the sea, and on the deck as far as it is wet."""
+        h, w = self.camera.height, self.camera.width
+        out = np.zeros((h, w), np.float32) if added is None else added
+        whole = slice(0, h), slice(0, w)
+        R_ned_cam = shot.R_ned_body.matrix @ self.camera.T_body_cam.R.matrix
+        p_cam_ned = shot.p_body_ned + shot.R_ned_body.matrix @ self.camera.T_body_cam.t
+        on_deck = deck_plane is not None
+        cover = (
+            np.float32(0.0) if not on_deck else np.float32(1.0) if mask is None else mask.astype(np.float32) / np.float32(255.0)
+        )
+        sea = self._lens.plane_from_ray(np.stack([R_ned_cam[0], R_ned_cam[1], -(R_ned_cam.T @ p_cam_ned)], axis=1))
+        if sea is not None and p_cam_ned[2] < 0 and not (on_deck and mask is None):
+            places, px_m = self._lens.meet_halves(sea, whole), -float(p_cam_ned[2]) / self.camera.fx
+            spots = glint(self._lens, R_ned_cam, self._to_sun, places, px_m, sea=True, t_s=shot.t_s)
+            out += np.float32(self.light.glint) * (np.float32(1.0) - cover) * spots
+        if deck_plane is not None and self.light.wetness > 0:
+            places, px_m = (
+                self._lens.meet_halves(deck_plane, whole),
+                abs(float(p_cam_ned[2] - shot.p_pad_ned[2])) / self.camera.fx,
+            )
+            to_sun_pad = shot.R_ned_pad.matrix.T @ self._to_sun
+            spots = glint(self._lens, R_cam_pad.T, to_sun_pad, places, px_m, sea=False, t_s=0.0)
+            out += np.float32(self.light.glint * self.light.wetness) * cover * spots
+        return out
+
+    def _haze(self, gain: I16, added: F32 | None, shot: Exposure, R_cam_pad: F64, deck_m: float | None) -> tuple[I16, F32]:
+        """Return the factors on the light and the added light through haze; `deck_m` is the distance from a deck in sight."""
+        R_ned_cam = shot.R_ned_body.matrix @ self.camera.T_body_cam.R.matrix
+        height = -float((shot.p_body_ned + shot.R_ned_body.matrix @ self.camera.T_body_cam.t)[2])
+        normal, away = (R_ned_cam[2], height) if deck_m is None else (R_cam_pad[:, 2], deck_m)
+        share, air = through_haze(self._lens, normal, max(0.0, away), self.light.visibility_m)
+        left = np.asarray(np.round(gain * share), dtype=np.int16)
+        return left, air if added is None else added * share + air
 
     def _add_glare(self, added: F32 | None, R_cam_pad: F64, t_cam_pad: F64, plane: F64) -> F32:
         h, w = self.camera.height, self.camera.width
@@ -311,36 +371,3 @@ def _paint_codes(pad: Pad) -> NDArray[np.intp]:
     c = pad.colours
     rim = c.rim if c.rim is not None else c.disc
     return np.array([(0, 0, 0), rim[::-1], c.disc[::-1], c.ring[::-1], c.h[::-1]], dtype=np.intp)
-
-
-def _vignette(lens: Lens, loss: float) -> I16:
-    """Return the (H, W) vignetting: the fourth power of the cosine of the angle off the axis, scaled to the corners' loss."""
-    r2 = (lens.rays**2).sum(axis=-1)
-    fall = 1.0 - (1.0 + r2) ** -2
-    return np.asarray(np.round(GAIN_ONE * (1.0 - loss * fall / fall.max())), dtype=np.int16)
-
-
-def _smear(canvas: U8, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64, F64]]) -> U8:
-    """Return the scenery blurred along its motion in the middle of the frame, if that is a pixel or more."""
-    camera = lens.camera
-    R, t = middle
-    axis = np.array([0.0, 0.0, 1.0])
-    depth = float(R[:, 2] @ t) / max(0.05, float(R[:, 2] @ axis))
-    if not 0 < depth < 1e4:
-        return canvas
-    on_pad = R.T @ (axis * depth - t)
-    uv = camera.project(np.stack([r @ on_pad + p for r, p in ends]))
-    way = uv[1] - uv[0]
-    length = float(np.hypot(*way))
-    if not length >= 1.0:
-        return canvas
-    way = way * min(1.0, 31.0 / length)
-    half = math.floor(min(length, 31.0) / 2) + 1
-    kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
-    for s in (np.arange(64) + 0.5) / 64 - 0.5:
-        x, y = half + way[0] * s, half + way[1] * s
-        i, j = math.floor(x), math.floor(y)
-        fx, fy = x - i, y - j
-        for dj, di, share in ((0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)):
-            kernel[j + dj, i + di] += share / 64
-    return np.asarray(cv2.filter2D(canvas, -1, kernel, borderType=cv2.BORDER_REPLICATE), dtype=np.uint8)

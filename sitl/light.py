@@ -24,6 +24,17 @@ I16 = NDArray[np.int16]
 
 
 @dataclass(frozen=True, slots=True)
+class Mast:
+    """A mast whose shadow may fall on deck."""
+
+    height_m: float
+    p_m: tuple[float, float]
+    """Position of its foot in `pad`, m."""
+    shadow: float = 0.6
+    """Share of light missing in its shadow."""
+
+
+@dataclass(frozen=True, slots=True)
 class Light:
     """The light on the scene, and the optics between it and the sensor."""
 
@@ -52,6 +63,13 @@ class Light:
     """0 dry to 1 soaked: darker paint, and puddles that mirror the sky."""
     wear: float = 0.06
     """Standard deviation of the paint's brightness over deck and pad; 0 for perfect paint."""
+    daylight_ev: float = 0.0
+    """Stops of light on the scene against full daylight. Lamps add to it."""
+    visibility_m: float = math.inf
+    """Distance at which haze leaves a fiftieth of the contrast."""
+    glint: float = 0.0
+    """Light of the mirrored sun on the sea and, times the wetness, on the deck, in units of white paint in daylight."""
+    mast: Mast | None = None
 
     def __post_init__(self) -> None:
         for name in ("colour_temperature_k", "balanced_for_k"):
@@ -65,6 +83,8 @@ class Light:
                 raise BadInput(f"light: {name} must lie in 0..1, got {getattr(self, name)!r}")
         if not (self.glare >= 0 and self.glare_radius_m > 0 and 0 <= self.wear <= 0.5 and abs(self.exposure_ev) <= 10):
             raise BadInput("light: glare 0 or more, glare_radius_m positive, wear 0..0.5, exposure_ev within +-10 stops")
+        if not (self.visibility_m > 0 and self.glint >= 0 and abs(self.daylight_ev) <= 20):
+            raise BadInput("light: visibility_m positive, glint 0 or more, daylight_ev within +-20 stops")
         if not 0.05 <= self.sun_elevation_rad <= math.pi / 2:
             raise BadInput(f"light: sun_elevation_rad must lie in 0.05..pi/2, got {self.sun_elevation_rad!r}")
 
@@ -72,7 +92,7 @@ class Light:
         """Factors (3,) from paint to the sensor's full scale in blue, green, red."""
         rgb = planck_rgb(self.colour_temperature_k)
         rgb = rgb / (rgb if self.balanced_for_k is None else planck_rgb(self.balanced_for_k))
-        rgb = rgb / rgb[1] * np.array(self.white_balance) * 0.8 * 2.0**self.exposure_ev
+        rgb = rgb / rgb[1] * np.array(self.white_balance) * 0.8 * 2.0 ** (self.exposure_ev + self.daylight_ev)
         return np.asarray(rgb[::-1], dtype=np.float32)
 
 
@@ -91,10 +111,12 @@ class Sensor:
     """Electrons at full scale: sets the shot noise."""
     read_noise_e: float = 12.0
     blend: Literal["linear", "srgb"] = "linear"
+    readout_s: float = 0.0
+    """Time from the middle of the first row's exposure to that of the last row's; 0 for a global shutter."""
 
     def __post_init__(self) -> None:
-        if not (0.0 <= self.exposure_s <= 0.5 and 0.0 <= self.psf_sigma_px <= 10.0):
-            raise BadInput("sensor: exposure_s must lie in 0..0.5 and psf_sigma_px in 0..10")
+        if not (0.0 <= self.exposure_s <= 0.5 and 0.0 <= self.psf_sigma_px <= 10.0 and 0.0 <= self.readout_s <= 0.5):
+            raise BadInput("sensor: exposure_s and readout_s must lie in 0..0.5 and psf_sigma_px in 0..10")
         if not (self.full_well_e > 0 and self.read_noise_e >= 0):
             raise BadInput("sensor: full_well_e must be positive and read_noise_e 0 or more")
 
@@ -173,10 +195,10 @@ class _Noise:
     """(1, 65536) value of the frame by the bits of transformed light with noise."""
 
 
-@lru_cache(maxsize=4)
-def _noise(sensor: Sensor) -> _Noise | None:
+@lru_cache(maxsize=16)
+def _noise(well: float, read_noise_e: float, blend: str) -> _Noise | None:
     """Return the tables of a sensor, or None if its noise is less than a step of light."""
-    well, read = sensor.full_well_e, sensor.read_noise_e / sensor.full_well_e
+    read = read_noise_e / well
     light = np.arange(32768) / FULL_SCALE
     deviation = np.sqrt(light / well + read**2)
     if not deviation.max() > 0.5 / FULL_SCALE:
@@ -196,23 +218,34 @@ def _noise(sensor: Sensor) -> _Noise | None:
     back = np.where(g < -2.0 * well * read, 0.0, back)
     table = np.concatenate([even, np.zeros(32768)]) * steps + low
     frame = np.empty(65536, np.uint8)
-    frame[codes & 0xFFFF] = _encode(sensor.blend, back)
+    frame[codes & 0xFFFF] = _encode(blend, back)
     return _Noise(steps, np.round(np.minimum(table, 32767.0)).astype(np.int16)[None], frame[None])
+
+
+@lru_cache(maxsize=2)
+def _clean(blend: str) -> U8:
+    """Return (1, 65536) the value of the frame by the count of light, without noise."""
+    return _encode(blend, np.concatenate([np.arange(32768), np.zeros(32768)]) / FULL_SCALE)[None]
 
 
 class Development:
     """The sensor model: it turns paint values into light and light into the frame, for one light and one sensor."""
 
-    def __init__(self, light: Light, sensor: Sensor) -> None:
-        self._sensor = sensor
+    def __init__(self, light: Light, sensor: Sensor, most_bgr: F32 | None = None) -> None:
+        self.sensor = sensor
         self.gains_bgr = light.gains_bgr() if sensor.blend == "linear" else light.gains_bgr() ** np.float32(1 / 2.2)
-        table = _decode(sensor.blend)[None, :, None] * self.gains_bgr
+        self.lifted_bgr: F32 = np.ones(3, np.float32)
+        """Factors by which `table` holds more than the light of the sky, where lamps add to it."""
+        if most_bgr is not None:
+            self.lifted_bgr = np.maximum(np.minimum(most_bgr, 3.9 / np.maximum(self.gains_bgr, 1e-6)), 1e-3).astype(np.float32)
+        gains = self.gains_bgr * self.lifted_bgr
+        table = _decode(sensor.blend)[None, :, None] * gains
         self.table: I16 = counts(table)
         """Light (1, 256, 3) of every paint value under this light and exposure, in counts."""
-        even = np.ptp(self.gains_bgr) == 0.0
+        even = np.ptp(gains) == 0.0
         self._exposing: I16 = np.ascontiguousarray(self.table[..., 0]) if even else self.table
-        self._noise = _noise(sensor)
-        self._clean = _encode(sensor.blend, np.concatenate([np.arange(32768), np.zeros(32768)]) / FULL_SCALE)[None]
+        self._noise = _noise(sensor.full_well_e, sensor.read_noise_e, sensor.blend)
+        self._clean = _clean(sensor.blend)
 
     def expose(self, paint: U8) -> I16:
         """Return the light of (H, W, 3) paint values, in counts."""
@@ -220,7 +253,7 @@ class Development:
 
     def blur(self, light: I16) -> I16:
         """Return the light after the blur of the lens."""
-        sigma = self._sensor.psf_sigma_px
+        sigma = self.sensor.psf_sigma_px
         if sigma < 0.05:
             return light
         size = 2 * math.ceil(3.0 * sigma) + 1

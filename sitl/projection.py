@@ -90,6 +90,13 @@ class Lens:
         whole, y, x = self._around(plane_from_ray, rows, cols, 2)
         return whole[y : y + (rows.stop - rows.start) // 2, x : x + (cols.stop - cols.start) // 2]
 
+    def spread(self, cells: F32) -> F32:
+        """Return values of the cells of `coarse`, (R, C) or (R, C, 2), for every pixel, (H, W) or (H, W, 2)."""
+        c = self.camera
+        size = (cells.shape[1] * CELL_PX, cells.shape[0] * CELL_PX)
+        whole = cv2.resize(cells, size, interpolation=cv2.INTER_LINEAR)[CELL_PX : CELL_PX + c.height, CELL_PX : CELL_PX + c.width]
+        return np.ascontiguousarray(whole, dtype=np.float32)
+
     def _around(self, plane_from_ray: F64, rows: slice, cols: slice, coarser: int) -> tuple[F32, int, int]:
         """Return where rays meet a plane, a little more than the part, and the row and column at which the part begins."""
         r0, r1 = rows.start // CELL_PX, -(-rows.stop // CELL_PX) + 2

@@ -178,13 +178,22 @@ def drone_shadow(
     for shape in _DRONE:
         p = shape @ R_pad_body.T + p_body_pad
         cast.append((p - to_sun_pad * (p[:, 2:] / to_sun_pad[2])) @ R_cam_pad.T + t_cam_pad)
-    polygons = [uv for uv in lens.outlines(cast) if len(uv)]
+    return soft_shadow(lens, cast, float(-p_body_pad[2] / -to_sun_pad[2]), float(t_cam_pad[2]))
+
+
+def soft_shadow(lens: Lens, polygons_cam: list[F64], away_m: float, depth_m: float) -> tuple[U8, slice, slice] | None:
+    """Return how deep each pixel is in a shadow, 0..255, and the part of the frame that it covers, or None outside the frame.
+
+    Args:
+        polygons_cam: outlines (N, 3) m of the full shadow.
+        away_m: distance of what casts it, along the sun.
+        depth_m: distance of the shadow from the camera, along the axis.
+    """
+    polygons = [uv for uv in lens.outlines(polygons_cam) if len(uv)]
     if not polygons:
         return None
     # The sun's disc is half a degree wide: the penumbra is 0.0093 of the distance wide, its standard deviation a quarter of that.
-    depth = max(0.05, float(t_cam_pad[2]))
-    way = float(-p_body_pad[2] / -to_sun_pad[2])
-    sigma = float(np.clip(0.0023 * way * lens.camera.fx / depth, 0.7, 6.0))
+    sigma = float(np.clip(0.0023 * away_m * lens.camera.fx / max(0.05, depth_m), 0.7, 6.0))
     camera = lens.camera
     everything = np.concatenate(polygons)
     margin = 3 * sigma + 2

@@ -39,11 +39,13 @@ class Stroke:
     first: Pose
     middle: Pose
     last: Pose
+    rows: tuple[Pose, Pose] | None = None
+    """Poses in the middle of this part of the exposure of the first row and of the last one; None for a global shutter."""
 
     @staticmethod
-    def still(pose: Pose) -> Stroke:
-        """Return the stroke of a pad that does not move."""
-        return Stroke(pose, pose, pose)
+    def still(pose: Pose, rows: tuple[Pose, Pose] | None = None) -> Stroke:
+        """Return the stroke of a pad that does not move while a row is exposed."""
+        return Stroke(pose, pose, pose, rows)
 
     @property
     def is_still(self) -> bool:
@@ -101,7 +103,7 @@ class PadPainter:
         px_m = max(1e-3, float(R[:, 2] @ t)) / self._lens.camera.fx
         # OpenCV fills every pixel that an outline touches, some 0.4 px too much.
         shrunk_m = 0.4 * px_m if px_m < 0.1 * min(self._pad.leg_width_m, self._pad.bar_width_m) else 0.0
-        fills = [(paint, uv) for paint, uv in self._outlines(R, t, px_m, shrunk_m) if len(uv)]
+        fills = [(paint, uv) for paint, uv in self._outlines(strokes[len(strokes) // 2], px_m, shrunk_m) if len(uv)]
         if not fills:
             return None
         rows = self._rows([uv for _, uv in fills], 3 + float(travel_px[1]) / 2)
@@ -144,7 +146,7 @@ class PadPainter:
         ways = np.abs(self._reference(*first) - self._reference(*last))
         return np.asarray(np.nanmax(ways, axis=0, initial=0.0))
 
-    def _outlines(self, R: F64, t: F64, px_m: float, shrunk_m: float) -> list[tuple[int, F64]]:
+    def _outlines(self, stroke: Stroke, px_m: float, shrunk_m: float) -> list[tuple[int, F64]]:
         """Return (paint, (N, 2) px) for every outline, moved inward, in paint order; the array is empty if nothing is in view."""
         pad = self._pad
         radius_px = pad.disc_radius_m / px_m
@@ -155,8 +157,24 @@ class PadPainter:
             radii[:1] = [(RIM, pad.disc_radius_m), (DISC, pad.disc_radius_m - pad.rim_width_m)]
         shapes = [(paint, circle * (radius - shrunk_m)) for paint, radius in radii]
         shapes += [(ORANGE, _inward(pad.arrowhead(), shrunk_m)), (WHITE, _inward(pad.h_corners(), shrunk_m))]
-        found = self._lens.outlines([points @ R.T + t for _, points in shapes], steps)
+        found = self._lens.outlines([self._in_cam(stroke, points) for _, points in shapes], steps)
         return [(paint, uv) for (paint, _), uv in zip(shapes, found, strict=True)]
+
+    def _in_cam(self, stroke: Stroke, points_pad: F64) -> F64:
+        """Return points (N, 3) of the pad in `cam`, each at the time of the row in which it shows."""
+        R, t = stroke.middle
+        points = points_pad @ R.T + t
+        if stroke.rows is None:
+            return points
+        (Ra, ta), (Rb, tb) = stroke.rows
+        first, last = points_pad @ Ra.T + ta, points_pad @ Rb.T + tb
+        turn, bend = 0.5 * (last - first), 0.5 * (last + first) - points
+        c, at = self._lens.camera, points
+        for _ in range(3):
+            row = c.fy * at[:, 1] / np.maximum(at[:, 2], 1e-3) + c.cy
+            s = np.clip(2.0 * row / (c.height - 1) - 1.0, -1.2, 1.2)[:, None]
+            at = points + s * turn + s * s * bend
+        return np.asarray(at)
 
     def _rows(self, outlines: list[F64], margin_px: float) -> tuple[int, int] | None:
         """Return the first row of the frame that outlines touch, and the one after the last, or None if they are all outside."""
@@ -188,7 +206,11 @@ class PadPainter:
 
     def _subpixels(self, stroke: Stroke, pixels: NDArray[np.intp], fine: int) -> _Patch:
         """Return the `fine` x `fine` subpixels of the pixels, those of one place in all the pixels one after the other."""
-        M = _pad_from_ray(stroke.middle)
+        M = pad_from_ray(stroke.middle)
+        if stroke.rows is not None:
+            first, last = (pad_from_ray(pose) for pose in stroke.rows)
+            s = (pixels // self._shape[1]) * np.float32(2.0 / (self._shape[0] - 1)) - _ONE
+            M = in_row(first, M, last, s.astype(np.float32))
         x, y = self._x.take(pixels), self._y.take(pixels)
         one = np.float32(1.0 / fine)
         x_right, x_down, y_right, y_down = (c.take(pixels) * one if len(c) > 1 else c * one for c in self._change)
@@ -209,7 +231,7 @@ class PadPainter:
             across = [(ux * x_right + uy * y_right, vx * x_right + vy * y_right),
                       (ux * x_down + uy * y_down, vx * x_down + vy * y_down)]  # fmt: skip
         if not stroke.is_still:
-            D = _pad_from_ray(stroke.last) - _pad_from_ray(stroke.first)
+            D = pad_from_ray(stroke.last) - pad_from_ray(stroke.first)
             turn = D[2, 0] * x + D[2, 1] * y + D[2, 2]
             across.append(
                 ((D[0, 0] * x + D[0, 1] * y + D[0, 2] - u * turn) * w, (D[1, 0] * x + D[1, 1] * y + D[1, 2] - v * turn) * w)
@@ -334,7 +356,8 @@ class _Patch:
         return self.shape(self.u * per_r, self.v * per_r)
 
 
-def _pad_from_ray(pose: Pose) -> F32:
+def pad_from_ray(pose: Pose) -> F32:
+    """Return the homography from rays to the pad's plane."""
     R, t = pose
     return np.linalg.inv(np.stack([R[:, 0], R[:, 1], t], axis=1)).astype(np.float32)
 
@@ -348,6 +371,12 @@ def _inward(polygon: F64, by_m: float) -> F64:
     before = np.roll(side, 1, axis=0)
     turn = before[:, 0] * side[:, 1] - before[:, 1] * side[:, 0]
     return np.asarray(polygon + (side - before) * (by_m / turn)[:, None])
+
+
+def in_row(first: F32, middle: F32, last: F32, s: F32) -> F32:
+    """Return a homography in rows at s, from -1 in the first to 1 in the last, by a parabola through three: (3, 3, *s.shape)."""
+    a, b, c = (m.reshape(3, 3, *(1,) * s.ndim) for m in (first, middle, last))
+    return np.asarray(b + s * (np.float32(0.5) * (c - a)) + s * s * (np.float32(0.5) * (c + a) - b), dtype=np.float32)
 
 
 def _covered(distance_m: F32, shape: tuple[F32, F32]) -> F32:

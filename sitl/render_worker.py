@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl.camera import Exposure, Renderer
+from sitl.film import Film
 
 U8 = NDArray[np.uint8]
 Order = tuple[int, Exposure, np.random.Generator]
@@ -57,7 +58,7 @@ class RenderWorker:
 
 
 @contextmanager
-def render_worker(renderer: Renderer) -> Iterator[RenderWorker | None]:
+def render_worker(renderer: Renderer | Film) -> Iterator[RenderWorker | None]:
     """Provide a render process until the context ends, or None if this machine has a single processor or cannot fork."""
     if len(os.sched_getaffinity(0)) < 2 or "fork" not in multiprocessing.get_all_start_methods():
         yield None
@@ -79,7 +80,7 @@ def render_worker(renderer: Renderer) -> Iterator[RenderWorker | None]:
             worker.kill()
 
 
-def _work(renderer: Renderer, orders: Any, not_ours: Any, frame_slots: NDArray[np.uint8]) -> None:
+def _work(renderer: Renderer | Film, orders: Any, not_ours: Any, frame_slots: NDArray[np.uint8]) -> None:
     not_ours.close()  # or the end of the other side would never be noticed
     cv2.setNumThreads(1)
     try:

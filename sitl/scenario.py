@@ -26,6 +26,7 @@ from sitl.contradictions import contradictions
 from sitl.faults import AnyFault, WeakRotor
 from sitl.operator_faults import OperatorActs
 from sitl.picture_faults import OtherPad
+from sitl.picture_settings import CLEAR_M, DropSettings, LampSettings, VideoSettings
 from sitl.rotors import rotors
 from sitl.sea_settings import EXCLUDES as SEA_EXCLUDES
 from sitl.sea_settings import Sea as Sea
@@ -82,6 +83,19 @@ class CameraView(Struct, frozen=True, forbid_unknown_fields=True):
         float, number("electrons at full scale, which determine the shot noise", "1", 100.0, 1e6, "assumed")
     ] = 8000.0
     read_noise_e: Annotated[float, number("standard deviation of the read noise, electrons", "1", 0.0, 1000.0, "assumed")] = 12.0
+    readout_s: Annotated[
+        float, number("time from the first row's exposure to the last one's; 0 for a global shutter", "s", 0.0, 0.1)
+    ] = 0.0
+    exposure_lag_s: Annotated[
+        float, number("time constant of the automatic exposure, which meters the whole picture; 0 for none", "s", 0.0, 30.0)
+    ] = 0.0
+    exposure_longest_s: Annotated[
+        float, number("longest exposure of the automatic; with less light it amplifies", "s", 0.001, 0.1, "assumed")
+    ] = 0.02
+    white_balance_lag_s: Annotated[
+        float,
+        number("time constant of the automatic white balance, which takes the picture for grey; 0 for none", "s", 0.0, 60.0),
+    ] = 0.0
 
 
 class PadView(Struct, frozen=True, forbid_unknown_fields=True):
@@ -107,6 +121,17 @@ class LightSettings(Struct, frozen=True, forbid_unknown_fields=True):
     glare: Annotated[float, number("brightness of the mirrored sun on the pad, in units of white paint", "1", 0.0, 10.0)] = 0.0
     wetness: Annotated[float, number("wetness of deck and pad, from 0 (dry) to 1 (soaked)", "1", 0.0, 1.0)] = 0.0
     wear: Annotated[float, number("standard deviation of the paint's brightness", "1", 0.0, 0.5)] = 0.06
+    daylight_ev: Annotated[float, number("stops of light against full daylight, -5 at dusk", "1", -12.0, 1.0)] = 0.0
+    visibility_m: Annotated[float, number("meteorological visibility; less than 100 m is dense fog", "m", 5.0, CLEAR_M)] = CLEAR_M
+    glint: Annotated[
+        float, number("brightness of the sun mirrored by the sea, and by a wet deck, in units of white paint", "1", 0.0, 50.0)
+    ] = 0.0
+    mast_height_m: Annotated[float, number("height of the mast that casts a shadow; 0 for none", "m", 0.0, 60.0)] = 0.0
+    mast_forward_m: Annotated[float, number("position of the mast from the pad, along the arrow", "m", -100.0, 100.0)] = 2.0
+    mast_right_m: Annotated[float, number("position of the mast from the pad, to the right of the arrow", "m", -100.0, 100.0)] = (
+        0.5
+    )
+    mast_shadow: Annotated[float, number("fraction of light missing in the mast's shadow", "1", 0.0, 1.0)] = 0.6
 
 
 class SensorSettings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -220,6 +245,9 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     camera: CameraView = CameraView()
     pad: PadView = PadView()
     light: LightSettings = LightSettings()
+    lamps: LampSettings = LampSettings()
+    drops: DropSettings = DropSettings()
+    video: VideoSettings = VideoSettings()
     sensors: SensorSettings = SensorSettings()
     vehicle: VehicleSettings = VehicleSettings()
     faults: Annotated[tuple[AnyFault, ...], Meta(max_length=100, description="in any order")] = ()

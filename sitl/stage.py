@@ -6,15 +6,21 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from estimator.contracts.geometry import F64
 from sitl.air import Air
 from sitl.airframe import Airframe, Avionics, StickLimits
+from sitl.automatic import Automatics
 from sitl.camera import Renderer
 from sitl.contact import DeckShape, Ground
 from sitl.disturbances import Wind
-from sitl.light import Light, Sensor
+from sitl.drops import Drops
+from sitl.film import Film
+from sitl.light import Light, Mast, Sensor
+from sitl.picture_settings import CLEAR_M
+from sitl.render_light import Lamps
 from sitl.scenario import Scenario, camera_model, pad_model, ship_model, vehicle_model
 from sitl.sea import Waves
 from sitl.seakeeping import Hull
@@ -23,6 +29,7 @@ from sitl.surroundings import Deck, Surroundings
 from sitl.turn import Turn
 from sitl.vehicle import Vehicle
 from sitl.vessel import Mooring, Vessel
+from sitl.video_link import LinkOptions
 
 
 class Seeds(NamedTuple):
@@ -90,9 +97,13 @@ def air(
     return Air(model, step_s, own, single)
 
 
-def renderer(scenario: Scenario, waves: Waves, vessel: Vessel) -> Renderer:
-    """Return the renderer of the camera over the scenario's deck and sea."""
-    c, s = scenario.camera, scenario.light
+def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Renderer | Film:
+    """Return what renders the frames of the camera over the scenario's deck and sea.
+
+    Args:
+        seed: of the water on the lens and of the packets that the video link loses.
+    """
+    c, s, d, v = scenario.camera, scenario.light, scenario.drops, scenario.video
     light = Light(
         colour_temperature_k=s.colour_temperature_k,
         balanced_for_k=s.balanced_for_k,
@@ -105,14 +116,30 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel) -> Renderer:
         glare=s.glare,
         wetness=s.wetness,
         wear=s.wear,
+        daylight_ev=s.daylight_ev,
+        visibility_m=s.visibility_m if s.visibility_m < CLEAR_M else math.inf,
+        glint=s.glint,
+        mast=Mast(s.mast_height_m, (s.mast_forward_m, s.mast_right_m), s.mast_shadow) if s.mast_height_m > 0 else None,
     )
     scene = Surroundings(
         deck=Deck.of(vessel.hull, math.radians(scenario.vessel.pad_yaw_deg)),
         waves=waves,
         wake_speed_m_s=scenario.vessel.speed_m_s,
     )
-    sensor = Sensor(c.exposure_s, c.blur_sigma_px, c.full_well_e, c.read_noise_e)
-    return Renderer(camera_model(scenario), pad_model(scenario), scene, light, sensor)
+    sensor = Sensor(c.exposure_s, c.blur_sigma_px, c.full_well_e, c.read_noise_e, readout_s=c.readout_s)
+    water = Drops(d.rain_per_minute / 60.0, d.spray_per_minute / 60.0, d.spray_drops, d.radius_px, d.stays_s, seed)
+    one_by_one = Renderer(
+        camera_model(scenario),
+        pad_model(scenario),
+        scene,
+        light,
+        sensor,
+        Lamps(**msgspec.structs.asdict(scenario.lamps)),
+        water if d.rain_per_minute > 0 or d.spray_per_minute > 0 else None,
+    )
+    automatics = Automatics(c.exposure_lag_s, c.exposure_longest_s, c.white_balance_lag_s)
+    link = LinkOptions(v.bitrate_kbit_s, v.loss, v.burst_packets, v.keyframe_s) if v.bitrate_kbit_s > 0 else None
+    return Film(one_by_one, automatics, link, seed) if automatics.any or link is not None else one_by_one
 
 
 def sea_and_vessel(scenario: Scenario, seeds: list[int]) -> tuple[Waves, Vessel]:

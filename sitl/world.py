@@ -28,6 +28,7 @@ from sitl.fault_timer import FaultTimer
 from sitl.faults import FramesMisstamped, FramesShifted, Gust, TiltLimited, WeakRotor
 from sitl.faulty_sensors import FaultySensors
 from sitl.faulty_streams import VehicleStreams
+from sitl.film import Film
 from sitl.manoeuvre import Manoeuvre
 from sitl.picture_effects import PictureEffects
 from sitl.picture_faults import OtherPad, PictureFault
@@ -201,8 +202,8 @@ class World:
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
-        self._renderer: Renderer | None = None
         self._picture_effects: PictureEffects | None = None
+        self._renderer: Renderer | Film | None = None
         self._apply_faults()
 
     @property
@@ -263,10 +264,10 @@ class World:
         return self.expose()()
 
     @property
-    def renderer(self) -> Renderer:
+    def renderer(self) -> Renderer | Film:
         """The renderer of the bottom camera."""
         if self._renderer is None:
-            self._renderer = renderer(self.scenario, self.waves, self.vessel)
+            self._renderer = renderer(self.scenario, self.waves, self.vessel, self._camera_seed)
         return self._renderer
 
     @property
@@ -313,8 +314,7 @@ class World:
             seen = camera(shot, self._tick)
             return lambda: seen, not aside.any()
         rng = np.random.default_rng([self._camera_seed, self._tick])
-        expose = self.renderer.render
-        made = worker.order(shot, rng) if worker is not None else lambda: expose(shot, rng)
+        made = worker.order(shot, rng) if worker is not None else self.renderer.order(shot, rng)
         wrong = [fault for fault, _ in self.faults.on(PictureFault)]
         if not wrong:
             return cache(made), not aside.any()

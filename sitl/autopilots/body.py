@@ -13,6 +13,7 @@ from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.autopilots.motors import Motors, MotorVehicle
 from sitl.camera import Exposure, Renderer
 from sitl.contact import Ground
+from sitl.film import Film
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.stage import air, airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
 from sitl.vehicle import DECK, SEA, VehiclePhase
@@ -85,7 +86,7 @@ class Body:
         self._ground = Ground.of(at.p_ned, at.v_ned, at.R_ned, at.w)
         self._sea = (0.0, 0.0)
         place(scenario, self._vehicle, self._ground, at.p_ned, at.R_ned)
-        self._renderer: Renderer | None = None
+        self._renderer: Renderer | Film | None = None
 
     @property
     def t_s(self) -> float:
@@ -144,7 +145,7 @@ class Body:
     def expose(self) -> Callable[[], RenderedFrame]:
         """Fix the scene now and return a function that renders its frame. Only one such function may run at a time."""
         if self._renderer is None:
-            self._renderer = renderer(self.scenario, self.waves, self.vessel)
+            self._renderer = renderer(self.scenario, self.waves, self.vessel, self._camera_seed)
         v, g, expose = self._vehicle, self._ground, self._renderer.render
         shot = Exposure(
             t_s=self.t_s,

@@ -69,7 +69,7 @@ class DeckUnder:
     def __init__(self, scenario: Scenario, seed: int, first: AutopilotPose, on_ground: bool) -> None:
         seeds = flight_seeds(seed)
         self._waves, self._vessel = sea_and_vessel(scenario, [seeds.sea])
-        self._renderer = renderer(scenario, self._waves, self._vessel)
+        self._renderer = renderer(scenario, self._waves, self._vessel, seeds.camera)
         self._camera_seed = seeds.camera
         self._exposure_s = scenario.camera.exposure_s
         self._began, self._images = first.at, 0

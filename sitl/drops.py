@@ -1,0 +1,103 @@
+"""Drops of water on the lens: when and where they are, and what they do to the light behind them.
+
+A drop on the front glass is far out of focus: it shows as a soft disc with a small, blurred, upside-down picture of what lies
+around it. It falls at a random place, stays, then runs off towards the tail with the airflow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.errors import BadInput
+
+I16 = NDArray[np.int16]
+
+_SHOWN_WIDTHS = 4.0
+"""Width of the scene that a drop shows, in its own radii."""
+_RUNS_OFF = 0.7
+"""Part of its life after which a drop runs off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drop:
+    """A drop at one instant, px."""
+
+    x: float
+    y: float
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class Drops:
+    """The water that falls on a lens: the same at an instant whatever was asked before."""
+
+    rain_per_s: float = 0.0
+    """Rate of single drops."""
+    spray_per_s: float = 0.0
+    """Rate of gusts of spray."""
+    spray_drops: int = 12
+    """Drops of a gust."""
+    radius_px: float = 28.0
+    stays_s: float = 6.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (self.rain_per_s >= 0 and self.spray_per_s >= 0 and self.spray_drops >= 1):
+            raise BadInput("drops: rates 0 or more, at least one drop in a gust")
+        if not (self.radius_px >= 1 and self.stays_s > 0):
+            raise BadInput("drops: radius_px 1 or more, stays_s positive")
+
+    def present(self, t_s: float, width: int, height: int) -> list[Drop]:
+        """Return the drops on the lens at an instant of the flight, the oldest first."""
+        cell_s = max(2.0, 1.5 * self.stays_s)
+        newest = math.floor(t_s / cell_s)
+        return [drop for cell in (newest - 1, newest) for drop in self._of_cell(cell, cell_s, t_s, width, height)]
+
+    def _of_cell(self, cell: int, cell_s: float, t_s: float, width: int, height: int) -> list[Drop]:
+        """Return the drops that fell in one span of time and are still there."""
+        rng = np.random.default_rng([self.seed, 0xD409, cell + 1000])
+        single = rng.uniform(0.0, cell_s, rng.poisson(self.rain_per_s * cell_s))
+        gusts = rng.uniform(0.0, cell_s, rng.poisson(self.spray_per_s * cell_s))
+        fell_s = cell * cell_s + np.concatenate([single, np.repeat(gusts, self.spray_drops)])
+        n = len(fell_s)
+        x, y = rng.uniform(-0.05, 1.05, n) * width, rng.uniform(-0.05, 1.05, n) * height
+        radius = self.radius_px * np.exp(rng.normal(-0.08, 0.4, n))
+        life_s, aside = self.stays_s * rng.uniform(0.5, 1.5, n), rng.normal(0.0, 0.25, n)
+        age = (t_s - fell_s) / life_s
+        out = []
+        for i in np.nonzero((age >= 0.0) & (age < 1.0))[0]:
+            gone = max(0.0, float(age[i]) - _RUNS_OFF) / (1.0 - _RUNS_OFF)
+            way = (height + 2.0 * radius[i]) * gone**2
+            size = float(radius[i] * (1.0 - 0.35 * gone))
+            out.append(Drop(float(x[i] + way * aside[i]), float(y[i] + way), size))
+        return out
+
+
+def wet_lens(light: I16, drops: list[Drop]) -> None:
+    """Change linear light (H, W, 3) to what arrives through drops."""
+    h, w = light.shape[:2]
+    for drop in drops:
+        reach = 1.3 * drop.radius
+        x0, x1 = max(0, math.floor(drop.x - reach)), min(w, math.ceil(drop.x + reach) + 1)
+        y0, y1 = max(0, math.floor(drop.y - reach)), min(h, math.ceil(drop.y + reach) + 1)
+        if x1 - x0 < 3 or y1 - y0 < 3:
+            continue
+        half = 0.5 * _SHOWN_WIDTHS * drop.radius
+        cx, cy = min(max(drop.x, 0.0), w - 1.0), min(max(drop.y, 0.0), h - 1.0)
+        seen = light[max(0, int(cy - half)) : int(cy + half) + 2, max(0, int(cx - half)) : int(cx + half) + 2]
+        coarse = cv2.flip(cv2.resize(seen, (12, 12), interpolation=cv2.INTER_AREA), -1)
+        inside = cv2.resize(cv2.GaussianBlur(coarse, (5, 5), 1.1), (x1 - x0, y1 - y0), interpolation=cv2.INTER_CUBIC)
+        across = (np.arange(x0, x1, dtype=np.float32) - np.float32(drop.x)) / np.float32(drop.radius)
+        down = (np.arange(y0, y1, dtype=np.float32) - np.float32(drop.y)) / np.float32(drop.radius)
+        distance = np.sqrt(across[None] ** 2 + down[:, None] ** 2)
+        cover = np.clip((np.float32(1.25) - distance) / np.float32(0.55), 0.0, 1.0)
+        cover = (cover * cover * (3.0 - 2.0 * cover))[..., None] * np.float32(0.92)
+        # The upper rim of a drop mirrors the sky below the drone's hull, the lower one is in its own shadow.
+        shade = (1.0 - 0.18 * np.clip(down, -1.0, 1.0))[:, None, None].astype(np.float32)
+        part = light[y0:y1, x0:x1]
+        part[:] = np.clip(part * (1.0 - cover) + np.maximum(inside, 0) * shade * cover, 0.0, 32767.0)

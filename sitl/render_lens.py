@@ -1,0 +1,85 @@
+"""What the camera itself does to a frame of the scene: motion blur of the scenery, vignetting, the rows of a rolling shutter."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.contracts.geometry import F64
+from sitl.light import I16
+from sitl.projection import CELL_PX, F32, Lens
+from sitl.render_pad import Pose, in_row, pad_from_ray
+
+U8 = NDArray[np.uint8]
+
+GAIN_ONE = 16384
+"""Value of a factor of one on the light."""
+
+
+def smear(canvas: U8, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64, F64]]) -> U8:
+    """Return the scenery blurred along its motion in the middle of the frame, if that is a pixel or more."""
+    camera = lens.camera
+    R, t = middle
+    axis = np.array([0.0, 0.0, 1.0])
+    depth = float(R[:, 2] @ t) / max(0.05, float(R[:, 2] @ axis))
+    if not 0 < depth < 1e4:
+        return canvas
+    on_pad = R.T @ (axis * depth - t)
+    uv = camera.project(np.stack([r @ on_pad + p for r, p in ends]))
+    way = uv[1] - uv[0]
+    length = float(np.hypot(*way))
+    if not length >= 1.0:
+        return canvas
+    way = way * min(1.0, 31.0 / length)
+    half = math.floor(min(length, 31.0) / 2) + 1
+    kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
+    for s in (np.arange(64) + 0.5) / 64 - 0.5:
+        x, y = half + way[0] * s, half + way[1] * s
+        i, j = math.floor(x), math.floor(y)
+        fx, fy = x - i, y - j
+        for dj, di, share in ((0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)):
+            kernel[j + dj, i + di] += share / 64
+    return np.asarray(cv2.filter2D(canvas, -1, kernel, borderType=cv2.BORDER_REPLICATE), dtype=np.uint8)
+
+
+def vignette(lens: Lens, loss: float) -> I16:
+    """Return the (H, W) vignetting: the fourth power of the cosine of the angle off the axis, scaled to the corners' loss."""
+    r2 = (lens.rays**2).sum(axis=-1)
+    fall = 1.0 - (1.0 + r2) ** -2
+    return np.asarray(np.round(GAIN_ONE * (1.0 - loss * fall / fall.max())), dtype=np.int16)
+
+
+def row_map(lens: Lens, first: Pose, middle: Pose, last: Pose) -> F32 | None:
+    """Return where in the frame of one instant each pixel of a rolling shutter looks, (H, W, 2) px; the deck's plane is seen.
+
+    Args:
+        first: pose of the pad while the first row is exposed.
+        middle: pose in the middle of the readout.
+        last: pose while the last row is exposed.
+
+    Returns:
+        None if the deck's plane is not in front of the camera.
+    """
+    R, t = middle
+    if not float(R[:, 2] @ t) > 0.02:
+        return None
+    coarse, c = lens.coarse, lens.camera
+    s = (CELL_PX * np.arange(-1, len(coarse) - 1) + (CELL_PX - 1) / 2) * 2.0 / (c.height - 1) - 1.0
+    M = in_row(*(pad_from_ray(pose) for pose in (first, middle, last)), s.astype(np.float32)[:, None])
+    x, y = coarse[..., 0], coarse[..., 1]
+    q = [M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)]
+    there = np.stack([R[:, 0], R[:, 1], t], axis=1).astype(np.float32) @ np.stack(q).reshape(3, -1)
+    uv = c.project(there.T.astype(float) / np.maximum(there[2:].T, 1e-6)).reshape(*coarse.shape)
+    # Beyond the horizon the plane says nothing: those pixels look where they are.
+    at = np.stack(np.meshgrid(*(CELL_PX * np.arange(-1, n - 1) + (CELL_PX - 1) / 2 for n in coarse.shape[1::-1])), axis=-1)
+    sane = np.isfinite(uv).all(axis=-1) & (np.abs(uv - at).max(axis=-1) < 60.0) & (q[2] > 0) & (there[2] > 0).reshape(q[2].shape)
+    return lens.spread(np.where(sane[..., None], uv, at).astype(np.float32))
+
+
+def moved(image: NDArray[Any], rows: F32) -> NDArray[Any]:
+    """Return an image as the rows of a rolling shutter see it."""
+    return np.asarray(cv2.remap(image, rows, np.empty(0, np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
