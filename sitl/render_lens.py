@@ -69,7 +69,7 @@ def row_map(lens: Lens, first: Pose, middle: Pose, last: Pose) -> F32 | None:
         return None
     coarse, c = lens.coarse, lens.camera
     s = (CELL_PX * np.arange(-1, len(coarse) - 1) + (CELL_PX - 1) / 2) * 2.0 / (c.height - 1) - 1.0
-    M = in_row(*(pad_from_ray(pose) for pose in (first, middle, last)), s.astype(np.float32)[:, None])
+    M = in_row(pad_from_ray(first), pad_from_ray(middle), pad_from_ray(last), s.astype(np.float32)[:, None])
     x, y = coarse[..., 0], coarse[..., 1]
     q = [M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)]
     there = np.stack([R[:, 0], R[:, 1], t], axis=1).astype(np.float32) @ np.stack(q).reshape(3, -1)

@@ -44,7 +44,7 @@ class VideoLink:
         self._options = options
         self._rng = np.random.default_rng([seed, 0x264])
         self._lost = False
-        self._shown = np.full((height, width, 3), 16, np.uint8)
+        self._shown: U8 = np.full((height, width, 3), 16, np.uint8)
         encoder = av.CodecContext.create("libx264", "w")
         decoder = av.CodecContext.create("h264", "r")
         assert isinstance(encoder, av.VideoCodecContext)
@@ -78,7 +78,7 @@ class VideoLink:
             except av.error.InvalidDataError:
                 shown = []
             if shown:
-                self._shown = shown[-1].to_ndarray(format="bgr24")
+                self._shown = np.asarray(shown[-1].to_ndarray(format="bgr24"), dtype=np.uint8)
         return self._shown.copy()
 
     def _next_is_lost(self) -> bool:
