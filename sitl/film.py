@@ -16,7 +16,7 @@ from estimator.vision.camera import Camera
 from sitl.automatic import Adjusted, Automatics, adjust, settings
 from sitl.camera import Exposure, Renderer
 from sitl.light import Development, Light
-from sitl.video_link import LinkOptions, VideoLink
+from sitl.video_link import VideoLink, VideoLinkOptions
 
 U8 = NDArray[np.uint8]
 
@@ -32,7 +32,7 @@ class Film:
         seed: of the packets that the link loses.
     """
 
-    def __init__(self, renderer: Renderer, automatics: Automatics, link: LinkOptions | None, seed: int) -> None:
+    def __init__(self, renderer: Renderer, automatics: Automatics, link: VideoLinkOptions | None, seed: int) -> None:
         self._renderer, self._automatics = renderer, automatics
         self._link = VideoLink(link, renderer.camera.width, renderer.camera.height, seed) if link is not None else None
         self._adjusted: Adjusted | None = None

@@ -29,7 +29,7 @@ from sitl.surroundings import Deck, Surroundings
 from sitl.turn import Turn
 from sitl.vehicle import Vehicle
 from sitl.vessel import Mooring, Vessel
-from sitl.video_link import LinkOptions
+from sitl.video_link import VideoLinkOptions
 
 
 class Seeds(NamedTuple):
@@ -138,7 +138,7 @@ def renderer(scenario: Scenario, waves: Waves, vessel: Vessel, seed: int) -> Ren
         water if d.rain_per_minute > 0 or d.spray_per_minute > 0 else None,
     )
     automatics = Automatics(c.exposure_lag_s, c.exposure_longest_s, c.white_balance_lag_s)
-    link = LinkOptions(v.bitrate_kbit_s, v.loss, v.burst_packets, v.keyframe_s) if v.bitrate_kbit_s > 0 else None
+    link = VideoLinkOptions(v.bitrate_kbit_s, v.loss, v.burst_packets, v.keyframe_s) if v.bitrate_kbit_s > 0 else None
     return Film(one_by_one, automatics, link, seed) if automatics.any or link is not None else one_by_one
 
 

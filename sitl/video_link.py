@@ -24,7 +24,7 @@ _SLICES = (1, 5)
 
 
 @dataclass(frozen=True, slots=True)
-class LinkOptions:
+class VideoLinkOptions:
     """The encoder's rate and the packets that the link loses, in bursts (Gilbert, Bell System Technical Journal 39, 1960)."""
 
     bitrate_kbit_s: float = 1000.0
@@ -40,7 +40,7 @@ class LinkOptions:
 class VideoLink:
     """Sends the frames of one camera, in order. The same frames and seed give the same pictures."""
 
-    def __init__(self, options: LinkOptions, width: int, height: int, seed: int) -> None:
+    def __init__(self, options: VideoLinkOptions, width: int, height: int, seed: int) -> None:
         self._options = options
         self._rng = np.random.default_rng([seed, 0x264])
         self._lost = False

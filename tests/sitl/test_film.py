@@ -20,7 +20,7 @@ from sitl.light import FLAT, Light, Sensor
 from sitl.render_worker import render_worker
 from sitl.scenario import from_mapping, load
 from sitl.surroundings import Surroundings
-from sitl.video_link import LinkOptions, VideoLink
+from sitl.video_link import VideoLink, VideoLinkOptions
 from sitl.world import World
 from tests.sitl.images import PLAIN, pad, shot
 
@@ -28,7 +28,7 @@ U8 = NDArray[np.uint8]
 LAG = Automatics(exposure_lag_s=0.5, balance_lag_s=1.0)
 
 
-def film(light: Light = FLAT, automatics: Automatics = LAG, link: LinkOptions | None = None, seed: int = 3) -> Film:
+def film(light: Light = FLAT, automatics: Automatics = LAG, link: VideoLinkOptions | None = None, seed: int = 3) -> Film:
     return Film(Renderer(PLAIN, pad("thesis"), Surroundings(), light, Sensor()), automatics, link, seed)
 
 
@@ -64,10 +64,10 @@ def test_white_balance_takes_the_picture_for_grey() -> None:
 
 def test_a_link_without_loss_shows_the_frame_and_lost_packets_smear_and_freeze_it() -> None:
     clear = frames(film(automatics=Automatics()), 10)
-    whole = frames(film(automatics=Automatics(), link=LinkOptions(1000.0)), 10)
-    lossy = frames(film(automatics=Automatics(), link=LinkOptions(1000.0, loss=0.3)), 10)
-    again = frames(film(automatics=Automatics(), link=LinkOptions(1000.0, loss=0.3)), 10)
-    other = frames(film(automatics=Automatics(), link=LinkOptions(1000.0, loss=0.3), seed=4), 10)
+    whole = frames(film(automatics=Automatics(), link=VideoLinkOptions(1000.0)), 10)
+    lossy = frames(film(automatics=Automatics(), link=VideoLinkOptions(1000.0, loss=0.3)), 10)
+    again = frames(film(automatics=Automatics(), link=VideoLinkOptions(1000.0, loss=0.3)), 10)
+    other = frames(film(automatics=Automatics(), link=VideoLinkOptions(1000.0, loss=0.3), seed=4), 10)
 
     def off(a: list[U8], b: list[U8]) -> float:
         return float(np.mean([np.abs(x.astype(float) - y).mean() for x, y in zip(a, b, strict=True)]))
@@ -79,16 +79,16 @@ def test_a_link_without_loss_shows_the_frame_and_lost_packets_smear_and_freeze_i
 
 
 def test_where_nothing_arrives_the_picture_stands_still() -> None:
-    link = VideoLink(LinkOptions(1000.0, loss=0.99, burst_packets=200.0), 64, 48, 1)
+    link = VideoLink(VideoLinkOptions(1000.0, loss=0.99, burst_packets=200.0), 64, 48, 1)
     seen = [link.send(np.full((48, 64, 3), v, np.uint8)) for v in range(0, 250, 10)]
     assert all(np.array_equal(a, b) for a, b in pairwise(seen[5:]))
 
 
 def test_frames_asked_for_late_or_never_change_no_other() -> None:
     shots = [replace(shot(1.5, (0.01 * i, 0.0)), t_s=4.0 + i / 30.0) for i in range(6)]
-    one_by_one = film(replace(FLAT, daylight_ev=-3.0), link=LinkOptions(800.0, loss=0.1))
+    one_by_one = film(replace(FLAT, daylight_ev=-3.0), link=VideoLinkOptions(800.0, loss=0.1))
     straight = [one_by_one.order(s, np.random.default_rng(i))() for i, s in enumerate(shots)]
-    late = film(replace(FLAT, daylight_ev=-3.0), link=LinkOptions(800.0, loss=0.1))
+    late = film(replace(FLAT, daylight_ev=-3.0), link=VideoLinkOptions(800.0, loss=0.1))
     made = [late.order(s, np.random.default_rng(i)) for i, s in enumerate(shots)]
     assert np.array_equal(made[5](), straight[5])
     assert np.array_equal(made[2](), straight[2])
@@ -96,12 +96,12 @@ def test_frames_asked_for_late_or_never_change_no_other() -> None:
 
 def test_a_process_of_its_own_makes_the_same_pictures() -> None:
     cv2.setNumThreads(1)  # as in a flight: a fork while OpenCV's threads work could leave a lock behind
-    with render_worker(film(link=LinkOptions(800.0, loss=0.1))) as worker:
+    with render_worker(film(link=VideoLinkOptions(800.0, loss=0.1))) as worker:
         if worker is None:
             pytest.skip("a single processor")
         shots = [replace(shot(1.5), t_s=4.0 + i / 30.0) for i in range(4)]
         theirs = [worker.order(s, np.random.default_rng(i)) for i, s in enumerate(shots)]
-        ours = film(link=LinkOptions(800.0, loss=0.1))
+        ours = film(link=VideoLinkOptions(800.0, loss=0.1))
         assert all(
             np.array_equal(image(), ours.render(s, np.random.default_rng(i)))
             for i, (image, s) in enumerate(zip(theirs, shots, strict=True))
@@ -129,4 +129,4 @@ def test_bad_keys_are_named() -> None:
         with pytest.raises(BadInput, match=text):
             from_mapping({"title": "x", table: {key: value}}, "here.toml")
     with pytest.raises(BadInput, match="video: bitrate"):
-        LinkOptions(0.0)
+        VideoLinkOptions(0.0)
