@@ -18,7 +18,6 @@ import numpy as np
 from companion.config import reference
 from companion.config.model import Settings, ardrone_options
 from companion.config.settings import SHIPPED, from_mapping, read_toml, shipped
-from companion.guidance.plan import Plan
 from companion.mavlink.component import ComponentOptions
 from companion.mavlink.signed_links import signed_links
 from companion.print_pad.drawing import pad_drawing
@@ -151,7 +150,6 @@ def run_settings(data: bytes) -> None:
 
 def _options(settings: Settings) -> None:
     """Build the options that `run` makes of settings before it opens anything."""
-    Plan.over_the_pad(settings.guidance)
     estimator_options(settings)
     if isinstance(settings.vehicle, ArDroneOptions):
         ardrone_options(settings)

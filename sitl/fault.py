@@ -10,10 +10,10 @@ from typing import Annotated
 
 from msgspec import Struct
 
-from companion.guidance.planner import Phase as GuidancePhase
+from companion.guidance.mission import State
 from estimator.contracts.keys import number, text
 
-PHASES = tuple(phase.value for phase in GuidancePhase)
+PHASES = tuple(state.value for state in State)
 """The phases of guidance that a fault may begin in."""
 _BEGINNINGS = ("at_s", "below_height_m", "above_height_m", "in_phase", "per_minute")
 

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 
 from companion.config.model import Settings, ardrone_options
-from companion.guidance.planner import Phase as GuidancePhase
+from companion.guidance.mission import State
 from companion.operator.orders import HandledOrder
 from companion.operator.precedence import ControlSituation
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer, ProcessedFrame
-from companion.runtime.pilot import FlightOutcome, Pilot
+from companion.runtime.pilot import REFUSALS, FlightOutcome, Pilot
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.command_streamer import CommandStreamer
@@ -325,6 +325,7 @@ class Flight:
         while self._looking is None and (packet := self._frames_under_way.arrived(now)) is not None:
             if arrived is not None:
                 self.health.frame(Verdict.REPLACED)
+                self._pilot.on_verdict(Verdict.REPLACED)
                 self._judge(arrived.seq, Verdict.REPLACED)
             received_at, exposed = packet
             image = exposed()
@@ -351,6 +352,7 @@ class Flight:
             verdict, results = self._pilot.on_detection(processed.detection)
             processed = replace(processed, verdict=verdict, results=results)
         self.health.frame(processed.verdict)
+        self._pilot.on_verdict(processed.verdict)
         self._judge(processed.frame.seq, processed.verdict)
         self.health.delay("exposure_to_belief", seconds_between(processed.frame.stamp.measured_at, processed.done))
         for result in processed.results:
@@ -372,6 +374,7 @@ class Flight:
         if decision.command is not None:
             self._streamer.take(decision.command, now)
         self.world.guidance_phase = decision.phase
+        self.health.decision(decision, self._pilot.vehicle)
         self._reason = decision.reason or self._reason
         for observer in self._observers:
             observer.on_decision(decision)
@@ -381,7 +384,7 @@ class Flight:
         truth, outcome = self.world.truth(), self._pilot.outcome
         unsafe = dangers(self._watch.worst, truth.contacts, self._died, self._watch.unreached_m)
         alone = self.world.active("service_killed") or self.world.active("link_lost")
-        asks = self.world.guidance_phase == GuidancePhase.ANOTHER_PAD.value
+        asks = self.world.guidance_phase == State.ANOTHER_PAD.value
         situation, scenario, refused = self._pilot.operator.situation(self._clock.t), self.world.scenario, self._refused(outcome)
         worth, because = grade(
             outcome,
@@ -412,7 +415,7 @@ class Flight:
         )
 
     def _refused(self, outcome: FlightOutcome | None) -> str | None:
-        if outcome is not FlightOutcome.GAVE_UP:
+        if outcome not in REFUSALS:
             return None
         frames = self._watch.since_sight
         counts = ", ".join(f"{n} {verdict.value}" for verdict, n in frames.most_common())

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
-from companion.guidance.planner import Phase as GuidancePhase
-from companion.runtime.pilot import FlightOutcome
+from companion.guidance.mission import CONTACT_INTENDED, State
+from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.world import Touchdown, Truth, VehiclePhase
@@ -27,9 +27,9 @@ UNREACHED_DESCENT_MAX_M = 1.3
 (2 s, at `descent_rate_max_m_s` 0.5 m/s) and then hovers, with 0.3 m to stop; a landing that it begins by itself goes deeper."""
 STAMP_ERROR_MAX_S = 0.5
 """Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
-COMMIT_PHASES = frozenset({GuidancePhase.LAND.value})
+COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
 """The phases of guidance in which contact is intended."""
-GO_AROUND_PHASES = frozenset({GuidancePhase.GO_AROUND.value, GuidancePhase.CLIMB.value, GuidancePhase.ANOTHER_PAD.value})
+GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
 """The phases of guidance that end a try by climbing."""
 Expected = Literal["land", "refuse", "go_around", "hold", "either"]
 """The outcome that a scenario expects: it lands on the pad, refuses to, goes around and then lands, holds for the operator, or
@@ -192,13 +192,13 @@ def grade(
         if expect == "go_around" and not go_arounds:
             return Grade.FAILED, f"landed {100 * landed_m:.1f} cm from the centre without going around first"
         return Grade.ON_PAD, f"{100 * landed_m:.1f} cm from the centre"
-    if outcome is FlightOutcome.GAVE_UP or (outcome is None and (left_alone or asks)):
+    if outcome in REFUSALS or (outcome is None and (left_alone or asks)):
         said = "hovered without a service" if left_alone else "hovered and waited for the operator"
-        if outcome is FlightOutcome.GAVE_UP:
-            said = "gave up"
+        if outcome is not None:
+            said = outcome.value
         if expect in ("land", "go_around"):
             return Grade.FAILED, f"{said}, though nothing was wrong enough for that"
-        if outcome is FlightOutcome.GAVE_UP and refusal[0].lower() not in refusal[1].lower():
-            return Grade.FAILED, f"gave up for another reason than {refusal[0]!r}: {refusal[1]}"
+        if outcome in REFUSALS and refusal[0].lower() not in refusal[1].lower():
+            return Grade.FAILED, f"{said} for another reason than {refusal[0]!r}: {refusal[1]}"
         return Grade.REFUSED_RIGHTLY, said
     return Grade.FAILED, "time ran out: it neither landed nor gave up" if outcome is None else outcome.value

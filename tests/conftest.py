@@ -68,7 +68,7 @@ SLOW = (
     "tests/estimator/vision/test_acquire.py",
     "tests/sitl/ardrone/test_serve.py",
     "tests/estimator/test_pipeline.py",
-    "tests/companion/test_planner.py",
+    "tests/companion/test_mission_flights.py",
     "tests/companion/test_drawing.py",
     "tests/sitl/autopilots/test_follow.py",
     "tests/companion/mavlink/test_heartbeat_truth.py",

@@ -10,6 +10,7 @@ from companion.config import reference
 from companion.config.effect import without_effect
 from companion.config.referenced_files import check_files
 from companion.config.settings import load, shipped
+from companion.guidance import mission_page
 from estimator.contracts.errors import BadInput
 
 
@@ -38,6 +39,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="print the reference of all settings",
         description="Print the reference of all settings (docs/configuration.md) in Markdown.",
     )
+    actions.add_parser(
+        "mission",
+        help="print the states and events of a landing",
+        description="Print the states and events of a landing, and what follows from them (docs/mission.md), in Markdown.",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.write(reference.toml(load(args.file)))
     elif args.action == "schema":
         sys.stdout.write(reference.schema())
+    elif args.action == "mission":
+        sys.stdout.write(mission_page.page())
     else:
         sys.stdout.write(reference.reference())
     return 0

@@ -192,9 +192,9 @@ def flown_settings(scenario: Scenario, config: str | None) -> Settings:
     """
     settings = settings_for(scenario, config)
     service = msgspec.structs.replace(settings.service, health_period_s=0.0, log_level="error")
-    own = settings.guidance.planner
-    planner = msgspec.structs.replace(own, operator_wait_s=min(own.operator_wait_s, OPERATOR_WAIT_S))
-    guidance = msgspec.structs.replace(settings.guidance, planner=planner)
+    own = settings.guidance.tries
+    tries = msgspec.structs.replace(own, operator_wait_s=min(own.operator_wait_s, OPERATOR_WAIT_S))
+    guidance = msgspec.structs.replace(settings.guidance, tries=tries)
     return msgspec.structs.replace(settings, service=service, guidance=guidance)
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import Any
 
-from companion.runtime.pilot import FlightOutcome
+from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from sitl.ending import Ending
 from sitl.machine_load import Load
@@ -66,7 +66,7 @@ def real(
         frames: what the daemon made of its frames.
         guidance_late_s: median of what guidance cycles came late at the end of the flight, seconds.
     """
-    if said["ended"] == "time is up" and outcome is not FlightOutcome.GAVE_UP:
+    if said["ended"] == "time is up" and outcome not in REFUSALS:
         outcome = None  # the simulator switched the drone off in the air, which the pilot takes for an emergency
     landed_m = said["lateral_m"] if said["on_pad"] else None
     worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], left_alone=said["left_alone"])

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
 
+from companion.guidance.mission import State
 from companion.mavlink.commands import CommandServer, Offered
 from companion.mavlink.computer import ComputerReader, computer_status
 from companion.mavlink.operator import Operator
@@ -50,13 +51,19 @@ _CAPABILITIES = int(mav.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mav.MAV_PROTOCOL_C
 _REPEAT_S = 60.0
 """The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
 _SEVERITIES = {
-    "landed": MavSeverity.NOTICE,
-    "landed by others": MavSeverity.NOTICE,
-    "gave up": MavSeverity.CRITICAL,
-    "no landing reported": MavSeverity.ERROR,
-    "emergency": MavSeverity.CRITICAL,
-    "aborted": MavSeverity.WARNING,
-    "paused": MavSeverity.NOTICE,
+    state.value: severity
+    for state, severity in {
+        State.LANDED: MavSeverity.NOTICE,
+        State.LANDED_BY_OTHERS: MavSeverity.NOTICE,
+        State.PAUSED: MavSeverity.NOTICE,
+        State.HOLD_BLIND: MavSeverity.WARNING,
+        State.GO_AROUND: MavSeverity.WARNING,
+        State.ABORTED: MavSeverity.WARNING,
+        State.ANOTHER_PAD: MavSeverity.ERROR,
+        State.REFUSED: MavSeverity.CRITICAL,
+        State.GAVE_UP: MavSeverity.CRITICAL,
+        State.EMERGENCY: MavSeverity.CRITICAL,
+    }.items()
 }
 """The severities of those phases that are more than information."""
 
@@ -203,7 +210,8 @@ class Component(NullObserver):
         if decision.phase != self._phase:
             self._phase = decision.phase
             severity = _SEVERITIES.get(decision.phase, MavSeverity.INFO)
-            self.texts.say(severity, f"Decklander: {decision.phase}", decision.at)
+            why = decision.transitions[-1].reason.text if decision.transitions and decision.phase in _SEVERITIES else ""
+            self.texts.say(severity, ": ".join(filter(None, ("Decklander", decision.phase, why))), decision.at)
 
     # Messages from other components
 

@@ -9,7 +9,7 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4 as CONTENT_TYP
 from prometheus_client.exposition import generate_latest
 from prometheus_client.registry import Collector, CollectorRegistry
 
-from companion.runtime.health import HealthSnapshot
+from companion.runtime.health import HealthSnapshot, MissionHealth
 
 __all__ = ["CONTENT_TYPE", "text"]
 
@@ -100,8 +100,36 @@ def families(health: HealthSnapshot) -> Iterator[Metric]:
                 stages.add_metric([name, quantile], value)
     yield from (stages, runs)
 
+    yield from _mission(health.mission)
+
     counts = GaugeMetricFamily("decklander_count", "What the parts count for themselves.", labels=["part", "name"])
     for part, values in health.counters.items():
         for name, number in values.items():
             counts.add_metric([part, name], number)
     yield counts
+
+
+def _mission(mission: MissionHealth) -> Iterator[Metric]:
+    phase = GaugeMetricFamily("decklander_phase", "1 for the present state of the mission.", labels=["phase"])
+    if mission.phase:
+        phase.add_metric([mission.phase], 1.0)
+    yield phase
+    numbers = (
+        ("decklander_height_metres", "Height over the pad by the steering estimate.", mission.height_m),
+        ("decklander_error_metres", "Horizontal distance from the pad's centre by the steering estimate.", mission.error_m),
+        ("decklander_battery_ratio", "The vehicle's charge, 0 to 1.", mission.battery),
+    )
+    for name, words, value in numbers:
+        family = GaugeMetricFamily(name, words)
+        if value is not None:
+            family.add_metric([], value)
+        yield family
+    changes = CounterMetricFamily(
+        "decklander_transitions", "Changes of the mission's state, with event and cause.", labels=["from", "to", "event", "cause"]
+    )
+    for labels, n in mission.transitions.items():
+        changes.add_metric(labels, n)
+    flights = CounterMetricFamily("decklander_flights", "Ended flights by outcome.", labels=["outcome"])
+    for outcome, n in mission.flights.items():
+        flights.add_metric([outcome], n)
+    yield from (changes, flights)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from companion.guidance.mission import Transition
 from companion.operator.orders import HandledOrder
 from companion.runtime.health import HealthSnapshot
 from companion.runtime.observer import Decision, ProcessedFrame
@@ -27,6 +28,21 @@ class PendingEvent:
     kind: Kind
     text: str
     data: Mapping[str, str | float | bool | None] = field(default_factory=dict)
+
+
+def _changed(change: Transition, place: Mapping[str, str | float | bool | None]) -> PendingEvent:
+    why = change.reason
+    data: dict[str, str | float | bool | None] = {
+        "from": change.source.value,
+        "to": change.target.value,
+        "event": change.event.name.lower(),
+        "cause": why.cause.name.lower(),
+        "measured": why.measured,
+        "limit": why.limit,
+        "detail": None if why.detail is None else why.detail.name.lower(),
+        **place,
+    }
+    return PendingEvent(change.at, "phase", f"{change.target.value}: {why.text}", data)
 
 
 def order_event(handled: HandledOrder) -> PendingEvent:
@@ -65,13 +81,16 @@ class Changes:
         return [PendingEvent(decision.at, "limit", decision.limit or "no limit any more", {"limit": decision.limit or None})]
 
     def _new_phase(self, decision: Decision) -> list[PendingEvent]:
+        """Return an event for each change of the mission's state, or for a phase that another pilot has entered."""
         before, self._phase = self._phase, decision.phase
+        place: dict[str, str | float | bool | None] = {}
+        if decision.belief is not None:
+            place = {"height_m": decision.belief.height_m, "lateral_m": decision.belief.lateral_m}
+        if decision.transitions:
+            return [_changed(change, place) for change in decision.transitions]
         if before == decision.phase:
             return []
-        data: dict[str, str | float | bool | None] = {"from": before, "to": decision.phase}
-        if decision.belief is not None:
-            data |= {"height_m": decision.belief.height_m, "lateral_m": decision.belief.lateral_m}
-        return [PendingEvent(decision.at, "phase", decision.phase, data)]
+        return [PendingEvent(decision.at, "phase", decision.phase, {"from": before, "to": decision.phase, **place})]
 
     def vehicle(self, status: VehicleStatus) -> list[PendingEvent]:
         """Return events for a new mode of the vehicle, an emergency or a low battery."""

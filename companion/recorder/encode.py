@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.guidance.mission import Transition
 from companion.operator.orders import HandledOrder
 from companion.recorder import records as rec
 from companion.runtime.health import HealthSnapshot
@@ -136,15 +137,26 @@ def fusion(at: MonoNs, of: FusionResult) -> rec.FusionRecord:
 def decision(of: Decision) -> rec.DecisionRecord:
     """Return the record of a decision."""
     steering = None if of.belief is None else of.belief.path
+    changes = [transition(change) for change in of.transitions]
     if isinstance(of.command, Velocity):
         v, turn = of.command.v_level.tolist(), of.command.yaw_rate_rad_s
-        return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn, of.reason)
+        return rec.DecisionRecord(int(of.at), of.phase, steering, "velocity", v, turn, of.reason, None, None, changes)
     if isinstance(of.command, Lean):
         lean = of.command
         v, a, trim = lean.v_level.tolist(), lean.a_level.tolist(), lean.trim_level.tolist()
-        return rec.DecisionRecord(int(of.at), of.phase, steering, "lean", v, lean.yaw_rate_rad_s, of.reason, a, trim)
+        return rec.DecisionRecord(int(of.at), of.phase, steering, "lean", v, lean.yaw_rate_rad_s, of.reason, a, trim, changes)
     simple = None if of.command is None else COMMANDS[type(of.command)]
-    return rec.DecisionRecord(int(of.at), of.phase, steering, simple, reason=of.reason)
+    return rec.DecisionRecord(int(of.at), of.phase, steering, simple, reason=of.reason, transitions=changes)
+
+
+def transition(of: Transition) -> rec.TransitionRecord:
+    """Return the record of a change of the mission's state."""
+    why = of.reason
+    detail = None if why.detail is None else why.detail.name
+    measured, limit = (x if x is None or math.isfinite(x) else None for x in (why.measured, why.limit))
+    return rec.TransitionRecord(
+        int(of.at), of.source.name, of.event.name, of.target.name, why.cause.name, measured, limit, detail, why.text
+    )
 
 
 def order(of: HandledOrder) -> rec.OrderRecord:

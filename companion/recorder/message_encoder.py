@@ -125,9 +125,13 @@ class MessageEncoder:
                 yield channels.pose(belief.path), t, pose
         if decision.belief is not None:
             yield from self._transform(t, decision.belief)
+        for change in decision.transitions:
+            line = f"{change.source.value}: {change.event.value}, {change.reason.text}: {change.target.value}"
+            yield channels.LOG, t, fox.log_line(t, fox.INFO, "guidance", line)
         if decision.phase != self._phase:
             self._phase = decision.phase
-            yield channels.LOG, t, fox.log_line(t, fox.INFO, "guidance", decision.phase)
+            if not decision.transitions:
+                yield channels.LOG, t, fox.log_line(t, fox.INFO, "guidance", decision.phase)
 
     @staticmethod
     def _transform(t: int, belief: RelativeState) -> Iterator[Message]:

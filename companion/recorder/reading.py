@@ -268,7 +268,15 @@ class _Assembly:
         beliefs, self._beliefs = [b for b in self._beliefs if b.at == message.at_ns], []
         steering = next((b for b in beliefs if b.path == message.steering), None)
         shadows = tuple(b for b in beliefs if b is not steering)
-        return Decision(MonoNs(message.at_ns), message.phase, decode.command(message), steering, shadows, message.reason)
+        return Decision(
+            MonoNs(message.at_ns),
+            message.phase,
+            decode.command(message),
+            steering,
+            shadows,
+            message.reason,
+            tuple(decode.transition(change) for change in message.transitions),
+        )
 
 
 _FOR_VIEWERS = {

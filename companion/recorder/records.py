@@ -181,6 +181,22 @@ class FusionRecord(Struct, frozen=True, omit_defaults=True):
     """NIS divided by the gate's limit; the gate refuses a value above 1."""
 
 
+class TransitionRecord(Struct, frozen=True, omit_defaults=True):
+    """One change of the mission's state, with its reason."""
+
+    at_ns: Instant
+    source: str
+    event: str
+    target: str
+    cause: str
+    """Name of the cause; `text` says it with its numbers."""
+    measured: float | None = None
+    limit: float | None = None
+    detail: str | None = None
+    """Name of the alert or verdict that the cause is about."""
+    text: str = ""
+
+
 class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """One guidance cycle; the estimates that it used are the messages of the same instant that precede it."""
 
@@ -198,6 +214,8 @@ class DecisionRecord(Struct, frozen=True, omit_defaults=True):
     """Acceleration of a lean, m/s^2 forward and right."""
     trim_level: list[float] | None = None
     """What a lean adds against wind and drag, m/s^2 forward and right."""
+    transitions: list[TransitionRecord] = []
+    """What changed since the previous decision, in order."""
 
 
 class OrderRecord(Struct, frozen=True, omit_defaults=True):

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from companion.guidance.planner import Phase
+from companion.guidance.mission import FLOWN, State
 from companion.recorder import encode
 from companion.recorder.reading import Event, RecordedFrame, Recording, instant
 from companion.recorder.records import FusionRecord, HealthRecord, LinkRecord, TruthRecord
@@ -28,7 +28,7 @@ from estimator.vision.thesis.detection import Detection
 
 _GAP_S = 10.0
 """The longest gap in the recording that is replayed through guidance, s."""
-_FLOWN = tuple(phase.value for phase in Phase if phase not in (Phase.ANOTHER_PAD, Phase.GAVE_UP))
+_FLOWN = tuple(state.value for state in State if state in FLOWN and state is not State.ANOTHER_PAD)
 """The phases of a flight that an operator has begun."""
 
 
@@ -169,6 +169,7 @@ class Replay:
             self.counts.searched += 1
             detection = self._pilot.detect(replace(frame, stamp=stamp), attitude)
             verdict, results = self._pilot.on_detection(detection)
+        self._pilot.on_verdict(verdict)
         processed = ProcessedFrame(replace(frame, stamp=stamp), attitude, detection, verdict, began, done, results)
         self._hash.update(self._encoder.encode(encode.detection(processed)))
         for observer in self._observers:

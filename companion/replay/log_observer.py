@@ -52,6 +52,7 @@ class BeliefLogObserver:
         log = self.log
         if not log.phases or log.phases[-1].phase != decision.phase:
             log.phases.append(PhaseChange(decision.at, decision.phase))
+        log.transitions += decision.transitions
         for belief in (decision.belief, *decision.shadows):
             if belief is not None:
                 log.estimates.append(belief)

@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from companion.guidance.mission import Transition
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -103,6 +104,8 @@ class FlightLog:
     """The steering path, whose pad is drawn into the video; None for the first path in `estimates`."""
     commands: list[CommandRecord] = field(default_factory=list)
     phases: list[PhaseChange] = field(default_factory=list)
+    transitions: list[Transition] = field(default_factory=list)
+    """The changes of the mission's state, with their reasons."""
     frames: list[FrameRecord] = field(default_factory=list)
     verdicts: Counter[Verdict] = field(default_factory=Counter)
     """The counts of verdicts on all frames, including those without a `FrameRecord`."""

@@ -46,6 +46,7 @@ class LogObserver(NullObserver):
         log = self.log
         if not log.phases or log.phases[-1].phase != decision.phase:
             log.phases.append(PhaseChange(decision.at, decision.phase))
+        log.transitions += decision.transitions
         self._rounds += 1
         if self._rounds % self._decisions_each:
             return

@@ -7,6 +7,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 
+from companion.guidance.mission import ENDED
 from companion.report.figures import ErrorRow, Series, TimingRow, all_series, error_rows, timing_rows
 from companion.report.flight_log import FlightLog
 from companion.report.innovations import InnovationSeries, innovation_series
@@ -62,6 +63,7 @@ def render(log: FlightLog, video: str | None) -> str:
         (
             _head(log),
             _touchdown(log),
+            _mission(log),
             _video(video),
             _trajectory(log, series),
             _estimates(log, series),
@@ -107,6 +109,21 @@ def _touchdown(log: FlightLog) -> str:
     ]
     cards = "".join(f'<div class="card"><span>{escape(k)}</span><b>{escape(v)}</b></div>' for k, v in cells)
     return f'<div class="cards">{cards}</div>'
+
+
+def _mission(log: FlightLog) -> str:
+    """Return what became of the mission: how it ended and why, and every change of state."""
+    if not log.transitions:
+        return ""
+    ended = next((change for change in reversed(log.transitions) if change.target in ENDED), None)
+    told = "" if ended is None else f"<p><b>{escape(ended.target.value)}: {escape(ended.reason.text)}</b></p>"
+    rows = "".join(
+        f"<tr><td>{(change.at - log.started) * 1e-9:.1f} s</td><td>{escape(change.source.value)}</td>"
+        f"<td>{escape(change.target.value)}</td><td>{escape(change.reason.text)}</td></tr>"
+        for change in log.transitions
+    )
+    table = f"<table><tr><th>after</th><th>from</th><th>to</th><th>because</th></tr>{rows}</table>"
+    return f"<h2>Mission</h2>{told}<details><summary>{len(log.transitions)} changes of state</summary>{table}</details>"
 
 
 def _video(video: str | None) -> str:

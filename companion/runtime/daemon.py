@@ -17,6 +17,7 @@ from typing import Protocol
 
 import cv2
 
+from companion.guidance.mission import FAULTS
 from companion.operator.orders import HandledOrder
 from companion.runtime.containment import Audience
 from companion.runtime.health import Health
@@ -156,21 +157,25 @@ class Daemon:
         overtaken = 0
         async for frame in link.frames:
             for _ in range(link.frames.replaced - overtaken):
-                self.health.frame(Verdict.REPLACED)
+                self._judged(Verdict.REPLACED)
             overtaken = link.frames.replaced
             self.health.beat("Frame")
             try:
                 processed = await self._process(frame)
             except asyncio.CancelledError:
-                self.health.frame(Verdict.FAILED)
+                self._judged(Verdict.FAILED)
                 raise
-            self.health.frame(processed.verdict)
+            self._judged(processed.verdict)
             self.health.delay("vision", seconds_between(processed.began, processed.done))
             self.health.delay("exposure_to_belief", seconds_between(frame.stamp.measured_at, processed.done))
             self._audience.on_frame(processed)
             for result in processed.results:
                 self.health.fusion(result)
                 self._audience.on_fusion(processed.done, result)
+
+    def _judged(self, verdict: Verdict) -> None:
+        self.health.frame(verdict)
+        self._pilot.on_verdict(verdict)
 
     async def _process(self, frame: Frame) -> ProcessedFrame:
         began = self._clock.now()
@@ -223,6 +228,7 @@ class Daemon:
                     self._pilot.operator.undelivered(decision.command, began)
                     log.debug("command not sent: %s", why)
             self._tell(decision)
+            self.health.decision(decision, self._pilot.vehicle)
             self._audience.on_decision(decision)
             if self._pilot.outcome is not None and self._once:
                 self._ended.set()
@@ -237,12 +243,14 @@ class Daemon:
         self._audience.on_order(handled)
 
     def _tell(self, decision: Decision) -> None:
-        """Log the phase and its reason when they change."""
+        """Log each change of the mission's state, and the phase with its reason where these change by themselves."""
+        for change in decision.transitions:
+            level = logging.WARNING if change.event in FAULTS else logging.INFO
+            log.log(level, "%s: %s (from %s)", change.target.value, change.reason.text, change.source.value)
         entry = (decision.phase, decision.reason)
-        if entry == self._logged:
-            return
+        if entry != self._logged and not decision.transitions:
+            log.log(logging.WARNING if decision.reason else logging.INFO, "%s", ": ".join(filter(None, entry)))
         self._logged = entry
-        log.log(logging.WARNING if decision.reason else logging.INFO, "%s", ": ".join(filter(None, entry)))
 
     async def _log_health(self) -> None:
         while True:

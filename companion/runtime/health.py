@@ -10,10 +10,13 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from companion.guidance.mission import ENDED
+from companion.runtime.observer import Decision
 from estimator.contracts.errors import in_words
 from estimator.contracts.estimates import PathName, Verdict
 from estimator.contracts.fusion import FusionResult, Source
 from estimator.contracts.ports import Clock
+from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 
 NIS_WINDOW = 200
@@ -159,6 +162,23 @@ class FusionState:
 
 
 @dataclass(frozen=True, slots=True)
+class MissionHealth:
+    """The newest guidance cycle, and what became of the mission so far."""
+
+    phase: str = ""
+    height_m: float | None = None
+    """Height over the pad by the steering estimate; None without one."""
+    error_m: float | None = None
+    """Horizontal distance from the pad's centre by the same estimate."""
+    battery: float | None = None
+    """Charge from 0 to 1; None if the vehicle does not report it."""
+    transitions: Mapping[tuple[str, str, str, str], int] = field(default_factory=dict)
+    """Number of changes of state by source, target, event and cause."""
+    flights: Mapping[str, int] = field(default_factory=dict)
+    """Number of ended flights by outcome."""
+
+
+@dataclass(frozen=True, slots=True)
 class HealthSnapshot:
     """Everything known of the service's health at one instant. Immutable."""
 
@@ -178,6 +198,7 @@ class HealthSnapshot:
     """Counters of the parts themselves, by part."""
     fusion: tuple[FusionState, ...] = ()
     """Results of the estimator's measurements, by path and source."""
+    mission: MissionHealth = field(default_factory=MissionHealth)
 
 
 class Health:
@@ -196,6 +217,9 @@ class Health:
         self.delays: dict[str, Delays] = {}
         self.flows: dict[str, Flow] = {}
 
+        self._decided: tuple[Decision, float | None] | None = None
+        self._transitions: Counter[tuple[str, str, str, str]] = Counter()
+        self._flights: Counter[str] = Counter()
         self.contained: Counter[str] = Counter()
         """Failures of callees that the flight does not need, by callee."""
 
@@ -247,6 +271,23 @@ class Health:
             for (path, source), tally in sorted(self.tallies.items())
             if tally.newest is not None
         )
+
+    def decision(self, decision: Decision, vehicle: VehicleStatus | None) -> None:
+        """Note a guidance cycle and count its changes of state."""
+        self._decided = decision, None if vehicle is None else vehicle.battery_fraction
+        for change in decision.transitions:
+            why = change.event.name.lower(), change.reason.cause.name.lower()
+            self._transitions[change.source.value, change.target.value, *why] += 1
+            if change.target in ENDED:
+                self._flights[change.target.value] += 1
+
+    def _mission(self) -> MissionHealth:
+        if self._decided is None:
+            return MissionHealth()
+        decision, battery = self._decided
+        belief = decision.belief
+        at = (None, None) if belief is None else (belief.height_m, belief.lateral_m)
+        return MissionHealth(decision.phase, *at, battery, dict(self._transitions), dict(self._flights))
 
     def delay(self, stage: str, seconds: float) -> None:
         self.delays.setdefault(stage, Delays()).add(seconds)
@@ -307,6 +348,7 @@ class Health:
             stages=stages,
             counters=self._counted(),
             fusion=self.fusion_states(),
+            mission=self._mission(),
         )
 
 

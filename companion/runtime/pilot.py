@@ -5,31 +5,38 @@ The daemon and the simulator run the same pilot, so tests in virtual time cover 
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
 from typing import Any
 
+import numpy as np
 from msgspec import structs
 
 from companion.config.settings import shipped_response
+from companion.guidance import blind_hold
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
-from companion.guidance.lease import NO_LANDING
+from companion.guidance.limits import InputQuality
+from companion.guidance.mission import FLOWN, GROUND, Event, State, Transition
+from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
-from companion.guidance.pid import SetPoint
-from companion.guidance.plan import Plan
-from companion.guidance.planner import Phase, Planner, planner_step
+from companion.guidance.progress import Progress
+from companion.guidance.situation import Situation
+from companion.guidance.steer import asks_to_descend
 from companion.operator.arbiter import OperatorArbiter
 from companion.operator.limit_options import LimitOptions
 from companion.operator.options import ManualOptions
 from companion.runtime.observer import Decision
 from estimator import pipeline
-from estimator.contracts.commands import Command, Hover, Land
+from estimator.contracts.commands import Command
 from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.motion import BodyMotion, DeckMotion
+from estimator.contracts.geometry import F64
+from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
 from estimator.contracts.samples import Attitude, Frame, Imu, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
@@ -43,25 +50,43 @@ from estimator.vision.tracker import TrackerConfig, TrackerMemory, track
 class FlightOutcome(Enum):
     """The outcome of a flight."""
 
-    LANDED = "landed"
+    LANDED = State.LANDED.value
     """The vehicle reports that it is on the ground after our order to land."""
-    LANDED_BY_OTHERS = "landed by others"
+    LANDED_BY_OTHERS = State.LANDED_BY_OTHERS.value
     """The vehicle reports that it is on the ground without our order to land."""
-    GAVE_UP = "gave up"
-    """The pad was not found again; the vehicle hovers."""
-    LAND_TIMEOUT = "no landing reported"
-    """The vehicle did not report in time, on the last try, that it had landed; it hovers."""
-    EMERGENCY = "emergency"
+    GAVE_UP = State.GAVE_UP.value
+    """The pad was not found again, or the tries are used up; the vehicle is held still."""
+    REFUSED = State.REFUSED.value
+    """The conditions are beyond the limits; the vehicle is held still."""
+    EMERGENCY = State.EMERGENCY.value
     """The vehicle cut its motors."""
-    ABORTED = "aborted"
-    """The operator aborted the flight; the vehicle hovers."""
+    ABORTED = State.ABORTED.value
+    """The operator aborted the flight; the vehicle is held still."""
 
 
 FORECAST_S = 0.2
 """Time between two forecasts of the deck, s: they cost more than the rest of a guidance cycle, and change slowly."""
-_TRIED = (FlightOutcome.GAVE_UP, FlightOutcome.LAND_TIMEOUT)
-"""Outcomes after which the vehicle hovers and the operator may begin again."""
-_PLAIN = (Phase.WAITING, Phase.APPROACH, Phase.DESCEND, Phase.LAND)
+_LEAN_TIME_S = 3.0
+"""Time constant of the mean lean, s: shorter than a gust front, longer than a correction."""
+_NIS_WEIGHT = 0.1
+_PLAIN = (
+    State.WAIT,
+    State.STANDBY,
+    State.READY,
+    State.PAUSED,
+    State.SEARCH,
+    State.INTERCEPT,
+    State.DESCEND,
+    State.GATE,
+    State.COMMIT,
+    State.PRESS,
+    State.DOWN,
+    State.LANDED,
+)
+_FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
+_OUTCOMES = {outcome.value: outcome for outcome in FlightOutcome}
+REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)
+"""Outcomes in which it did not land by its own decision; the operator may begin again in the air."""
 
 
 def _law_for_ardrone(guidance: GuidanceOptions) -> Controller[Any]:
@@ -94,32 +119,25 @@ class Pilot:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
         self._memory = pipeline.start(options, shadows)
-        self._plan = Plan.over_the_pad(guidance)
+        self._guidance = guidance
+        self._mission = Progress.start(automatic=automatic)
         self._make_law = law or _law_for_ardrone
         self._law = self._make_law(guidance)
-        self._automatic = automatic
+        self._law_memory = self._law.start()
+        self._over_ground = options.ekf.velocity_is_over == "ground"
+        self._changes: list[Transition] = []
         self._status: VehicleStatus | None = None
+        self._now = MonoNs(0)
         self.engage: Callable[[], None] = lambda: None
         """Called when the operator begins, so that the driver may take back a vehicle that a person had taken over."""
-        self._new_flight()
-        self.operator = OperatorArbiter(self, manual, limits)
-        """The arbiter of people's orders, which has the last word."""
-
-    def _new_flight(self) -> None:
-        self._begun = self._automatic
-        self._paused = False
-        self._planner = Planner.start()
-        self._law_memory = self._law.start()
-        self._landing_commanded = False
-        self._flew = False
-        self._stood = False
-        self.phase = "waiting for the vehicle"
-        self.reason = ""
-        """Why the vehicle is not simply descending, as text for the operator."""
-        self.outcome: FlightOutcome | None = None
         self._contact = ContactWatch()
         self._impact: Impact | None = None
         self._forecast: Forecast | None = None
+        self._lean: tuple[MonoNs, F64] | None = None
+        self._quality = InputQuality()
+        self._frames: Counter[Verdict] = Counter()
+        self.operator = OperatorArbiter(self, manual, limits)
+        """The arbiter of people's orders, which has the last word."""
 
     @property
     def camera(self) -> Camera:
@@ -135,33 +153,57 @@ class Pilot:
         return self._status
 
     @property
+    def state(self) -> State:
+        """The state of the mission."""
+        return self._mission.state
+
+    @property
+    def phase(self) -> str:
+        """The state of the mission as text."""
+        return self._mission.state.value
+
+    @property
+    def reason(self) -> str:
+        """Why the vehicle is not simply on its way down, as text for the operator; empty while it is."""
+        if self._mission.state in _PLAIN:
+            return ""
+        why = self._mission.fault if self._mission.state in _FAULTED else self._mission.reason
+        return "" if why is None else why.text
+
+    @property
+    def outcome(self) -> FlightOutcome | None:
+        """The outcome of the flight; None while it goes on."""
+        return _OUTCOMES.get(self._mission.state.value)
+
+    @property
     def paused(self) -> bool:
         """Whether a person paused guidance."""
-        return self._paused
+        return self.state is State.PAUSED
 
     @property
     def may_try_again(self) -> bool:
         """Whether `begin` resumes the flight although it has an outcome."""
-        return self.outcome in _TRIED
+        return self.outcome in REFUSALS
 
     def begin(self) -> None:
         """Start the approach for the operator, or resume it after a pause.
 
-        After another pad was seen, approach that one; after the planner gave up, try again.
+        After another pad was seen, approach that one; after it gave up or refused, try again.
         """
-        if self.outcome in _TRIED or self._planner.question is not None:
-            self.outcome, self._planner = None, Planner.start()
-        self._begun, self._paused = True, False
+        self._order(Event.BEGIN)
         self.engage()
 
     def pause(self) -> None:
-        """Hover in place for the operator until `begin` is called."""
-        if not self._paused:
-            self._paused, self._planner = True, Planner.start()
+        """Hold still for the operator until `begin` is called."""
+        self._order(Event.PAUSE)
 
     def abort(self) -> None:
-        """Hover for the operator and end the flight. A landing already ordered is no longer repeated."""
-        self.outcome = self.outcome or FlightOutcome.ABORTED
+        """Hold still for the operator and end the flight. A landing already ordered is no longer repeated."""
+        self._order(Event.ABORT)
+
+    def _order(self, event: Event) -> None:
+        self._mission, changes = ordered(self._mission, event, self._now, self._guidance)
+        self._changes += changes
 
     def steer_by(self, path: PathName) -> str | None:
         """Steer by another estimator path for the operator; return None on success, otherwise why it is refused.
@@ -169,8 +211,7 @@ class Pilot:
         A path that does not run yet has no belief to start from, so during an approach it is accepted only while paused.
         """
         runs_along = path in {one.name for one in self._memory.paths}
-        approaching = self._begun and not self._paused and self._flew and self.outcome is None
-        if approaching and not runs_along:
+        if self.state in FLOWN and not runs_along:
             return f"{path} does not run along; pause the approach first"
         try:
             self._memory = pipeline.steer_by(self._memory, path)
@@ -180,17 +221,17 @@ class Pilot:
 
     def retune(self, guidance: GuidanceOptions, *, min_confidence: float, max_delay_s: float) -> None:
         """Use other settings from now on; the present approach continues."""
-        before = self._plan.guidance
-        self._plan = Plan.over_the_pad(guidance)
-        if guidance != before:
-            self._law, self._law_memory = self._make_law(guidance), self._law.start()
+        if guidance != self._guidance:
+            self._law = self._make_law(guidance)
+            self._law_memory = self._law.start()
+        self._guidance = guidance
         options = structs.replace(self._memory.options, min_confidence=min_confidence, max_delay_s=max_delay_s)
         self._memory = replace(self._memory, options=options)
 
     def belief(self, now: MonoNs) -> RelativeState | None:
         """Return the estimate to steer by; it is marked inconsistent while nobody has agreed to land on the pad it refers to."""
         believed = self.believed(now)
-        if believed is None or self._planner.question is None:
+        if believed is None or self.state is not State.ANOTHER_PAD:
             return believed
         alerts = (*(alert for alert in believed.alerts if alert is not IntegrityAlert.ELSEWHERE), IntegrityAlert.ELSEWHERE)
         return replace(believed, consistent=False, alerts=alerts)
@@ -209,7 +250,7 @@ class Pilot:
         known = self._forecast
         if known is None or abs(seconds_between(known.at, now)) >= FORECAST_S:
             self._forecast = self.forecast(now, HORIZONS_S)
-        return Knowledge(now, self.belief(now), body, deck, self._forecast, self._impact)
+        return Knowledge(now, self.believed(now), body, deck, self._forecast, self._impact)
 
     def motion(self, now: MonoNs) -> tuple[BodyMotion | None, DeckMotion | None]:
         """Return the motion of body and deck at an instant by the steering path; None for what it does not know."""
@@ -222,22 +263,26 @@ class Pilot:
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process a sample. Return its fusion results, path by path."""
         self.operator.on_sample(sample)
+        self._now = max(self._now, sample.stamp.received_at)
         if isinstance(sample, VehicleStatus):
             self._on_status(sample)
             return ()
-        if isinstance(sample, Imu) and self._flew:
+        if isinstance(sample, Imu) and self.state not in GROUND:
             self._contact = watched(self._contact, sample)
             self._impact = self._contact.newest or self._impact
+        if isinstance(sample, Attitude):
+            self._lean = _leant(self._lean, sample)
         return self._fuse(sample)
 
     def _on_status(self, status: VehicleStatus) -> None:
         self._status = status
-        self._stood = self._stood or (self.outcome is not None and status.flying is False)
-        if status.flying and self._stood:
-            self._new_flight()
-        if self._flew and status.flying is False and (self._impact is None or self._impact.by != "vehicle"):
+        if self.state not in GROUND and status.flying is False and (self._impact is None or self._impact.by != "vehicle"):
             self._impact = Impact(status.stamp.measured_at, "vehicle")
-        self._flew = self._flew or status.flying is True
+        self._mission, changes = reported(self._mission, status, self._guidance)
+        if any(change.event is Event.TAKEN_OFF for change in changes):
+            self._contact, self._impact, self._forecast = ContactWatch(), None, None
+            self._law_memory = self._law.start()
+        self._changes += changes
 
     def _fuse(self, sample: Sample) -> tuple[FusionResult, ...]:
         self._memory, results = pipeline.step(self._memory, sample)
@@ -270,63 +315,59 @@ class Pilot:
         if seen.selected is None:
             return Verdict.NO_PAD, ()
         self._memory, results = pipeline.step(self._memory, seen.selected)
-        return results[0].verdict, results
+        steering = results[0]
+        mean = self._quality.normalized_nis
+        if math.isfinite(steering.nis):
+            now = steering.normalized_nis
+            mean = now if mean is None else mean + _NIS_WEIGHT * (now - mean)
+        self._quality = InputQuality(mean, seen.selected.stamp.sigma_s)
+        return steering.verdict, results
+
+    def on_verdict(self, verdict: Verdict) -> None:
+        """Take the verdict on a frame, whoever gave it."""
+        if verdict is Verdict.FUSED:
+            self._frames.clear()
+        else:
+            self._frames[verdict] += 1
 
     def decide(self, now: MonoNs) -> Decision:
         """Run one guidance cycle. The command is None while guidance and people leave the vehicle alone."""
         self.operator.tick(now)
+        self._now = max(self._now, now)
         believed = self.all_believed(now)
         steering = self._memory.options.path
         belief = next((b for b in believed if b.path == steering), None)
         chosen = self.operator.choose(now, self._command(now), belief)
         shadows = tuple(b for b in believed if b.path != steering)
+        changes, self._changes = tuple(self._changes), []
         phase, why = chosen.phase or self.phase, chosen.limit or chosen.reason or self._why(belief)
-        return Decision(now, phase, chosen.command, belief, shadows, why, limit=chosen.limit)
+        return Decision(now, phase, chosen.command, belief, shadows, why, chosen.limit, changes)
 
     def _why(self, belief: RelativeState | None) -> str:
-        """Return the planner's reason and the estimate's alerts as text."""
+        """Return the machine's reason and the estimate's alerts as text."""
         alerts = () if belief is None else tuple(alert.value for alert in belief.alerts)
-        return "; ".join((self.reason, *alerts) if self.reason else alerts)
+        return "; ".join(dict.fromkeys((self.reason, *alerts) if self.reason else alerts))
 
     def _command(self, now: MonoNs) -> Command | None:
-        status = self._status
-        if self.outcome is not None:
-            self.phase = self.outcome.value
-            return Hover() if self.outcome is FlightOutcome.ABORTED or self.outcome in _TRIED else None
-        if status is None or not self._flew:
-            self.phase = "waiting for the vehicle"
-            return None
-        if status.emergency:
-            self._end(FlightOutcome.EMERGENCY)
-            return None
-        if status.flying is False:
-            self._end(FlightOutcome.LANDED if self._landing_commanded else FlightOutcome.LANDED_BY_OTHERS)
-            return None
-        if not self._begun or self._paused:
-            self.phase = "paused" if self._paused else "waiting for the start"
-            return Hover()
-        return self._guided(now)
+        knowledge = self.knowledge(now)
+        lean = None if self._lean is None else math.atan(float(np.hypot(*self._lean[1])) / G_M_S2)
+        battery = None if self._status is None else self._status.battery_fraction
+        s = Situation(now, knowledge, battery, lean, self._quality, self._frames)
+        self._mission, aim, changes = mission_step(self._mission, s, self._guidance, over_ground=self._over_ground)
+        self._changes += changes
+        target = aim if isinstance(aim, Target) else None
+        self._law_memory, command = self._law.step(self._law_memory, now, knowledge, target)
+        if target is None:
+            return None if isinstance(aim, Target) else aim
+        return command if asks_to_descend(self._mission, s, self._guidance) else blind_hold.never_lower(command, knowledge)
 
-    def _guided(self, now: MonoNs) -> Command | None:
-        belief = self.believed(now)
-        self._planner, aim, phase = planner_step(self._planner, self._plan, now, belief)
-        self.phase = phase.value
-        self.reason = "" if phase in _PLAIN else self._planner.reason
-        if phase is Phase.GAVE_UP:
-            self._end(FlightOutcome.LAND_TIMEOUT if NO_LANDING in self._planner.reason else FlightOutcome.GAVE_UP)
-        target = None
-        if isinstance(aim, SetPoint):
-            target = Target(aim.d_body_pad_level, yaw_rad=aim.yaw_rad, v_body_level=aim.v_body_level)
-        self._law_memory, command = self._law.step(self._law_memory, now, self.knowledge(now), target)
-        if not isinstance(aim, SetPoint):
-            return self._finished(aim)
-        return command
 
-    def _finished(self, aim: Command) -> Command:
-        self._landing_commanded = self._landing_commanded or isinstance(aim, Land)
-        return aim
-
-    def _end(self, outcome: FlightOutcome) -> None:
-        self.outcome = outcome
-        self._stood = outcome in (FlightOutcome.LANDED, FlightOutcome.LANDED_BY_OTHERS)
-        self.phase = outcome.value
+def _leant(mean: tuple[MonoNs, F64] | None, attitude: Attitude) -> tuple[MonoNs, F64]:
+    """Return the mean lean as an acceleration, (2,) m/s^2 forward and right, after one more attitude."""
+    at = attitude.stamp.measured_at
+    roll, pitch, _ = attitude.R_ned_body.rpy_rad
+    lean = G_M_S2 * np.array([-math.tan(pitch), math.tan(roll) / math.cos(pitch)])
+    if mean is None:
+        return at, lean
+    weight = 1.0 - math.exp(-max(0.0, seconds_between(mean[0], at)) / _LEAN_TIME_S)
+    return at, mean[1] + weight * (lean - mean[1])

@@ -18,7 +18,8 @@ import drivers
 import estimator
 from companion.config.model import Settings
 from companion.config.refusal import unit_of, walk
-from companion.guidance.options import GuidanceOptions, PidOptions, PlannerOptions
+from companion.guidance.mission_options import ConeOptions, LandingLimits, ThesisOptions, TryOptions
+from companion.guidance.options import GuidanceOptions, PidOptions
 from companion.mavlink.options import BridgeOptions, OutputOptions
 from companion.recorder.options import RecorderOptions
 from companion.runtime.restart_options import RestartOptions
@@ -43,7 +44,10 @@ IN_THE_FILE = {
     "estimator.integrity": IntegrityOptions,
     "guidance": GuidanceOptions,
     "guidance.pid": PidOptions,
-    "guidance.planner": PlannerOptions,
+    "guidance.cone": ConeOptions,
+    "guidance.limits": LandingLimits,
+    "guidance.tries": TryOptions,
+    "guidance.thesis": ThesisOptions,
     "camera": CameraOptions,
     "recorder": RecorderOptions,
     "vision": TrackerOptions,
@@ -52,7 +56,7 @@ IN_THE_FILE = {
 
 
 TABLES = {
-    "companion.guidance": ("guidance", "guidance.pid", "guidance.planner"),
+    "companion.guidance": ("guidance", "guidance.pid", "guidance.cone", "guidance.limits", "guidance.tries", "guidance.thesis"),
     "companion.mavlink": ("vehicle", "landing_target", "bridge"),
     "companion.metrics": ("metrics",),
     "companion.mqtt": ("mqtt",),

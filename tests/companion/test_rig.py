@@ -17,7 +17,6 @@ from companion.config.model import ardrone_options
 from companion.config.refusal import walk
 from companion.config.settings import Settings, from_mapping
 from companion.guidance.options import GuidanceOptions
-from companion.guidance.plan import Plan
 from companion.mavlink.options import BridgeOptions
 from companion.mavlink.signed_links import signed_links
 from companion.runtime.make_pilot import estimator_options, tracker
@@ -46,7 +45,7 @@ def parts(settings: Settings) -> list[object]:
         plain(part)
         for part in (
             tracker(settings), estimator_options(settings), settings.guidance,
-            Plan.over_the_pad(settings.guidance), settings.camera.file,
+            settings.guidance, settings.camera.file,
         )
     ]  # fmt: skip
 

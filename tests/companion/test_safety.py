@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from companion.guidance.plan import Plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config.settings import camera_model, load, pad_model
 from companion.guidance.pid import fit_to_steer
-from companion.guidance.plan import Plan
 from companion.runtime.observer import Decision
 from companion.runtime.pilot import Pilot
 from estimator.contracts.commands import Hover, Land, Velocity

@@ -77,7 +77,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
             {"guidance__pid__turn_max_deg_s": 720},
             "guidance.pid.turn_max_deg_s must be a number from 1 to 360 deg/s, found 720",
         ),
-        ({"guidance__planner__speed_m_s": True}, "guidance.planner.speed_m_s must be a number from 0.05 to 5 m/s, found true"),
+        ({"guidance__thesis__speed_m_s": True}, "guidance.thesis.speed_m_s must be a number from 0.05 to 5 m/s, found true"),
         ({"guidance__rate_hz": 10**400}, f"guidance.rate_hz must be a number from 5 to 200 Hz, found 1{'0' * 56}..."),
         ({"vision__threads": 2.0}, "vision.threads must be a whole number from 1 to 64 threads, found 2.0"),
         ({"vehicle__at_port": 0}, "vehicle.at_port must be a whole number from 1 to 65535, found 0"),
@@ -85,7 +85,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         ({"vision__colours": "sim"}, 'vision.colours must be one of "indoor", "outdoor", "simulator", found "sim"'),
         ({"vehicle__kind": "balloon"}, 'vehicle.kind must be one of "ardrone", "mavlink", found "balloon"'),
         ({"vehicle__hots": "x"}, "vehicle.hots is not a known key; did you mean vehicle.host?"),
-        ({"guidance__speed_m_s": 1.0}, "guidance.speed_m_s is not a known key here; did you mean guidance.planner.speed_m_s?"),
+        ({"guidance__speed_m_s": 1.0}, "guidance.speed_m_s is not a known key here; did you mean guidance.thesis.speed_m_s?"),
         (
             {"a b": 1},
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
@@ -96,8 +96,8 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         ({"guidance__pid": [1]}, "guidance.pid must be a table of keys, found a list"),
         ({"camera": {}}, "camera.file is missing: it must be text of 1 to 4096 characters"),
         (
-            {"guidance__planner__final_height_m": 2.5},
-            "guidance.planner: final_height_m (2.5 m) must be below approach_height_m (2 m)",
+            {"guidance__thesis__final_height_m": 2.5},
+            "guidance.thesis: final_height_m (2.5 m) must be below approach_height_m (2 m)",
         ),
         ({"service__restart_first_s": 9}, "service: restart_cap_s (5 s) must not be shorter than restart_first_s (9 s)"),
     ],
@@ -201,7 +201,7 @@ def good_settings(draw: st.DrawFn) -> Settings:
             table = table.setdefault(name, {})
         table[last] = value
     estimator, service = data.setdefault("estimator", {}), data.setdefault("service", {})
-    planner = data.setdefault("guidance", {}).setdefault("planner", {})
+    guidance = data.setdefault("guidance", {})
     estimator.update(max_delay_s=0.5, history_s=1.0)
     estimator.setdefault("ekf", {}).update(gate_probability=1e-3)
     service.update(restart_first_s=0.1, restart_cap_s=1.0)
@@ -215,7 +215,9 @@ def good_settings(draw: st.DrawFn) -> Settings:
             table.update(restart_first_s=0.1, restart_most_s=1.0)
     data["camera"].update(reconnect_first_s=0.1, reconnect_most_s=1.0, controls="", device="usb")
     data["camera"].update(draw(st.sampled_from([{"source": "v4l2"}, {"source": "stream"}, {"source": "vehicle", "device": ""}])))
-    planner.update(final_height_m=0.2, approach_height_m=1.0, climb_after_s=1.0, give_up_after_s=9.0)
+    guidance.setdefault("thesis", {}).update(final_height_m=0.2, approach_height_m=1.0)
+    guidance.setdefault("tries", {}).update(climb_after_s=1.0, give_up_after_s=9.0)
+    guidance.setdefault("cone", {}).update(gate_height_m=0.3, commit_rate_m_s=0.4, commit_s=3.0)
     return from_mapping(data, "drawn")
 
 
@@ -344,9 +346,9 @@ def test_broken_toml_is_refused_with_its_place(tmp_path: Path) -> None:
 
 def test_the_schema_lists_every_key_with_its_unit() -> None:
     schema = json.loads(reference.schema())
-    planner = schema["$defs"]["PlannerOptions"]
-    assert planner["properties"]["speed_m_s"]["x-unit"] == "m/s"
-    assert planner["additionalProperties"] is False
+    cone = schema["$defs"]["ConeOptions"]
+    assert cone["properties"]["descent_rate_m_s"]["x-unit"] == "m/s"
+    assert cone["additionalProperties"] is False
     assert schema["$defs"]["Settings"]["required"] == ["vehicle", "camera", "pad"]
 
 

@@ -82,7 +82,7 @@ def test_free_memory_is_given_back_before_it_is_read() -> None:
 def test_nobody_is_there_to_answer_so_the_wait_for_a_word_is_short() -> None:
     """A question late in a flight was still open when the scenario's 90 s ended, and the flight counted as undecided."""
     demo = load_scenario("demo")
-    assert flown_settings(demo, None).guidance.planner.operator_wait_s == OPERATOR_WAIT_S
+    assert flown_settings(demo, None).guidance.tries.operator_wait_s == OPERATOR_WAIT_S
     assert demo.duration_limit_s / 2 > OPERATOR_WAIT_S
 
 

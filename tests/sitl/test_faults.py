@@ -337,7 +337,7 @@ def test_a_fault_begins_at_a_height_or_in_a_phase_once_and_lasts() -> None:
     above = FaultTimer((FlowBlind(above_height_m=1.0),))
     assert on_at(above, [0.3, 1.2, 0.9]) == [False, True, True]
     phase = FaultTimer((FlowBlind(in_phase="descend"),))
-    assert on_at(phase, [3.0] * 4, [None, "approach", "descend", "lost"]) == [False, False, True, True]
+    assert on_at(phase, [3.0] * 4, [None, "intercept", "descend", "hold blind"]) == [False, False, True, True]
 
 
 def test_a_height_is_over_the_deck_and_starts_the_fault_in_the_world() -> None:

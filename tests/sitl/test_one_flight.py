@@ -8,7 +8,7 @@ import pytest
 
 from companion.cli import main as cli
 from companion.config.settings import load as load_settings
-from companion.guidance.planner import Phase
+from companion.guidance.mission import State
 from companion.runtime.make_pilot import make_pilot
 from estimator.contracts.errors import BadInput
 from sitl.flight import Flight
@@ -72,5 +72,5 @@ def test_a_question_to_the_operator_that_is_open_when_time_ends_is_a_refusal() -
     flight = Flight(scenario, 3, settings, make_pilot(settings))
     flight.world.guidance_phase = "descend"
     assert flight.result().grade is Grade.FAILED
-    flight.world.guidance_phase = Phase.ANOTHER_PAD.value
+    flight.world.guidance_phase = State.ANOTHER_PAD.value
     assert flight.result().grade is Grade.REFUSED_RIGHTLY

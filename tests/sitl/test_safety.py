@@ -24,7 +24,7 @@ def truth(at_s: float, height_m: float, deck_up_m: float = 0.0, phase: VehiclePh
     return Truth(after(START, at_s), body, np.zeros(3), level, deck, np.zeros(3), level, phase, None)
 
 
-def contact(surface: Literal["pad", "deck", "water"], lateral_m: float = 0.1, phase: str | None = "land") -> Touchdown:
+def contact(surface: Literal["pad", "deck", "water"], lateral_m: float = 0.1, phase: str | None = "commit") -> Touchdown:
     return Touchdown(START, surface, np.zeros(3), lateral_m, 0.0, 0.4, 0.0, VehiclePhase.LANDING, True, phase)
 
 

@@ -31,7 +31,7 @@ SETTINGS = {
     "pad": {"file": "thesis"},
     "vision": {"colours": "simulator"},
     "estimator": {"path": "dead_reckoning"},
-    "guidance": {"start": "signal", "planner": {"approach_height_m": 1.4, "speed_m_s": 0.6, "slow_floor": 0.3}},
+    "guidance": {"start": "signal", "mission": "thesis", "thesis": {"approach_height_m": 1.4, "speed_m_s": 0.6}},
     "service": {"health_period_s": 0.0},
 }
 

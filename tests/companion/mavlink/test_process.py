@@ -73,11 +73,9 @@ async def test_it_lives_beside_an_autopilot_and_obeys_a_station(tmp_path: Path) 
             assert not craft.setpoints, "nobody has told it to fly"
 
             craft.send(mav.MAVLink_param_request_list_message(7, US))
-            await until(lambda: any(m.param_id == "PLAN_SPEED" for m in ours(craft, "PARAM_VALUE")))
-            craft.send(mav.MAVLink_param_set_message(7, US, b"PLAN_SPEED", 0.25, 9))
-            await until(
-                lambda: any(m.param_value == 0.25 for m in ours(craft, "PARAM_VALUE") if m.param_id == "PLAN_SPEED"), 10.0
-            )
+            await until(lambda: any(m.param_id == "CONE_RATE" for m in ours(craft, "PARAM_VALUE")))
+            craft.send(mav.MAVLink_param_set_message(7, US, b"CONE_RATE", 0.25, 9))
+            await until(lambda: any(m.param_value == 0.25 for m in ours(craft, "PARAM_VALUE") if m.param_id == "CONE_RATE"), 10.0)
 
             assert await told(craft, mav.MAV_CMD_LOGGING_START) == mav.MAV_RESULT_ACCEPTED
             # The pad is not in sight: it is asked to begin, hovers in its own mode and does not sink

@@ -155,11 +155,11 @@ async def test_followed_seen_and_landed_in_real_time() -> None:
     start = replace(scenario.start, height_m=1.6, pad_forward_m=0.2, pad_right_m=-0.15)
     scenario = replace(scenario, start=start, duration_limit_s=90.0)
     settings = load_settings("sim")
-    planner = replace(settings.guidance.planner, approach_height_m=1.2, speed_m_s=0.6)
+    thesis = replace(settings.guidance.thesis, approach_height_m=1.2, speed_m_s=0.6)
     settings = replace(
         settings,
         # Real time on a busy machine: a few frames a second must do.
-        guidance=replace(settings.guidance, planner=planner, stale_after_s=2.0),
+        guidance=replace(settings.guidance, mission="thesis", thesis=thesis, stale_after_s=2.0),
         estimator=replace(settings.estimator, path="dead_reckoning"),
     )
     for _ in range(3):  # a landing that a starved machine gave up, as it should, is flown again

@@ -1,0 +1,61 @@
+"""The budget of one try to land: time, losses of sight, height lost without sight. A go-around or an order begins another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from companion.guidance.mission_options import TryOptions
+from companion.guidance.reason import Cause, Reason
+from estimator.contracts.time import MonoNs, seconds_between
+
+SIGHT_HOLDS_S = 5.0
+"""Unbroken sight for this long resets the time without sight, seconds."""
+_GAP_MAX_S = 1.0
+"""Longest time that one guidance cycle adds, seconds, even if the machine was not called for longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """What a try has used so far."""
+
+    began: MonoNs | None = None
+    """Time of the first sight of the pad."""
+    losses: int = 0
+    """Number of losses of sight below the safe height."""
+    blind_descent_m: float = 0.0
+    without_sight_s: float = 0.0
+    with_sight_s: float = 0.0
+    """Time of unbroken sight, seconds."""
+
+    def seen(self, now: MonoNs, since_last_s: float) -> Attempt:
+        """Add one guidance cycle with sight of the pad."""
+        held = self.with_sight_s + min(max(0.0, since_last_s), _GAP_MAX_S)
+        without = 0.0 if held >= SIGHT_HOLDS_S else self.without_sight_s
+        return replace(self, began=now if self.began is None else self.began, with_sight_s=held, without_sight_s=without)
+
+    def unseen(self, since_last_s: float) -> Attempt:
+        """Add one guidance cycle without sight of the pad."""
+        without = self.without_sight_s + min(max(0.0, since_last_s), _GAP_MAX_S)
+        return replace(self, with_sight_s=0.0, without_sight_s=without)
+
+    def lost(self) -> Attempt:
+        """Add one loss of sight."""
+        return replace(self, losses=self.losses + 1)
+
+    def descended(self, metres: float) -> Attempt:
+        """Add the height lost between two sights, metres; climbing gives nothing back."""
+        return replace(self, blind_descent_m=self.blind_descent_m + max(0.0, metres))
+
+    def again(self) -> Attempt:
+        """Return the budget of the next try: what is left of the patience without sight goes on."""
+        return Attempt(without_sight_s=self.without_sight_s)
+
+    def used_up(self, options: TryOptions, now: MonoNs) -> Reason | None:
+        """Return what is used up, or None while nothing is."""
+        if self.began is not None and seconds_between(self.began, now) > options.try_s:
+            return Reason(Cause.TRY_TIME, seconds_between(self.began, now), options.try_s)
+        if self.losses > options.losses_max:
+            return Reason(Cause.LOSSES, float(self.losses), float(options.losses_max))
+        if self.blind_descent_m > options.blind_descent_max_m:
+            return Reason(Cause.BLIND_DESCENT, self.blind_descent_m, options.blind_descent_max_m)
+        return None

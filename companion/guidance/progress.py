@@ -1,0 +1,109 @@
+"""The machine's memory: the state and what the try, the flight and the newest guidance cycles have left behind."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+from companion.guidance.attempt import Attempt
+from companion.guidance.heading import HeadingMemory
+from companion.guidance.mission import ENDED, Event, State, Transition
+from companion.guidance.reason import Cause, Reason
+from estimator.contracts.geometry import F64
+from estimator.contracts.time import MonoNs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Progress:
+    """The memory of one service; a flight and a try renew their parts of it."""
+
+    state: State
+    automatic: bool
+    """Whether a landing is asked for by the settings at each take-off."""
+    since: MonoNs | None = None
+    """Time at which the state was entered; None until the first guidance cycle in it."""
+    reason: Reason | None = None
+    """Why it was entered."""
+    fault: Reason | None = None
+    """Why the newest try ended or was interrupted."""
+    refusing: bool = False
+    """The conditions are such that there is no other try."""
+    last: MonoNs | None = None
+    since_last_s: float = 0.0
+
+    stood: bool = True
+    """The vehicle has stood on the ground since the flight ended."""
+    ordered: bool = False
+    """This flight has gone for the deck by our order."""
+
+    attempt: Attempt = field(default_factory=Attempt)
+    go_arounds: int = 0
+    questions: int = 0
+    seen: MonoNs | None = None
+    """Time of the newest estimate that was fit to steer by."""
+    seen_height_m: float = math.inf
+    """Height at that time."""
+    in_sight: bool = False
+    track: int | None = None
+    """Track of the pad that this try flies to."""
+    heading: HeadingMemory = field(default_factory=HeadingMemory)
+    turned: Reason | None = None
+    """The arrow turned in the estimate by itself."""
+
+    entered_height_m: float = math.inf
+    """Height at which the state was entered, by the newest fit estimate."""
+    held: F64 | None = None
+    """The vector from body to pad that is held, (3,) m in the level axes of `held_yaw_rad`; None while nothing is held."""
+    held_yaw_rad: float | None = None
+    good_since: MonoNs | None = None
+    """Time since which the state's condition for going on has held without a break."""
+    blocked: Reason | None = None
+    """What keeps the gate shut."""
+    newest_track: int | None = None
+    """Track of the other pad while the operator is asked."""
+
+    @staticmethod
+    def start(*, automatic: bool) -> Progress:
+        """Return the memory of a service that knows of no vehicle yet."""
+        return Progress(State.WAIT if automatic else State.STANDBY, automatic)
+
+
+def entered(p: Progress, change: Transition) -> Progress:
+    """Return the memory after a transition."""
+    p = replace(
+        p, state=change.target, since=change.at, reason=change.reason, held=None, held_yaw_rad=None, good_since=None,
+        blocked=None, entered_height_m=p.seen_height_m,
+    )  # fmt: skip
+    match change.event:
+        case Event.TAKEN_OFF:
+            p = replace(_fresh(p), stood=False, ordered=False, go_arounds=0, questions=0)
+        case Event.BEGIN:
+            kept = (p.go_arounds, p.questions) if change.reason.cause is Cause.AUTOMATIC else (0, 0)
+            p = replace(_fresh(p), go_arounds=kept[0], questions=kept[1])
+        case Event.OTHER_PAD:
+            p = replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False, newest_track=None)
+        case Event.NO_CONDITIONS:
+            p = replace(p, refusing=True)
+        case Event.CLEAR:
+            climbed_to_m = p.seen_height_m if change.reason.measured is None else change.reason.measured
+            p = replace(p, attempt=p.attempt.again(), seen_height_m=max(p.seen_height_m, climbed_to_m))
+        case _:
+            pass
+    match change.target:
+        case State.GO_AROUND:
+            p = replace(p, fault=change.reason, go_arounds=p.go_arounds + 1, turned=None)
+        case State.COMMIT | State.DOWN:
+            p = replace(p, ordered=True)
+        case State.REFUSED | State.GAVE_UP:
+            p = replace(p, fault=change.reason)
+        case _:
+            pass
+    return replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS)) if change.target in ENDED else p
+
+
+def _fresh(p: Progress) -> Progress:
+    """Return the memory without anything of earlier tries."""
+    return replace(
+        p, fault=None, refusing=False, attempt=Attempt(), seen=None, seen_height_m=math.inf, in_sight=False, track=None,
+        heading=HeadingMemory(), turned=None, newest_track=None,
+    )  # fmt: skip

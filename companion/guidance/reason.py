@@ -1,0 +1,114 @@
+"""The reasons of transitions, as data: a cause, what was measured, the limit it is compared with. Text is made from them last."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from estimator.contracts.estimates import IntegrityAlert, Verdict
+
+
+class Cause(Enum):
+    """Why the machine changed its state; the value is the text for the operator, with places for the numbers."""
+
+    VEHICLE_FLIES = "the vehicle flies"
+    VEHICLE_STANDS = "the vehicle stands on the ground"
+    MOTORS_CUT = "the vehicle cut its motors"
+    OPERATOR = "by the operator's order"
+    AUTOMATIC = "the settings say to begin by itself"
+
+    PAD_SEEN = "the pad is in sight at {measured:.1f} m"
+    ARRIVED = "{measured:.2f} m beside the axis, {limit:.2f} m is the cone's radius here"
+    OUT_OF_CONE = "{measured:.2f} m beside the axis, beyond the cone's {limit:.2f} m"
+    LOW_ENOUGH = "{measured:.2f} m over the deck"
+    ALL_LIMITS_HOLD = "all limits hold"
+    FELT = "contact felt, a step of {measured:.1f} m/s^2"
+    REPORTED = "the vehicle reports contact"
+    PRESSED = "pressed on for {measured:.1f} s"
+    HIGH_ENOUGH = "{measured:.1f} m over the deck"
+    VESSEL_FAR = "the vessel is {measured:.0f} m away"
+    VESSEL_NEAR = "near enough: the vessel is {measured:.0f} m away"
+
+    STALE = "the pad was not seen for {measured:.1f} s (limit {limit:g} s)"
+    INCONSISTENT = "the sightings contradict the estimate"
+    ALERT = "{detail}"
+    NO_ESTIMATE = "there is no estimate of the pad"
+    ANOTHER_PAD = "the pad is seen in another place, which no motion explains"
+    NOBODY_DECIDED = "the pad is seen in another place, which no motion explains, and nobody said to go on within {limit:g} s"
+    LOST_LOW = "the pad was lost at {measured:.1f} m"
+    NOT_FOUND = "the pad was not found within {limit:g} s"
+    NOT_FOUND_AGAIN = "the pad was not found again within {limit:g} s"
+    FRAMES = "{measured:.0f} % of frames {detail}"
+
+    TRY_TIME = "no landing within {limit:g} s"
+    STATE_TIME = "no progress within {limit:g} s"
+    LOSSES = "the pad was lost {measured:.0f} times in one descent (limit {limit:g})"
+    BLIND_DESCENT = "{measured:.2f} m lower without sight of the pad (limit {limit:g} m)"
+    NO_LANDING = "no landing was reported within {limit:g} s"
+    NO_CONTACT = "no contact was felt within {limit:g} s"
+    ROSE = "it rose by {measured:.2f} m instead of landing"
+    DRIFTED = "it drifted {measured:.2f} m off the pad while landing (limit {limit:.2f} m)"
+    PAST_DECK = "it came down {measured:.2f} m past the deck"
+    NOT_CLIMBING = "it did not climb within {limit:.0f} s"
+
+    ERROR = "{measured:.2f} m off the centre (limit {limit:g} m)"
+    ERROR_AHEAD = "{measured:.2f} m off the centre at the contact to come (limit {limit:g} m)"
+    SIGMA = "the place is known to {measured:.3f} m (limit {limit:g} m)"
+    RELATIVE_SPEED = "{measured:.2f} m/s against the deck (limit {limit:g} m/s)"
+    DECK_TILT = "the deck tilts by {measured:.1f} deg (limit {limit:g} deg)"
+    DECK_RATE = "the deck moves at {measured:.2f} m/s (limit {limit:g} m/s)"
+    SIGHTING_AGE = "the newest sighting is {measured:.2f} s old (limit {limit:g} s)"
+    NIS = "innovations are {measured:.1f} times their claimed size (limit {limit:g})"
+    TIME_LOCK = "the frames' time is known to {measured:.3f} s (limit {limit:g} s)"
+    HEADING = "the heading is {measured:.0f} deg off the arrow (limit {limit:g} deg)"
+    HEADING_TURNED = "the arrow turned by {measured:.0f} deg between two estimates"
+    WIND = "it leans by {measured:.1f} deg against the wind (limit {limit:g} deg)"
+    BATTERY = "battery at {measured:.0f} % (limit {limit:.0f} %)"
+
+
+CONDITIONS = frozenset(
+    {Cause.RELATIVE_SPEED, Cause.DECK_TILT, Cause.DECK_RATE, Cause.WIND, Cause.BATTERY, Cause.TIME_LOCK, Cause.SIGMA}
+)
+"""Causes that say that a landing is not to be made in these conditions: after them the machine refuses, it does not give up."""
+
+_FRAME_WORDS = {
+    Verdict.NO_PAD: "show no pad",
+    Verdict.GATED: "contradict the estimate",
+    Verdict.TOO_OLD: "came too late",
+    Verdict.TOO_NEW: "have stamps ahead of time",
+    Verdict.SINGULAR: "gave no measurement",
+    Verdict.REPLACED: "were replaced by newer ones: this machine is too slow",
+    Verdict.NO_ATTITUDE: "without attitude: this machine is too slow",
+    Verdict.FAILED: "could not be processed",
+    Verdict.REPEATED: "repeat the one before",
+    Verdict.FROZEN: "stand still while the body turns",
+    Verdict.IMPOSSIBLE: "show what cannot be",
+    Verdict.ELSEWHERE: "show a pad in another place",
+    Verdict.FUSED: "show the pad",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """A cause and its numbers."""
+
+    cause: Cause
+    measured: float | None = None
+    """In the unit that the cause's text names."""
+    limit: float | None = None
+    detail: IntegrityAlert | Verdict | None = None
+    """The alert, or the verdict on most of the frames, where the cause is about one."""
+
+    @property
+    def text(self) -> str:
+        """The reason for the operator."""
+        if isinstance(self.detail, Verdict):
+            detail = _FRAME_WORDS[self.detail]
+        else:
+            detail = "" if self.detail is None else self.detail.value
+        numbers = {"measured": _or_nan(self.measured), "limit": _or_nan(self.limit)}
+        return self.cause.value.format(detail=detail, **numbers)
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value

@@ -1,0 +1,86 @@
+"""What the machine looks at in one guidance cycle, beside what guidance knows about pad and deck."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from companion.guidance.controller import Knowledge
+from companion.guidance.limits import InputQuality
+from companion.guidance.reason import Cause, Reason
+from estimator.contracts.estimates import RelativeState, Verdict
+from estimator.contracts.geometry import F64
+from estimator.contracts.time import MonoNs, seconds_between
+
+_FRAMES_LEAST = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VesselPosition:
+    """The vessel's place from another source than the camera."""
+
+    at: MonoNs
+    d_body_vessel_level: F64
+    """From the body to the vessel's landing place, (3,) m forward, right, down."""
+    sigma_m: float
+    """Horizontal standard deviation."""
+
+    @property
+    def distance_m(self) -> float:
+        """Horizontal distance, metres."""
+        return math.hypot(float(self.d_body_vessel_level[0]), float(self.d_body_vessel_level[1]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Situation:
+    """One guidance cycle."""
+
+    at: MonoNs
+    knowledge: Knowledge
+    battery: float | None = None
+    """Charge from 0 to 1; None if the vehicle does not report it."""
+    lean_rad: float | None = None
+    """Mean lean over the newest seconds; None before the first attitude."""
+    quality: InputQuality = field(default_factory=InputQuality)
+    frames: Mapping[Verdict, int] = field(default_factory=Counter)
+    """Number of frames by verdict since the newest that was fused."""
+    vessel: VesselPosition | None = None
+    """None while no source of the vessel's place is configured, or it is silent."""
+
+    @property
+    def estimate(self) -> RelativeState | None:
+        """The estimate of the pad, fit to steer by or not."""
+        return self.knowledge.relative
+
+
+def fit_to_steer(estimate: RelativeState | None, now: MonoNs, stale_after_s: float) -> bool:
+    """Return whether there is a consistent estimate, computed recently from a recent sighting."""
+    return unfit(estimate, now, stale_after_s) is None
+
+
+def unfit(estimate: RelativeState | None, now: MonoNs, stale_after_s: float) -> Reason | None:
+    """Return why an estimate is not fit to steer by, or None if it is.
+
+    Args:
+        stale_after_s: age of the newest sighting, or of the estimate itself, beyond which it is not, seconds.
+    """
+    if estimate is None:
+        return Reason(Cause.NO_ESTIMATE)
+    if estimate.alerts:
+        return Reason(Cause.ALERT, detail=estimate.alerts[0])
+    age_s = max(abs(estimate.age_s(now)), abs(seconds_between(estimate.at, now)))
+    if age_s > stale_after_s:
+        return Reason(Cause.STALE, age_s, stale_after_s)
+    return None if estimate.consistent else Reason(Cause.INCONSISTENT)
+
+
+def of_frames(frames: Mapping[Verdict, int]) -> Reason | None:
+    """Return what became of most frames without sight; None if there are too few to say, or they simply show no pad."""
+    total = sum(frames.values())
+    if total < _FRAMES_LEAST:
+        return None
+    verdict = max(frames, key=lambda each: frames[each])
+    share = frames[verdict] / total
+    return None if verdict is Verdict.NO_PAD or share < 0.5 else Reason(Cause.FRAMES, 100.0 * share, 50.0, verdict)

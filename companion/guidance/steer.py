@@ -1,0 +1,132 @@
+"""Say where to be in each state of the mission: a target for the controller, or a command where no estimate will do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from companion.guidance import blind_hold, cone, heading
+from companion.guidance.controller import Target
+from companion.guidance.mission import GROUND, State
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.progress import Progress
+from companion.guidance.situation import Situation, unfit
+from companion.guidance.watch import climbs_from_question
+from estimator.contracts.commands import Command, Land
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64, wrap_pi
+from estimator.contracts.time import seconds_between
+
+Aim = Target | Command | None
+"""Where to be, a finished command, or nothing: guidance leaves the vehicle alone."""
+
+_HOLD_SPEED_M_S = 0.5
+_RENDEZVOUS_GAIN_1_S = 0.3
+
+
+def aim(p: Progress, s: Situation, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
+    """Return the memory and the aim of this guidance cycle.
+
+    Args:
+        over_ground: whether the vehicle's velocity is over the ground, not over whatever its flow sensor sees.
+    """
+    if p.state in GROUND:
+        return p, None
+    estimate = s.estimate
+    match p.state:
+        case State.INTERCEPT | State.DESCEND | State.GATE | State.COMMIT if estimate is not None:
+            return p, _way_down(p, o, estimate)
+        case State.PRESS if estimate is not None:
+            level = np.array(estimate.d_body_pad_level)
+            return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=0.0)
+        case State.PRESS | State.DOWN:
+            return p, Land()
+        case State.RENDEZVOUS if s.vessel is not None:
+            return p, _to_vessel(s, s.vessel.d_body_vessel_level, o, over_ground=over_ground)
+        case State.GO_AROUND:
+            return _climb(p, s, o, over_ground=over_ground)
+        case State.ANOTHER_PAD if climbs_from_question(p, s.at, o):
+            return _still(p, s, o, climb_m_s=o.tries.climb_m_s, over_ground=over_ground)
+    return _still(p, s, o, climb_m_s=0.0, over_ground=over_ground)
+
+
+def _way_down(p: Progress, o: GuidanceOptions, estimate: RelativeState) -> Target:
+    yaw = heading.wanted_rad(p.heading, estimate) if o.tries.heading == "align" else None
+    if o.mission == "thesis":
+        way = o.thesis
+        height_m = way.approach_height_m if p.state is State.INTERCEPT else way.final_height_m
+        over = np.array([way.pad_ahead_m, 0.0, height_m])
+        return Target(over, vertical_rate_max_m_s=way.speed_m_s, speed_max_m_s=way.speed_m_s, yaw_rad=yaw)
+    height_m, error_m, fast = estimate.height_m, estimate.lateral_m, o.cone.intercept_speed_m_s
+    match p.state:
+        case State.INTERCEPT:
+            # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
+            wide_m = min(o.tries.safe_height_m, error_m / o.cone.slope)
+            over = np.array([0.0, 0.0, max(min(height_m, p.entered_height_m), wide_m, o.cone.gate_height_m)])
+            return Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=fast, yaw_rad=yaw)
+        case State.DESCEND:
+            rate = cone.descent_rate_m_s(error_m, height_m, o.cone)
+            return Target(np.array([0.0, 0.0, o.cone.gate_height_m]), descent_rate_m_s=rate, speed_max_m_s=fast, yaw_rad=yaw)
+        case State.COMMIT:
+            return Target(np.zeros(3), descent_rate_m_s=o.cone.commit_rate_m_s)
+    return Target(np.array([0.0, 0.0, o.cone.gate_height_m]), vertical_rate_max_m_s=o.tries.climb_m_s, yaw_rad=yaw)
+
+
+def _climb(p: Progress, s: Situation, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
+    """Climb from the pad on the side where nothing stands."""
+    rate = -o.tries.climb_m_s
+    estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
+    if estimate is None or (p.track is not None and estimate.track != p.track):
+        return p, blind_hold.without_estimate(s.knowledge, o.tries.climb_m_s, over_ground=over_ground)
+    # Aside in proportion to the height, so that the pad stays in view.
+    aside_m = o.tries.clear_side_m * min(1.0, max(0.0, estimate.height_m) / o.tries.safe_height_m)
+    d = np.array([0.0, 0.0, o.tries.safe_height_m])
+    if estimate.yaw_rad is not None:
+        bearing = math.radians(o.tries.clear_side_deg) - estimate.yaw_rad
+        d[:2] = -aside_m * np.array([math.cos(bearing), math.sin(bearing)])
+    return p, Target(d, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s)
+
+
+def _still(p: Progress, s: Situation, o: GuidanceOptions, *, climb_m_s: float, over_ground: bool) -> tuple[Progress, Aim]:
+    """Stay where the drone is against the deck, and never lower; or climb from there."""
+    estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
+    if estimate is None:
+        return replace(p, held=None), blind_hold.without_estimate(s.knowledge, climb_m_s, over_ground=over_ground)
+    held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
+    if p.state is State.HOLD_BLIND and p.seen is not None and seconds_between(p.seen, s.at) <= o.tries.blind_s:
+        held = np.array([0.0, 0.0, held[2]])
+    height_m = max(float(held[2]), estimate.height_m)
+    held = np.array([held[0], held[1], height_m if climb_m_s == 0.0 else estimate.height_m])
+    rate = -climb_m_s if climb_m_s > 0.0 else None
+    p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
+    return p, Target(held, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=_HOLD_SPEED_M_S)
+
+
+def _to_vessel(s: Situation, d: F64, o: GuidanceOptions, *, over_ground: bool) -> Command:
+    """Fly level towards the vessel's reported place."""
+    still = blind_hold.without_estimate(s.knowledge, 0.0, over_ground=over_ground)
+    distance_m = math.hypot(float(d[0]), float(d[1]))
+    speed = min(o.cone.intercept_speed_m_s, _RENDEZVOUS_GAIN_1_S * distance_m)
+    v = np.zeros(3)
+    v[:2] = d[:2] / max(distance_m, 1e-9) * speed
+    return blind_hold.added(still, v)
+
+
+def asks_to_descend(p: Progress, s: Situation, o: GuidanceOptions) -> bool:
+    """Return whether this cycle may ask for a way nearer to the deck: its state does, and its estimate is fit for it."""
+    if p.state not in (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS):
+        return False
+    stale_s = o.stale_after_s if p.state not in (State.COMMIT, State.PRESS) else o.limits.commit_sighting_age_s
+    return p.state is State.PRESS or unfit(s.estimate, s.at, stale_s) is None
+
+
+def _turned_with_the_body(held: F64, yaw_rad: float | None, estimate: RelativeState) -> F64:
+    """Return the held vector in the present level axes, so that it keeps its place over the deck while the body turns."""
+    if yaw_rad is None or estimate.yaw_rad is None:
+        return held
+    turned = wrap_pi(estimate.yaw_rad - yaw_rad)
+    c, s = math.cos(turned), math.sin(turned)
+    x, y, z = held
+    return np.array([c * x + s * y, -s * x + c * y, z])

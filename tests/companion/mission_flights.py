@@ -1,0 +1,122 @@
+"""A point over a pad that does what the machine says, with a lag: flights of the mission without estimator, law or vehicle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from msgspec import structs
+
+from companion.guidance.controller import Impact, Knowledge, Target
+from companion.guidance.mission import Event, State, Transition
+from companion.guidance.mission_step import mission_step, ordered, reported
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.progress import Progress
+from companion.guidance.situation import Situation
+from companion.guidance.steer import Aim
+from estimator.contracts.commands import Land, Velocity
+from estimator.contracts.estimates import RelativeState
+from estimator.contracts.geometry import F64
+from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.time import MonoNs, Stamp
+
+DT = 0.05
+
+
+def ns(seconds: float) -> MonoNs:
+    return MonoNs(round(seconds * 1e9))
+
+
+def estimate(t, d, v=(0, 0, 0), yaw=0.0, age=0.0, consistent=True, sigma=0.01, track=1):
+    cov = sigma**2 * np.eye(7)
+    return RelativeState(ns(t), "ekf", np.array(d, float), np.array(v, float), yaw, cov, ns(t - age), consistent, track=track)
+
+
+def guided(mission="cone", **changes: dict[str, object]) -> GuidanceOptions:
+    """Return options with some keys changed, by section: `guided(tries={"go_arounds_max": 1})`."""
+    options = GuidanceOptions(mission=mission)
+    return structs.replace(options, **{name: structs.replace(getattr(options, name), **keys) for name, keys in changes.items()})
+
+
+def status(t: float, flying: bool, emergency: bool = False) -> VehicleStatus:
+    return VehicleStatus(Stamp(ns(t), ns(t), 0.001, "sim"), flying, "flying" if flying else "landed", 0.8, emergency, True)
+
+
+@dataclass
+class PointFlight:
+    """A flight of a point with a lag of 0.3 s; on the deck it stands when told to stop the motors."""
+
+    d: F64
+    options: GuidanceOptions = field(default_factory=GuidanceOptions)
+    sight: Callable[[float, F64], bool] = lambda t, d: True
+    track: Callable[[float], int] = lambda t: 1
+    pad_v: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    stands: bool = True
+    feels: bool = True
+    t: float = 0.0
+    v: F64 = field(default_factory=lambda: np.zeros(3))
+    rows: list[tuple[float, F64, Aim, State]] = field(default_factory=list)
+    changes: list[Transition] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.d = np.array(self.d, float)
+        self.progress, _ = reported(Progress.start(automatic=True), status(0.0, True), self.options)
+        self.seen: RelativeState | None = None
+        self.seen_at = 0.0
+        self.impact: Impact | None = None
+
+    @property
+    def states(self) -> list[State]:
+        """The states in order, each once."""
+        return [state for i, (*_, state) in enumerate(self.rows) if i == 0 or self.rows[i - 1][3] is not state]
+
+    def order(self, event: Event) -> None:
+        self.progress, changes = ordered(self.progress, event, ns(self.t), self.options)
+        self.changes += changes
+
+    def cycle(self) -> None:
+        """Run one guidance cycle and move."""
+        relative_v = np.array(self.pad_v) - self.v
+        if self.sight(self.t, self.d):
+            self.seen = estimate(self.t, self.d, relative_v, track=self.track(self.t))
+            self.seen_at = self.t
+        elif self.seen is not None:
+            self.seen = estimate(self.t, self.d, relative_v, age=self.t - self.seen_at, track=self.track(self.t), sigma=0.1)
+        s = Situation(ns(self.t), Knowledge(ns(self.t), self.seen, impact=self.impact))
+        self.progress, aim, changes = mission_step(self.progress, s, self.options, over_ground=False)
+        self.changes += changes
+        self.rows.append((self.t, self.d.copy(), aim, self.progress.state))
+        self._move(aim)
+        self.t += DT
+
+    def _move(self, aim: Aim) -> None:
+        wanted = np.array(self.pad_v)
+        if isinstance(aim, Target):
+            off = self.d - aim.d_body_pad_level
+            aside = 0.9 * off[:2]
+            aside *= min(1.0, aim.speed_max_m_s / max(1e-9, math.hypot(*aside)))
+            rate = np.clip(1.5 * off[2], -aim.vertical_rate_max_m_s, aim.vertical_rate_max_m_s)
+            wanted = wanted + np.array([*aside, rate if aim.descent_rate_m_s is None else aim.descent_rate_m_s])
+        elif isinstance(aim, Velocity):
+            wanted = np.array(aim.v_level)
+        elif isinstance(aim, Land):
+            wanted = wanted + np.array([0.0, 0.0, 0.4])
+        self.v = self.v + (wanted - self.v) * DT / 0.3
+        self.d = self.d + (np.array(self.pad_v) - self.v) * DT
+        if self.d[2] <= 0.0 and self.stands:
+            if self.feels and self.v[2] > 0.1:
+                self.impact = Impact(ns(self.t + DT), "accelerometer", 9.0)
+            self.d[2], self.v[2] = 0.0, min(0.0, self.v[2])
+            if isinstance(aim, Land):
+                self.progress, changes = reported(self.progress, status(self.t, False), self.options)
+                self.changes += changes
+
+    def run(self, seconds: float) -> PointFlight:
+        """Fly for this long, or until it stands."""
+        for _ in range(round(seconds / DT)):
+            self.cycle()
+            if self.progress.state is State.LANDED:
+                break
+        return self

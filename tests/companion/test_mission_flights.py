@@ -1,0 +1,276 @@
+"""Whole flights of the machine over a point that follows: which states, how low, how often, and why."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.guidance.controller import Impact, Knowledge, Target
+from companion.guidance.mission import DESCENDS, Event, State
+from companion.guidance.mission_step import mission_step, reported
+from companion.guidance.options import GuidanceOptions
+from companion.guidance.progress import Progress
+from companion.guidance.reason import Cause
+from companion.guidance.situation import Situation, unfit
+from estimator.contracts.commands import Hover, Land, Velocity
+from tests.companion.mission_flights import DT, PointFlight, estimate, guided, ns, status
+
+WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN]
+
+
+def causes(flight: PointFlight, target: State) -> list[Cause]:
+    return [change.reason.cause for change in flight.changes if change.target is target]
+
+
+def test_it_flies_over_the_pad_down_the_cone_through_the_gate_to_the_deck() -> None:
+    flight = PointFlight([3.0, 1.0, 6.0]).run(30)
+    assert flight.states == WAY_DOWN
+    assert flight.progress.state is State.LANDED
+    assert flight.t < 20
+    assert math.hypot(*flight.d[:2]) < 0.05
+    for _, d, aim, state in flight.rows:
+        if isinstance(aim, Target) and aim.descent_rate_m_s is not None and state is State.DESCEND:
+            assert aim.descent_rate_m_s <= max(0.0, d[2] - flight.options.cone.gate_height_m) + 1e-9
+        if state is State.INTERCEPT:
+            assert d[2] > 5.0, "nothing descends outside the cone"
+
+
+def test_the_thesis_way_points_end_in_the_vehicles_own_landing() -> None:
+    flight = PointFlight([3.0, 1.0, 5.0], guided("thesis")).run(60)
+    assert flight.states == [State.INTERCEPT, State.DESCEND, State.GATE, State.DOWN]
+    assert flight.progress.state is State.LANDED
+    over = next(d for _, d, _, state in flight.rows if state is State.DESCEND)
+    assert math.hypot(*over[:2]) <= 0.25
+    assert over[2] == pytest.approx(2.0, abs=0.25)
+
+
+def test_a_pad_lost_for_a_moment_stops_the_descent_and_is_found_again() -> None:
+    flight = PointFlight([0.0, 0.0, 6.0], sight=lambda t, d: not 2.0 < t < 3.3).run(40)
+    assert State.HOLD_BLIND in flight.states
+    assert flight.progress.state is State.LANDED
+    held = [d[2] for t, d, *_ in flight.rows if 2.6 < t < 3.3]
+    assert max(held) - min(held) < 0.2
+    assert causes(flight, State.HOLD_BLIND) == [Cause.STALE]
+
+
+def test_a_pad_lost_low_is_sought_from_higher_up_and_found() -> None:
+    state = {"blind": False, "done": False}
+
+    def sight(t, d):
+        if d[2] < 1.0 and not state["done"]:
+            state["blind"] = True
+        if d[2] > 1.5 and state["blind"]:
+            state["blind"], state["done"] = False, True
+        return not state["blind"]
+
+    flight = PointFlight([0.0, 0.0, 3.0], sight=sight).run(60)
+    assert {State.HOLD_BLIND, State.GO_AROUND} <= set(flight.states)
+    assert flight.progress.state is State.LANDED
+    (why,) = [change.reason for change in flight.changes if change.target is State.GO_AROUND]
+    assert why.cause is Cause.LOST_LOW
+    assert why.measured == pytest.approx(0.75, abs=0.25)
+    assert why.text == f"the pad was lost at {why.measured:.1f} m"
+
+
+def test_a_pad_lost_for_good_is_given_up_at_a_safe_height() -> None:
+    flight = PointFlight([0.0, 0.0, 2.5], sight=lambda t, d: t < 2.0).run(80)
+    assert flight.progress.state is State.GAVE_UP
+    assert flight.d[2] == pytest.approx(2.0, abs=0.5)
+    assert flight.progress.fault is not None
+    assert flight.progress.fault.cause in (Cause.LOST_LOW, Cause.NOT_FOUND_AGAIN)
+
+
+def test_a_pad_never_seen_from_near_is_not_tried_for_ever() -> None:
+    flight = PointFlight([0.0, 0.0, 3.0], sight=lambda t, d: d[2] > 1.0).run(200)
+    assert flight.states.count(State.GO_AROUND) == flight.options.tries.go_arounds_max + 1
+    assert flight.progress.state is State.GAVE_UP
+    assert flight.d[2] > 1.6
+
+
+def test_no_pad_at_all_ends_in_giving_up() -> None:
+    flight = PointFlight([0.0, 0.0, 3.0], guided(tries={"search_s": 5.0}), sight=lambda t, d: False).run(10)
+    assert flight.states == [State.SEARCH, State.GAVE_UP]
+    assert all(aim == Hover() for _, _, aim, _ in flight.rows)
+
+
+@pytest.mark.parametrize("mission", ["cone", "thesis"])
+def test_a_landing_that_nobody_reports_is_taken_back_and_after_the_last_try_it_holds_high_up(mission: str) -> None:
+    flight = PointFlight([0.0, 0.0, 2.5], guided(mission), sight=lambda t, d: d[2] > 0.2, stands=False).run(200)
+    tries = flight.options.tries.go_arounds_max + 1
+    assert flight.states.count(State.COMMIT if mission == "cone" else State.DOWN) == tries
+    over = {Cause.NO_CONTACT, Cause.STALE, Cause.SIGHTING_AGE, Cause.NO_LANDING, Cause.PAST_DECK}
+    assert set(causes(flight, State.GO_AROUND)) <= over
+    assert flight.progress.state is State.GAVE_UP
+    assert min(d[2] for _, d, *_ in flight.rows) > -1.6
+    assert flight.d[2] > 1.6
+
+
+def test_losses_that_come_and_go_end_in_a_go_around_and_the_tries_are_bounded() -> None:
+    options = guided(tries={"losses_max": 2})
+    flight = PointFlight([0.0, 0.0, 2.2], options, sight=lambda t, d: d[2] > 1.2 or (t % 2.0) < 0.1).run(400)
+    assert flight.states.count(State.GO_AROUND) >= flight.options.tries.go_arounds_max
+    assert flight.progress.state is State.GAVE_UP
+    assert flight.d[2] > 1.2
+
+
+def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut() -> None:
+    options = guided(limits={"relative_speed_m_s": 0.02}, tries={"go_arounds_max": 1}, cone={"gate_s": 3.0})
+    flight = PointFlight([0.0, 0.0, 2.5], options)
+    for _ in range(2000):
+        flight.v[0] += 0.08 * math.sin(4.0 * flight.t)
+        flight.cycle()
+    assert flight.progress.state is State.REFUSED
+    assert flight.progress.fault is not None
+    assert flight.progress.fault.cause is Cause.RELATIVE_SPEED
+    assert "m/s against the deck (limit 0.02 m/s)" in flight.progress.fault.text
+
+
+def test_wind_and_battery_refuse_with_their_numbers() -> None:
+    for situation, cause in (({"lean_rad": 0.4}, Cause.WIND), ({"battery": 0.05}, Cause.BATTERY)):
+        o = GuidanceOptions()
+        progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+        seen = estimate(0.0, [0, 0, 3.0])
+        s = Situation(ns(0.0), Knowledge(ns(0.0), seen), **situation)
+        progress, _, (change, *_) = mission_step(progress, s, o, over_ground=False)
+        assert (progress.state, change.reason.cause) == (State.REFUSED, cause)
+
+
+def test_a_battery_that_runs_low_on_the_way_down_does_not_keep_it_from_landing() -> None:
+    o = GuidanceOptions()
+    progress = Progress.start(automatic=True)
+    progress, _ = reported(progress, status(0.0, True), o)
+    for i, battery in enumerate([0.5] * 5 + [0.02] * 50):
+        t = i * DT
+        s = Situation(ns(t), Knowledge(ns(t), estimate(t, [0, 0, 2.0])), battery)
+        progress, _, _ = mission_step(progress, s, o, over_ground=False)
+    assert progress.state is State.DESCEND
+
+
+def test_height_lost_without_sight_ends_the_try() -> None:
+    o, t, height = GuidanceOptions(), 0.0, 1.7
+    progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
+    while t < 20 and progress.state is not State.GO_AROUND:
+        t += 0.1
+        blind = (t % 1.0) < 0.5
+        height -= 0.04 if blind else 0.0
+        s = Situation(ns(t), Knowledge(ns(t), None if blind else estimate(t, [0.02, 0, height])))
+        progress, _, _ = mission_step(progress, s, o, over_ground=False)
+    assert progress.fault is not None
+    assert progress.fault.cause is Cause.BLIND_DESCENT
+
+
+def test_another_pad_is_not_flown_to_but_asked_about_from_higher_up() -> None:
+    flight = PointFlight([0.0, 0.0, 3.0], track=lambda t: 1 if t < 3 else 2).run(120)
+    asked = [(t, d, aim) for t, d, aim, state in flight.rows if state is State.ANOTHER_PAD]
+    assert asked[0][0] == pytest.approx(3, abs=2 * DT)
+    assert asked[-1][1][2] == pytest.approx(flight.options.tries.safe_height_m, abs=0.4)
+    assert flight.progress.state is State.GAVE_UP
+    assert asked[-1][0] - asked[0][0] == pytest.approx(flight.options.tries.operator_wait_s, abs=0.2)
+    again = PointFlight([0.0, 0.0, 3.0], track=lambda t: 1 if t < 3 else 2).run(10)
+    again.order(Event.BEGIN)
+    assert again.run(60).progress.state is State.LANDED
+
+
+@pytest.mark.parametrize(("jump_at", "lands"), [(1.0, True), (5.0, False)], ids=["high up", "below the safe height"])
+def test_on_its_own_it_takes_another_pad_only_where_set_so_only_high_up_and_only_once(jump_at: float, lands: bool) -> None:
+    options = guided(tries={"another_pad": "automatic"})
+    flight = PointFlight([0.5, 0.0, 4.5], options, track=lambda t: 1 if t < jump_at else 2).run(120)
+    assert (flight.progress.state is State.LANDED) == lands
+    twice = PointFlight([0.5, 0.0, 4.5], options, track=lambda t: 1 if t < 1 else 2 if t < 7 else 3).run(200)
+    assert twice.progress.state is State.GAVE_UP
+
+
+def test_on_its_own_it_waits_for_unbroken_sight_of_one_pad() -> None:
+    options = guided(tries={"another_pad": "automatic"})
+    sight = lambda t, d: t < 1 or (t % 4.0) < 3.0  # noqa: E731
+    assert PointFlight([0.5, 0, 4.5], options, sight, lambda t: 1 if t < 1 else 2).run(40).progress.state is State.ANOTHER_PAD
+
+
+def test_still_means_still_against_the_deck() -> None:
+    """The pad sails away at 1.5 m/s; paused, aborted and blind the point stays with it and loses no height."""
+    for order in (Event.PAUSE, Event.ABORT, None):
+        sight = (lambda t, d: t < 2.0) if order is None else (lambda t, d: True)
+        flight = PointFlight([0.5, 0.3, 4.0], sight=sight, pad_v=(1.5, 0.0, 0.0)).run(2.0)
+        if order is not None:
+            flight.order(order)
+        else:
+            flight.run(1.0)  # what was seen half a second ago still counts as seen
+        before = flight.d.copy()
+        flight.run(3.0)
+        assert math.hypot(*(flight.d[:2] - before[:2])) < 0.7
+        assert flight.d[2] > before[2] - 0.3
+
+
+def test_no_contact_that_nobody_felt_stops_the_motors_of_a_cone() -> None:
+    flight = PointFlight([0.0, 0.0, 1.0], feels=False, sight=lambda t, d: True).run(12)
+    assert State.PRESS not in flight.states
+    assert not any(isinstance(aim, Land) for *_, aim, _ in flight.rows)
+    assert Cause.NO_CONTACT in causes(flight, State.GO_AROUND)
+
+
+def test_the_go_around_keeps_to_the_clear_side() -> None:
+    flight = PointFlight([0.0, 0.0, 1.5], guided(tries={"clear_side_deg": 90.0, "try_s": 5.0}), feels=False)
+    flight.run(30)
+    aims = [aim for *_, aim, state in flight.rows if state is State.GO_AROUND and isinstance(aim, Target)]
+    assert all(aim.d_body_pad_level[1] <= 0.0 and aim.descent_rate_m_s < 0.0 for aim in aims), "starboard: the pad to port"
+    assert min(aim.d_body_pad_level[1] for aim in aims) < -0.2
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["fresh", "fresh", "none", "stale", "inconsistent", "frozen", "another", "begin", "pause", "impact"]),
+            st.tuples(st.floats(-4, 4), st.floats(-4, 4), st.floats(-0.2, 6.0)),
+            st.floats(0.0, 1.2),
+            st.sampled_from([None, 0.0, 3.0, -3.0]),
+        ),
+        max_size=60,
+    ),
+    st.booleans(),
+    st.sampled_from(["cone", "thesis"]),
+)
+def test_nothing_descends_nor_lands_without_a_fresh_consistent_estimate(history, near, mission) -> None:
+    o, t, last, track = guided(mission), 0.0, None, 1
+    flight = PointFlight([0.0, 0.0, 3.0], o)
+    impact, landed_at = None, None
+    for kind, d, dt, yaw in history:
+        t += dt
+        track += kind == "another"
+        if near:
+            d = (0.01 * d[0], 0.01 * d[1], 0.3 if flight.progress.state is not State.INTERCEPT else 2.0)
+        known = {"stale": {"age": 2.0}, "inconsistent": {"consistent": False}}.get(kind, {})
+        seen = {"none": None, "frozen": last}.get(kind, estimate(t, d, yaw=yaw, track=track, **known))
+        last = seen if kind == "fresh" else last
+        flight.t = t
+        if kind in ("begin", "pause"):
+            flight.order(Event.BEGIN if kind == "begin" else Event.PAUSE)
+        if kind == "impact":
+            impact = Impact(ns(t), "accelerometer", 9.0)
+        s = Situation(ns(t), Knowledge(ns(t), seen, impact=impact))
+        flight.progress, aim, _ = mission_step(flight.progress, s, o, over_ground=False)
+        state = flight.progress.state
+        stale_s = o.limits.commit_sighting_age_s if state is State.COMMIT else o.stale_after_s
+        fit = unfit(seen, ns(t), stale_s) is None and seen is not None and seen.track == flight.progress.track
+        if isinstance(aim, Target) and aim.descent_rate_m_s is not None and aim.descent_rate_m_s > 0.0:
+            assert state is State.PRESS or (fit and state in DESCENDS)
+        if isinstance(aim, Target) and aim.descent_rate_m_s is None and aim.d_body_pad_level[2] < seen.height_m - 1e-9:
+            assert fit
+            assert state in DESCENDS
+        if isinstance(aim, Velocity):
+            assert aim.v_level[2] <= 0.0
+        if isinstance(aim, Land) and state is State.DOWN:
+            landed_at = t if landed_at is None else landed_at
+            assert t - landed_at <= o.land_timeout_s + 1e-6
+        else:
+            landed_at = None
+        assert not isinstance(aim, Land) or state in (State.DOWN, State.PRESS)
+
+
+def test_the_property_above_does_see_landings() -> None:
+    for mission in ("cone", "thesis"):
+        flight = PointFlight([0.0, 0.0, 2.0], guided(mission)).run(30)
+        assert any(isinstance(aim, Land) for *_, aim, _ in flight.rows)
