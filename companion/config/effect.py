@@ -24,7 +24,6 @@ MOVED = {
     "vehicle.range_rate_hz": "landing_target.range_rate_hz",
     "vehicle.ground_clearance_m": "landing_target.ground_clearance_m",
     "vehicle.vision_target_estimator": "landing_target.vision_target_estimator",
-    "guidance.planner.word_wait_s": "guidance.tries.operator_wait_s",
     "estimator.integrity.place_step_share": "estimator.integrity.place_step_fraction",
     "estimator.integrity.range_tolerance_share": "estimator.integrity.range_tolerance_fraction",
     "estimator.integrity.range_doubt_s": "estimator.integrity.range_disagree_s",

@@ -123,7 +123,7 @@ class TryOptions(Struct, frozen=True, forbid_unknown_fields=True):
     blind_s: Annotated[
         float,
         number("time after the newest sight for which it flies over the pad by dead reckoning", "s", 0.0, 30.0),
-    ] = 4.0
+    ] = 10.0
     blind_sigma_m: Annotated[
         float, number("horizontal standard deviation of the estimate above which it no longer flies by it", "m", 0.01, 100.0)
     ] = 1.0

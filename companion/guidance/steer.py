@@ -95,13 +95,14 @@ def _still(p: Progress, s: Situation, o: GuidanceOptions, *, climb_m_s: float, o
     if estimate is None:
         return replace(p, held=None), blind_hold.without_estimate(s.knowledge, climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
+    speed = _HOLD_SPEED_M_S
     if p.state is State.HOLD_BLIND and p.seen is not None and seconds_between(p.seen, s.at) <= o.tries.blind_s:
-        held = np.array([0.0, 0.0, held[2]])
-    height_m = max(float(held[2]), estimate.height_m)
-    held = np.array([held[0], held[1], height_m if climb_m_s == 0.0 else estimate.height_m])
-    rate = -climb_m_s if climb_m_s > 0.0 else None
+        held, speed = np.array([0.0, 0.0, held[2]]), o.cone.intercept_speed_m_s
     p = replace(p, held=held, held_yaw_rad=estimate.yaw_rad)
-    return p, Target(held, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=_HOLD_SPEED_M_S)
+    # A drone that was lifted stays up: without sight nothing asks it to come down again.
+    wanted = np.array([held[0], held[1], max(float(held[2]), estimate.height_m)])
+    rate = -climb_m_s if climb_m_s > 0.0 else None
+    return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed)
 
 
 def _to_vessel(s: Situation, d: F64, o: GuidanceOptions, *, over_ground: bool) -> Command:

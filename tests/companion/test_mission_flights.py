@@ -219,7 +219,7 @@ def test_the_go_around_keeps_to_the_clear_side() -> None:
     assert min(aim.d_body_pad_level[1] for aim in aims) < -0.2
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(
     st.lists(
         st.tuples(
