@@ -275,7 +275,7 @@ class _Assembly:
             steering,
             shadows,
             message.reason,
-            tuple(decode.transition(change) for change in message.transitions),
+            transitions=tuple(decode.transition(change) for change in message.transitions),
         )
 
 

@@ -286,8 +286,8 @@ class Health:
             return MissionHealth()
         decision, battery = self._decided
         belief = decision.belief
-        at = (None, None) if belief is None else (belief.height_m, belief.lateral_m)
-        return MissionHealth(decision.phase, *at, battery, dict(self._transitions), dict(self._flights))
+        height_m, error_m = (None, None) if belief is None else (belief.height_m, belief.lateral_m)
+        return MissionHealth(decision.phase, height_m, error_m, battery, dict(self._transitions), dict(self._flights))
 
     def delay(self, stage: str, seconds: float) -> None:
         self.delays.setdefault(stage, Delays()).add(seconds)

@@ -60,11 +60,16 @@ class ExternalPilot(Pilot):
         super().__init__(*args, **options)
         self._landing = False
 
+    @property
+    def outcome(self) -> FlightOutcome | None:
+        """The outcome of the flight; on the ground it has landed if the controller had ordered that."""
+        ended = super().outcome
+        return FlightOutcome.LANDED if self._landing and ended is FlightOutcome.LANDED_BY_OTHERS else ended
+
     def decide(self, now: MonoNs) -> Decision:
         """Return the beliefs of guidance's cycle with the command of the controller."""
         decision = super().decide(now)
-        if self.vehicle is not None and self.vehicle.flying is False and self._landing:
-            self.outcome = FlightOutcome.LANDED
+        if self.outcome is FlightOutcome.LANDED:
             return decision
         return replace(decision, phase="external controller", command=self._control(decision.belief))
 

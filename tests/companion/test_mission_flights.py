@@ -257,7 +257,8 @@ def test_nothing_descends_nor_lands_without_a_fresh_consistent_estimate(history,
         fit = unfit(seen, ns(t), stale_s) is None and seen is not None and seen.track == flight.progress.track
         if isinstance(aim, Target) and aim.descent_rate_m_s is not None and aim.descent_rate_m_s > 0.0:
             assert state is State.PRESS or (fit and state in DESCENDS)
-        if isinstance(aim, Target) and aim.descent_rate_m_s is None and aim.d_body_pad_level[2] < seen.height_m - 1e-9:
+        lower = seen is not None and isinstance(aim, Target) and aim.d_body_pad_level[2] < seen.height_m - 1e-9
+        if isinstance(aim, Target) and aim.descent_rate_m_s is None and lower:
             assert fit
             assert state in DESCENDS
         if isinstance(aim, Velocity):

@@ -31,7 +31,7 @@ from estimator.vision.tracker import TrackerConfig
 
 SIM = load("sim")
 EYES = TrackerConfig(camera_model(SIM), pad_model(SIM), TrackerOptions(colours="simulator"))
-GUIDANCE = GuidanceOptions(mission="thesis")
+GUIDANCE = GuidanceOptions(mission="thesis", controller="pid")
 TRIES = TryOptions()
 TICK_S = 0.05
 FAULTS = (
