@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from companion.guidance.mission_options import TryOptions
-from companion.guidance.reason import Cause, Reason
+from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.time import MonoNs, seconds_between
 
 SIGHT_HOLDS_S = 5.0
@@ -53,9 +53,9 @@ class Attempt:
     def used_up(self, options: TryOptions, now: MonoNs) -> Reason | None:
         """Return what is used up, or None while nothing is."""
         if self.began is not None and seconds_between(self.began, now) > options.try_s:
-            return Reason(Cause.TRY_TIME, seconds_between(self.began, now), options.try_s)
+            return Reason(ReasonCause.TRY_TIME, seconds_between(self.began, now), options.try_s)
         if self.losses > options.losses_max:
-            return Reason(Cause.LOSSES, float(self.losses), float(options.losses_max))
+            return Reason(ReasonCause.LOSSES, float(self.losses), float(options.losses_max))
         if self.blind_descent_m > options.blind_descent_max_m:
-            return Reason(Cause.BLIND_DESCENT, self.blind_descent_m, options.blind_descent_max_m)
+            return Reason(ReasonCause.BLIND_DESCENT, self.blind_descent_m, options.blind_descent_max_m)
         return None

@@ -9,14 +9,14 @@ import numpy as np
 from companion.guidance.controller import Knowledge
 from companion.guidance.limits import sigma_m
 from companion.guidance.mission_options import TryOptions
-from companion.guidance.situation import Situation
+from companion.guidance.situation import GuidanceCycle
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import seconds_between
 
 
-def usable(s: Situation, options: TryOptions, stale_after_s: float) -> RelativeState | None:
+def usable(s: GuidanceCycle, options: TryOptions, stale_after_s: float) -> RelativeState | None:
     """Return the estimate if it may be flown by without sight, else None."""
     estimate = s.estimate
     if estimate is None or not estimate.consistent or abs(seconds_between(estimate.at, s.at)) > stale_after_s:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from companion.guidance.reason import Cause, Reason
+from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 
@@ -36,7 +36,7 @@ def watch(memory: HeadingMemory, estimate: RelativeState) -> tuple[HeadingMemory
     jump = 0.0 if memory.last_rad is None else abs(wrap_pi(yaw - memory.last_rad))
     turning = abs(yaw) > (END_RAD if memory.turning else BEGIN_RAD)
     memory = replace(memory, turning=turning, last_rad=yaw)
-    return memory, Reason(Cause.HEADING_TURNED, math.degrees(jump), math.degrees(JUMP_RAD)) if jump > JUMP_RAD else None
+    return memory, Reason(ReasonCause.HEADING_TURNED, math.degrees(jump), math.degrees(JUMP_RAD)) if jump > JUMP_RAD else None
 
 
 def wanted_rad(memory: HeadingMemory, estimate: RelativeState) -> float | None:

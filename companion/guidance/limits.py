@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission_options import ConeOptions, LandingLimits
-from companion.guidance.reason import Cause, Reason
+from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.time import MonoNs
@@ -50,17 +50,17 @@ def gate(
     v = estimate.v_pad_level
     speed = math.hypot(v[0], v[1])
     comparisons = [
-        (Cause.SIGHTING_AGE, estimate.age_s(now), limits.sighting_age_s),
-        (Cause.SIGMA, sigma_m(estimate), limits.sigma_m),
-        (Cause.NIS, quality.normalized_nis, limits.normalized_nis),
-        (Cause.TIME_LOCK, quality.time_sigma_s, limits.time_sigma_s),
-        (Cause.ERROR, estimate.lateral_m, limits.error_m),
-        (Cause.RELATIVE_SPEED, speed, limits.relative_speed_m_s),
+        (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.sighting_age_s),
+        (ReasonCause.SIGMA, sigma_m(estimate), limits.sigma_m),
+        (ReasonCause.NIS, quality.normalized_nis, limits.normalized_nis),
+        (ReasonCause.TIME_LOCK, quality.time_sigma_s, limits.time_sigma_s),
+        (ReasonCause.ERROR, estimate.lateral_m, limits.error_m),
+        (ReasonCause.RELATIVE_SPEED, speed, limits.relative_speed_m_s),
         *_of_the_deck(knowledge, limits, to_contact_s),
     ]
     if aligned:
         off_rad = math.pi if estimate.yaw_rad is None else abs(wrap_pi(estimate.yaw_rad))
-        comparisons.append((Cause.HEADING, math.degrees(off_rad), limits.heading_deg))
+        comparisons.append((ReasonCause.HEADING, math.degrees(off_rad), limits.heading_deg))
     return _first(comparisons)
 
 
@@ -69,28 +69,30 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     tilt_deg = None if knowledge.deck is None else math.degrees(knowledge.deck.tilt_rad)
     return _first(
         [
-            (Cause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
-            (Cause.ERROR, estimate.lateral_m, limits.commit_error_m),
+            (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
+            (ReasonCause.ERROR, estimate.lateral_m, limits.commit_error_m),
             # What was within the limit at the gate may lean a little further until the contact.
-            (Cause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
+            (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]
     )
 
 
-def _of_the_deck(knowledge: Knowledge, limits: LandingLimits, to_contact_s: float) -> list[tuple[Cause, float | None, float]]:
+def _of_the_deck(
+    knowledge: Knowledge, limits: LandingLimits, to_contact_s: float
+) -> list[tuple[ReasonCause, float | None, float]]:
     deck, ahead = knowledge.deck, knowledge.forecast
-    out: list[tuple[Cause, float | None, float]] = []
+    out: list[tuple[ReasonCause, float | None, float]] = []
     if deck is not None:
-        out.append((Cause.DECK_TILT, math.degrees(deck.tilt_rad), limits.deck_tilt_gate_deg))
-        out.append((Cause.DECK_RATE, abs(float(deck.v_level[2])), limits.deck_rate_m_s))
+        out.append((ReasonCause.DECK_TILT, math.degrees(deck.tilt_rad), limits.deck_tilt_gate_deg))
+        out.append((ReasonCause.DECK_RATE, abs(float(deck.v_level[2])), limits.deck_rate_m_s))
     if ahead is not None:
         roll = float(np.interp(to_contact_s, ahead.horizons_s, ahead.roll_rad))
         pitch = float(np.interp(to_contact_s, ahead.horizons_s, ahead.pitch_rad))
-        out.append((Cause.DECK_TILT, math.degrees(math.hypot(roll, pitch)), limits.deck_tilt_commit_deg))
+        out.append((ReasonCause.DECK_TILT, math.degrees(math.hypot(roll, pitch)), limits.deck_tilt_commit_deg))
     return out
 
 
-def _first(comparisons: list[tuple[Cause, float | None, float]]) -> Reason | None:
+def _first(comparisons: list[tuple[ReasonCause, float | None, float]]) -> Reason | None:
     """Return the first comparison that fails; a number that is not known fails none, one that is not a number fails."""
     for cause, measured, limit in comparisons:
         if measured is not None and not measured <= limit:

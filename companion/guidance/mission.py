@@ -100,7 +100,7 @@ class Event(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Transition:
+class StateChange:
     """One change of state."""
 
     at: MonoNs

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from companion.guidance.mission import ENDED, TABLES, Event, State, Transition
+from companion.guidance.mission import ENDED, TABLES, Event, State, StateChange
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress, entered
-from companion.guidance.reason import Cause, Reason
-from companion.guidance.situation import Situation
+from companion.guidance.reason import Reason, ReasonCause
+from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim, aim
 from companion.guidance.watch import account, happenings
 from estimator.contracts.samples import VehicleStatus
@@ -17,17 +17,17 @@ from estimator.contracts.time import MonoNs
 _MOST = 4
 """Most transitions in one cycle; what is left is taken in the next."""
 
-Transitions = tuple[Transition, ...]
+Transitions = tuple[StateChange, ...]
 
 
-def mission_step(p: Progress, s: Situation, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim, Transitions]:
+def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim, Transitions]:
     """Run one guidance cycle; return the memory, the aim and what changed.
 
     Args:
         over_ground: whether the vehicle's velocity is over the ground, not over whatever its flow sensor sees.
     """
     p = account(p, s, o)
-    changes: list[Transition] = []
+    changes: list[StateChange] = []
     while len(changes) < _MOST:
         moved, change = _first(p, s, o)
         if change is None:
@@ -40,25 +40,25 @@ def mission_step(p: Progress, s: Situation, o: GuidanceOptions, *, over_ground: 
 
 def ordered(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
     """Take an order of the operator: BEGIN, PAUSE or ABORT."""
-    return _taken(p, event, Reason(Cause.OPERATOR), at, o)
+    return _taken(p, event, Reason(ReasonCause.OPERATOR), at, o)
 
 
 def reported(p: Progress, status: VehicleStatus, o: GuidanceOptions) -> tuple[Progress, Transitions]:
     """Take the vehicle's report about itself."""
     at = status.stamp.received_at
     if status.emergency:
-        return _taken(p, Event.CUT, Reason(Cause.MOTORS_CUT), at, o)
+        return _taken(p, Event.CUT, Reason(ReasonCause.MOTORS_CUT), at, o)
     if status.flying is False:
         if p.state in ENDED:
             return replace(p, stood=True), ()
         by_us = Event.GROUNDED if p.ordered else Event.GROUNDED_BY_OTHERS
-        return _taken(p, by_us, Reason(Cause.VEHICLE_STANDS), at, o)
+        return _taken(p, by_us, Reason(ReasonCause.VEHICLE_STANDS), at, o)
     if status.flying is None or (p.state in ENDED and not p.stood):
         return p, ()
     next_one = p.state in ENDED
-    p, changes = _taken(p, Event.TAKEN_OFF, Reason(Cause.VEHICLE_FLIES), at, o)
+    p, changes = _taken(p, Event.TAKEN_OFF, Reason(ReasonCause.VEHICLE_FLIES), at, o)
     if next_one and p.automatic and changes:
-        p, more = _taken(p, Event.BEGIN, Reason(Cause.AUTOMATIC), at, o)
+        p, more = _taken(p, Event.BEGIN, Reason(ReasonCause.AUTOMATIC), at, o)
         changes = (*changes, *more)
     return p, changes
 
@@ -67,11 +67,11 @@ def _taken(p: Progress, event: Event, reason: Reason, at: MonoNs, o: GuidanceOpt
     target = TABLES[o.mission][p.state][event]
     if target is p.state:
         return p, ()
-    change = Transition(at, p.state, event, target, reason)
+    change = StateChange(at, p.state, event, target, reason)
     return entered(p, change), (change,)
 
 
-def _first(p: Progress, s: Situation, o: GuidanceOptions) -> tuple[Progress, Transition | None]:
+def _first(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, StateChange | None]:
     """Take the first event of the cycle that leads to another state."""
     for event, reason in happenings(p, s, o):
         moved, changes = _taken(p, event, reason, s.at, o)

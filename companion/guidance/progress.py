@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 from companion.guidance.attempt import Attempt
 from companion.guidance.heading import HeadingMemory
-from companion.guidance.mission import ENDED, Event, State, Transition
-from companion.guidance.reason import Cause, Reason
+from companion.guidance.mission import ENDED, Event, State, StateChange
+from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
 
@@ -68,7 +68,7 @@ class Progress:
         return Progress(State.WAIT if automatic else State.STANDBY, automatic)
 
 
-def entered(p: Progress, change: Transition) -> Progress:
+def entered(p: Progress, change: StateChange) -> Progress:
     """Return the memory after a transition."""
     p = replace(
         p, state=change.target, since=change.at, reason=change.reason, held=None, held_yaw_rad=None, good_since=None,
@@ -78,7 +78,7 @@ def entered(p: Progress, change: Transition) -> Progress:
         case Event.TAKEN_OFF:
             p = replace(_fresh(p), stood=False, ordered=False, go_arounds=0, questions=0)
         case Event.BEGIN:
-            kept = (p.go_arounds, p.questions) if change.reason.cause is Cause.AUTOMATIC else (0, 0)
+            kept = (p.go_arounds, p.questions) if change.reason.cause is ReasonCause.AUTOMATIC else (0, 0)
             p = replace(_fresh(p), go_arounds=kept[0], questions=kept[1])
         case Event.OTHER_PAD:
             p = replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False, newest_track=None)

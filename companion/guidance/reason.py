@@ -8,7 +8,7 @@ from enum import Enum
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 
 
-class Cause(Enum):
+class ReasonCause(Enum):
     """Why the machine changed its state; the value is the text for the operator, with places for the numbers."""
 
     VEHICLE_FLIES = "the vehicle flies"
@@ -67,7 +67,15 @@ class Cause(Enum):
 
 
 CONDITIONS = frozenset(
-    {Cause.RELATIVE_SPEED, Cause.DECK_TILT, Cause.DECK_RATE, Cause.WIND, Cause.BATTERY, Cause.TIME_LOCK, Cause.SIGMA}
+    {
+        ReasonCause.RELATIVE_SPEED,
+        ReasonCause.DECK_TILT,
+        ReasonCause.DECK_RATE,
+        ReasonCause.WIND,
+        ReasonCause.BATTERY,
+        ReasonCause.TIME_LOCK,
+        ReasonCause.SIGMA,
+    }
 )
 """Causes that say that a landing is not to be made in these conditions: after them the machine refuses, it does not give up."""
 
@@ -92,7 +100,7 @@ _FRAME_WORDS = {
 class Reason:
     """A cause and its numbers."""
 
-    cause: Cause
+    cause: ReasonCause
     measured: float | None = None
     """In the unit that the cause's text names."""
     limit: float | None = None

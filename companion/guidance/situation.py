@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from companion.guidance.controller import Knowledge
 from companion.guidance.limits import InputQuality
-from companion.guidance.reason import Cause, Reason
+from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
@@ -34,7 +34,7 @@ class VesselPosition:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Situation:
+class GuidanceCycle:
     """One guidance cycle."""
 
     at: MonoNs
@@ -67,13 +67,13 @@ def unfit(estimate: RelativeState | None, now: MonoNs, stale_after_s: float) -> 
         stale_after_s: age of the newest sighting, or of the estimate itself, beyond which it is not, seconds.
     """
     if estimate is None:
-        return Reason(Cause.NO_ESTIMATE)
+        return Reason(ReasonCause.NO_ESTIMATE)
     if estimate.alerts:
-        return Reason(Cause.ALERT, detail=estimate.alerts[0])
+        return Reason(ReasonCause.ALERT, detail=estimate.alerts[0])
     age_s = max(abs(estimate.age_s(now)), abs(seconds_between(estimate.at, now)))
     if age_s > stale_after_s:
-        return Reason(Cause.STALE, age_s, stale_after_s)
-    return None if estimate.consistent else Reason(Cause.INCONSISTENT)
+        return Reason(ReasonCause.STALE, age_s, stale_after_s)
+    return None if estimate.consistent else Reason(ReasonCause.INCONSISTENT)
 
 
 def of_frames(frames: Mapping[Verdict, int]) -> Reason | None:
@@ -83,4 +83,4 @@ def of_frames(frames: Mapping[Verdict, int]) -> Reason | None:
         return None
     verdict = max(frames, key=lambda each: frames[each])
     share = frames[verdict] / total
-    return None if verdict is Verdict.NO_PAD or share < 0.5 else Reason(Cause.FRAMES, 100.0 * share, 50.0, verdict)
+    return None if verdict is Verdict.NO_PAD or share < 0.5 else Reason(ReasonCause.FRAMES, 100.0 * share, 50.0, verdict)

@@ -12,7 +12,7 @@ from companion.guidance.controller import Target
 from companion.guidance.mission import GROUND, State
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.situation import Situation, unfit
+from companion.guidance.situation import GuidanceCycle, unfit
 from companion.guidance.watch import climbs_from_question
 from estimator.contracts.commands import Command, Land
 from estimator.contracts.estimates import RelativeState
@@ -26,7 +26,7 @@ _HOLD_SPEED_M_S = 0.5
 _RENDEZVOUS_GAIN_1_S = 0.3
 
 
-def aim(p: Progress, s: Situation, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
+def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
     """Return the memory and the aim of this guidance cycle.
 
     Args:
@@ -74,7 +74,7 @@ def _way_down(p: Progress, o: GuidanceOptions, estimate: RelativeState) -> Targe
     return Target(np.array([0.0, 0.0, o.cone.gate_height_m]), vertical_rate_max_m_s=o.tries.climb_m_s, yaw_rad=yaw)
 
 
-def _climb(p: Progress, s: Situation, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
+def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
     """Climb from the pad on the side where nothing stands."""
     rate = -o.tries.climb_m_s
     estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
@@ -89,7 +89,7 @@ def _climb(p: Progress, s: Situation, o: GuidanceOptions, *, over_ground: bool) 
     return p, Target(d, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s)
 
 
-def _still(p: Progress, s: Situation, o: GuidanceOptions, *, climb_m_s: float, over_ground: bool) -> tuple[Progress, Aim]:
+def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: float, over_ground: bool) -> tuple[Progress, Aim]:
     """Stay where the drone is against the deck, and never lower; or climb from there."""
     estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
     if estimate is None:
@@ -105,7 +105,7 @@ def _still(p: Progress, s: Situation, o: GuidanceOptions, *, climb_m_s: float, o
     return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed)
 
 
-def _to_vessel(s: Situation, d: F64, o: GuidanceOptions, *, over_ground: bool) -> Command:
+def _to_vessel(s: GuidanceCycle, d: F64, o: GuidanceOptions, *, over_ground: bool) -> Command:
     """Fly level towards the vessel's reported place."""
     still = blind_hold.without_estimate(s.knowledge, 0.0, over_ground=over_ground)
     distance_m = math.hypot(float(d[0]), float(d[1]))
@@ -115,7 +115,7 @@ def _to_vessel(s: Situation, d: F64, o: GuidanceOptions, *, over_ground: bool) -
     return blind_hold.added(still, v)
 
 
-def asks_to_descend(p: Progress, s: Situation, o: GuidanceOptions) -> bool:
+def asks_to_descend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether this cycle may ask for a way nearer to the deck: its state does, and its estimate is fit for it."""
     if p.state not in (State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS):
         return False

@@ -12,8 +12,8 @@ from companion.guidance import cone, heading, limits
 from companion.guidance.mission import FLOWN, Event, State
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import CONDITIONS, Cause, Reason
-from companion.guidance.situation import Situation, of_frames, unfit
+from companion.guidance.reason import CONDITIONS, Reason, ReasonCause
+from companion.guidance.situation import GuidanceCycle, of_frames, unfit
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs, seconds_between
 
@@ -34,13 +34,13 @@ _HOLD_OFF_M = 15.0
 """Distance of the vessel within which the camera searches for the pad, metres."""
 
 
-def fit_in(state: State, s: Situation, o: GuidanceOptions) -> Reason | None:
+def fit_in(state: State, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     """Return why the estimate is not fit to steer by in a state, or None; in the commit the sighting may be older."""
     stale_s = max(o.stale_after_s, o.limits.commit_sighting_age_s) if state is State.COMMIT else o.stale_after_s
     return unfit(s.estimate, s.at, stale_s)
 
 
-def account(p: Progress, s: Situation, o: GuidanceOptions) -> Progress:
+def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     """Charge the guidance cycle to the try, and note what was seen."""
     since_last_s = 0.0 if p.last is None else max(0.0, seconds_between(p.last, s.at))
     p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
@@ -70,13 +70,13 @@ def account(p: Progress, s: Situation, o: GuidanceOptions) -> Progress:
     )  # fmt: skip
 
 
-def happenings(p: Progress, s: Situation, o: GuidanceOptions) -> Iterator[Happening]:
+def happenings(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Happening]:
     """Yield what happens in the present state, the most important first."""
     state, estimate = p.state, s.estimate
     if state not in FLOWN:
         return
     if estimate is not None and p.track is not None and estimate.track != p.track:
-        yield Event.OTHER_PAD, Reason(Cause.ANOTHER_PAD)
+        yield Event.OTHER_PAD, Reason(ReasonCause.ANOTHER_PAD)
     if state is State.ANOTHER_PAD:
         yield from _question(p, s, o)
         return
@@ -90,55 +90,55 @@ def happenings(p: Progress, s: Situation, o: GuidanceOptions) -> Iterator[Happen
     if lost is not None:
         yield Event.SIGHT_LOST, lost
     elif estimate is not None:
-        yield Event.SIGHT, Reason(Cause.PAD_SEEN, estimate.height_m)
+        yield Event.SIGHT, Reason(ReasonCause.PAD_SEEN, estimate.height_m)
     if s.vessel is not None:
         far = s.vessel.distance_m > (2.0 * _HOLD_OFF_M if state is State.SEARCH else _HOLD_OFF_M)
         yield (
-            (Event.VESSEL_FAR, Reason(Cause.VESSEL_FAR, s.vessel.distance_m))
+            (Event.VESSEL_FAR, Reason(ReasonCause.VESSEL_FAR, s.vessel.distance_m))
             if far
-            else (Event.ARRIVED, Reason(Cause.VESSEL_NEAR, s.vessel.distance_m))
+            else (Event.ARRIVED, Reason(ReasonCause.VESSEL_NEAR, s.vessel.distance_m))
         )
     if state is State.GO_AROUND and clear(p, s, o):
-        yield Event.CLEAR, Reason(Cause.HIGH_ENOUGH, _height_m(p, s, o), o.tries.safe_height_m)
+        yield Event.CLEAR, Reason(ReasonCause.HIGH_ENOUGH, _height_m(p, s, o), o.tries.safe_height_m)
     if lost is None and estimate is not None:
         yield from _way_down(p, s, o, estimate)
 
 
-def clear(p: Progress, s: Situation, o: GuidanceOptions) -> bool:
+def clear(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
     """Return whether a go-around is high enough: by sight, or by the time that it has climbed since the newest sight."""
     if p.in_sight:
         return p.seen_height_m >= o.tries.safe_height_m - NEAR_SAFE_M
     return _climbed_blind_m(p, s, o) >= o.tries.safe_height_m - min(p.seen_height_m, o.tries.safe_height_m)
 
 
-def _height_m(p: Progress, s: Situation, o: GuidanceOptions) -> float:
+def _height_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     return p.seen_height_m if p.in_sight else min(p.seen_height_m, o.tries.safe_height_m) + _climbed_blind_m(p, s, o)
 
 
-def _climbed_blind_m(p: Progress, s: Situation, o: GuidanceOptions) -> float:
+def _climbed_blind_m(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
     begun = [at for at in (p.since, p.seen) if at is not None]
     return seconds_between(max(begun), s.at) * o.tries.climb_m_s if begun else 0.0
 
 
-def _contact(p: Progress, s: Situation, o: GuidanceOptions, in_state_s: float) -> Iterator[Happening]:
+def _contact(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[Happening]:
     felt = s.knowledge.impact
     if p.state is State.COMMIT and felt is not None and p.since is not None and felt.at >= p.since:
         by_vehicle = math.isnan(felt.size_m_s2)
-        yield Event.CONTACT, Reason(Cause.REPORTED) if by_vehicle else Reason(Cause.FELT, felt.size_m_s2)
+        yield Event.CONTACT, Reason(ReasonCause.REPORTED) if by_vehicle else Reason(ReasonCause.FELT, felt.size_m_s2)
     if p.state is State.PRESS and in_state_s >= o.cone.press_s:
-        yield Event.PRESSED, Reason(Cause.PRESSED, in_state_s, o.cone.press_s)
+        yield Event.PRESSED, Reason(ReasonCause.PRESSED, in_state_s, o.cone.press_s)
 
 
-def _conditions(p: Progress, s: Situation, o: GuidanceOptions) -> Iterator[Happening]:
+def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Happening]:
     """Yield what ends the flight's tries: at once for the wind, before the next try for the rest."""
     begins = p.state in (State.SEARCH, State.RENDEZVOUS) or (p.state is State.GO_AROUND and clear(p, s, o))
     if p.state is State.GO_AROUND and not begins:
         return
     lean_deg = None if s.lean_rad is None else math.degrees(s.lean_rad)
     if lean_deg is not None and lean_deg > o.limits.wind_lean_deg:
-        yield Event.NO_CONDITIONS, Reason(Cause.WIND, lean_deg, o.limits.wind_lean_deg)
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.WIND, lean_deg, o.limits.wind_lean_deg)
     if begins and s.battery is not None and s.battery < o.limits.battery:
-        yield Event.NO_CONDITIONS, Reason(Cause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
+        yield Event.NO_CONDITIONS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
     if p.state is State.GO_AROUND and p.fault is not None:
         if p.refusing or (p.go_arounds > o.tries.go_arounds_max and p.fault.cause in CONDITIONS):
             yield Event.NO_CONDITIONS, p.fault
@@ -146,7 +146,7 @@ def _conditions(p: Progress, s: Situation, o: GuidanceOptions) -> Iterator[Happe
             yield Event.HOPELESS, (None if p.in_sight else of_frames(s.frames)) or p.fault
 
 
-def _limit(p: Progress, s: Situation, o: GuidanceOptions) -> Reason | None:
+def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     estimate = s.estimate
     match p.state:
         case State.COMMIT:
@@ -162,34 +162,36 @@ def _limit(p: Progress, s: Situation, o: GuidanceOptions) -> Reason | None:
             if p.state is State.HOLD_BLIND and low and p.seen is not None:
                 lost_s = seconds_between(p.seen, s.at)
                 if lost_s > o.tries.climb_after_s:
-                    return Reason(Cause.LOST_LOW, p.seen_height_m)
+                    return Reason(ReasonCause.LOST_LOW, p.seen_height_m)
     return None
 
 
-def _lease(p: Progress, s: Situation, o: GuidanceOptions) -> Reason | None:
+def _lease(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     """Return what ends a landing that the vehicle makes by itself from the last way point, its time apart.
 
     From the height of the last way point down the pad leaves the camera's view, so there only the time ends it.
     """
     estimate, final = s.estimate, o.thesis
     if estimate is not None and estimate.height_m < -_BELOW_DECK_M:
-        return Reason(Cause.PAST_DECK, -estimate.height_m)
+        return Reason(ReasonCause.PAST_DECK, -estimate.height_m)
     if estimate is not None and unfit(estimate, s.at, o.stale_after_s) is None:
         risen_m = estimate.height_m - p.entered_height_m
         if risen_m > _RISEN_M:
-            return Reason(Cause.ROSE, risen_m)
+            return Reason(ReasonCause.ROSE, risen_m)
         aside_m = final.final_reached_m + _ASIDE_M + final.pad_ahead_m
-        return Reason(Cause.DRIFTED, estimate.lateral_m, aside_m) if estimate.lateral_m > aside_m else None
+        return Reason(ReasonCause.DRIFTED, estimate.lateral_m, aside_m) if estimate.lateral_m > aside_m else None
     blind_below_m = final.final_height_m + final.final_reached_m + _BLIND_MARGIN_M
     lost = p.seen is not None and seconds_between(p.seen, s.at) > o.stale_after_s
-    return Reason(Cause.LOST_LOW, p.seen_height_m) if lost and p.seen_height_m > blind_below_m else None
+    return Reason(ReasonCause.LOST_LOW, p.seen_height_m) if lost and p.seen_height_m > blind_below_m else None
 
 
-def _time_over(p: Progress, s: Situation, o: GuidanceOptions, in_state_s: float) -> Iterator[Happening]:
+def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: float) -> Iterator[Happening]:
     tries = o.tries
     if p.state in (State.HOLD_BLIND, State.SEARCH):
         limit_s, cause = (
-            (tries.give_up_after_s, Cause.NOT_FOUND_AGAIN) if p.state is State.HOLD_BLIND else (tries.search_s, Cause.NOT_FOUND)
+            (tries.give_up_after_s, ReasonCause.NOT_FOUND_AGAIN)
+            if p.state is State.HOLD_BLIND
+            else (tries.search_s, ReasonCause.NOT_FOUND)
         )
         spent_s = p.attempt.without_sight_s if p.state is State.HOLD_BLIND else in_state_s
         if spent_s > limit_s:
@@ -198,49 +200,49 @@ def _time_over(p: Progress, s: Situation, o: GuidanceOptions, in_state_s: float)
     if p.state is State.GO_AROUND:
         to_climb_m = max(0.0, tries.safe_height_m - p.entered_height_m)
         limit_s = _CLIMB_PATIENCE * to_climb_m / tries.climb_m_s + _CLIMB_PATIENCE_S
-        cause = Cause.NOT_CLIMBING
+        cause = ReasonCause.NOT_CLIMBING
     else:
         limit_s, cause = {
-            State.RENDEZVOUS: (tries.search_s, Cause.STATE_TIME),
-            State.INTERCEPT: (tries.leg_s, Cause.STATE_TIME),
-            State.DESCEND: (tries.leg_s, Cause.STATE_TIME),
-            State.GATE: (o.cone.gate_s, Cause.STATE_TIME),
-            State.COMMIT: (o.cone.commit_s, Cause.NO_CONTACT),
-            State.PRESS: (o.cone.press_s + o.cone.commit_s, Cause.STATE_TIME),
-            State.DOWN: (o.land_timeout_s, Cause.NO_LANDING),
+            State.RENDEZVOUS: (tries.search_s, ReasonCause.STATE_TIME),
+            State.INTERCEPT: (tries.leg_s, ReasonCause.STATE_TIME),
+            State.DESCEND: (tries.leg_s, ReasonCause.STATE_TIME),
+            State.GATE: (o.cone.gate_s, ReasonCause.STATE_TIME),
+            State.COMMIT: (o.cone.commit_s, ReasonCause.NO_CONTACT),
+            State.PRESS: (o.cone.press_s + o.cone.commit_s, ReasonCause.STATE_TIME),
+            State.DOWN: (o.land_timeout_s, ReasonCause.NO_LANDING),
         }[p.state]
     if in_state_s > limit_s:
         yield Event.TIMEOUT, p.blocked or Reason(cause, in_state_s, limit_s)
 
 
-def _way_down(p: Progress, s: Situation, o: GuidanceOptions, estimate: RelativeState) -> Iterator[Happening]:
+def _way_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[Happening]:
     if o.mission == "thesis":
         yield from _way_points(p, s, o, estimate)
         return
     height_m, error_m = estimate.height_m, estimate.lateral_m
     radius_m = cone.radius_m(height_m, o.cone)
     if p.state is State.INTERCEPT and cone.inside(error_m, height_m, o.cone):
-        yield Event.IN_CONE, Reason(Cause.ARRIVED, error_m, radius_m)
+        yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, radius_m)
     high = height_m > o.cone.gate_height_m + _OVER_GATE_M
     if cone.outside(error_m, height_m, o.cone) or (p.state is State.GATE and high):
-        yield Event.OUT_OF_CONE, Reason(Cause.OUT_OF_CONE, error_m, radius_m)
+        yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, radius_m)
     if p.state is State.DESCEND and height_m <= o.cone.gate_height_m + _AT_GATE_M:
-        yield Event.AT_GATE, Reason(Cause.LOW_ENOUGH, height_m, o.cone.gate_height_m)
+        yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, height_m, o.cone.gate_height_m)
     if p.state is State.GATE and p.good_since is not None and seconds_between(p.good_since, s.at) >= o.cone.gate_dwell_s:
-        yield Event.GATE_OPEN, Reason(Cause.ALL_LIMITS_HOLD)
+        yield Event.GATE_OPEN, Reason(ReasonCause.ALL_LIMITS_HOLD)
 
 
-def _way_points(p: Progress, s: Situation, o: GuidanceOptions, estimate: RelativeState) -> Iterator[Happening]:
+def _way_points(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[Happening]:
     way = o.thesis
     if p.state is State.INTERCEPT and near(estimate, way.pad_ahead_m, way.approach_height_m, way.approach_reached_m):
-        yield Event.IN_CONE, Reason(Cause.ARRIVED, estimate.lateral_m, way.approach_reached_m)
+        yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, estimate.lateral_m, way.approach_reached_m)
     if p.state is State.DESCEND and near(estimate, way.pad_ahead_m, way.final_height_m, way.final_reached_m):
-        yield Event.AT_GATE, Reason(Cause.LOW_ENOUGH, estimate.height_m, way.final_height_m)
+        yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, estimate.height_m, way.final_height_m)
     if p.state is State.GATE:
         if not near(estimate, way.pad_ahead_m, way.final_height_m, 2.0 * way.final_reached_m):
-            yield Event.OUT_OF_CONE, Reason(Cause.OUT_OF_CONE, estimate.lateral_m, way.final_reached_m)
+            yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, estimate.lateral_m, way.final_reached_m)
         if p.good_since is not None and seconds_between(p.good_since, s.at) >= way.final_dwell_s:
-            yield Event.GATE_OPEN, Reason(Cause.ALL_LIMITS_HOLD)
+            yield Event.GATE_OPEN, Reason(ReasonCause.ALL_LIMITS_HOLD)
 
 
 def near(estimate: RelativeState, ahead_m: float, height_m: float, reached_m: float) -> bool:
@@ -249,7 +251,7 @@ def near(estimate: RelativeState, ahead_m: float, height_m: float, reached_m: fl
     return math.hypot(x - ahead_m, y) <= reached_m and abs(z - height_m) <= reached_m
 
 
-def _judged(p: Progress, s: Situation, o: GuidanceOptions) -> Progress:
+def _judged(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     """Note what keeps the gate shut, and since when nothing does."""
     if p.state is not State.GATE:
         return p
@@ -272,14 +274,14 @@ def _thesis_gate(estimate: RelativeState, o: GuidanceOptions) -> Reason | None:
     then = off + way.touchdown_s * estimate.v_pad_level[:2]
     sigma = limits.sigma_m(estimate)
     if sigma > o.limits.sigma_m:
-        return Reason(Cause.SIGMA, sigma, o.limits.sigma_m)
+        return Reason(ReasonCause.SIGMA, sigma, o.limits.sigma_m)
     if not near(estimate, way.pad_ahead_m, way.final_height_m, way.final_reached_m):
-        return Reason(Cause.ERROR, float(np.hypot(*off)), way.final_reached_m)
+        return Reason(ReasonCause.ERROR, float(np.hypot(*off)), way.final_reached_m)
     error = float(np.hypot(*then))
-    return Reason(Cause.ERROR_AHEAD, error, way.final_reached_m) if error > way.final_reached_m else None
+    return Reason(ReasonCause.ERROR_AHEAD, error, way.final_reached_m) if error > way.final_reached_m else None
 
 
-def _asked(p: Progress, s: Situation, o: GuidanceOptions) -> Progress:
+def _asked(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     """Note for how long one other pad alone has been in unbroken sight."""
     estimate = s.estimate
     if estimate is None or unfit(estimate, s.at, o.stale_after_s) is not None:
@@ -288,16 +290,16 @@ def _asked(p: Progress, s: Situation, o: GuidanceOptions) -> Progress:
     return replace(p, newest_track=estimate.track, good_since=s.at if steady is None else steady)
 
 
-def _question(p: Progress, s: Situation, o: GuidanceOptions) -> Iterator[Happening]:
+def _question(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Happening]:
     waited_s = 0.0 if p.since is None else seconds_between(p.since, s.at)
     if waited_s > o.tries.operator_wait_s:
-        yield Event.TIMEOUT, Reason(Cause.NOBODY_DECIDED, waited_s, o.tries.operator_wait_s)
+        yield Event.TIMEOUT, Reason(ReasonCause.NOBODY_DECIDED, waited_s, o.tries.operator_wait_s)
     if o.tries.another_pad != "automatic" or p.questions > 1 or p.good_since is None or s.estimate is None:
         return
     safe_m = o.tries.safe_height_m - NEAR_SAFE_M
     held_s = seconds_between(p.good_since, s.at)
     if min(p.entered_height_m, s.estimate.height_m) >= safe_m and held_s >= o.tries.another_pad_s:
-        yield Event.BEGIN, Reason(Cause.AUTOMATIC)
+        yield Event.BEGIN, Reason(ReasonCause.AUTOMATIC)
 
 
 def climbs_from_question(p: Progress, now: MonoNs, o: GuidanceOptions) -> bool:

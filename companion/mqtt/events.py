@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from companion.guidance.mission import Transition
+from companion.guidance.mission import StateChange
 from companion.operator.orders import HandledOrder
 from companion.runtime.health import HealthSnapshot
 from companion.runtime.observer import Decision, ProcessedFrame
@@ -30,7 +30,7 @@ class PendingEvent:
     data: Mapping[str, str | float | bool | None] = field(default_factory=dict)
 
 
-def _changed(change: Transition, place: Mapping[str, str | float | bool | None]) -> PendingEvent:
+def _changed(change: StateChange, place: Mapping[str, str | float | bool | None]) -> PendingEvent:
     why = change.reason
     data: dict[str, str | float | bool | None] = {
         "from": change.source.value,

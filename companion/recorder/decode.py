@@ -8,8 +8,8 @@ from typing import cast, get_args
 
 import numpy as np
 
-from companion.guidance.mission import Event, State, Transition
-from companion.guidance.reason import Cause, Reason
+from companion.guidance.mission import Event, State, StateChange
+from companion.guidance.reason import Reason, ReasonCause
 from companion.recorder import records as rec
 from companion.recorder.encode import COMMANDS
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
@@ -162,14 +162,14 @@ def command(of: rec.DecisionRecord) -> Command | None:
     raise ValueError(f"no such command: {of.command!r}")
 
 
-def transition(of: rec.TransitionRecord) -> Transition:
+def transition(of: rec.TransitionRecord) -> StateChange:
     """Return a recorded change of the mission's state. Raises ValueError if a name is not known."""
     try:
         detail: IntegrityAlert | Verdict | None = None
         if of.detail is not None:
             detail = Verdict[of.detail] if of.detail in Verdict.__members__ else IntegrityAlert[of.detail]
-        reason = Reason(Cause[of.cause], of.measured, of.limit, detail)
-        return Transition(MonoNs(of.at_ns), State[of.source], Event[of.event], State[of.target], reason)
+        reason = Reason(ReasonCause[of.cause], of.measured, of.limit, detail)
+        return StateChange(MonoNs(of.at_ns), State[of.source], Event[of.event], State[of.target], reason)
     except KeyError as why:
         raise ValueError(f"no such state, event, cause, verdict or alert: {why.args[0]!r}") from why
 

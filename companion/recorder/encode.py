@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.guidance.mission import Transition
+from companion.guidance.mission import StateChange
 from companion.operator.orders import HandledOrder
 from companion.recorder import records as rec
 from companion.runtime.health import HealthSnapshot
@@ -149,7 +149,7 @@ def decision(of: Decision) -> rec.DecisionRecord:
     return rec.DecisionRecord(int(of.at), of.phase, steering, simple, reason=of.reason, transitions=changes)
 
 
-def transition(of: Transition) -> rec.TransitionRecord:
+def transition(of: StateChange) -> rec.TransitionRecord:
     """Return the record of a change of the mission's state."""
     why = of.reason
     detail = None if why.detail is None else why.detail.name

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from companion.guidance.mission import Transition
+from companion.guidance.mission import StateChange
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult
@@ -104,7 +104,7 @@ class FlightLog:
     """The steering path, whose pad is drawn into the video; None for the first path in `estimates`."""
     commands: list[CommandRecord] = field(default_factory=list)
     phases: list[PhaseChange] = field(default_factory=list)
-    transitions: list[Transition] = field(default_factory=list)
+    transitions: list[StateChange] = field(default_factory=list)
     """The changes of the mission's state, with their reasons."""
     frames: list[FrameRecord] = field(default_factory=list)
     verdicts: Counter[Verdict] = field(default_factory=Counter)

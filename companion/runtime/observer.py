@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from companion.guidance.mission import Transition
+from companion.guidance.mission import StateChange
 from companion.operator.orders import HandledOrder
 from estimator.contracts.commands import Command
 from estimator.contracts.estimates import RelativeState, Verdict
@@ -47,7 +47,7 @@ class Decision:
     """Why the vehicle is not simply descending, as text for the operator."""
     limit: str = ""
     """The limits that changed the command, or why they ended the landing; empty while there are none."""
-    transitions: tuple[Transition, ...] = ()
+    transitions: tuple[StateChange, ...] = ()
     """What changed since the previous decision, in order."""
 
 

@@ -21,11 +21,11 @@ from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.limits import InputQuality
-from companion.guidance.mission import FLOWN, GROUND, Event, State, Transition
+from companion.guidance.mission import FLOWN, GROUND, Event, State, StateChange
 from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.situation import Situation
+from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import asks_to_descend
 from companion.operator.arbiter import OperatorArbiter
 from companion.operator.limit_options import LimitOptions
@@ -125,7 +125,7 @@ class Pilot:
         self._law = self._make_law(guidance)
         self._law_memory = self._law.start()
         self._over_ground = options.ekf.velocity_is_over == "ground"
-        self._changes: list[Transition] = []
+        self._changes: list[StateChange] = []
         self._status: VehicleStatus | None = None
         self._now = MonoNs(0)
         self.engage: Callable[[], None] = lambda: None
@@ -352,7 +352,7 @@ class Pilot:
         knowledge = self.knowledge(now)
         lean = None if self._lean is None else math.atan(float(np.hypot(*self._lean[1])) / G_M_S2)
         battery = None if self._status is None else self._status.battery_fraction
-        s = Situation(now, knowledge, battery, lean, self._quality, self._frames)
+        s = GuidanceCycle(now, knowledge, battery, lean, self._quality, self._frames)
         self._mission, aim, changes = mission_step(self._mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
         target = aim if isinstance(aim, Target) else None

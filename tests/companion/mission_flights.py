@@ -10,11 +10,11 @@ import numpy as np
 from msgspec import structs
 
 from companion.guidance.controller import Impact, Knowledge, Target
-from companion.guidance.mission import Event, State, Transition
+from companion.guidance.mission import Event, State, StateChange
 from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.situation import Situation
+from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim
 from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.estimates import RelativeState
@@ -58,7 +58,7 @@ class PointFlight:
     t: float = 0.0
     v: F64 = field(default_factory=lambda: np.zeros(3))
     rows: list[tuple[float, F64, Aim, State]] = field(default_factory=list)
-    changes: list[Transition] = field(default_factory=list)
+    changes: list[StateChange] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.d = np.array(self.d, float)
@@ -84,7 +84,7 @@ class PointFlight:
             self.seen_at = self.t
         elif self.seen is not None:
             self.seen = estimate(self.t, self.d, relative_v, age=self.t - self.seen_at, track=self.track(self.t), sigma=0.1)
-        s = Situation(ns(self.t), Knowledge(ns(self.t), self.seen, impact=self.impact))
+        s = GuidanceCycle(ns(self.t), Knowledge(ns(self.t), self.seen, impact=self.impact))
         self.progress, aim, changes = mission_step(self.progress, s, self.options, over_ground=False)
         self.changes += changes
         self.rows.append((self.t, self.d.copy(), aim, self.progress.state))

@@ -13,15 +13,15 @@ from companion.guidance.mission import DESCENDS, Event, State
 from companion.guidance.mission_step import mission_step, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.reason import Cause
-from companion.guidance.situation import Situation, unfit
+from companion.guidance.reason import ReasonCause
+from companion.guidance.situation import GuidanceCycle, unfit
 from estimator.contracts.commands import Hover, Land, Velocity
 from tests.companion.mission_flights import DT, PointFlight, estimate, guided, ns, status
 
 WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN]
 
 
-def causes(flight: PointFlight, target: State) -> list[Cause]:
+def causes(flight: PointFlight, target: State) -> list[ReasonCause]:
     return [change.reason.cause for change in flight.changes if change.target is target]
 
 
@@ -53,7 +53,7 @@ def test_a_pad_lost_for_a_moment_stops_the_descent_and_is_found_again() -> None:
     assert flight.progress.state is State.LANDED
     held = [d[2] for t, d, *_ in flight.rows if 2.6 < t < 3.3]
     assert max(held) - min(held) < 0.2
-    assert causes(flight, State.HOLD_BLIND) == [Cause.STALE]
+    assert causes(flight, State.HOLD_BLIND) == [ReasonCause.STALE]
 
 
 def test_a_pad_lost_low_is_sought_from_higher_up_and_found() -> None:
@@ -70,7 +70,7 @@ def test_a_pad_lost_low_is_sought_from_higher_up_and_found() -> None:
     assert {State.HOLD_BLIND, State.GO_AROUND} <= set(flight.states)
     assert flight.progress.state is State.LANDED
     (why,) = [change.reason for change in flight.changes if change.target is State.GO_AROUND]
-    assert why.cause is Cause.LOST_LOW
+    assert why.cause is ReasonCause.LOST_LOW
     assert why.measured == pytest.approx(0.75, abs=0.25)
     assert why.text == f"the pad was lost at {why.measured:.1f} m"
 
@@ -80,7 +80,7 @@ def test_a_pad_lost_for_good_is_given_up_at_a_safe_height() -> None:
     assert flight.progress.state is State.GAVE_UP
     assert flight.d[2] == pytest.approx(2.0, abs=0.5)
     assert flight.progress.fault is not None
-    assert flight.progress.fault.cause in (Cause.LOST_LOW, Cause.NOT_FOUND_AGAIN)
+    assert flight.progress.fault.cause in (ReasonCause.LOST_LOW, ReasonCause.NOT_FOUND_AGAIN)
 
 
 def test_a_pad_never_seen_from_near_is_not_tried_for_ever() -> None:
@@ -101,7 +101,7 @@ def test_a_landing_that_nobody_reports_is_taken_back_and_after_the_last_try_it_h
     flight = PointFlight([0.0, 0.0, 2.5], guided(mission), sight=lambda t, d: d[2] > 0.2, stands=False).run(200)
     tries = flight.options.tries.go_arounds_max + 1
     assert flight.states.count(State.COMMIT if mission == "cone" else State.DOWN) == tries
-    over = {Cause.NO_CONTACT, Cause.STALE, Cause.SIGHTING_AGE, Cause.NO_LANDING, Cause.PAST_DECK}
+    over = {ReasonCause.NO_CONTACT, ReasonCause.STALE, ReasonCause.SIGHTING_AGE, ReasonCause.NO_LANDING, ReasonCause.PAST_DECK}
     assert set(causes(flight, State.GO_AROUND)) <= over
     assert flight.progress.state is State.GAVE_UP
     assert min(d[2] for _, d, *_ in flight.rows) > -1.6
@@ -124,16 +124,16 @@ def test_a_gate_that_does_not_open_ends_in_a_refusal_that_says_what_kept_it_shut
         flight.cycle()
     assert flight.progress.state is State.REFUSED
     assert flight.progress.fault is not None
-    assert flight.progress.fault.cause is Cause.RELATIVE_SPEED
+    assert flight.progress.fault.cause is ReasonCause.RELATIVE_SPEED
     assert "m/s against the deck (limit 0.02 m/s)" in flight.progress.fault.text
 
 
 def test_wind_and_battery_refuse_with_their_numbers() -> None:
-    for situation, cause in (({"lean_rad": 0.4}, Cause.WIND), ({"battery": 0.05}, Cause.BATTERY)):
+    for situation, cause in (({"lean_rad": 0.4}, ReasonCause.WIND), ({"battery": 0.05}, ReasonCause.BATTERY)):
         o = GuidanceOptions()
         progress, _ = reported(Progress.start(automatic=True), status(0.0, True), o)
         seen = estimate(0.0, [0, 0, 3.0])
-        s = Situation(ns(0.0), Knowledge(ns(0.0), seen), **situation)
+        s = GuidanceCycle(ns(0.0), Knowledge(ns(0.0), seen), **situation)
         progress, _, (change, *_) = mission_step(progress, s, o, over_ground=False)
         assert (progress.state, change.reason.cause) == (State.REFUSED, cause)
 
@@ -144,7 +144,7 @@ def test_a_battery_that_runs_low_on_the_way_down_does_not_keep_it_from_landing()
     progress, _ = reported(progress, status(0.0, True), o)
     for i, battery in enumerate([0.5] * 5 + [0.02] * 50):
         t = i * DT
-        s = Situation(ns(t), Knowledge(ns(t), estimate(t, [0, 0, 2.0])), battery)
+        s = GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, [0, 0, 2.0])), battery)
         progress, _, _ = mission_step(progress, s, o, over_ground=False)
     assert progress.state is State.DESCEND
 
@@ -156,10 +156,10 @@ def test_height_lost_without_sight_ends_the_try() -> None:
         t += 0.1
         blind = (t % 1.0) < 0.5
         height -= 0.04 if blind else 0.0
-        s = Situation(ns(t), Knowledge(ns(t), None if blind else estimate(t, [0.02, 0, height])))
+        s = GuidanceCycle(ns(t), Knowledge(ns(t), None if blind else estimate(t, [0.02, 0, height])))
         progress, _, _ = mission_step(progress, s, o, over_ground=False)
     assert progress.fault is not None
-    assert progress.fault.cause is Cause.BLIND_DESCENT
+    assert progress.fault.cause is ReasonCause.BLIND_DESCENT
 
 
 def test_another_pad_is_not_flown_to_but_asked_about_from_higher_up() -> None:
@@ -208,7 +208,7 @@ def test_no_contact_that_nobody_felt_stops_the_motors_of_a_cone() -> None:
     flight = PointFlight([0.0, 0.0, 1.0], feels=False, sight=lambda t, d: True).run(12)
     assert State.PRESS not in flight.states
     assert not any(isinstance(aim, Land) for *_, aim, _ in flight.rows)
-    assert Cause.NO_CONTACT in causes(flight, State.GO_AROUND)
+    assert ReasonCause.NO_CONTACT in causes(flight, State.GO_AROUND)
 
 
 def test_the_go_around_keeps_to_the_clear_side() -> None:
@@ -250,7 +250,7 @@ def test_nothing_descends_nor_lands_without_a_fresh_consistent_estimate(history,
             flight.order(Event.BEGIN if kind == "begin" else Event.PAUSE)
         if kind == "impact":
             impact = Impact(ns(t), "accelerometer", 9.0)
-        s = Situation(ns(t), Knowledge(ns(t), seen, impact=impact))
+        s = GuidanceCycle(ns(t), Knowledge(ns(t), seen, impact=impact))
         flight.progress, aim, _ = mission_step(flight.progress, s, o, over_ground=False)
         state = flight.progress.state
         stale_s = o.limits.commit_sighting_age_s if state is State.COMMIT else o.stale_after_s
