@@ -18,6 +18,9 @@ from sitl.ship_faults import DeckRoll, FerryWake, ShipFault, ShipSpeed, ShipTurn
 from sitl.turn import heel_rad, smooth_step, speed_in_turn_m_s
 from sitl.vessel import Mounted, Vessel
 
+_APART_S = 1e-3
+"""Distance of the velocities whose difference is the acceleration."""
+
 
 class _Course(NamedTuple):
     """Speed and heading at times (T,), against those of the course before."""
@@ -56,7 +59,7 @@ class Manoeuvre:
             i = max(0, int(np.searchsorted(times, at_s + 1e-9)) - 1)
             self._at_s, self._d_ne = float(times[i]), d_ne[i]
         else:
-            self._at_s = at_s
+            self._at_s, self._newest = at_s, (np.array([at_s]), np.zeros((1, 2)))
         self._begun.append((fault, at_s))
         return True
 
@@ -65,18 +68,39 @@ class Manoeuvre:
         return bool(self._begun)
 
     def pad(self, t_s: F64) -> Mounted:
-        """Return the pad at the next times (T,), in order and close to each other, with the leading shape (1, T)."""
+        """Return the pad at the next times (T,), in order and close to each other, with the leading shape (1, T).
+
+        The acceleration is a central difference of the velocity, right to 1e-4 m/s^2.
+        """
+        d_ne = self._carried(t_s, self._at_s, self._d_ne)
+        self._at_s, self._d_ne, self._newest = float(t_s[-1]), d_ne[-1], (t_s, d_ne)
+        return self._at(t_s, d_ne)
+
+    def pad_ahead(self, now_s: float, t_s: F64) -> Mounted:
+        """Return the pad at later times (T,), ascending from an instant of the newest call of `pad`; nothing changes."""
+        times, d_ne = self._newest
+        i = max(0, int(np.searchsorted(times, now_s + 1e-9)) - 1)
+        return self._at(t_s, self._carried(t_s, float(times[i]), d_ne[i]))
+
+    def _at(self, t_s: F64, d_ne: F64) -> Mounted:
+        now, before, after = (self._moved(t) for t in (t_s, t_s - _APART_S, t_s + _APART_S))
+        p = now.p_ned.copy()
+        p[0, :, :2] += d_ne
+        return Mounted(p, now.v_ned, (after.v_ned - before.v_ned) / (2.0 * _APART_S), now.R_ned, now.w)
+
+    def _moved(self, t_s: F64) -> Mounted:
+        """Return the pad as `pad` does, at any times, but for the way along the other course; the acceleration is left out."""
         ship = self._vessel.mounted(t_s, np.zeros(3))
         course = self._course(t_s)
         heading = float(self._vessel.heading_rad[0])
-        d_ne, v_ne = self._carried(t_s, heading, course)
+        v_ne = self._off(heading, course)
         eta, rate = self._added(t_s)
         c, s = np.cos(course.yaw_rad), np.sin(course.yaw_rad)
         zero, one = np.zeros_like(c), np.ones_like(c)
         turn = np.stack([np.stack([c, -s, zero], -1), np.stack([s, c, zero], -1), np.stack([zero, zero, one], -1)], -2)
         R = turn @ ship.R_ned[0]
         tilt, w_tilt = _tilted(eta, rate)
-        p = ship.p_ned[0] + np.concatenate([d_ne, zero[:, None]], axis=1)
+        p = ship.p_ned[0].copy()
         v = ship.v_ned[0] + np.concatenate([v_ne, zero[:, None]], axis=1)
         # Surge, sway and heave in the axes of the turned course.
         ahead = heading + course.yaw_rad
@@ -112,18 +136,17 @@ class Manoeuvre:
                 speed *= 1.0 + share * (after / max(1e-9, self._before_m_s) - 1.0)
         return _Course(speed, yaw, rate)
 
-    def _carried(self, t_s: F64, heading: float, course: _Course) -> tuple[F64, F64]:
-        """Return how far from her course before the vessel is, (T, 2) m north and east, and the velocity of that.
+    def _carried(self, t_s: F64, from_s: float, d_ne: F64) -> F64:
+        """Return how far from her course before the vessel is, (T, 2) m north and east, by Simpson's rule.
 
-        The path is integrated by Simpson's rule.
+        Args:
+            from_s: an instant at which she was `d_ne` (2,) m off.
         """
-        before = np.concatenate([[self._at_s], t_s[:-1]])
-        ends = self._off(heading, course)
-        starts, middles = (self._off(heading, self._course(t)) for t in (before, 0.5 * (before + t_s)))
+        heading = float(self._vessel.heading_rad[0])
+        before = np.concatenate([[from_s], t_s[:-1]])
+        starts, middles, ends = (self._off(heading, self._course(t)) for t in (before, 0.5 * (before + t_s), t_s))
         steps = (t_s - before)[:, None] / 6.0 * (starts + 4.0 * middles + ends)
-        d = self._d_ne + np.cumsum(steps, axis=0)
-        self._at_s, self._d_ne, self._newest = float(t_s[-1]), d[-1], (t_s, d)
-        return d, ends
+        return np.asarray(d_ne + np.cumsum(steps, axis=0))
 
     def _off(self, heading: float, course: _Course) -> F64:
         ahead = heading + course.yaw_rad

@@ -367,7 +367,8 @@ class World:
 
     def pad_ahead(self, ahead_s: F64) -> Mounted:
         """Return the pad's true motion at (H,) s after the newest step."""
-        return self.vessel.pad(self._seconds + ahead_s)
+        times: F64 = self._seconds + ahead_s
+        return self._manoeuvre.pad_ahead(self._seconds, times) if self._manoeuvre else self.vessel.pad(times)
 
     def pad_motion(self) -> Mounted:
         """Return the pad's true motion at the newest step, with shapes (3,) and (3, 3)."""

@@ -105,6 +105,21 @@ def test_velocity_and_rates_are_the_derivatives_of_the_pose(faults: list[Fault])
     np.testing.assert_allclose(rates, w[1:-1], atol=2e-4)
 
 
+def test_the_motion_ahead_is_what_comes_and_the_acceleration_that_of_the_velocity() -> None:
+    """Guidance that is told the truth is told the deck's motion with the fault in it."""
+    w = World(msgspec.structs.replace(ROUGH, faults=tuple(ALL)), 2)
+    at(w, 2.0)
+    ahead = w.pad_ahead(np.array([0.2, 0.5, 1.0]))
+    before = w.truth().v_pad_ned
+    a = w.pad_motion().a_ned
+    at(w, 2.004)
+    np.testing.assert_allclose((w.truth().v_pad_ned - before) / 0.004, a, atol=0.02)
+    for n, later in enumerate((0.2, 0.5, 1.0)):
+        truth = at(w, 2.0 + later).truth()
+        np.testing.assert_allclose(ahead.p_ned[0, n], truth.p_pad_ned, atol=1e-4)
+        np.testing.assert_allclose(ahead.v_ned[0, n], truth.v_pad_ned, atol=1e-6)
+
+
 def test_a_fault_that_begins_later_changes_nothing_before_and_only_itself_after() -> None:
     one = decks(ROUGH, ALL[0], until_s=2.0, each_s=0.05)
     both = decks(ROUGH, ALL[0], DeckRoll(at_s=1.51, period_s=2.0), until_s=2.0, each_s=0.05)
