@@ -11,7 +11,7 @@ Source: Smeur, de Croon & Chu, Gust disturbance alleviation with incremental non
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,19 +21,22 @@ SIGMAS_P_M = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
 """Standard deviations of the place for which gains are kept, m."""
 
 
+_Kept = TypeVar("_Kept")
+
+
 class ObserverNoise(NamedTuple):
     """The noise that the observer is solved for."""
 
-    sigma_w_m_s: float = 0.11
+    sigma_w_m_s: float = 0.08
     """The filter's speed of the pad against the body. Its errors are 0.01 to 0.02 m/s and last for a second, so a cycle's reading
     counts for less than if they were new every time."""
-    sigma_a_m_s2: float = 0.02
-    psd_d: float = 100.0
+    sigma_a_m_s2: float = 0.06
+    psd_d: float = 2.0
     """Growth of the variance of the disturbance, (m/s^2)^2/s. Gusts of 0.6 m/s that last 2 s on a drag of 0.35 1/s give 0.04;
-    with so much more the accelerometer is believed within a cycle, as far as the stability margins allow (`benches.law`)."""
-    psd_b: float = 3.0
-    """The same of the accelerometer's error: what place and speed contradict is its error within a tenth of a second."""
-    psd_w: float = 0.05
+    with so much more the accelerometer is believed within some cycles, as far as the stability margins allow (`benches.law`)."""
+    psd_b: float = 0.1
+    """The same of the accelerometer's error: what place and speed contradict is its error within half a second."""
+    psd_w: float = 0.01
     """The same of the speed: the deck's own acceleration is known that badly."""
     accelerometer: bool = True
     """Whether the accelerometer is used."""
@@ -70,8 +73,8 @@ def observer_gains(noise: ObserverNoise, period_s: float) -> tuple[ObserverGains
     return tuple(out)
 
 
-def chosen(table: tuple[ObserverGains, ...], sigma_p_m: float) -> ObserverGains:
-    """Return the gains for a standard deviation of the place."""
+def chosen(table: tuple[_Kept, ...], sigma_p_m: float) -> _Kept:
+    """Return what is kept for a standard deviation of the place; the table has one entry for each of `SIGMAS_P_M`."""
     for sigma, one in zip(SIGMAS_P_M, table, strict=True):
         if sigma_p_m <= 1.4 * sigma:
             return one

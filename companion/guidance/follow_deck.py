@@ -15,7 +15,7 @@ import numpy as np
 from companion.guidance import climb_law, disturbance
 from companion.guidance.axis import AxisMeasured, TiltAxis, begun, command, commanded, observed, reference
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.disturbance import ObserverGains, ObserverNoise
+from companion.guidance.disturbance import ObserverNoise
 from companion.guidance.heave import STILL, DeckAhead, deck_ahead
 from companion.guidance.pid import Pid
 from companion.guidance.pid_controller import PidController
@@ -32,6 +32,8 @@ _GAP_MAX_S = 0.5
 """A silence longer than this makes the observer begin again at what is measured; what it has learned of the wind it keeps."""
 _TURN_MAX_RAD_S = 0.6
 _HEADING_GAIN_1_S = 0.8
+_STIFF_M = 0.01
+"""Standard deviation of the place up to which the regulator is as stiff as its weights say, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,10 @@ class FollowDeck:
     ) -> None:
         self._fallback = fallback
         self.response, self.period_s, self.view = response, period_s, view
-        self.gains = tilt_gains(response.tilt, weights or TiltWeights(), period_s, delay_line=delay_line)
+        least = weights or TiltWeights()
+        # Higher up the place is known to decimetres, and a stiff loop would only fly after its errors.
+        scaled = [least._replace(p_m=least.p_m * max(1.0, sigma / _STIFF_M)) for sigma in disturbance.SIGMAS_P_M]
+        self.gains = tuple(tilt_gains(response.tilt, each, period_s, delay_line=delay_line) for each in scaled)
         self.observers = disturbance.observer_gains(noise or ObserverNoise(), period_s)
         self._forecast = forecast
         self._under_way = max(1, math.ceil(response.tilt.delay_s / period_s - 1e-9))
@@ -154,14 +159,10 @@ class FollowDeck:
         if memory.axes is None or not 0.0 < dt <= _GAP_MAX_S:
             x, y = (None, None) if memory.axes is None else memory.axes
             return begun(north, self._under_way, x), begun(east, self._under_way, y)
-        gains = self._observer(relative)
+        gains = disturbance.chosen(self.observers, _sigma_m(relative))
         x, y = memory.axes
         tilt = self.response.tilt
         return observed(x, north, dt, gains, tilt), observed(y, east, dt, gains, tilt)
-
-    def _observer(self, relative: RelativeState) -> ObserverGains:
-        worst = max(float(relative.cov[0, 0]), float(relative.cov[1, 1]), 0.0)
-        return disturbance.chosen(self.observers, math.sqrt(worst))
 
     def _lean(
         self,
@@ -173,7 +174,7 @@ class FollowDeck:
         frame: _Frame,
     ) -> tuple[float, float, tuple[float, float]]:
         """Return the lean to command, m/s^2 forward and right, and the part of it that is trim."""
-        g, tilt = self.gains, self.response.tilt
+        g, tilt = disturbance.chosen(self.gains, _sigma_m(relative)), self.response.tilt
         then = self._deck_ahead(knowledge.deck, knowledge, tilt.slowness_s)
         a_now, a_then = frame.ned(*here.a_m_s2[:2]), frame.ned(*then.a_m_s2[:2])
         want = target.d_body_pad_level.tolist()
@@ -215,6 +216,10 @@ class FollowDeck:
         north, east = memory.axes
         axes = (commanded(north, u[0]), commanded(east, u[1]))
         return replace(memory, axes=axes, climbs=(down, *memory.climbs[:-1]))
+
+
+def _sigma_m(relative: RelativeState) -> float:
+    return math.sqrt(max(float(relative.cov[0, 0]), float(relative.cov[1, 1]), 0.0))
 
 
 def _turn(relative: RelativeState, target: Target) -> float:

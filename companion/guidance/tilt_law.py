@@ -22,7 +22,7 @@ from companion.guidance.riccati import regulator
 class TiltWeights(NamedTuple):
     """The regulator's weights: each is what costs as much as the others."""
 
-    p_m: float = 0.003
+    p_m: float = 0.006
     w_m_s: float = 4.1
     u_m_s2: float = 0.3
 

@@ -87,7 +87,7 @@ def test_the_shipped_law_stands_sixty_milliseconds_more_than_it_knows() -> None:
     whole = margins(RESPONSE.tilt)
     assert whole.stable
     assert whole.delay_s >= 0.06
-    assert whole.gain[1] >= 1.9
+    assert whole.gain[1] >= 2.0
     assert whole.phase_deg >= 25.0
     assert whole.error_m < 0.018
     slower = structs.replace(RESPONSE.tilt, delay_s=RESPONSE.tilt.delay_s + 0.1)
@@ -174,7 +174,7 @@ def test_far_from_the_pad_it_flies_no_faster_than_it_is_told() -> None:
         p -= T * v
         fastest = max(fastest, v)
     assert fastest < 1.25
-    assert abs(p) < 0.05
+    assert abs(p) < 0.1
 
 
 def test_the_deck_is_followed_ahead_of_time() -> None:
