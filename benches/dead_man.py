@@ -69,7 +69,7 @@ colours = "simulator"
 method = "registration"
 [guidance]
 start = "{start}"
-[guidance.planner]
+[guidance.tries]
 give_up_after_s = {give_up_s}
 """
 CAMERA = """
@@ -87,7 +87,7 @@ rpy_body_cam_deg = [0.0, 0.0, 90.0]
 PAD = 'where = "pad"\n'
 HIGH = "height_m = 3.0\npad_right_m = 0.8\npad_forward_m = 0.5\n"
 NEAR = "height_m = 2.3\npad_right_m = 0.3\npad_forward_m = 0.2\n"
-FINAL = ("landed", "landed by others", "gave up", "no landing reported", "emergency")
+FINAL = ("landed", "landed by others", "gave up", "refused", "emergency")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +111,13 @@ class Case:
 CASES = (
     Case("before take-off", ("waiting for the vehicle",), after_s=1.5, place=PAD),
     Case("waiting for the start", ("waiting for the start",), after_s=1.0, start="signal"),
-    Case("approach", ("approach",), after_s=1.0, place=HIGH),
+    Case("intercept", ("intercept",), after_s=1.0, place=HIGH),
     Case("descend", ("descend",), below_m=1.3),
     Case("last half metre", ("descend",), below_m=0.5),
-    Case("landing ordered", ("land",), after_s=0.1),
-    Case("lost", ("lost", "by dead reckoning"), after_s=0.3, covered_below_m=1.5),
+    Case("commit", ("commit", "press", "down"), after_s=0.1),
+    Case("hold blind", ("hold blind",), after_s=0.3, covered_below_m=1.5),
     # The drone climbs 1.5 s after a loss below the safe height, so the lens stays covered for longer.
-    Case("climb", ("climb",), after_s=0.3, covered_below_m=1.3),
+    Case("go around", ("go around",), after_s=0.3, covered_below_m=1.3),
     # The drone hovers after a loss above the safe height until it gives up.
     Case("gave up", ("gave up",), after_s=0.3, place=HIGH, covered_below_m=2.7, give_up_s=3.0),
     Case("after landing", ("landed",), after_s=0.5),
