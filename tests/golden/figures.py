@@ -12,6 +12,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import msgspec
+
 from companion.config.settings import load
 from companion.recorder.reading import open_recording
 from companion.recorder.records import TruthRecord
@@ -31,9 +33,11 @@ FIELDS = ("count", "lateral_median_m", "lateral_p95_m", "down_bias_m", "down_p95
 
 
 def measured(name: str) -> Figures:
-    """Of one golden recording through the shipped settings `sim`, with the recording's own camera and pad."""
+    """Of one golden recording through the shipped settings `sim` and all methods, with the recording's own camera and pad."""
     recording = open_recording([HERE / f"{name}.mcap"])
-    pilot = pilot_of(recording, load("sim"), None, own_camera=True)
+    settings = load("sim")
+    settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
+    pilot = pilot_of(recording, settings, None, own_camera=True)
     log_observer = BeliefLogObserver(FlightLog(name, MonoNs(0), pilot.pad, pilot.camera))
     for _, event in Replay(recording, pilot, observers=[log_observer]).steps():
         if isinstance(event, TruthRecord):
