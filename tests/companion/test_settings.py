@@ -133,6 +133,9 @@ UNITS = {
     "id": "_id", "ppm": "_ppm", "MB": "_mb", "KiB": "_kib", "records": "_records", "frames": "_frames",
 }  # fmt: skip
 GAINS_AND_RATIOS = {
+    "slope",
+    "battery",
+    "normalized_nis",
     "kp",
     "ki",
     "kd",

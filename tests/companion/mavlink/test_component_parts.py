@@ -252,8 +252,8 @@ def test_a_value_in_range_is_put_into_force_and_one_out_of_range_changes_nothing
     assert applied[-1].guidance.pid.vertical.kp == tuned.settings.guidance.pid.vertical.kp
     with pytest.raises(BadInput, match="kp"):
         tuned.set("PID_H_KP", -1.0)
-    with pytest.raises(BadInput, match="below"):
-        tuned.set("PLAN_FINAL_ALT", 4.9)
+    with pytest.raises(BadInput, match="too short"):
+        tuned.set("COMMIT_RATE", 0.12)
     assert tuned.get("PID_H_KP") == 1.25
     assert len(applied) == 1
 
