@@ -35,6 +35,7 @@ __all__ = [
 
 _Table = TypeVar("_Table", bound=msgspec.Struct)
 SHIPPED = Path(configs.__file__).parent
+_AUTOPILOT_GUIDANCE = {"controller": "pid", "mission": "thesis"}
 
 
 def load(name_or_path: str | Path) -> Settings:
@@ -90,11 +91,19 @@ def from_mapping(data: Mapping[str, Any], where: str, *, recorded: bool = False)
     data = without_retired(with_moved(data) if recorded else data, where)
     try:
         refuse_moved(data)
-        return msgspec.convert(data, Settings, strict=True)
+        return msgspec.convert(_with_guidance_of_vehicle(data), Settings, strict=True)
     except BadInput as why:
         raise BadInput(f"{where}: {why}") from None
     except msgspec.ValidationError as why:
         raise BadInput(f"{where}: {explain(Settings, data, str(why))}") from why
+
+
+def _with_guidance_of_vehicle(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the mapping with the guidance of an autopilot, whose response is not measured, where it says nothing of it."""
+    vehicle, guidance = data.get("vehicle"), data.get("guidance", {})
+    if not isinstance(vehicle, Mapping) or not isinstance(guidance, Mapping) or vehicle.get("kind") != "mavlink":
+        return data
+    return {**data, "guidance": {**_AUTOPILOT_GUIDANCE, **guidance}}
 
 
 def camera_model(settings: Settings) -> Camera:

@@ -80,5 +80,5 @@ def beside_autopilot(settings: Settings, links: str, start: Literal["automatic",
         settings,
         vehicle=vehicle,
         camera=CameraSettings(settings.camera.file),
-        guidance=msgspec.structs.replace(settings.guidance, start=start),
+        guidance=msgspec.structs.replace(settings.guidance, start=start, controller="pid", mission="thesis"),
     )

@@ -90,7 +90,7 @@ def test_images_seen_again_agree_with_what_was_seen_then_and_with_truth(
     done = out["passes"][0]
     assert done["counts"]["searched"] > 20
     errors = {row["name"]: row for row in done["errors"]}
-    best = errors.get("fused") or errors["selected"]
+    best = errors["registration"]
     assert best["count"] > 20
     assert best["lateral_median_m"] < 0.1
     difference = {d["path"]: d for d in out["against"]["the recording"]}["dead_reckoning"]

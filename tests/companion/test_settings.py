@@ -89,7 +89,7 @@ def test_shipped_rigs_are_good_and_name_real_cameras_and_pads(rig: str) -> None:
         (
             {"a b": 1},
             '"a b" is not a known key; known here are vehicle, camera, pad, vision, estimator, guidance, service, recorder, '
-            "mqtt, metrics, landing_target, bridge",
+            "mqtt, metrics, landing_target, bridge, operator, limits",
         ),
         ({"line\nbreak ` - at `$.vehicle.host`": 1}, None),
         ({"vision": 3}, "vision must be a table of keys, found 3"),
@@ -135,6 +135,8 @@ UNITS = {
 GAINS_AND_RATIOS = {
     "slope",
     "battery",
+    "return_charge",
+    "take_off_charge_min",
     "normalized_nis",
     "kp",
     "ki",
@@ -216,6 +218,8 @@ def good_settings(draw: st.DrawFn) -> Settings:
     for table in (data["vehicle"], data.setdefault("bridge", {})):
         if table is not data["vehicle"] or kind == "mavlink":
             table.update(restart_first_s=0.1, restart_most_s=1.0)
+    data.setdefault("operator", {}).update(socket="auto")
+    data.setdefault("limits", {}).update(fence_polygon="")
     data["camera"].update(reconnect_first_s=0.1, reconnect_most_s=1.0, controls="", device="usb")
     data["camera"].update(draw(st.sampled_from([{"source": "v4l2"}, {"source": "stream"}, {"source": "vehicle", "device": ""}])))
     guidance.setdefault("thesis", {}).update(final_height_m=0.2, approach_height_m=1.0)

@@ -56,7 +56,7 @@ def test_a_stand_in_arms_takes_off_and_is_landed_on_the_pad(
     assert told["touchdown"]["yaw_deg"] == pytest.approx(20.0, abs=5.0), "the heading it was brought to"
     texts = (kept / "texts.txt").read_text()
     assert "Arm: Need Position Estimate" in texts, "asked again until it armed"
-    assert "Decklander: land" in texts
+    assert "Decklander: down" in texts
     asked = (kept / "decklander.parm").read_text()
     assert "PLND_LAG 0.05\n" in asked
     assert "LAND_SPEED 40\n" in asked

@@ -152,7 +152,7 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
     assert end.landing is not None
     assert end.landing.on_pad
     assert end.landing.speed_m_s < 0.8
-    assert any("Decklander: land" in text for _, _, text in end.texts)
+    assert any("Decklander: down" in text for _, _, text in end.texts)
     environment = (folder / "environment").read_text()
     assert "PX4_SIM_HOSTNAME=127.0.0.1" in environment
     assert "PX4_PARAM_MPC_XY_VEL_MAX=3" in environment
