@@ -13,6 +13,10 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
+from companion.config import reference
+from companion.config.settings import load
+from companion.recorder.reading import SETTINGS
+
 NONSENSE: tuple[Any, ...] = (
     None, True, "", "x" * 5000, -1, 0, 2**31, 2**63, 2**64, 10**30, -(2**63), 10**400, 1.5, -1e308, 1e308, 1e-300, [], {},
     [0.0] * 2, [1e300] * 3, [1e300] * 9, [[[]]], {"measured_at_ns": -1}, "ekf", "fused", "velocity",
@@ -20,12 +24,18 @@ NONSENSE: tuple[Any, ...] = (
 
 
 def small(source: Path, messages: int = 150) -> list[Any]:
-    """The records of the beginning of a recording, chunks taken apart."""
+    """The records of the beginning of a recording, chunks taken apart, with settings that this version reads.
+
+    A recording keeps the settings of the version that made it. One that stays for years is refused for a key of then, before
+    any of its messages is read.
+    """
+    settings = reference.toml(load("sim")).encode()
     out: list[Any] = []
     with source.open("rb") as file:
         for record in StreamReader(file).records:
             if isinstance(record, Message | Channel | Schema | Metadata | Attachment):
-                out.append(record)
+                own = isinstance(record, Attachment) and record.name == SETTINGS
+                out.append(replace(record, data=settings) if own else record)
             messages -= isinstance(record, Message)
             if not messages:
                 break
