@@ -26,9 +26,9 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "estimator/integrity/tracks.py": _INTEGRITY,
     "estimator/integrity/view.py": _INTEGRITY,
     "companion/guidance/mission.py": ("tests/companion/test_mission_table.py",),
-    "companion/guidance/watch.py": ("tests/companion/test_mission_bounds.py", "tests/companion/test_mission_flights.py"),
-    "companion/guidance/limits.py": ("tests/companion/test_mission_bounds.py",),
-    "companion/guidance/attempt.py": ("tests/companion/test_mission_bounds.py", "tests/companion/test_mission_flights.py"),
+    "companion/guidance/watch.py": ("tests/companion/test_mission_flights.py",),
+    "companion/guidance/limits.py": ("tests/companion/test_mission_flights.py",),
+    "companion/guidance/attempt.py": ("tests/companion/test_mission_flights.py",),
     "companion/guidance/pid.py": ("tests/companion/test_pid_bounds.py", "tests/companion/test_pid.py"),
     "drivers/ardrone/arbiter.py": ("tests/drivers/test_arbiter_bounds.py", "tests/drivers/test_arbiter.py"),
     "drivers/ardrone/landing_watch.py": (

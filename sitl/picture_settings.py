@@ -15,8 +15,10 @@ CLEAR_M = 100000.0
 class DropSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """Water on the lens."""
 
-    rain_per_minute: Annotated[float, number("drops that fall on the lens one by one", "1/min", 0.0, 600.0)] = 0.0
-    spray_per_minute: Annotated[float, number("gusts of spray that hit the lens, each with many drops", "1/min", 0.0, 60.0)] = 0.0
+    rain_per_minute: Annotated[float, number("drops that fall on the lens one by one", "per min", 0.0, 600.0)] = 0.0
+    spray_per_minute: Annotated[float, number("gusts of spray that hit the lens, each with many drops", "per min", 0.0, 60.0)] = (
+        0.0
+    )
     spray_drops: Annotated[int, number("drops of a gust of spray", "1", 1, 60)] = 12
     radius_px: Annotated[float, number("radius of a drop's blurred disc, on average", "px", 2.0, 200.0, "assumed")] = 28.0
     stays_s: Annotated[float, number("time until a drop has run off, on average", "s", 0.2, 120.0, "assumed")] = 6.0

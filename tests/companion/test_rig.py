@@ -29,7 +29,7 @@ READ_BY_THE_SERVICE_ITSELF = {
     "vehicle.kind", "vision.threads", "guidance.start", "guidance.rate_hz",
 }  # fmt: skip
 TAKEN_WHOLE = (
-    "mqtt.", "metrics.", "recorder.", "service.", "camera.", "vehicle.", "landing_target.", "bridge."
+    "mqtt.", "metrics.", "recorder.", "service.", "camera.", "vehicle.", "landing_target.", "bridge.", "operator.", "limits."
 )  # fmt: skip
 """Sections that a part takes as they are."""
 MINIMAL = {"vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
@@ -63,8 +63,8 @@ def plain(value: Any) -> Any:
     return tuple(map(plain, value)) if isinstance(value, tuple) else value
 
 
-def other(field: inspect.Field, path: str) -> object:
-    """A good value that is not the default."""
+def other(field: inspect.Field, path: str, present: object) -> object:
+    """A good value that is not the present one."""
     bare = field.type.type if isinstance(field.type, inspect.Metadata) else field.type
     if path == "estimator.ekf.gate_probability":
         return 1e-3
@@ -76,7 +76,7 @@ def other(field: inspect.Field, path: str) -> object:
         return "printed"
     match bare:
         case inspect.LiteralType(values=values):
-            return next(v for v in values if v != field.default)
+            return next(v for v in values if v != present)
         case inspect.FloatType(le=high) | inspect.IntType(le=high):
             step = field.default * 1.01 if isinstance(bare, inspect.FloatType) else field.default + 1
             assert high is not None
@@ -103,7 +103,7 @@ def test_every_key_reaches_a_part(kind: str, path: str, field: inspect.Field) ->
     table = data
     for name in tables:
         table = table[name]
-    table[last] = other(field, path)
+    table[last] = other(field, path, table[last])
     assert parts(from_mapping(data, "changed")) != before
 
 
