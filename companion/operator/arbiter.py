@@ -284,7 +284,8 @@ class OperatorArbiter:
             flies = order is OperatorOrder.TAKE_OFF and status is not None and status.flying is not False
             return REASONS[Rule.FLYING] if flies else None
         idle = control.moved_at is None or seconds_between(control.moved_at, now) > IDLE_HAND_S
-        allowed = rule is Rule.YES or (rule is Rule.TRY_AGAIN and self._guided.may_try_again) or (rule is Rule.IDLE and idle)
+        again = self._guided.outcome is None or self._guided.may_try_again
+        allowed = rule is Rule.YES or (rule is Rule.TRY_AGAIN and again) or (rule is Rule.IDLE and idle)
         if not allowed:
             outcome = self._guided.outcome
             holder = control.landing.sender if situation is ControlSituation.LANDING and control.landing else control.hand

@@ -60,8 +60,8 @@ class Rule(Enum):
     """Accepted from the sender that has the hand, refused from all others."""
     IDLE = "holder, or idle"
     """The same, and from everybody while the holder's sticks have been centred for `IDLE_HAND_S`."""
-    TRY_AGAIN = "if given up"
-    """Accepted if guidance gave up, so that it may try again; refused after an abort."""
+    TRY_AGAIN = "unless ended"
+    """Accepted while the flight goes on, and after guidance gave up, so that it may try again; refused after an abort."""
     OVER = "no: over"
     FLYING = "no: flies"
     ON_GROUND = "no: ground"
@@ -111,7 +111,7 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
         OperatorOrder.ABORT: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),
         OperatorOrder.HOLD: _row(_Y, _Y, _O, _Y, _Y, _O, _H, _L, _O),
         OperatorOrder.TAKE_OFF: _row(_U, _Y, _Y, _F, _F, _F, _H, _Y, _E),
-        OperatorOrder.BEGIN: _row(_Y, _Y, _O, _Y, _Y, _T, _H, _L, _O),
+        OperatorOrder.BEGIN: _row(_T, _Y, _O, _Y, _Y, _T, _H, _L, _O),
         OperatorOrder.RELEASE: _row(_N, _N, _N, _N, _N, _N, _H, _N, _N),
         OperatorOrder.RESET: _row(_X, _X, _X, _X, _X, _X, _X, _X, _Y),
         OperatorOrder.PATH: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),

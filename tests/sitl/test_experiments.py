@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -79,7 +80,9 @@ def test_the_spread_counts_frames_without_an_estimate() -> None:
 
 
 def test_a_short_hover_by_hand_sees_the_pad_and_errs_little() -> None:
-    flown = fly_by_hand(load("sim"), hold(HeldPose(0.0, 0.0, 1.0)), 0.6, 3)
+    settings = load("sim")
+    settings = msgspec.structs.replace(settings, vision=msgspec.structs.replace(settings.vision, method="fused"))
+    flown = fly_by_hand(settings, hold(HeldPose(0.0, 0.0, 1.0)), 0.6, 3)
     assert flown.frames >= 5
     for method in ("arrow", "corners", "registration", "best"):
         found = spread(flown, method, "z")
