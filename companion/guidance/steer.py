@@ -92,7 +92,8 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
 def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: float, over_ground: bool) -> tuple[Progress, Aim]:
     """Stay where the drone is against the deck, and never lower; or climb from there."""
     estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
-    if estimate is None:
+    # A pad that nobody has agreed to land on is not followed either: its deck may fall away.
+    if estimate is None or (p.track is not None and estimate.track != p.track):
         return replace(p, held=None), blind_hold.without_estimate(s.knowledge, climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import msgspec
@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from companion.config.settings import load as load_settings
+from companion.guidance.mission import State
 from companion.runtime.make_pilot import make_pilot
 from companion.runtime.observer import Decision, NullObserver, ProcessedFrame
-from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.commands import Hover
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.samples import Imu, Sample
@@ -299,7 +299,7 @@ def test_a_refusal_says_what_guidance_said_and_what_became_of_the_frames(monkeyp
     pilot = flight._pilot
 
     def gives_up(now: MonoNs) -> Decision:
-        pilot.outcome = FlightOutcome.GAVE_UP
+        pilot._mission = replace(pilot._mission, state=State.GAVE_UP)
         return Decision(now, "gave up", Hover(), None, (), "the pad was not found again")
 
     monkeypatch.setattr(pilot, "decide", gives_up)
