@@ -187,7 +187,7 @@ def test_a_campaign_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFi
     told = lines[-1]["summary"]
     assert (told["runs"], told["failed"], told["on_pad"], told["lateral_median_m"]) == (2, 2, 0, None)
     kept = json.loads((tmp_path / "out" / MANIFEST).read_text())
-    assert kept["options"] == ["--set", "vision.method=registration", "--set", "start.height_m=1.5"]
+    assert kept["options"] == ["--set", "start.height_m=1.5"]
     assert cli.main(command) == 1
     again = capsys.readouterr()
     assert json.loads(again.out.splitlines()[-1])["summary"]["hash"] == told["hash"]
