@@ -42,7 +42,17 @@ from sitl.faulty_streams import InTransit
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
 from sitl.render_worker import RenderWorker
-from sitl.safety import BLIND_DESCENT_MAX_M, GO_AROUND_PHASES, BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m
+from sitl.safety import (
+    BLIND_DESCENT_MAX_M,
+    GO_AROUND_PHASES,
+    BlindDescent,
+    Grade,
+    SightWatch,
+    dangers,
+    grade,
+    on_pad_m,
+    unreached_descent_max_m,
+)
 from sitl.scenario import Scenario
 from sitl.simulated_person import SimulatedPerson
 from sitl.vessel_reports import VesselReporter
@@ -160,6 +170,7 @@ class Flight:
         self._timing = timing or Timing()
         self._limit_s = scenario.duration_limit_s
         self._options = ardrone_options(settings)
+        self._unreached_max_m = unreached_descent_max_m(settings.guidance, self._options.com_watchdog_s)
         self._arbiter = CommandArbiter(self._options.hold_s)
         self._sequence = self._ticks = 0
         start = self.world.now
@@ -382,7 +393,8 @@ class Flight:
     def result(self) -> FlightResult:
         """Return the result of the flight: final if it has ended, else the result so far."""
         truth, outcome = self.world.truth(), self._pilot.outcome
-        unsafe = dangers(self._watch.worst, truth.contacts, self._died, self._watch.unreached_m)
+        unreached_m = self._watch.unreached_m
+        unsafe = dangers(self._watch.worst, truth.contacts, self._died, unreached_m, self._unreached_max_m)
         alone = self.world.active("service_killed") or self.world.active("link_lost")
         asks = self.world.guidance_phase == State.ANOTHER_PAD.value
         situation, scenario, refused = self._pilot.operator.situation(self._clock.t), self.world.scenario, self._refused(outcome)
@@ -397,8 +409,8 @@ class Flight:
             go_arounds=self._go_arounds,
             refusal=(scenario.refusal, refused or ""),
         )
-        if self._watch.unreached_m > BLIND_DESCENT_MAX_M and not unsafe:
-            because += f"; came down {self._watch.unreached_m:.2f} m while nothing reached it"
+        if unreached_m > BLIND_DESCENT_MAX_M and not unsafe:
+            because += f"; came down {unreached_m:.2f} m while nothing reached it"
         return FlightResult(
             outcome,
             seconds_between(self.world.started, self.world.at),

@@ -13,6 +13,7 @@ from enum import Enum
 from typing import Literal
 
 from companion.guidance.mission import CONTACT_INTENDED, State
+from companion.guidance.options import GuidanceOptions
 from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
@@ -22,9 +23,8 @@ BLIND_AFTER_S = 1.0
 """Time after the newest true sight that still counts as sight; the last 0.3 m of a landing, without the pad, take less."""
 BLIND_DESCENT_MAX_M = 0.5
 """Descent without sight that is allowed: what wind and the vehicle's own landing cause, and no more."""
-UNREACHED_DESCENT_MAX_M = 1.3
-"""Descent that is allowed while nothing reaches the vehicle. An AR.Drone flies on with its last command for `com_watchdog_s`
-(2 s, at `descent_rate_max_m_s` 0.5 m/s) and then hovers, with 0.3 m to stop; a landing that it begins by itself goes deeper."""
+UNREACHED_STOP_M = 0.3
+"""Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
 STAMP_ERROR_MAX_S = 0.5
 """Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
 COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
@@ -110,8 +110,24 @@ def _descent_m(from_m: tuple[float, float], to_m: tuple[float, float]) -> float:
     return min(from_m[0] - to_m[0], from_m[1] - to_m[1])
 
 
+def unreached_descent_max_m(guidance: GuidanceOptions, com_watchdog_s: float) -> float:
+    """Return the descent that is allowed while nothing reaches the vehicle, metres.
+
+    Without commands an AR.Drone flies on for `com_watchdog_s`, at most at the fastest rate of the mission's way down. Then it
+    hovers. A landing that it begins by itself goes deeper.
+    """
+    rate_m_s = guidance.thesis.speed_m_s if guidance.mission == "thesis" else guidance.cone.descent_rate_m_s
+    if guidance.controller == "pid":
+        rate_m_s = min(rate_m_s, guidance.pid.descent_rate_max_m_s)
+    return com_watchdog_s * rate_m_s + UNREACHED_STOP_M
+
+
 def dangers(
-    worst: BlindDescent | None, contacts: Sequence[Touchdown], died: str | None, unreached_m: float = 0.0
+    worst: BlindDescent | None,
+    contacts: Sequence[Touchdown],
+    died: str | None,
+    unreached_m: float = 0.0,
+    unreached_max_m: float = UNREACHED_STOP_M,
 ) -> tuple[str, ...]:
     """Return the unsafe events, one line each; the result is empty for a safe flight.
 
@@ -120,6 +136,7 @@ def dangers(
         contacts: all contacts of the flight.
         died: the reason why the service died, None if it did not.
         unreached_m: the deepest descent while nothing reached the vehicle, metres.
+        unreached_max_m: the result of `unreached_descent_max_m`.
     """
     out = []
     if died is not None:
@@ -129,7 +146,7 @@ def dangers(
             f"came down {worst.descent_m:.2f} m, to {worst.lowest_m:.2f} m over the deck, without true sight of the pad "
             f"for {worst.blind_s:.1f} s"
         )
-    if unreached_m > UNREACHED_DESCENT_MAX_M:
+    if unreached_m > unreached_max_m:
         out.append(f"came down {unreached_m:.2f} m while nothing reached it")
     for contact in contacts:
         if contact.surface == "water":

@@ -113,8 +113,17 @@ def test_faults_of_frames_act_in_the_model_as_in_pictures() -> None:
     assert Verdict.TOO_OLD in late
     stamped = fly("model", faulty("frames_misstamped", 0.5, 1.0, by_s=-2.0), 3, limit_s=1.6)[1].verdicts
     assert {Verdict.TOO_OLD, Verdict.NO_ATTITUDE} & set(stamped)
-    aside = fly("model", faulty("frames_shifted", 0.8, 1.0, forward_m=1.0), 3, limit_s=1.6)[1].verdicts
-    assert aside.count(Verdict.ELSEWHERE) >= 10
+
+
+@pytest.mark.parametrize("level", ["model", "pixels"])
+def test_a_shifted_pad_is_elsewhere_while_the_picture_holds_it(level: Level) -> None:
+    """The picture reaches 1.7 m to the right from 2 m over the deck, but only 1 m ahead: there the shifted pad is cut off."""
+    told = fly(level, faulty("frames_shifted", 0.8, 1.0, right_m=1.0), 3, limit_s=1.4)[1].verdicts
+    assert told.count(Verdict.ELSEWHERE) >= 15
+    assert set(told) == {Verdict.FUSED, Verdict.ELSEWHERE}
+    cut = fly(level, faulty("frames_shifted", 0.8, 1.0, forward_m=1.3), 3, limit_s=1.4)[1].verdicts
+    assert cut.count(Verdict.FUSED) == told.count(Verdict.FUSED), "nothing beside the pad is taken for it"
+    assert set(cut) <= {Verdict.FUSED, Verdict.NO_PAD, Verdict.GATED}
 
 
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - REPRESENTED))

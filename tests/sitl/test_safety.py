@@ -7,11 +7,21 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from companion.guidance.options import GuidanceOptions, PidOptions
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
-from sitl.safety import BlindDescent, Grade, SightWatch, dangers, grade, on_pad_m, outside_commit
+from sitl.safety import (
+    BlindDescent,
+    Grade,
+    SightWatch,
+    dangers,
+    grade,
+    on_pad_m,
+    outside_commit,
+    unreached_descent_max_m,
+)
 from sitl.world import Touchdown, Truth, VehiclePhase
 
 START = MonoNs(0)
@@ -75,8 +85,17 @@ def test_a_descent_while_nothing_reaches_the_vehicle_is_kept_apart() -> None:
         back.step(truth(at_s, height_m), reached=not 2.0 <= at_s < 4.0)
     assert back.unreached_m == pytest.approx(0.75)
     assert back.worst.descent_m == pytest.approx(3.0 - 0.25 * 3 - 0.5 - 1.0), "what it did alone is not charged"
-    assert dangers(SAFE, [], None, 1.3) == ()
-    assert dangers(SAFE, [], None, 1.31) == ("came down 1.31 m while nothing reached it",)
+    assert dangers(SAFE, [], None, 1.7, 1.7) == ()
+    assert dangers(SAFE, [], None, 1.71, 1.7) == ("came down 1.71 m while nothing reached it",)
+
+
+def test_what_an_unreached_vehicle_may_come_down_follows_from_its_own_timeout_and_the_fastest_way_down() -> None:
+    cone, thesis = GuidanceOptions(), GuidanceOptions(mission="thesis")
+    assert unreached_descent_max_m(cone, 2.0) == pytest.approx(2.0 * cone.cone.descent_rate_m_s + 0.3)
+    assert unreached_descent_max_m(cone, 1.0) == pytest.approx(cone.cone.descent_rate_m_s + 0.3)
+    assert unreached_descent_max_m(thesis, 2.0) == pytest.approx(2.0 * thesis.thesis.speed_m_s + 0.3)
+    slow = GuidanceOptions(controller="pid", pid=PidOptions(descent_rate_max_m_s=0.2))
+    assert unreached_descent_max_m(slow, 2.0) == pytest.approx(0.7)
 
 
 def test_a_heaving_deck_under_a_hovering_vehicle_is_no_descent() -> None:

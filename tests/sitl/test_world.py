@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.guidance.mission import State
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, after
 from sitl.ardrone.truth_log import record
@@ -220,19 +221,19 @@ def test_water_is_recorded_as_such() -> None:
 def test_every_contact_of_a_flight_is_kept_with_what_the_vehicle_was_doing() -> None:
     """It strikes the deck in flight, hops off, is landed, and nothing of it is overwritten."""
     world = World(with_(CALM, start=Start(height_m=0.6)), 1)
-    world.guidance_phase = "descend"
+    world.guidance_phase = State.DESCEND.value
     world.stick(Stick(gaz=-0.8, progressive=True))
     run(world, 1.5)
     world.stick(Stick(gaz=1.0, progressive=True))
     run(world, 1.0)
-    world.guidance_phase = "land"
+    world.guidance_phase = State.COMMIT.value
     world.land()
     run(world, 4.0)
     truth = world.truth()
     strike, landing = truth.contacts
     assert truth.touchdown is landing
-    assert (strike.phase, strike.motors, strike.guidance_phase) == (VehiclePhase.FLYING, True, "descend")
-    assert (landing.phase, landing.motors, landing.guidance_phase) == (VehiclePhase.LANDING, True, "land")
+    assert (strike.phase, strike.motors, strike.guidance_phase) == (VehiclePhase.FLYING, True, State.DESCEND.value)
+    assert (landing.phase, landing.motors, landing.guidance_phase) == (VehiclePhase.LANDING, True, State.COMMIT.value)
     assert strike.at < landing.at
     assert strike.vertical_speed_m_s == pytest.approx(0.8 * 0.7, abs=0.1)
     assert landing.vertical_speed_m_s == pytest.approx(0.4, abs=0.1)
