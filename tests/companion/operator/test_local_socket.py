@@ -9,8 +9,9 @@ import select
 import stat
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -35,6 +36,13 @@ from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp
 from sitl.testing.fake_ardrone import until
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """Yield a folder with a path short enough for a socket: pytest's own may be too long."""
+    with tempfile.TemporaryDirectory(prefix="fly") as path:
+        yield Path(path)
 
 
 class Service:
@@ -70,8 +78,8 @@ async def serving(path: Path) -> AsyncIterator[Service]:
             task.cancel()
 
 
-async def test_a_terminal_flies_by_hand_and_its_end_is_a_hold(tmp_path: Path) -> None:
-    path = tmp_path / "s.sock"
+async def test_a_terminal_flies_by_hand_and_its_end_is_a_hold(folder: Path) -> None:
+    path = folder / "s.sock"
     states: list[FlightState] = []
     async with serving(path) as service:
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -92,8 +100,8 @@ async def test_a_terminal_flies_by_hand_and_its_end_is_a_hold(tmp_path: Path) ->
     assert not path.exists()
 
 
-async def test_a_terminal_that_stands_still_loses_the_hand(tmp_path: Path) -> None:
-    async with serving(tmp_path / "s.sock") as service, connected(tmp_path / "s.sock") as client:
+async def test_a_terminal_that_stands_still_loses_the_hand(folder: Path) -> None:
+    async with serving(folder / "s.sock") as service, connected(folder / "s.sock") as client:
         await client.order(OperatorOrder.MANUAL)
         client.move(StickPositions(forward=1.0))
         await until(lambda: isinstance(service.command, Velocity))
@@ -106,8 +114,8 @@ async def test_a_terminal_that_stands_still_loses_the_hand(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     "lines", [b"{}\n", b"x" * 3000, b"\xff\xfe\n", b'{"kind":"sticks","forward":2.0}\n', b'{"kind":"sticks"}\n' * 150]
 )
-async def test_garbage_and_floods_end_their_own_connection_alone(tmp_path: Path, lines: bytes) -> None:
-    path = tmp_path / "s.sock"
+async def test_garbage_and_floods_end_their_own_connection_alone(folder: Path, lines: bytes) -> None:
+    path = folder / "s.sock"
     async with serving(path) as service:
         reader, writer = await asyncio.open_unix_connection(path)
         writer.write(lines)
@@ -125,8 +133,8 @@ def test_no_bytes_make_the_decoders_raise(line: bytes) -> None:
     assert answer_of(line) is None or line
 
 
-async def test_a_stale_socket_is_replaced_and_a_living_one_is_not(tmp_path: Path) -> None:
-    path = tmp_path / "s.sock"
+async def test_a_stale_socket_is_replaced_and_a_living_one_is_not(folder: Path) -> None:
+    path = folder / "s.sock"
     async with serving(path):
         with pytest.raises(Recoverable, match="another service listens"):
             await Service(path).served.run()
@@ -142,8 +150,8 @@ async def test_a_stale_socket_is_replaced_and_a_living_one_is_not(tmp_path: Path
             pass
 
 
-async def test_the_client_says_that_the_service_is_gone(tmp_path: Path) -> None:
-    path = tmp_path / "s.sock"
+async def test_the_client_says_that_the_service_is_gone(folder: Path) -> None:
+    path = folder / "s.sock"
     async with serving(path) as service:
         lost = ""
         try:
@@ -159,10 +167,10 @@ async def test_the_client_says_that_the_service_is_gone(tmp_path: Path) -> None:
             await client.order(OperatorOrder.HOLD)
 
 
-def test_the_path_follows_the_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+def test_the_path_follows_the_settings(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     shipped = load("sim")
-    assert socket_path(shipped) == tmp_path / "decklander" / "127.0.0.1-5556.sock"
+    assert socket_path(shipped) == folder / "decklander" / "127.0.0.1-5556.sock"
 
     def with_socket(text: str) -> object:
         return msgspec.structs.replace(shipped, operator=msgspec.structs.replace(shipped.operator, socket=text))
@@ -177,9 +185,9 @@ def test_the_path_follows_the_settings(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_orders_of_the_command_line_and_keys_of_a_terminal_reach_a_service(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     path = socket_path(load("sim"))
     assert path is not None
     assert main(["fly", "hold"]) == 1
