@@ -49,11 +49,11 @@ def added(command: Command, v_level: F64) -> Velocity:
     return Velocity(v_level + (command.v_level if isinstance(command, Velocity) else np.zeros(3)), 0.0)
 
 
-def never_lower(command: Command, knowledge: Knowledge) -> Command:
-    """Return the command without any descent beyond that of the deck itself."""
+def never_lower(command: Command, knowledge: Knowledge, *, fit: bool) -> Command:
+    """Return the command without any descent beyond that of the deck itself, and without any if the estimate is not fit."""
     if not isinstance(command, Velocity | Lean):
         return command
-    deck_m_s = 0.0 if knowledge.deck is None else max(0.0, float(knowledge.deck.v_level[2]))
+    deck_m_s = 0.0 if knowledge.deck is None or not fit else max(0.0, float(knowledge.deck.v_level[2]))
     v = np.array(command.v_level)
     if v[2] <= deck_m_s:
         return command

@@ -25,7 +25,7 @@ from companion.guidance.mission import FLOWN, GROUND, Event, State, StateChange
 from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle
+from companion.guidance.situation import GuidanceCycle, fit_to_steer
 from companion.guidance.steer import asks_to_descend
 from companion.operator.arbiter import OperatorArbiter
 from companion.operator.limit_options import LimitOptions
@@ -359,7 +359,10 @@ class Pilot:
         self._law_memory, command = self._law.step(self._law_memory, now, knowledge, target)
         if target is None:
             return None if isinstance(aim, Target) else aim
-        return command if asks_to_descend(self._mission, s, self._guidance) else blind_hold.never_lower(command, knowledge)
+        if asks_to_descend(self._mission, s, self._guidance):
+            return command
+        fit = fit_to_steer(knowledge.relative, now, self._guidance.stale_after_s)
+        return blind_hold.never_lower(command, knowledge, fit=fit)
 
 
 def _leant(mean: tuple[MonoNs, F64] | None, attitude: Attitude) -> tuple[MonoNs, F64]:

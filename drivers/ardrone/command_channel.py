@@ -28,6 +28,8 @@ class CommandChannel:
         self._streamer = streamer
         self._navdata = navdata
         self._sender: SenderClient | None = None
+        self._flew = False
+        """A sender of this service has run, and none was refused since, so no other service flies this drone."""
 
     @property
     def sender_pid(self) -> int | None:
@@ -56,7 +58,7 @@ class CommandChannel:
             Recoverable: one of the two happened; the next run has a new sender, or a new socket with this host's present address.
         """
         if self._sender is None:
-            self._sender = SenderClient(self._options(), self._clock, self._on_status, self._hovered)
+            self._sender = SenderClient(self._options(), self._clock, self._on_status, self._hovered, replaces=self._flew)
             self._counters.at_senders += 1
         else:
             self._sender.reopen()
@@ -70,6 +72,7 @@ class CommandChannel:
                 due = max(after(due, self._o.command_period_s), now)
                 await self._clock.sleep(max(0.0, seconds_between(self._clock.now(), due)))
         except Recoverable:
+            self._flew = self._flew and not self._sender.busy
             self._sender = None
             raise
         raise Recoverable(f"no sign of the drone for {self._o.reopen_after_s} s")
@@ -92,6 +95,7 @@ class CommandChannel:
         )  # fmt: skip
 
     def _on_status(self, before: SenderStatus, now: SenderStatus) -> None:
+        self._flew = True
         self._counters.at_datagrams += now.datagrams - before.datagrams
         self._counters.at_commands += max(0, now.sequence - before.sequence)
         self._counters.at_errors += now.errors - before.errors

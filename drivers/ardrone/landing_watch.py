@@ -14,7 +14,8 @@ from drivers.ardrone.navdata import ControlState, Demo, Navdata, NavdataState
 from estimator.contracts.time import MonoNs, seconds_between
 
 GAP_S = 1.0
-"""Only in a navdata gap of this length can a landing have begun for our silence; any other landing was begun by somebody else."""
+"""A landing can have begun for our silence only in a navdata gap of this length, or after the drone has said for this long that
+it receives no commands; any other landing was begun by somebody else, whose commands it received."""
 FRESH_S = 0.2
 """A report older than this is no evidence that the drone is still in the air."""
 SILENT_ABOVE_M = 0.5
@@ -70,6 +71,8 @@ class LandingWatch:
     def __init__(self) -> None:
         self._newest: tuple[DroneReport, MonoNs] | None = None
         """The newest report, and when it was received."""
+        self._unheard_since: MonoNs | None = None
+        """The first of the newest reports that all say that the drone receives no commands; None if the newest does not."""
         self.cause: Cause | None = None
         """The cause of the present landing; None while the drone is not landing."""
 
@@ -77,15 +80,20 @@ class LandingWatch:
         """Take the newest report; `ordered` says whether we are asking the drone to land."""
         gap = self._newest is None or seconds_between(self._newest[1], now) > GAP_S
         self._newest = report, now
+        unheard = bool(report.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST))
+        if not unheard:
+            self._unheard_since = None
+        elif self._unheard_since is None:
+            self._unheard_since = now
         if report.control is None:
             return
         if not (report.flying and report.control is ControlState.LANDING):
             self.cause = None
         elif self.cause is None:
-            unheard = report.state & (NavdataState.COM_WATCHDOG | NavdataState.COMMUNICATION_LOST)
+            silent = self._unheard_since is not None and (gap or seconds_between(self._unheard_since, now) > GAP_S)
             if ordered:
                 self.cause = Cause.OURS
-            elif gap and unheard and not report.state & _NOT_FOR_SILENCE:
+            elif silent and not report.state & _NOT_FOR_SILENCE:
                 self.cause = Cause.SILENCE
             else:
                 self.cause = Cause.OTHERS

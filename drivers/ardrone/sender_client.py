@@ -8,10 +8,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import drivers
-from drivers.ardrone.arbiter import HOVER, TimedCommand
+from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.at import AtCommand, encode
 from drivers.ardrone.sender_wire import (
     BUSY,
@@ -51,7 +52,8 @@ class SenderClient:
 
     Args:
         on_status: is called with each status and the one before it.
-        hovered: is called whenever hover was sent to the drone directly, because the sender is silent or gone.
+        hovered: is called whenever hover was sent to the drone directly, because the sender is silent, gone or not up yet.
+        replaces: whether an earlier sender of this service flew the drone, which waits for commands while this one starts.
     """
 
     def __init__(
@@ -60,12 +62,15 @@ class SenderClient:
         clock: Clock,
         on_status: Callable[[SenderStatus, SenderStatus], None],
         hovered: Callable[[], None] = lambda: None,
+        *,
+        replaces: bool = False,
     ) -> None:
         self._o = options
         self._clock = clock
         self._on_status = on_status
         self._status = SenderStatus(0, 0, 0, 0)
         self._hovered = hovered
+        self._replaces = replaces
         self._silent_s = max(_SILENT_S, _SILENT_PERIODS * options.period_s)
         self._received_at: MonoNs | None = None
         self._began = clock.now()
@@ -103,15 +108,28 @@ class SenderClient:
         """Whether the sender has reported that it runs."""
         return self._received_at is not None
 
+    @property
+    def busy(self) -> bool:
+        """Whether the sender has ended because another service, which is alive, flies this drone."""
+        return self._busy
+
+    @property
+    def _flew(self) -> bool:
+        """Whether the drone was flown by this sender or by one that it replaces; otherwise another service may be flying it."""
+        return self.up or self._replaces
+
     def update(self, command: TimedCommand) -> None:
-        """Send the newest command; never blocks. While the sender is silent, each call sends hover to the drone directly.
+        """Send the newest command; never blocks.
+
+        While the sender is silent, or takes long to replace another, each call sends hover to the drone directly.
 
         Raises:
             Recoverable: the sender is gone or stuck.
         """
         self._latest = command
         self._look()
-        if self._received_at is not None and seconds_between(self._received_at, self._clock.now()) > self._silent_s:
+        heard_at = self._began if self._received_at is None else self._received_at
+        if self._flew and seconds_between(heard_at, self._clock.now()) > self._silent_s:
             self._hover()
         self._write(pack(command))
 
@@ -196,7 +214,7 @@ class SenderClient:
         self._lost = why
         self._close()
         self._kill(_GONE_S)
-        if not self._busy and self._latest is not None and self._received_at is not None:
+        if not self._busy and self._latest is not None and self._flew:
             self._hover()
 
     def _kill(self, timeout_s: float) -> None:
@@ -209,11 +227,14 @@ class SenderClient:
     def _hover(self) -> None:
         """Send hover to the drone directly: without a sender it would fly on by the last command that it received.
 
-        Sequence number 1 makes the drone accept this command. It also accepts those of a sender that was only slow and continues
-        with its own numbers, which are higher.
+        Sequence number 1 makes the drone accept this datagram. It also accepts those of a sender that was only slow and continues
+        with its own numbers, which are higher. A landing that the firmware began meanwhile is called off.
         """
         self._hovered()
-        data = encode(1, HOVER)
+        newest = self._latest
+        stays_up = newest is not None and newest.ref == STAY_UP
+        commands = replace(newest, sticks=HOVER, ref=STAY_UP if stays_up else None).commands() if newest else [HOVER]
+        data = b"".join(encode(number, command) for number, command in enumerate(commands, 1))
         try:
             # A name would have to be resolved, which blocks.
             family, kind, _, _, address = socket.getaddrinfo(

@@ -19,7 +19,7 @@ import pytest
 
 from drivers.ardrone import at, sender_lock
 from drivers.ardrone import navdata as nd
-from drivers.ardrone.arbiter import HOVER, TimedCommand
+from drivers.ardrone.arbiter import HOVER, STAY_UP, TimedCommand
 from drivers.ardrone.link import open_ardrone
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.refusal import Refusal
@@ -240,6 +240,32 @@ async def test_a_sender_that_pauses_is_spoken_past_and_then_heard_again() -> Non
                 assert all(gate.accepts(number) for number, _ in received_at)
             assert all(gate.accepts(number) for number, _ in received_at)
         finally:
+            client.end(TimedCommand(CLOCK.now(), HOVER))
+
+
+@pytest.mark.parametrize("replaces", [True, False])
+async def test_while_a_replacement_starts_slowly_the_drone_is_spoken_to(replaces: bool) -> None:
+    """Without commands it would land by itself, on water too; but a drone that another service may fly is left alone."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as drone:
+        drone.bind((HOST, 0))
+        drone.setblocking(False)
+        port, clock = drone.getsockname()[1], Stopwatch()
+        client = SenderClient(SenderOptions(HOST, port, port, 0.03, 60.0), clock, lambda a, b: None, replaces=replaces)
+        try:
+            os.kill(client.pid, signal.SIGSTOP)
+            for dt_s in (0.09, 0.03):
+                with pytest.raises(BlockingIOError):
+                    drone.recv(2048)
+                clock.instant = after(clock.instant, dt_s)
+                client.update(TimedCommand(after(CLOCK.now(), 60.0), AHEAD, STAY_UP, watchdog=True))
+            if replaces:
+                hover = at.Pcmd(0, 0.0, 0.0, 0.0, 0.0)
+                assert commands(drone.recv(2048)) == [(1, at.ComWdg()), (2, at.Ref(STAY_UP)), (3, hover)]
+            else:
+                with pytest.raises(BlockingIOError):
+                    drone.recv(2048)
+        finally:
+            os.kill(client.pid, signal.SIGKILL)
             client.end(TimedCommand(CLOCK.now(), HOVER))
 
 
