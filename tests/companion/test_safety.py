@@ -19,7 +19,7 @@ from companion.guidance.options import GuidanceOptions
 from companion.guidance.situation import fit_to_steer
 from companion.runtime.observer import Decision
 from companion.runtime.pilot import Pilot
-from estimator.contracts.commands import Hover, Land, Velocity
+from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.estimates import IntegrityAlert, PathName, Sighting, Verdict
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import UNKNOWN_VAR, Attitude, BodyVelocity, Frame, Imu, Range, VehicleStatus
