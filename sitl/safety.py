@@ -1,6 +1,7 @@
 """Grade a simulated flight by the simulator's truth: whether it was safe and whether its outcome was right.
 
-A descent without true sight of the pad, a contact off the pad, and a service that dies in flight are unsafe.
+A descent without true sight of the pad, a contact off the pad, a contact that guidance did not intend, and a service that dies in
+flight are unsafe.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Literal
 
 from companion.guidance.mission import CONTACT_INTENDED, State
 from companion.guidance.options import GuidanceOptions
+from companion.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
 from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
@@ -29,6 +31,8 @@ STAMP_ERROR_MAX_S = 0.5
 """Error of a frame's stamp beyond which the frame says nothing about the pad's present position."""
 COMMIT_PHASES = frozenset(state.value for state in CONTACT_INTENDED)
 """The phases of guidance in which contact is intended."""
+PERSON_PHASES = frozenset({BY_HAND, LANDING_FOR_PERSON})
+"""The phases in which a person commands; a contact is then the person's."""
 GO_AROUND_PHASES = frozenset({State.GO_AROUND.value, State.ANOTHER_PAD.value})
 """The phases of guidance that end a try by climbing."""
 Expected = Literal["land", "refuse", "go_around", "hold", "either"]
@@ -128,6 +132,8 @@ def dangers(
     died: str | None,
     unreached_m: float = 0.0,
     unreached_max_m: float = UNREACHED_STOP_M,
+    *,
+    phases_known: bool = True,
 ) -> tuple[str, ...]:
     """Return the unsafe events, one line each; the result is empty for a safe flight.
 
@@ -137,6 +143,7 @@ def dangers(
         died: the reason why the service died, None if it did not.
         unreached_m: the deepest descent while nothing reached the vehicle, metres.
         unreached_max_m: the result of `unreached_descent_max_m`.
+        phases_known: whether the contacts have the phase of guidance, so that those which it did not intend are told.
     """
     out = []
     if died is not None:
@@ -149,16 +156,22 @@ def dangers(
     if unreached_m > unreached_max_m:
         out.append(f"came down {unreached_m:.2f} m while nothing reached it")
     for contact in contacts:
+        phase = contact.guidance_phase or "no service"
+        stray = f", outside commit ({phase})" if phases_known and _outside_commit(contact) else ""
         if contact.surface == "water":
-            out.append(f"in the water, {contact.lateral_m:.2f} m from the pad's centre")
-        elif contact.surface == "deck":
-            out.append(f"touched the deck {contact.lateral_m:.2f} m from the pad's centre")
+            out.append(f"in the water, {contact.lateral_m:.2f} m from the pad's centre{stray}")
+        elif contact.surface == "deck" or stray:
+            out.append(f"touched the {contact.surface} {contact.lateral_m:.2f} m from the pad's centre{stray}")
     return tuple(out)
 
 
 def outside_commit(contacts: Sequence[Touchdown]) -> int:
-    """Return the number of contacts with turning motors while guidance did not intend to land."""
-    return sum(contact.motors and contact.guidance_phase not in COMMIT_PHASES for contact in contacts)
+    """Return the number of contacts with turning motors while neither guidance intended to land nor a person commanded."""
+    return sum(map(_outside_commit, contacts))
+
+
+def _outside_commit(contact: Touchdown) -> bool:
+    return contact.motors and contact.guidance_phase not in COMMIT_PHASES | PERSON_PHASES
 
 
 class Grade(Enum):

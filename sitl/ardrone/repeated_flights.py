@@ -142,7 +142,7 @@ def _result(world: World) -> dict[str, Any]:
         "surface": None if touched is None else touched.surface,
         "on_pad": touched is not None and touched.on_pad,
         "lateral_m": None if touched is None else round(touched.lateral_m, 4),
-        "unsafe": list(dangers(None, truth.contacts, None)),
+        "unsafe": list(dangers(None, truth.contacts, None, phases_known=False)),
         "left_alone": world.active("link_lost"),
     }
 

@@ -15,7 +15,7 @@ from sitl.campaign.by_scenario import HEADINGS, by_scenario, row
 from sitl.campaign.causes import cause_of
 from sitl.campaign.compare import PairedDifference, differences_of
 from sitl.campaign.figures import CampaignFigures, effect_of, figures_of, map_of
-from sitl.campaign.summary import wilson
+from sitl.campaign.summary import name_of, wilson
 from sitl.campaign.task import Flight
 from sitl.scenario import from_mapping, pad_model
 
@@ -23,6 +23,10 @@ REPORT = "report.html"
 _MAPS_MAX = 10
 _TEXTS = ("scenario", "expected", "by", "why")
 """Columns of the table of scenarios that hold text."""
+_UNSAFE = (
+    "Outside commit: contacts with turning motors while neither guidance intended to land nor a person commanded. Unsafe: "
+    "flights with such a contact, one beside the pad or in water, a descent without sight, or a service that died."
+)
 _STYLE = """
 .plots { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(26rem, 100%), 1fr)); gap: .8rem; align-items: start; }
 code { font: .82rem/1.4 ui-monospace, "DejaVu Sans Mono", monospace; overflow-wrap: anywhere; }
@@ -60,6 +64,7 @@ def render_report(
         _varied(manifest, figures),
         _scenarios(manifest, kept),
         _causes(figures),
+        _unsafe(figures),
         _worst(manifest, figures),
         "" if against is None else _comparison(against[0], differences_of(kept, against[1])),
         _made_with(manifest),
@@ -97,6 +102,7 @@ def _cards(figures: CampaignFigures) -> str:
         ("touchdown error, 95 %", "-" if p95 is None else f"{100 * p95:.1f} cm"),
         ("contacts outside commit", f"{t.contacts_outside_commit:,}"),
         ("flights in the water", f"{t.in_water:,}"),
+        ("unsafe flights", f"{t.unsafe:,}"),
     ]
     return '<div class="cards">' + "".join(f'<div class="card"><span>{k}</span><b>{v}</b></div>' for k, v in cells) + "</div>"
 
@@ -176,6 +182,17 @@ def _causes(figures: CampaignFigures) -> str:
     )
 
 
+def _unsafe(figures: CampaignFigures) -> str:
+    """Return the list of unsafe flights."""
+    t = figures.tally
+    if not t.unsafe:
+        return '<h2>Unsafe flights</h2><p class="note">None.</p>'
+    named = t.unsafe_flights
+    items = "".join(f"<li>{escape(name_of(one))}: <b>{escape('; '.join(one['unsafe']))}</b></li>" for one in named)
+    left = f'<p class="note">{t.unsafe - len(named):,} more are not listed.</p>' if t.unsafe > len(named) else ""
+    return f'<h2>Unsafe flights</h2><p class="note">{_UNSAFE}</p><ul class="flights">{items}</ul>{left}'
+
+
 def _scenarios(manifest: Mapping[str, Any], flights: Iterable[Flight]) -> str:
     """Return the table of a set's scenarios."""
     if "members" not in manifest:
@@ -191,8 +208,7 @@ def _scenarios(manifest: Mapping[str, Any], flights: Iterable[Flight]) -> str:
         )
     return (
         f'<h2>Each scenario</h2><div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
-        '<p class="note">Outside commit: contacts with turning motors while guidance did not intend to land. Unsafe: flights '
-        "with a descent without sight, a contact beside the pad or in water, or a service that died.</p>"
+        f'<p class="note">{_UNSAFE}</p>'
     )
 
 

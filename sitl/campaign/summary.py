@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,9 @@ from sitl.campaign.task import ERROR, Flight, job_of
 _Z95 = 1.959963984540054
 """Quantile of the standard normal distribution for 95 % between both tails."""
 _HASH_BITS = 128
+UNSAFE_MAX = 100
+"""Number of unsafe flights that are named; the others are counted."""
+_UNSAFE_TOLD = 10
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
@@ -35,9 +38,10 @@ class CampaignTally:
 
     def __init__(self) -> None:
         self.runs = self.on_pad = self.refused = self.failed = self.errors = 0
-        self.contacts_outside_commit = self.in_water = 0
+        self.contacts_outside_commit = self.in_water = self.unsafe = 0
         self.cpu_s = self.flown_s = 0.0
         self._lateral_m: list[float] = []
+        self._unsafe: list[dict[str, Any]] = []
         self._hash = 0
 
     def take(self, flight: Flight) -> None:
@@ -49,6 +53,12 @@ class CampaignTally:
         self.errors += flight["outcome"] == ERROR
         self.contacts_outside_commit += flight["contacts_outside_commit"]
         self.in_water += flight["in_water"]
+        if flight["unsafe"]:
+            self.unsafe += 1
+            told = ("scenario", "seed", "varied", "unsafe")
+            self._unsafe.append({key: flight[key] for key in told if key in flight})
+            if len(self._unsafe) >= 20 * UNSAFE_MAX:
+                self._unsafe = self.unsafe_flights
         self.cpu_s += flight["cpu_s"]
         self.flown_s += flight["duration_s"]
         if flight["landed_on_pad"]:
@@ -60,6 +70,11 @@ class CampaignTally:
     def hash(self) -> str:
         """The hash of all flights, the same in whatever order and wherever they were flown."""
         return f"{self._hash:0{_HASH_BITS // 4}x}"
+
+    @property
+    def unsafe_flights(self) -> list[dict[str, Any]]:
+        """The first unsafe flights by scenario and seed, at most `UNSAFE_MAX`, each with what was unsafe."""
+        return sorted(self._unsafe, key=lambda f: (f["scenario"], f["seed"], str(f.get("varied", ""))))[:UNSAFE_MAX]
 
     def summary(self, scenario: str, perception: str, wall_s: float) -> dict[str, Any]:
         """Return the summary as plain values: lengths in m, times in s."""
@@ -77,6 +92,8 @@ class CampaignTally:
             "lateral_p95_m": p95,
             "contacts_outside_commit": self.contacts_outside_commit,
             "in_water": self.in_water,
+            "unsafe": self.unsafe,
+            "unsafe_flights": self.unsafe_flights,
             "flown_s": round(self.flown_s, 1),
             "wall_s": round(wall_s, 2),
             "cpu_s": round(self.cpu_s, 2),
@@ -104,7 +121,14 @@ def in_words(summary: dict[str, Any]) -> str:
         lines.append(
             f"touchdown error {100 * summary['lateral_median_m']:.1f} cm median, {100 * summary['lateral_p95_m']:.1f} cm in 95 %"
         )
-    lines.append(f"contacts outside commit {summary['contacts_outside_commit']}, flights in the water {summary['in_water']}")
+    lines.append(
+        f"contacts outside commit {summary['contacts_outside_commit']}, flights in the water {summary['in_water']}, "
+        f"unsafe flights {summary['unsafe']}"
+    )
+    named = summary["unsafe_flights"][:_UNSAFE_TOLD]
+    lines += [f"UNSAFE {name_of(flight)}: {'; '.join(flight['unsafe'])}" for flight in named]
+    if summary["unsafe"] > len(named):
+        lines.append(f"and {summary['unsafe'] - len(named)} more unsafe flights; --json and the report name up to {UNSAFE_MAX}")
     wall_s = max(1e-9, summary["wall_s"])
     lines.append(
         f"{summary['flown_s'] / 3600:.2f} h flown in {wall_s:.1f} s, {summary['cpu_s']:.1f} s of CPU, "
@@ -112,6 +136,12 @@ def in_words(summary: dict[str, Any]) -> str:
     )
     lines.append(f"hash {summary['hash']}")
     return "\n".join(lines)
+
+
+def name_of(flight: Mapping[str, Any]) -> str:
+    """Return the words by which a flight of a campaign is found again."""
+    varied = "".join(f", {key} {value}" for key, value in flight.get("varied", {}).items())
+    return f"{flight['scenario']} seed {flight['seed']}{varied}"
 
 
 def _quantile(values: list[float], q: float) -> float | None:

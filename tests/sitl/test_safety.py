@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.guidance.options import GuidanceOptions, PidOptions
+from companion.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
 from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import Rotation
@@ -117,9 +118,19 @@ def test_dangers_name_contacts_beside_the_pad_descents_without_sight_and_a_dead_
     )
 
 
-def test_contacts_outside_commit_are_those_with_motors_before_guidance_means_to_land() -> None:
+def test_contacts_outside_commit_are_those_with_motors_that_neither_guidance_nor_a_person_intends() -> None:
     still = Touchdown(START, "pad", np.zeros(3), 0.1, 0.0, 0.4, 0.0, VehiclePhase.EMERGENCY, False, "descend")
-    assert outside_commit([contact("pad"), contact("pad", phase="descend"), contact("pad", phase=None), still]) == 2
+    strays = [contact("pad", phase="descend"), contact("pad", phase=None)]
+    meant = [contact("pad"), contact("pad", phase=LANDING_FOR_PERSON), contact("pad", phase=BY_HAND), still]
+    assert outside_commit([*strays, *meant]) == 2
+    assert dangers(SAFE, meant, None) == ()
+    assert dangers(SAFE, [*strays, *meant], None) == (
+        "touched the pad 0.10 m from the pad's centre, outside commit (descend)",
+        "touched the pad 0.10 m from the pad's centre, outside commit (no service)",
+    )
+    assert dangers(SAFE, strays, None, phases_known=False) == (), "a drone of its own process does not know what guidance is at"
+    worth, because = grade(FlightOutcome.LANDED, 0.1, dangers(SAFE, [strays[0], contact("pad")], None), "land")
+    assert (worth, because) == (Grade.FAILED, "touched the pad 0.10 m from the pad's centre, outside commit (descend)")
 
 
 @pytest.mark.parametrize(

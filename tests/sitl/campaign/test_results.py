@@ -7,6 +7,7 @@ import json
 import math
 import uuid
 from contextlib import closing
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,8 @@ from sitl.campaign.parquet import table_bytes
 from sitl.campaign.plan import Job, Point
 from sitl.campaign.report import REPORT, fly_again, render_report
 from sitl.campaign.search import Search
-from sitl.campaign.store import FolderStore, flights_in, manifest_of
-from sitl.campaign.summary import tally
+from sitl.campaign.store import FolderStore, flights_in, manifest_of, manifest_of_plan
+from sitl.campaign.summary import in_words, tally
 from sitl.campaign.task import Flight, Order, fly_order
 from sitl.one_flight import settings_for
 from tests.sitl.campaign.fakes import RAISES, fake_fly, near, plan
@@ -128,6 +129,11 @@ def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
         "in the water": {**bad, "in_water": True, "unsafe": ["came down 2 m"]},
         "came down without sight of the pad": {**bad, "unsafe": ["came down 0.8 m, to 0.2 m over the deck, without true sight"]},
         "struck the deck beside the pad, then landed on the pad": {**bad, "contacts": [off, *fine["contacts"]]},
+        "touched the pad outside commit: descend, gate": {
+            **bad,
+            "contacts_outside_commit": 2,
+            "unsafe": [f"touched the pad, outside commit ({phase})" for phase in ("descend", "gate")],
+        },
         "landed beside the pad": {**bad, "landed_on_pad": False, "touchdown": off, "contacts": [off]},
         "struck the deck beside the pad and did not land": {
             **bad,
@@ -149,6 +155,26 @@ def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
     assert len(cases) == len(RULES)
     assert severity(fine) == 0
     assert cause_of({**bad, "landed_on_pad": False, "outcome": "emergency", "contacts": []}) == "ended otherwise: emergency"
+
+
+def test_unsafe_flights_are_counted_and_named() -> None:
+    """A flight that landed well after a contact that nobody intended is no good flight, and one can find it again."""
+    stray = "touched the pad 0.10 m from the pad's centre, outside commit (descend)"
+    flights = [flown(seed, (("wind.speed_m_s", 1.0),)) for seed in range(15)]
+    flights[RAISES] = flown(20)
+    for seed in (4, 1):
+        flights[seed] |= {"grade": "failed", "unsafe": [stray], "contacts_outside_commit": 1}
+    counted = tally(reversed(flights))
+    summary = counted.summary("near", "truth", 1.0)
+    assert (summary["unsafe"], summary["failed"], summary["contacts_outside_commit"]) == (2, 2, 2)
+    assert [one["seed"] for one in summary["unsafe_flights"]] == [1, 4]
+    assert f"UNSAFE near seed 1, wind.speed_m_s 1.0: {stray}\nUNSAFE near seed 4" in in_words(summary)
+    page = render_report({**manifest_of_plan(plan(), range(15), None)}, flights, 1.0)
+    assert page.count(escape(stray)) == 2
+    assert "touched the pad outside commit: descend" in page
+    many = tally({**flights[1], "seed": seed} for seed in range(2500))
+    assert (many.unsafe, [one["seed"] for one in many.unsafe_flights]) == (2500, list(range(100)))
+    assert "and 2490 more unsafe flights" in in_words(many.summary("near", "truth", 1.0))
 
 
 def test_campaigns_are_compared_seed_by_seed() -> None:
