@@ -26,7 +26,7 @@ class State(Enum):
     WAIT = "waiting for the vehicle"
     """A landing was asked for; the vehicle does not fly yet."""
     READY = "waiting for the start"
-    """Flying, held still until somebody asks for a landing."""
+    """Flying, in its own hover until somebody asks for a landing; an autopilot stays with whoever flies it."""
     PAUSED = "paused"
     """Held still by the operator."""
     RENDEZVOUS = "rendezvous"

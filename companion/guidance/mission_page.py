@@ -21,7 +21,8 @@ carries its reason as data: a cause, the number that was measured and the limit 
 journal, in MQTT's events, in MAVLink's STATUSTEXT, in the metrics, in the recording and in the report.
 
 Every state that waits for something has a time, and when it is over the drone goes up or stays, never down. No descent is asked
-for without a fresh, consistent estimate of the pad. Where the drone holds still it does so against the deck.
+for without a fresh, consistent estimate of the pad. Where the drone holds still it does so against the deck; until a landing
+was asked for in this flight, nothing but its own hover is asked of it.
 """
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from companion.guidance.attempt import Attempt
 from companion.guidance.heading import HeadingMemory
-from companion.guidance.mission import ENDED, Event, State, StateChange
+from companion.guidance.mission import ENDED, FLOWN, Event, State, StateChange
 from companion.guidance.reason import Reason, ReasonCause
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs
@@ -33,6 +33,8 @@ class Progress:
 
     stood: bool = True
     """The vehicle has stood on the ground since the flight ended."""
+    begun: bool = False
+    """A landing was asked for in this flight."""
     ordered: bool = False
     """This flight has gone for the deck by our order."""
 
@@ -73,6 +75,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
     p = replace(
         p, state=change.target, since=change.at, reason=change.reason, held=None, held_yaw_rad=None, good_since=None,
         blocked=None, entered_height_m=p.seen_height_m,
+        begun=change.target in FLOWN or (p.begun and change.event is not Event.TAKEN_OFF),
     )  # fmt: skip
     match change.event:
         case Event.TAKEN_OFF:

@@ -14,7 +14,7 @@ from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, unfit
 from companion.guidance.watch import climbs_from_question
-from estimator.contracts.commands import Command, Land
+from estimator.contracts.commands import Command, Hover, Land
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import seconds_between
@@ -34,6 +34,9 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     """
     if p.state in GROUND:
         return p, None
+    if not p.begun:
+        # A velocity would take an autopilot from whoever flies it; a hover takes nothing.
+        return p, Hover()
     estimate = s.estimate
     match p.state:
         case State.INTERCEPT | State.DESCEND | State.GATE | State.COMMIT if estimate is not None:

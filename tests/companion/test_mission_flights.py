@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.mission import DESCENDS, Event, State
-from companion.guidance.mission_step import mission_step, reported
+from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.reason import ReasonCause
@@ -202,6 +202,36 @@ def test_still_means_still_against_the_deck() -> None:
         flight.run(3.0)
         assert math.hypot(*(flight.d[:2] - before[:2])) < 0.7
         assert flight.d[2] > before[2] - 0.3
+
+
+@pytest.mark.parametrize("order", [None, Event.PAUSE, Event.ABORT])
+@pytest.mark.parametrize("over_ground", [False, True])
+def test_until_a_landing_is_asked_for_nothing_but_the_vehicles_own_hover_is_asked_of_it(
+    order: Event | None, over_ground: bool
+) -> None:
+    """A velocity would take an autopilot from whoever flies it, even one that holds still."""
+    o = GuidanceOptions()
+    progress, _ = reported(Progress.start(automatic=False), status(0.0, True), o)
+    if order is not None:
+        progress, _ = ordered(progress, order, ns(0.1), o)
+    for n in range(10):
+        t = 0.2 + n * DT
+        s = GuidanceCycle(ns(t), Knowledge(ns(t), estimate(t, [2.5, 0.3, 3.0], v=(1.0, 0.0, 0.0))))
+        progress, aim, _ = mission_step(progress, s, o, over_ground=over_ground)
+        assert isinstance(aim, Hover)
+    if order is not Event.ABORT:
+        progress, _ = ordered(progress, Event.BEGIN, ns(t), o)
+        progress, aim, _ = mission_step(progress, s, o, over_ground=over_ground)
+        assert isinstance(aim, Target)
+        assert progress.state is State.INTERCEPT
+        # Held in the same flight it stays with the deck; in the next one it is left alone again.
+        progress, _ = ordered(progress, Event.PAUSE, ns(t), o)
+        progress, aim, _ = mission_step(progress, s, o, over_ground=over_ground)
+        assert isinstance(aim, Target)
+        progress, _ = reported(progress, status(t, False), o)
+        progress, _ = reported(progress, status(t, True), o)
+        progress, aim, _ = mission_step(progress, s, o, over_ground=over_ground)
+        assert isinstance(aim, Hover)
 
 
 def test_no_contact_that_nobody_felt_stops_the_motors_of_a_cone() -> None:
