@@ -67,13 +67,19 @@ def is_set(name_or_path: str) -> bool:
         return False
 
 
+def place_of(name_or_path: str, member: str) -> str:
+    """Return the path of a set's scenario if it lies beside the set's file, else the name of the shipped one."""
+    beside = _path_of(name_or_path).parent / member
+    return str(beside) if beside.is_file() else member
+
+
 def load(name_or_path: str) -> tuple[ScenarioSet, dict[str, Scenario]]:
     """Return a set and the scenario of each member, by the member's name.
 
     Raises:
         BadInput: the file cannot be read; a key is unknown, missing or wrong; or a scenario has such a fault.
     """
-    path = SHIPPED / _FOLDER / f"{name_or_path}.toml" if name_or_path in shipped_sets() else Path(name_or_path)
+    path = _path_of(name_or_path)
     data: dict[str, Any] = read_toml(path)
     try:
         chosen = msgspec.convert(data, ScenarioSet, strict=True)
@@ -81,9 +87,12 @@ def load(name_or_path: str) -> tuple[ScenarioSet, dict[str, Scenario]]:
         raise BadInput(f"{path}: {explain(ScenarioSet, data, str(why))}") from why
     scenarios = {}
     for n, member in enumerate(chosen.scenario):
-        beside = path.parent / member.name
         try:
-            scenarios[member.name] = load_scenario(beside if beside.is_file() else member.name, chosen.base)
+            scenarios[member.name] = load_scenario(place_of(name_or_path, member.name), chosen.base)
         except BadInput as why:
             raise BadInput(f"{path}: scenario[{n}].name: {why}") from why
     return chosen, scenarios
+
+
+def _path_of(name_or_path: str) -> Path:
+    return SHIPPED / _FOLDER / f"{name_or_path}.toml" if name_or_path in shipped_sets() else Path(name_or_path)

@@ -37,7 +37,7 @@ from sitl.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario import FAULTS, Scenario
 from sitl.scenario import load as load_scenario
-from sitl.scenario_set import is_set, shipped_sets
+from sitl.scenario_set import is_set, place_of, shipped_sets
 from sitl.scenario_set import load as load_set
 
 
@@ -155,7 +155,9 @@ def _set_plan(args: argparse.Namespace) -> tuple[SetPlan, list[Point], None]:
             raise BadInput(f"{args.scenario}: {name}: {why}") from why
     base = () if chosen.base is None else ("--base", chosen.base)
     args.perception = None  # each flight says its own when it is to be flown again
-    return SetPlan(args.scenario, chosen.title, members, (*base, *_options(args))), [()], None
+    found = {name: place_of(args.scenario, name) for name in members}
+    places = {name: place for name, place in found.items() if place != name}
+    return SetPlan(args.scenario, chosen.title, members, (*base, *_options(args)), places), [()], None
 
 
 def _plan(args: argparse.Namespace) -> tuple[CampaignPlan, Overridable]:

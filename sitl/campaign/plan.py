@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -108,6 +108,8 @@ class SetPlan:
     members: Mapping[str, CampaignPlan]
     options: tuple[str, ...] = ()
     """As those of a `CampaignPlan`, without the level of perception, which each flight says."""
+    places: Mapping[str, str] = field(default_factory=dict)
+    """Path of each scenario that is not found by its name alone."""
 
     @property
     def perception(self) -> str:

@@ -6,6 +6,7 @@ import itertools
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from types import MappingProxyType
 from typing import Any
 
 from companion.report.page import document
@@ -212,14 +213,20 @@ def _scenarios(manifest: Mapping[str, Any], flights: Iterable[Flight]) -> str:
     )
 
 
-def fly_again(flight: Flight, options: Sequence[str], folder: str = "") -> str:
-    """Return the command that flies a flight of a campaign again, with pictures."""
-    words = ["decklander", "simulate", flight["scenario"], "--seed", str(flight["seed"]), *options]
+def fly_again(flight: Flight, options: Sequence[str], places: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the command that flies a flight of a campaign again, to the bit, and writes its report.
+
+    Args:
+        options: further arguments of `decklander simulate`.
+        places: path of each scenario that is not found by its name alone.
+    """
+    name = flight["scenario"]
+    words = ["decklander", "simulate", places.get(name, name), "--seed", str(flight["seed"]), *options]
     if flight.get("in_set") and flight["perception"] != "pixels":
         words += ["--perception", flight["perception"]]
     for key, value in flight.get("varied", {}).items():
         words += ["--set", f"{key}={str(value).lower() if isinstance(value, bool) else value}"]
-    return shlex.join([*words, "--report", folder or f"flight-{flight['seed']}"])
+    return shlex.join([*words, "--report", f"flight-{flight['seed']}"])
 
 
 def _worst(manifest: Mapping[str, Any], figures: CampaignFigures) -> str:
@@ -229,15 +236,15 @@ def _worst(manifest: Mapping[str, Any], figures: CampaignFigures) -> str:
         said = flight["grade"] if good else cause_of(flight)
         touch = flight["touchdown"]
         where = "" if touch is None else f", {100 * touch['lateral_m']:.1f} cm off, {touch['vertical_speed_m_s']:.2f} m/s into it"
-        varied = "".join(f", {escape(key)} {escape(str(value))}" for key, value in flight.get("varied", {}).items())
-        command = escape(fly_again(flight, manifest.get("options", [])))
-        items.append(
-            f'<li>seed {flight["seed"]}: <b class="{"good" if good else ""}">{escape(said)}</b>{where}{varied}'
-            f"<code>{command}</code></li>"
-        )
+        command = escape(fly_again(flight, manifest.get("options", []), manifest.get("places", {})))
+        named = escape(name_of(flight))
+        items.append(f'<li>{named}: <b class="{"good" if good else ""}">{escape(said)}</b>{where}<code>{command}</code></li>')
+    pictures = "Flights by rendered frames have pictures in it."
+    if blind := sorted({flight["perception"] for flight in figures.worst} - {"pixels"}):
+        pictures += f" Those by {' and '.join(blind)} render none; by pixels the same seed is another flight on the same sea."
     return (
-        f'<h2>The worst {len(items)} flights</h2><p class="note">The command flies the flight again and writes its own report '
-        f'with pictures.</p><ul class="flights">{"".join(items)}</ul>'
+        f'<h2>The worst {len(items)} flights</h2><p class="note">The command flies the same flight again, to the bit, and writes '
+        f'its report. {pictures}</p><ul class="flights">{"".join(items)}</ul>'
     )
 
 

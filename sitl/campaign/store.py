@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from estimator.contracts.errors import BadInput, Recoverable, unusable
 from sitl.campaign.code import differences
-from sitl.campaign.plan import AnyPlan, Job
+from sitl.campaign.plan import AnyPlan, Job, SetPlan
 from sitl.campaign.task import Flight, flight_hash, job_of
 
 MANIFEST, FLIGHTS = "manifest.json", "flights.jsonl"
@@ -147,7 +147,10 @@ def manifest_of_plan(plan: AnyPlan, seeds: range, before: Mapping[str, Any] | No
     """Return the manifest of a campaign of which these seeds are to be flown; `before` is the one that is there already."""
     asked: list[list[int]] = list(before["seeds"]) if before is not None else []
     now = [seeds.start, len(seeds)]
-    return {**plan.identity(), "options": list(plan.options), "seeds": asked if now in asked else [*asked, now]}
+    again: dict[str, Any] = {"options": list(plan.options)}
+    if isinstance(plan, SetPlan):
+        again["places"] = dict(plan.places)
+    return {**plan.identity(), **again, "seeds": asked if now in asked else [*asked, now]}
 
 
 def write_whole(path: Path, content: bytes) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -12,6 +15,7 @@ from estimator.contracts.errors import BadInput
 from sitl.campaign.by_scenario import by_scenario, in_columns
 from sitl.campaign.code import code_version
 from sitl.campaign.plan import Job, SetPlan
+from sitl.campaign.report import REPORT
 from sitl.campaign.task import Order, base_of, fly_order, job_of
 from sitl.perception.levels import perceive
 from sitl.scenario import load as load_scenario
@@ -51,6 +55,28 @@ def test_a_set_is_flown_scenario_by_scenario_into_one_folder(tmp_path: Path, cap
     assert "4 of 4 flights are there already" in said.err
     assert [line.split()[0] for line in said.out.splitlines()[:3]] == ["scenario", "near.toml", "held.toml"]
     assert summary["hash"] in said.out
+
+
+def test_the_report_of_a_set_prints_commands_that_fly_the_same_flights_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chosen, out = written(tmp_path, TWO.replace('[[scenario]]\nname = "near.toml"\n', "")), tmp_path / "out"
+    own = ["--set", "wind.speed_m_s=3.5", "--set", "guidance.cone.descent_rate_m_s=0.4"]
+    assert cli.main(["campaign", chosen, "--runs", "2", "--workers", "1", "--out", str(out), *own, "--report", "--json"]) == 0
+    flights = [json.loads(line) for line in capsys.readouterr().out.splitlines()][:-1]
+    page = (out / REPORT).read_text()
+    assert "Those by truth render none" in page
+    assert " to the bit, and writes its report" in page
+    commands = [shlex.split(unescape(text)) for text in re.findall("<code>(.*?)</code>", page)]
+    assert len(commands) == 2
+    for words in commands:
+        assert words[-2] == "--report"
+        assert cli.main([*words[1:-2], "--json"]) == 0
+        again = json.loads(capsys.readouterr().out)
+        flight = next(f for f in flights if f["seed"] == again["seed"])
+        apart = {"cpu_s", "scenario"}
+        assert again["scenario"] == str(tmp_path / flight["scenario"])
+        assert {k: v for k, v in again.items() if k not in apart} == {k: flight[k] for k in again if k not in apart}
 
 
 def test_jobs_of_a_set_find_their_plan_and_come_back_from_their_result() -> None:
