@@ -7,16 +7,19 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from companion.config.settings import load
+from companion.guidance.mission import ENDED, State
 from companion.metrics.exposition import families
 from companion.metrics.settings import MetricsSettings
 from companion.runtime.health import Health
 from drivers.ardrone.options import ArDroneOptions
 from drivers.clock import SystemClock
 from estimator.contracts.estimates import Verdict
+from estimator.contracts.fusion import Source
 from tests.packaging.image import stages
 
 ROOT = Path(__file__).parents[2]
@@ -91,18 +94,46 @@ def test_the_rig_of_compose_fits_its_services() -> None:
     assert rig.mqtt.user in re.findall(r"for user in (.*); do", (COMPOSE / "broker.sh").read_text())[0].split()
 
 
+def told() -> set[str]:
+    """Return the names of all figures that the service tells."""
+    everything = families(Health(SystemClock()).snapshot())
+    return {family.name + ("_total" if family.type == "counter" else "") for family in everything}
+
+
 def test_the_dashboard_asks_for_figures_that_the_service_tells() -> None:
-    health = Health(SystemClock())
-    health.up("vehicle")
-    health.beat("Frame")
-    health.frame(Verdict.FUSED)
-    health.input("Imu", Verdict.FUSED)
-    health.delay("vision", 0.01)
-    health.counters("mqtt", lambda: {"events": 1.0})
-    told = {sample.name for family in families(health.snapshot()) for sample in family.samples}
     dashboard = json.loads((COMPOSE / "grafana/dashboards/decklander.json").read_text())
     asked = {name for panel in dashboard["panels"] for t in panel["targets"] for name in re.findall(r"decklander_\w+", t["expr"])}
-    assert len(asked) >= 6
-    assert asked <= told
+    assert len(asked) >= 12
+    assert asked <= told()
+    ids = [panel["id"] for panel in dashboard["panels"]]
+    assert len(set(ids)) == len(ids)
     source = (COMPOSE / "grafana/provisioning/datasources/prometheus.yml").read_text()
     assert all(f"uid: {panel['datasource']['uid']}" in source for panel in dashboard["panels"])
+
+
+def test_alerts_ask_for_figures_and_states_that_there_are_and_the_docs_say_what_to_do() -> None:
+    prometheus = (COMPOSE / "prometheus.yml").read_text()
+    (mounted,) = re.findall(r"rule_files: \[(\S+)\]", prometheus)
+    assert f"./configs/compose/alerts.yml:{mounted}:ro" in (ROOT / "compose.yaml").read_text()
+    rules = re.split(r"\n +- alert: ", (COMPOSE / "alerts.yml").read_text())[1:]
+    assert len(rules) == 10
+    symptoms = (ROOT / "docs/symptoms.md").read_text()
+    known = {
+        "phase": {state.value for state in State},
+        "to": {state.value for state in State},
+        "outcome": {state.value for state in ENDED},
+        "verdict": {verdict.value for verdict in Verdict},
+        "path": {"ekf"},
+        "source": set(get_args(Source)),
+    }
+    jobs = set(re.findall(r"job_name: (\w+)", prometheus))
+    for rule in rules:
+        alert, (expression,) = rule.split()[0], re.findall(r"expr: (.+)", rule)
+        names = set(re.findall(r"decklander_\w+", expression))
+        assert names <= told()
+        assert names or "up{" in expression
+        for label, values in re.findall(r'(\w+)[!=]~?"([^"]*)"', expression):
+            assert set(values.split("|")) <= (jobs if label == "job" else known[label]), alert
+        assert re.search(r"labels: \{severity: (critical|warning)\}", rule), alert
+        assert re.search(r'summary: ".+"', rule), alert
+        assert f"| {alert} |" in symptoms
