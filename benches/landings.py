@@ -36,7 +36,8 @@ from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
 from sitl.one_flight import PERCEPTIONS, fly, perception_level, settings_for
 from sitl.scenario import load
-from sitl.world import Truth, VehiclePhase
+from sitl.truth import Truth
+from sitl.vehicle import VehiclePhase
 
 _EACH_NS = 1_000_000_000
 _IN_THE_AIR = (VehiclePhase.HOVERING, VehiclePhase.FLYING, VehiclePhase.LANDING)

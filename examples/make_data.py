@@ -19,7 +19,7 @@ from estimator import Attitude, Imu, Sighting
 from estimator.contracts.samples import Sample
 from sitl.flight import Flight
 from sitl.scenario import load as load_scenario
-from sitl.world import Truth
+from sitl.truth import Truth
 
 FOLDER = Path(__file__).parents[1] / "configs/examples"
 IMAGE_AT_S, CSV_FROM_S, CSV_FOR_S = 4.0, 2.0, 4.0

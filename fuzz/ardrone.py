@@ -30,7 +30,8 @@ from sitl.ardrone.state import DroneState
 from sitl.ardrone.video import Encoder
 from sitl.autopilots.lock_step import LockStepClock
 from sitl.scenario import load as load_scenario
-from sitl.world import VehiclePhase, World
+from sitl.vehicle import VehiclePhase
+from sitl.world import World
 
 _START = MonoNs(1_000_000_000_000)
 _CHECKSUM_BYTES = 8

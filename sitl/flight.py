@@ -55,8 +55,10 @@ from sitl.safety import (
 )
 from sitl.scenario import Scenario
 from sitl.simulated_person import SimulatedPerson
+from sitl.truth import RenderedFrame, Touchdown, Truth
+from sitl.vehicle import VehiclePhase
 from sitl.vessel_reports import VesselReporter
-from sitl.world import RenderedFrame, Touchdown, Truth, VehiclePhase, World
+from sitl.world import World
 
 NAVDATA_DELAY_S = 0.004
 COMMAND_DELAY_S = 0.004

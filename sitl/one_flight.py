@@ -26,7 +26,7 @@ from sitl.perception.port import LEVELS, Level
 from sitl.render_worker import render_worker
 from sitl.safety import outside_commit
 from sitl.scenario import Scenario
-from sitl.world import Truth
+from sitl.truth import Truth
 
 Perception = Level
 """How the service perceives the pad: `pixels` renders frames for the real detectors, `model` draws detections from an error

@@ -19,7 +19,8 @@ from companion.operator.arbiter import BY_HAND, LANDING_FOR_PERSON
 from companion.runtime.pilot import REFUSALS, FlightOutcome
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.world import Touchdown, Truth, VehiclePhase
+from sitl.truth import Touchdown, Truth
+from sitl.vehicle import VehiclePhase
 
 BLIND_AFTER_S = 1.0
 """Time after the newest true sight that still counts as sight; the last 0.3 m of a landing, without the pad, take less."""

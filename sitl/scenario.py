@@ -24,13 +24,15 @@ from estimator.vision.camera import Camera
 from estimator.vision.pad import Pad
 from sitl.contradictions import contradictions
 from sitl.faults import AnyFault, WeakRotor
+from sitl.light_settings import LightSettings
 from sitl.operator_faults import OperatorActs
 from sitl.picture_faults import OtherPad
-from sitl.picture_settings import CLEAR_M, DropSettings, LampSettings, VideoSettings
+from sitl.picture_settings import DropSettings, LampSettings, VideoSettings
 from sitl.rotors import rotors
 from sitl.sea_settings import EXCLUDES as SEA_EXCLUDES
 from sitl.sea_settings import Sea as Sea
 from sitl.seakeeping import hull
+from sitl.sensor_settings import SensorSettings
 from sitl.ship_faults import ShipTurn
 from sitl.vehicle_file import VehicleFile
 from sitl.vehicle_file import load as load_vehicle
@@ -43,8 +45,6 @@ from sitl.vessel_settings import VesselSettings as VesselSettings
 from sitl.wind_settings import EXCLUDES as WIND_EXCLUDES
 from sitl.wind_settings import WindSettings as WindSettings
 
-_MEASURED = "a recorded AR.Drone 2.0 flight against motion capture"
-_THESIS = "the thesis' simulator"
 _EXCLUDES: dict[str, dict[str, tuple[str, ...]]] = {"sea": SEA_EXCLUDES, "vessel": VESSEL_EXCLUDES, "wind": WIND_EXCLUDES}
 FAULTS = "faults"
 """Folder of the shipped scenarios that have one fault each."""
@@ -102,135 +102,6 @@ class PadView(Struct, frozen=True, forbid_unknown_fields=True):
     """The pad on deck."""
 
     file: Annotated[str, text("a shipped pad (configs/pads), or a path relative to the scenario file", 200)] = "thesis"
-
-
-class LightSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """The light on the scene, and the white balance of the camera."""
-
-    colour_temperature_k: Annotated[float, number("colour temperature of the light", "K", 1700.0, 25000.0)] = 6500.0
-    balanced_for_k: Annotated[float, number("colour temperature that the camera takes for white", "K", 1700.0, 25000.0)] = 6500.0
-    gain_red: Annotated[float, number("white-balance error on red beyond that; 1 for none", "1", 0.2, 5.0)] = 1.0
-    gain_blue: Annotated[float, number("white-balance error on blue beyond that; 1 for none", "1", 0.2, 5.0)] = 1.0
-    exposure_ev: Annotated[float, number("stops against white paint at 80 % of full scale", "1", -6.0, 6.0)] = 0.0
-    vignetting: Annotated[float, number("fraction of light lost in the corners", "1", 0.0, 1.0)] = 0.2
-    sun_elevation_deg: Annotated[float, number("elevation of the sun over the horizon", "deg", 3.0, 90.0)] = 55.0
-    sun_azimuth_deg: Annotated[float, number("azimuth of the sun, clockwise from north", "deg", -360.0, 360.0)] = 140.0
-    drone_shadow: Annotated[
-        float, number("fraction of light missing in the vehicle's own shadow; 0 under clouds", "1", 0.0, 1.0)
-    ] = 0.45
-    glare: Annotated[float, number("brightness of the mirrored sun on the pad, in units of white paint", "1", 0.0, 10.0)] = 0.0
-    wetness: Annotated[float, number("wetness of deck and pad, from 0 (dry) to 1 (soaked)", "1", 0.0, 1.0)] = 0.0
-    wear: Annotated[float, number("standard deviation of the paint's brightness", "1", 0.0, 0.5)] = 0.06
-    daylight_ev: Annotated[float, number("stops of light against full daylight, -5 at dusk", "1", -12.0, 1.0)] = 0.0
-    visibility_m: Annotated[float, number("meteorological visibility; less than 100 m is dense fog", "m", 5.0, CLEAR_M)] = CLEAR_M
-    glint: Annotated[
-        float, number("brightness of the sun mirrored by the sea, and by a wet deck, in units of white paint", "1", 0.0, 50.0)
-    ] = 0.0
-    mast_height_m: Annotated[float, number("height of the mast that casts a shadow; 0 for none", "m", 0.0, 60.0)] = 0.0
-    mast_forward_m: Annotated[float, number("position of the mast from the pad, along the arrow", "m", -100.0, 100.0)] = 2.0
-    mast_right_m: Annotated[float, number("position of the mast from the pad, to the right of the arrow", "m", -100.0, 100.0)] = (
-        0.5
-    )
-    mast_shadow: Annotated[float, number("fraction of light missing in the mast's shadow", "1", 0.0, 1.0)] = 0.6
-
-
-class SensorSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """The errors of the vehicle's sensors and of its own estimator."""
-
-    accel_bias_sigma_m_s2: Annotated[
-        float,
-        number(
-            "standard deviation of the accelerometer's constant error, each axis",
-            "m/s^2",
-            0.0,
-            3.0,
-            "biases of 80 mg in a captured navdata",
-        ),
-    ] = 0.6
-    accel_noise_sigma_m_s2: Annotated[
-        float, number("standard deviation of a sample, motors turning", "m/s^2", 0.0, 5.0, _MEASURED + ": 0.040 to 0.046")
-    ] = 0.043
-    accel_rest_sigma_m_s2: Annotated[
-        float, number("standard deviation of a sample, motors off", "m/s^2", 0.0, 5.0, _MEASURED + ": up to 0.012")
-    ] = 0.01
-    gyro_bias_sigma_rad_s: Annotated[
-        float,
-        number(
-            "standard deviation of the gyro's constant error after the drone removed its own offsets",
-            "rad/s",
-            0.0,
-            0.2,
-            _MEASURED,
-        ),
-    ] = 0.001
-    gyro_noise_sigma_rad_s: Annotated[
-        float, number("standard deviation of a sample, motors turning", "rad/s", 0.0, 1.0, _MEASURED + ": 0.027 to 0.042")
-    ] = 0.034
-    gyro_rest_sigma_rad_s: Annotated[
-        float, number("standard deviation of a sample, motors off", "rad/s", 0.0, 1.0, _MEASURED + ": 0.0004 to 0.0005")
-    ] = 0.0005
-    tilt_bias_sigma_deg: Annotated[
-        float, number("standard deviation of the constant error of the drone's roll and pitch", "deg", 0.0, 10.0, _MEASURED)
-    ] = 0.5
-    tilt_drift_sigma_deg: Annotated[
-        float,
-        number(
-            "standard deviation of the wandering error of the drone's roll and pitch",
-            "deg",
-            0.0,
-            10.0,
-            _MEASURED + ": 0.16 and 0.77",
-        ),
-    ] = 0.4
-    tilt_drift_time_s: Annotated[float, number("its correlation time", "s", 0.05, 600.0, _MEASURED)] = 1.0
-    heading_bias_sigma_deg: Annotated[
-        float, number("standard deviation of the constant error of the drone's heading", "deg", 0.0, 180.0, "assumed")
-    ] = 3.0
-    heading_drift_sigma_deg: Annotated[
-        float, number("standard deviation of the wandering error of the drone's heading", "deg", 0.0, 60.0, _MEASURED + ": 2.4")
-    ] = 2.0
-    heading_drift_time_s: Annotated[float, number("its correlation time", "s", 0.05, 600.0, _MEASURED)] = 6.0
-    velocity_scale: Annotated[float, number("scale factor: reported over true velocity", "1", 0.1, 2.0, _MEASURED)] = 0.83
-    velocity_noise_sigma_m_s: Annotated[
-        float,
-        number("standard deviation of the wandering error of the velocity", "m/s", 0.0, 1.0, _MEASURED + ": 0.011 to 0.024"),
-    ] = 0.015
-    velocity_noise_time_s: Annotated[float, number("its correlation time", "s", 0.01, 60.0, _MEASURED)] = 0.25
-    velocity_lag_s: Annotated[
-        float, number("first-order lag of the reported velocity", "s", 0.001, 1.0, _MEASURED + ": 0.02 to 0.04")
-    ] = 0.03
-    velocity_over: Annotated[
-        Literal["seen", "water"],
-        choice("reference of the velocity: the surface that the bottom camera sees (the deck when over it), or always the water"),
-    ] = "seen"
-    ultrasound_rate_hz: Annotated[float, number("rate of measurements", "Hz", 1.0, 60.0, "pic:ultrasound_freq 8")] = 25.0
-    ultrasound_min_m: Annotated[float, number("shortest measurable distance", "m", 0.0, 1.0, "assumed")] = 0.2
-    ultrasound_max_m: Annotated[float, number("longest measurable distance", "m", 0.5, 20.0, "Parrot's specification")] = 6.0
-    ultrasound_cone_deg: Annotated[
-        float, number("full angle of the sensor's cone; the nearest surface counts", "deg", 1.0, 90.0, _THESIS)
-    ] = 40.0
-    ultrasound_sigma_m: Annotated[
-        float, number("standard deviation of a reading", "m", 0.0, 1.0, _MEASURED + ": 0.003 to 0.007")
-    ] = 0.005
-    ultrasound_delay_s: Annotated[float, number("delay from the echo to the telemetry", "s", 0.0, 0.5, _MEASURED)] = 0.06
-    pressure_sigma_pa: Annotated[
-        float, number("standard deviation of a reading", "Pa", 0.0, 200.0, _THESIS + ": 0.5 m of height")
-    ] = 6.0
-    pressure_drift_sigma_pa: Annotated[
-        float, number("standard deviation of the slow wandering error", "Pa", 0.0, 500.0, "assumed")
-    ] = 10.0
-    magnetometer_sigma_t: Annotated[
-        float, number("standard deviation of a reading, each axis", "T", 0.0, 1e-4, _THESIS + ": 0.013 G")
-    ] = 1.3e-6
-    magnetometer_bias_sigma_t: Annotated[
-        float, number("standard deviation of the constant error, each axis", "T", 0.0, 1e-4, "assumed")
-    ] = 1e-6
-    battery_start: Annotated[float, number("charge at the start", "1", 0.0, 1.0)] = 0.9
-    battery_life_s: Annotated[float, number("flight time of a full battery", "s", 10.0, 36000.0, _THESIS)] = 1200.0
-
-    def __post_init__(self) -> None:
-        if self.ultrasound_min_m >= self.ultrasound_max_m:
-            raise ValueError("ultrasound_min_m must be less than ultrasound_max_m")
 
 
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True):

@@ -18,7 +18,7 @@ from estimator.contracts.time import MonoNs
 from sitl.algebra import Floats, Vec, inverse_rotate, rotate, rotation_of, rpy_of
 from sitl.contact import DeckShape, Ground
 from sitl.rotors import Layout, rotors_of
-from sitl.scenario import SensorSettings
+from sitl.sensor_settings import SensorSettings
 from sitl.spectra import GRAVITY_M_S2
 from sitl.vehicle import Vehicle
 

@@ -16,7 +16,7 @@ from companion.recorder.records import ContactRecord, TruthRecord
 from companion.recorder.setup import about, recorder_to_file, wall_offset_ns
 from drivers.clock import SystemClock
 from estimator.contracts.errors import BadInput
-from sitl.world import Touchdown, Truth
+from sitl.truth import Touchdown, Truth
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

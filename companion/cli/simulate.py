@@ -23,7 +23,7 @@ from sitl.campaign.overrides import Overridable
 from sitl.one_flight import fly, perception_level, settings_for
 from sitl.scenario import FAULTS
 from sitl.scenario import load as load_scenario
-from sitl.world import Truth
+from sitl.truth import Truth
 
 SHADOWS: tuple[PathName, ...] = ("median_mean",)
 """Estimator paths that run beside the steering one, for the comparison in the report."""

@@ -14,7 +14,8 @@ from sitl.ardrone.config import Configuration
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.navdata_from_world import ALL_OPTIONS, SentFrame, Situation, datagram, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
-from sitl.world import Stick, VehiclePhase, World
+from sitl.vehicle import VehiclePhase
+from sitl.world import Stick, World
 
 TICK_S = 0.005
 """Period of the physics and of full navdata (200 Hz), s."""

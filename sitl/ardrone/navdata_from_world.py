@@ -13,7 +13,9 @@ from typing import Any
 from drivers.ardrone import navdata
 from drivers.ardrone.navdata import Navdata
 from sitl.airframe import StickLimits
-from sitl.world import Readings, Stick, VehiclePhase
+from sitl.sensors import Readings
+from sitl.vehicle import VehiclePhase
+from sitl.world import Stick
 
 STANDARD_GRAVITY = 9.80665
 TESLA_PER_MILLIGAUSS = 1e-7

@@ -27,7 +27,8 @@ from sitl.operator_faults import OperatorActs
 from sitl.report_faults import VesselReports
 from sitl.safety import dangers
 from sitl.scenario import FAULTS, Scenario, load
-from sitl.world import VehiclePhase, World
+from sitl.vehicle import VehiclePhase
+from sitl.world import World
 
 VIRTUAL_ONLY = (ServiceKilled, OperatorActs, VesselReports)
 """Faults of what runs beside the drone, which no drone behind sockets can have."""

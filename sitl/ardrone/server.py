@@ -27,7 +27,8 @@ from sitl.ardrone.sockets import Address, AtPort, ControlPort, NavdataPort, Vide
 from sitl.ardrone.truth_log import TruthLog
 from sitl.ardrone.video import AccessUnit, Encoder
 from sitl.faulty_streams import LAG_S, Fate, InTransit
-from sitl.world import RenderedFrame, World
+from sitl.truth import RenderedFrame
+from sitl.world import World
 
 DEMO_TICKS = 13
 """Ticks between two datagrams in demo mode and in the bootstrap: 15.4 Hz."""

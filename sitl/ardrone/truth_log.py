@@ -17,7 +17,7 @@ import numpy as np
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
-from sitl.world import Touchdown, Truth
+from sitl.truth import Touchdown, Truth
 
 
 def record(truth: Truth) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from sitl.contact import Ground
 from sitl.film import Film
 from sitl.scenario import Scenario, camera_model, pad_model
 from sitl.stage import air, airframe, deck_shape, flight_seeds, place, renderer, sea_and_vessel, wind
+from sitl.truth import RenderedFrame
 from sitl.vehicle import DECK, SEA, VehiclePhase
-from sitl.world import RenderedFrame
 
 _CHUNK_S = 0.25
 _SEA_S = 0.02

@@ -13,7 +13,7 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp, after
 from sitl.autopilots.body import Body
 from sitl.autopilots.lock_step import LockStepClock
-from sitl.world import RenderedFrame
+from sitl.truth import RenderedFrame
 
 _STAMP_SIGMA_S = 0.002
 _NAP_S, _PATIENCE_S = 0.0005, 0.25

@@ -32,7 +32,7 @@ from sitl.autopilots.pose import AutopilotPose, PoseSource
 from sitl.camera import Exposure
 from sitl.scenario import Scenario, pad_model
 from sitl.stage import flight_seeds, renderer, sea_and_vessel
-from sitl.world import RenderedFrame
+from sitl.truth import RenderedFrame
 
 PERIOD_S = 0.04
 _STAMP_SIGMA_S = 0.002

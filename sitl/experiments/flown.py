@@ -20,7 +20,7 @@ from sitl.experiments.hand import HandPilot
 from sitl.experiments.paths import HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
 from sitl.flight import Flight, FlightResult, Timing
 from sitl.scenario import Scenario, load
-from sitl.world import Truth
+from sitl.truth import Truth
 
 METHODS = ("ellipse", "arrow", "corners", "registration", "best")
 """The thesis' three methods as they are here, the fourth, and the estimate that all of them make together."""

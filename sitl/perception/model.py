@@ -41,7 +41,8 @@ from sitl.perception.port import Level
 from sitl.perception.view import View, Viewer
 from sitl.picture_faults import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
 from sitl.render_worker import RenderWorker
-from sitl.world import RenderedFrame, World
+from sitl.truth import RenderedFrame
+from sitl.world import World
 
 KEPT_SCENES = 512
 """Number of exposures that may be under way: ten seconds of delay at 50 frames a second."""

@@ -11,7 +11,8 @@ from estimator.contracts.estimates import PathName
 from sitl.fault import Fault
 from sitl.perception.port import Level
 from sitl.render_worker import RenderWorker
-from sitl.world import RenderedFrame, World
+from sitl.truth import RenderedFrame
+from sitl.world import World
 
 
 class Pixels:

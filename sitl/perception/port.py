@@ -10,7 +10,8 @@ from companion.runtime.pilot import Pilot
 from estimator.contracts.estimates import PathName
 from sitl.fault import Fault
 from sitl.render_worker import RenderWorker
-from sitl.world import RenderedFrame, World
+from sitl.truth import RenderedFrame
+from sitl.world import World
 
 Level = Literal["pixels", "model", "truth"]
 LEVELS: tuple[Level, ...] = ("pixels", "model", "truth")

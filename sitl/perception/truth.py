@@ -36,7 +36,8 @@ from sitl.perception.port import Level
 from sitl.perception.true_motion import TrueMotion
 from sitl.render_worker import RenderWorker
 from sitl.stream_faults import FrameStream
-from sitl.world import RenderedFrame, Truth, World
+from sitl.truth import RenderedFrame, Truth
+from sitl.world import World
 
 REPRESENTED = frozenset(
     {

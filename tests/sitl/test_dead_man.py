@@ -22,7 +22,8 @@ from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from sitl.ardrone.drone import TICK_S, Drone
 from sitl.ardrone.drone_clock import DroneClock
 from sitl.scenario import Start, load
-from sitl.world import VehiclePhase, World
+from sitl.vehicle import VehiclePhase
+from sitl.world import World
 
 OPTIONS = ArDroneOptions()
 PERIOD_TICKS = 6

@@ -48,8 +48,10 @@ from sitl.sensor_faults import (
     Ultrasound,
     VelocityReading,
 )
+from sitl.sensors import Readings
 from sitl.stream_faults import STREAMS, FrameStream
-from sitl.world import Readings, Stick, VehiclePhase, World
+from sitl.vehicle import VehiclePhase
+from sitl.world import Stick, World
 
 CALM = Scenario(
     title="bench",

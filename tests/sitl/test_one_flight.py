@@ -15,7 +15,7 @@ from sitl.flight import Flight
 from sitl.one_flight import TRUTH_EACH, fly, perception_level, settings_for
 from sitl.safety import Grade
 from sitl.scenario import Scenario, from_mapping
-from sitl.world import Truth
+from sitl.truth import Truth
 from tests.sitl.near import NEAR
 
 

@@ -16,7 +16,8 @@ from sitl.perception.levels import perceive
 from sitl.perception.model import MODELLED
 from sitl.picture_faults import FocalLength, Glint, LightFalls, ObjectOnPad, OtherPad, PadCovered, PictureFault, WetLens
 from sitl.scenario import from_mapping, load, pad_model, shipped_scenarios
-from sitl.world import RenderedFrame, World
+from sitl.truth import RenderedFrame
+from sitl.world import World
 from tests.sitl.test_faults import CALM, at
 
 SIM = load_settings("sim")

@@ -23,7 +23,8 @@ from sitl.safety import (
     outside_commit,
     unreached_descent_max_m,
 )
-from sitl.world import Touchdown, Truth, VehiclePhase
+from sitl.truth import Touchdown, Truth
+from sitl.vehicle import VehiclePhase
 
 START = MonoNs(0)
 SAFE = BlindDescent(0.2, 0.2, 1.4)

@@ -14,7 +14,8 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import MonoNs
 from sitl.airframe import Airframe
 from sitl.contact import DeckShape, Ground
-from sitl.scenario import Scenario, SensorSettings
+from sitl.scenario import Scenario
+from sitl.sensor_settings import SensorSettings
 from sitl.sensors import EARTH_FIELD_NED_T, Readings, Sensors, nearest_surface
 from sitl.stage import airframe
 from sitl.vehicle import Vehicle

@@ -15,10 +15,13 @@ from estimator.contracts.time import MonoNs, after
 from sitl.ardrone.truth_log import record
 from sitl.faults import KINDS, Gust, WeakRotor
 from sitl.safety import outside_commit
-from sitl.scenario import Scenario, Sea, SensorSettings, Start, VesselSettings, WindSettings, load
+from sitl.scenario import Scenario, Sea, Start, VesselSettings, WindSettings, load
 from sitl.sensor_faults import Magnetometer, Ultrasound
+from sitl.sensor_settings import SensorSettings
+from sitl.sensors import Readings
+from sitl.truth import RenderedFrame, Truth
 from sitl.vehicle import VehiclePhase
-from sitl.world import Readings, RenderedFrame, Stick, Truth, World
+from sitl.world import Stick, World
 
 CALM = Scenario(
     title="bench",

@@ -15,7 +15,10 @@ from sitl.airframe import StickLimits
 from sitl.fault import Fault
 from sitl.fault_timer import FaultTimer
 from sitl.faulty_streams import VehicleStreams
-from sitl.world import Readings, RenderedFrame, Stick, Truth, VehiclePhase
+from sitl.sensors import Readings
+from sitl.truth import RenderedFrame, Truth
+from sitl.vehicle import VehiclePhase
+from sitl.world import Stick
 
 G = 9.80665
 HOVER_HEIGHT_M = 0.8

@@ -15,7 +15,8 @@ from estimator.contracts.commands import Land, TakeOff, Velocity
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Range, VehicleStatus
 from estimator.contracts.time import MonoNs
 from sitl.ardrone.server import ArDroneServer, Ports
-from sitl.world import VehiclePhase, World
+from sitl.vehicle import VehiclePhase
+from sitl.world import World
 from tests.sitl.ardrone.point_mass import PointMass
 
 HOST = "127.0.0.1"
