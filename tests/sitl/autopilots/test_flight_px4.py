@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import stat
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +106,13 @@ class Px4(FakeAutopilot):
                     task.cancel()
 
 
+async def until_closed(reader: asyncio.StreamReader) -> AsyncIterator[bytes]:
+    """What the physics sends; closed while an answer is still on its way, the stream ends in a reset."""
+    with suppress(ConnectionResetError):
+        while data := await reader.read(4096):
+            yield data
+
+
 async def pretend(flight: AutopilotFlight) -> None:
     """PX4's side of the lock step, until the physics closes."""
     for _ in range(500):
@@ -116,7 +123,7 @@ async def pretend(flight: AutopilotFlight) -> None:
             await asyncio.sleep(0.02)
     codec, program = Codec(1, 1), Px4(flight)
     async with program.on_both():
-        while data := await reader.read(4096):
+        async for data in until_closed(reader):
             for message in codec.feed(data):
                 if message.get_type() == "HIL_SENSOR":
                     await flight.clock.settle()
