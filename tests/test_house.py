@@ -39,6 +39,7 @@ DRAWINGS = {
     "companion/report/svg.py",
     "sitl/campaign/plots.py",
     "companion/calibrate/figures.py",
+    "companion/report/response_figure.py",
     "companion/cli/soak_plot.py",
 }
 """What needs the extra `report`. The commands that draw ask `require_drawing` first and import these late."""

@@ -32,6 +32,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
     "soak": ("companion.cli.soak", "fly repeated landings and watch for leaks"),
     "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
+    "identify": ("companion.cli.identify", "identify a vehicle's response from a recorded flight"),
     "record": ("companion.cli.record", "inspect, cut, repair and import recordings"),
     "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
     "calibrate": ("companion.cli.calibrate", "calibrate a camera"),

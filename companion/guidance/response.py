@@ -32,6 +32,11 @@ class TiltResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     damping: Annotated[float, number("its damping ratio", "1", 0.2, 3.0)]
     lag_s: Annotated[float, number("first-order lag before it: rotors", "s", 0.0, 0.5)] = 0.0
     max_deg: Annotated[float, number("largest tilt that a controller may ask for", "deg", 2.0, 45.0)] = 20.0
+    delay_sigma_s: Annotated[float, number("standard deviation of delay_s; left out if it is assumed", "s", 0.0, 0.6)] | None = (
+        None
+    )
+    frequency_sigma_rad_s: Annotated[float, number("standard deviation of frequency_rad_s", "rad/s", 0.0, 60.0)] | None = None
+    damping_sigma: Annotated[float, number("standard deviation of damping", "1", 0.0, 3.0)] | None = None
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -57,6 +62,10 @@ class ClimbResponse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     delay_s: Annotated[float, number("delay from guidance's command to its first effect", "s", 0.0, 0.6)]
     lag_s: Annotated[float, number("time constant with which the speed follows", "s", 0.02, 3.0)]
     max_m_s: Annotated[float, number("largest vertical speed that a controller may ask for", "m/s", 0.1, 5.0)] = 1.0
+    delay_sigma_s: Annotated[float, number("standard deviation of delay_s; left out if it is assumed", "s", 0.0, 0.6)] | None = (
+        None
+    )
+    lag_sigma_s: Annotated[float, number("standard deviation of lag_s", "s", 0.0, 3.0)] | None = None
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -1,0 +1,161 @@
+"""`decklander identify`: how a vehicle answered its commands, from a recorded flight."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from companion.config.settings import find_file, read_toml, response_model
+from companion.guidance.response import Response, response_from_mapping
+from companion.guidance.response_file import text
+from companion.guidance.response_fit import ClimbFit, TiltFit, fit_climb, fit_tilt
+from companion.recorder.reading import Recording, open_recording
+from companion.replay.flown_courses import FlownCourses, flown_courses
+from companion.replay.pilots import settings_of
+from companion.report.drawing import require_drawing
+from estimator.contracts.errors import BadInput, unusable
+
+NOTHING_TOLD_S = 0.1
+"""A delay that is known worse than this is not known at all."""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `decklander identify` to the parser."""
+    parser = subparsers.add_parser(
+        "identify",
+        help="identify a vehicle's response from a recorded flight",
+        description="Identify how a vehicle answers commands from a recorded flight: delay, frequency and damping of its tilt, "
+        "delay and lag of its climb, each with its standard deviation. The flight must have been flown with the controller "
+        "follow_deck, which commands tilt. Exit code 1 if the flight moved too little to tell.",
+    )
+    parser.add_argument(
+        "recording", nargs="+", type=Path, metavar="RECORDING", help="MCAP file, or the files of one recording in order"
+    )
+    parser.add_argument(
+        "--response", metavar="NAME", help="shipped response or file to begin from (default: the one of the recorded settings)"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the response file (TOML)")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw asked, reported and modelled courses into this PNG")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command and return its exit code."""
+    if args.plot is not None:
+        require_drawing("--plot")
+    recording = open_recording(args.recording)
+    start = _start(args.response, recording)
+    courses = flown_courses(recording)
+    tilt, climb = _fits(recording, courses, start)
+    if tilt.delay_sigma_s > NOTHING_TOLD_S:
+        sys.stderr.write(
+            f"decklander: {recording.name}: too little motion to identify a response: the delay of the tilt is known to "
+            f"{1e3 * tilt.delay_sigma_s:.0f} ms only, from {tilt.fitted.seconds:.1f} s of commanded flight; fly in wind "
+            "or over a moving deck, or longer\n"
+        )
+        return 1
+    response = Response(tilt.response, start.climb if climb is None else climb.response)
+    if args.out is not None:
+        _write(args.out, text(response, recording.name, tilt, climb))
+    if args.plot is not None:
+        from companion.report.response_figure import write_response
+
+        assert courses.tilt is not None
+        write_response(args.plot, recording.name, courses, tilt, climb)
+    if args.json:
+        sys.stdout.write(json.dumps(_record(tilt, climb)) + "\n")
+    else:
+        sys.stdout.write("\n".join(_lines(args, start, courses, tilt, climb)) + "\n")
+    return 0
+
+
+def _start(named: str | None, recording: Recording) -> Response:
+    if named is None:
+        try:
+            return response_model(settings_of(recording, None))
+        except BadInput as why:
+            raise BadInput(f"{why}; or say which vehicle flew with --response") from why
+    path = find_file(named, "responses", Path(), "--response")
+    return response_from_mapping(read_toml(path), str(path))
+
+
+def _fits(recording: Recording, courses: FlownCourses, start: Response) -> tuple[TiltFit, ClimbFit | None]:
+    if courses.leans == 0:
+        why = (
+            f"its {courses.velocities} commands ask for velocities, as the controller pid does, and none for a tilt; fly with "
+            'guidance.controller = "follow_deck"'
+            if courses.velocities
+            else "it holds no commands of guidance"
+        )
+        raise BadInput(f"{recording.name}: no response can be identified: {why}")
+    tilt = None if courses.tilt is None else fit_tilt(courses.tilt, start.tilt)
+    if tilt is None:
+        raise BadInput(
+            f"{recording.name}: no response can be identified: {courses.leans} commands for a tilt and the vehicle's attitude "
+            "overlap by less than 4 s"
+        )
+    return tilt, None if courses.climb is None else fit_climb(courses.climb, start.climb)
+
+
+def _write(path: Path, content: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content, encoding="utf-8")
+    except OSError as why:
+        raise unusable(f"--out {path}", why) from why
+
+
+def _lines(args: argparse.Namespace, start: Response, courses: FlownCourses, tilt: TiltFit, climb: ClimbFit | None) -> list[str]:
+    t = tilt.response
+    out = [
+        f"tilt   delay {_ms(t.delay_s, t.delay_sigma_s)} ms, {_of(t.frequency_rad_s, t.frequency_sigma_rad_s)} rad/s, damping "
+        f"{_of(t.damping, t.damping_sigma)}; lag {1e3 * t.lag_s:.0f} ms as given",
+        f"       {tilt.gain:.2f} of what is asked, {tilt.fitted.residual:.3f} m/s^2 off the model, {tilt.fitted.seconds:.1f} s",
+    ]
+    if climb is None:
+        out.append("climb  not identified: as given")
+    else:
+        c = climb.response
+        by = "the accelerometer" if courses.by_accelerometer else "the reported speed"
+        out += [
+            f"climb  delay {_ms(c.delay_s, c.delay_sigma_s)} ms, lag {_ms(c.lag_s, c.lag_sigma_s)} ms",
+            f"       {climb.gain:.2f} of what is asked, {climb.fitted.residual:.3f} m/s beside the model, by {by}",
+        ]
+    out.append(
+        f"given  tilt delay {_ms(start.tilt.delay_s, start.tilt.delay_sigma_s)} ms, "
+        f"{_of(start.tilt.frequency_rad_s, start.tilt.frequency_sigma_rad_s)} rad/s, damping "
+        f"{_of(start.tilt.damping, start.tilt.damping_sigma)}; climb delay {_ms(start.climb.delay_s, start.climb.delay_sigma_s)} "
+        f"ms, lag {_ms(start.climb.lag_s, start.climb.lag_sigma_s)} ms"
+    )
+    out += [f"written to {path}" for path in (args.out, args.plot) if path is not None]
+    return out
+
+
+def _of(value: float, sigma: float | None) -> str:
+    return f"{value:.2f}" if sigma is None else f"{value:.2f} +- {sigma:.2f}"
+
+
+def _ms(value_s: float, sigma_s: float | None) -> str:
+    return f"{1e3 * value_s:.0f}" if sigma_s is None else f"{1e3 * value_s:.0f} +- {1e3 * sigma_s:.0f}"
+
+
+def _record(tilt: TiltFit, climb: ClimbFit | None) -> dict[str, object]:
+    t = tilt.response
+    record: dict[str, object] = {
+        "tilt": {
+            "delay_s": t.delay_s, "delay_sigma_s": t.delay_sigma_s,
+            "frequency_rad_s": t.frequency_rad_s, "frequency_sigma_rad_s": t.frequency_sigma_rad_s,
+            "damping": t.damping, "damping_sigma": t.damping_sigma, "lag_s": t.lag_s,
+            "gain": tilt.gain, "residual_m_s2": tilt.fitted.residual, "seconds": tilt.fitted.seconds,
+        },
+        "climb": None,
+    }  # fmt: skip
+    if climb is not None:
+        c = climb.response
+        record["climb"] = {
+            "delay_s": c.delay_s, "delay_sigma_s": c.delay_sigma_s, "lag_s": c.lag_s, "lag_sigma_s": c.lag_sigma_s,
+            "gain": climb.gain, "residual_m_s": climb.fitted.residual, "seconds": climb.fitted.seconds,
+        }  # fmt: skip
+    return record

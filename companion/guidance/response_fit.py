@@ -1,0 +1,277 @@
+"""How a vehicle answers, from what was asked of it and what it reported: delay, tilt frequency and damping, vertical lag.
+
+The model's output is computed from the asked course alone (output error) and compared with the reported one. Gauss-Newton steps
+from the best delay of a grid minimise the squared residuals, which are whitened by a first-order autoregression: the error of a
+reported attitude lasts for a second. A weak prior keeps what a flight does not tell near where the search began, with a large
+sigma. The covariance is the larger of two: of the residuals as they should be, and of the scores summed over a second each, which
+also holds where model or whitening do not fit.
+Sources: Ljung, System Identification, 2nd ed., 1999, sec. 4.3 (output error), 7.2 (prediction error), 10.2 (Gauss-Newton);
+White, A heteroskedasticity-consistent covariance matrix estimator, Econometrica 48(4), 1980 (the second covariance).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.guidance.response import ClimbResponse, TiltResponse
+from estimator.contracts.geometry import F64
+
+STEP_S = 0.02
+"""Step of a course, s."""
+_C128 = NDArray[np.complex128]
+_DELAY_MAX_S = 0.6
+_PRIOR_DELAY_S = 0.25
+_PRIOR_SHAPE = 0.5
+"""Standard deviation of the prior of frequency, damping and lag, as a natural logarithm."""
+_PRIOR_GAIN = 0.2
+_ITERATIONS = 12
+_BLOCK_S = 1.0
+_LEAST_BLOCKS = 4
+"""Fewer seconds than these are no flight to identify from."""
+_GRID_S = 0.08
+_SETTLED_S = 8.0
+"""The response to what was asked is over after this time, s."""
+_FLOOR_S = 0.004
+"""What no fit sees, s: the command waits for the next datagram for a time that is random."""
+
+
+class FlightCourse(NamedTuple):
+    """What was asked and what was reported, in steps of `STEP_S`; each column is one axis with the same response."""
+
+    asked: F64
+    """(n, axes), held over the step that begins there."""
+    reported: F64
+    """(n, axes), at the beginning of the step."""
+    counts: NDArray[np.bool_]
+    """(n,), whether the reported value may be compared: both are known, and the asked one has been for a while."""
+    stamp_sigma_s: float = 0.0
+    """How well the instants of the reports are known: an error of theirs is an error of the delay."""
+    drifts: int = 0
+    """Degree of the polynomial that the report may be off by: 0 for an offset, 1 for a drift."""
+
+
+class Fitted(NamedTuple):
+    """A fit. The order of `values` is that of the model: the delay first, then the shape, the gain last."""
+
+    values: F64
+    cov: F64
+    model: F64
+    """(n, axes) output of the fitted model; nan where nothing was compared."""
+    offset: F64
+    """(n, axes), what the report is off by: its offset or drift."""
+    residual: float
+    """Standard deviation of reported less modelled."""
+    seconds: float
+    """Length of what was compared."""
+
+
+class TiltFit(msgspec.Struct, frozen=True):
+    """The identified response of the tilt, with standard deviations."""
+
+    response: TiltResponse
+    """With `delay_sigma_s` and the other sigmas set."""
+    gain: float
+    """Reported tilt over asked tilt."""
+    fitted: Fitted
+
+    @property
+    def delay_sigma_s(self) -> float:
+        """Standard deviation of the delay."""
+        return math.sqrt(float(self.fitted.cov[0, 0]))
+
+
+class ClimbFit(msgspec.Struct, frozen=True):
+    """The identified response of the vertical speed, with standard deviations."""
+
+    response: ClimbResponse
+    gain: float
+    fitted: Fitted
+
+
+_Transfer = Callable[[F64, _C128], tuple[_C128, _C128]]
+"""Takes parameters and s = j w, (m,); returns the transfer function, (m,), and its derivatives, (parameters, m)."""
+
+
+def fit_tilt(course: FlightCourse, start: TiltResponse) -> TiltFit | None:
+    """Return the response of the tilt; None if the course is too short.
+
+    Args:
+        course: asked and reported tilt forward and right, as accelerations, (n, 2) m/s^2.
+        start: where the search begins; its lag and its limit are kept, since lag and delay can hardly be told apart.
+    """
+
+    def transfer(x: F64, s: _C128) -> tuple[_C128, _C128]:
+        w, z = math.exp(x[1]), math.exp(x[2])
+        below = s * s + 2.0 * z * w * s + w * w
+        H = math.exp(x[3]) * np.exp(-s * x[0]) * (w * w) / (below * (1.0 + s * start.lag_s))
+        d_frequency = H * (2.0 - (2.0 * z * w * s + 2.0 * w * w) / below)
+        return H, np.stack([-s * H, d_frequency, -H * (2.0 * z * w) * s / below, H])
+
+    first = np.array([start.delay_s, math.log(start.frequency_rad_s), math.log(start.damping), 0.0])
+    found = _fit(course, transfer, first, np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_SHAPE, _PRIOR_GAIN]))
+    if found is None:
+        return None
+    delay, (w, z, gain) = float(found.values[0]), (math.exp(x) for x in found.values[1:].tolist())
+    sigma = np.sqrt(np.diag(found.cov))
+    response = TiltResponse(
+        delay_s=delay,
+        frequency_rad_s=min(60.0, max(1.0, w)),
+        damping=min(3.0, max(0.2, z)),
+        lag_s=start.lag_s,
+        max_deg=start.max_deg,
+        delay_sigma_s=float(sigma[0]),
+        frequency_sigma_rad_s=float(w * sigma[1]),
+        damping_sigma=float(z * sigma[2]),
+    )
+    return TiltFit(response, gain, found)
+
+
+def fit_climb(course: FlightCourse, start: ClimbResponse) -> ClimbFit | None:
+    """Return the response of the vertical speed; None if the course is too short.
+
+    Args:
+        course: asked and reported vertical speed, (n, 1) m/s.
+        start: where the search begins; its limit is kept.
+    """
+
+    def transfer(x: F64, s: _C128) -> tuple[_C128, _C128]:
+        lag = math.exp(x[1])
+        H = math.exp(x[2]) * np.exp(-s * x[0]) / (1.0 + s * lag)
+        return H, np.stack([-s * H, -H * (s * lag) / (1.0 + s * lag), H])
+
+    first = np.array([start.delay_s, math.log(start.lag_s), 0.0])
+    found = _fit(course, transfer, first, np.array([_PRIOR_DELAY_S, _PRIOR_SHAPE, _PRIOR_GAIN]))
+    if found is None:
+        return None
+    delay, (lag, gain) = float(found.values[0]), (math.exp(x) for x in found.values[1:].tolist())
+    sigma = np.sqrt(np.diag(found.cov))
+    response = ClimbResponse(
+        delay_s=delay,
+        lag_s=min(3.0, max(0.02, lag)),
+        max_m_s=start.max_m_s,
+        delay_sigma_s=float(sigma[0]),
+        lag_sigma_s=float(lag * sigma[1]),
+    )
+    return ClimbFit(response, gain, found)
+
+
+def _fit(course: FlightCourse, transfer: _Transfer, first: F64, prior_sigma: F64) -> Fitted | None:
+    compared = course.counts[1:] & course.counts[:-1]
+    if np.count_nonzero(compared) * STEP_S < _LEAST_BLOCKS * _BLOCK_S:
+        return None
+    loop, prior = _Loop(course, transfer, compared), prior_sigma**-2.0
+    x, rho = first.copy(), 0.9
+    x[0] = loop.best_delay(first)
+    stride = np.array([0.1, *(0.4,) * (first.size - 1)])
+    for k in range(_ITERATIONS):
+        whitened = loop.whitened(x, rho)
+        A = whitened.information + np.diag(prior)
+        dx = np.linalg.solve(A, whitened.score + prior * (first - x))
+        x = x + np.clip(dx, -stride, stride)
+        x[0] = min(_DELAY_MAX_S, max(0.0, x[0]))
+        rho = whitened.next_rho
+        if k > 1 and float(np.abs(dx).max()) < 1e-3:
+            break
+    cov = _covariance(loop.whitened(x, rho), prior)
+    cov[0, 0] += _FLOOR_S**2 + course.stamp_sigma_s**2
+    return Fitted(x, cov, *loop.output(x), float(np.count_nonzero(compared) * STEP_S))
+
+
+def _covariance(of: _Whitened, prior: F64) -> F64:
+    """Return the larger of the two covariances."""
+    C = np.linalg.inv(of.information + np.diag(prior))
+    blocks = of.scores.shape[0]
+    spread = of.scores.T @ of.scores * (blocks / max(1.0, blocks - prior.size)) + np.diag(prior)
+    robust = C @ spread @ C
+    return np.asarray(robust if robust[0, 0] > C[0, 0] else C)
+
+
+class _Whitened(NamedTuple):
+    """The whitened residuals at one set of parameters, summed up."""
+
+    information: F64
+    score: F64
+    scores: F64
+    """(blocks, parameters), what each second of each axis adds to the score."""
+    next_rho: float
+
+
+class _Loop:
+    """A course and a model, as far as they do not change with the parameters."""
+
+    def __init__(self, course: FlightCourse, transfer: _Transfer, compared: NDArray[np.bool_]) -> None:
+        n = course.asked.shape[0]
+        self._size = _good_size(n + round(_SETTLED_S / STEP_S))
+        self._transfer, self._compared, self._counts = transfer, compared, course.counts
+        self._reported = np.where(course.counts[:, None], course.reported, 0.0)
+        s = np.asarray(2j * math.pi * np.fft.rfftfreq(self._size, STEP_S), dtype=np.complex128)
+        self._s = s
+        held = np.ones_like(s)
+        held[1:] = (1.0 - np.exp(-s[1:] * STEP_S)) / (s[1:] * STEP_S)
+        self._first = course.asked[0]
+        # The vehicle rests at the first value, and what is asked is filtered from there.
+        self._U = np.fft.rfft(course.asked - self._first, self._size, axis=0).T * held
+        self._powers = (np.arange(n) / n)[:, None] ** np.arange(course.drifts + 1)
+        self._block = (np.flatnonzero(compared) * STEP_S / _BLOCK_S).astype(int)
+
+    def _filtered(self, H: _C128) -> F64:
+        """Return the asked course, filtered; `H` is (k, m), the result (k, axes, n)."""
+        out = np.fft.irfft(H[:, None, :] * self._U, self._size, axis=-1)
+        return np.asarray(out[..., : self._reported.shape[0]])
+
+    def best_delay(self, x: F64) -> float:
+        """Return the delay of a grid with which the other parameters fit best, whatever the gain."""
+        grid = np.arange(0.0, _DELAY_MAX_S + 1e-9, _GRID_S)
+        H, _ = self._transfer(np.array([0.0, *x[1:]]), self._s)
+        out = self._filtered(H * np.exp(-self._s * grid[:, None]))
+        # The difference whitens well enough to find the delay.
+        modelled = np.diff(out, axis=-1)[..., self._compared]
+        told = np.diff(self._reported, axis=0).T[:, self._compared]
+        modelled, told = modelled - modelled.mean(axis=-1, keepdims=True), told - told.mean(axis=-1, keepdims=True)
+        both, own = (modelled * told).sum(axis=(1, 2)), (modelled**2).sum(axis=(1, 2))
+        return float(grid[int(np.argmax(np.maximum(0.0, both) ** 2 / (own + 1e-12)))])
+
+    def whitened(self, x: F64, rho: float) -> _Whitened:
+        """Return residuals and derivatives whitened by an autoregression with the coefficient `rho`."""
+        H, dH = self._transfer(x, self._s)
+        out = self._filtered(np.concatenate([H[None], dH]))
+        # At rest at the first value the output is that value times the gain, which is its own derivative.
+        out[[0, -1]] += math.exp(x[-1]) * self._first[:, None]
+        white = (out[..., 1:] - rho * out[..., :-1])[..., self._compared]
+        told = (self._reported[1:] - rho * self._reported[:-1]).T[:, self._compared]
+        base, _ = np.linalg.qr((self._powers[1:] - rho * self._powers[:-1])[self._compared])
+        e, J = told - white[0], white[1:]
+        e, J = e - (e @ base) @ base.T, J - (J @ base) @ base.T
+        var = max(1e-12, float((e * e).mean()))
+        flat = J.reshape(J.shape[0], -1)
+        each = J * e / var
+        scores = np.stack([np.add.reduceat(each, self._starts(), axis=-1)]).reshape(J.shape[0], -1).T
+        off = (self._reported.T - out[0])[:, self._counts]
+        off = off - off.mean(axis=1, keepdims=True)
+        near = float((off[:, 1:] * off[:, :-1]).sum() / max(1e-12, float((off * off).sum())))
+        return _Whitened(flat @ flat.T / var, flat @ e.ravel() / var, scores, min(0.999, max(0.0, near)))
+
+    def _starts(self) -> NDArray[np.intp]:
+        return np.flatnonzero(np.diff(self._block, prepend=-1))
+
+    def output(self, x: F64) -> tuple[F64, F64, float]:
+        """Return the model's course, the report's offset, and the standard deviation of what is left."""
+        H, _ = self._transfer(x, self._s)
+        model = (self._filtered(H[None])[0] + math.exp(x[-1]) * self._first[:, None]).T
+        off = self._reported - model
+        best, *_ = np.linalg.lstsq(self._powers[self._counts], off[self._counts], rcond=None)
+        offset = self._powers @ best
+        model[~self._counts] = math.nan
+        return model, offset, float((off - offset)[self._counts].std())
+
+
+def _good_size(least: int) -> int:
+    """Return a length that the Fourier transform is fast for."""
+    size = 1 << (least - 1).bit_length()
+    return 3 * size // 4 if 3 * size // 4 >= least else size

@@ -1,0 +1,242 @@
+"""The identified response: true to the simulated vehicle's, honest where a flight does not tell, and readable as a file."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec import structs
+
+from companion.cli.main import main
+from companion.config.settings import SHIPPED, camera_model, shipped_response
+from companion.guidance.response import TiltResponse, response_from_mapping, tilt_model
+from companion.guidance.response_course import Track, course_of
+from companion.guidance.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt
+from companion.recorder.setup import about, recorder_to_file
+from companion.runtime.observer import Decision
+from estimator.contracts.commands import Lean
+from estimator.contracts.geometry import F64, Rotation
+from estimator.contracts.samples import Attitude
+from estimator.contracts.time import MonoNs, Stamp
+from sitl.testing.recorded_flight import sim_settings
+from sitl.vehicle_file import load
+
+GIVEN = shipped_response("ardrone2")
+SECONDS = 12.0
+"""A descent from 6 m."""
+
+
+def gauss_markov(rng: np.random.Generator, n: int, sigma: float, time_s: float) -> F64:
+    keep = math.exp(-STEP_S / time_s)
+    noise, out = sigma * math.sqrt(1.0 - keep * keep) * rng.standard_normal(n), np.zeros(n)
+    out[0] = sigma * rng.standard_normal()
+    for k in range(1, n):
+        out[k] = keep * out[k - 1] + noise[k]
+    return out
+
+
+def flown(seed: int, gusts_m_s2: float) -> tuple[TiltResponse, FlightCourse]:
+    """A vehicle drawn at random that follows gusts and the swing of a deck, and reports its tilt with errors."""
+    rng = np.random.default_rng(seed)
+    true = structs.replace(
+        GIVEN.tilt,
+        delay_s=rng.uniform(0.0, 0.3),
+        frequency_rad_s=GIVEN.tilt.frequency_rad_s * math.exp(0.3 * rng.standard_normal()),
+        damping=rng.uniform(0.5, 1.2),
+    )
+    n = round(SECONDS / STEP_S)
+    model, t = tilt_model(true, STEP_S), STEP_S * np.arange(n)
+    asked, reported = np.zeros((n, 2)), np.zeros((n, 2))
+    for axis in range(2):
+        swing = 0.3 * gusts_m_s2 * np.sin(math.tau * t / rng.uniform(5.0, 8.0) + rng.uniform(0.0, math.tau))
+        u = swing + gauss_markov(rng, n, gusts_m_s2, 1.0)
+        x, trim, error = np.zeros(model.A.shape[0]), rng.standard_normal(), 0.09 * rng.standard_normal()
+        for k in range(n):
+            reported[k, axis] = x[2]
+            x = model.A @ x + model.B * u[k]
+        asked[:, axis] = u + trim
+        reported[:, axis] += trim + error + gauss_markov(rng, n, 0.07, 1.0) + 0.003 * rng.standard_normal(n)
+    return true, FlightCourse(asked, reported, np.arange(n) > 60)
+
+
+def fitted(course: FlightCourse) -> TiltFit:
+    fit = fit_tilt(course, GIVEN.tilt)
+    assert fit is not None
+    assert fit.response.delay_sigma_s is not None
+    return fit
+
+
+def test_a_descent_tells_the_delay_of_any_vehicle_to_40_ms() -> None:
+    # Why: softer gains end where the delay is said to be known, so what is said has to be true.
+    errors, sigmas = [], []
+    for seed in range(60):
+        true, course = flown(seed, 0.5)
+        found = fitted(course).response
+        errors.append(found.delay_s - true.delay_s)
+        sigmas.append(found.delay_sigma_s)
+    within = np.abs(errors) < 3.0 * np.array(sigmas)
+    assert within.mean() >= 0.95
+    assert np.median(sigmas) < 0.025
+    assert np.percentile(sigmas, 90) < 0.04
+    assert abs(np.mean(errors)) < 0.01
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.integers(0, 1_000_000), st.floats(0.0, 0.2))
+def test_little_motion_is_never_a_wrong_delay_that_is_sure(seed: int, gusts_m_s2: float) -> None:
+    true, course = flown(seed, gusts_m_s2)
+    found = fitted(course).response
+    assert found.delay_sigma_s is not None
+    assert abs(found.delay_s - true.delay_s) < max(0.04, 4.0 * found.delay_sigma_s)
+    if gusts_m_s2 < 0.01:
+        assert found.delay_sigma_s > 0.06
+
+
+def test_lag_and_delay_of_the_climb_are_told_apart() -> None:
+    n, delay, lag = 600, 9, 0.5
+    u = np.repeat([0.0, 0.5, 0.9, 0.2, -0.4, 0.5], 100)
+    v, rng = np.zeros(n), np.random.default_rng(4)
+    for k in range(1, n):
+        v[k] = v[k - 1] + (1.0 - math.exp(-STEP_S / lag)) * (u[max(0, k - 1 - delay)] - v[k - 1])
+    drift = 0.2 * (STEP_S * np.arange(n)) / 12.0
+    fit = fit_climb(
+        FlightCourse(u[:, None], (v + drift + gauss_markov(rng, n, 0.02, 1.0))[:, None], np.arange(n) > 60, 0.0, 2), GIVEN.climb
+    )
+    assert fit is not None
+    assert fit.response.delay_sigma_s is not None
+    assert fit.response.lag_sigma_s is not None
+    assert abs(fit.response.delay_s - delay * STEP_S) < 3.0 * fit.response.delay_sigma_s < 0.1
+    assert abs(fit.response.lag_s - lag) < 3.0 * fit.response.lag_sigma_s < 0.3
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.integers(0, 1_000_000), st.floats(0.0, 1.0))
+def test_a_command_between_two_steps_keeps_its_instant(seed: int, shift: float) -> None:
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.012, 0.03, 400)) + shift * STEP_S
+    course = course_of(Track(t, np.where(t < t[200], 0.0, 1.0)[:, None]), Track(t, np.zeros((t.size, 1))))
+    assert course is not None
+    assert STEP_S * float((1.0 - course.asked).sum()) == pytest.approx(t[200] - t[0], abs=1e-9)
+
+
+def test_nothing_is_compared_while_nobody_asks_or_nothing_is_reported() -> None:
+    t = 0.02 * np.arange(500)
+    u = np.where((t > 2.0) & (t < 8.0), 0.5, np.nan)
+    heard = t[(t < 5.0) | (t > 5.6)]
+    course = course_of(Track(t, u[:, None]), Track(heard, np.zeros((heard.size, 1))))
+    assert course is not None
+    at = t[: course.counts.size]
+    assert not course.counts[(at < 3.1) | (at > 8.0) | ((at > 5.05) & (at < 5.55))].any()
+    assert course.counts[(at > 3.3) & (at < 4.9)].all()
+    assert course.counts[(at > 5.7) & (at < 7.9)].all()
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Flights of the simulated AR.Drone: as shipped, with another controller, and with nothing that moves."""
+    folder = tmp_path_factory.mktemp("flown")
+    flights: dict[str, list[str]] = {
+        "rough": ["sea_state_4", "--seed", "902"],
+        "late": ["faults/commands_late_0_1_s", "--seed", "902"],
+        "pid": ["sea_state_4", "--seed", "902", "--set", "guidance.controller=pid", "--set", "duration_limit_s=8"],
+    }
+    for name, args in flights.items():
+        main(["simulate", *args, "--perception", "truth", "--record", str(folder / f"{name}.mcap"), "--json"])
+    return {name: folder / f"{name}.mcap" for name in flights}
+
+
+def truth() -> tuple[float, float, float]:
+    """Delay, frequency and damping of the simulated AR.Drone: the slow poles of its attitude loop with the motors' lag in it.
+
+    Half a period of the command datagrams, 30 ms, is waited for the next one, less half a guidance cycle that is held.
+    """
+    vehicle = load(SHIPPED / "vehicles/ardrone2.toml")
+    poles = np.roots([vehicle.motor_lag_s, 1.0, vehicle.loops.tilt_d, vehicle.loops.tilt_p])
+    slow = poles[np.argmax(poles.imag)]
+    return vehicle.command_delay_s + 0.01, float(abs(slow)), float(-slow.real / abs(slow))
+
+
+def test_a_recorded_flight_gives_the_response_of_the_simulated_vehicle(
+    recordings: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, plot = tmp_path / "mine.toml", tmp_path / "mine.png"
+    assert main(["identify", str(recordings["rough"]), "--out", str(out), "--plot", str(plot)]) == 0
+    said = capsys.readouterr().out
+    assert "tilt   delay" in said
+    assert "climb  delay" in said
+    assert str(out) in said
+    found = response_from_mapping(tomllib.loads(out.read_text()), str(out))
+    delay_s, frequency_rad_s, damping = truth()
+    t = found.tilt
+    assert t.delay_sigma_s is not None
+    assert t.frequency_sigma_rad_s is not None
+    assert t.damping_sigma is not None
+    assert abs(t.delay_s - delay_s) < 3.0 * t.delay_sigma_s < 0.12
+    assert abs(t.frequency_rad_s - frequency_rad_s) < 3.0 * t.frequency_sigma_rad_s
+    assert abs(t.damping - damping) < 3.0 * t.damping_sigma
+    assert found.climb.delay_s == pytest.approx(GIVEN.climb.delay_s, abs=0.04)
+    assert found.climb.lag_s == pytest.approx(GIVEN.climb.lag_s, rel=0.25)
+    image = cv2.imread(str(plot))
+    assert image is not None
+    assert image.shape[0] > 500
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 50
+
+
+def test_a_longer_delay_of_the_commands_is_found(recordings: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["identify", str(recordings["late"]), "--json"]) == 0
+    tilt = json.loads(capsys.readouterr().out)["tilt"]
+    assert abs(tilt["delay_s"] - truth()[0] - 0.1) < 3.0 * tilt["delay_sigma_s"] < 0.12
+
+
+def test_what_cannot_be_identified_is_said_in_one_line(
+    recordings: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rough, pid = str(recordings["rough"]), str(recordings["pid"])
+    for args, code, said in (
+        ([pid], 2, "ask for velocities, as the controller pid does"),
+        ([rough, "--response", "nonesuch"], 2, "no shipped one of that name (shipped ones are ardrone2, autopilot)"),
+        ([str(tmp_path / "none.mcap")], 2, "No such file"),
+        ([rough, "--out", str(tmp_path)], 2, "--out"),
+    ):
+        assert main(["identify", *args]) == code
+        heard = capsys.readouterr()
+        assert said in heard.err
+        assert heard.err.count("\n") == 1
+        assert heard.out == ""
+
+
+def still_flight(path: Path, seconds: float) -> None:
+    """Record a vehicle that is asked to lean by the same angle all the time, and reports it with the noise of its sensors."""
+    scenario = sim_settings()
+    rng, cov = np.random.default_rng(2), 1e-4 * np.eye(3)
+    with recorder_to_file(path, camera_model(scenario), about(scenario, {"kind": "test"}), frames="none") as recorder:
+        for k in range(round(seconds / STEP_S)):
+            at = MonoNs(round(1e9 * STEP_S * k) + 1_000_000_000)
+            roll, pitch = 0.1 + 0.002 * rng.standard_normal(2)
+            recorder.on_sample(Attitude(Stamp(at, at, 0.001, "sim"), Rotation.from_rpy(roll, pitch, 0.0), cov))
+            recorder.on_decision(Decision(at, "descend", Lean(np.array([-0.98, 0.98]), np.zeros(2), np.zeros(3), 0.0), None))
+
+
+@pytest.mark.parametrize(("seconds", "code", "said"), [(20.0, 1, "too little motion"), (4.0, 2, "overlap by less than 4 s")])
+def test_a_flight_that_tells_nothing_writes_no_file(
+    seconds: float, code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    still, out = tmp_path / "still.mcap", tmp_path / "mine.toml"
+    still_flight(still, seconds)
+    assert main(["identify", str(still), "--out", str(out)]) == code
+    heard = capsys.readouterr()
+    assert said in heard.err
+    assert heard.err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_recording_without_commands_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["identify", str(Path(__file__).parents[1] / "golden/approach.mcap"), "--response", "ardrone2"]) == 2
+    assert "holds no commands of guidance" in capsys.readouterr().err
