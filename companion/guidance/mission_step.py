@@ -24,7 +24,7 @@ def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_grou
     """Run one guidance cycle; return the memory, the aim and what changed.
 
     Args:
-        over_ground: whether the vehicle's velocity is over the ground, not over whatever its flow sensor sees.
+        over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
     """
     p = account(p, s, o)
     changes: list[StateChange] = []

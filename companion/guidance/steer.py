@@ -14,7 +14,7 @@ from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, unfit
 from companion.guidance.watch import climbs_from_question
-from estimator.contracts.commands import Command, Hover, Land
+from estimator.contracts.commands import Command, Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import seconds_between
@@ -30,7 +30,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
     """Return the memory and the aim of this guidance cycle.
 
     Args:
-        over_ground: whether the vehicle's velocity is over the ground, not over whatever its flow sensor sees.
+        over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
     """
     if p.state in GROUND:
         return p, None
@@ -47,7 +47,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
         case State.PRESS | State.DOWN:
             return p, Land()
         case State.RENDEZVOUS if s.vessel is not None:
-            return p, _to_vessel(s, s.vessel.d_body_vessel_level, o, over_ground=over_ground)
+            return p, _to_vessel(s.vessel.d_body_vessel_level, o)
         case State.GO_AROUND:
             return _climb(p, s, o, over_ground=over_ground)
         case State.ANOTHER_PAD if climbs_from_question(p, s.at, o):
@@ -82,7 +82,7 @@ def _climb(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bo
     rate = -o.tries.climb_m_s
     estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
     if estimate is None or (p.track is not None and estimate.track != p.track):
-        return p, blind_hold.without_estimate(s.knowledge, o.tries.climb_m_s, over_ground=over_ground)
+        return p, blind_hold.without_estimate(o.tries.climb_m_s, over_ground=over_ground)
     # Aside in proportion to the height, so that the pad stays in view.
     aside_m = o.tries.clear_side_m * min(1.0, max(0.0, estimate.height_m) / o.tries.safe_height_m)
     d = np.array([0.0, 0.0, o.tries.safe_height_m])
@@ -97,7 +97,7 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     estimate = blind_hold.usable(s, o.tries, o.stale_after_s)
     # A pad that nobody has agreed to land on is not followed either: its deck may fall away.
     if estimate is None or (p.track is not None and estimate.track != p.track):
-        return replace(p, held=None), blind_hold.without_estimate(s.knowledge, climb_m_s, over_ground=over_ground)
+        return replace(p, held=None), blind_hold.without_estimate(climb_m_s, over_ground=over_ground)
     held = estimate.d_body_pad_level if p.held is None else _turned_with_the_body(p.held, p.held_yaw_rad, estimate)
     speed = _HOLD_SPEED_M_S
     if p.state is State.HOLD_BLIND and p.seen is not None and seconds_between(p.seen, s.at) <= o.tries.blind_s:
@@ -109,14 +109,13 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed)
 
 
-def _to_vessel(s: GuidanceCycle, d: F64, o: GuidanceOptions, *, over_ground: bool) -> Command:
+def _to_vessel(d: F64, o: GuidanceOptions) -> Command:
     """Fly level towards the vessel's reported place."""
-    still = blind_hold.without_estimate(s.knowledge, 0.0, over_ground=over_ground)
     distance_m = math.hypot(float(d[0]), float(d[1]))
     speed = min(o.cone.intercept_speed_m_s, _RENDEZVOUS_GAIN_1_S * distance_m)
     v = np.zeros(3)
     v[:2] = d[:2] / max(distance_m, 1e-9) * speed
-    return blind_hold.added(still, v)
+    return Velocity(v, 0.0)
 
 
 def asks_to_descend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:

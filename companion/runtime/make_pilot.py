@@ -43,6 +43,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
         manual=settings.operator.manual,
         limits=settings.limits,
         law=law_of(settings),
+        over_ground=_over_ground(settings),
     )
 
 
@@ -53,13 +54,17 @@ def law_of(settings: Settings) -> Callable[[GuidanceOptions], Controller[Any]]:
         BadInput: the response or camera file has a fault, or there is no such controller.
     """
     response, view = _within_driver(response_model(settings), settings), field_of_view(camera_model(settings))
-    over_ground = isinstance(settings.vehicle, AutopilotOptions)
 
     def make(guidance: GuidanceOptions) -> Controller[Any]:
-        return make_controller(ControllerSetup(guidance, response, view, over_ground))
+        return make_controller(ControllerSetup(guidance, response, view, _over_ground(settings)))
 
     make(settings.guidance)
     return make
+
+
+def _over_ground(settings: Settings) -> bool:
+    """Return whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
+    return isinstance(settings.vehicle, AutopilotOptions)
 
 
 def _within_driver(response: Response, settings: Settings) -> Response:

@@ -102,6 +102,7 @@ class Pilot:
         law: makes the control law from guidance's options; by default it is made for an AR.Drone.
         manual: the options of manual flight.
         limits: the limits of every command.
+        over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
     """
 
     def __init__(
@@ -115,6 +116,7 @@ class Pilot:
         law: Callable[[GuidanceOptions], Controller[Any]] | None = None,
         manual: ManualOptions | None = None,
         limits: LimitOptions | None = None,
+        over_ground: bool = False,
     ) -> None:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
@@ -124,7 +126,7 @@ class Pilot:
         self._make_law = law or _law_for_ardrone
         self._law = self._make_law(guidance)
         self._law_memory = self._law.start()
-        self._over_ground = options.ekf.velocity_is_over == "ground"
+        self._over_ground = over_ground
         self._changes: list[StateChange] = []
         self._status: VehicleStatus | None = None
         self._now = MonoNs(0)
@@ -362,7 +364,7 @@ class Pilot:
         if asks_to_descend(self._mission, s, self._guidance):
             return command
         fit = fit_to_steer(knowledge.relative, now, self._guidance.stale_after_s)
-        return blind_hold.never_lower(command, knowledge, fit=fit)
+        return blind_hold.never_lower(command, knowledge, fit=fit, over_ground=self._over_ground)
 
 
 def _leant(mean: tuple[MonoNs, F64] | None, attitude: Attitude) -> tuple[MonoNs, F64]:

@@ -12,7 +12,10 @@ from estimator.contracts.geometry import F64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Velocity:
-    """Fly with this velocity over the ground and turn at this rate."""
+    """Fly with this velocity against the surface below and turn at this rate.
+
+    The driver of a vehicle whose velocities are over the ground adds the deck's own.
+    """
 
     v_level: F64
     """(3,) m/s forward, right, down."""

@@ -16,9 +16,10 @@ from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle
 from companion.guidance.steer import Aim
-from estimator.contracts.commands import Land, Velocity
+from estimator.contracts.commands import Hover, Land, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
+from estimator.contracts.motion import DeckMotion
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 
@@ -55,6 +56,8 @@ class PointFlight:
     pad_v: tuple[float, float, float] = (0.0, 0.0, 0.0)
     stands: bool = True
     feels: bool = True
+    over_ground: bool = False
+    """Its own hover holds over the ground, and the deck's velocity is added to every velocity."""
     t: float = 0.0
     v: F64 = field(default_factory=lambda: np.zeros(3))
     rows: list[tuple[float, F64, Aim, State]] = field(default_factory=list)
@@ -84,8 +87,9 @@ class PointFlight:
             self.seen_at = self.t
         elif self.seen is not None:
             self.seen = estimate(self.t, self.d, relative_v, age=self.t - self.seen_at, track=self.track(self.t), sigma=0.1)
-        s = GuidanceCycle(ns(self.t), Knowledge(ns(self.t), self.seen, impact=self.impact))
-        self.progress, aim, changes = mission_step(self.progress, s, self.options, over_ground=False)
+        deck = DeckMotion(ns(self.t), np.array(self.pad_v), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+        s = GuidanceCycle(ns(self.t), Knowledge(ns(self.t), self.seen, deck=deck, impact=self.impact))
+        self.progress, aim, changes = mission_step(self.progress, s, self.options, over_ground=self.over_ground)
         self.changes += changes
         self.rows.append((self.t, self.d.copy(), aim, self.progress.state))
         self._move(aim)
@@ -100,7 +104,9 @@ class PointFlight:
             rate = np.clip(1.5 * off[2], -aim.vertical_rate_max_m_s, aim.vertical_rate_max_m_s)
             wanted = wanted + np.array([*aside, rate if aim.descent_rate_m_s is None else aim.descent_rate_m_s])
         elif isinstance(aim, Velocity):
-            wanted = np.array(aim.v_level)
+            wanted = wanted + aim.v_level
+        elif isinstance(aim, Hover) and self.over_ground:
+            wanted = np.zeros(3)
         elif isinstance(aim, Land):
             wanted = wanted + np.array([0.0, 0.0, 0.4])
         self.v = self.v + (wanted - self.v) * DT / 0.3

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.guidance.blind_hold import never_lower
 from companion.guidance.controller import Impact, Knowledge, Target
 from companion.guidance.mission import DESCENDS, Event, State
 from companion.guidance.mission_step import mission_step, ordered, reported
@@ -15,7 +17,8 @@ from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.reason import ReasonCause
 from companion.guidance.situation import GuidanceCycle, unfit
-from estimator.contracts.commands import Hover, Land, Velocity
+from estimator.contracts.commands import Hover, Land, Lean, Velocity
+from estimator.contracts.motion import DeckMotion
 from tests.companion.mission_flights import DT, PointFlight, estimate, guided, ns, status
 
 WAY_DOWN = [State.INTERCEPT, State.DESCEND, State.GATE, State.COMMIT, State.PRESS, State.DOWN]
@@ -189,19 +192,45 @@ def test_on_its_own_it_waits_for_unbroken_sight_of_one_pad() -> None:
     assert PointFlight([0.5, 0, 4.5], options, sight, lambda t: 1 if t < 1 else 2).run(40).progress.state is State.ANOTHER_PAD
 
 
-def test_still_means_still_against_the_deck() -> None:
-    """The pad sails away at 1.5 m/s; paused, aborted and blind the point stays with it and loses no height."""
-    for order in (Event.PAUSE, Event.ABORT, None):
-        sight = (lambda t, d: t < 2.0) if order is None else (lambda t, d: True)
-        flight = PointFlight([0.5, 0.3, 4.0], sight=sight, pad_v=(1.5, 0.0, 0.0)).run(2.0)
-        if order is not None:
-            flight.order(order)
-        else:
-            flight.run(1.0)  # what was seen half a second ago still counts as seen
-        before = flight.d.copy()
-        flight.run(3.0)
-        assert math.hypot(*(flight.d[:2] - before[:2])) < 0.7
-        assert flight.d[2] > before[2] - 0.3
+@pytest.mark.parametrize("over_ground", [False, True])
+@pytest.mark.parametrize("blind_sigma_m", [1.0, 0.05])
+@pytest.mark.parametrize("order", [Event.PAUSE, Event.ABORT, None])
+def test_still_means_still_against_the_deck(order: Event | None, blind_sigma_m: float, over_ground: bool) -> None:
+    """The pad sails away at 1.5 m/s; paused, aborted and blind, with an estimate or none, the point stays and loses no height."""
+    options = guided(tries={"blind_sigma_m": blind_sigma_m})
+    flight = PointFlight([0.5, 0.3, 4.0], options, lambda t, d: t < 2.0, pad_v=(1.5, 0.0, 0.0), over_ground=over_ground).run(2.0)
+    if order is not None:
+        flight.order(order)
+    flight.run(1.0)  # what was seen half a second ago still counts as seen
+    before = flight.d.copy()
+    flight.run(3.0)
+    assert math.hypot(*(flight.d[:2] - before[:2])) < 0.7
+    assert flight.d[2] > before[2] - 0.3
+    aims = [aim for t, _, aim, _ in flight.rows if t > 3.0]
+    without = Velocity if over_ground else Hover
+    assert {type(aim) for aim in aims} == {Target if blind_sigma_m > 0.1 else without}
+
+
+def test_nothing_descends_against_the_deck_beyond_what_the_deck_itself_does() -> None:
+    """The deck falls at 0.4 m/s. To a velocity over the ground the driver adds that, to another nobody does."""
+    deck = DeckMotion(ns(1.0), np.array([0.0, 0.0, 0.4]), np.zeros(3), 0.01 * np.eye(6), 0, 0, 0, 0, 1e-4 * np.eye(4))
+    known = Knowledge(ns(1.0), None, deck=deck)
+    down, lean = Velocity(np.array([0.1, 0.0, 0.9]), 0.2), Lean(np.zeros(2), np.zeros(2), np.array([0.1, 0.0, 0.9]), 0.2)
+    for command, over_ground, fit, most in [
+        (down, False, True, 0.4),
+        (down, True, True, 0.0),
+        (lean, False, True, 0.4),
+        (lean, True, True, 0.4),
+        (down, False, False, 0.0),
+        (down, True, False, 0.0),
+        (lean, True, False, 0.0),
+    ]:
+        kept = never_lower(command, known, fit=fit, over_ground=over_ground)
+        assert isinstance(kept, Velocity | Lean)
+        assert kept.v_level.tolist() == [0.1, 0.0, most]
+        assert kept.yaw_rate_rad_s == 0.2
+    up = Velocity(np.array([0.0, 0.0, -0.3]), 0.0)
+    assert never_lower(up, known, fit=False, over_ground=True) is up
 
 
 @pytest.mark.parametrize("order", [None, Event.PAUSE, Event.ABORT])
