@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import time
 
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import MonoNs, after, seconds_between
 
 STEP_MAX_NS = 20_000_000
 """A server under test looks at its clock every 5 ms; it never sees more than this pass at once."""
+POLL_MAX_S = 0.01
 
 
 class PatientClock:
@@ -27,4 +28,10 @@ class PatientClock:
         return MonoNs(self._now)
 
     async def sleep(self, seconds: float) -> None:
-        await asyncio.sleep(seconds)
+        """Sleep by this clock: a pause between two flights is as long as the drone and its client see it."""
+        until = after(self.now(), seconds)
+        while True:
+            left_s = seconds_between(self.now(), until)
+            if left_s <= 0.0:
+                return
+            await asyncio.sleep(min(left_s, POLL_MAX_S))

@@ -18,6 +18,7 @@ from sitl.ardrone.server import ArDroneServer, Ports
 from sitl.scenario import Start
 from sitl.scenario import load as load_scenario
 from sitl.world import World
+from tests.sitl.ardrone.patient_clock import PatientClock
 
 CLOCK = SystemClock()
 NEAR = msgspec.structs.replace(load_scenario("calm"), start=Start(height_m=0.8, pad_right_m=0.1, pad_forward_m=0.1))
@@ -26,7 +27,8 @@ NEAR = msgspec.structs.replace(load_scenario("calm"), start=Start(height_m=0.8, 
 async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_client() -> None:
     told: list[dict[str, Any]] = []
     too_short = msgspec.structs.replace(NEAR, duration_limit_s=2.5)
-    async with ArDroneServer(World(too_short, 1, CLOCK.now()), ports=Ports(0, 0, 0, 0), clock=CLOCK) as server:
+    patient = PatientClock()
+    async with ArDroneServer(World(too_short, 1, patient.now()), ports=Ports(0, 0, 0, 0), clock=patient) as server:
         ports = {f"{name}_port": getattr(server.ports, name) for name in ("navdata", "video", "at", "control")}
         first, done, changes = server.world, asyncio.Event(), [False]
 
@@ -55,7 +57,7 @@ async def test_each_flight_ends_and_another_begins_in_the_air_under_the_same_cli
                         drone.command(Land())
 
             pilot = group.create_task(fly())
-            flights = group.create_task(fly_repeatedly(server, NEAR, 1, CLOCK, tell, pause=PauseBetweenFlights(0.3, 1.5)))
+            flights = group.create_task(fly_repeatedly(server, NEAR, 1, patient, tell, pause=PauseBetweenFlights(0.3, 1.5)))
             await done.wait()
             await asyncio.sleep(0.1)
             pilot.cancel()
