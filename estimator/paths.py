@@ -12,7 +12,7 @@ from estimator import dead_reckoning, ekf, filters
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, source_of
 from estimator.contracts.motion import BodyMotion, DeckMotion
-from estimator.contracts.samples import Sample, VehicleStatus
+from estimator.contracts.samples import GeoFix, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.ekf import Forecast
 
@@ -145,7 +145,7 @@ class EkfPath:
         return "ekf"
 
     def step(self, event: Event) -> tuple[Self, FusionResult | None]:
-        if isinstance(event, VehicleStatus):
+        if isinstance(event, VehicleStatus | GeoFix):
             return self, None
         memory, results = ekf.step(self.filter, event)
         return type(self)(memory), results[0]

@@ -29,6 +29,8 @@ def not_of_this_vessel(fault: Fault, vessel: VesselSettings) -> str:
     """Return why a vessel cannot have a fault, in words that follow its path; empty if it can."""
     if isinstance(fault, VesselReports) and vessel.reports_hz == 0.0:
         return ": vessel_reports is of a ship that reports, and this one does not; vessel.reports_hz must be more than 0"
+    if isinstance(fault, VesselReports) and (fault.place_north_m or fault.place_east_m) and not vessel.reports_place:
+        return ": this ship does not report her place; vessel.reports_place must be true"
     if not isinstance(fault, ShipSpeed | ShipTurn):
         return ""
     if vessel.moored:

@@ -227,7 +227,7 @@ class Flight:
         """Run the service for one tick."""
         for navdata, measured_at, received_at in self._navdata(now):
             self._deliver_samples(navdata, measured_at, received_at)
-        if (report := self._reporter.report(now)) is not None:
+        for report in self._reporter.reports(now):
             self._take(report)
         self._film(now)
         self._process(now)

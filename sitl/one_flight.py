@@ -51,14 +51,21 @@ def perception_level(text: str) -> Perception:
 def settings_for(scenario: Scenario, config: str | None) -> Settings:
     """Return the settings of a file, or without one the profile `sim` with the scenario's camera and pad.
 
+    Where the scenario's ship reports her place, that profile flies to it.
+
     Raises:
         BadInput: as `companion.config.settings.load`.
     """
     settings = load(config or "sim")
     if config is not None:
         return settings
-    own = {"camera": CameraSettings(scenario.camera.file), "pad": PadSettings(scenario.pad.file)}
-    return msgspec.structs.replace(settings, **own)
+    rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
+    return msgspec.structs.replace(
+        settings,
+        camera=CameraSettings(scenario.camera.file),
+        pad=PadSettings(scenario.pad.file),
+        guidance=msgspec.structs.replace(settings.guidance, rendezvous=rendezvous),
+    )
 
 
 def fly(

@@ -25,6 +25,9 @@ class VehicleSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ) = None
     motor_lag_s: Annotated[float, number("time constant of rotor thrust" + _UNLESS, "s", 0.0, 0.5)] | None = None
     landing_speed_m_s: Annotated[float, number("descent rate of its own landing" + _UNLESS, "m/s", 0.1, 1.5)] | None = None
+    gnss_hz: Annotated[
+        float, number("places a second of a GNSS receiver on it, the AR.Drone's flight recorder; 0 without one", "Hz", 0.0, 20.0)
+    ] = 0.0
     ground_effect: (
         Annotated[
             Literal["body", "rotors"],

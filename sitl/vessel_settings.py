@@ -32,6 +32,10 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
     reports_hz: Annotated[
         float, number("rate at which the ship reports her velocity and heading to the service; 0 for never", "Hz", 0.0, 20.0)
     ] = 0.0
+    reports_place: Annotated[
+        bool,
+        Meta(description="whether they also say where she is; without --config the service then flies to her"),
+    ] = False
     turn_over_s: Annotated[float, number("time until the turn is steady", "s", 0.5, 300.0, "assumed")] = 10.0
 
     def __post_init__(self) -> None:
@@ -41,6 +45,8 @@ class VesselSettings(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(f"hull must be one of {', '.join(HULLS)}, found {self.hull!r}")
         if self.moored and self.speed_m_s > 0:
             raise ValueError("speed_m_s must be 0 while moored is true")
+        if self.reports_place and self.reports_hz == 0.0:
+            raise ValueError("reports_place needs reports_hz: a ship that reports nothing does not report her place")
         if self.turn_rate_deg_s != 0.0 and self.speed_m_s == 0.0:
             raise ValueError("turn_rate_deg_s needs speed_m_s: a ship that lies still does not turn")
         if self.turn_rate_deg_s == 0.0 and (self.turn_at_s != 0.0 or self.turn_over_s != 10.0):

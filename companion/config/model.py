@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
+from companion.config.vessel import VesselOptions
 from companion.guidance.options import GuidanceOptions
 from companion.mavlink.options import BridgeOptions, OutputOptions
 from companion.metrics.settings import MetricsSettings
@@ -79,6 +80,7 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     bridge: BridgeOptions = BridgeOptions()
     operator: OperatorOptions = OperatorOptions()
     limits: LimitOptions = LimitOptions()
+    vessel: VesselOptions = VesselOptions()
 
     def fault(self) -> str | None:
         """Return the reason why keys do not go together, beginning with the key, or None if they do."""
@@ -87,6 +89,8 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
                 return 'camera.source must be "v4l2" or "stream": an autopilot has no frames'
             if self.bridge.links:
                 return "bridge.links must be empty: an autopilot speaks MAVLink itself"
+        if self.vessel.mqtt and (self.mqtt.transport == "off" or self.mqtt.commands == "off"):
+            return "vessel.mqtt needs mqtt.transport and mqtt.commands: reports come from whom commands may come"
         return None
 
 

@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from companion.guidance.follow_deck_options import FollowDeckOptions
 from companion.guidance.mission_options import ConeOptions, LandingLimits, ThesisOptions, TryOptions
+from companion.guidance.rendezvous_options import RendezvousOptions
 from estimator.contracts.keys import check_ranges, choice, name, number
 
 _TUNED = "tuned in simulation"
@@ -139,6 +140,7 @@ class GuidanceOptions(Struct, frozen=True, forbid_unknown_fields=True):
     limits: LandingLimits = LandingLimits()
     tries: TryOptions = TryOptions()
     thesis: ThesisOptions = ThesisOptions()
+    rendezvous: RendezvousOptions = RendezvousOptions()
 
     def __post_init__(self) -> None:
         check_ranges(self)

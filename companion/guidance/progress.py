@@ -61,6 +61,10 @@ class Progress:
     """Time since which the state's condition for going on has held without a break."""
     blocked: Reason | None = None
     """What keeps the gate shut."""
+    place_known: MonoNs | None = None
+    """Time of the newest cycle in which the ship's place was known by reports."""
+    search_leg: int = 0
+    """Number of the corner of the search pattern that the drone flies to."""
     newest_track: int | None = None
     """Track of the other pad while the operator is asked."""
 
@@ -99,6 +103,8 @@ def entered(p: Progress, change: StateChange) -> Progress:
             p = replace(p, ordered=True)
         case State.REFUSED | State.GAVE_UP:
             p = replace(p, fault=change.reason)
+        case State.SEARCH:
+            p = replace(p, search_leg=0)
         case _:
             pass
     return replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS)) if change.target in ENDED else p

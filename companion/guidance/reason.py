@@ -27,7 +27,16 @@ class ReasonCause(Enum):
     PRESSED = "pressed on for {measured:.1f} s"
     HIGH_ENOUGH = "{measured:.1f} m over the deck"
     VESSEL_FAR = "the vessel is {measured:.0f} m away"
-    VESSEL_NEAR = "near enough: the vessel is {measured:.0f} m away"
+    VESSEL_NEAR = "at the hold-off point, {measured:.0f} m from the pad"
+
+    NO_OWN_PLACE = "no rendezvous: the drone does not know its own place (no GNSS)"
+    NO_OWN_HEADING = "no rendezvous: the drone does not know its own heading"
+    VESSEL_SILENT = "no rendezvous: the ship reports no place"
+    VESSEL_OLD = "no rendezvous: the ship's newest place is {measured:.1f} s old (limit {limit:g} s)"
+    VESSEL_LATE = "no rendezvous: the ship's reports come too late"
+    VESSEL_JUMPED = "no rendezvous: the ship's reported place jumped"
+    VESSEL_TOO_FAST = "no rendezvous: the ship reports a speed that she cannot have"
+    VESSEL_SIGMA = "no rendezvous: the ship's place is known to {measured:.0f} m (limit {limit:g} m)"
 
     STALE = "the pad was not seen for {measured:.1f} s (limit {limit:g} s)"
     INCONSISTENT = "the sightings contradict the estimate"

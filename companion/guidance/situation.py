@@ -19,18 +19,25 @@ _FRAMES_LEAST = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VesselPosition:
-    """The vessel's place from another source than the camera."""
+    """The pad's place and motion by the reports of ship and vehicle, without the camera."""
 
     at: MonoNs
-    d_body_vessel_level: F64
-    """From the body to the vessel's landing place, (3,) m forward, right, down."""
+    d_body_pad_level: F64
+    """From the body to the pad, (2,) m forward and right."""
     sigma_m: float
     """Horizontal standard deviation."""
+    v_level: F64
+    """Velocity of the ship over the ground, (2,) m/s forward and right."""
+    axis_rad: float
+    """Direction of the bow in `level`, clockwise from forward; that of north if nothing says where the bow points."""
+    bow_known: bool
+    height_m: float | None
+    """Height of the body over the pad; None if one of the two does not know its own."""
 
     @property
     def distance_m(self) -> float:
         """Horizontal distance, metres."""
-        return math.hypot(float(self.d_body_vessel_level[0]), float(self.d_body_vessel_level[1]))
+        return math.hypot(float(self.d_body_pad_level[0]), float(self.d_body_pad_level[1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +53,13 @@ class GuidanceCycle:
     quality: InputQuality = field(default_factory=InputQuality)
     frames: Mapping[Verdict, int] = field(default_factory=Counter)
     """Number of frames by verdict since the newest that was fused."""
-    vessel: VesselPosition | None = None
-    """None while no source of the vessel's place is configured, or it is silent."""
+    vessel: VesselPosition | Reason | None = None
+    """The ship's place by reports, or why it is not known; None where the drone does not fly to it."""
+
+    @property
+    def place(self) -> VesselPosition | None:
+        """The ship's place by reports; None if it is not known."""
+        return self.vessel if isinstance(self.vessel, VesselPosition) else None
 
     @property
     def estimate(self) -> RelativeState | None:

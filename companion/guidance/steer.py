@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.guidance import blind_hold, cone, heading
+from companion.guidance import blind_hold, cone, heading, rendezvous
 from companion.guidance.controller import Target
 from companion.guidance.mission import GROUND, State
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
 from companion.guidance.situation import GuidanceCycle, unfit
 from companion.guidance.watch import climbs_from_question
-from estimator.contracts.commands import Command, Hover, Land, Velocity
+from estimator.contracts.commands import Command, Hover, Land
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import seconds_between
@@ -23,7 +23,6 @@ Aim = Target | Command | None
 """Where to be, a finished command, or nothing: guidance leaves the vehicle alone."""
 
 _HOLD_SPEED_M_S = 0.5
-_RENDEZVOUS_GAIN_1_S = 0.3
 
 
 def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool) -> tuple[Progress, Aim]:
@@ -46,8 +45,10 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, over_ground: bool)
             return p, Target(level, descent_rate_m_s=o.cone.commit_rate_m_s, lean_max_rad=0.0)
         case State.PRESS | State.DOWN:
             return p, Land()
-        case State.RENDEZVOUS if s.vessel is not None:
-            return p, _to_vessel(s.vessel.d_body_vessel_level, o)
+        case State.RENDEZVOUS if s.place is not None:
+            return p, rendezvous.to_hold_off(s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
+        case State.SEARCH if s.place is not None:
+            return p, rendezvous.along_pattern(p.search_leg, s.place, o.rendezvous, o.tries.climb_m_s, over_ground=over_ground)
         case State.GO_AROUND:
             return _climb(p, s, o, over_ground=over_ground)
         case State.ANOTHER_PAD if climbs_from_question(p, s.at, o):
@@ -107,15 +108,6 @@ def _still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, *, climb_m_s: floa
     wanted = np.array([held[0], held[1], max(float(held[2]), estimate.height_m)])
     rate = -climb_m_s if climb_m_s > 0.0 else None
     return p, Target(wanted, descent_rate_m_s=rate, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=speed)
-
-
-def _to_vessel(d: F64, o: GuidanceOptions) -> Command:
-    """Fly level towards the vessel's reported place."""
-    distance_m = math.hypot(float(d[0]), float(d[1]))
-    speed = min(o.cone.intercept_speed_m_s, _RENDEZVOUS_GAIN_1_S * distance_m)
-    v = np.zeros(3)
-    v[:2] = d[:2] / max(distance_m, 1e-9) * speed
-    return Velocity(v, 0.0)
 
 
 def asks_to_descend(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:

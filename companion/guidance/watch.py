@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.guidance import cone, heading, limits
+from companion.guidance import cone, heading, limits, rendezvous
 from companion.guidance.mission import FLOWN, Event, State
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
@@ -30,8 +30,6 @@ _ASIDE_M = 0.3
 _BELOW_DECK_M = 0.6
 """A drone on deck without sight may be estimated some decimetres away from it."""
 _BLIND_MARGIN_M = 0.1
-_HOLD_OFF_M = 15.0
-"""Distance of the vessel within which the camera searches for the pad, metres."""
 
 
 def fit_in(state: State, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
@@ -46,6 +44,10 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     p = replace(p, last=s.at, since_last_s=since_last_s, since=s.at if p.since is None else p.since)
     if p.state not in FLOWN:
         return p
+    if s.place is not None:
+        p = replace(p, place_known=s.at)
+        if p.state is State.SEARCH:
+            p = replace(p, search_leg=rendezvous.next_leg(p.search_leg, s.place, o.rendezvous))
     if p.state is State.ANOTHER_PAD:
         return _asked(p, s, o)
     estimate, attempt = s.estimate, p.attempt
@@ -91,13 +93,11 @@ def happenings(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Ha
         yield Event.SIGHT_LOST, lost
     elif estimate is not None:
         yield Event.SIGHT, Reason(ReasonCause.PAD_SEEN, estimate.height_m)
-    if s.vessel is not None:
-        far = s.vessel.distance_m > (2.0 * _HOLD_OFF_M if state is State.SEARCH else _HOLD_OFF_M)
-        yield (
-            (Event.VESSEL_FAR, Reason(ReasonCause.VESSEL_FAR, s.vessel.distance_m))
-            if far
-            else (Event.ARRIVED, Reason(ReasonCause.VESSEL_NEAR, s.vessel.distance_m))
-        )
+    if s.place is not None:
+        if rendezvous.far(s.place, o.rendezvous):
+            yield Event.VESSEL_FAR, Reason(ReasonCause.VESSEL_FAR, s.place.distance_m)
+        elif rendezvous.arrived(s.place, o.rendezvous):
+            yield Event.ARRIVED, Reason(ReasonCause.VESSEL_NEAR, s.place.distance_m)
     if state is State.GO_AROUND and clear(p, s, o):
         yield Event.CLEAR, Reason(ReasonCause.HIGH_ENOUGH, _height_m(p, s, o), o.tries.safe_height_m)
     if lost is None and estimate is not None:
@@ -135,8 +135,13 @@ def _conditions(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[H
     if p.state is State.GO_AROUND and not begins:
         return
     lean_deg = None if s.lean_rad is None else math.degrees(s.lean_rad)
-    if lean_deg is not None and lean_deg > o.limits.wind_lean_deg:
+    # On the way to the ship it leans for its own speed.
+    if p.state is not State.RENDEZVOUS and lean_deg is not None and lean_deg > o.limits.wind_lean_deg:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.WIND, lean_deg, o.limits.wind_lean_deg)
+    if p.state in (State.SEARCH, State.RENDEZVOUS) and isinstance(s.vessel, Reason) and fit_in(p.state, s, o) is not None:
+        known = max((at for at in (p.since, p.place_known) if at is not None), default=s.at)
+        if seconds_between(known, s.at) > o.rendezvous.lost_s:
+            yield Event.NO_CONDITIONS, s.vessel
     if begins and s.battery is not None and s.battery < o.limits.battery:
         yield Event.NO_CONDITIONS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
     if p.state is State.GO_AROUND and p.fault is not None:
@@ -203,7 +208,7 @@ def _time_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, in_state_s: fl
         cause = ReasonCause.NOT_CLIMBING
     else:
         limit_s, cause = {
-            State.RENDEZVOUS: (tries.search_s, ReasonCause.STATE_TIME),
+            State.RENDEZVOUS: (o.rendezvous.time_s, ReasonCause.STATE_TIME),
             State.INTERCEPT: (tries.leg_s, ReasonCause.STATE_TIME),
             State.DESCEND: (tries.leg_s, ReasonCause.STATE_TIME),
             State.GATE: (o.cone.gate_s, ReasonCause.STATE_TIME),

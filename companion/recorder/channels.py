@@ -43,6 +43,7 @@ SAMPLES: dict[type[msgspec.Struct], str] = {
     rec.RangeRecord: "/sample/range",
     rec.BaroRecord: "/sample/baro",
     rec.VesselRecord: "/sample/vessel",
+    rec.FixRecord: "/sample/fix",
     rec.StatusRecord: "/sample/status",
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from types import MappingProxyType
-from typing import cast, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from companion.recorder.encode import COMMANDS
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import IntegrityAlert, Method, PathName, Pose6, RelativeState, Sighting, Verdict
 from estimator.contracts.fusion import FusionResult, Source
+from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, StampSource
 from estimator.vision.thesis.detection import Detection
 
@@ -39,6 +40,10 @@ def sample(of: rec.SampleRecord) -> Sample:
             v = None if of.v_vessel_ned is None else _vector(of.v_vessel_ned)
             cov = None if of.cov_v_ned is None else _matrix(of.cov_v_ned, 3)
             return VesselReport(t, v, cov, of.heading_rad, of.sigma_heading_rad)
+        case rec.FixRecord():
+            place = GeoPoint.of_degrees(of.latitude_deg, of.longitude_deg, of.height_m)
+            v = None if of.v_ned is None else _vector(of.v_ned)
+            return GeoFix(t, cast(Literal["vehicle", "vessel"], of.whose), place, of.sigma_m, v)
         case rec.StatusRecord():
             return VehicleStatus(t, of.flying, of.mode, of.battery_fraction, of.emergency, of.link_ok)
 

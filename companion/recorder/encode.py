@@ -15,7 +15,7 @@ from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.thesis.detection import Detection
 
@@ -45,6 +45,16 @@ def sample(of: Sample) -> rec.SampleRecord:
                 None if of.cov_v_ned is None else _flat(of.cov_v_ned),
                 of.heading_rad,
                 of.sigma_heading_rad,
+            )
+        case GeoFix():
+            return rec.FixRecord(
+                stamp(of.stamp),
+                of.whose,
+                math.degrees(of.place.latitude_rad),
+                math.degrees(of.place.longitude_rad),
+                of.sigma_m,
+                of.place.height_m,
+                None if of.v_ned is None else of.v_ned.tolist(),
             )
         case VehicleStatus():
             return rec.StatusRecord(stamp(of.stamp), of.mode, of.emergency, of.link_ok, of.flying, of.battery_fraction)

@@ -17,14 +17,14 @@ from companion.recorder.options import FrameForm
 from companion.runtime.observer import Decision, ProcessedFrame
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.fusion import FusionResult
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, VehicleStatus, VesselReport
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera import Camera
 from estimator.vision.thesis.detection import Detection
 
 Message = tuple[str, int, Struct]
 _TF_PERIOD_S = 0.02
-_SAMPLES = (Imu, Attitude, BodyVelocity, Range, Baro, VesselReport, VehicleStatus)
+_SAMPLES = (Imu, Attitude, BodyVelocity, Range, Baro, VesselReport, GeoFix, VehicleStatus)
 
 
 class MessageEncoder:
@@ -59,7 +59,7 @@ class MessageEncoder:
         """
         t = self._time(at)
         match what:
-            case Imu() | Attitude() | BodyVelocity() | Range() | Baro() | VesselReport() | VehicleStatus():
+            case Imu() | Attitude() | BodyVelocity() | Range() | Baro() | VesselReport() | GeoFix() | VehicleStatus():
                 record = encode.sample(what)
                 yield channels.SAMPLES[type(record)], t, record
                 if isinstance(what, Attitude) and self._due(at):

@@ -79,6 +79,18 @@ class VesselRecord(Struct, frozen=True, omit_defaults=True):
     sigma_heading_rad: float | None = None
 
 
+class FixRecord(Struct, frozen=True, omit_defaults=True):
+    """The place of the vehicle or of the vessel in WGS-84, and its velocity (3,) in `ned`, m/s; what is unknown is left out."""
+
+    stamp: StampRecord
+    whose: str
+    latitude_deg: float
+    longitude_deg: float
+    sigma_m: float
+    height_m: float | None = None
+    v_ned: list[float] | None = None
+
+
 class StatusRecord(Struct, frozen=True, omit_defaults=True):
     """The vehicle's status: mode, emergency, link, whether it flies, and the battery's charge, 0 to 1."""
 
@@ -324,4 +336,4 @@ class HealthRecord(Struct, frozen=True):
     counters: list[CounterRecord]
 
 
-SampleRecord = ImuRecord | AttitudeRecord | VelocityRecord | RangeRecord | BaroRecord | VesselRecord | StatusRecord
+SampleRecord = ImuRecord | AttitudeRecord | VelocityRecord | RangeRecord | BaroRecord | VesselRecord | FixRecord | StatusRecord

@@ -44,6 +44,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
         limits=settings.limits,
         law=law_of(settings),
         over_ground=_over_ground(settings),
+        reports=settings.vessel,
     )
 
 

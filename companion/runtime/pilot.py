@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import structs
 
 from companion.config.settings import shipped_response
-from companion.guidance import blind_hold
+from companion.guidance import blind_hold, vessel_track
 from companion.guidance.contact import ContactWatch, watched
 from companion.guidance.controller import HORIZONS_S, Controller, Impact, Knowledge, Target
 from companion.guidance.controllers import ControllerSetup, make_controller
@@ -25,8 +25,11 @@ from companion.guidance.mission import FLOWN, GROUND, Event, State, StateChange
 from companion.guidance.mission_step import mission_step, ordered, reported
 from companion.guidance.options import GuidanceOptions
 from companion.guidance.progress import Progress
-from companion.guidance.situation import GuidanceCycle, fit_to_steer
+from companion.guidance.reason import Reason
+from companion.guidance.rendezvous_options import ReportLimits
+from companion.guidance.situation import GuidanceCycle, VesselPosition, fit_to_steer
 from companion.guidance.steer import asks_to_descend
+from companion.guidance.vessel_track import VesselTrack
 from companion.operator.arbiter import OperatorArbiter
 from companion.operator.limit_options import LimitOptions
 from companion.operator.options import ManualOptions
@@ -37,7 +40,7 @@ from estimator.contracts.estimates import IntegrityAlert, PathName, RelativeStat
 from estimator.contracts.fusion import FusionResult
 from estimator.contracts.geometry import F64
 from estimator.contracts.motion import G_M_S2, BodyMotion, DeckMotion
-from estimator.contracts.samples import Attitude, Frame, Imu, Sample, VehicleStatus
+from estimator.contracts.samples import Attitude, Frame, GeoFix, Imu, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 from estimator.ekf import Forecast
 from estimator.options import EstimatorOptions
@@ -83,6 +86,8 @@ _PLAIN = (
     State.DOWN,
     State.LANDED,
 )
+_BY_REPORTS = (State.SEARCH, State.RENDEZVOUS)
+"""States in which the drone flies by the reports of ship and vehicle, where it may."""
 _FAULTED = (State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD)
 _OUTCOMES = {outcome.value: outcome for outcome in FlightOutcome}
 REFUSALS = (FlightOutcome.GAVE_UP, FlightOutcome.REFUSED)
@@ -103,6 +108,7 @@ class Pilot:
         manual: the options of manual flight.
         limits: the limits of every command.
         over_ground: whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity.
+        reports: what is believed of the places that ship and vehicle report.
     """
 
     def __init__(
@@ -117,6 +123,7 @@ class Pilot:
         manual: ManualOptions | None = None,
         limits: LimitOptions | None = None,
         over_ground: bool = False,
+        reports: ReportLimits | None = None,
     ) -> None:
         self._tracker = tracker
         self._tracker_memory = TrackerMemory()
@@ -138,6 +145,8 @@ class Pilot:
         self._lean: tuple[MonoNs, F64] | None = None
         self._quality = InputQuality()
         self._frames: Counter[Verdict] = Counter()
+        self._vessel_track = VesselTrack(reports or ReportLimits())
+        self._no_place: Reason | None = None
         self.operator = OperatorArbiter(self, manual, limits)
         """The arbiter of people's orders, which has the last word."""
 
@@ -167,6 +176,8 @@ class Pilot:
     @property
     def reason(self) -> str:
         """Why the vehicle is not simply on its way down, as text for the operator; empty while it is."""
+        if self._no_place is not None and self._mission.state in _BY_REPORTS:
+            return self._no_place.text
         if self._mission.state in _PLAIN:
             return ""
         why = self._mission.fault if self._mission.state in _FAULTED else self._mission.reason
@@ -192,6 +203,7 @@ class Pilot:
 
         After another pad was seen, approach that one; after it gave up or refused, try again.
         """
+        self._vessel_track = vessel_track.restarted(self._vessel_track)
         self._order(Event.BEGIN)
         self.engage()
 
@@ -262,6 +274,10 @@ class Pilot:
         """Return the deck at these times, s, after an instant by the steering path; None if it does not forecast."""
         return pipeline.forecast(self._memory, now, horizons_s)
 
+    def vessel_counts(self) -> dict[str, float]:
+        """Return the number of places of the ship that were taken, and of reports that were refused, by reason."""
+        return self._vessel_track.counted()
+
     def on_sample(self, sample: Sample) -> tuple[FusionResult, ...]:
         """Process a sample. Return its fusion results, path by path."""
         self.operator.on_sample(sample)
@@ -272,6 +288,10 @@ class Pilot:
         if isinstance(sample, Imu) and self.state not in GROUND:
             self._contact = watched(self._contact, sample)
             self._impact = self._contact.newest or self._impact
+        if isinstance(sample, GeoFix | VesselReport | Attitude):
+            self._vessel_track = vessel_track.on_sample(self._vessel_track, sample)
+            if isinstance(sample, GeoFix):
+                return ()
         if isinstance(sample, Attitude):
             self._lean = _leant(self._lean, sample)
         return self._fuse(sample)
@@ -354,7 +374,11 @@ class Pilot:
         knowledge = self.knowledge(now)
         lean = None if self._lean is None else math.atan(float(np.hypot(*self._lean[1])) / G_M_S2)
         battery = None if self._status is None else self._status.battery_fraction
-        s = GuidanceCycle(now, knowledge, battery, lean, self._quality, self._frames)
+        place: VesselPosition | Reason | None = None
+        if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
+            place = vessel_track.position(self._vessel_track, now)
+        self._no_place = place if isinstance(place, Reason) else None
+        s = GuidanceCycle(now, knowledge, battery, lean, self._quality, self._frames, place)
         self._mission, aim, changes = mission_step(self._mission, s, self._guidance, over_ground=self._over_ground)
         self._changes += changes
         target = aim if isinstance(aim, Target) else None

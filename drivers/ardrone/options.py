@@ -135,6 +135,9 @@ class ArDroneOptions(Struct, frozen=True, forbid_unknown_fields=True, tag_field=
     sigma_range_m: Annotated[float, number("standard deviation of the ultrasound at the ground", "m", 0.001, 10.0)] = 0.02
     sigma_range_fraction: Annotated[float, number("the same as a fraction of the distance, in addition", "1", 0.0001, 1.0)] = 0.02
     sigma_baro_m: Annotated[float, number("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.7
+    sigma_fix_m: Annotated[
+        float, number("standard deviation of the flight recorder's place, at a dilution of precision of 1", "m", 0.1, 100.0)
+    ] = 2.5
     landing_timeout_s: Annotated[
         float,
         number(

@@ -17,6 +17,7 @@ from drivers.ardrone.navdata import (
     Altitude,
     ControlState,
     Demo,
+    Gps,
     Navdata,
     NavdataState,
     NavdataTime,
@@ -25,11 +26,14 @@ from drivers.ardrone.navdata import (
     RawMeasures,
 )
 from drivers.ardrone.options import ArDroneOptions
+from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import Rotation
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 
 G_M_S2 = 9.80665
+_SATELLITES_LEAST = 5
+"""Number of satellites below which a place is not taken: four give one without any check."""
 _COMMAND_ACK = int(NavdataState.COMMAND_ACK)
 _MODES = {
     ControlState.DEFAULT: "default",
@@ -55,7 +59,8 @@ def samples_from_navdata(navdata: Navdata, stamp: Stamp, options: ArDroneOptions
 
     Returns:
         Imu (body), Attitude (R_ned_body, yaw from the drone's own heading), BodyVelocity (level; down has `UNKNOWN_VAR`),
-        Range (along the body's down axis), Baro (height over the 1013.25 hPa level), VehicleStatus, in this order.
+        Range (along the body's down axis), Baro (height over the 1013.25 hPa level), GeoFix (by the flight
+        recorder, where there is one), VehicleStatus, in this order.
     """
     out = _of_every_datagram(navdata, stamp, options)
     out += [made for make, _ in _REPEATED.values() if (made := make(navdata, stamp, options)) is not None]
@@ -197,10 +202,25 @@ def _status_key(navdata: Navdata) -> tuple[int, ControlState | None]:
     return navdata.state & ~_COMMAND_ACK, navdata.control_state
 
 
+def _fix(navdata: Navdata, stamp: Stamp, options: ArDroneOptions) -> GeoFix | None:
+    """Return the place by the flight recorder; None without one, before its first fix, and for a place that cannot be."""
+    gps = navdata.get(Gps)
+    if gps is None or not gps.gps_plugged or not gps.data_available or gps.nb_satellites < _SATELLITES_LEAST:
+        return None
+    if not _finite((gps.lat_deg, gps.lon_deg, gps.elevation_m, gps.hdop)) or gps.hdop <= 0.0:
+        return None
+    try:
+        place = GeoPoint.of_degrees(gps.lat_deg, gps.lon_deg, gps.elevation_m)
+    except ValueError:
+        return None
+    return GeoFix(stamp, "vehicle", place, max(1.0, gps.hdop) * options.sigma_fix_m)
+
+
 _Maker = Callable[[Navdata, Stamp, ArDroneOptions], Sample | None]
 _REPEATED: dict[type[Sample], tuple[_Maker, Callable[[Navdata], Any]]] = {
     Range: (_range, _range_key),
     Baro: (_baro, lambda navdata: navdata.get(PressureRaw)),
+    GeoFix: (_fix, lambda navdata: navdata.get(Gps)),
     VehicleStatus: (_status, _status_key),
 }
 """The makers of samples for sensors that are slower than the datagrams, in the order in which they return them, each with what

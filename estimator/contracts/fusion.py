@@ -12,10 +12,10 @@ from typing import Literal
 
 from estimator.contracts.estimates import PathName, Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus, VesselReport
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import MonoNs
 
-Source = Literal["imu", "attitude", "velocity", "range", "baro", "vessel", "status", "sighting"]
+Source = Literal["imu", "attitude", "velocity", "range", "baro", "vessel", "fix", "status", "sighting"]
 
 _SOURCES: dict[type[Sample] | type[Sighting], Source] = {
     Imu: "imu",
@@ -24,6 +24,7 @@ _SOURCES: dict[type[Sample] | type[Sighting], Source] = {
     Range: "range",
     Baro: "baro",
     VesselReport: "vessel",
+    GeoFix: "fix",
     VehicleStatus: "status",
     Sighting: "sighting",
 }
@@ -34,6 +35,7 @@ COMPONENTS: dict[Source, tuple[str, ...]] = {
     "range": ("range_m",),
     "baro": ("height_m",),
     "vessel": ("north_m_s", "east_m_s", "down_m_s", "heading_rad"),
+    "fix": (),
     "status": (),
     "sighting": ("x_m", "y_m", "z_m", "yaw_rad"),
 }

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.contracts.geodesy import GeoPoint
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.time import Stamp
 
@@ -142,6 +144,27 @@ class VesselReport:
             object.__setattr__(self, "cov_v_ned", _covariance("VesselReport.cov_v_ned", self.cov_v_ned, 3))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class GeoFix:
+    """Report of the vehicle or of the ship where it is on the Earth."""
+
+    stamp: Stamp
+    whose: Literal["vehicle", "vessel"]
+    place: GeoPoint
+    sigma_m: float
+    """Standard deviation of the place, on each horizontal axis."""
+    v_ned: F64 | None = None
+    """Velocity over the ground, (3,) m/s; None if the source does not report it."""
+
+    def __post_init__(self) -> None:
+        if self.whose not in ("vehicle", "vessel"):
+            raise ValueError(f"GeoFix.whose must be vehicle or vessel, got {self.whose!r}")
+        if not (math.isfinite(self.sigma_m) and self.sigma_m > 0):
+            raise ValueError(f"GeoFix needs a sigma > 0, got {self.sigma_m}")
+        if self.v_ned is not None:
+            object.__setattr__(self, "v_ned", _vector("GeoFix.v_ned", self.v_ned, (3,)))
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
     """Report of the vehicle about its own condition; a missing part is None."""
@@ -155,5 +178,5 @@ class VehicleStatus:
     link_ok: bool
 
 
-Sample = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | VehicleStatus
+Sample = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | GeoFix | VehicleStatus
 """Everything that a driver delivers besides frames."""

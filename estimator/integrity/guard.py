@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from estimator.contracts.estimates import IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Attitude, Baro, Frame, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.samples import Attitude, Baro, Frame, GeoFix, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs
 from estimator.integrity import clock, frames, heights, sensors, tracks, view
 from estimator.integrity.options import IntegrityOptions
@@ -43,6 +43,8 @@ def admit(guard: IntegrityGuard, event: Sample) -> tuple[IntegrityGuard, Verdict
         return replace(guard, clock=watch), verdict
     if isinstance(event, VehicleStatus):
         return replace(guard, clock=watch, flying=event.flying is not False), None
+    if isinstance(event, GeoFix):
+        return replace(guard, clock=watch), None
     seen = guard.sensors.get(type(event)) or sensors.SensorWatch()
     seen, verdict = sensors.watch(seen, event, o, guard.flying)
     against = guard.heights

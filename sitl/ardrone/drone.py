@@ -12,6 +12,7 @@ from drivers.ardrone.navdata import Navdata
 from estimator.contracts.time import MonoNs
 from sitl.ardrone.config import Configuration
 from sitl.ardrone.drone_clock import DroneClock
+from sitl.ardrone.flight_recorder import FlightRecorder
 from sitl.ardrone.navdata_from_world import ALL_OPTIONS, SentFrame, Situation, datagram, upright_m
 from sitl.ardrone.state import HOVER, DroneState, RefAction
 from sitl.vehicle import VehiclePhase
@@ -48,6 +49,7 @@ class Drone:
         self._echoes = 0
         self._ticks = 0
         self._sequence = 0
+        self._recorder = FlightRecorder(world)
 
     @property
     def rpy_rad(self) -> tuple[float, float, float]:
@@ -76,6 +78,7 @@ class Drone:
         self._stick = self._flown = HOVER
         self._readings = world.readings()
         self._altitude_m, self._echo_m = 0.0, None
+        self._recorder = FlightRecorder(world)
         self._do(RefAction.APPLY_LIMITS)
 
     def take(self, data: bytes, now: MonoNs) -> None:
@@ -99,6 +102,7 @@ class Drone:
             self._altitude_m = upright_m(echo_m, self.rpy_rad)
         self._echo_m = echo_m
         self._ticks += 1
+        self._recorder.tick(self.world)
 
     def navdata(self) -> Navdata:
         """Return the next navdata datagram for the current mode."""
@@ -123,6 +127,7 @@ class Drone:
             shot=self.shot,
             echoes=self._echoes,
             ticks=self._ticks,
+            gps=self._recorder.newest,
         )
         return datagram(situation, self._sequence, mask)
 

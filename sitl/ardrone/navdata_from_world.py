@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.ardrone import navdata
@@ -57,6 +57,8 @@ class Situation:
     """Number of ultrasound echoes so far; a new echo may read the same as the last."""
     ticks: int
     """Number of cycles of the drone's control loop, for its watchdog count."""
+    gps: navdata.Gps = field(default_factory=navdata.Gps)
+    """The flight recorder's receiver; all zero without one."""
 
 
 def datagram(situation: Situation, sequence: int, mask: int) -> Navdata:
@@ -262,5 +264,5 @@ _OPTIONS: dict[int, Callable[[Situation], Any]] = {
     24: _kalman_pressure,
     25: lambda s: navdata.HdvideoStream(frame_number=s.shot.number),
     26: lambda s: navdata.Wifi(),
-    27: lambda s: navdata.Gps(),
+    27: lambda s: s.gps,
 }

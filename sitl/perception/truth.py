@@ -35,6 +35,7 @@ from sitl.perception.parameters import EstimateModel, PerceptionModel, load
 from sitl.perception.port import Level
 from sitl.perception.true_motion import TrueMotion
 from sitl.render_worker import RenderWorker
+from sitl.report_faults import VesselReports
 from sitl.stream_faults import FrameStream
 from sitl.truth import RenderedFrame, Truth
 from sitl.world import World
@@ -43,6 +44,7 @@ REPRESENTED = frozenset(
     {
         "lens_covered", "frames", "commands", "low_battery", "gust", "weak_rotor", "tilt_limited", "link_lost", "service_killed",
         "operator", "pad_covered", "light_falls", "magnetometer", "ship_speed", "ship_turn", "deck_roll", "ferry_wake",
+        "vessel_reports",
     }
 )  # fmt: skip
 """Kinds of faults that act on the vessel, the vehicle, the link or sight, or on what the filter does not read. Every other one
@@ -110,7 +112,10 @@ class TruthLevel:
         """
         for fault in faults:
             only_order = isinstance(fault, FrameStream) and not fault.delay_s and not fault.dropped_fraction
-            if fault.kind not in REPRESENTED or only_order:
+            of_filter = isinstance(fault, VesselReports) and any(
+                (fault.north_m_s, fault.east_m_s, fault.heading_deg, fault.frozen)
+            )
+            if fault.kind not in REPRESENTED or only_order or of_filter:
                 raise BadInput(
                     f"the fault {fault.kind} acts on vision or the filter, which --perception truth leaves out; use model"
                 )

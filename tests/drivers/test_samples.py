@@ -17,7 +17,7 @@ from drivers.ardrone.samples import (
     samples_from_navdata,
     time_us,
 )
-from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.samples import UNKNOWN_VAR, Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp
 from tests.drivers.captures import CAPTURES, needs_captures
 
@@ -44,7 +44,7 @@ def test_the_captured_drone_stands_with_its_nose_up() -> None:
     navdata = nd.decode((CAPTURES / "navdata_full_gps.bin").read_bytes())
     assert isinstance(navdata, nd.Navdata)
     samples = samples_from_navdata(navdata, STAMP)
-    assert [type(s) for s in samples] == [Imu, Attitude, BodyVelocity, Range, Baro, VehicleStatus]
+    assert [type(s) for s in samples] == [Imu, Attitude, BodyVelocity, Range, Baro, GeoFix, VehicleStatus]
     imu, attitude = the(Imu, samples), the(Attitude, samples)
     np.testing.assert_allclose(imu.f_body, np.array([80.297, -33.3186, -942.528]) * 9.80665e-3, rtol=1e-4)
     np.testing.assert_allclose(imu.w_body, np.radians([-0.112365, 0.0687213, 0.0620099]), rtol=1e-4)
@@ -54,6 +54,10 @@ def test_the_captured_drone_stands_with_its_nose_up() -> None:
     assert math.degrees(math.asin(imu.f_body[0] / 9.3)) == pytest.approx(4.866, abs=0.1)
     assert math.degrees(math.asin(-imu.f_body[1] / 9.3)) == pytest.approx(2.024, abs=0.1)
     assert the(Range, samples).range_m == pytest.approx(0.243)
+    fix = the(GeoFix, samples)
+    assert (fix.whose, fix.sigma_m) == ("vehicle", 2.5)
+    assert np.degrees([fix.place.latitude_rad, fix.place.longitude_rad]) == pytest.approx([34.0905, -118.2767], abs=1e-4)
+    assert fix.place.height_m == pytest.approx(122.64)
     status = the(VehicleStatus, samples)
     assert (status.flying, status.mode, status.battery_fraction, status.emergency, status.link_ok) == (
         False,
@@ -154,3 +158,22 @@ def test_pressure_and_height_are_inverses(height_m: float) -> None:
 def test_options_refuse_nonsense() -> None:
     with pytest.raises(ValueError, match="velocity_scale"):
         ArDroneOptions(velocity_scale=0.0)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"gps_plugged": 0}, {"data_available": 0}, {"nb_satellites": 4}, {"lat_deg": math.nan}, {"lat_deg": 95.0}, {"hdop": 0.0},
+        {"elevation_m": math.inf},
+    ],
+)  # fmt: skip
+def test_a_place_that_the_receiver_does_not_have_is_none(wrong: dict[str, float]) -> None:
+    right = {"lat_deg": 54.4, "lon_deg": 10.2, "elevation_m": 5.0, "hdop": 2.0, "data_available": 1, "nb_satellites": 7}
+
+    def fixes(**changed: float) -> list[GeoFix]:
+        gps = nd.Gps(**{**right, "gps_plugged": 1, **changed})  # type: ignore[arg-type]
+        made = samples_from_navdata(of(gps), STAMP)
+        return [sample for sample in made if isinstance(sample, GeoFix)]
+
+    assert fixes(**wrong) == []
+    assert [fix.sigma_m for fix in fixes()] == [5.0]

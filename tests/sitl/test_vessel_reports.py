@@ -26,8 +26,7 @@ def reports(*faults: Fault, ship: VesselSettings = SHIP, until_s: float = 4.0) -
     reporter, out = VesselReporter(world), []
     for n in range(1, round(until_s / 0.01) + 1):
         world.advance(after(world.started, 0.01 * n))
-        if (report := reporter.report(world.now)) is not None:
-            out.append(report)
+        out += [report for report in reporter.reports(world.now) if isinstance(report, VesselReport)]
     return out
 
 

@@ -1,0 +1,157 @@
+"""The ship's place by reports: carried on, doubted with its age, and refused where it cannot be hers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.guidance import vessel_track
+from companion.guidance.reason import Reason, ReasonCause
+from companion.guidance.rendezvous_options import ReportLimits
+from companion.guidance.situation import VesselPosition
+from companion.guidance.vessel_track import VesselTrack
+from estimator.contracts.geodesy import GeoPoint, moved
+from estimator.contracts.geometry import Rotation
+from estimator.contracts.samples import Attitude, GeoFix, VesselReport
+from estimator.contracts.time import MonoNs, Stamp
+
+HARBOUR = GeoPoint.of_degrees(54.4, 10.2, 0.0)
+
+
+def ns(seconds: float) -> MonoNs:
+    return MonoNs(round(seconds * 1e9))
+
+
+def stamp(t: float, late_s: float = 0.0) -> Stamp:
+    return Stamp(ns(t), ns(t + late_s), 0.01, "sim")
+
+
+def fix(whose, t, north, east, up=0.0, *, late_s=0.0, sigma_m=2.0, v=None) -> GeoFix:
+    v_ned = None if v is None else np.array([*v, 0.0])
+    return GeoFix(stamp(t, late_s), whose, moved(HARBOUR, np.array([north, east, -up])), sigma_m, v_ned)
+
+
+def course(t: float, v: tuple[float, float], heading: float | None = None) -> VesselReport:
+    sigma = None if heading is None else 0.05
+    return VesselReport(stamp(t), np.array([*v, 0.0]), 0.01 * np.eye(3), heading, sigma)
+
+
+def after(*samples, limits: ReportLimits | None = None, yaw: float = 0.0, until: float = 10.0) -> VesselTrack:
+    """A track after these samples, of a vehicle 30 m up at the harbour whose own reports never stop."""
+    track = VesselTrack(limits or ReportLimits())
+    for sample in samples:
+        track = vessel_track.on_sample(track, sample)
+    track = vessel_track.on_sample(track, fix("vehicle", until, 0.0, 0.0, 30.0, v=(0.0, 0.0)))
+    return vessel_track.on_sample(track, Attitude(stamp(until), Rotation.from_rpy(0.0, 0.0, yaw), 1e-4 * np.eye(3)))
+
+
+def known(track: VesselTrack, t: float) -> VesselPosition:
+    place = vessel_track.position(track, ns(t))
+    assert isinstance(place, VesselPosition), place
+    return place
+
+
+def cause(track: VesselTrack, t: float) -> ReasonCause:
+    why = vessel_track.position(track, ns(t))
+    assert isinstance(why, Reason)
+    return why.cause
+
+
+def test_the_place_goes_on_with_her_velocity_and_turns_into_the_drone_s_axes() -> None:
+    track = after(course(8.0, (3.0, 0.0)), fix("vessel", 8.0, 40.0, 10.0, 4.0), yaw=math.pi / 2)
+    place = known(track, 10.0)
+    assert place.d_body_pad_level == pytest.approx([10.0, -46.0], abs=0.01), "46 m north, 10 m east, and the nose is east"
+    assert place.v_level == pytest.approx([0.0, -3.0], abs=1e-6)
+    assert place.height_m == pytest.approx(26.0, abs=0.01)
+    assert place.bow_known
+    assert place.axis_rad == pytest.approx(-math.pi / 2), "without a compass the course is the heading"
+
+
+def test_the_pad_lies_where_the_ship_s_heading_puts_it() -> None:
+    limits = ReportLimits(pad_forward_m=-12.0, pad_right_m=3.0, pad_up_m=2.0)
+    samples = course(9.0, (0.0, 0.0), heading=math.pi / 2), fix("vessel", 9.0, 0.0, 50.0, 4.0)
+    place = known(after(*samples, limits=limits), 9.0)
+    assert place.d_body_pad_level == pytest.approx([-3.0, 38.0], abs=0.01)
+    assert place.height_m == pytest.approx(24.0, abs=0.01)
+    adrift = known(after(course(9.0, (0.0, 0.0)), fix("vessel", 9.0, 0.0, 50.0, 4.0), limits=limits), 9.0)
+    assert not adrift.bow_known
+    assert adrift.sigma_m > 12.0, "a pad whose side nobody knows is as uncertain as it is far from the receiver"
+
+
+def test_it_is_less_certain_with_age_and_unknown_in_the_end() -> None:
+    track = after(course(5.0, (1.5, 0.0)), fix("vessel", 5.0, 60.0, 0.0), until=5.0)
+    sigmas = []
+    for t in (5.0, 6.0, 8.0, 9.9):
+        track = vessel_track.on_sample(track, fix("vehicle", t, 0.0, 0.0, 30.0, v=(0.0, 0.0)))
+        track = vessel_track.on_sample(track, Attitude(stamp(t), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+        sigmas.append(known(track, t).sigma_m)
+    assert sigmas == sorted(sigmas)
+    assert sigmas[-1] > sigmas[0] + 0.5
+    track = vessel_track.on_sample(track, fix("vehicle", 10.2, 0.0, 0.0, 30.0))
+    track = vessel_track.on_sample(track, Attitude(stamp(10.2), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+    assert cause(track, 10.2) is ReasonCause.VESSEL_OLD
+
+
+@pytest.mark.parametrize(
+    ("report", "counter", "why"),
+    [
+        (fix("vessel", 9.5, 100.0, 60.0), "vessel_jump", ReasonCause.VESSEL_JUMPED),
+        (fix("vessel", 9.5, 41.0, 0.0, late_s=10.0), "vessel_stale", ReasonCause.VESSEL_LATE),
+        (fix("vessel", 9.5, 41.0, 0.0, v=(30.0, 0.0)), "vessel_too_fast", ReasonCause.VESSEL_TOO_FAST),
+    ],
+)
+def test_what_cannot_be_hers_is_refused_counted_and_named(report: GeoFix, counter: str, why: ReasonCause) -> None:
+    before = fix("vessel", 9.0, 40.0, 0.0)
+    track = after(before, report)
+    assert track.counted() == {"taken": 1, counter: 1}
+    assert known(track, 10.0).d_body_pad_level == pytest.approx([40.0, 0.0], abs=0.01), (
+        "flown by the one before, while it is fresh"
+    )
+    late = report.stamp.received_at * 1e-9 + 4.9
+    track = vessel_track.on_sample(track, fix("vehicle", late, 0.0, 0.0, 30.0))
+    track = vessel_track.on_sample(track, Attitude(stamp(late), Rotation.from_rpy(0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+    assert cause(track, late) is why
+
+
+def test_an_older_report_does_not_replace_a_newer_one() -> None:
+    track = after(fix("vessel", 9.0, 40.0, 0.0), fix("vessel", 8.5, 39.0, 0.0))
+    assert track.counted() == {"taken": 1, "vessel_out_of_order": 1}
+
+
+def test_a_jump_is_believed_when_a_person_begins_again_or_after_a_long_silence() -> None:
+    jumped = fix("vessel", 9.5, 140.0, 0.0)
+    track = after(fix("vessel", 9.0, 40.0, 0.0), jumped)
+    again = vessel_track.on_sample(vessel_track.restarted(track), fix("vessel", 10.0, 140.0, 0.0))
+    assert known(again, 10.0).distance_m == pytest.approx(140.0, abs=0.1)
+    later = after(fix("vessel", 9.0, 40.0, 0.0), fix("vessel", 45.0, 140.0, 0.0), until=45.0)
+    assert known(later, 45.0).distance_m == pytest.approx(140.0, abs=0.1)
+
+
+def test_a_drone_without_a_place_or_a_heading_of_its_own_is_told_so() -> None:
+    track = vessel_track.on_sample(VesselTrack(), fix("vessel", 1.0, 40.0, 0.0))
+    assert cause(track, 1.0) is ReasonCause.NO_OWN_PLACE
+    track = vessel_track.on_sample(track, fix("vehicle", 1.0, 0.0, 0.0))
+    assert cause(track, 1.0) is ReasonCause.NO_OWN_HEADING
+    assert cause(after(), 10.0) is ReasonCause.VESSEL_SILENT
+    assert cause(after(fix("vessel", 9.9, 40.0, 0.0, sigma_m=40.0)), 10.0) is ReasonCause.VESSEL_SIGMA
+
+
+REPORT = st.builds(
+    lambda t, n, e, late, whose: fix(whose, t, n, e, late_s=late),
+    st.floats(0, 60), st.floats(-500, 500), st.floats(-500, 500), st.floats(0, 20), st.sampled_from(["vehicle", "vessel"]),
+)  # fmt: skip
+
+
+@given(st.lists(REPORT, max_size=20))
+def test_every_place_of_the_ship_is_taken_or_counted_and_no_taken_one_is_late(reports: list[GeoFix]) -> None:
+    track, limits = VesselTrack(), ReportLimits()
+    for report in reports:
+        track = vessel_track.on_sample(track, report)
+        if track.vessel is not None:
+            assert track.vessel.stamp.delay_s <= limits.age_max_s
+    ship = sum(report.whose == "vessel" for report in reports)
+    assert track.taken + sum(n for name, n in track.refused.items() if name.startswith("vessel")) == ship

@@ -1,0 +1,41 @@
+"""Flights from 60 m away to a ship that reports her place, through navdata, and what her wrong reports lead to."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from companion.cli.main import main
+
+
+def flown(capsys: pytest.CaptureFixture[str], scenario: str, *more: str) -> tuple[int, dict[str, object]]:
+    code = main(["simulate", scenario, "--perception", "truth", "--json", *more])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_from_60_m_away_it_finds_the_ship_and_lands(capsys: pytest.CaptureFixture[str]) -> None:
+    code, ending = flown(capsys, "rendezvous")
+    assert (code, ending["outcome"], ending["landed_on_pad"]) == (0, "landed", True)
+    assert ending["contacts_outside_commit"] == 0
+    assert ending["duration_s"] < 90.0
+
+
+@pytest.mark.parametrize(
+    ("scenario", "words"),
+    [
+        ("faults/ship_place_stops", "the ship's newest place is"),
+        ("faults/ship_place_jumps", "reported place jumped"),
+        ("faults/ship_place_late", "come too late"),
+    ],
+)
+def test_wrong_places_are_refused_with_their_reason(capsys: pytest.CaptureFixture[str], scenario: str, words: str) -> None:
+    code, ending = flown(capsys, scenario)
+    assert (code, ending["outcome"], ending["contacts"]) == (0, "refused", [])
+    assert words in str(ending["refused"])
+
+
+def test_a_drone_without_a_receiver_refuses_and_says_why(capsys: pytest.CaptureFixture[str]) -> None:
+    code, ending = flown(capsys, "rendezvous", "--set", "vehicle.gnss_hz=0")
+    assert (code, ending["outcome"]) == (1, "refused")
+    assert "the drone does not know its own place (no GNSS)" in str(ending["refused"])
