@@ -35,6 +35,8 @@ code { font: .82rem/1.4 ui-monospace, "DejaVu Sans Mono", monospace; overflow-wr
 .flights li { background: var(--card); border: 1px solid var(--line); border-radius: .5rem; padding: .5rem .8rem; }
 .flights b { color: var(--bad); font-weight: 600; } .flights b.good { color: var(--good); } .flights code { display: block; }
 td.text, th.text { text-align: left; white-space: normal; }
+.each { font-size: .85rem; } .each th { white-space: normal; vertical-align: bottom; }
+.each th, .each td { padding: .3rem .5rem; } .each td:last-child { min-width: 12rem; }
 """
 
 
@@ -207,10 +209,8 @@ def _scenarios(manifest: Mapping[str, Any], flights: Iterable[Flight]) -> str:
             + "".join(f'<td class="{"text" if name in _TEXTS else ""}">{escape(cell)}</td>' for name, cell in cells)
             + "</tr>"
         )
-    return (
-        f'<h2>Each scenario</h2><div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
-        f'<p class="note">{_UNSAFE}</p>'
-    )
+    table = f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody>"
+    return f'<h2>Each scenario</h2><div class="wide"><table class="each">{table}</table></div>'
 
 
 def fly_again(flight: Flight, options: Sequence[str], places: Mapping[str, str] = MappingProxyType({})) -> str:
