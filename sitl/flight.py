@@ -15,12 +15,10 @@ import cv2
 import numpy as np
 
 from companion.config.model import Settings, ardrone_options
-from companion.guidance.mission import State
 from companion.operator.orders import HandledOrder
-from companion.operator.precedence import ControlSituation
 from companion.runtime.health import Health
 from companion.runtime.observer import Observer, ProcessedFrame
-from companion.runtime.pilot import REFUSALS, FlightOutcome, Pilot
+from companion.runtime.pilot import Pilot
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.command_streamer import CommandStreamer
@@ -39,23 +37,13 @@ from sitl.ardrone.drone_clock import DroneClock
 from sitl.ardrone.state import refusal
 from sitl.faults import ServiceKilled
 from sitl.faulty_streams import InTransit
+from sitl.flight_grader import FlightGrader, FlightResult
 from sitl.perception.pixels import Pixels
 from sitl.perception.port import Perception
 from sitl.render_worker import RenderWorker
-from sitl.safety import (
-    BLIND_DESCENT_MAX_M,
-    GO_AROUND_PHASES,
-    BlindDescent,
-    Grade,
-    SightWatch,
-    dangers,
-    grade,
-    on_pad_m,
-    unreached_descent_max_m,
-)
 from sitl.scenario import Scenario
 from sitl.simulated_person import SimulatedPerson
-from sitl.truth import RenderedFrame, Touchdown, Truth
+from sitl.truth import RenderedFrame
 from sitl.vehicle import VehiclePhase
 from sitl.vessel_reports import VesselReporter
 from sitl.world import World
@@ -77,37 +65,6 @@ class Timing:
     """Delay from mid-exposure to the frame's arrival: half the exposure, encoder, link, decoder."""
     vision_s: float = 0.01
     """Time that vision takes for a frame."""
-
-
-@dataclass(frozen=True, slots=True)
-class FlightResult:
-    """The result of one flight."""
-
-    outcome: FlightOutcome | None
-    """The pilot's outcome; None if the scenario's time ran out."""
-    duration_s: float
-    touchdown: Touchdown | None
-    """The newest contact."""
-    health: Health
-    truth: Truth
-    """The true state at the end of the flight."""
-    blind: BlindDescent
-    """The deepest descent without true sight of the pad."""
-    unsafe: tuple[str, ...]
-    """The unsafe events, one line each."""
-    grade: Grade
-    because: str
-    """The reason for the grade."""
-    refused: str | None
-    """The reason why the pilot gave up; None if it did not."""
-    go_arounds: int
-    """How often guidance went around."""
-    faults: tuple[tuple[str, float], ...]
-    """The kind of each fault that began, and the time at which it began, in seconds after the start."""
-
-    @property
-    def landed_on_pad(self) -> bool:
-        return self.outcome is FlightOutcome.LANDED and self.touchdown is not None and self.touchdown.on_pad
 
 
 class _VirtualClock:
@@ -161,18 +118,14 @@ class Flight:
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service anew")
         self._renew = renew or (lambda: pilot)
         self._contain = contain
-        self._died: str | None = None
-        self._reason = ""
-        self._watch = SightWatch(self.world.now)
+        self._grader = FlightGrader(self.world, settings)
         self._person = SimulatedPerson(self.world.faults)
         self._reporter = VesselReporter(self.world)
-        self._go_arounds = 0
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
         self._timing = timing or Timing()
         self._limit_s = scenario.duration_limit_s
         self._options = ardrone_options(settings)
-        self._unreached_max_m = unreached_descent_max_m(settings.guidance, self._options.com_watchdog_s)
         self._arbiter = CommandArbiter(self._options.hold_s)
         self._sequence = self._ticks = 0
         start = self.world.now
@@ -205,7 +158,7 @@ class Flight:
         self._drone.tick(now)
         self._ticks += 1
         if self._ticks % _WATCH_EACH == 0:
-            self._watch.step(self.world.truth(), reached=not self.world.streams.commands.silent)
+            self._grader.step()
         if self._killed():
             self.world.guidance_phase = None
             self._hold(now)
@@ -219,7 +172,7 @@ class Flight:
             if not self._contain:
                 raise
             place = traceback.extract_tb(why.__traceback__)[-1]
-            self._died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
+            self._grader.died = f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})"
             return False
         return self._pilot.outcome is None and seconds_between(self.world.started, now) < self._limit_s
 
@@ -376,65 +329,22 @@ class Flight:
                 observer.on_fusion(processed.done, result)
 
     def _judge(self, seq: int, verdict: Verdict) -> None:
-        view = self._views.pop(seq)
-        self._watch.frame(view.exposed_at, verdict, true_view=view.true_view, stamp_error_s=view.stamp_error_s)
+        self._grader.on_verdict(self._views.pop(seq), verdict)
 
     def _decide(self, now: MonoNs) -> None:
         self._person.act(self._pilot.operator, now)
         decision = self._pilot.decide(now)
-        goes_around, went_around = (phase in GO_AROUND_PHASES for phase in (decision.phase, self.world.guidance_phase))
-        self._go_arounds += goes_around and not went_around
+        self._grader.on_decision(decision)
         if decision.command is not None:
             self._streamer.take(decision.command, now)
         self.world.guidance_phase = decision.phase
         self.health.decision(decision, self._pilot.vehicle)
-        self._reason = decision.reason or self._reason
         for observer in self._observers:
             observer.on_decision(decision)
 
     def result(self) -> FlightResult:
         """Return the result of the flight: final if it has ended, else the result so far."""
-        truth, outcome = self.world.truth(), self._pilot.outcome
-        unreached_m = self._watch.unreached_m
-        unsafe = dangers(self._watch.worst, truth.contacts, self._died, unreached_m, self._unreached_max_m)
-        alone = self.world.active("service_killed") or self.world.active("link_lost")
-        asks = self.world.guidance_phase == State.ANOTHER_PAD.value
-        situation, scenario, refused = self._pilot.operator.situation(self._clock.t), self.world.scenario, self._refused(outcome)
-        worth, because = grade(
-            outcome,
-            on_pad_m(truth.contacts),
-            unsafe,
-            scenario.expect,
-            left_alone=alone,
-            asks=asks,
-            held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
-            go_arounds=self._go_arounds,
-            refusal=(scenario.refusal, refused or ""),
-        )
-        if unreached_m > BLIND_DESCENT_MAX_M and not unsafe:
-            because += f"; came down {unreached_m:.2f} m while nothing reached it"
-        return FlightResult(
-            outcome,
-            seconds_between(self.world.started, self.world.at),
-            truth.touchdown,
-            self.health,
-            truth,
-            self._watch.worst,
-            unsafe,
-            worth,
-            because,
-            refused,
-            self._go_arounds,
-            tuple((fault.kind, began_s) for fault, began_s in self.world.faults.begun),
-        )
-
-    def _refused(self, outcome: FlightOutcome | None) -> str | None:
-        if outcome not in REFUSALS:
-            return None
-        frames = self._watch.since_sight
-        counts = ", ".join(f"{n} {verdict.value}" for verdict, n in frames.most_common())
-        reason = self._reason or outcome.value
-        return f"{reason}; frames since the pad was last truly seen: {counts or 'none'}"
+        return self._grader.result(self._pilot.outcome, self._pilot.operator.situation(self._clock.t), self.health)
 
 
 def _stamp(measured_at: MonoNs, received: MonoNs) -> Stamp:

@@ -20,7 +20,8 @@ from companion.runtime.observer import Observer
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from sitl.ending import Contact, Ending, FlightGrade
-from sitl.flight import Flight, FlightResult
+from sitl.flight import Flight
+from sitl.flight_grader import FlightResult
 from sitl.perception.levels import perceive
 from sitl.perception.port import LEVELS, Level
 from sitl.render_worker import render_worker

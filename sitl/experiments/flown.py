@@ -18,7 +18,8 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.experiments.hand import HandPilot
 from sitl.experiments.paths import HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
-from sitl.flight import Flight, FlightResult, Timing
+from sitl.flight import Flight, Timing
+from sitl.flight_grader import FlightResult
 from sitl.scenario import Scenario, load
 from sitl.truth import Truth
 

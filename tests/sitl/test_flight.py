@@ -15,7 +15,8 @@ from companion.runtime.pilot import FlightOutcome
 from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import Verdict
 from sitl.faults import KINDS, LensCovered
-from sitl.flight import Flight, FlightResult
+from sitl.flight import Flight
+from sitl.flight_grader import FlightResult
 from sitl.render_worker import render_worker
 from sitl.scenario import Scenario
 from sitl.scenario import load as load_scenario

@@ -23,7 +23,8 @@ from estimator.vision.pad_pose import PadPose
 from estimator.vision.pose import Orientation
 from estimator.vision.register.sighting import registered_sighting
 from sitl.faults import KINDS
-from sitl.flight import Flight, FlightResult
+from sitl.flight import Flight
+from sitl.flight_grader import FlightResult
 from sitl.perception import detection_samples as samples_module
 from sitl.perception import parameters
 from sitl.perception.draw import Chance, DetectionTable, root_of, symmetric
