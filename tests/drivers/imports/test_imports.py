@@ -17,7 +17,7 @@ import pytest
 
 from drivers.imports import ardrone_capture, attitude_csv, dataflash, px4_ulog, video
 from estimator.contracts.errors import BadInput
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
+from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 
 DATA = Path(__file__).parents[3] / "../shared/data"
 ULOG, DATAFLASH = DATA / "mavlink/px4_sample.ulg", DATA / "mavlink/arducopter_flight.bin"
@@ -117,7 +117,7 @@ def test_navdata_captures_are_parted_and_timed_by_the_drones_clock(tmp_path: Pat
     samples = ardrone_capture.samples(path)
     instants = sorted({s.stamp.measured_at for s in samples})
     assert instants == [0, 5_000_000, 15_000_000, 2_000_000_000]
-    assert {Imu, Attitude, BodyVelocity, Range, Baro, VehicleStatus} == {type(s) for s in samples}
+    assert {Imu, Attitude, BodyVelocity, Range, Baro, GeoFix, VehicleStatus} == {type(s) for s in samples}
 
 
 def test_attitude_tables_begin_at_zero_and_know_their_heading(tmp_path: Path) -> None:

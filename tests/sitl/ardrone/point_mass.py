@@ -15,6 +15,7 @@ from sitl.airframe import StickLimits
 from sitl.fault import Fault
 from sitl.fault_timer import FaultTimer
 from sitl.faulty_streams import VehicleStreams
+from sitl.scenario import Scenario
 from sitl.sensors import Readings
 from sitl.truth import RenderedFrame, Truth
 from sitl.vehicle import VehiclePhase
@@ -44,6 +45,7 @@ class PointMass:
 
     def __init__(self, start: MonoNs, height_m: float = 0.0) -> None:
         self.now = self.started = start
+        self.scenario, self.seed = Scenario("a point mass"), 3
         self.phase = VehiclePhase.HOVERING if height_m else VehiclePhase.LANDED
         self.limits = StickLimits()
         self.failing = Failing()
@@ -53,7 +55,7 @@ class PointMass:
         self.v = np.zeros(3)
         self.rpy = [0.0, 0.0, 0.0]
         self._stick = Stick(0.0, 0.0, 0.0, 0.0, False)
-        self._rng = np.random.default_rng(3)
+        self._rng = np.random.default_rng(self.seed)
         self._texture = (self._rng.random((360, 640, 3)) * 60 + 90).astype(np.uint8)
         self._images = 0
 

@@ -79,20 +79,25 @@ def test_an_error_is_a_result_and_so_is_a_process_that_dies() -> None:
 
 
 def test_a_full_disk_ends_the_session_and_leaves_whole_lines(tmp_path: Path) -> None:
-    def small() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (14000, 14000))
+    keep(tmp_path / "measured", range(2))
+    whole_manifest = (tmp_path / "measured" / MANIFEST).stat().st_size
+    most = max(whole_manifest + 100, 5 * (tmp_path / "measured" / FLIGHTS).stat().st_size)
 
-    child = drive(tmp_path, "40", stderr=subprocess.PIPE, preexec_fn=small)
+    def small() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+    tmp_path /= "full"
+    child = drive(tmp_path, "200", stderr=subprocess.PIPE, preexec_fn=small)
     _, said = child.communicate(timeout=60)
     assert child.returncode == 1
     assert "flights are kept, and the same command goes on from there" in said
     text = (tmp_path / FLIGHTS).read_bytes()
     assert text.endswith(b"\n")
     kept = list(flights_in(tmp_path / FLIGHTS))
-    assert 1 <= len(kept) < 40
-    child = drive(tmp_path, "40")
+    assert 1 <= len(kept) < 200
+    child = drive(tmp_path, "200")
     child.communicate(timeout=60)
-    assert sorted(f["seed"] for f in flights_in(tmp_path / FLIGHTS)) == list(range(40))
+    assert sorted(f["seed"] for f in flights_in(tmp_path / FLIGHTS)) == list(range(200))
 
 
 def test_a_write_that_fails_is_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
